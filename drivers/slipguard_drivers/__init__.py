@@ -1,0 +1,1 @@
+"""Device drivers of slipguard; each package registers itself through an entry point."""

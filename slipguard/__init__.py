@@ -1,0 +1,8 @@
+"""slipguard keeps a robot from dropping what it holds."""
+
+import os
+
+# onnxruntime >= 1.29 writes usage records under the user's home when it is imported, unless told not to.
+os.environ["ORT_DISABLE_TELEMETRY"] = "1"
+
+__version__ = "0.1.0"

@@ -1,0 +1,1 @@
+"""The running guard: event loop, workers, local API."""

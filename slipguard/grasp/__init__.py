@@ -1,0 +1,1 @@
+"""From what both fingers saw to how hard to hold: pure functions on values."""

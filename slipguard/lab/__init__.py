@@ -1,0 +1,1 @@
+"""The offline commands: measure, bench, train, dataset, campaign."""
