@@ -1,0 +1,167 @@
+"""The one configuration file: frozen models, unknown keys refused, ranges and units in the names.
+
+Each device section names a `driver`; the table of that name inside it belongs to the driver and is checked by
+the driver's own `Settings`:
+
+    [left]
+    driver = "digit"
+    rotation_deg = 0
+    [left.digit]
+    serial = "D20479"
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from slipguard.complaints import first_complaint
+from slipguard.errors import ConfigError
+from slipguard.grasp.params import GuardParams
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.registry import load_driver
+
+
+class Section(BaseModel):
+    """Base of all sections: frozen, no unknown keys, no infinities."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class DeviceSection(Section):
+    """A device: which driver, and the driver's own settings (already checked)."""
+
+    driver: str
+    settings: BaseModel
+
+    @model_validator(mode="before")
+    @classmethod
+    def _driver_owns_its_table(cls, raw: Any) -> Any:
+        if not isinstance(raw, Mapping) or not isinstance(raw.get("driver"), str):
+            return raw
+        name = raw["driver"]
+        driver = load_driver(cls.group(), name)
+        rest = {key: value for key, value in raw.items() if key not in (name, "settings")}
+        return rest | {"settings": driver.Settings.model_validate(raw.get(name, {}))}
+
+    @classmethod
+    def group(cls) -> str:
+        """Entry-point group of the drivers that fit this section."""
+        raise TypeError("a device section names its entry-point group")
+
+
+class FingerSection(DeviceSection):
+    """One fingertip camera and how it is mounted."""
+
+    driver: str = "digit"
+    rotation_deg: Literal[0, 90, 180, 270] = 0
+    px_per_mm: Annotated[float, Field(ge=5.0, le=60.0)] = 18.5
+
+    @classmethod
+    def group(cls) -> str:
+        return "slipguard.tactile"
+
+
+class GripperSection(DeviceSection):
+    """The gripper."""
+
+    driver: str = "robotiq"
+
+    @classmethod
+    def group(cls) -> str:
+        return "slipguard.gripper"
+
+
+class ArmSection(DeviceSection):
+    """The arm."""
+
+    driver: str = "ur5"
+
+    @classmethod
+    def group(cls) -> str:
+        return "slipguard.arm"
+
+
+class LoopSection(Section):
+    """The control loop and its workers."""
+
+    period_ms: Annotated[float, Field(ge=2.0, le=100.0)] = 10.0
+    poll_ms: Annotated[float, Field(ge=5.0, le=500.0)] = 25.0
+    """How often gripper and arm are asked for their state."""
+    retry_s: Annotated[float, Field(ge=0.05, le=60.0)] = 0.5
+    """First pause before a missing device is tried again; doubles up to ten times this."""
+
+
+class ApiSection(Section):
+    """The local API."""
+
+    socket: Path | None = None
+    """Unix socket; None: `slipguard.sock` in the runtime or state directory."""
+
+
+class StateSection(Section):
+    """What survives a restart."""
+
+    directory: Path | None = None
+    """None: $STATE_DIRECTORY under systemd, else ~/.local/state/slipguard."""
+
+
+class Config(Section):
+    """All of config.toml."""
+
+    left: FingerSection
+    right: FingerSection
+    gripper: GripperSection
+    arm: ArmSection
+    guard: GuardParams = GuardParams()
+    perception: PerceptionSettings = PerceptionSettings()
+    loop: LoopSection = LoopSection()
+    api: ApiSection = ApiSection()
+    state: StateSection = StateSection()
+
+
+DEVICES = ("left", "right", "gripper", "arm")
+
+
+def read_config(path: Path, *, sim: bool = False) -> Config:
+    """Read and check a file; `sim` puts the fakes in place of all four devices.
+
+    Raises ConfigError: one line with the file, the key, the value and what is allowed.
+    """
+    try:
+        raw = tomllib.loads(path.read_bytes().decode("utf-8"))
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path}: no such file; config.toml in the project is a commented start") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from error
+    return parse_config(raw, where=str(path), sim=sim)
+
+
+def parse_config(raw: Mapping[str, Any], *, where: str, sim: bool = False) -> Config:
+    """Check what a file holds; `where` names it in the complaint."""
+    values = dict(raw)
+    if sim:
+        for name in DEVICES:
+            section = values.get(name, {})
+            if not isinstance(section, Mapping):
+                continue  # the model below says what is wrong with it
+            own = section.get("driver")
+            kept = {key: value for key, value in section.items() if key != own or key == "fake"}
+            values[name] = kept | {"driver": "fake"}
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        raise ConfigError(f"{where}: {first_complaint(error)}") from None
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+
+
+def sim_config() -> Config:
+    """What `slipguard --sim` runs with: the fakes and every default."""
+    return parse_config({}, where="--sim", sim=True)

@@ -1,0 +1,106 @@
+"""The one task that talks to a gripper or an arm: newest command first, else asks for its state."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import Generic, Protocol, TypeVar
+
+from slipguard.daemon.backoff import Backoff
+from slipguard.daemon.health import Health
+from slipguard.daemon.latest import Latest
+from slipguard.errors import CommandRefused, DeviceError, DeviceLost
+
+S_co = TypeVar("S_co", covariant=True)
+S = TypeVar("S")
+Action = Callable[[], Awaitable[object]]
+
+
+class Device(Protocol[S_co]):
+    """What `Gripper` and `Arm` have in common."""
+
+    async def open(self) -> None: ...
+
+    async def state(self) -> S_co: ...
+
+    async def close(self) -> None: ...
+
+
+class Actuator(Generic[S]):
+    """Runs one device for as long as the daemon lives; a missing one is waited for.
+
+    A command is any coroutine function; a newer one replaces one not yet begun, one begun is let finish. A command that
+    could not be carried out is not tried again: the law sees the state and commands anew.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        device: Device[S],
+        poll_s: float,
+        retry_s: float,
+        on_news: Callable[[], None],
+        on_event: Callable[[str], None],
+    ) -> None:
+        self.name = name
+        self.health = Health(name)
+        self.newest: S | None = None
+        self.polled = 0
+        self._device = device
+        self._poll_s = poll_s
+        self._backoff = Backoff(retry_s)
+        self._commands: Latest[Action] = Latest()
+        self._wake = asyncio.Event()
+        self._on_news = on_news
+        self._on_event = on_event
+
+    def command(self, action: Action) -> None:
+        """Carry out `action` as soon as the device is free."""
+        self._commands.put(action)
+        self._wake.set()
+
+    async def run(self) -> None:
+        """Command and poll until cancelled; the device is left as it is."""
+        try:
+            while True:
+                try:
+                    await self._device.open()
+                    await self._serve()
+                except DeviceError as error:
+                    self.health.lost(str(error))
+                    self.newest = None
+                    self._on_news()
+                    await self._device.close()
+                    await self._backoff.wait()
+        finally:
+            await self._device.close()
+
+    async def _serve(self) -> None:
+        loop = asyncio.get_running_loop()
+        next_poll_s = loop.time()
+        while True:
+            self._wake.clear()
+            action = self._commands.take()
+            try:
+                if action is not None:
+                    await action()
+                if action is not None or loop.time() >= next_poll_s:
+                    self.newest = await self._device.state()
+                    self.polled += 1
+                    self.health.good(loop.time())
+                    self._backoff.reset()
+                    self._on_news()
+                    next_poll_s = loop.time() + self._poll_s
+            except CommandRefused as error:
+                self._on_event(f"{self.name}: {error}")
+            except DeviceLost:
+                raise
+            except DeviceError as error:
+                self.health.troubled(str(error))
+                self._on_news()
+                next_poll_s = loop.time() + self._poll_s
+            timer = loop.call_at(next_poll_s, self._wake.set)
+            try:
+                await self._wake.wait()
+            finally:
+                timer.cancel()

@@ -1,0 +1,51 @@
+"""Shared by all suites: real data, virtual time, and a test that leaves a task behind fails."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+REAL_DATA_VARIABLE = "SLIPGUARD_REAL_DATA"
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Without real data the `real` tests are deselected, and the closing lines say so."""
+    if os.environ.get(REAL_DATA_VARIABLE):
+        return
+    real = [item for item in items if item.get_closest_marker("real")]
+    if real:
+        config.hook.pytest_deselected(items=real)
+        items[:] = [item for item in items if item not in real]
+        config.stash[_DESELECTED] = len(real)
+
+
+_DESELECTED = pytest.StashKey[int]()
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    count = config.stash.get(_DESELECTED, 0)
+    if count:
+        terminalreporter.write_line(
+            f"{count} tests on real sensor images were left out: {REAL_DATA_VARIABLE} is not set "
+            "(it names a folder of DIGIT recordings that is not part of the project)"
+        )
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """The folder of real sensor images; set but missing is a failure, not a skip."""
+    folder = Path(os.environ[REAL_DATA_VARIABLE])
+    assert folder.is_dir(), f"{REAL_DATA_VARIABLE} names {folder}, which is not a folder"
+    return folder
+
+
+@pytest.fixture(autouse=True)
+async def _no_leaked_tasks(request: pytest.FixtureRequest) -> AsyncIterator[None]:
+    yield
+    this = asyncio.current_task()
+    left = [task for task in asyncio.all_tasks() if task is not this and not task.done()]
+    assert not left, f"left running: {[task.get_name() for task in left]}"
