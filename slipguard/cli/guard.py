@@ -1,0 +1,141 @@
+"""`slipguard run | check | calibrate | version`: the daemon and what surrounds it."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The configuration file.")]
+
+
+def run(
+    config: ConfigOption = Path("config.toml"),
+    sim: Annotated[bool, typer.Option("--sim", help="Put the fakes in place of all devices.")] = False,
+    log_json: Annotated[
+        bool | None, typer.Option("--log-json/--log-text", help="Default: JSON unless on a terminal.")
+    ] = None,
+) -> None:
+    """Run the daemon until SIGINT or SIGTERM; stopping it keeps the grip.
+
+    Example: `slipguard run --config config.toml`, then in another terminal `slipguard ctl state`
+    """
+    from slipguard.config import read_config
+    from slipguard.daemon import log, root
+
+    settings = read_config(config, sim=sim)
+    log.configure(json_lines=log_json)
+    if sim:
+        from slipguard.lab.stage import run_on_stage
+
+        asyncio.run(run_on_stage(settings))
+    else:
+        asyncio.run(root.run(settings))
+
+
+def check(
+    config: ConfigOption = Path("config.toml"),
+    json: Annotated[bool, typer.Option("--json", help="The whole configuration, defaults filled in, as JSON.")] = False,
+) -> None:
+    """Read and explain a configuration; touch nothing.
+
+    Example: `slipguard check --config config.toml`
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from slipguard.config import read_config
+    from slipguard.errors import ConfigError
+    from slipguard.perception.segment import Segmenter
+
+    settings = read_config(config)
+    if json:
+        print(settings.model_dump_json(indent=2, serialize_as_any=True))
+        return
+    if settings.perception.model is not None and not settings.perception.model.is_file():
+        raise ConfigError(f"{config}: perception.model = {settings.perception.model}: no such file")
+    segmenter = Segmenter(settings.perception.model)
+    console = Console()
+    table = Table("device", "driver", "settings", title=str(config), title_justify="left")
+    for name in ("left", "right", "gripper", "arm"):
+        device = getattr(settings, name)
+        own = ", ".join(f"{key} = {value!r}" for key, value in device.settings.model_dump(mode="json").items())
+        table.add_row(name, device.driver, own)
+    console.print(table)
+    guard = settings.guard
+    console.print(
+        f"mode {guard.mode!r}: first grip {guard.first_force_n:g} N per finger, never above {guard.force_max_n:g} N, "
+        f"{guard.blind_force_n:g} N where the turn cannot be seen"
+    )
+    width, height = segmenter.input_size
+    console.print(f"network {segmenter.name} at {width}×{height}, estimator {settings.perception.estimator!r}")
+    console.print("the configuration is fine")
+
+
+def calibrate(
+    config: ConfigOption = Path("config.toml"),
+    socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon; default: from the config.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Even if the stored image says there is contact.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+) -> None:
+    """Store each finger's no-contact image, by serial; needed before the first grasp.
+
+    Asks the running daemon; opens the sensors itself only when none runs. The jaws must be open and empty.
+    Example: `slipguard calibrate --config config.toml`
+    """
+    from slipguard.config import read_config
+    from slipguard.daemon.calibration import calibrate_through_daemon_or_directly, report
+
+    settings = read_config(config)
+    result = calibrate_through_daemon_or_directly(settings, socket, force=force)
+    report(result, as_json=json)
+
+
+def version(
+    json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+) -> None:
+    """Say what runs here: slipguard, Python, libraries, drivers.
+
+    Example: `slipguard version --json`
+    """
+    import json as jsonlib
+    import platform
+    from importlib.metadata import PackageNotFoundError
+    from importlib.metadata import version as installed
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from slipguard import __version__
+    from slipguard.registry import GROUPS, driver_names
+
+    libraries: dict[str, str | None] = {}
+    for name in (
+        "numpy", "onnxruntime", "opencv-contrib-python-headless", "scikit-image", "pydantic",
+        "structlog", "pymodbus", "pyserial", "ur-rtde", "torch",
+    ):  # fmt: skip
+        try:
+            libraries[name] = installed(name)
+        except PackageNotFoundError:
+            libraries[name] = None
+    facts = {
+        "slipguard": __version__,
+        "python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}",
+        "libraries": libraries,
+        "drivers": {group: driver_names(group) for group in GROUPS},
+    }
+    if json:
+        print(jsonlib.dumps(facts))
+        return
+    table = Table(show_header=False)
+    table.add_row("slipguard", __version__)
+    table.add_row("python", platform.python_version())
+    table.add_row("machine", str(facts["machine"]))
+    for name, number in libraries.items():
+        table.add_row(name, number or "not installed")
+    for group in GROUPS:
+        table.add_row(group, ", ".join(driver_names(group)))
+    Console().print(table)
