@@ -135,7 +135,9 @@ def read_config(path: Path, *, sim: bool = False) -> Config:
     try:
         raw = tomllib.loads(path.read_bytes().decode("utf-8"))
     except FileNotFoundError as error:
-        raise ConfigError(f"{path}: no such file; config.toml in the project is a commented start") from error
+        raise ConfigError(
+            f"{path}: no such file; config.toml in the project is a commented start"
+        ) from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from error
     except tomllib.TOMLDecodeError as error:

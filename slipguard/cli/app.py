@@ -34,16 +34,28 @@ app.command()(guard.version)
 @app.callback(invoke_without_command=True)
 def top(
     context: typer.Context,
-    sim: Annotated[bool, typer.Option("--sim", help="Run a whole grasp-and-lift campaign on the fakes.")] = False,
+    sim: Annotated[
+        bool, typer.Option("--sim", help="Run a whole grasp-and-lift campaign on the fakes.")
+    ] = False,
     seed: Annotated[int, typer.Option(min=0, help="With --sim: seed of all that is random.")] = 0,
-    lifts: Annotated[int | None, typer.Option(help="With --sim: how many lifts; default one per test object.")] = None,
+    lifts: Annotated[
+        int | None, typer.Option(help="With --sim: how many lifts; default one per test object.")
+    ] = None,
     guarded: Annotated[
-        bool, typer.Option("--guard/--no-guard", help="With --sim: without the guard, to see what it is for.")
+        bool,
+        typer.Option(
+            "--guard/--no-guard", help="With --sim: without the guard, to see what it is for."
+        ),
     ] = True,
-    json: Annotated[bool, typer.Option("--json", help="With --sim: JSON lines, the summary last.")] = False,
-    out: Annotated[Path | None, typer.Option(help="With --sim: folder for the picture and the table.")] = None,
+    json: Annotated[
+        bool, typer.Option("--json", help="With --sim: JSON lines, the summary last.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="With --sim: folder for the picture and the table.")
+    ] = None,
     speed: Annotated[
-        simulate.Speed, typer.Option(help="With --sim: on the real clock, or as fast as it computes.")
+        simulate.Speed,
+        typer.Option(help="With --sim: on the real clock, or as fast as it computes."),
     ] = simulate.Speed.realtime,
 ) -> None:
     """Keeps a robot from dropping what it holds.
@@ -52,7 +64,9 @@ def top(
     """
     if context.invoked_subcommand is not None:
         if sim:
-            raise click.UsageError("--sim before a command has no meaning; write `slipguard run --config FILE --sim`")
+            raise click.UsageError(
+                "--sim before a command has no meaning; write `slipguard run --config FILE --sim`"
+            )
         return
     if not sim:
         typer.echo(context.get_help())

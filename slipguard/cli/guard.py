@@ -13,9 +13,12 @@ ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The configur
 
 def run(
     config: ConfigOption = Path("config.toml"),
-    sim: Annotated[bool, typer.Option("--sim", help="Put the fakes in place of all devices.")] = False,
+    sim: Annotated[
+        bool, typer.Option("--sim", help="Put the fakes in place of all devices.")
+    ] = False,
     log_json: Annotated[
-        bool | None, typer.Option("--log-json/--log-text", help="Default: JSON unless on a terminal.")
+        bool | None,
+        typer.Option("--log-json/--log-text", help="Default: JSON unless on a terminal."),
     ] = None,
 ) -> None:
     """Run the daemon until SIGINT or SIGTERM; stopping it keeps the grip.
@@ -37,7 +40,9 @@ def run(
 
 def check(
     config: ConfigOption = Path("config.toml"),
-    json: Annotated[bool, typer.Option("--json", help="The whole configuration, defaults filled in, as JSON.")] = False,
+    json: Annotated[
+        bool, typer.Option("--json", help="The whole configuration, defaults filled in, as JSON.")
+    ] = False,
 ) -> None:
     """Read and explain a configuration; touch nothing.
 
@@ -61,7 +66,9 @@ def check(
     table = Table("device", "driver", "settings", title=str(config), title_justify="left")
     for name in ("left", "right", "gripper", "arm"):
         device = getattr(settings, name)
-        own = ", ".join(f"{key} = {value!r}" for key, value in device.settings.model_dump(mode="json").items())
+        own = ", ".join(
+            f"{key} = {value!r}" for key, value in device.settings.model_dump(mode="json").items()
+        )
         table.add_row(name, device.driver, own)
     console.print(table)
     guard = settings.guard
@@ -70,14 +77,20 @@ def check(
         f"{guard.blind_force_n:g} N where the turn cannot be seen"
     )
     width, height = segmenter.input_size
-    console.print(f"network {segmenter.name} at {width}×{height}, estimator {settings.perception.estimator!r}")
+    console.print(
+        f"network {segmenter.name} at {width}×{height}, estimator {settings.perception.estimator!r}"
+    )
     console.print("the configuration is fine")
 
 
 def calibrate(
     config: ConfigOption = Path("config.toml"),
-    socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon; default: from the config.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Even if the stored image says there is contact.")] = False,
+    socket: Annotated[
+        Path | None, typer.Option(help="Socket of a running daemon; default: from the config.")
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Even if the stored image says there is contact.")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
 ) -> None:
     """Store each finger's no-contact image, by serial; needed before the first grasp.

@@ -160,9 +160,9 @@ class Finger:
             if pipeline is not self.pipeline or self._wants_reset:
                 continue
             if estimate.skipped:
-                self.counts.skipped[estimate.skipped] = self.counts.skipped.get(estimate.skipped, 0) + 1
+                self.counts.skipped[estimate.skipped] = (
+                    self.counts.skipped.get(estimate.skipped, 0) + 1
+                )
             self.newest = Seen(estimate, handed_at_s, loop.time())
             self.health.good(loop.time())
             self._on_news()
-
-

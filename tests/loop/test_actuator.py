@@ -1,0 +1,116 @@
+"""The task that owns a gripper or an arm: waits for a missing one, newest command wins, trouble is told."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+from slipguard.daemon.actuator import Actuator
+from slipguard.daemon.virtual_time import run_virtual
+from slipguard.errors import CommandRefused, DeviceLost, DeviceTimeout
+
+
+class Motor:
+    """A device that counts, and fails when told."""
+
+    def __init__(self) -> None:
+        self.opened = self.closed = self.asked = 0
+        self.done: list[str] = []
+        self.failure: Exception | None = None
+
+    async def open(self) -> None:
+        self.opened += 1
+        if isinstance(self.failure, DeviceLost):
+            raise self.failure
+
+    async def state(self) -> int:
+        self.asked += 1
+        if self.failure:
+            raise self.failure
+        return self.asked
+
+    async def close(self) -> None:
+        self.closed += 1
+
+
+def drive(scenario: Callable[[Motor, Actuator[int], list[str]], Awaitable[None]]) -> Motor:
+    motor, events = Motor(), list[str]()
+
+    async def main() -> None:
+        actuator: Actuator[int] = Actuator("motor", motor, 0.02, 0.5, lambda: None, events.append)
+        task = asyncio.create_task(actuator.run())
+        try:
+            await scenario(motor, actuator, events)
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+
+    run_virtual(main())
+    return motor
+
+
+def test_it_polls_on_time_and_closes_at_the_end() -> None:
+    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
+        await asyncio.sleep(1.01)
+        assert actuator.health.ready
+
+    motor = drive(scenario)
+    assert motor.asked == 51
+    assert (motor.opened, motor.closed) == (1, 1)
+
+
+def test_a_newer_command_replaces_one_not_yet_begun() -> None:
+    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
+        await asyncio.sleep(0.1)
+
+        async def slow() -> None:
+            motor.done.append("slow")
+            await asyncio.sleep(0.05)
+
+        async def old() -> None:
+            motor.done.append("old")
+
+        async def new() -> None:
+            motor.done.append("new")
+
+        actuator.command(slow)
+        await asyncio.sleep(0.01)
+        actuator.command(old)
+        actuator.command(new)
+        await asyncio.sleep(0.2)
+
+    assert drive(scenario).done == ["slow", "new"]
+
+
+def test_a_lost_device_is_waited_for_and_taken_up_again() -> None:
+    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
+        motor.failure = DeviceLost("motor: unplugged; plug it in")
+        await asyncio.sleep(3.0)
+        assert actuator.health.state == "waiting"
+        assert actuator.health.why == "motor: unplugged; plug it in"
+        assert actuator.newest is None
+        motor.failure = None
+        await asyncio.sleep(6.0)
+        assert actuator.health.ready
+
+    drive(scenario)
+
+
+def test_a_time_out_is_trouble_and_a_refusal_is_an_event() -> None:
+    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
+        await asyncio.sleep(0.1)
+        motor.failure = DeviceTimeout("motor: no answer for 0.1 s")
+        await asyncio.sleep(0.1)
+        assert actuator.health.state == "troubled"
+        motor.failure = None
+        await asyncio.sleep(0.1)
+        assert actuator.health.ready
+
+        async def refused() -> None:
+            raise CommandRefused("an object is held; release it first")
+
+        actuator.command(refused)
+        await asyncio.sleep(0.1)
+        assert events == ["motor: an object is held; release it first"]
+
+    assert drive(scenario).opened == 1
