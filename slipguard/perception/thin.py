@@ -1,9 +1,9 @@
 """Guo-Hall thinning with the whole image in one Python integer.
 
 Pixel-exact with `cv2.ximgproc.thinning(mask, THINNING_GUOHALL)`, several times faster: only the
-bounding box of the mask is packed, one bit a pixel, each row followed by one empty pad bit. The eight
-neighbours of every pixel are then eight shifts of one integer, and a sub-iteration is about forty
-bitwise operations on the whole picture.
+bounding box of the mask is packed, one bit a pixel, each row followed by one empty pad bit. The
+eight neighbours of every pixel are then eight shifts of one integer, and a sub-iteration is about
+forty bitwise operations on the whole picture.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ def thin(mask: NDArray[np.uint8] | NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Thin a mask to lines one pixel wide, keeping its connectivity.
 
     mask: (H, W) uint8 or bool, any size, non-zero is inside. Returns (H, W) uint8, 0 or 1, a subset
-    of the mask. As in OpenCV the outermost rows and columns of the image are neighbours but are never
-    removed themselves: pad a crop by one pixel where its edge is not the edge of the picture.
-    Source: Z. Guo, R. W. Hall, "Parallel thinning with two-subiteration algorithms", CACM 32 (1989).
+    of the mask. As in OpenCV the outermost rows and columns of the image are neighbours but are
+    never removed themselves: pad a crop by one pixel where its edge is not the edge of the picture.
+    Source: Z. Guo, R. W. Hall, "Parallel thinning with two-subiteration algorithms", CACM 32
+    (1989).
     """
     image_h, image_w = mask.shape
     skeleton = np.zeros((image_h, image_w), np.uint8)
@@ -85,8 +86,8 @@ def _deletable(
     """Bits of x that one sub-iteration removes, given the neighbours clockwise from the north (p2).
 
     Guo and Hall remove a pixel where its neighbours form exactly one connected part,
-    2 <= min(N1, N2) <= 3, and (p6 or p7 or not p9) and p8 is false. Sorted by p8 and p4 these are the
-    three cases below; the tests compare them over all 256 neighbourhoods. `a & ~b` is written
+    2 <= min(N1, N2) <= 3, and (p6 or p7 or not p9) and p8 is false. Sorted by p8 and p4 these are
+    the three cases below; the tests compare them over all 256 neighbourhoods. `a & ~b` is written
     `a ^ (a & b)`: complements of Python integers are slow.
     """
     p29, p67, low = p2 & p9, p6 & p7, p6 | p7
