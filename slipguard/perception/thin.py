@@ -62,27 +62,21 @@ def _packed(pixels: NDArray[np.bool_]) -> int:
 
 
 def _thinned(x: int, stride: int, removable: int | None) -> int:
-    """Repeat both sub-iterations until nothing changes. removable: pixels that may go; None: all."""
+    """Repeat both sub-iterations until stable. removable: pixels that may go; None is all."""
     while True:
         before = x
         north, south, west, east = x << stride, x >> stride, x << 1, x >> 1
-        gone = _deletable(
-            x, north, north >> 1, east, south >> 1, south, south << 1, west, north << 1
-        )
+        gone = _deletable(x, north, north >> 1, east, south >> 1, south, south << 1, west, north << 1)
         x ^= gone if removable is None else gone & removable
         north, south, west, east = x << stride, x >> stride, x << 1, x >> 1
         # The second sub-iteration is the first one turned by half a turn.
-        gone = _deletable(
-            x, south, south << 1, west, north << 1, north, north >> 1, east, south >> 1
-        )
+        gone = _deletable(x, south, south << 1, west, north << 1, north, north >> 1, east, south >> 1)
         x ^= gone if removable is None else gone & removable
         if x == before:
             return x
 
 
-def _deletable(
-    x: int, p2: int, p3: int, p4: int, p5: int, p6: int, p7: int, p8: int, p9: int
-) -> int:
+def _deletable(x: int, p2: int, p3: int, p4: int, p5: int, p6: int, p7: int, p8: int, p9: int) -> int:
     """Bits of x that one sub-iteration removes, given the neighbours clockwise from the north (p2).
 
     Guo and Hall remove a pixel where its neighbours form exactly one connected part,
