@@ -1,0 +1,176 @@
+"""Where the fake sensor's images are drawn: here and now, or in a process of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import mmap
+import os
+import pickle
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.errors import DeviceLost, DeviceTimeout
+from slipguard.sim.view import GelView
+from slipguard_drivers.digit.draw_worker import IMAGE_BYTES, PACKET_BYTES, SLOTS, gel_camera
+from slipguard_drivers.digit.stream import SHAPE
+
+Image = NDArray[np.uint8]
+START_TIMEOUT_S = 30.0
+"""Python, numpy and OpenCV starting on a loaded small machine; 0.5 s on an idle one."""
+
+
+class Painter(Protocol):
+    """Turns a view into an image, now or a little later."""
+
+    async def start(self) -> None:
+        """Get ready to draw. Raises DeviceTimeout or DeviceLost."""
+
+    def paint(self, view: GelView, done: Callable[[Image], None]) -> bool:
+        """Draw `view` and call `done` with the image; False where it is too busy to."""
+        ...
+
+    def stop(self) -> None:
+        """Let go of everything; no `done` is called any more."""
+
+
+class InlinePainter:
+    """Draws at once, in the calling process: for virtual time, where drawing takes no time."""
+
+    def __init__(self, unit_seed: int) -> None:
+        self._unit_seed = unit_seed
+
+    async def start(self) -> None:
+        """Make the sensor unit."""
+        self._camera = gel_camera(self._unit_seed)
+
+    def paint(self, view: GelView, done: Callable[[Image], None]) -> bool:
+        """Draw before returning."""
+        done(self._camera.draw(view))
+        return True
+
+    def stop(self) -> None:
+        """Nothing to let go of."""
+
+
+class ProcessPainter:
+    """Draws in a child process, so that drawing does not take the loop's time.
+
+    A few numbers go over a socket, images come back through shared memory.
+
+    died: called with the reason when the child ends by itself.
+    """
+
+    def __init__(self, name: str, unit_seed: int, died: Callable[[str], None]) -> None:
+        self._name = name
+        self._unit_seed = unit_seed
+        self._died = died
+        self._child: subprocess.Popen[bytes] | None = None
+        self._link: socket.socket | None = None
+        self._memory: mmap.mmap | None = None
+        self._waiting: dict[int, Callable[[Image], None]] = {}
+        self._free: list[int] = []
+
+    async def start(self) -> None:
+        """Start the child and wait until it can draw."""
+        self.stop()
+        self._launch()
+        loop = asyncio.get_running_loop()
+        assert self._link is not None
+        try:
+            async with asyncio.timeout(START_TIMEOUT_S):
+                greeting = await loop.sock_recv(self._link, PACKET_BYTES)
+        except TimeoutError:
+            self.stop()
+            raise DeviceTimeout(
+                f"{self._name}: the drawing process was not ready after {START_TIMEOUT_S:.0f} s"
+            ) from None
+        except BaseException:
+            self.stop()
+            raise
+        if not greeting:
+            self.stop()
+            raise DeviceLost(f"{self._name}: the drawing process ended before it drew anything")
+        self._free = list(range(SLOTS))
+        loop.add_reader(self._link, self._on_answer)
+
+    def _launch(self) -> None:
+        # Packets keep their borders; the memory is a file without a name: nothing is left behind.
+        self._link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        memory_fd = os.memfd_create(f"slipguard-{self._name}")
+        try:
+            os.ftruncate(memory_fd, SLOTS * IMAGE_BYTES)
+            self._memory = mmap.mmap(memory_fd, SLOTS * IMAGE_BYTES)
+            self._link.setblocking(False)
+            command = [sys.executable, "-P", "-m", "slipguard_drivers.digit.draw_worker"]
+            self._child = subprocess.Popen(
+                [*command, str(theirs.fileno()), str(memory_fd), str(self._unit_seed)],
+                pass_fds=(theirs.fileno(), memory_fd),
+                stdin=subprocess.DEVNULL,
+                process_group=0,  # a Ctrl-C at the terminal is for the parent alone
+            )
+        except BaseException:
+            self.stop()
+            raise
+        finally:
+            theirs.close()
+            os.close(memory_fd)
+
+    def paint(self, view: GelView, done: Callable[[Image], None]) -> bool:
+        """Ask the child for an image; False while it has all the work it can hold."""
+        if not self._free or self._link is None:
+            return False
+        slot = self._free.pop()
+        try:
+            self._link.send(pickle.dumps((slot, view)))
+        except OSError:
+            self._free.append(slot)
+            return False  # a dead child is told by its end of file
+        self._waiting[slot] = done
+        return True
+
+    def _on_answer(self) -> None:
+        assert self._link is not None
+        assert self._memory is not None
+        try:
+            packet = self._link.recv(PACKET_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            packet = b""
+        if not packet:
+            self.stop()
+            self._died("the drawing process ended; open the sensor again")
+            return
+        slot, complaint = pickle.loads(packet)
+        done = self._waiting.pop(slot)
+        if complaint is not None:
+            self.stop()
+            self._died(f"the drawing process cannot draw: {complaint}")
+            return
+        raw = self._memory[slot * IMAGE_BYTES : (slot + 1) * IMAGE_BYTES]
+        self._free.append(slot)
+        done(np.frombuffer(bytearray(raw), np.uint8).reshape(SHAPE))
+
+    def stop(self) -> None:
+        """End the child and free the memory. Idempotent."""
+        self._waiting.clear()
+        self._free.clear()
+        if self._link is not None:
+            with contextlib.suppress(RuntimeError):  # no loop any more: nothing reads it either
+                asyncio.get_running_loop().remove_reader(self._link)
+            self._link.close()
+            self._link = None
+        if self._memory is not None:
+            self._memory.close()
+            self._memory = None
+        if self._child is not None:
+            self._child.kill()
+            self._child.wait()
+            self._child = None

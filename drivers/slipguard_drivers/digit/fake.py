@@ -1,0 +1,142 @@
+"""A fingertip camera of the simulated world: it draws what a real one would see, when it would.
+
+Exposes on an absolute schedule with jitter, hands frames over one latency later, loses some.
+It fails on demand (`world.faults`): "disconnect", "stall", "frozen", "corrupt".
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import random
+from collections.abc import Callable
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from slipguard.devices import DriverContext, Frame, TactileSensor
+from slipguard.errors import DeviceLost
+from slipguard_drivers.digit.draw import Image, InlinePainter, Painter, ProcessPainter
+from slipguard_drivers.digit.stream import FrameStream
+from slipguard_drivers.shared_world import world_of
+
+JITTER_S = 0.002
+"""Half the width of a DIGIT's frame interval jitter (1-3 ms on USB)."""
+
+
+class FakeSensor(TactileSensor):
+    """One finger of the shared world, seen through the sensor unit of its camera model."""
+
+    class Settings(BaseModel):
+        """draw: "process" keeps the drawing off the loop's core; "inline" is for virtual time."""
+
+        model_config = ConfigDict(frozen=True, extra="forbid")
+
+        draw: Literal["process", "inline"] = "process"
+        stall_ms: Annotated[float, Field(ge=50.0, le=5000.0)] = 250.0
+
+    def __init__(self, settings: Settings, context: DriverContext) -> None:
+        self._name = context.name
+        self._world = world_of(context)
+        self._settings = settings
+        self._model = self._world.camera(self._name)
+        self._random = random.Random(self._model.unit_seed)
+        self._stream: FrameStream | None = None
+        self._painter: Painter = (
+            ProcessPainter(self._name, self._model.unit_seed, self._lose)
+            if settings.draw == "process"
+            else InlinePainter(self._model.unit_seed)
+        )
+        self._timers: set[asyncio.TimerHandle] = set()
+        self._started_at_s = 0.0
+        self._last_image: Image | None = None
+
+    @property
+    def serial(self) -> str:
+        """Serial number of the simulated unit."""
+        return self._model.serial
+
+    async def open(self) -> None:
+        """Start the stream; the first frame is exposed one frame time later."""
+        if self._stream is not None and not self._stream.lost:
+            return
+        await self.close()
+        if "disconnect" in self._faults():
+            raise DeviceLost(f"{self._name}: no DIGIT with serial {self.serial}; plug it in")
+        await self._painter.start()
+        self._stream = FrameStream(self._name, self._settings.stall_ms / 1000.0)
+        self._started_at_s = asyncio.get_running_loop().time()
+        self._last_image = None
+        self._expose_at(1)
+
+    async def next_frame(self) -> Frame:
+        """The newest frame not yet handed out."""
+        if self._stream is None:
+            raise DeviceLost(f"{self._name}: the sensor is not open; open it first")
+        if "disconnect" in self._faults():
+            self._lose("the sensor is gone (unplugged)")
+        return await self._stream.next()
+
+    async def close(self) -> None:
+        """Stop the stream and the drawing."""
+        self._halt()
+        self._painter.stop()
+        self._stream = None
+
+    def _faults(self) -> frozenset[str]:
+        return self._world.faults.active(self._name)
+
+    def _lose(self, why: str) -> None:
+        self._halt()
+        if self._stream is not None:
+            self._stream.lose(why)
+
+    def _halt(self) -> None:
+        for timer in self._timers:
+            timer.cancel()
+        self._timers.clear()
+
+    def _at(self, when_s: float, call: Callable[[], None]) -> None:
+        """Call at an absolute time of the loop, unless the stream has ended by then."""
+
+        def fire() -> None:
+            self._timers.discard(timer)
+            call()
+
+        timer = asyncio.get_running_loop().call_at(when_s, fire)
+        self._timers.add(timer)
+
+    def _expose_at(self, sequence: int) -> None:
+        due_s = self._started_at_s + sequence / self._model.fps
+        jitter_s = self._random.uniform(-JITTER_S, JITTER_S)
+        self._at(due_s + jitter_s, lambda: self._expose(sequence))
+
+    def _expose(self, sequence: int) -> None:
+        """Take one picture; those that a late loop has slept through are lost, as in a camera."""
+        now_s = asyncio.get_running_loop().time()
+        passed = math.floor((now_s - JITTER_S - self._started_at_s) * self._model.fps)
+        sequence = max(sequence, passed)
+        self._expose_at(sequence + 1)
+        faults = self._faults()
+        if "disconnect" in faults:
+            self._lose("the sensor is gone (unplugged)")
+            return
+        view = self._world.view(self._name, now_s)
+        lost = self._random.random() < self._model.drop_probability
+        if lost or "stall" in faults:
+            return
+        arrives_at_s = now_s + self._model.latency_s
+        stream = self._stream
+        assert stream is not None
+        if "corrupt" in faults:
+            self._at(arrives_at_s, lambda: stream.damaged("only part of its bytes arrived"))
+            return
+
+        def deliver(image: Image) -> None:
+            self._last_image = image
+            self._at(arrives_at_s, lambda: stream.put(image, now_s, sequence))
+
+        if "frozen" in faults and self._last_image is not None:
+            deliver(self._last_image)
+        else:
+            self._painter.paint(view, deliver)

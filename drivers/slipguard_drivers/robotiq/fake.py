@@ -1,0 +1,126 @@
+"""The gripper of the simulated world: one call at a time, each a round trip on the wire.
+
+It fails on demand (`world.faults`): "disconnect", "timeout" (no answer), "fault" (answers, but
+moves nothing).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from slipguard.devices import DriverContext, Gripper, GripperState
+from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
+from slipguard_drivers.robotiq.registers import MODEL_2F85
+from slipguard_drivers.shared_world import world_of
+
+
+class FakeGripper(Gripper):
+    """A 2F-85 whose fingers are the shared world's."""
+
+    class Settings(BaseModel):
+        """round_trip_ms: request and answer at 115200 Bd, adapter with a latency timer of 1 ms."""
+
+        model_config = ConfigDict(frozen=True, extra="forbid")
+
+        round_trip_ms: Annotated[float, Field(ge=0.0, le=100.0)] = 4.0
+        timeout_ms: Annotated[float, Field(ge=5.0, le=1000.0)] = 50.0
+
+    def __init__(self, settings: Settings, context: DriverContext) -> None:
+        self._name = context.name
+        self._world = world_of(context)
+        self._settings = settings
+        self._wire = asyncio.Lock()
+        self._open = False
+
+    @property
+    def force_limits_n(self) -> tuple[float, float]:
+        """Those of a 2F-85."""
+        return MODEL_2F85.force_min_n, MODEL_2F85.force_max_n
+
+    async def open(self) -> None:
+        """Connect; the fingers stay as they are."""
+        if "disconnect" in self._faults():
+            self._open = False
+            raise DeviceLost(f"{self._name}: no gripper answers; check its cable and power")
+        self._open = True
+
+    async def state(self) -> GripperState:
+        """Ask the gripper now."""
+        async with self._round_trip() as now_s:
+            return self._state(now_s)
+
+    async def hold(self, force_n: float) -> float:
+        """Close on what is there with `force_n`; return the force applied."""
+        self._check_number("force_n", force_n)
+        async with self._round_trip(trips=2) as now_s:  # stop, then go: the force register acts in motion only
+            self._check_fault()
+            return self._world.command_hold(now_s, force_n)
+
+    async def move(self, width_mm: float, force_n: float) -> float:
+        """Move empty-handed; return the width commanded."""
+        self._check_width(width_mm)
+        self._check_number("force_n", force_n)
+        async with self._round_trip() as now_s:
+            self._check_fault()
+            if self._state(now_s).holding:
+                raise CommandRefused(f"{self._name}: an object is held; move would let it go: use release for that")
+            return self._world.command_move(now_s, width_mm, force_n)
+
+    async def release(self, width_mm: float) -> None:
+        """Open to `width_mm`."""
+        self._check_width(width_mm)
+        async with self._round_trip() as now_s:
+            self._check_fault()
+            self._world.command_release(now_s, width_mm)
+
+    async def close(self) -> None:
+        """Disconnect; the grip stays."""
+        self._open = False
+
+    def _faults(self) -> frozenset[str]:
+        return self._world.faults.active(self._name)
+
+    def _state(self, now_s: float) -> GripperState:
+        state = self._world.gripper_state(now_s)
+        if "fault" in self._faults() and state.fault is None:
+            return replace(state, fault="internal fault")
+        return state
+
+    def _check_fault(self) -> None:
+        if "fault" in self._faults():
+            raise DeviceError(f"{self._name}: the gripper reports a fault (internal fault) and moves nothing")
+
+    def _check_number(self, name: str, value: float) -> None:
+        if not (math.isfinite(value) and value >= 0):
+            raise CommandRefused(f"{self._name}: {name} is {value}; it must be a number of at least 0")
+
+    def _check_width(self, width_mm: float) -> None:
+        if not 0 <= width_mm <= MODEL_2F85.stroke_mm:
+            raise CommandRefused(f"{self._name}: width_mm is {width_mm}; it must be 0 to {MODEL_2F85.stroke_mm:g}")
+
+    @asynccontextmanager
+    async def _round_trip(self, trips: int = 1) -> AsyncIterator[float]:
+        """Have the wire to oneself; yields the time at which the gripper acts on the request."""
+        async with self._wire:
+            self._check_connection()
+            loop = asyncio.get_running_loop()
+            if "timeout" in self._faults():
+                await asyncio.sleep(self._settings.timeout_ms / 1000.0)
+                raise DeviceTimeout(f"{self._name}: no answer within {self._settings.timeout_ms:.0f} ms")
+            await asyncio.sleep(trips * self._settings.round_trip_ms / 1000.0)
+            self._check_connection()
+            yield loop.time()
+
+    def _check_connection(self) -> None:
+        if not self._open:
+            raise DeviceLost(f"{self._name}: the connection is not open; open it first")
+        if "disconnect" in self._faults():
+            self._open = False
+            raise DeviceLost(f"{self._name}: the connection is gone; open it again")

@@ -1,0 +1,160 @@
+"""The register map of a Robotiq 2F gripper: pure encoding and decoding, no wire.
+
+Three registers are written at 0x03E8 (action | -, - | position, speed | force) and three are read at
+0x07D0 (status | -, fault | position echo, position | current). Position 0 is open, 255 closed.
+Source: Robotiq 2F-85/2F-140 instruction manual.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+from slipguard.errors import CommandRefused, DeviceError
+
+SLAVE_ID = 9
+OUTPUT_ADDRESS = 0x03E8
+INPUT_ADDRESS = 0x07D0
+REGISTERS = 3
+
+CLOSED_COUNT = 255
+FULL_SPEED = 255
+CURRENT_A_PER_COUNT = 0.010
+
+FAULTS = {
+    0x00: None,
+    0x05: "action delayed: activation must be completed first",
+    0x07: "the activation bit must be set before any action",
+    0x08: "too hot: cools down before it moves again",
+    0x09: "no communication for at least one second",
+    0x0A: "supply voltage is below the minimum",
+    0x0B: "automatic release in progress",
+    0x0C: "internal fault",
+    0x0D: "activation fault: check that nothing is in its way",
+    0x0E: "overcurrent",
+    0x0F: "automatic release completed",
+}
+"""gFLT in words. Codes up to 0x07 pass by themselves; 0x09 only tells that the line was silent."""
+PASSING_FAULTS = frozenset({0x00, 0x05, 0x07, 0x09})
+
+
+@dataclass(frozen=True, slots=True)
+class GripperModel:
+    """What differs between the 2F models.
+
+    open_count, closed_count: where the fingers really stop after activation.
+    """
+
+    name: str
+    stroke_mm: float
+    open_count: int
+    closed_count: int
+    force_min_n: float
+    force_max_n: float
+
+    @property
+    def mm_per_count(self) -> float:
+        """Width of one position count: 0.37 mm on a 2F-85."""
+        return self.stroke_mm / (self.closed_count - self.open_count)
+
+
+MODEL_2F85 = GripperModel("2F-85", 85.0, 3, 230, 20.0, 235.0)
+MODEL_2F140 = GripperModel("2F-140", 140.0, 3, 230, 10.0, 125.0)
+MODELS = {model.name: model for model in (MODEL_2F85, MODEL_2F140)}
+
+
+class Motion(IntEnum):
+    """gOBJ: what the fingers are doing."""
+
+    MOVING = 0
+    STOPPED_OPENING = 1
+    STOPPED_CLOSING = 2
+    AT_POSITION = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """The three input registers, taken apart. Counts are 0-255."""
+
+    activated: bool
+    going: bool
+    ready: bool
+    motion: Motion
+    fault_code: int
+    position_echo: int
+    position: int
+    current_a: float
+
+    @property
+    def holding(self) -> bool:
+        """Stopped on an object while closing: letting go of rACT would drop it."""
+        return self.ready and self.motion is Motion.STOPPED_CLOSING
+
+    @property
+    def fault(self) -> str | None:
+        """The fault in words; None where there is none or where it passes by itself."""
+        if self.fault_code in PASSING_FAULTS:
+            return None
+        return FAULTS.get(self.fault_code) or f"unknown fault code 0x{self.fault_code:02X}"
+
+
+def encode(*, activate: bool, go: bool, position: int, speed: int, force: int) -> list[int]:
+    """The three output registers. position, speed, force: counts 0-255."""
+    for name, count in (("position", position), ("speed", speed), ("force", force)):
+        if not 0 <= count <= 255:
+            raise ValueError(f"{name} is {count} counts; it must be 0 to 255")
+    return [(activate << 0 | go << 3) << 8, position, speed << 8 | force]
+
+
+def decode(registers: Sequence[int]) -> Status:
+    """Take the three input registers apart. Raises DeviceError where they cannot be a 2F's."""
+    if len(registers) != REGISTERS or any(not 0 <= word <= 0xFFFF for word in registers):
+        raise DeviceError(f"a status of {list(registers)} is not {REGISTERS} registers of 16 bits")
+    flags, echo_word, position_word = registers
+    status = flags >> 8
+    return Status(
+        activated=bool(status & 0x01),
+        going=bool(status & 0x08),
+        ready=status >> 4 & 0x03 == 3,
+        motion=Motion(status >> 6 & 0x03),
+        fault_code=echo_word >> 8 & 0x0F,
+        position_echo=echo_word & 0xFF,
+        position=position_word >> 8,
+        current_a=(position_word & 0xFF) * CURRENT_A_PER_COUNT,
+    )
+
+
+def force_to_count(force_n: float, model: GripperModel) -> int:
+    """The lowest count that applies at least `force_n` per finger; beyond the limits, the nearest.
+
+    Raises CommandRefused for a force that is not a number.
+    """
+    if not math.isfinite(force_n):
+        raise CommandRefused(f"a force of {force_n} N makes no sense; {limits(model)}")
+    share = (force_n - model.force_min_n) / (model.force_max_n - model.force_min_n)
+    return min(255, max(0, math.ceil(share * 255 - 1e-9)))
+
+
+def count_to_force(count: int, model: GripperModel) -> float:
+    """Newtons per finger that a force count stands for: 0.84 N a count on a 2F-85, about linear."""
+    return model.force_min_n + (model.force_max_n - model.force_min_n) * count / 255
+
+
+def width_to_count(width_mm: float, model: GripperModel) -> int:
+    """The position count nearest to an opening. Raises CommandRefused outside 0 ... stroke."""
+    if not 0 <= width_mm <= model.stroke_mm:
+        raise CommandRefused(f"a width of {width_mm} mm is outside the {model.name}'s 0 to {model.stroke_mm:g} mm")
+    return model.open_count + round((model.stroke_mm - width_mm) / model.mm_per_count)
+
+
+def count_to_width(count: int, model: GripperModel) -> float:
+    """Opening in mm at a position count; 0 where the fingers touch."""
+    width_mm = model.stroke_mm - (count - model.open_count) * model.mm_per_count
+    return min(model.stroke_mm, max(0.0, width_mm))
+
+
+def limits(model: GripperModel) -> str:
+    """What a model can do, for messages."""
+    return f"a {model.name} applies {model.force_min_n:g} to {model.force_max_n:g} N per finger"
