@@ -1,0 +1,119 @@
+"""Which frames need no network: those without contact, and those that show what the last one showed.
+
+Both questions are asked of a picture of 30 x 40 block means (8 x 8 pixels each), where the camera's noise is small
+and known. A wrong "maybe contact" costs two milliseconds, a wrong "no contact" costs the object: the gate leans to
+the first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
+from slipguard.errors import FrameCorrupt
+
+BLOCKS_WIDE, BLOCKS_HIGH = FRAME_WIDTH_PX // 8, FRAME_HEIGHT_PX // 8
+DEFAULT_NOISE_BGR = (2.9, 1.5, 2.4)
+"""Noise of one pixel, grey levels, one standard deviation: measured on two DIGIT units."""
+_BLOCK_NOISE_SHARE = 0.37
+"""Noise of an 8 x 8 mean over noise of a pixel, at the sensor's lag-1 pixel correlation of 0.65 (white: 0.125)."""
+_ROUNDING_STD = 0.3
+"""Rounding to whole grey levels in three halvings, grey levels."""
+_DARK, _BRIGHT = 4, 251
+"""A frame with no block above, or none below, carries no picture."""
+_UNCHANGED_MEAN = 1.05
+"""Allowed mean square difference around the patch, in units of the noise; the noise alone gives 1 or a little less."""
+_UNCHANGED_PEAK = 4.6
+"""Allowed difference of the worst of the 1200 blocks, in standard deviations (three colours together)."""
+
+Blocks = NDArray[np.float32]
+
+
+def check_frame(image: NDArray[np.uint8]) -> None:
+    """Raise `FrameCorrupt` unless image is a (320, 240, 3) uint8 picture that is neither all black nor all white."""
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3:
+        seen = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+        raise FrameCorrupt(f"frame is {seen}, expected uint8 (320, 240, 3) BGR; it is left out")
+    if image.shape != (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3):
+        height, width = image.shape[:2]
+        raise FrameCorrupt(
+            f"frame is {width}×{height} with {image.shape[2]} channels, expected {FRAME_WIDTH_PX}×{FRAME_HEIGHT_PX}"
+            " BGR; check the stream format of the camera"
+        )
+
+
+def block_means(image: NDArray[np.uint8]) -> Blocks:
+    """Means of 8 x 8 pixels: (320, 240, 3) uint8 to (1200, 3) float32, row by row.
+
+    Raises `FrameCorrupt` on anything that is no gel picture, all-black and all-white frames included.
+    """
+    check_frame(image)
+    small: NDArray[Any] = image
+    for _ in range(3):  # halving three times is faster than dividing by eight once
+        half = (small.shape[1] // 2, small.shape[0] // 2)
+        small = cv2.resize(small, half, interpolation=cv2.INTER_AREA)
+    if small.max() < _DARK:
+        raise FrameCorrupt("frame is all black; check the light and the lens cap of the sensor")
+    if small.min() > _BRIGHT:
+        raise FrameCorrupt("frame is all white; check the exposure and the LEDs of the sensor")
+    return small.reshape(-1, 3).astype(np.float32)
+
+
+class Gate:
+    """Knows one unit's no-contact picture and noise; answers the two questions. Holds no other state.
+
+    background: (320, 240, 3) uint8 or None; without one every frame may be contact.
+    noise_bgr: standard deviation of one pixel per channel, grey levels; None: what is typical of a DIGIT.
+    """
+
+    def __init__(
+        self,
+        background: NDArray[np.uint8] | None,
+        noise_bgr: Sequence[float] | NDArray[np.floating] | None = None,
+        gate_sigma: float = 7.0,
+    ) -> None:
+        noise = np.asarray(DEFAULT_NOISE_BGR if noise_bgr is None else noise_bgr, np.float32).reshape(-1,
+        3).mean(axis=0) noise = np.where(np.isfinite(noise), np.clip(noise, 0.3, 20.0), DEFAULT_NOISE_BGR)
+        self._per_std: NDArray[np.float32] = (
+            1.0 / np.sqrt((_BLOCK_NOISE_SHARE * noise) ** 2 + _ROUNDING_STD**2)
+        ).astype(np.float32)
+        self._limit = gate_sigma**2
+        self._background = None if background is None else block_means(background)
+        x, y = np.meshgrid(np.linspace(-1, 1, BLOCKS_WIDE), np.linspace(-1, 1, BLOCKS_HIGH))
+        drift = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=1)
+        self._drift: NDArray[np.float32] = np.linalg.qr(drift)[0].astype(np.float32)
+
+    def may_be_contact(self, blocks: Blocks) -> bool:
+        """False only where nothing but noise and a drift of the light sets the picture apart from no contact.
+
+        The drift taken out is a level and a slope per channel.
+        """
+        if self._background is None:
+            return True
+        difference = blocks - self._background
+        difference -= self._drift @ (self._drift.T @ difference)
+        difference *= self._per_std
+        return bool(np.einsum("ij,ij->i", difference, difference).max() > self._limit)
+
+    def unchanged(self, blocks: Blocks, measured: Blocks, near_patch: NDArray[np.bool_] | None) -> bool:
+        """Whether a picture differs from the measured one by no more than the noise of two frames.
+
+        near_patch: (1200,) bool, the blocks in and around the contact, where a slip would show; None: no contact.
+        """
+        difference = (blocks - measured) * self._per_std
+        square = np.einsum("ij,ij->i", difference, difference)
+        if square.max() > 2.0 * _UNCHANGED_PEAK**2:
+            return False
+        around = square if near_patch is None else square[near_patch]
+        return bool(around.mean() < 2.0 * 3.0 * _UNCHANGED_MEAN)
+
+
+def near_patch(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Blocks in and next to a mask, any resolution: (h, w) uint8 0/1 to (1200,) bool for `Gate.unchanged`."""
+    small = cv2.resize(mask * np.uint8(255), (BLOCKS_WIDE, BLOCKS_HIGH), interpolation=cv2.INTER_AREA)
+    return cv2.dilate(small, np.ones((3, 3), np.uint8)).ravel() > 0
