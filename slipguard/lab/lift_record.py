@@ -1,0 +1,189 @@
+"""What one lift was in truth and in slipguard's eyes, and the figures that follow from it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.perception.estimate import Estimate
+
+FINGERS = ("left", "right")
+PICTURE_SIGN = {"left": 1.0, "right": -1.0}
+"""A turn that is counter-clockwise in the left picture is clockwise in the right one."""
+
+TURN_THAT_COUNTS_DEG = 10.0
+"""Turn errors are taken over lifts whose true turn reached this."""
+
+
+@dataclass(slots=True)
+class TruthLog:
+    """The world's truth over time, to be read at any frame's capture time."""
+
+    time_s: list[float] = field(default_factory=list)
+    turn_deg: list[float] = field(default_factory=list)
+    force_n: list[float] = field(default_factory=list)
+    needed_n: list[float] = field(default_factory=list)
+    height_mm: list[float] = field(default_factory=list)
+
+    def turn_at(self, when_s: float | NDArray[np.float64]) -> NDArray[np.float64]:
+        """True turn in the left picture, linearly between samples."""
+        return np.interp(when_s, self.time_s, self.turn_deg)
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One turn slipguard stated. turn_deg: in the left picture. captured_at_s: of the frame it speaks of."""
+
+    captured_at_s: float
+    turn_deg: float
+    sigma_deg: float
+
+
+@dataclass(slots=True)
+class LiftRecord:
+    """One lift, filled while it runs."""
+
+    object_name: str
+    hard: str = ""
+    truth: TruthLog = field(default_factory=TruthLog)
+    estimates: dict[str, list[Estimate]] = field(default_factory=lambda: {name: [] for name in FINGERS})
+    fused: list[Measured] = field(default_factory=list)
+    other_estimators: dict[str, list[Measured]] = field(default_factory=dict)
+    """Per estimator name, both fingers together: what it would have said on the same patches."""
+    latency_s: list[float] = field(default_factory=list)
+    deadlines_missed: int = 0
+    outcome: str = "held"
+    why: str = ""
+    ended_at_s: float = float("inf")
+    """When the object was dropped or put down; frames captured later do not count."""
+
+    @property
+    def reference_s(self) -> float | None:
+        """Capture time of the first frame with a reference, in either finger."""
+        firsts = [
+            estimate.captured_at_s
+            for name in FINGERS
+            for estimate in self.estimates[name]
+            if estimate.angle_deg is not None
+        ]
+        return min(firsts, default=None)
+
+    @property
+    def true_turn_deg(self) -> float:
+        """Largest true turn since the object was gripped, in degrees, signed as in the left picture."""
+        turns = np.asarray(self.truth.turn_deg)[np.asarray(self.truth.time_s) <= self.ended_at_s]
+        if turns.size == 0:
+            return 0.0
+        since = turns - turns[0]
+        return float(since[np.argmax(np.abs(since))])
+
+    def measured(self, finger: str) -> list[Measured]:
+        """What one finger stated, turned into the left picture's sign."""
+        return [
+            Measured(estimate.captured_at_s, PICTURE_SIGN[finger] * estimate.angle_deg, estimate.sigma_deg)
+            for estimate in self.estimates[finger]
+            if estimate.angle_deg is not None and estimate.sigma_deg is not None
+        ]
+
+    def errors_deg(self, stated: list[Measured]) -> NDArray[np.float64]:
+        """Stated minus true turn, both since the first statement, for frames captured before the end."""
+        stated = [one for one in stated if one.captured_at_s <= self.ended_at_s]
+        if not stated or not self.truth.time_s:
+            return np.empty(0)
+        when_s = np.array([one.captured_at_s for one in stated])
+        true_deg = self.truth.turn_at(when_s)
+        return np.array([one.turn_deg for one in stated]) - (true_deg - true_deg[0])
+
+    @property
+    def counts(self) -> bool:
+        """Whether this lift enters the turn errors."""
+        return abs(self.true_turn_deg) >= TURN_THAT_COUNTS_DEG
+
+    @property
+    def skips(self) -> Counter[str]:
+        """Skipped frames by reason, both fingers."""
+        return Counter(
+            estimate.skipped for name in FINGERS for estimate in self.estimates[name] if estimate.skipped is not None
+        )
+
+    @property
+    def frames(self) -> int:
+        """Frames judged, both fingers."""
+        return sum(len(self.estimates[name]) for name in FINGERS)
+
+
+def mean_abs(errors_deg: NDArray[np.float64]) -> float | None:
+    """Mean magnitude, or None where there is nothing to average."""
+    return float(np.mean(np.abs(errors_deg))) if errors_deg.size else None
+
+
+@dataclass(frozen=True, slots=True)
+class TurnErrors:
+    """Turn errors of one source (a finger, the fused turn, an estimator) over all lifts that count."""
+
+    source: str
+    lifts: int
+    mean_deg: float | None
+    worst_object_deg: float | None
+    worst_object: str | None
+    p95_deg: float | None
+
+
+def turn_errors(records: list[LiftRecord], source: str) -> TurnErrors:
+    """Errors of `source`: "left", "right", "fused" or the name of an estimator."""
+    per_object: dict[str, list[NDArray[np.float64]]] = {}
+    for record in records:
+        if not record.counts:
+            continue
+        if source in FINGERS:
+            stated = record.measured(source)
+        elif source == "fused":
+            stated = record.fused
+        else:
+            stated = record.other_estimators.get(source, [])
+        errors = record.errors_deg(stated)
+        if errors.size:
+            per_object.setdefault(record.object_name, []).append(errors)
+    if not per_object:
+        return TurnErrors(source, 0, None, None, None, None)
+    means = {name: float(np.mean(np.abs(np.concatenate(parts)))) for name, parts in per_object.items()}
+    every = np.abs(np.concatenate([part for parts in per_object.values() for part in parts]))
+    worst = max(means, key=lambda name: means[name])
+    lifts = sum(len(parts) for parts in per_object.values())
+    return TurnErrors(source, lifts, float(every.mean()), means[worst], worst, float(np.percentile(every, 95)))
+
+
+def summary(records: list[LiftRecord], *, realtime: bool) -> dict[str, object]:
+    """The figures of a campaign, under the names of the public `--json` line."""
+    fused = turn_errors(records, "fused")
+    turns = np.abs([record.true_turn_deg for record in records]) if records else np.empty(0)
+    latencies_ms = 1e3 * np.array([value for record in records for value in record.latency_s])
+    timed = realtime and latencies_ms.size > 0
+    frames = sum(record.frames for record in records)
+    skipped = sum(sum(record.skips.values()) for record in records)
+    outcomes = Counter(record.outcome for record in records)
+    return {
+        "lifts": len(records),
+        "held": outcomes["held"],
+        "dropped": outcomes["dropped"],
+        "refused": outcomes["refused"],
+        "turn_error_lifts": fused.lifts,
+        "turn_error_mean_deg": _rounded(fused.mean_deg, 3),
+        "turn_error_worst_object_deg": _rounded(fused.worst_object_deg, 3),
+        "true_turn_median_deg": _rounded(float(np.median(turns)) if turns.size else None, 2),
+        "true_turn_max_deg": _rounded(float(turns.max()) if turns.size else None, 2),
+        "over_20_deg_or_dropped": sum(
+            record.outcome == "dropped" or abs(record.true_turn_deg) > 20.0 for record in records
+        ),
+        "latency_p50_ms": _rounded(float(np.percentile(latencies_ms, 50)), 2) if timed else None,
+        "latency_p99_ms": _rounded(float(np.percentile(latencies_ms, 99)), 2) if timed else None,
+        "skipped_share": _rounded(skipped / frames if frames else 0.0, 4),
+        "deadlines_missed": sum(record.deadlines_missed for record in records),
+    }
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)
