@@ -1,0 +1,146 @@
+"""An arm that moves up and down: trapezoid speed profiles in closed form, and stops that take time.
+
+A motion is a short list of constant accelerations, so height, speed and acceleration are exact at any moment.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+from slipguard.devices import ArmState
+
+
+@dataclass(frozen=True, slots=True)
+class ArmModel:
+    """Limits of the arm. URScript's movel default is 1200 mm/s2; 250 mm/s is the usual collaborative cap.
+
+    stop_mm_s2: deceleration of a commanded, protective or emergency stop; 250 mm/s ends in 100 ms (50-150 ms).
+    """
+
+    acceleration_mm_s2: float = 1200.0
+    stop_mm_s2: float = 2500.0
+    speed_min_mm_s: float = 1.0
+    speed_max_mm_s: float = 250.0
+    height_min_mm: float = 0.0
+    height_max_mm: float = 800.0
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """From `start_s` on, until the next leg: constant acceleration."""
+
+    start_s: float
+    height_mm: float
+    speed_mm_s: float
+    acceleration_mm_s2: float
+
+
+@dataclass(frozen=True, slots=True)
+class ArmPlant:
+    """The arm's plan. legs: in order of time, the last one at rest for ever."""
+
+    legs: tuple[Leg, ...] = (Leg(-math.inf, 0.0, 0.0, 0.0),)
+
+
+@dataclass(frozen=True, slots=True)
+class ArmPose:
+    """Height, speed and acceleration at one moment, up positive."""
+
+    height_mm: float
+    speed_mm_s: float
+    acceleration_mm_s2: float
+    moving: bool
+
+
+def pose(plant: ArmPlant, now_s: float) -> ArmPose:
+    """Where the arm is."""
+    last = plant.legs[-1]
+    if now_s >= last.start_s:
+        return ArmPose(last.height_mm, 0.0, 0.0, False)
+    leg = plant.legs[0]
+    for following in plant.legs[1:]:
+        if now_s < following.start_s:
+            break
+        leg = following
+    t = max(now_s - leg.start_s, 0.0)
+    a = leg.acceleration_mm_s2
+    return ArmPose(leg.height_mm + t * (leg.speed_mm_s + 0.5 * a * t), leg.speed_mm_s + a * t, a, True)
+
+
+def order_lift(
+    plant: ArmPlant, model: ArmModel, now_s: float, height_mm: float, speed_mm_s: float
+) -> tuple[ArmPlant, float]:
+    """Move by `height_mm` from here (down when negative), within the height limits; returns plan and speed applied.
+
+    A motion under way is replaced without a jump in speed.
+    """
+    speed_mm_s = min(max(speed_mm_s, model.speed_min_mm_s), model.speed_max_mm_s)
+    here = pose(plant, now_s)
+    goal_mm = min(max(here.height_mm + height_mm, model.height_min_mm), model.height_max_mm)
+    a = model.acceleration_mm_s2
+    start = Leg(now_s, here.height_mm, here.speed_mm_s, 0.0)
+    legs: list[Leg] = []
+    way_mm = goal_mm - here.height_mm
+    braking_mm = here.speed_mm_s * abs(here.speed_mm_s) / (2 * a)
+    # Running away from the goal, or past it whatever is done: brake first, then start from rest.
+    if here.speed_mm_s and (way_mm * here.speed_mm_s < 0 or abs(braking_mm) > abs(way_mm)):
+        start = _leg(legs, start, -math.copysign(a, here.speed_mm_s), abs(here.speed_mm_s) / a, end_speed=0.0)
+    way_mm = goal_mm - start.height_mm
+    sign = math.copysign(1.0, way_mm)
+    entry = abs(start.speed_mm_s)
+    if abs(way_mm) > 1e-9:
+        top = min(speed_mm_s, math.sqrt(a * abs(way_mm) + 0.5 * entry * entry))
+        change = math.copysign(a, top - entry)
+        start = _leg(legs, start, sign * change, abs(top - entry) / a, end_speed=sign * top)
+        cruise_mm = abs(goal_mm - start.height_mm) - top * top / (2 * a)
+        start = _leg(legs, start, 0.0, max(cruise_mm, 0.0) / top, end_speed=sign * top)
+        start = _leg(legs, start, -sign * a, top / a, end_speed=0.0)
+    legs.append(Leg(start.start_s, goal_mm, 0.0, 0.0))
+    return ArmPlant(tuple(legs)), speed_mm_s
+
+
+def order_stop(plant: ArmPlant, model: ArmModel, now_s: float) -> ArmPlant:
+    """Brake to rest from now on; at rest nothing changes."""
+    here = pose(plant, now_s)
+    if not here.moving:
+        return plant
+    legs: list[Leg] = []
+    start = Leg(now_s, here.height_mm, here.speed_mm_s, 0.0)
+    decel = model.stop_mm_s2
+    end = _leg(legs, start, -math.copysign(decel, here.speed_mm_s), abs(here.speed_mm_s) / decel, end_speed=0.0)
+    return ArmPlant((*legs, end))
+
+
+def _leg(legs: list[Leg], start: Leg, acceleration: float, seconds: float, end_speed: float) -> Leg:
+    """Append a leg that lasts `seconds` (none if 0) and return the state at its end, as the start of the next."""
+    if seconds <= 0.0:
+        return start
+    legs.append(Leg(start.start_s, start.height_mm, start.speed_mm_s, acceleration))
+    height_mm = start.height_mm + seconds * (start.speed_mm_s + 0.5 * acceleration * seconds)
+    return Leg(start.start_s + seconds, height_mm, end_speed, 0.0)
+
+
+def report(plant: ArmPlant, now_s: float, protective_stop: bool = False, emergency_stop: bool = False) -> ArmState:
+    """What the arm says of itself."""
+    here = pose(plant, now_s)
+    return ArmState(
+        height_mm=here.height_mm,
+        speed_mm_s=here.speed_mm_s,
+        moving=here.moving,
+        protective_stop=protective_stop,
+        emergency_stop=emergency_stop,
+        measured_at_s=now_s,
+    )
+
+
+def continuous(plant: ArmPlant, tolerance_mm: float = 1e-6) -> bool:
+    """True if height and speed of the plan have no jumps; what every plan promises."""
+    for leg, following in pairwise(plant.legs):
+        t = following.start_s - leg.start_s
+        height = leg.height_mm + t * (leg.speed_mm_s + 0.5 * leg.acceleration_mm_s2 * t)
+        speed = leg.speed_mm_s + t * leg.acceleration_mm_s2
+        if abs(height - following.height_mm) > tolerance_mm or abs(speed - following.speed_mm_s) > tolerance_mm:
+            return False
+    return True

@@ -1,0 +1,198 @@
+"""Gripper, arm, table and object at one instant, and the step that takes them to the next: pure values.
+
+The object lies on a table between the jaws until force comes on it; from then on it moves in the fingers' frame.
+Nothing brings a dropped object back.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+from slipguard.sim import arm_plant, gripper_plant, rotation
+from slipguard.sim.arm_plant import ArmPlant, ArmPose
+from slipguard.sim.friction import NO_CONTACT_N
+from slipguard.sim.gripper_plant import GripperModel, GripperPlant
+from slipguard.sim.objects import SimObject
+from slipguard.sim.rotation import Body, Load, Motion
+from slipguard.sim.scenario import Scenario
+from slipguard.sim.view import GelView
+
+MAX_TURN_DEG = 60.0
+"""An object turned further than this counts as dropped."""
+MAX_SLIDE_MM = 12.0
+"""An object that slid this far is out of the fingers: the gel is 25.5 mm high, a grasp is near its middle."""
+REFERENCE_PRESS_N = 40.0
+"""The force at which an object's `press_mm` holds; the depth goes with the square root of the force."""
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """The object that was placed: its scenario and its mechanics, friction scaled."""
+
+    scenario: Scenario
+    item: SimObject
+    body: Body
+    needed_n: float
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """Everything that moves. held: force is on the object. table_mm: finger height at which it lies flat."""
+
+    gripper: GripperPlant
+    gripper_model: GripperModel
+    arm: ArmPlant = field(default_factory=ArmPlant)
+    thing: Thing | None = None
+    motion: Motion = field(default_factory=Motion)
+    table_mm: float = 0.0
+    held: bool = False
+    dropped: str | None = None
+
+    @property
+    def present(self) -> Thing | None:
+        """What is between the jaws."""
+        return self.thing if self.dropped is None else None
+
+
+def step(cell: Cell, now_s: float, step_s: float, *, gripper_works: bool = True) -> Cell:
+    """The cell one step later, at `now_s`."""
+    here = arm_plant.pose(cell.arm, now_s)
+    thing = cell.present
+    gripper = cell.gripper
+    if gripper_works:
+        object_mm = thing.item.width_mm if thing is not None else None
+        gripper = gripper_plant.advance(gripper, cell.gripper_model, now_s, step_s, object_mm)
+    if thing is None:
+        return replace(cell, gripper=gripper)
+    pressed = gripper.force_n > NO_CONTACT_N
+    if not pressed and not cell.held:
+        return replace(cell, gripper=gripper, table_mm=here.height_mm)
+    motion = cell.motion if cell.held else Motion()
+    load = Load(
+        force_n=gripper.force_n,
+        acceleration_m_s2=1e-3 * here.acceleration_mm_s2,
+        rise_m=1e-3 * (here.height_mm - cell.table_mm),
+        rise_m_s=1e-3 * here.speed_mm_s,
+    )
+    motion = rotation.advance(motion, thing.body, thing.scenario.gel, load, step_s)
+    dropped = _why_dropped(motion, thing.body, gripper.force_n)
+    held = pressed and dropped is None
+    if not pressed and dropped is None:  # set down: it lies still again
+        motion = Motion(turn_rad=motion.turn_rad, slide_m=motion.slide_m, table_n=motion.table_n)
+    return replace(cell, gripper=gripper, motion=motion, held=held, dropped=dropped)
+
+
+def _why_dropped(motion: Motion, body: Body, force_n: float) -> str | None:
+    """The reason, in words, why the object is lost in this state; None while it is not."""
+    if abs(motion.turn_rad) > math.radians(MAX_TURN_DEG):
+        return f"turned more than {MAX_TURN_DEG:.0f} deg"
+    if abs(motion.slide_m) > 1e-3 * MAX_SLIDE_MM:
+        return "contact lost"
+    if motion.table_n > 0.0:
+        return None
+    if force_n <= NO_CONTACT_N:
+        return "contact lost"
+    if motion.load_n >= body.n_fingers * body.friction * force_n:
+        return "f_t >= mu N"
+    return None
+
+
+def is_still(before: Cell, after: Cell, now_s: float) -> bool:
+    """True if nothing will move until somebody gives a command."""
+    if not after.gripper.at_rest or now_s < after.arm.legs[-1].start_s or before.held != after.held:
+        return False
+    if before.gripper is not after.gripper:
+        return False
+    if not after.held:
+        return True
+    old, new = before.motion, after.motion
+    at_rest = abs(new.rate_rad_s) < 1e-8 and abs(new.slide_m_s) < 1e-10
+    return at_rest and abs(new.rate_rad_s - old.rate_rad_s) < 1e-9 and abs(new.slide_m_s - old.slide_m_s) < 1e-11
+
+
+def view(cell: Cell, finger_sign: int) -> GelView:
+    """What a finger's camera has before it; left +1, right -1 (the mirrored picture). World down is picture down."""
+    thing = cell.present
+    if thing is None:
+        return GelView(object_name="", depth_mm=-1.0)
+    motion, scenario = cell.motion, thing.scenario
+    turn_sign = finger_sign * scenario.lever_sign
+    return GelView(
+        object_name=thing.item.name,
+        x_mm=finger_sign * scenario.x_mm,
+        y_mm=scenario.y_mm - 1e3 * motion.slide_m,
+        angle_deg=finger_sign * scenario.angle_deg + turn_sign * math.degrees(motion.turn_rad),
+        depth_mm=depth_mm(thing.item, cell.gripper),
+        vy_mm_s=-1e3 * motion.slide_m_s,
+        rate_deg_s=turn_sign * math.degrees(motion.rate_rad_s),
+    )
+
+
+def depth_mm(item: SimObject, gripper: GripperPlant) -> float:
+    """Indentation: minus the gap before contact, then press_mm * sqrt(N / 40 N)."""
+    if gripper.force_n <= NO_CONTACT_N:
+        return min(0.5 * (item.width_mm - gripper.width_mm), 0.0)
+    return item.press_mm * math.sqrt(gripper.force_n / REFERENCE_PRESS_N)
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What really happens; for evaluation only, never for the loop. After a drop, how it was at that moment.
+
+    Angles are degrees in the left picture, counter-clockwise positive; turns count from the placing:
+    turn_deg = elastic_deg (the gel's wind-up, comes back) + slip_deg. right_*: the same in the right picture.
+    needed_force_n: per finger, to hold the level object at rest. load_n: tangential load per finger.
+    """
+
+    time_s: float
+    object_name: str | None
+    turn_deg: float
+    elastic_deg: float
+    slip_deg: float
+    rate_deg_s: float
+    angle_deg: float
+    right_turn_deg: float
+    right_angle_deg: float
+    slide_mm: float
+    slide_rate_mm_s: float
+    force_n: float
+    applied_n: float
+    needed_force_n: float
+    load_n: float
+    height_mm: float
+    on_table: bool
+    in_contact: bool
+    slipping: bool
+    dropped: str | None
+
+
+def truth(cell: Cell, here: ArmPose, now_s: float) -> Truth:
+    """Read off the cell what an evaluation needs."""
+    motion, thing = cell.motion, cell.thing
+    sign = thing.scenario.lever_sign if thing is not None else 1
+    start_deg = thing.scenario.angle_deg if thing is not None else 0.0
+    turn_deg = sign * math.degrees(motion.turn_rad)
+    elastic_deg = sign * math.degrees(motion.twist_rad)
+    return Truth(
+        time_s=now_s,
+        object_name=thing.item.name if thing is not None else None,
+        turn_deg=turn_deg,
+        elastic_deg=elastic_deg,
+        slip_deg=turn_deg - elastic_deg,
+        rate_deg_s=sign * math.degrees(motion.rate_rad_s),
+        angle_deg=start_deg + turn_deg,
+        right_turn_deg=-turn_deg,
+        right_angle_deg=-start_deg - turn_deg,
+        slide_mm=1e3 * motion.slide_m,
+        slide_rate_mm_s=1e3 * motion.slide_m_s,
+        force_n=cell.gripper.force_n,
+        applied_n=cell.gripper.applied_n,
+        needed_force_n=thing.needed_n if thing is not None else 0.0,
+        load_n=max(motion.load_n, 0.0) / (thing.body.n_fingers if thing is not None else 1),
+        height_mm=here.height_mm,
+        on_table=thing is not None and cell.dropped is None and (not cell.held or motion.table_n > 0.0),
+        in_contact=cell.held,
+        slipping=cell.held and motion.slipping,
+        dropped=cell.dropped,
+    )

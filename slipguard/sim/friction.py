@@ -1,0 +1,146 @@
+"""Friction of soft fingertips: how much torque and load a grip can take, and what it does at that limit.
+
+One fingertip presses with `force_n` on a round patch of radius a(N) = delta N^gamma (Xydas & Kao 1999). It holds
+any tangential load and torque inside the ellipsoid (f / (mu N))^2 + (tau / tau_max)^2 <= 1 (Howe & Cutkosky 1996).
+Inside, the gel only winds up and comes back; on the surface it slips along the surface's normal. There is no bristle
+that creeps below the limit, so a load that sticks stays where it is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+from slipguard.errors import InputError
+from slipguard.sim.objects import SimObject
+
+GRAVITY_M_S2 = 9.80665
+NO_CONTACT_N = 1e-6
+"""Below this force a finger counts as not touching."""
+STIFFNESS_RADIUS_M = 6e-3
+"""Contact radius at which a gel's stiffness is stated; 0.14 MPa gives 0.16 N m/rad there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Gel:
+    """The soft fingertip: contact size, elasticity and damping, per finger.
+
+    radius_m, gamma: contact radius is radius_m * N^gamma (4.353 mm N^-gamma and 0.2569: Costanzo et al.).
+    pressure_k: pressure ~ (1 - (r/a)^k)^(1/k); 2 is Hertz, infinity uniform.
+    torsion_n_m_rad: torque per elastic turn. Silicone 0.1-0.5 at 6 mm radius; 50 is a stiff pad.
+    stiffening: torsion grows as (contact radius / 6 mm)^stiffening; 3 for an elastic half-space, 0 for constant.
+    relaxation_s: damping over stiffness of the gel, in twist and in shear.
+    viscous_n_m_s: torque per slip rate on top of dry friction (0.02: Costanzo et al.).
+    viscous_n_s_m: tangential force per sliding speed on top of dry friction.
+    """
+
+    torsion_n_m_rad: float = 50.0
+    stiffening: float = 0.0
+    relaxation_s: float = 0.01
+    viscous_n_m_s: float = 0.02
+    viscous_n_s_m: float = 20.0
+    radius_m: float = 4.353e-3
+    gamma: float = 0.2569
+    pressure_k: float = 4.0
+
+    def contact_radius_m(self, force_n: float) -> float:
+        """Radius of the contact patch at this force."""
+        return self.radius_m * math.pow(max(force_n, 0.0), self.gamma)
+
+    def stiffness(self, force_n: float) -> tuple[float, float]:
+        """Torsional (N m/rad) and shear (N/m) stiffness of one fingertip at this force.
+
+        Shear follows from torsion: for a round patch on an elastic half-space their ratio is the radius squared.
+        """
+        if self.stiffening == 0.0:
+            return self.torsion_n_m_rad, self.torsion_n_m_rad / STIFFNESS_RADIUS_M**2
+        ratio = self.contact_radius_m(force_n) / STIFFNESS_RADIUS_M
+        torsion = self.torsion_n_m_rad * ratio**self.stiffening
+        return torsion, torsion / (STIFFNESS_RADIUS_M * ratio) ** 2
+
+
+@lru_cache(maxsize=32)
+def pressure_shape(k: float) -> float:
+    """The factor xi nu of the pressure profile: 3 pi / 32 for Hertz (k = 2), 1/3 for uniform (k infinite).
+
+    xi nu = (3/8) Gamma(3/k)^2 / (Gamma(2/k) Gamma(4/k)); from slipping_control (Costanzo et al.). k > 0.
+    """
+    if not k > 0.0:
+        raise InputError(f"pressure exponent {k} is not above 0; use 2 (Hertz) to infinity (uniform)")
+    if k > 1e6:
+        return 1.0 / 3.0
+    log = 2 * math.lgamma(3 / k) - math.lgamma(2 / k) - math.lgamma(4 / k)
+    return 0.375 * math.exp(log)
+
+
+def torque_limit_n_m(force_n: float, friction: float, gel: Gel, tangential_n: float = 0.0) -> float:
+    """Torque one finger can take while it also carries `tangential_n`; 0 when the load alone makes it slide.
+
+    tau_max = 2 mu xi_nu delta N^(1 + gamma), lessened by sqrt(1 - (f / (mu N))^2).
+    """
+    if force_n <= NO_CONTACT_N:
+        return 0.0
+    share = tangential_n / (friction * force_n)
+    if abs(share) >= 1.0:
+        return 0.0
+    full = 2.0 * friction * pressure_shape(gel.pressure_k) * gel.contact_radius_m(force_n) * force_n
+    return full * math.sqrt(1.0 - share * share)
+
+
+def needed_force_n(item: SimObject, gel: Gel, n_fingers: int = 2, acceleration_m_s2: float = 0.0) -> float:
+    """Force per finger at which a level object just does not turn nor slide.
+
+    Solves (f / (mu N))^2 + (tau / tau_max(N))^2 = 1 with f = m (g + a) / n and tau = f * com_offset, by bisection to
+    1e-12 relative. acceleration_m_s2: of the lift, upward positive; the load is taken as 0 in free fall.
+    """
+    load_n = item.mass_kg * max(GRAVITY_M_S2 + acceleration_m_s2, 0.0) / n_fingers
+    torque_n_m = load_n * item.com_offset_mm * 1e-3
+    if load_n == 0.0:
+        return 0.0
+
+    def overload(force_n: float) -> float:
+        return (load_n / (item.friction * force_n)) ** 2 + (
+            torque_n_m / torque_limit_n_m(force_n, item.friction, gel)
+        ) ** 2
+
+    low = load_n / item.friction  # sliding alone needs this much
+    high = 2.0 * low
+    while overload(high) > 1.0:
+        high *= 2.0
+    while high - low > 1e-12 * high:
+        middle = 0.5 * (low + high)
+        if middle in (low, high):
+            break
+        low, high = (middle, high) if overload(middle) > 1.0 else (low, middle)
+    return high
+
+
+def return_to_surface(
+    load: tuple[float, float], limit: tuple[float, float], compliance: tuple[float, float]
+) -> tuple[float, float]:
+    """The friction (force, torque) of a contact that sticking would load with `load`.
+
+    Inside the ellipse with half-axes `limit` it is `load` itself: stick. Outside it is the point of the ellipse from
+    which the way to `load`, weighted with `compliance` (slip rate per force), is normal to the ellipse: the slip that
+    dissipates most (the associated flow rule). Limits of 0 give (0, 0); compliances are positive.
+    """
+    if limit[0] <= 0.0 or limit[1] <= 0.0:
+        return 0.0, 0.0
+    p, q = load[0] / limit[0], load[1] / limit[1]
+    size_squared = p * p + q * q
+    if size_squared <= 1.0:
+        return load
+    c, d = 1.0 / (compliance[0] * limit[0] ** 2), 1.0 / (compliance[1] * limit[1] ** 2)
+    # Secular equation |(p / (1 + s c), q / (1 + s d))| = 1; Newton on 1/size is nearly linear and never overshoots.
+    s, u, v = 0.0, p, q
+    for _ in range(30):
+        size = math.sqrt(size_squared)
+        if size - 1.0 < 1e-12:
+            break
+        fall = u * u * c / (1.0 + s * c) + v * v * d / (1.0 + s * d)
+        s += size_squared * (size - 1.0) / fall
+        u, v = p / (1.0 + s * c), q / (1.0 + s * d)
+        size_squared = u * u + v * v
+    size = math.sqrt(size_squared)
+    return limit[0] * u / size, limit[1] * v / size

@@ -1,0 +1,198 @@
+"""How a held object moves between two fingers: it turns about the grasp axis and it slides straight down.
+
+(I0 + m b^2) theta'' = m (g + a) b cos(theta) - torque of the fingers and of the table
+               m s'' = m (g + a)              - force of the fingers and of the table
+
+theta is 0 with the lever level and grows as the centre of mass sinks; s grows downwards in the fingers' frame. The
+inertial coupling between the two (m b theta'' on the slide) is left out: exact for the turn while s is held, and an
+object that slides freely is lost anyway. Each step is implicit in the friction: it never blows up, and what sticks
+does not creep, whatever the step.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from slipguard.errors import InputError
+from slipguard.sim.friction import (
+    GRAVITY_M_S2,
+    NO_CONTACT_N,
+    Gel,
+    pressure_shape,
+    return_to_surface,
+)
+from slipguard.sim.objects import SimObject
+
+SUPPORT_M = 3e-3
+"""Lift over which the table hands the weight over to the fingers."""
+TABLE_DAMPING = 0.2
+"""Damping ratio of the table under the object."""
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """What the motion needs of an object and its grip, in SI units.
+
+    slides: False pins the object to the grasp axis (a hinge), for studying the turn alone.
+    """
+
+    mass_kg: float
+    lever_m: float
+    inertia_kg_m2: float
+    """About the grasp axis: I0 + m b^2."""
+    friction: float
+    n_fingers: int = 2
+    slides: bool = True
+
+    @classmethod
+    def of(cls, item: SimObject, n_fingers: int = 2, slides: bool = True) -> Body:
+        """Take the mechanics of an object; raises InputError on a mass or friction that is not positive."""
+        lever_m = item.com_offset_mm * 1e-3
+        if item.mass_kg <= 0 or item.inertia_kg_m2 <= 0 or item.friction <= 0:
+            raise InputError(f"{item.name}: mass, inertia and friction must be above 0")
+        inertia = item.inertia_kg_m2 + item.mass_kg * lever_m**2
+        return cls(item.mass_kg, lever_m, inertia, item.friction, n_fingers, slides)
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Where the object is in the fingers and how it moves; all 0 at the moment it is grasped.
+
+    turn_rad = what has slipped + twist_rad, and likewise slide_m with shear_m; twist and shear are the gel's and come
+    back.
+    """
+
+    turn_rad: float = 0.0
+    rate_rad_s: float = 0.0
+    twist_rad: float = 0.0
+    twist_n_m: float = 0.0
+    """Torque stored in the gel, all fingers."""
+    slide_m: float = 0.0
+    slide_m_s: float = 0.0
+    shear_m: float = 0.0
+    shear_n: float = 0.0
+    """Force stored in the gel, all fingers."""
+    load_n: float = 0.0
+    """Tangential load the fingers are asked to carry, all together: weight less what the table takes."""
+    table_n: float = 0.0
+    slipping: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """What acts on the object from outside during one step.
+
+    force_n: each finger's grip.
+    acceleration_m_s2: of the fingers, up.
+    rise_m, rise_m_s: of the fingers above the height at which the object lay on the table; None without a table.
+    torque_n_m: replaces the pendulum's torque where given.
+    """
+
+    force_n: float
+    acceleration_m_s2: float = 0.0
+    rise_m: float | None = None
+    rise_m_s: float = 0.0
+    torque_n_m: float | None = None
+
+
+def table_reaction_n(motion: Motion, body: Body, load: Load) -> tuple[float, float]:
+    """Upward force of the table at the object's near end (on the grasp axis) and at its far end (two levers away).
+
+    A bar gripped at one end: lying flat each end carries half the weight; lifted, the ends let go over `SUPPORT_M`.
+    When it turns while it is lifted the far end stays down longer: it pivots. Never negative; (0, 0) without a table.
+    """
+    if load.rise_m is None:
+        return 0.0, 0.0
+    near_m = load.rise_m - motion.slide_m
+    if near_m - 2.0 * body.lever_m > SUPPORT_M:
+        return 0.0, 0.0
+    half_n = 0.5 * body.mass_kg * GRAVITY_M_S2
+    stiffness = half_n / SUPPORT_M
+    damping = 2.0 * TABLE_DAMPING * math.sqrt(stiffness * 0.5 * body.mass_kg)
+    near_m_s = load.rise_m_s - motion.slide_m_s
+    far_m = near_m - 2.0 * body.lever_m * math.sin(motion.turn_rad)
+    far_m_s = near_m_s - 2.0 * body.lever_m * math.cos(motion.turn_rad) * motion.rate_rad_s
+    near_n = half_n - stiffness * near_m - damping * near_m_s if near_m < SUPPORT_M else 0.0
+    far_n = half_n - stiffness * far_m - damping * far_m_s if far_m < SUPPORT_M else 0.0
+    return max(near_n, 0.0), max(far_n, 0.0)
+
+
+def advance(motion: Motion, body: Body, gel: Gel, load: Load, step_s: float) -> Motion:
+    """The motion one step later; first order, implicit in gel and friction, stable for any step and force.
+
+    step_s: 1 ms suffices (angles to 1 %).
+    """
+    dt = step_s
+    weight_n = body.mass_kg * (GRAVITY_M_S2 + load.acceleration_m_s2)
+    near_n, far_n = table_reaction_n(motion, body, load)
+    lever_m = body.lever_m * math.cos(motion.turn_rad)
+    torque_n_m = (weight_n - 2.0 * far_n) * lever_m if load.torque_n_m is None else load.torque_n_m
+    load_n = weight_n - near_n - far_n
+    if load.force_n <= NO_CONTACT_N:
+        rate = motion.rate_rad_s + dt * torque_n_m / body.inertia_kg_m2
+        fall = motion.slide_m_s + dt * load_n / body.mass_kg if body.slides else 0.0
+        return Motion(
+            turn_rad=motion.turn_rad + dt * rate,
+            rate_rad_s=rate,
+            slide_m=motion.slide_m + dt * fall,
+            slide_m_s=fall,
+            load_n=load_n,
+            table_n=near_n + far_n,
+            slipping=True,
+        )
+
+    n = body.n_fingers
+    torsion, shear = gel.stiffness(load.force_n)
+    # What one unit of elastic rate during the step adds to the friction: spring and damper together.
+    give = dt + gel.relaxation_s
+    twist_gain, shear_gain = n * torsion * give, n * shear * give
+    # A patch that hardly touches does not drag: viscous friction comes in over the first newton.
+    touch = n * min(load.force_n, 1.0)
+    drag, shear_drag = touch * gel.viscous_n_m_s, touch * gel.viscous_n_s_m
+
+    # The friction that would make the contact stick through this step.
+    inertia, mass = body.inertia_kg_m2, body.mass_kg
+    stick_rate = (inertia * motion.rate_rad_s + dt * (torque_n_m - motion.twist_n_m)) / (inertia + dt * twist_gain)
+    stick_torque = motion.twist_n_m + twist_gain * stick_rate
+    if body.slides:
+        stick_speed = (mass * motion.slide_m_s + dt * (load_n - motion.shear_n)) / (mass + dt * shear_gain)
+        stick_force = motion.shear_n + shear_gain * stick_speed
+    else:
+        stick_force = 0.0
+
+    force_max = n * body.friction * load.force_n
+    torque_max = 2.0 * pressure_shape(gel.pressure_k) * gel.contact_radius_m(load.force_n) * force_max
+    # Slip rate per missing friction: the object gains speed, the gel takes less of it, drag takes some back.
+    turn_give = dt / inertia + 1.0 / twist_gain
+    slide_give = dt / mass + 1.0 / shear_gain
+    turn_give /= 1.0 + turn_give * drag
+    slide_give /= 1.0 + slide_give * shear_drag
+    dry_force, dry_torque = return_to_surface(
+        (stick_force, stick_torque), (force_max, torque_max), (slide_give, turn_give)
+    )
+    turn_slip = turn_give * (stick_torque - dry_torque)
+    slide_slip = slide_give * (stick_force - dry_force)
+    torque = dry_torque + drag * turn_slip
+    force = dry_force + shear_drag * slide_slip
+
+    rate = motion.rate_rad_s + dt * (torque_n_m - torque) / inertia
+    twist_rate = (torque - motion.twist_n_m) / twist_gain
+    if body.slides:
+        speed = motion.slide_m_s + dt * (load_n - force) / mass
+        shear_rate = (force - motion.shear_n) / shear_gain
+    else:
+        speed = shear_rate = 0.0
+    return Motion(
+        turn_rad=motion.turn_rad + dt * rate,
+        rate_rad_s=rate,
+        twist_rad=motion.twist_rad + dt * twist_rate,
+        twist_n_m=motion.twist_n_m + n * torsion * dt * twist_rate,
+        slide_m=motion.slide_m + dt * speed,
+        slide_m_s=speed,
+        shear_m=motion.shear_m + dt * shear_rate,
+        shear_n=motion.shear_n + n * shear * dt * shear_rate,
+        load_n=load_n,
+        table_n=near_n + far_n,
+        slipping=turn_slip != 0.0 or slide_slip != 0.0,
+    )

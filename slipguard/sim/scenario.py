@@ -1,0 +1,116 @@
+"""One grasp to be tried: which object, how it lies, and how the cell deviates from its data sheets."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slipguard.sim.friction import Gel
+from slipguard.sim.gripper_plant import GripperModel
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """How a camera delivers during one grasp.
+
+    latency_s: from exposure to hand-over. jitter_s: standard deviation of the capture time stamps.
+    light_drift_bgr: grey levels by which the light has changed since the no-contact image was taken.
+    """
+
+    fps: float = 60.0
+    latency_s: float = 0.035
+    jitter_s: float = 0.002
+    drop_probability: float = 0.005
+    duplicate_probability: float = 0.002
+    light_drift_bgr: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    noise_seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class CameraModel(Delivery):
+    """One fingertip camera: who it is, and how it delivers at present."""
+
+    serial: str = ""
+    unit_seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """One grasp. x_mm, y_mm, angle_deg: the object in the left picture when it is touched.
+
+    lever_sign: +1 if its centre of mass lies where it turns the left picture counter-clockwise, else -1.
+    friction_scale: on the object's friction.
+    """
+
+    object_name: str
+    seed: int = 0
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+    angle_deg: float = 0.0
+    lever_sign: int = 1
+    friction_scale: float = 1.0
+    gel: Gel = field(default_factory=Gel)
+    gripper: GripperModel = field(default_factory=GripperModel)
+    left: Delivery = field(default_factory=Delivery)
+    right: Delivery = field(default_factory=Delivery)
+
+
+def scenario(object_name: str, seed: int) -> Scenario:
+    """Draw one grasp of an object; the same name and seed give the same grasp on every machine.
+
+    Ranges: SIM.md 3.3 and 4 in the design notes (dead time 20-60 ms, ramp 64-480 N/s, gain +-10 %, latency 30-50 ms,
+    0.1-1 % dropped frames, stamp jitter 1-3 ms, light +-5 grey levels); one gel in five is stiff.
+    """
+    name_seed = int.from_bytes(hashlib.sha256(object_name.encode()).digest()[:8], "big")
+    rng = np.random.default_rng([seed, name_seed])
+    x_mm, y_mm = rng.uniform(-2.0, 2.0, 2)
+    return Scenario(
+        object_name=object_name,
+        seed=seed,
+        x_mm=float(x_mm),
+        y_mm=float(y_mm),
+        angle_deg=float(rng.uniform(-90.0, 90.0)),
+        lever_sign=int(rng.choice((-1, 1))),
+        friction_scale=float(rng.uniform(0.85, 1.15)),
+        gel=_gel(rng),
+        gripper=GripperModel(
+            dead_time_s=float(rng.uniform(0.02, 0.06)),
+            ramp_n_s=float(np.exp(rng.uniform(np.log(64.0), np.log(480.0)))),
+            speed_mm_s=float(rng.uniform(50.0, 150.0)),
+            gain=float(rng.uniform(0.9, 1.1)),
+        ),
+        left=_delivery(rng),
+        right=_delivery(rng),
+    )
+
+
+def delivery(seed: int, finger: str) -> Delivery:
+    """How a finger's camera delivers before the first grasp."""
+    return _delivery(np.random.default_rng([seed, 1 if finger == "left" else 2]))
+
+
+def _gel(rng: np.random.Generator) -> Gel:
+    """A gel: mostly soft silicone that stiffens with its contact, sometimes a stiff pad."""
+    stiff = bool(rng.random() < 0.2)
+    soft_n_m_rad = float(np.exp(rng.uniform(np.log(0.1), np.log(0.5))))
+    relaxation_s = float(rng.uniform(0.01, 0.03))
+    viscous_n_m_s = float(rng.uniform(0.005, 0.02))
+    if stiff:
+        return Gel(torsion_n_m_rad=50.0, relaxation_s=0.005, viscous_n_m_s=viscous_n_m_s)
+    return Gel(torsion_n_m_rad=soft_n_m_rad, stiffening=3.0, relaxation_s=relaxation_s, viscous_n_m_s=viscous_n_m_s)
+
+
+def _delivery(rng: np.random.Generator) -> Delivery:
+    """How one camera delivers; both run at the same nominal rate."""
+    drift = rng.uniform(-5.0, 5.0, 3)
+    return Delivery(
+        fps=60.0,
+        latency_s=float(rng.uniform(0.03, 0.05)),
+        jitter_s=float(rng.uniform(0.001, 0.003)),
+        drop_probability=float(rng.uniform(0.001, 0.01)),
+        duplicate_probability=float(rng.uniform(0.0, 0.005)),
+        light_drift_bgr=(float(drift[0]), float(drift[1]), float(drift[2])),
+        noise_seed=int(rng.integers(2**31)),
+    )

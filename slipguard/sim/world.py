@@ -1,0 +1,232 @@
+"""The one world that the simulated gripper, arm and cameras share.
+
+It is the only mutable thing in the simulation: it holds frozen states and moves them on a fixed grid of steps whenever
+somebody asks, up to the time they ask for. What it answers depends on the commands and their times alone, not on
+how often it was asked. Time is handed in; an earlier time than the last is answered with the present.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from slipguard.devices import ArmState, GripperState
+from slipguard.errors import CommandRefused, InputError
+from slipguard.sim import arm_plant, cell, gripper_plant, objects
+from slipguard.sim.arm_plant import ArmModel
+from slipguard.sim.cell import Cell, Thing, Truth
+from slipguard.sim.faults import FaultBoard
+from slipguard.sim.friction import needed_force_n
+from slipguard.sim.gripper_plant import GripperModel, GripperPlant
+from slipguard.sim.objects import SimObject
+from slipguard.sim.rotation import Body, Motion
+from slipguard.sim.scenario import CameraModel, Scenario, delivery
+from slipguard.sim.view import GelView
+
+__all__ = ["Truth", "World", "WorldSettings"]
+
+_SIGNS = {"left": 1, "right": -1}
+
+
+@dataclass(frozen=True, slots=True)
+class WorldSettings:
+    """What a world is made of before anything is placed in it. gripper: until a scenario brings its own."""
+
+    step_s: float = 1e-3
+    start_width_mm: float = 85.0
+    arm: ArmModel = field(default_factory=ArmModel)
+    gripper: GripperModel = field(default_factory=GripperModel)
+
+
+class World:
+    """A gripper with two gels, an arm, a table, and at most one object.
+
+    lookup: name -> object; the catalogue where not given.
+    """
+
+    def __init__(
+        self, settings: WorldSettings | None = None, seed: int = 0, lookup: Callable[[str], SimObject] | None = None
+    ) -> None:
+        self.settings = settings or WorldSettings()
+        self.seed = seed
+        self.faults = FaultBoard()
+        self._lookup = lookup or objects.get  # type: ignore[attr-defined, unused-ignore]
+        self._deliveries = {finger: delivery(seed, finger) for finger in _SIGNS}
+        width_mm = self.settings.start_width_mm
+        self._cell = Cell(GripperPlant(width_mm=width_mm, goal_mm=width_mm), self.settings.gripper)
+        self._origin_s: float | None = None
+        self._now_s = -math.inf
+        self._steps = 0
+        self._still = False
+
+    def place(self, scenario: Scenario, now_s: float) -> None:
+        """Put an object between the open jaws, on a table at the fingers' present height.
+
+        Raises CommandRefused if the jaws are closer than the object is thick or something is there already,
+        InputError for an unknown object.
+        """
+        now_s = self._advance(now_s)
+        item = self._lookup(scenario.object_name)
+        there = self._cell.present
+        if there is not None:
+            raise CommandRefused(f"{there.item.name} is between the jaws; clear it first")
+        if self._cell.gripper.width_mm < item.width_mm:
+            raise CommandRefused(
+                f"the jaws are {self._cell.gripper.width_mm:.1f} mm apart, {item.name} is {item.width_mm:.1f} mm "
+                "thick; release the gripper first"
+            )
+        item = replace(item, friction=item.friction * scenario.friction_scale)
+        thing = Thing(scenario, item, Body.of(item), needed_force_n(item, scenario.gel))
+        self._deliveries = {"left": scenario.left, "right": scenario.right}
+        self._put(
+            replace(
+                self._cell,
+                gripper_model=scenario.gripper,
+                thing=thing,
+                motion=Motion(),
+                table_mm=arm_plant.pose(self._cell.arm, now_s).height_mm,
+                held=False,
+                dropped=None,
+            )
+        )
+
+    def clear(self, now_s: float) -> None:
+        """Take the object away, wherever it is; the jaws stay as they are. Nothing there: nothing happens."""
+        self._advance(now_s)
+        self._put(replace(self._cell, thing=None, motion=Motion(), held=False, dropped=None))
+
+    # The gripper.
+
+    def command_hold(self, now_s: float, force_n: float) -> float:
+        """Close or tighten; returns the force applied by command, per finger. A lower force changes nothing."""
+        now_s = self._advance(now_s)
+        _check("force_n", force_n)
+        if self._gripper_faulty():
+            return self._cell.gripper.applied_n
+        plant, applied_n = gripper_plant.order_hold(self._cell.gripper, self._cell.gripper_model, now_s, force_n)
+        self._put(replace(self._cell, gripper=plant))
+        return applied_n
+
+    def command_move(self, now_s: float, width_mm: float, force_n: float) -> float:
+        """Move the fingers to a width; returns the width commanded. Opening lets go of what is held."""
+        now_s = self._advance(now_s)
+        _check("width_mm", width_mm)
+        _check("force_n", force_n)
+        if self._gripper_faulty():
+            return self._cell.gripper.width_mm
+        model = self._cell.gripper_model
+        plant, width_mm = gripper_plant.order_move(self._cell.gripper, model, now_s, width_mm, force_n)
+        self._put(replace(self._cell, gripper=plant))
+        return width_mm
+
+    def command_release(self, now_s: float, width_mm: float) -> None:
+        """Open to a width and let go."""
+        now_s = self._advance(now_s)
+        _check("width_mm", width_mm)
+        if not self._gripper_faulty():
+            plant = gripper_plant.order_release(self._cell.gripper, self._cell.gripper_model, now_s, width_mm)
+            self._put(replace(self._cell, gripper=plant))
+
+    def gripper_state(self, now_s: float) -> GripperState:
+        """What the gripper says of itself."""
+        now_s = self._advance(now_s)
+        return gripper_plant.report(self._cell.gripper, now_s, "internal fault" if self._gripper_faulty() else None)
+
+    def _gripper_faulty(self) -> bool:
+        return "fault" in self.faults.active("gripper")
+
+    # The arm.
+
+    def command_lift(self, now_s: float, height_mm: float, speed_mm_s: float) -> float:
+        """Move by `height_mm` from here; returns the speed applied, 0 in a protective or emergency stop."""
+        now_s = self._advance(now_s)
+        _check("height_mm", height_mm)
+        _check("speed_mm_s", speed_mm_s)
+        if self._arm_stopped():
+            return 0.0
+        plan, speed_mm_s = arm_plant.order_lift(self._cell.arm, self.settings.arm, now_s, height_mm, speed_mm_s)
+        self._put(replace(self._cell, arm=plan))
+        return speed_mm_s
+
+    def command_stop(self, now_s: float) -> None:
+        """Brake the arm to rest."""
+        now_s = self._advance(now_s)
+        self._put(replace(self._cell, arm=arm_plant.order_stop(self._cell.arm, self.settings.arm, now_s)))
+
+    def arm_state(self, now_s: float) -> ArmState:
+        """What the arm says of itself."""
+        now_s = self._advance(now_s)
+        active = self.faults.active("arm")
+        return arm_plant.report(self._cell.arm, now_s, "protective_stop" in active, "emergency_stop" in active)
+
+    def _arm_stopped(self) -> bool:
+        return not self.faults.active("arm").isdisjoint({"protective_stop", "emergency_stop"})
+
+    # The cameras.
+
+    def camera(self, finger: str) -> CameraModel:
+        """The camera of a finger, "left" or "right"; serial and unit stay the same for a world's life."""
+        _sign(finger)
+        now = self._deliveries[finger]
+        return CameraModel(
+            fps=now.fps,
+            latency_s=now.latency_s,
+            jitter_s=now.jitter_s,
+            drop_probability=now.drop_probability,
+            duplicate_probability=now.duplicate_probability,
+            light_drift_bgr=now.light_drift_bgr,
+            noise_seed=now.noise_seed,
+            serial=f"SIM-{finger[0].upper()}",
+            unit_seed=2 * self.seed + (finger == "right"),
+        )
+
+    def view(self, finger: str, now_s: float) -> GelView:
+        """What this finger's camera has before it; `depth_mm` <= 0 without contact, name "" without an object."""
+        self._advance(now_s)
+        return cell.view(self._cell, _sign(finger))
+
+    def truth(self, now_s: float) -> Truth:
+        """What really happens; for evaluation only."""
+        now_s = self._advance(now_s)
+        return cell.truth(self._cell, arm_plant.pose(self._cell.arm, now_s), now_s)
+
+    # Time.
+
+    def _advance(self, now_s: float) -> float:
+        """Bring everything to the last step of the grid at or before `now_s`; returns the present, never earlier."""
+        if not math.isfinite(now_s):
+            raise InputError(f"now_s is {now_s}; it must be a time in seconds")
+        if self._origin_s is None:
+            self._origin_s = now_s
+        self._now_s = now_s = max(now_s, self._now_s)
+        step_s = self.settings.step_s
+        goal = math.floor((now_s - self._origin_s) / step_s + 1e-6)
+        if self._arm_stopped():
+            stopped = arm_plant.order_stop(self._cell.arm, self.settings.arm, self._origin_s + self._steps * step_s)
+            if stopped is not self._cell.arm:
+                self._put(replace(self._cell, arm=stopped))
+        works = not self._gripper_faulty()
+        while self._steps < goal and not self._still:
+            self._steps += 1
+            at_s = self._origin_s + self._steps * step_s
+            before = self._cell
+            self._cell = cell.step(before, at_s, step_s, gripper_works=works)
+            self._still = cell.is_still(before, self._cell, at_s)
+        self._steps = max(self._steps, goal)
+        return now_s
+
+    def _put(self, changed: Cell) -> None:
+        self._cell = changed
+        self._still = False
+
+
+def _sign(finger: str) -> int:
+    if finger not in _SIGNS:
+        raise InputError(f"no finger {finger!r}; there are left and right")
+    return _SIGNS[finger]
+
+
+def _check(name: str, value: float) -> None:
+    if not math.isfinite(value):
+        raise InputError(f"{name} is {value}; it must be a finite number")
