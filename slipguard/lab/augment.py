@@ -1,0 +1,103 @@
+"""Batches of rendered frames made as varied as real units are: light, drift, wear, unknown backgrounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from slipguard.lab.disturbances import drift, patterns, structure
+from slipguard.perception.background import guess_background
+from slipguard.perception.segment import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
+
+STRUCTURE_LEVELS = 28.0
+DRIFT_LEVELS = 12.0
+LIGHT_LEVELS = (5.0, 2.5, 2.5, 1.5, 1.5, 1.5)
+"""Largest drift of the lamps in grey levels: constant, x, y, xy, x^2, y^2."""
+BACKGROUND_NOISE_LEVELS = 1.2
+"""What is left of camera noise in a no-contact image at network resolution when a single frame was stored."""
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """What the network is shown. frame, background: (N, 160, 120, 3) uint8; known: (N,); label: (N, 1, 160, 120)."""
+
+    frame: Tensor
+    background: Tensor
+    known: Tensor
+    label: Tensor
+
+
+class Augment:
+    """Random changes that leave the label true.
+
+    Contrast of the imprint, gain and offset per channel, structure of the unit in both images (slightly moved in the
+    frame), drift of many kinds in the frame alone, noise in the no-contact image, mirror images; and for a share
+    `unknown` of the samples the no-contact image is replaced by the guess that use without one would make.
+    """
+
+    def __init__(self, seed: int, pool: int = 800, unknown: float = 0.25) -> None:
+        self._rng = torch.Generator().manual_seed(seed)
+        self._structure = torch.from_numpy(patterns(structure, pool, seed))
+        self._drift = torch.from_numpy(patterns(drift, pool, seed + 1))
+        self._unknown = unknown
+        y, x = torch.meshgrid(
+            torch.linspace(-1, 1, INPUT_HEIGHT_PX), torch.linspace(-1, 1, INPUT_WIDTH_PX), indexing="ij"
+        )
+        third = torch.full_like(x, 1.0 / 3.0)
+        self._light = torch.stack([torch.ones_like(x), x, y, x * y, x * x - third, y * y - third])
+
+    def __call__(self, frame: Tensor, background: Tensor, label: Tensor) -> Batch:
+        """frame, background: (N, 160, 120, 3) uint8; label: (N, 160, 120) uint8, 255 is contact."""
+        count = len(frame)
+        unit = background.float()
+        seen = unit + (frame.float() - unit) * self._between(count, 0.6, 1.5)
+        seen, unit = self._structured(seen, unit)
+        gain = self._between(count, 0.8, 1.25) * self._between(count, 0.85, 1.15, channels=3)
+        offset = self._between(count, -12.0, 12.0)
+        seen = self._drifted(seen * gain + offset)
+        unit = unit * gain + offset
+        noise = torch.randn(unit.shape, generator=self._rng) * BACKGROUND_NOISE_LEVELS
+        unit = unit + noise * self._chosen(count, 0.5)
+        axes = [axis for axis in (1, 2) if self._coin(0.5)]
+        seen, unit, label = seen.flip(axes), unit.flip(axes), label.flip(axes)
+        shown = seen.round().clamp(0, 255).byte()
+        reference = unit.round().clamp(0, 255).byte()
+        known = (torch.rand(count, generator=self._rng) >= self._unknown).float()
+        for index in torch.nonzero(known == 0).flatten().tolist():
+            reference[index] = torch.from_numpy(guess_background(shown[index].numpy()))
+        return Batch(shown, reference, known, label[:, None].float() / 255.0)
+
+    def _structured(self, seen: Tensor, unit: Tensor) -> tuple[Tensor, Tensor]:
+        count = len(seen)
+        strength = self._chosen(count, 0.7) * self._between(count, 0.0, 1.0) ** 1.5 * STRUCTURE_LEVELS
+        here = self._drawn(self._structure, count) * strength
+        moved = here
+        if self._coin(0.5):
+            down, right = torch.randint(-3, 4, (2,), generator=self._rng).tolist()
+            moved = torch.roll(here, (down, right), (1, 2))
+        return seen + moved, unit + here
+
+    def _drifted(self, seen: Tensor) -> Tensor:
+        count = len(seen)
+        strength = self._chosen(count, 0.75) * self._between(count, 0.0, 1.0) ** 1.5 * DRIFT_LEVELS
+        seen = seen + self._drawn(self._drift, count) * strength
+        seen = seen * (1.0 + self._between(count, -0.06, 0.06, channels=3) * self._chosen(count, 0.7))
+        terms = (2.0 * torch.rand((count, 3, 6), generator=self._rng) - 1.0) * torch.tensor(LIGHT_LEVELS)
+        light = torch.einsum("nct,thw->nhwc", terms, self._light)
+        return seen + light * self._chosen(count, 0.85)
+
+    def _drawn(self, pool: Tensor, count: int) -> Tensor:
+        which = torch.randint(len(pool), (count,), generator=self._rng)
+        axes = [axis for axis in (1, 2) if self._coin(0.5)]
+        return pool[which].float().flip(axes)
+
+    def _between(self, count: int, low: float, high: float, channels: int = 1) -> Tensor:
+        return low + (high - low) * torch.rand((count, 1, 1, channels), generator=self._rng)
+
+    def _chosen(self, count: int, share: float) -> Tensor:
+        return (torch.rand((count, 1, 1, 1), generator=self._rng) < share).float()
+
+    def _coin(self, share: float) -> bool:
+        return bool(torch.rand((), generator=self._rng) < share)
