@@ -18,5 +18,5 @@ def world_of(context: DriverContext) -> World:
             f"{context.name}: driver 'fake' needs the simulated world, and none was made; "
             "start with --sim, or name a real driver"
         )
-    world: World = context.world  # type: ignore[assignment]
+    world: World = context.world  # type: ignore[assignment, unused-ignore]
     return world

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.errors import DeviceLost, DeviceTimeout
-from slipguard.sim.view import GelView
-from slipguard_drivers.digit.draw_worker import IMAGE_BYTES, PACKET_BYTES, SLOTS, gel_camera
+from slipguard_drivers.digit.draw_worker import IMAGE_BYTES, PACKET_BYTES, SLOTS, Draughtsman, Shot
 from slipguard_drivers.digit.stream import SHAPE
 
 Image = NDArray[np.uint8]
@@ -27,13 +26,13 @@ START_TIMEOUT_S = 30.0
 
 
 class Painter(Protocol):
-    """Turns a view into an image, now or a little later."""
+    """Turns a shot into an image, now or a little later."""
 
     async def start(self) -> None:
         """Get ready to draw. Raises DeviceTimeout or DeviceLost."""
 
-    def paint(self, view: GelView, done: Callable[[Image], None]) -> bool:
-        """Draw `view` and call `done` with the image; False where it is too busy to."""
+    def paint(self, shot: Shot, done: Callable[[Image], None]) -> bool:
+        """Draw `shot` and call `done` with the image; False where it is too busy to."""
         ...
 
     def stop(self) -> None:
@@ -48,11 +47,11 @@ class InlinePainter:
 
     async def start(self) -> None:
         """Make the sensor unit."""
-        self._camera = gel_camera(self._unit_seed)
+        self._draughtsman = Draughtsman(self._unit_seed)
 
-    def paint(self, view: GelView, done: Callable[[Image], None]) -> bool:
+    def paint(self, shot: Shot, done: Callable[[Image], None]) -> bool:
         """Draw before returning."""
-        done(self._camera.draw(view))
+        done(self._draughtsman.draw(shot))
         return True
 
     def stop(self) -> None:
@@ -122,13 +121,13 @@ class ProcessPainter:
             theirs.close()
             os.close(memory_fd)
 
-    def paint(self, view: GelView, done: Callable[[Image], None]) -> bool:
+    def paint(self, shot: Shot, done: Callable[[Image], None]) -> bool:
         """Ask the child for an image; False while it has all the work it can hold."""
         if not self._free or self._link is None:
             return False
         slot = self._free.pop()
         try:
-            self._link.send(pickle.dumps((slot, view)))
+            self._link.send(pickle.dumps((slot, shot)))
         except OSError:
             self._free.append(slot)
             return False  # a dead child is told by its end of file

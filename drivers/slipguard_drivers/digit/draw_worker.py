@@ -1,7 +1,7 @@
 """Draws gel images in a process of its own.
 
 Started as `python -m slipguard_drivers.digit.draw_worker SOCKET_FD MEMORY_FD UNIT_SEED`. One packet in,
-`(slot, view)`, is one image in that slot of the shared memory and one packet back, `(slot, None)` or
+`(slot, shot)`, is one image in that slot of the shared memory and one packet back, `(slot, None)` or
 `(slot, complaint)`. An end of file, which the parent's death is too, ends the process.
 """
 
@@ -13,12 +13,13 @@ import pickle
 import signal
 import socket
 import sys
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from slipguard.sim.gel import GelCamera
+from slipguard.sim.view import GelView
 
 IMAGE_BYTES = 320 * 240 * 3
 SLOTS = 4
@@ -26,22 +27,44 @@ PACKET_BYTES = 4096
 NICENESS = 10
 
 
-def gel_camera(unit_seed: int) -> GelCamera:
-    """The sensor unit of that seed; the same seed gives the same unit and the same noise."""
-    from slipguard.sim.gel import GelCamera
-    from slipguard.sim.unit import random_unit
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """All it takes to draw one image. light_drift_bgr: grey levels since the no-contact image was taken."""
 
-    return GelCamera(random_unit(np.random.default_rng(unit_seed)), seed=unit_seed)
+    view: GelView
+    light_drift_bgr: tuple[float, float, float]
+    noise_seed: int
 
 
-def serve(link: socket.socket, memory: mmap.mmap, camera: GelCamera) -> None:
+class Draughtsman:
+    """Draws what one sensor unit sees. A new noise seed starts the noise anew, so a grasp can be repeated."""
+
+    def __init__(self, unit_seed: int) -> None:
+        from slipguard.sim.unit import random_unit
+
+        self._unit = random_unit(np.random.default_rng(unit_seed))
+        self._noise_seed: int | None = None
+
+    def draw(self, shot: Shot) -> NDArray[np.uint8]:
+        """One image: (320, 240, 3) uint8 BGR."""
+        if shot.noise_seed != self._noise_seed:
+            from slipguard.sim.gel import GelCamera
+
+            self._camera = GelCamera(self._unit, seed=shot.noise_seed)
+            self._noise_seed = shot.noise_seed
+        levels = np.arange(256.0)[:, None, None] + np.array(shot.light_drift_bgr)
+        table = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+        return np.asarray(cv2.LUT(self._camera.draw(shot.view), table), dtype=np.uint8)
+
+
+def serve(link: socket.socket, memory: mmap.mmap, draughtsman: Draughtsman) -> None:
     """Answer requests until the other end closes."""
     link.send(b"ready")
     while packet := _receive(link):
-        slot, view = pickle.loads(packet)
+        slot, shot = pickle.loads(packet)
         complaint: str | None = None
         try:
-            image = np.ascontiguousarray(camera.draw(view))
+            image = draughtsman.draw(shot)
             memory[slot * IMAGE_BYTES : (slot + 1) * IMAGE_BYTES] = image.tobytes()
         except Exception as error:
             complaint = f"{type(error).__name__}: {error}"
@@ -62,15 +85,13 @@ def main() -> None:
     """Stay out of the loop's way: nice, on one thread, and deaf to its Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(NICENESS)
-    import cv2
-
     cv2.setNumThreads(1)
     link_fd, memory_fd, unit_seed = (int(text) for text in sys.argv[1:4])
     with (
         socket.socket(fileno=link_fd) as link,
         mmap.mmap(memory_fd, SLOTS * IMAGE_BYTES) as memory,
     ):
-        serve(link, memory, gel_camera(unit_seed))
+        serve(link, memory, Draughtsman(unit_seed))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """A fingertip camera of the simulated world: it draws what a real one would see, when it would.
 
-Exposes on an absolute schedule with jitter, hands frames over one latency later, loses some.
+Exposes on an absolute schedule, stamps the frames with some jitter, hands them over one
+latency later, loses some and repeats some.
 It fails on demand (`world.faults`): "disconnect", "stall", "frozen", "corrupt".
 """
 
@@ -10,18 +11,22 @@ import asyncio
 import math
 import random
 from collections.abc import Callable
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import DriverContext, Frame, TactileSensor
 from slipguard.errors import DeviceLost
 from slipguard_drivers.digit.draw import Image, InlinePainter, Painter, ProcessPainter
+from slipguard_drivers.digit.draw_worker import Shot
 from slipguard_drivers.digit.stream import FrameStream
 from slipguard_drivers.shared_world import world_of
 
-JITTER_S = 0.002
-"""Half the width of a DIGIT's frame interval jitter (1-3 ms on USB)."""
+if TYPE_CHECKING:
+    from slipguard.sim.scenario import CameraModel
+
+STAMP_ERROR_MAX = 0.4
+"""Largest error of a time stamp in frame times: stamps never run backwards."""
 
 
 class FakeSensor(TactileSensor):
@@ -40,7 +45,7 @@ class FakeSensor(TactileSensor):
         self._world = world_of(context)
         self._settings = settings
         self._model = self._world.camera(self._name)
-        self._random = random.Random(self._model.unit_seed)
+        self._random = random.Random(self._model.noise_seed)
         self._stream: FrameStream | None = None
         self._painter: Painter = (
             ProcessPainter(self._name, self._model.unit_seed, self._lose)
@@ -108,24 +113,25 @@ class FakeSensor(TactileSensor):
 
     def _expose_at(self, sequence: int) -> None:
         due_s = self._started_at_s + sequence / self._model.fps
-        jitter_s = self._random.uniform(-JITTER_S, JITTER_S)
-        self._at(due_s + jitter_s, lambda: self._expose(sequence))
+        self._at(due_s, lambda: self._expose(sequence))
 
     def _expose(self, sequence: int) -> None:
         """Take one picture; those that a late loop has slept through are lost, as in a camera."""
         now_s = asyncio.get_running_loop().time()
-        passed = math.floor((now_s - JITTER_S - self._started_at_s) * self._model.fps)
-        sequence = max(sequence, passed)
+        model = self._present_model()
+        sequence = max(sequence, math.floor((now_s - self._started_at_s) * model.fps))
         self._expose_at(sequence + 1)
         faults = self._faults()
         if "disconnect" in faults:
             self._lose("the sensor is gone (unplugged)")
             return
         view = self._world.view(self._name, now_s)
-        lost = self._random.random() < self._model.drop_probability
-        if lost or "stall" in faults:
+        lost, twice, error = self._random.random(), self._random.random(), self._random.gauss()
+        if lost < model.drop_probability or "stall" in faults:
             return
-        arrives_at_s = now_s + self._model.latency_s
+        limit_s = STAMP_ERROR_MAX / model.fps
+        stamp_s = now_s + min(max(error * model.jitter_s, -limit_s), limit_s)
+        arrives_at_s = now_s + model.latency_s
         stream = self._stream
         assert stream is not None
         if "corrupt" in faults:
@@ -134,9 +140,17 @@ class FakeSensor(TactileSensor):
 
         def deliver(image: Image) -> None:
             self._last_image = image
-            self._at(arrives_at_s, lambda: stream.put(image, now_s, sequence))
+            self._at(arrives_at_s, lambda: stream.put(image, stamp_s, sequence))
 
-        if "frozen" in faults and self._last_image is not None:
+        if self._last_image is not None and ("frozen" in faults or twice < model.duplicate_probability):
             deliver(self._last_image)
         else:
-            self._painter.paint(view, deliver)
+            self._painter.paint(Shot(view, model.light_drift_bgr, model.noise_seed), deliver)
+
+    def _present_model(self) -> CameraModel:
+        """How the camera delivers now; a new grasp has its own chances, which start anew with it."""
+        model = self._world.camera(self._name)
+        if model.noise_seed != self._model.noise_seed:
+            self._random = random.Random(model.noise_seed)
+        self._model = model
+        return model

@@ -42,6 +42,8 @@ class FrameStream:
             self.damaged(f"{image.dtype} pixels of shape {image.shape} instead of uint8 {SHAPE}")
             return
         last = self._last
+        if last is not None and sequence < last.sequence:
+            return  # overtaken by a newer one
         if last is not None and (sequence == last.sequence or np.array_equal(image, last.image)):
             self._repeats += 1
             if self._repeats >= FROZEN_AFTER:

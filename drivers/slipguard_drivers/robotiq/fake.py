@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
-from dataclasses import replace
-from typing import Annotated
+from collections.abc import Callable
+from typing import Annotated, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -19,6 +17,8 @@ from slipguard.devices import DriverContext, Gripper, GripperState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq.registers import MODEL_2F85
 from slipguard_drivers.shared_world import world_of
+
+T = TypeVar("T")
 
 
 class FakeGripper(Gripper):
@@ -53,32 +53,42 @@ class FakeGripper(Gripper):
 
     async def state(self) -> GripperState:
         """Ask the gripper now."""
-        async with self._round_trip() as now_s:
-            return self._state(now_s)
+        return await self._round_trip(self._state)
 
     async def hold(self, force_n: float) -> float:
         """Close on what is there with `force_n`; return the force applied."""
         self._check_number("force_n", force_n)
-        async with self._round_trip(trips=2) as now_s:  # stop, then go: the force register acts in motion only
+
+        def order(now_s: float) -> float:
             self._check_fault()
             return self._world.command_hold(now_s, force_n)
+
+        return await self._round_trip(order, trips=2)  # stop, then go: the force register acts in motion only
 
     async def move(self, width_mm: float, force_n: float) -> float:
         """Move empty-handed; return the width commanded."""
         self._check_width(width_mm)
         self._check_number("force_n", force_n)
-        async with self._round_trip() as now_s:
+
+        def order(now_s: float) -> float:
             self._check_fault()
             if self._state(now_s).holding:
-                raise CommandRefused(f"{self._name}: an object is held; move would let it go: use release for that")
+                raise CommandRefused(
+                    f"{self._name}: an object is held and a move would let it go; use release for that"
+                )
             return self._world.command_move(now_s, width_mm, force_n)
+
+        return await self._round_trip(order)
 
     async def release(self, width_mm: float) -> None:
         """Open to `width_mm`."""
         self._check_width(width_mm)
-        async with self._round_trip() as now_s:
+
+        def order(now_s: float) -> None:
             self._check_fault()
             self._world.command_release(now_s, width_mm)
+
+        await self._round_trip(order)
 
     async def close(self) -> None:
         """Disconnect; the grip stays."""
@@ -88,10 +98,7 @@ class FakeGripper(Gripper):
         return self._world.faults.active(self._name)
 
     def _state(self, now_s: float) -> GripperState:
-        state = self._world.gripper_state(now_s)
-        if "fault" in self._faults() and state.fault is None:
-            return replace(state, fault="internal fault")
-        return state
+        return self._world.gripper_state(now_s)
 
     def _check_fault(self) -> None:
         if "fault" in self._faults():
@@ -105,18 +112,17 @@ class FakeGripper(Gripper):
         if not 0 <= width_mm <= MODEL_2F85.stroke_mm:
             raise CommandRefused(f"{self._name}: width_mm is {width_mm}; it must be 0 to {MODEL_2F85.stroke_mm:g}")
 
-    @asynccontextmanager
-    async def _round_trip(self, trips: int = 1) -> AsyncIterator[float]:
-        """Have the wire to oneself; yields the time at which the gripper acts on the request."""
+    async def _round_trip(self, act: Callable[[float], T], trips: int = 1) -> T:
+        """Have the wire to oneself; `act(now_s)` is what the gripper does when the request arrives."""
         async with self._wire:
             self._check_connection()
-            loop = asyncio.get_running_loop()
             if "timeout" in self._faults():
                 await asyncio.sleep(self._settings.timeout_ms / 1000.0)
                 raise DeviceTimeout(f"{self._name}: no answer within {self._settings.timeout_ms:.0f} ms")
+            answer = act(asyncio.get_running_loop().time())
             await asyncio.sleep(trips * self._settings.round_trip_ms / 1000.0)
             self._check_connection()
-            yield loop.time()
+            return answer
 
     def _check_connection(self) -> None:
         if not self._open:

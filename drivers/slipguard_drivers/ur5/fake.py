@@ -81,14 +81,8 @@ class FakeArm(Arm):
 
     def _state(self, now_s: float) -> ArmState:
         state = self._world.arm_state(now_s)
-        faults = self._faults()
         assert self._found_at_mm is not None
-        return replace(
-            state,
-            height_mm=state.height_mm - self._found_at_mm,
-            protective_stop=state.protective_stop or "protective_stop" in faults,
-            emergency_stop=state.emergency_stop or "emergency_stop" in faults,
-        )
+        return replace(state, height_mm=state.height_mm - self._found_at_mm)
 
     async def _answer(self) -> float:
         """Wait for the arm's next cycle; return its time."""
