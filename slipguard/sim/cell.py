@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from slipguard.sim import arm_plant, gripper_plant, rotation
 from slipguard.sim.arm_plant import ArmPlant, ArmPose
 from slipguard.sim.friction import NO_CONTACT_N
-from slipguard.sim.gripper_plant import GripperModel, GripperPlant
+from slipguard.sim.gripper_plant import Drive, GripperModel, GripperPlant
 from slipguard.sim.objects import SimObject
 from slipguard.sim.rotation import Body, Load, Motion
 from slipguard.sim.scenario import Scenario
@@ -76,26 +76,22 @@ def step(cell: Cell, now_s: float, step_s: float, *, gripper_works: bool = True)
         rise_m_s=1e-3 * here.speed_mm_s,
     )
     motion = rotation.advance(motion, thing.body, thing.scenario.gel, load, step_s)
-    dropped = _why_dropped(motion, thing.body, gripper.force_n)
+    dropped = _why_dropped(motion, thing.body, gripper)
     held = pressed and dropped is None
     if not pressed and dropped is None:  # set down: it lies still again
-        motion = Motion(turn_rad=motion.turn_rad, slide_m=motion.slide_m, table_n=motion.table_n)
+        motion = Motion(turn_rad=motion.turn_rad, slide_m=motion.slide_m, on_table=True)
     return replace(cell, gripper=gripper, motion=motion, held=held, dropped=dropped)
 
 
-def _why_dropped(motion: Motion, body: Body, force_n: float) -> str | None:
+def _why_dropped(motion: Motion, body: Body, gripper: GripperPlant) -> str | None:
     """The reason, in words, why the object is lost in this state; None while it is not."""
     if abs(motion.turn_rad) > math.radians(MAX_TURN_DEG):
         return f"turned more than {MAX_TURN_DEG:.0f} deg"
     if abs(motion.slide_m) > 1e-3 * MAX_SLIDE_MM:
         return "contact lost"
-    if motion.table_n > 0.0:
+    if motion.on_table or motion.load_n < body.n_fingers * body.friction * gripper.force_n:
         return None
-    if force_n <= NO_CONTACT_N:
-        return "contact lost"
-    if motion.load_n >= body.n_fingers * body.friction * force_n:
-        return "f_t >= mu N"
-    return None
+    return "contact lost" if gripper.drive is Drive.OPENING or gripper.force_n <= NO_CONTACT_N else "f_t >= mu N"
 
 
 def is_still(before: Cell, after: Cell, now_s: float) -> bool:
@@ -191,7 +187,7 @@ def truth(cell: Cell, here: ArmPose, now_s: float) -> Truth:
         needed_force_n=thing.needed_n if thing is not None else 0.0,
         load_n=max(motion.load_n, 0.0) / (thing.body.n_fingers if thing is not None else 1),
         height_mm=here.height_mm,
-        on_table=thing is not None and cell.dropped is None and (not cell.held or motion.table_n > 0.0),
+        on_table=thing is not None and cell.dropped is None and (not cell.held or motion.on_table),
         in_contact=cell.held,
         slipping=cell.held and motion.slipping,
         dropped=cell.dropped,

@@ -26,6 +26,8 @@ from slipguard.sim.objects import SimObject
 
 SUPPORT_M = 3e-3
 """Lift over which the table hands the weight over to the fingers."""
+LANDING_M = 2 * SUPPORT_M
+"""An object this close to the table is still on it: what slips there lands, it is not lost."""
 TABLE_DAMPING = 0.2
 """Damping ratio of the table under the object."""
 
@@ -75,7 +77,8 @@ class Motion:
     """Force stored in the gel, all fingers."""
     load_n: float = 0.0
     """Tangential load the fingers are asked to carry, all together: weight less what the table takes."""
-    table_n: float = 0.0
+    on_table: bool = False
+    """One end at least is within `LANDING_M` of the table."""
     slipping: bool = False
 
 
@@ -96,17 +99,19 @@ class Load:
     torque_n_m: float | None = None
 
 
-def table_reaction_n(motion: Motion, body: Body, load: Load) -> tuple[float, float]:
+def table_reaction_n(motion: Motion, body: Body, load: Load) -> tuple[float, float, bool]:
     """Upward force of the table at the object's near end (on the grasp axis) and at its far end (two levers away).
 
+    Third: whether an end is within `LANDING_M` of it.
+
     A bar gripped at one end: lying flat each end carries half the weight; lifted, the ends let go over `SUPPORT_M`.
-    When it turns while it is lifted the far end stays down longer: it pivots. Never negative; (0, 0) without a table.
+    When it turns while it is lifted the far end stays down longer: it pivots. Never negative; 0 without a table.
     """
     if load.rise_m is None:
-        return 0.0, 0.0
+        return 0.0, 0.0, False
     near_m = load.rise_m - motion.slide_m
-    if near_m - 2.0 * body.lever_m > SUPPORT_M:
-        return 0.0, 0.0
+    if near_m - 2.0 * body.lever_m > LANDING_M:
+        return 0.0, 0.0, False
     half_n = 0.5 * body.mass_kg * GRAVITY_M_S2
     stiffness = half_n / SUPPORT_M
     damping = 2.0 * TABLE_DAMPING * math.sqrt(stiffness * 0.5 * body.mass_kg)
@@ -115,7 +120,7 @@ def table_reaction_n(motion: Motion, body: Body, load: Load) -> tuple[float, flo
     far_m_s = near_m_s - 2.0 * body.lever_m * math.cos(motion.turn_rad) * motion.rate_rad_s
     near_n = half_n - stiffness * near_m - damping * near_m_s if near_m < SUPPORT_M else 0.0
     far_n = half_n - stiffness * far_m - damping * far_m_s if far_m < SUPPORT_M else 0.0
-    return max(near_n, 0.0), max(far_n, 0.0)
+    return max(near_n, 0.0), max(far_n, 0.0), min(near_m, far_m) < LANDING_M
 
 
 def advance(motion: Motion, body: Body, gel: Gel, load: Load, step_s: float) -> Motion:
@@ -125,7 +130,7 @@ def advance(motion: Motion, body: Body, gel: Gel, load: Load, step_s: float) -> 
     """
     dt = step_s
     weight_n = body.mass_kg * (GRAVITY_M_S2 + load.acceleration_m_s2)
-    near_n, far_n = table_reaction_n(motion, body, load)
+    near_n, far_n, on_table = table_reaction_n(motion, body, load)
     lever_m = body.lever_m * math.cos(motion.turn_rad)
     torque_n_m = (weight_n - 2.0 * far_n) * lever_m if load.torque_n_m is None else load.torque_n_m
     load_n = weight_n - near_n - far_n
@@ -138,7 +143,7 @@ def advance(motion: Motion, body: Body, gel: Gel, load: Load, step_s: float) -> 
             slide_m=motion.slide_m + dt * fall,
             slide_m_s=fall,
             load_n=load_n,
-            table_n=near_n + far_n,
+            on_table=on_table,
             slipping=True,
         )
 
@@ -193,6 +198,6 @@ def advance(motion: Motion, body: Body, gel: Gel, load: Load, step_s: float) -> 
         shear_m=motion.shear_m + dt * shear_rate,
         shear_n=motion.shear_n + n * shear * dt * shear_rate,
         load_n=load_n,
-        table_n=near_n + far_n,
+        on_table=on_table,
         slipping=turn_slip != 0.0 or slide_slip != 0.0,
     )

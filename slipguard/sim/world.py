@@ -43,6 +43,7 @@ class World:
     """A gripper with two gels, an arm, a table, and at most one object.
 
     lookup: name -> object; the catalogue where not given.
+    faults: which devices fail; the world heeds a gripper's or arm's fault from the last time it was asked.
     """
 
     def __init__(

@@ -1,0 +1,88 @@
+"""Lift profiles: exact times and heights, no jumps, stops that take their way."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slipguard.sim.arm_plant import ArmModel, ArmPlant, continuous, order_lift, order_stop, pose, report
+
+MODEL = ArmModel(acceleration_mm_s2=1200.0, stop_mm_s2=2500.0)
+AT_REST = ArmPlant()
+
+
+def end_s(plant: ArmPlant) -> float:
+    return plant.legs[-1].start_s
+
+
+def test_a_lift_is_a_trapezoid() -> None:
+    plant, speed = order_lift(AT_REST, MODEL, 10.0, 100.0, 60.0)
+    assert speed == 60.0
+    assert end_s(plant) - 10.0 == pytest.approx(100.0 / 60.0 + 60.0 / 1200.0)
+    assert pose(plant, 10.025).acceleration_mm_s2 == 1200.0
+    assert pose(plant, 11.0).speed_mm_s == pytest.approx(60.0)
+    assert pose(plant, 11.0).acceleration_mm_s2 == 0.0
+    assert pose(plant, end_s(plant) - 0.01).acceleration_mm_s2 == -1200.0
+    state = report(plant, 20.0)
+    assert (state.height_mm, state.speed_mm_s, state.moving) == (100.0, 0.0, False)
+
+
+def test_a_short_lift_never_reaches_its_speed() -> None:
+    plant, _ = order_lift(AT_REST, MODEL, 0.0, 2.0, 250.0)
+    assert end_s(plant) == pytest.approx(2 * math.sqrt(2.0 / 1200.0))
+    top = max(pose(plant, i * 1e-4).speed_mm_s for i in range(2000))
+    assert top == pytest.approx(math.sqrt(2.0 * 1200.0), rel=1e-2)
+
+
+def test_speed_is_held_to_the_arms_limits() -> None:
+    assert order_lift(AT_REST, MODEL, 0.0, 10.0, 1000.0)[1] == 250.0
+    assert order_lift(AT_REST, MODEL, 0.0, 10.0, 0.0)[1] == 1.0
+
+
+def test_the_arm_does_not_go_through_the_table() -> None:
+    plant, _ = order_lift(AT_REST, MODEL, 0.0, 50.0, 100.0)
+    down, _ = order_lift(plant, MODEL, 5.0, -500.0, 100.0)
+    assert pose(down, 20.0).height_mm == 0.0
+    assert min(pose(down, 5.0 + i * 1e-3).height_mm for i in range(3000)) >= -1e-9
+
+
+def test_a_stop_takes_its_way() -> None:
+    plant, _ = order_lift(AT_REST, MODEL, 0.0, 400.0, 250.0)
+    before = pose(plant, 1.0)
+    stopped = order_stop(plant, MODEL, 1.0)
+    assert end_s(stopped) - 1.0 == pytest.approx(0.1)
+    assert pose(stopped, 9.0).height_mm - before.height_mm == pytest.approx(250.0**2 / 2 / 2500.0)
+    assert pose(stopped, 1.05).acceleration_mm_s2 == -2500.0
+
+
+def test_stopping_twice_or_at_rest_changes_nothing() -> None:
+    assert order_stop(AT_REST, MODEL, 1.0) is AT_REST
+    plant, _ = order_lift(AT_REST, MODEL, 0.0, 400.0, 250.0)
+    once = order_stop(plant, MODEL, 1.0)
+    twice = order_stop(once, MODEL, 1.03)
+    assert pose(twice, 9.0).height_mm == pytest.approx(pose(once, 9.0).height_mm)
+
+
+moves = st.tuples(st.floats(-300.0, 300.0), st.floats(0.0, 300.0), st.floats(0.0, 2.0), st.booleans())
+
+
+@given(st.lists(moves, min_size=1, max_size=6))
+def test_no_sequence_of_orders_makes_it_jump(orders: list[tuple[float, float, float, bool]]) -> None:
+    plant, now_s = AT_REST, 0.0
+    for way_mm, speed, wait_s, stop in orders:
+        before = pose(plant, now_s)
+        if stop:
+            plant = order_stop(plant, MODEL, now_s)
+        else:
+            plant, _ = order_lift(plant, MODEL, now_s, way_mm, speed)
+            goal = min(max(before.height_mm + way_mm, 0.0), 800.0)
+            assert pose(plant, now_s + 1e4).height_mm == pytest.approx(goal)
+        after = pose(plant, now_s)
+        assert after.height_mm == pytest.approx(before.height_mm, abs=1e-6)
+        assert after.speed_mm_s == pytest.approx(before.speed_mm_s, abs=1e-6)
+        assert continuous(plant)
+        assert all(abs(leg.acceleration_mm_s2) <= 2500.0 and abs(leg.speed_mm_s) <= 250.0 + 1e-6 for leg in plant.legs)
+        now_s += wait_s

@@ -1,0 +1,191 @@
+"""The 2F-85 as a plant: late, quantised, self-locking."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slipguard.sim.gripper_plant import (
+    UNLOAD_N_S,
+    Drive,
+    GripperModel,
+    GripperPlant,
+    advance,
+    order_hold,
+    order_move,
+    order_release,
+    report,
+)
+
+MODEL = GripperModel(dead_time_s=0.04, ramp_n_s=200.0, speed_mm_s=100.0)
+OPEN = GripperPlant()
+STEP_S = 1e-3
+HELD_N = MODEL.quantised_force_n(40.0)
+HELD = GripperPlant(width_mm=30.0, force_n=HELD_N, applied_n=HELD_N, goal_mm=0.0, goal_n=HELD_N, holding=True)
+
+
+def run(
+    plant: GripperPlant, start_s: float, seconds: float, object_mm: float | None = 30.0, model: GripperModel = MODEL
+) -> list[GripperPlant]:
+    plants = [plant]
+    for i in range(1, round(seconds / STEP_S) + 1):
+        plants.append(advance(plants[-1], model, start_s + i * STEP_S, STEP_S, object_mm))
+    return plants
+
+
+def test_forces_are_those_of_the_register_and_never_below_what_was_asked() -> None:
+    assert MODEL.force_step_n == pytest.approx(0.843, abs=5e-4)
+    assert MODEL.quantised_force_n(0.0) == 20.0
+    assert MODEL.quantised_force_n(20.0) == 20.0
+    assert MODEL.quantised_force_n(20.01) == pytest.approx(20.0 + MODEL.force_step_n)
+    assert MODEL.quantised_force_n(500.0) == pytest.approx(235.0)
+
+
+@given(st.floats(20.0, 235.0))
+def test_quantisation_adds_less_than_a_count_and_is_stable(force_n: float) -> None:
+    applied_n = MODEL.quantised_force_n(force_n)
+    assert force_n - 1e-6 <= applied_n < force_n + MODEL.force_step_n
+    assert MODEL.quantised_force_n(applied_n) == applied_n
+
+
+def test_closing_waits_for_line_and_motor_then_stops_on_the_object() -> None:
+    plant, applied_n = order_hold(OPEN, MODEL, 0.0, 40.0)
+    assert 40.0 <= applied_n < 40.9
+    plants = run(plant, 0.0, 1.5)
+    started = next(i for i, p in enumerate(plants) if p.width_mm < 85.0) * STEP_S
+    assert started == pytest.approx(0.016 + 0.04, abs=2e-3)
+    touched = next(i for i, p in enumerate(plants) if p.force_n > 0.0) * STEP_S
+    assert touched - started == pytest.approx(55.0 / 100.0, abs=3e-3)
+    end = plants[-1]
+    assert end.width_mm == 30.0
+    assert end.force_n == pytest.approx(applied_n)
+    full = next(i for i, p in enumerate(plants) if p.holding) * STEP_S
+    assert full - touched == pytest.approx(applied_n / 200.0, abs=3e-3)
+    state = report(end, 1.5)
+    assert (state.holding, state.moving, state.closed_on_nothing, state.fault) == (True, False, False, None)
+    assert report(plant, 0.0).moving
+
+
+def test_tightening_at_rest_costs_stop_and_go() -> None:
+    plant, _ = order_hold(HELD, MODEL, 0.0, 60.0)
+    plants = run(plant, 0.0, 0.5)
+    rising = next(i for i, p in enumerate(plants) if p.force_n > HELD_N) * STEP_S
+    assert rising == pytest.approx(2 * 0.016 + 0.04, abs=2e-3)
+    assert all(p.holding and report(p, 0.0).holding for p in plants)
+
+
+def test_tightening_while_it_closes_takes_effect_without_a_stop() -> None:
+    plant, _ = order_hold(HELD, MODEL, 0.0, 60.0)
+    on_its_way = run(plant, 0.0, 0.1)[-1]
+    assert on_its_way.drive is Drive.CLOSING
+    again, _ = order_hold(on_its_way, MODEL, 0.1, 80.0)
+    plants = run(again, 0.1, 0.4)
+    forces = [p.force_n for p in plants]
+    rises = [b - a for a, b in pairwise(forces) if b < forces[-1]]
+    assert min(rises) == pytest.approx(0.2)  # 200 N/s all the way
+    assert forces[-1] >= 80.0
+
+
+def test_orders_queue_in_the_line() -> None:
+    plant = HELD
+    for _ in range(3):
+        plant, _ = order_hold(plant, MODEL, 0.0, plant.applied_n + 10.0)
+    assert [order.due_s for order in plant.orders] == pytest.approx([0.032, 0.064, 0.096])
+
+
+def test_true_force_has_the_gain_error_and_nobody_is_told() -> None:
+    model = replace(MODEL, gain=1.1)
+    plant, applied_n = order_hold(OPEN, model, 0.0, 40.0)
+    end = run(plant, 0.0, 1.5, model=model)[-1]
+    assert end.force_n == pytest.approx(1.1 * applied_n)
+    assert report(end, 0.0).force_n == applied_n
+
+
+def test_a_lower_or_equal_force_changes_nothing() -> None:
+    for force_n in (0.0, 20.0, HELD_N):
+        assert order_hold(HELD, MODEL, 0.0, force_n) == (HELD, HELD_N)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.floats(0.0, 300.0), st.integers(0, 80)), max_size=8), st.floats(0.9, 1.1))
+def test_force_never_falls_until_the_fingers_open(orders: list[tuple[float, int]], gain: float) -> None:
+    model, plant, now_s = replace(MODEL, gain=gain), HELD, 0.0
+    highest_n = HELD_N
+    for force_n, steps in orders:
+        plant, applied_n = order_hold(plant, model, now_s, force_n)
+        highest_n = max(highest_n, applied_n)
+        assert applied_n == highest_n
+        for _ in range(steps):
+            before, now_s = plant, now_s + STEP_S
+            plant = advance(plant, model, now_s, STEP_S, 30.0)
+            assert plant.force_n >= before.force_n
+            assert plant.width_mm == 30.0
+    assert plant.force_n <= max(highest_n * gain, HELD_N) + 1e-9
+
+
+def test_release_unloads_then_opens_and_forgets_the_force() -> None:
+    plant = order_release(HELD, MODEL, 0.0, 60.0)
+    plants = run(plant, 0.0, 1.0)
+    unloaded = next(i for i, p in enumerate(plants) if p.force_n == 0.0) * STEP_S
+    assert unloaded == pytest.approx(2 * 0.016 + 0.04 + HELD_N / UNLOAD_N_S, abs=3e-3)
+    end = plants[-1]
+    assert end.width_mm == pytest.approx(60.0, abs=MODEL.width_step_mm / 2)
+    assert not end.holding
+    assert end.applied_n == 0.0
+    _, applied_n = order_hold(end, MODEL, 1.0, 25.0)
+    assert applied_n < 26.0
+
+
+def test_release_below_the_present_width_never_closes() -> None:
+    assert run(order_release(OPEN, MODEL, 0.0, 10.0), 0.0, 1.0)[-1].width_mm == 85.0
+
+
+def test_closing_on_nothing_ends_at_the_end_stop() -> None:
+    plant, _ = order_hold(OPEN, MODEL, 0.0, 30.0)
+    end = run(plant, 0.0, 1.5, object_mm=None)[-1]
+    assert end.width_mm == 0.0
+    assert end.closed_on_nothing
+    assert not end.holding
+    assert end.force_n == 0.0
+    reopened = run(order_release(end, MODEL, 2.0, 85.0), 2.0, 1.5, object_mm=None)[-1]
+    assert not reopened.closed_on_nothing
+
+
+def test_losing_the_object_lets_the_fingers_close_on_nothing() -> None:
+    end = run(HELD, 0.0, 1.0, object_mm=None)[-1]
+    assert end.force_n == 0.0
+    assert end.closed_on_nothing
+
+
+def test_move_goes_to_a_width_and_says_which() -> None:
+    plant, width_mm = order_move(OPEN, MODEL, 0.0, 50.0, 20.0)
+    assert abs(width_mm - 50.0) <= MODEL.width_step_mm / 2
+    end = run(plant, 0.0, 1.0)[-1]
+    assert end.width_mm == width_mm
+    assert end.drive is Drive.REST
+    assert not end.closed_on_nothing
+    assert not end.holding
+
+
+def test_moving_onto_an_object_holds_it() -> None:
+    plant, _ = order_move(OPEN, MODEL, 0.0, 10.0, 25.0)
+    end = run(plant, 0.0, 1.5)[-1]
+    assert (end.width_mm, end.holding) == (30.0, True)
+    assert end.force_n >= 25.0
+
+
+def test_moving_open_while_holding_lets_go() -> None:
+    plant, _ = order_move(HELD, MODEL, 0.0, 50.0, 20.0)
+    end = run(plant, 0.0, 1.0)[-1]
+    assert end.force_n == 0.0
+    assert not end.holding
+
+
+def test_nothing_moves_without_an_order() -> None:
+    assert run(HELD, 0.0, 0.2)[-1] is HELD
+    assert math.isclose(run(OPEN, 0.0, 0.2)[-1].width_mm, 85.0)
