@@ -95,12 +95,11 @@ def _aurova(folder: Path) -> list[RealFrame]:
 
 def another_day(background: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
     """A no-contact frame of the same unit later: each channel off by up to 5 grey levels, fresh camera noise."""
-    noise = rng.standard_normal(background.shape).astype(np.float32)
-    noise = cv2.GaussianBlur(noise, (0, 0), NOISE_BLUR_PX)
+    white = rng.standard_normal(background.shape).astype(np.float32)
+    noise = np.asarray(cv2.GaussianBlur(white, (0, 0), NOISE_BLUR_PX), np.float32)
     noise *= np.asarray(NOISE_BGR, np.float32) / noise.std((0, 1))
-    noise += rng.uniform(-5, 5, 3).astype(np.float32)
-    shifted = np.rint(background + noise)
-    return np.clip(shifted, 0, 255).astype(np.uint8)
+    light = rng.uniform(-5, 5, 3).astype(np.float32)
+    return np.asarray(np.clip(np.rint(background + noise + light), 0, 255), np.uint8)
 
 
 def no_contact_frames(folder: Path, days: int, seed: int = 0) -> list[RealFrame]:

@@ -104,7 +104,7 @@ def train(
             batch = augment(*(torch.from_numpy(a[pick]) for a in (frames.frame, frames.background, frames.label)))
             loss = segmentation_loss(net(batch.frame, batch.background, batch.known), batch.label)
             optimiser.zero_grad()
-            loss.backward()
+            torch.autograd.backward(loss)
             optimiser.step()
             schedule.step()
             losses += float(loss.detach())

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 PRESS_SHARE = 0.2
 """Pressed is what moved by more than this share of the deepest press; chosen on the tuning frames."""
+HIDDEN_PRESS_SHARE = 0.1
+"""Where the deepest point lies outside the picture: the skirt of what is out there is no contact in here."""
 VISIBLE_MM = 0.02
 """A press shallower than this leaves no slope that can be told from noise."""
 GAP_RADIUS_PX = 15
@@ -26,8 +28,9 @@ LABEL_NAME = f"displaced>{PRESS_SHARE:g}*press,closed{GAP_RADIUS_PX}px"
 
 def label(truth: GelTruth) -> NDArray[np.uint8]:
     """The region to learn, (320, 240) uint8, 0 or 1: gel moved by over a fifth of the press depth, gaps closed."""
-    least_mm = max(PRESS_SHARE * float(truth.displacement_mm.max()), VISIBLE_MM)
-    pressed = (truth.displacement_mm > least_mm).astype(np.uint8)
+    seen_mm = float(truth.displacement_mm.max())
+    least_mm = max(PRESS_SHARE * seen_mm, HIDDEN_PRESS_SHARE * truth.press_mm, VISIBLE_MM)
+    pressed = np.asarray(truth.displacement_mm > least_mm, np.uint8)
     if not pressed.any():
         return pressed
     return _filled(_closed(pressed))
