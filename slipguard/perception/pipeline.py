@@ -1,0 +1,320 @@
+"""One finger's way from a gel frame to an estimate: gate, segment, regions, thin, angle, register, track."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
+from slipguard.errors import FrameCorrupt, InputError
+from slipguard.perception.angle import estimate, fuse, skeleton_orientation
+from slipguard.perception.axial import wrap_axial_deg
+from slipguard.perception.estimate import Estimate, Orientation
+from slipguard.perception.gate import Blocks, Gate, block_means, near_patch
+from slipguard.perception.regions import Patch, find_patch
+from slipguard.perception.register import Pose, Registrar, Registration, Template, make_template
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.skeleton import middle_line
+from slipguard.perception.track import Tracker, Turn, axis_turn, combined
+
+STABLE_FRAMES = 5
+STABLE_SHARE = 0.05
+"""The contact area is stable when the last five frames differ by less than this share of it."""
+NO_CONTACT = "no contact"
+UNCHANGED = "unchanged"
+NO_REFERENCE = "no reference yet"
+UNSURE = "too uncertain"
+
+
+class SegmentsContact(Protocol):
+    """What the pipeline needs of a segmentation network."""
+
+    @property
+    def threshold(self) -> float: ...
+
+    @property
+    def input_size(self) -> tuple[int, int]: ...
+
+    def segment(self, image: NDArray[np.uint8], background: NDArray[np.uint8] | None) -> NDArray[np.float32]: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """What turns are measured against."""
+
+    patch: Patch
+    orientation: Orientation
+    template: Template
+    centre_px: tuple[float, float]
+
+
+class Pipeline:
+    """Estimates one finger's contact, frame after frame. Not thread-safe: one worker per finger.
+
+    background: the unit's no-contact image, (320, 240, 3) uint8, or None (then no frame skips the network for lack of
+    contact). noise: standard deviation of a pixel, grey levels, (3,) B G R or anything that averages to it; or None.
+    px_per_mm: scale of the frame. rotation_deg: how far the sensor is mounted turned counter-clockwise, one of 0, 90,
+    180, 270; it turns the reported orientation and shift. timer: seconds, for `Estimate.stage_ms`; None leaves it
+    empty.
+    """
+
+    def __init__(
+        self,
+        segmenter: SegmentsContact,
+        settings: PerceptionSettings,
+        background: NDArray[np.uint8] | None,
+        noise: Sequence[float] | NDArray[np.floating] | None,
+        px_per_mm: float,
+        rotation_deg: int = 0,
+        timer: Callable[[], float] | None = None,
+    ) -> None:
+        if rotation_deg not in (0, 90, 180, 270):
+            raise InputError(f"rotation_deg is {rotation_deg}; a sensor is mounted at 0, 90, 180 or 270")
+        if not px_per_mm > 0.0:
+            raise InputError(f"px_per_mm is {px_per_mm}; the scale of a DIGIT frame is about 18.5")
+        try:
+            self._gate = Gate(background, noise, settings.gate_sigma)
+        except FrameCorrupt as error:
+            raise InputError(f"no-contact image: {error}") from error
+        self._segmenter = segmenter
+        self._settings = settings
+        self._background = background
+        self._px_per_mm = px_per_mm
+        self._rotation_deg = rotation_deg
+        self._timer = timer
+        self._threshold = segmenter.threshold if settings.threshold is None else settings.threshold
+        self._frame_px = FRAME_WIDTH_PX / segmenter.input_size[0]
+        self._patch: Patch | None = None
+        self._skeleton: NDArray[np.uint8] | None = None
+        self._measured: tuple[Blocks, NDArray[np.bool_] | None, Estimate] | None = None
+        self.reset_reference()
+
+    def reset_reference(self) -> None:
+        """Forget the reference; the next stable contact makes a new one."""
+        self._reference: Reference | None = None
+        self._tracker = Tracker()
+        self._pose = Pose()
+        self._areas: deque[int] = deque(maxlen=STABLE_FRAMES)
+        self._measured = None
+
+    @property
+    def has_reference(self) -> bool:
+        return self._reference is not None
+
+    @property
+    def reference_area_px(self) -> int | None:
+        """Contact area of the reference in frame pixels."""
+        return None if self._reference is None else self._reference.patch.area_px
+
+    @property
+    def last_mask(self) -> NDArray[np.uint8]:
+        """The contact found last, (320, 240) uint8, 0 or 1."""
+        if self._patch is None:
+            return np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.uint8)
+        return _at_frame_size(self._patch.full_mask())
+
+    @property
+    def last_skeleton(self) -> NDArray[np.uint8]:
+        """The thinned contact found last, (320, 240) uint8, 0 or 1; empty where thinning was not needed."""
+        if self._patch is None or self._skeleton is None:
+            return np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.uint8)
+        return _at_frame_size(replace(self._patch, mask=self._skeleton).full_mask())
+
+    def process(self, frame: Frame) -> Estimate:
+        """Measure one frame. Raises `FrameCorrupt` for a frame that is no gel picture."""
+        clock = _StageClock(self._timer)
+        now_s = frame.captured_at_s
+        blocks = block_means(frame.image)
+        if not math.isfinite(now_s):
+            raise FrameCorrupt(f"frame {frame.sequence} has no capture time ({now_s}); it is left out")
+        if not self._gate.may_be_contact(blocks):
+            clock.mark("gate")
+            return self._without_contact(frame, blocks, NO_CONTACT, clock)
+        reused = self._reused(frame, blocks)
+        clock.mark("gate")
+        if reused is not None:
+            return replace(reused, stage_ms=clock.stage_ms)
+        probability = self._segmenter.segment(frame.image, self._background)
+        clock.mark("segment")
+        patch = find_patch(probability, self._threshold, self._settings.min_area_px, self._frame_px)
+        self._patch, self._skeleton = patch, None
+        clock.mark("regions")
+        if patch is None:
+            return self._without_contact(frame, blocks, None, clock)
+        orientation = self._orientation(patch, clock)
+        self._take_reference(patch, orientation, now_s)
+        turn, shift_mm = self._turn(patch, orientation, now_s, clock)
+        shown = orientation.angle_deg
+        answer = Estimate(
+            sequence=frame.sequence,
+            captured_at_s=now_s,
+            measured_at_s=now_s,
+            contact=True,
+            contact_area_px=patch.area_px,
+            method=self._settings.estimator,
+            angle_deg=turn.turn_deg,
+            sigma_deg=turn.sigma_deg,
+            orientation_deg=None if shown is None else wrap_axial_deg(shown + self._rotation_deg),
+            rate_deg_s=None if turn.turn_deg is None else self._tracker.rate_deg_s(now_s),
+            shift_mm=shift_mm,
+            declined=turn.declined,
+            stage_ms=clock.stage_ms,
+        )
+        clock.mark("track")
+        self._measured = (blocks, near_patch(patch.full_mask()), answer)
+        return answer
+
+    def _without_contact(self, frame: Frame, blocks: Blocks, skipped: str | None, clock: _StageClock) -> Estimate:
+        self._patch, self._skeleton = None, None
+        self._areas.clear()
+        answer = Estimate(
+            sequence=frame.sequence,
+            captured_at_s=frame.captured_at_s,
+            measured_at_s=frame.captured_at_s,
+            contact=False,
+            contact_area_px=0,
+            method=self._settings.estimator,
+            skipped=skipped,
+            declined=NO_CONTACT,
+            stage_ms=clock.stage_ms,
+        )
+        self._measured = (blocks, None, answer)
+        return answer
+
+    def _reused(self, frame: Frame, blocks: Blocks) -> Estimate | None:
+        """The last answer, where the picture has not changed and it is young enough."""
+        if self._measured is None or not self._settings.skip_unchanged:
+            return None
+        measured_blocks, near, answer = self._measured
+        age_s = frame.captured_at_s - answer.measured_at_s
+        if answer.contact and self._reference is None:
+            return None  # a reference needs measured frames
+        if not 0.0 <= age_s < self._settings.refresh_s or not self._gate.unchanged(blocks, measured_blocks, near):
+            return None
+        rate = answer.rate_deg_s
+        if answer.angle_deg is not None:
+            self._tracker.unchanged(frame.captured_at_s)
+            rate = self._tracker.rate_deg_s(frame.captured_at_s)
+        return replace(
+            answer, sequence=frame.sequence, captured_at_s=frame.captured_at_s, rate_deg_s=rate, skipped=UNCHANGED
+        )
+
+    def _orientation(self, patch: Patch, clock: _StageClock) -> Orientation:
+        name, aspect = self._settings.estimator, self._settings.round_aspect
+        if name in ("moments", "pca", "ellipse"):
+            answer = estimate(patch, name, aspect)
+            clock.mark("angle")
+            return answer
+        plain = estimate(patch, "moments", aspect)
+        if name == "registration" or (plain.declined is not None and name == "fused"):
+            clock.mark("angle")
+            return plain
+        clock.mark("angle")
+        line = middle_line(patch)
+        self._skeleton = line.skeleton
+        clock.mark("thin")
+        thinned = skeleton_orientation(patch, line, aspect)
+        answer = thinned if name == "skeleton" else fuse([plain, estimate(patch, "ellipse", aspect), thinned])
+        clock.mark("angle")
+        return answer
+
+    def _take_reference(self, patch: Patch, orientation: Orientation, now_s: float) -> None:
+        if self._reference is not None:
+            return
+        self._areas.append(patch.area_px)
+        if self._settings.reference == "stable":
+            largest, smallest = max(self._areas), min(self._areas)
+            if len(self._areas) < STABLE_FRAMES or largest - smallest >= STABLE_SHARE * largest:
+                return
+        template = make_template(patch, orientation.angle_deg)
+        self._reference = Reference(patch, orientation, template, _centre_px(patch))
+        self._tracker.start(now_s)
+        self._pose = Pose()
+
+    def _turn(
+        self, patch: Patch, orientation: Orientation, now_s: float, clock: _StageClock
+    ) -> tuple[Turn, tuple[float, float] | None]:
+        reference = self._reference
+        if reference is None:
+            return Turn(None, None, NO_REFERENCE), None
+        predicted = self._tracker.predicted_deg(now_s)
+        turn = _between(reference.orientation, orientation, predicted)
+        shift_px = _difference(_centre_px(patch), reference.centre_px)
+        if self._settings.estimator in ("fused", "registration"):
+            laid = self._laid_over(reference, patch, turn, predicted)
+            registered = Turn(None, None, laid.declined)
+            if laid.declined is None:
+                registered = Turn(laid.pose.turn_deg, laid.sigma_deg)
+                shift_px = (laid.pose.dx_px * self._frame_px, laid.pose.dy_px * self._frame_px)
+            turn = registered if self._settings.estimator == "registration" else combined(registered, turn)
+            clock.mark("register")
+        if turn.sigma_deg is not None and turn.sigma_deg > self._settings.sigma_max_deg:
+            turn = Turn(None, None, UNSURE)
+        turn = self._tracker.accept(now_s, turn)
+        if turn.turn_deg is not None:
+            self._pose = Pose(turn.turn_deg, shift_px[0] / self._frame_px, shift_px[1] / self._frame_px)
+        return turn, self._shift_mm(shift_px)
+
+    def _laid_over(self, reference: Reference, patch: Patch, turn: Turn, predicted_deg: float) -> Registration:
+        """The patch laid over the reference, from where the track leads or from where its axis points."""
+        registrar = Registrar(reference.template, patch)
+        best = registrar.fit(replace(self._pose, turn_deg=predicted_deg))
+        if turn.turn_deg is None or abs(turn.turn_deg - best.pose.turn_deg) < 4.0:
+            return best
+        dx, dy = _difference(_centre_px(patch), reference.centre_px)
+        other = registrar.fit(Pose(turn.turn_deg, dx / self._frame_px, dy / self._frame_px))
+        better = other.declined is None and (best.declined is not None or other.residual < best.residual)
+        return other if better else best
+
+    def _shift_mm(self, shift_px: tuple[float, float]) -> tuple[float, float]:
+        """Frame pixels right and down to millimetres right and up, as the mounting turns them."""
+        c, s = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}[self._rotation_deg]
+        right, up = shift_px[0] / self._px_per_mm, -shift_px[1] / self._px_per_mm
+        return (c * right - s * up, s * right + c * up)
+
+
+class _StageClock:
+    """Collects milliseconds per stage; the same stage may be marked more than once."""
+
+    def __init__(self, timer: Callable[[], float] | None) -> None:
+        self._timer = timer
+        self.stage_ms: dict[str, float] = {}
+        self._since_s = 0.0 if timer is None else timer()
+
+    def mark(self, stage: str) -> None:
+        """What ran since the last mark was `stage`."""
+        if self._timer is None:
+            return
+        now_s = self._timer()
+        self.stage_ms[stage] = self.stage_ms.get(stage, 0.0) + 1e3 * (now_s - self._since_s)
+        self._since_s = now_s
+
+
+def _between(reference: Orientation, now: Orientation, near_deg: float) -> Turn:
+    if reference.angle_deg is None or reference.sigma_deg is None:
+        return Turn(None, None, reference.declined)
+    if now.angle_deg is None or now.sigma_deg is None:
+        return Turn(None, None, now.declined)
+    return axis_turn(now.angle_deg, now.sigma_deg, reference.angle_deg, reference.sigma_deg, near_deg)
+
+
+def _centre_px(patch: Patch) -> tuple[float, float]:
+    """Centre of the patch in frame pixels, right and down."""
+    m = cv2.moments(patch.mask, True)
+    return patch.to_frame(m["m10"] / m["m00"], m["m01"] / m["m00"])
+
+
+def _difference(now: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
+    return (now[0] - before[0], now[1] - before[1])
+
+
+def _at_frame_size(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    size = (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
+    return np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)

@@ -1,0 +1,122 @@
+"""From axes and alignments to one signed, unwrapped turn since the reference, its sigma and its rate."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from slipguard.perception.axial import nearest_turn_deg
+
+RATE_WINDOW_S = 0.10
+"""The rate is the slope of the turns of this long: six frames at 60 Hz."""
+RATE_STALE_S = 0.30
+"""Turns older than this tell nothing about the rate now."""
+JUMP_DEG = 25.0
+JUMP_RATE_DEG_S = 600.0
+JUMP_MAX_DEG = 60.0
+"""A turn may differ from the last one by JUMP_DEG plus JUMP_RATE_DEG_S times the time since, never by JUMP_MAX_DEG: an
+axis that jumps by a right angle is a round patch that changed its mind, not a turn."""
+AGREE_SIGMA = 3.0
+DISAGREE_DEG = 8.0
+IMPLAUSIBLE = "implausible jump"
+DISAGREE = "estimators disagree"
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """A turn since the reference, degrees counter-clockwise, one standard deviation; declined: why there is none."""
+
+    turn_deg: float | None
+    sigma_deg: float | None
+    declined: str | None = None
+
+
+def axis_turn(
+    now_deg: float, now_sigma_deg: float, reference_deg: float, reference_sigma_deg: float, near_deg: float
+) -> Turn:
+    """The turn between two axes, of all that differ by half turns the one nearest `near_deg`.
+
+    From -6 to +6 it is +12, from 80 to 100 (the axis -80) it is +20.
+    """
+    turn = nearest_turn_deg(now_deg - reference_deg, near_deg)
+    return Turn(turn, math.hypot(now_sigma_deg, reference_sigma_deg))
+
+
+def combined(first: Turn, second: Turn) -> Turn:
+    """One turn from two that were read off the same mask.
+
+    Where they agree within their sigmas: the mean weighted by 1 / sigma^2, with the smaller sigma (their errors are not
+    independent). Where they do not, the surer one with a sigma that covers both; far apart, none.
+    """
+    if first.turn_deg is None or first.sigma_deg is None:
+        return second if second.turn_deg is not None else first
+    if second.turn_deg is None or second.sigma_deg is None:
+        return first
+    apart = abs(first.turn_deg - second.turn_deg)
+    smaller = min(first.sigma_deg, second.sigma_deg)
+    if apart <= AGREE_SIGMA * math.hypot(first.sigma_deg, second.sigma_deg):
+        a, b = first.sigma_deg**-2, second.sigma_deg**-2
+        return Turn((a * first.turn_deg + b * second.turn_deg) / (a + b), smaller)
+    if apart > DISAGREE_DEG:
+        return Turn(None, None, DISAGREE)
+    surer = first if first.sigma_deg <= second.sigma_deg else second
+    return Turn(surer.turn_deg, max(smaller, 0.5 * apart))
+
+
+class Tracker:
+    """Remembers the turns of one finger since its reference."""
+
+    def __init__(self) -> None:
+        self._history: deque[tuple[float, float]] = deque(maxlen=64)
+        self._last: tuple[float, float] = (-math.inf, 0.0)
+
+    @property
+    def last_turn_deg(self) -> float:
+        """The last turn accepted; 0 at the reference."""
+        return self._last[1]
+
+    def start(self, now_s: float) -> None:
+        """The reference was taken at `now_s`: the turn is 0."""
+        self._history.clear()
+        self._history.append((now_s, 0.0))
+        self._last = (now_s, 0.0)
+
+    def predicted_deg(self, now_s: float) -> float:
+        """Where the turn would be at `now_s` if the rate stayed; never more than 15 degrees ahead."""
+        rate = self.rate_deg_s(now_s)
+        last_s, turn = self._last
+        if rate is None or not math.isfinite(last_s):
+            return turn
+        return turn + min(max(rate * max(now_s - last_s, 0.0), -15.0), 15.0)
+
+    def accept(self, now_s: float, turn: Turn) -> Turn:
+        """Take a turn measured at `now_s` into the history, or decline it as implausible."""
+        if turn.turn_deg is None:
+            return turn
+        last_s, last = self._last
+        since_s = max(now_s - last_s, 0.0) if math.isfinite(last_s) else 0.0
+        allowed = min(JUMP_DEG + JUMP_RATE_DEG_S * since_s, JUMP_MAX_DEG)
+        if abs(turn.turn_deg - last) > allowed:
+            return Turn(None, None, IMPLAUSIBLE)
+        self._last = (now_s, turn.turn_deg)
+        if not self._history or now_s > self._history[-1][0]:
+            self._history.append((now_s, turn.turn_deg))
+        return turn
+
+    def unchanged(self, now_s: float) -> None:
+        """The picture at `now_s` shows no change: the turn is still the last one."""
+        if self._history and now_s > self._history[-1][0]:
+            self._history.append((now_s, self._history[-1][1]))
+
+    def rate_deg_s(self, now_s: float) -> float | None:
+        """Slope of the turns of the last `RATE_WINDOW_S`, of at least the last three; None where there are too few."""
+        recent = [(t, v) for t, v in self._history if now_s - t <= RATE_STALE_S]
+        within = [(t, v) for t, v in recent if now_s - t <= RATE_WINDOW_S + 1e-9]
+        points = within if len(within) >= 3 else recent[-3:]
+        if len(points) < 3:
+            return None
+        mean_t = sum(t for t, _ in points) / len(points)
+        mean_v = sum(v for _, v in points) / len(points)
+        spread = sum((t - mean_t) ** 2 for t, _ in points)
+        return sum((t - mean_t) * (v - mean_v) for t, v in points) / spread
