@@ -7,9 +7,6 @@ import contextlib
 import mmap
 import os
 import pickle
-import socket
-import subprocess
-import sys
 from collections.abc import Callable
 from typing import Protocol
 
@@ -17,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.errors import DeviceLost, DeviceTimeout
-from slipguard_drivers.digit.draw_worker import IMAGE_BYTES, PACKET_BYTES, SLOTS, Draughtsman, Shot
+from slipguard_drivers.child import PACKET_BYTES, Child
+from slipguard_drivers.digit.draw_worker import IMAGE_BYTES, SLOTS, Draughtsman, Shot
 from slipguard_drivers.digit.stream import SHAPE
 
 Image = NDArray[np.uint8]
+WORKER = "slipguard_drivers.digit.draw_worker"
 START_TIMEOUT_S = 30.0
 """Python, numpy and OpenCV starting on a loaded small machine; 0.5 s on an idle one."""
 
@@ -70,8 +69,7 @@ class ProcessPainter:
         self._name = name
         self._unit_seed = unit_seed
         self._died = died
-        self._child: subprocess.Popen[bytes] | None = None
-        self._link: socket.socket | None = None
+        self._child: Child | None = None
         self._memory: mmap.mmap | None = None
         self._waiting: dict[int, Callable[[Image], None]] = {}
         self._free: list[int] = []
@@ -79,12 +77,11 @@ class ProcessPainter:
     async def start(self) -> None:
         """Start the child and wait until it can draw."""
         self.stop()
-        self._launch()
+        self._child = child = self._launch()
         loop = asyncio.get_running_loop()
-        assert self._link is not None
         try:
             async with asyncio.timeout(START_TIMEOUT_S):
-                greeting = await loop.sock_recv(self._link, PACKET_BYTES)
+                greeting = await loop.sock_recv(child.link, PACKET_BYTES)
         except TimeoutError:
             self.stop()
             raise DeviceTimeout(
@@ -97,37 +94,25 @@ class ProcessPainter:
             self.stop()
             raise DeviceLost(f"{self._name}: the drawing process ended before it drew anything")
         self._free = list(range(SLOTS))
-        loop.add_reader(self._link, self._on_answer)
+        loop.add_reader(child.link, self._on_answer)
 
-    def _launch(self) -> None:
-        # Packets keep their borders; the memory is a file without a name: nothing is left behind.
-        self._link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        memory_fd = os.memfd_create(f"slipguard-{self._name}")
+    def _launch(self) -> Child:
+        memory_fd = os.memfd_create(f"slipguard-{self._name}")  # without a name in any folder: nothing is left behind
         try:
             os.ftruncate(memory_fd, SLOTS * IMAGE_BYTES)
+            child = Child(WORKER, str(memory_fd), str(self._unit_seed), keep_fds=(memory_fd,))
             self._memory = mmap.mmap(memory_fd, SLOTS * IMAGE_BYTES)
-            self._link.setblocking(False)
-            command = [sys.executable, "-P", "-m", "slipguard_drivers.digit.draw_worker"]
-            self._child = subprocess.Popen(
-                [*command, str(theirs.fileno()), str(memory_fd), str(self._unit_seed)],
-                pass_fds=(theirs.fileno(), memory_fd),
-                stdin=subprocess.DEVNULL,
-                process_group=0,  # a Ctrl-C at the terminal is for the parent alone
-            )
-        except BaseException:
-            self.stop()
-            raise
+            return child
         finally:
-            theirs.close()
             os.close(memory_fd)
 
     def paint(self, shot: Shot, done: Callable[[Image], None]) -> bool:
         """Ask the child for an image; False while it has all the work it can hold."""
-        if not self._free or self._link is None:
+        if not self._free or self._child is None:
             return False
         slot = self._free.pop()
         try:
-            self._link.send(pickle.dumps((slot, shot)))
+            self._child.link.send(pickle.dumps((slot, shot)))
         except OSError:
             self._free.append(slot)
             return False  # a dead child is told by its end of file
@@ -135,10 +120,10 @@ class ProcessPainter:
         return True
 
     def _on_answer(self) -> None:
-        assert self._link is not None
+        assert self._child is not None
         assert self._memory is not None
         try:
-            packet = self._link.recv(PACKET_BYTES)
+            packet = self._child.link.recv(PACKET_BYTES)
         except BlockingIOError:
             return
         except OSError:
@@ -161,15 +146,11 @@ class ProcessPainter:
         """End the child and free the memory. Idempotent."""
         self._waiting.clear()
         self._free.clear()
-        if self._link is not None:
-            with contextlib.suppress(RuntimeError):  # no loop any more: nothing reads it either
-                asyncio.get_running_loop().remove_reader(self._link)
-            self._link.close()
-            self._link = None
         if self._memory is not None:
             self._memory.close()
             self._memory = None
         if self._child is not None:
+            with contextlib.suppress(RuntimeError):  # no loop any more: nothing reads it either
+                asyncio.get_running_loop().remove_reader(self._child.link)
             self._child.kill()
-            self._child.wait()
             self._child = None

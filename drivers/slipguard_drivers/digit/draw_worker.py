@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.sim.view import GelView
+from slipguard_drivers.child import PACKET_BYTES
 
 IMAGE_BYTES = 320 * 240 * 3
 SLOTS = 4
-PACKET_BYTES = 4096
 NICENESS = 10
 
 
