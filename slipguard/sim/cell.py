@@ -136,7 +136,7 @@ def depth_mm(item: SimObject, gripper: GripperPlant) -> float:
 class Truth:
     """What really happens; for evaluation only, never for the loop. After a drop, how it was at that moment.
 
-    Angles are degrees in the left picture, counter-clockwise positive; turns count from the placing:
+    Angles are degrees in the left picture, counter-clockwise positive; turns count from the present grasp on the table:
     turn_deg = elastic_deg (the gel's wind-up, comes back) + slip_deg. right_*: the same in the right picture.
     needed_force_n: per finger, to hold the level object at rest. load_n: tangential load per finger.
     """

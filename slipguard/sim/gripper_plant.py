@@ -187,7 +187,7 @@ def _open(plant: GripperPlant, model: GripperModel, step_s: float) -> GripperPla
 
 def _squeeze(plant: GripperPlant, model: GripperModel, step_s: float) -> GripperPlant:
     """The object stops the fingers; force rises to its limit, then the motor stops."""
-    force_n = max(min(plant.force_n + model.ramp_n_s * step_s, plant.goal_n), plant.force_n)
+    force_n = min(plant.force_n + model.ramp_n_s * step_s, plant.goal_n)
     if force_n < plant.goal_n:
         return replace(plant, force_n=force_n)
     return replace(plant, force_n=force_n, drive=Drive.REST, holding=True)

@@ -52,7 +52,7 @@ class World:
         self.settings = settings or WorldSettings()
         self.seed = seed
         self.faults = FaultBoard()
-        self._lookup = lookup or objects.get  # type: ignore[attr-defined, unused-ignore]
+        self._lookup = lookup or objects.get
         self._deliveries = {finger: delivery(seed, finger) for finger in _SIGNS}
         width_mm = self.settings.start_width_mm
         self._cell = Cell(GripperPlant(width_mm=width_mm, goal_mm=width_mm), self.settings.gripper)

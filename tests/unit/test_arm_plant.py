@@ -66,6 +66,13 @@ def test_stopping_twice_or_at_rest_changes_nothing() -> None:
     assert pose(twice, 9.0).height_mm == pytest.approx(pose(once, 9.0).height_mm)
 
 
+@pytest.mark.parametrize("when_s", [0.02, 0.1, 0.3])
+def test_the_same_goal_ordered_again_on_the_way_costs_no_time(when_s: float) -> None:
+    plant, _ = order_lift(AT_REST, MODEL, 0.0, 50.0, 100.0)
+    again, _ = order_lift(plant, MODEL, when_s, 50.0 - pose(plant, when_s).height_mm, 100.0)
+    assert end_s(again) == pytest.approx(end_s(plant))
+
+
 moves = st.tuples(st.floats(-300.0, 300.0), st.floats(0.0, 300.0), st.floats(0.0, 2.0), st.booleans())
 
 

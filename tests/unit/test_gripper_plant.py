@@ -186,6 +186,14 @@ def test_moving_open_while_holding_lets_go() -> None:
     assert not end.holding
 
 
+def test_closing_further_with_less_force_lowers_nothing() -> None:
+    plant, _ = order_move(HELD, MODEL, 0.0, 0.0, 20.0)
+    plants = run(plant, 0.0, 0.5)
+    assert {p.force_n for p in plants} == {HELD_N}
+    assert plants[-1].at_rest
+    assert plants[-1].applied_n == HELD_N
+
+
 def test_nothing_moves_without_an_order() -> None:
     assert run(HELD, 0.0, 0.2)[-1] is HELD
     assert math.isclose(run(OPEN, 0.0, 0.2)[-1].width_mm, 85.0)

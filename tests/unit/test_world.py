@@ -13,10 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slipguard.errors import CommandRefused, InputError
+from slipguard.sim.cell import Cell, is_still
 from slipguard.sim.faults import KINDS, FaultBoard
 from slipguard.sim.friction import Gel, needed_force_n
-from slipguard.sim.gripper_plant import GripperModel
+from slipguard.sim.gripper_plant import GripperModel, GripperPlant
 from slipguard.sim.objects import SimObject
+from slipguard.sim.rotation import Body, Load, Motion, advance
 from slipguard.sim.scenario import Scenario, scenario
 from slipguard.sim.world import Truth, World, WorldSettings
 
@@ -193,6 +195,29 @@ def test_opening_in_the_air_is_a_drop_and_on_the_table_is_not() -> None:
     assert end.on_table
     assert not end.in_contact
     assert world.view("left", now_s + 6.0).depth_mm < 0
+
+
+def test_set_down_and_grasped_again_it_starts_afresh() -> None:
+    world, now_s = grasped(20.0)
+    world.command_lift(now_s, 30.0, 50.0)
+    assert world.truth(now_s + 1.0).turn_deg > 5.0
+    world.command_lift(now_s + 1.0, -29.0, 50.0)
+    world.command_release(now_s + 3.0, 85.0)
+    lying = world.truth(now_s + 5.0)
+    assert lying.dropped is None
+    assert lying.turn_deg > 0.1
+    world.command_hold(now_s + 5.0, 30.0)
+    again = world.truth(now_s + 7.0)
+    assert again.in_contact
+    assert again.turn_deg == pytest.approx(0.0, abs=1e-6)
+
+
+def test_an_even_motion_is_not_taken_for_rest() -> None:
+    gripper = GripperPlant(width_mm=30.0, force_n=30.0, holding=True)
+    turning = Cell(gripper, QUICK, motion=Motion(rate_rad_s=0.5), held=True)
+    assert not is_still(turning, turning, T0)
+    resting = replace(turning, motion=Motion(turn_rad=0.5))
+    assert is_still(resting, resting, T0)
 
 
 def test_what_was_dropped_stays_dropped_until_cleared() -> None:
@@ -396,8 +421,6 @@ def test_no_sequence_of_commands_breaks_the_world(story: list[tuple[tuple[str, f
 @pytest.mark.parametrize("ramp_n_s", [64.0, 480.0])
 def test_what_a_loop_can_reach(ratio: float, low_deg: float, high_deg: float, ramp_n_s: float) -> None:
     """The published loop table: 100 ms latency, threshold 2 deg, tightened to 1.6 x critical, seen at 30 Hz."""
-    from slipguard.sim.rotation import Body, Load, Motion, advance
-
     body, gel, needed_n = Body.of(bar()), Gel(), needed_force_n(bar(), Gel())
     motion, force_n, fires_s = Motion(), ratio * needed_n, math.inf
     for i in range(1200):
