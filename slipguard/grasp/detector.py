@@ -1,0 +1,150 @@
+"""Tells slip from noise: a turn or a slide beyond its level, at a rate, in several measured frames.
+
+A gel that winds up under load turns and slides too, but it comes to rest; rate and persistence tell the two apart.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from slipguard.grasp.fuse import Fused
+from slipguard.grasp.params import GuardParams
+
+SHIFT_TAU_S = 0.05
+"""Time constant of the filtered derivative of the shift: three frames at 60 fps."""
+CALM_SHIFT_MM = 0.3
+"""A patch centre that wanders less than this is at rest; its noise is about 0.05 mm."""
+
+
+@dataclass(frozen=True, slots=True)
+class Detector:
+    """What is remembered between frames. base: where the object was when it was last calm."""
+
+    base_turn_deg: float | None = None
+    base_shift_mm: float | None = None
+    measured_s: float = -math.inf
+    captured_s: float = -math.inf
+    frames: int = 0
+    smooth_shift_mm: float | None = None
+    slide_rate_mm_s: float = 0.0
+    rest_turn_deg: float | None = None
+    rest_shift_mm: float | None = None
+    rest_since_s: float | None = None
+
+    def rebased(self) -> Detector:
+        """From here on only what moves further counts."""
+        return replace(self, base_turn_deg=None, base_shift_mm=None, frames=0)
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What one look saw.
+
+    turn_deg: away from the base, without sign. rate_deg_s: positive while that grows. slide_mm, slide_rate_mm_s:
+    downwards. moving: one of the rates is that of slip. slipping: slip, in enough frames. still_s: at rest for so long.
+    """
+
+    detector: Detector
+    turn_deg: float = 0.0
+    rate_deg_s: float = 0.0
+    slide_mm: float = 0.0
+    slide_rate_mm_s: float = 0.0
+    moving: bool = False
+    slipping: bool = False
+    still_s: float = 0.0
+    new: bool = False
+
+    @property
+    def what(self) -> str:
+        """In words, with figures."""
+        turn = f"turned {self.turn_deg:.1f}° at {self.rate_deg_s:.0f}°/s"
+        return f"{turn}, slid {self.slide_mm:.1f} mm" if self.slide_mm > CALM_SHIFT_MM else turn
+
+
+def level_deg(sigma_deg: float, params: GuardParams) -> float:
+    """The turn below which nothing counts as slip."""
+    return max(params.level_deg, min(params.level_sigmas * sigma_deg, params.level_max_deg))
+
+
+def look(detector: Detector, fused: Fused, params: GuardParams, *, only_outward: bool = False) -> Look:
+    """Compare the newest answer with the base.
+
+    only_outward: a turn back towards the reference is no slip, as when an object is put down.
+    """
+    new = fused.measured_at_s > detector.measured_s
+    detector = _follow_shift(detector, fused)
+    detector = replace(
+        detector,
+        base_turn_deg=fused.turn_deg if detector.base_turn_deg is None else detector.base_turn_deg,
+        base_shift_mm=fused.shift_mm if detector.base_shift_mm is None else detector.base_shift_mm,
+        measured_s=max(fused.measured_at_s, detector.measured_s),
+        captured_s=max(fused.captured_at_s, detector.captured_s),
+    )
+    detector = _follow_rest(detector, fused, params)
+    turn, rate, turning = _turning(detector, fused, params, only_outward)
+    slide = (fused.shift_mm or 0.0) - (detector.base_shift_mm or 0.0) if fused.shift_mm is not None else 0.0
+    slides_fast = detector.slide_rate_mm_s >= params.slide_rate_mm_s
+    sliding = slide > params.slide_mm and (slides_fast or slide > params.slide_creep_mm)
+    if new:
+        detector = replace(detector, frames=detector.frames + 1 if turning or sliding else 0)
+    return Look(
+        detector=detector,
+        turn_deg=turn,
+        rate_deg_s=rate,
+        slide_mm=slide,
+        slide_rate_mm_s=detector.slide_rate_mm_s,
+        moving=rate >= params.rate_deg_s or slides_fast,
+        slipping=detector.frames >= params.frames,
+        still_s=detector.captured_s - detector.rest_since_s if detector.rest_since_s is not None else 0.0,
+        new=new,
+    )
+
+
+def _turning(detector: Detector, fused: Fused, params: GuardParams, only_outward: bool) -> tuple[float, float, bool]:
+    """Turn from the base, rate away from it, and whether that is slip."""
+    if fused.turn_deg is None or fused.sigma_deg is None or detector.base_turn_deg is None:
+        return 0.0, 0.0, False
+    away_deg = fused.turn_deg - detector.base_turn_deg
+    turn_deg = abs(away_deg)
+    rate_deg_s = math.copysign(1.0, away_deg) * (fused.rate_deg_s or 0.0)
+    if only_outward and away_deg * fused.turn_deg < 0.0:
+        return turn_deg, 0.0, False
+    level = level_deg(fused.sigma_deg, params)
+    fast = rate_deg_s >= params.rate_deg_s
+    return turn_deg, rate_deg_s, turn_deg > level and (fast or turn_deg > max(params.creep_deg, level))
+
+
+def _follow_shift(detector: Detector, fused: Fused) -> Detector:
+    """Filtered derivative of the shift; the first shift after none starts it anew."""
+    if fused.shift_mm is None:
+        return replace(detector, smooth_shift_mm=None, slide_rate_mm_s=0.0)
+    if detector.smooth_shift_mm is None:
+        return replace(detector, smooth_shift_mm=fused.shift_mm)
+    passed_s = fused.captured_at_s - detector.captured_s
+    if passed_s <= 0.0:
+        return detector
+    share = 1.0 - math.exp(-passed_s / SHIFT_TAU_S)
+    smooth_mm = detector.smooth_shift_mm + share * (fused.shift_mm - detector.smooth_shift_mm)
+    return replace(detector, smooth_shift_mm=smooth_mm, slide_rate_mm_s=(fused.shift_mm - smooth_mm) / SHIFT_TAU_S)
+
+
+def _follow_rest(detector: Detector, fused: Fused, params: GuardParams) -> Detector:
+    """Where the object rests and since when: within `calm_deg` (or two sigma) and 0.3 mm of one place."""
+    calm_deg = max(params.calm_deg, min(2.0 * (fused.sigma_deg or 0.0), params.level_max_deg))
+    rests = _near(fused.turn_deg, detector.rest_turn_deg, calm_deg) and _near(
+        fused.shift_mm, detector.rest_shift_mm, CALM_SHIFT_MM
+    )
+    if rests and detector.rest_since_s is not None:
+        return replace(
+            detector,
+            rest_turn_deg=fused.turn_deg if detector.rest_turn_deg is None else detector.rest_turn_deg,
+            rest_shift_mm=fused.shift_mm if detector.rest_shift_mm is None else detector.rest_shift_mm,
+        )
+    return replace(
+        detector, rest_turn_deg=fused.turn_deg, rest_shift_mm=fused.shift_mm, rest_since_s=fused.captured_at_s
+    )
+
+
+def _near(value: float | None, place: float | None, within: float) -> bool:
+    return value is None or place is None or abs(value - place) <= within

@@ -1,0 +1,178 @@
+"""Two fingers, one turn: what both fingers' estimates say together.
+
+The fingers face each other, so one turn of the object has opposite signs in their pictures. Turns are positive
+counter-clockwise in the LEFT finger's picture; the right one's sign is flipped here and nowhere else.
+Shifts are the downward part of the patch's motion since the reference, positive when the object slides down.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from slipguard.perception.estimate import Estimate
+
+SIGMA_FLOOR_DEG = 0.1
+"""No estimate counts as surer than this."""
+AGREE_SIGMAS = 3.0
+"""Turns further apart than this many combined standard deviations disagree."""
+GAP_MAX_S = 0.1
+"""A finger further behind the other than this is left out; frames come every 17-33 ms."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fused:
+    """What both fingers say together.
+
+    left_contact, right_contact: None where the finger says nothing at all.
+    turn_deg: of the object since the reference, positive counter-clockwise in the left picture; None: see `declined`.
+    sigma_deg: one standard deviation, widened when the fingers disagree; None exactly where turn_deg is None.
+    shift_mm: downwards since the reference, mean of the fingers that know it.
+    captured_at_s: the moment `turn_deg` speaks of. measured_at_s: the oldest measurement used.
+    fingers: whose turn was used. conflict: the fingers contradict each other. note: what is worth telling.
+    """
+
+    left_contact: bool | None
+    right_contact: bool | None
+    captured_at_s: float
+    measured_at_s: float
+    fingers: tuple[str, ...] = ()
+    turn_deg: float | None = None
+    sigma_deg: float | None = None
+    rate_deg_s: float | None = None
+    shift_mm: float | None = None
+    conflict: str | None = None
+    note: str | None = None
+    declined: str | None = None
+
+    @property
+    def both_touch(self) -> bool:
+        """Contact in both fingers."""
+        return self.left_contact is True and self.right_contact is True
+
+    @property
+    def none_touches(self) -> bool:
+        """At least one finger says that there is no contact, and none says that there is."""
+        contacts = (self.left_contact, self.right_contact)
+        return True not in contacts and False in contacts
+
+
+@dataclass(frozen=True, slots=True)
+class _Turn:
+    """One finger's turn in the left picture's sign."""
+
+    finger: str
+    turn_deg: float
+    sigma_deg: float
+    rate_deg_s: float | None
+    captured_at_s: float
+    measured_at_s: float
+
+    def at(self, when_s: float) -> _Turn:
+        """The same turn moved along its own rate to another moment."""
+        moved_deg = (self.rate_deg_s or 0.0) * (when_s - self.captured_at_s)
+        return _Turn(
+            self.finger, self.turn_deg + moved_deg, self.sigma_deg, self.rate_deg_s, when_s, self.measured_at_s
+        )
+
+
+def fuse(left: Estimate | None, right: Estimate | None) -> Fused | None:
+    """What both fingers say together; None if neither has said anything.
+
+    A finger whose frames are stale is given as None.
+    """
+    said = [estimate for estimate in (left, right) if estimate is not None]
+    if not said:
+        return None
+    shifts_mm = [-estimate.shift_mm[1] for estimate in said if estimate.shift_mm is not None]
+    turns = [turn for turn in (_turn("left", left, 1.0), _turn("right", right, -1.0)) if turn is not None]
+    notes = [f"{name} finger: {_why(one)}" for name, one in (("left", left), ("right", right)) if _why(one)]
+    if len(turns) == 2:
+        turns, behind = _together(turns[0], turns[1])
+        notes += behind
+    base = Fused(
+        left_contact=left.contact if left is not None else None,
+        right_contact=right.contact if right is not None else None,
+        captured_at_s=min(estimate.captured_at_s for estimate in said),
+        measured_at_s=min(estimate.measured_at_s for estimate in said),
+        shift_mm=sum(shifts_mm) / len(shifts_mm) if shifts_mm else None,
+    )
+    if not turns:
+        return replace(base, declined="; ".join(notes))
+    turn_deg, sigma_deg, conflict = _weigh(turns)
+    return replace(
+        base,
+        captured_at_s=turns[0].captured_at_s,
+        measured_at_s=min(turn.measured_at_s for turn in turns),
+        fingers=tuple(turn.finger for turn in turns),
+        turn_deg=turn_deg,
+        sigma_deg=sigma_deg,
+        rate_deg_s=_rate(turns),
+        conflict=conflict,
+        note="; ".join(notes) or None,
+    )
+
+
+def _turn(finger: str, estimate: Estimate | None, sign: float) -> _Turn | None:
+    if estimate is None or estimate.angle_deg is None or estimate.sigma_deg is None:
+        return None
+    rate_deg_s = None if estimate.rate_deg_s is None else sign * estimate.rate_deg_s
+    sigma_deg = max(estimate.sigma_deg, SIGMA_FLOOR_DEG)
+    return _Turn(
+        finger, sign * estimate.angle_deg, sigma_deg, rate_deg_s, estimate.captured_at_s, estimate.measured_at_s
+    )
+
+
+def _why(estimate: Estimate | None) -> str | None:
+    """Why a finger does not tell the turn; None if it does."""
+    if estimate is None:
+        return "no frames"
+    if estimate.angle_deg is not None and estimate.sigma_deg is not None:
+        return None
+    return estimate.declined or ("no reference yet" if estimate.contact else "no contact")
+
+
+def _together(one: _Turn, other: _Turn) -> tuple[list[_Turn], list[str]]:
+    """Both turns at the older one's moment; only the newer one where the other is too far behind."""
+    older, newer = sorted((one, other), key=lambda turn: turn.captured_at_s)
+    gap_s = newer.captured_at_s - older.captured_at_s
+    if gap_s > GAP_MAX_S:
+        return [newer], [f"{older.finger} finger: {1e3 * gap_s:.0f} ms behind"]
+    return [turn.at(older.captured_at_s) for turn in (one, other)], []
+
+
+def _weigh(turns: list[_Turn]) -> tuple[float, float, str | None]:
+    """Weighted turn, its sigma, and the conflict if the fingers turn the same way in their pictures.
+
+    Disagreement widens sigma (Birge ratio). In a conflict the larger turn is taken: tightening for nothing costs less
+    than a drop.
+    """
+    if len(turns) == 1:
+        return turns[0].turn_deg, turns[0].sigma_deg, None
+    left, right = turns
+    combined_deg = math.hypot(left.sigma_deg, right.sigma_deg)
+    apart = abs(left.turn_deg - right.turn_deg) / combined_deg
+    if apart > AGREE_SIGMAS and _opposed(left, right):
+        larger = max(turns, key=lambda turn: abs(turn.turn_deg))
+        conflict = (
+            f"both pictures turn the same way (left {left.turn_deg:+.1f}°, right {-right.turn_deg:+.1f}°): "
+            "a fault of one finger, or the object rolls"
+        )
+        return larger.turn_deg, larger.sigma_deg, conflict
+    weights = [turn.sigma_deg**-2 for turn in turns]
+    mean_deg = sum(w * turn.turn_deg for w, turn in zip(weights, turns, strict=True)) / sum(weights)
+    sigma_deg = sum(weights) ** -0.5
+    return mean_deg, sigma_deg * (apart if apart > AGREE_SIGMAS else 1.0), None
+
+
+def _opposed(left: _Turn, right: _Turn) -> bool:
+    """Both turned for certain, and not the way one object can turn both."""
+    certain = all(abs(turn.turn_deg) > AGREE_SIGMAS * turn.sigma_deg for turn in (left, right))
+    return certain and left.turn_deg * right.turn_deg < 0.0
+
+
+def _rate(turns: list[_Turn]) -> float | None:
+    known = [(turn.sigma_deg**-2, turn.rate_deg_s) for turn in turns if turn.rate_deg_s is not None]
+    if not known:
+        return None
+    return sum(weight * rate for weight, rate in known) / sum(weight for weight, _ in known)

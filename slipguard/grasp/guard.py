@@ -1,0 +1,26 @@
+"""Supervisor and law together: the one call the daemon makes each tick."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from slipguard.grasp.messages import Command, Seen
+from slipguard.grasp.params import GuardParams
+from slipguard.grasp.policy import step
+from slipguard.grasp.state import GuardState
+from slipguard.grasp.supervisor import Watch, watch
+
+
+@dataclass(frozen=True, slots=True)
+class Guard:
+    """The memory of both; a new one adopts whatever the gripper turns out to hold."""
+
+    law: GuardState = field(default_factory=GuardState)
+    watch: Watch = field(default_factory=Watch)
+
+
+def tick(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
+    """Look for faults first, then let the law decide. Pure; `seen.fault` need not be filled in."""
+    memory, fault = watch(guard.watch, guard.law, seen, params)
+    law, command = step(guard.law, replace(seen, fault=fault), params)
+    return Guard(law, memory), command

@@ -1,0 +1,129 @@
+"""The heart of the law: watch a held object, and tighten when it slips.
+
+The force only ever rises. The first step is large, for a loop delay passes before its effect is seen; further steps
+follow one loop delay apart while the object does not slow down. An episode ends when all has been calm for a while.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from slipguard.grasp import limits
+from slipguard.grasp.detector import Look, look
+from slipguard.grasp.fault import Fault, FaultCode
+from slipguard.grasp.messages import Seen
+from slipguard.grasp.params import GuardParams
+from slipguard.grasp.state import GuardState, Phase, Slip
+
+SLOWING = 0.8
+"""A rate below this share of that at the last step says that the step helps."""
+PROGRESS_DEG = 1.0
+PROGRESS_MM = 0.2
+"""A step is answered by another only if the object has moved this much further since."""
+LATE_SHARE = 0.5
+"""Beyond this share of `give_up_turn_deg` there is no waiting whether a step helps."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What one tick of guarding found. hold_n: tighten to this. stop: the arm must not move now."""
+
+    state: GuardState
+    hold_n: float | None = None
+    stop: bool = False
+    say: str | None = None
+    fault: Fault | None = None
+
+
+def guard(state: GuardState, seen: Seen, params: GuardParams) -> Verdict:
+    """One tick: the new memory and what to do about it."""
+    if seen.fused is None or not state.guarding:
+        return Verdict(state, stop=state.slip is not None)
+    sight = look(state.detector, seen.fused, params, only_outward=state.phase is Phase.LOWERING)
+    state = replace(state, detector=sight.detector)
+    slip = state.slip
+    if slip is None:
+        return _begin(state, sight, seen, params) if sight.slipping else Verdict(state)
+    if _calm(slip, sight, seen, params):
+        state = replace(state, slip=None, detector=sight.detector.rebased())
+        return Verdict(state, say=f"calm at {state.target_n:.0f} N")
+    return _go_on(state, slip, sight, seen, params)
+
+
+def _begin(state: GuardState, sight: Look, seen: Seen, params: GuardParams) -> Verdict:
+    """The first, large step."""
+    slip = Slip(seen.now_s, 0, seen.now_s, sight.turn_deg, sight.rate_deg_s, sight.slide_mm)
+    return _step(replace(state, slip=slip), slip, sight, seen, params, params.first_step)
+
+
+def _go_on(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: GuardParams) -> Verdict:
+    """Another step if the last one has had its time and does not help; a fault if there is nothing left to do."""
+    far = state.referenced and _turned_deg(seen) > params.give_up_turn_deg
+    waited = seen.now_s - slip.stepped_s >= params.hold_off_s
+    further = sight.turn_deg - slip.turn_deg > PROGRESS_DEG or sight.slide_mm - slip.slide_mm > PROGRESS_MM
+    if not (sight.moving and further and (waited or far)):
+        return Verdict(state, stop=True)
+    if far:
+        return _give_up(state, sight, seen, params)
+    settled = seen.gripper is not None and not seen.gripper.moving
+    slows = sight.rate_deg_s < SLOWING * slip.rate_deg_s and sight.slide_rate_mm_s < params.slide_rate_mm_s
+    late = _turned_deg(seen) > LATE_SHARE * params.give_up_turn_deg
+    if slows and not settled and not late:
+        return Verdict(state, stop=True)
+    return _step(state, slip, sight, seen, params, params.next_step)
+
+
+def _step(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: GuardParams, base: float) -> Verdict:
+    """Tighten by a multiple of the present force, as far as the budget goes."""
+    if state.person_near:
+        return Verdict(state, stop=True)
+    within = limits.budget(params.force_max_n, seen.gripper_limits_n)
+    multiple = limits.multiple(base, sight.rate_deg_s, params.rate_step_per_100_deg_s)
+    target_n = limits.raised(state.target_n, multiple, within) if within is not None else state.target_n
+    slip = replace(
+        slip,
+        steps=slip.steps + 1,
+        stepped_s=seen.now_s,
+        turn_deg=sight.turn_deg,
+        rate_deg_s=sight.rate_deg_s,
+        slide_mm=sight.slide_mm,
+    )
+    if target_n > state.target_n:
+        said = f"slip: {sight.what}: tightening from {state.target_n:.0f} N to {target_n:.0f} N"
+        state = replace(state, slip=slip, target_n=target_n, commanded_s=seen.now_s)
+        return Verdict(state, hold_n=target_n, stop=True, say=said)
+    if seen.gripper is None or seen.gripper.moving or slip.steps == 1:
+        return Verdict(replace(state, slip=slip), stop=True)  # the last step is still on its way
+    fault = Fault(
+        FaultCode.BUDGET_SPENT,
+        f"{sight.what} at {state.target_n:.0f} N, and force_max_n = {params.force_max_n:g} N",
+        "support the object, lower it or release it; raise force_max_n if object and gel allow it",
+    )
+    return Verdict(replace(state, slip=slip), stop=True, fault=fault)
+
+
+def _give_up(state: GuardState, sight: Look, seen: Seen, params: GuardParams) -> Verdict:
+    """It is not being held: all the force there is, and a fault."""
+    fault = Fault(
+        FaultCode.TURNED_TOO_FAR,
+        f"turned {_turned_deg(seen):.0f}° since it was gripped and still turning at {sight.rate_deg_s:.0f}°/s",
+        "support the object and release it; grip it nearer to its centre of mass",
+    )
+    within = limits.budget(params.force_max_n, seen.gripper_limits_n)
+    target_n = limits.allowed(params.force_max_n, state.target_n, within) if within is not None else state.target_n
+    if state.person_near or target_n <= state.target_n:
+        return Verdict(state, stop=True, fault=fault)
+    state = replace(state, target_n=target_n, commanded_s=seen.now_s)
+    return Verdict(state, hold_n=target_n, stop=True, fault=fault)
+
+
+def _calm(slip: Slip, sight: Look, seen: Seen, params: GuardParams) -> bool:
+    """At rest for long enough, with the last step done and its effect seen."""
+    settled = seen.gripper is not None and not seen.gripper.moving
+    seen_since = sight.detector.captured_s - slip.stepped_s >= params.hold_off_s
+    return settled and seen_since and sight.still_s >= params.calm_s
+
+
+def _turned_deg(seen: Seen) -> float:
+    """Turn since the reference, without sign; 0 where it cannot be told."""
+    return abs(seen.fused.turn_deg) if seen.fused is not None and seen.fused.turn_deg is not None else 0.0

@@ -1,0 +1,108 @@
+"""What a user may set about the grip: the `[guard]` section of config.toml."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Force = Annotated[float, Field(ge=1.0, le=235.0)]
+"""Newtons per finger; 235 N is what the strongest supported gripper applies."""
+
+
+class GuardParams(BaseModel):
+    """Frozen, unknown keys refused. Forces are per finger, angles in degrees, times in seconds.
+
+    "turn" is the turn since the reference taken when the object was gripped.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    mode: Literal["lift", "guard"] = "lift"
+    """lift: slipguard closes, lifts, guards, lowers. guard: another program moves the arm, which is only ever paused."""
+
+    first_force_n: Force = 40.0
+    """First grip; gentle, for the guard tightens where it is not enough."""
+    force_max_n: Force = 130.0
+    """Never grip harder: the budget of gel and object. No limit of the gel is published; this holds 1 kg at 100 mm."""
+    blind_force_n: Force = 100.0
+    """Grip before lifting where the turn cannot be seen (a round contact)."""
+    on_blind: Literal["grip", "refuse"] = "grip"
+    """Where the turn cannot be seen: grip to `blind_force_n`, or refuse to lift."""
+
+    closing_timeout_s: Annotated[float, Field(ge=0.5, le=30.0)] = 5.0
+    """A gripper that has not closed on anything by then is at fault; 85 mm at 20 mm/s take 4.3 s."""
+    reference_timeout_s: Annotated[float, Field(ge=0.2, le=10.0)] = 1.0
+    """How long to wait for a stable contact whose axis can be read."""
+
+    probe_height_mm: Annotated[float, Field(ge=0.0, le=100.0)] = 15.0
+    """First part of a lift, slow: what turns still has its far end on the table."""
+    probe_speed_mm_s: Annotated[float, Field(ge=1.0, le=250.0)] = 20.0
+    lift_height_mm: Annotated[float, Field(ge=1.0, le=800.0)] = 100.0
+    lift_speed_mm_s: Annotated[float, Field(ge=1.0, le=250.0)] = 50.0
+    lower_speed_mm_s: Annotated[float, Field(ge=1.0, le=250.0)] = 30.0
+
+    level_deg: Annotated[float, Field(ge=0.5, le=10.0)] = 2.0
+    """A turn below this is never slip."""
+    level_sigmas: Annotated[float, Field(ge=1.0, le=10.0)] = 3.0
+    """... nor one below this many standard deviations of the estimate,"""
+    level_max_deg: Annotated[float, Field(ge=0.5, le=20.0)] = 5.0
+    """... but an unsure estimate does not raise the level beyond this."""
+    rate_deg_s: Annotated[float, Field(ge=0.5, le=100.0)] = 8.0
+    """Slip turns at least this fast; a wound-up gel comes to rest."""
+    creep_deg: Annotated[float, Field(ge=1.0, le=30.0)] = 6.0
+    """A turn beyond this is slip at any rate."""
+    slide_mm: Annotated[float, Field(ge=0.1, le=5.0)] = 0.5
+    """A slide downwards below this is never slip."""
+    slide_rate_mm_s: Annotated[float, Field(ge=0.1, le=50.0)] = 3.0
+    slide_creep_mm: Annotated[float, Field(ge=0.2, le=10.0)] = 2.0
+    """A slide beyond this is slip at any rate."""
+    frames: Annotated[int, Field(ge=1, le=10)] = 2
+    """So many measured frames in a row must show the slip."""
+
+    first_step: Annotated[float, Field(ge=1.05, le=3.0)] = 1.5
+    """First tightening, as a multiple of the present force: one large step loses less angle than many small ones."""
+    next_step: Annotated[float, Field(ge=1.02, le=3.0)] = 1.25
+    """Each further tightening while it goes on."""
+    rate_step_per_100_deg_s: Annotated[float, Field(ge=0.0, le=2.0)] = 0.25
+    """Added to either multiple for each 100 deg/s of turning."""
+    hold_off_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.15
+    """Between steps, one loop delay: gripper queue 32 ms, dead time 20-60 ms, camera 40 ms, one frame 17 ms."""
+    stop_on_slip: bool = True
+    """Stop the arm while an object slips; in lift mode the lift goes on when it is calm."""
+    give_up_turn_deg: Annotated[float, Field(ge=5.0, le=90.0)] = 45.0
+    """An object still turning beyond this is not being held: grip to the budget, stop the arm, say so."""
+    calm_s: Annotated[float, Field(ge=0.05, le=5.0)] = 0.3
+    """Slip is over when nothing has moved for so long and the gripper is at rest."""
+    calm_deg: Annotated[float, Field(ge=0.1, le=5.0)] = 1.0
+    """What counts as not moving: half the noise of a static estimate at least."""
+
+    release_width_mm: Annotated[float, Field(ge=1.0, le=200.0)] = 85.0
+    """How far a release opens the jaws; the gripper clips it to its stroke."""
+
+    lost_s: Annotated[float, Field(ge=0.02, le=2.0)] = 0.1
+    """Contact gone in both fingers, or nothing between them, for so long: the object is lost."""
+    frames_timeout_s: Annotated[float, Field(ge=0.05, le=5.0)] = 0.3
+    """No good frame from either finger for so long is a fault."""
+    untrusted_s: Annotated[float, Field(ge=0.1, le=10.0)] = 1.0
+    """The fingers contradict each other, or neither can tell the turn any more, for so long: a fault."""
+    gripper_timeout_s: Annotated[float, Field(ge=0.1, le=5.0)] = 0.4
+    arm_timeout_s: Annotated[float, Field(ge=0.1, le=5.0)] = 0.4
+    """Silence of a device for so long is a fault."""
+    stuck_s: Annotated[float, Field(ge=0.5, le=10.0)] = 2.0
+    """A lift or lowering that gains no height, or a gripper that does not open, for so long is a fault."""
+    loop_late_s: Annotated[float, Field(ge=0.05, le=5.0)] = 0.5
+    """Nothing was decided for so long: a fault."""
+    help_s: Annotated[float, Field(ge=0.2, le=10.0)] = 1.5
+    """Tightening must have stopped the turning within this time; 20 N at 64 N/s and one loop delay take 0.5 s."""
+
+    @model_validator(mode="after")
+    def _forces_in_order(self) -> GuardParams:
+        if not self.first_force_n <= self.blind_force_n <= self.force_max_n:
+            raise ValueError(
+                f"first_force_n ({self.first_force_n:g}) <= blind_force_n ({self.blind_force_n:g}) "
+                f"<= force_max_n ({self.force_max_n:g}) must hold"
+            )
+        if self.level_max_deg < self.level_deg:
+            raise ValueError(f"level_max_deg ({self.level_max_deg:g}) must be at least level_deg ({self.level_deg:g})")
+        return self

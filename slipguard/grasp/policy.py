@@ -1,0 +1,263 @@
+"""The grip law: one pure step from what is seen to what is commanded.
+
+Order of every tick: a release is granted at once; then faults; then the phase; then what else was asked. Whatever goes
+wrong, the grip that is there is kept, the arm stops, and it is said. Nothing but a request to release opens the jaws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from slipguard.grasp import limits, requests
+from slipguard.grasp.fault import Fault, FaultCode
+from slipguard.grasp.guarding import guard
+from slipguard.grasp.messages import Command, RequestKind, Seen
+from slipguard.grasp.params import GuardParams
+from slipguard.grasp.state import AT_STAKE, GuardState, Phase, emptied, entered, taken_over
+
+REPEAT_S = 0.1
+"""A command that had no effect is given again after this time."""
+START_S = 0.25
+"""An arm at rest this long after it was told to move has ended its motion, or not taken it up."""
+REACHED_MM = 0.5
+FORCE_TOLERANCE_N = 0.5
+
+Outcome = tuple[GuardState, Command]
+
+
+def step(state: GuardState, seen: Seen, params: GuardParams) -> tuple[GuardState, Command]:
+    """The next state and what to command now.
+
+    Pure; meant to be called every few milliseconds and on every new estimate.
+    """
+    if seen.arm is not None:
+        state = replace(state, person_near=seen.arm.protective_stop or seen.arm.emergency_stop)
+    if seen.request.kind is RequestKind.RELEASE:
+        return _release(state, seen, params)
+    state, fault = _watch_object(state, seen, params)
+    if fault is not None and state.phase in AT_STAKE:
+        return _latch(state, seen, fault, Command())
+    state, command = _PHASES[state.phase](state, seen, params)
+    state, command = _keep_force(state, seen, command)
+    state, command = _tell_notes(state, seen, command)
+    state, command = requests.answer(state, command, seen, params)
+    return state, replace(command, fault=state.fault)
+
+
+# --- faults ---
+
+
+def _watch_object(state: GuardState, seen: Seen, params: GuardParams) -> tuple[GuardState, Fault | None]:
+    """The supervisor's fault, or the loss of the object after it has lasted `lost_s`."""
+    if seen.fault is not None:
+        return state, seen.fault
+    if state.phase not in AT_STAKE or state.phase is Phase.CLOSING:
+        return replace(state, lost_since_s=None), None
+    why = _loss(seen)
+    if why is None:
+        return replace(state, lost_since_s=None), None
+    since_s = state.lost_since_s if state.lost_since_s is not None else seen.now_s
+    state = replace(state, lost_since_s=since_s)
+    if seen.now_s - since_s < params.lost_s:
+        return state, None
+    return state, Fault(FaultCode.OBJECT_LOST, why, "take the object away, release, and clear")
+
+
+def _loss(seen: Seen) -> str | None:
+    gripper = seen.gripper
+    if gripper is not None and gripper.closed_on_nothing:
+        return "the gripper closed on nothing while holding"
+    if gripper is not None and not gripper.holding and not gripper.moving:
+        return "the gripper no longer holds anything"
+    if seen.fused is not None and seen.fused.none_touches:
+        return "no finger sees contact any more"
+    return None
+
+
+def _latch(state: GuardState, seen: Seen, fault: Fault, command: Command) -> Outcome:
+    """Into FAULT: keep the grip, stop the arm, say so."""
+    state = replace(entered(state, Phase.FAULT, seen.now_s), fault=fault, arm_sent_s=seen.now_s)
+    return state, replace(command, arm="stop", fault=fault, say=_both(command.say, str(fault)))
+
+
+# --- phases ---
+
+
+def _idle(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    """Nothing is held, or something that slipguard is not to guard."""
+    gripper = seen.gripper
+    if gripper is None:
+        return state, Command()
+    if gripper.holding and not state.adopted:
+        said = f"an object is held with {gripper.force_n:.0f} N already: taken over as it is"
+        return taken_over(state, gripper, seen.now_s), Command(say=said)
+    state = replace(state, adopted=True)
+    touched = seen.fused is not None and seen.fused.both_touch
+    if params.mode == "guard" and state.guarding and gripper.holding and touched:
+        said = f"an object is held with {gripper.force_n:.0f} N: guarding"
+        return taken_over(state, gripper, seen.now_s), Command(new_reference=True, say=said)
+    return state, Command()
+
+
+def _closing(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    """The jaws close with the first force."""
+    gripper = seen.gripper
+    if gripper is not None and gripper.measured_at_s > state.since_s:
+        if gripper.holding and not gripper.moving:
+            return entered(state, Phase.REFERENCE, seen.now_s), Command(new_reference=True, say="gripped")
+        if gripper.closed_on_nothing:
+            return emptied(state, Phase.IDLE, seen.now_s), Command(say="the gripper closed on nothing")
+    if seen.now_s - state.since_s > params.closing_timeout_s:
+        fault = Fault(
+            FaultCode.GRIPPER_STUCK,
+            f"not closed on an object within {params.closing_timeout_s:g} s",
+            "look at the jaws and the gripper's cable, then clear",
+        )
+        return _latch(state, seen, fault, Command())
+    return state, Command()
+
+
+def _reference(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    """Wait until both fingers have their reference; after the time-out one will do, or none with a firmer grip."""
+    fused = seen.fused
+    waited = seen.now_s - state.since_s > params.reference_timeout_s
+    told = fused is not None and fused.turn_deg is not None and fused.measured_at_s >= state.since_s
+    if fused is not None and told and (waited or len(fused.fingers) == 2):
+        note = f" by one finger only ({fused.note})" if len(fused.fingers) == 1 else ""
+        state = replace(entered(state, Phase.HOLDING, seen.now_s), referenced=True, blind=None)
+        return state, Command(say=f"holding with {state.target_n:.0f} N, turn seen{note}")
+    if not waited:
+        return state, Command()
+    why = (fused.declined if fused is not None else None) or "no frames from either finger"
+    state = replace(entered(state, Phase.HOLDING, seen.now_s), referenced=False, blind=why)
+    if params.on_blind == "refuse" or not state.guarding:
+        return state, Command(say=f"the turn cannot be seen ({why})")
+    within = limits.budget(params.force_max_n, seen.gripper_limits_n)
+    target_n = limits.allowed(params.blind_force_n, state.target_n, within) if within is not None else 0.0
+    said = f"the turn cannot be seen ({why}): gripping with {max(target_n, state.target_n):.0f} N"
+    if target_n <= state.target_n or state.person_near:
+        return state, Command(say=said)
+    state = replace(state, target_n=target_n, commanded_s=seen.now_s)
+    return state, Command(hold_force_n=target_n, say=said)
+
+
+def _holding(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    """Guard; the arm is somebody else's or at rest, and is stopped while the object slips."""
+    return _guarded(state, seen, params)
+
+
+def _moving(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    """Lift or lower, leg by leg; stop while the object slips and go on when it is calm."""
+    state, command = _guarded(state, seen, params)
+    arm = seen.arm
+    if state.phase is Phase.FAULT or arm is None or state.goal_mm is None or state.slip is not None:
+        return state, command
+    if arm.moving or seen.now_s - state.arm_sent_s < START_S or arm.measured_at_s <= state.arm_sent_s:
+        return state, command
+    way_mm = state.goal_mm - arm.height_mm
+    if abs(way_mm) <= REACHED_MM:
+        state = entered(state, Phase.HOLDING, seen.now_s)
+        return state, replace(command, say=_both(command.say, f"at {arm.height_mm:.0f} mm, holding"))
+    said = "the arm goes on" if state.paused else None
+    state = replace(state, paused=False, arm_sent_s=seen.now_s)
+    leg = requests.next_leg(state, arm.height_mm, params)
+    return state, replace(command, arm=leg, say=_both(command.say, said))
+
+
+def _guarded(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    verdict = guard(state, seen, params)
+    state, command = verdict.state, Command(hold_force_n=verdict.hold_n, say=verdict.say)
+    if verdict.fault is not None:
+        return _latch(state, seen, verdict.fault, command)
+    if verdict.stop and params.stop_on_slip:
+        first = state.slip is not None and state.slip.began_s == seen.now_s
+        state, command = _stop_arm(replace(state, paused=True), seen, command, at_once=first)
+    return state, command
+
+
+def _stop_arm(state: GuardState, seen: Seen, command: Command, *, at_once: bool = False) -> Outcome:
+    """Stop the arm, again and again until it says that it stands."""
+    stands = seen.arm is not None and not seen.arm.moving
+    if at_once or (not stands and seen.now_s - state.arm_sent_s >= REPEAT_S):
+        return replace(state, arm_sent_s=seen.now_s), replace(command, arm="stop")
+    return state, command
+
+
+def _released(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    """Opening as asked; said again if nothing happens, given up after `stuck_s`."""
+    gripper = seen.gripper
+    if gripper is not None and gripper.measured_at_s > state.commanded_s:
+        if not gripper.holding and not gripper.moving:
+            return emptied(state, Phase.IDLE, seen.now_s), Command(say="released")
+        if gripper.holding and not gripper.moving and seen.now_s - state.commanded_s >= REPEAT_S:
+            return replace(state, commanded_s=seen.now_s), Command(release_width_mm=state.goal_mm)
+    if seen.now_s - state.since_s <= params.stuck_s + params.closing_timeout_s * (
+        gripper is not None and gripper.moving
+    ):
+        return state, Command()
+    fault = Fault(
+        FaultCode.GRIPPER_STUCK,
+        f"not open {seen.now_s - state.since_s:.1f} s after the release",
+        "look at the gripper, then release again",
+    )
+    return _latch(state, seen, fault, Command())
+
+
+def _faulty(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    """The arm stands and the grip is kept; slip is still answered with force where that is allowed and possible."""
+    verdict = guard(state, seen, params)
+    command = Command(hold_force_n=verdict.hold_n, say=verdict.say)
+    return _stop_arm(verdict.state, seen, command)
+
+
+_PHASES: dict[Phase, Callable[[GuardState, Seen, GuardParams], Outcome]] = {
+    Phase.IDLE: _idle,
+    Phase.CLOSING: _closing,
+    Phase.REFERENCE: _reference,
+    Phase.LIFTING: _moving,
+    Phase.HOLDING: _holding,
+    Phase.LOWERING: _moving,
+    Phase.RELEASED: _released,
+    Phase.FAULT: _faulty,
+}
+
+
+# --- in every phase ---
+
+
+def _release(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    """Open; the arm stops first, for a moving arm throws."""
+    width_mm = seen.request.width_mm if seen.request.width_mm is not None else params.release_width_mm
+    state = emptied(state, Phase.RELEASED, seen.now_s)
+    state = replace(state, goal_mm=width_mm, commanded_s=seen.now_s)
+    stands = seen.arm is not None and not seen.arm.moving
+    return state, Command(release_width_mm=width_mm, arm=None if stands else "stop", say="releasing, as asked")
+
+
+def _keep_force(state: GuardState, seen: Seen, command: Command) -> Outcome:
+    """Say the force again if the gripper did not take it: a lost message must not leave the grip weak."""
+    gripper = seen.gripper
+    held = state.phase in AT_STAKE or state.phase is Phase.FAULT
+    if not held or gripper is None or state.person_near or command.hold_force_n is not None:
+        return state, command
+    closing = state.phase is Phase.CLOSING
+    weak = gripper.force_n < state.target_n - FORCE_TOLERANCE_N and (gripper.holding or closing)
+    known = gripper.measured_at_s > state.commanded_s and seen.now_s - state.commanded_s >= REPEAT_S
+    if not (weak and known):
+        return state, command
+    return replace(state, commanded_s=seen.now_s), replace(command, hold_force_n=state.target_n)
+
+
+def _tell_notes(state: GuardState, seen: Seen, command: Command) -> Outcome:
+    """Say once that a finger is blind or that the two contradict each other."""
+    held = state.phase in AT_STAKE and state.phase not in (Phase.CLOSING, Phase.REFERENCE)
+    note = (seen.fused.conflict or seen.fused.note) if held and seen.fused is not None else None
+    plain = note.split(":")[0] if note is not None else None
+    if plain == state.note:
+        return state, command
+    return replace(state, note=plain), replace(command, say=_both(command.say, note))
+
+
+def _both(first: str | None, second: str | None) -> str | None:
+    return "; ".join(part for part in (first, second) if part is not None) or None

@@ -1,0 +1,95 @@
+"""What the law remembers from tick to tick."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+from slipguard.devices import GripperState
+from slipguard.grasp.detector import Detector
+from slipguard.grasp.fault import Fault
+
+
+class Phase(StrEnum):
+    """Where a grasp is."""
+
+    IDLE = "idle"
+    CLOSING = "closing"
+    REFERENCE = "reference"
+    """Held; the fingers take their reference."""
+    LIFTING = "lifting"
+    HOLDING = "holding"
+    """Held and guarded, on the table or in the air."""
+    LOWERING = "lowering"
+    RELEASED = "released"
+    """Opening, on request."""
+    FAULT = "fault"
+    """The arm is stopped and the grip kept, until a person clears it or releases."""
+
+
+AT_STAKE = frozenset({Phase.CLOSING, Phase.REFERENCE, Phase.LIFTING, Phase.HOLDING, Phase.LOWERING})
+"""Phases in which something is, or is about to be, between the fingers: faults latch."""
+MOVING = frozenset({Phase.LIFTING, Phase.LOWERING})
+"""Phases in which slipguard moves the arm."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slip:
+    """One episode of slip, from the trigger until all is calm. turn, rate and slide: when it was last tightened."""
+
+    began_s: float
+    steps: int
+    stepped_s: float
+    turn_deg: float
+    rate_deg_s: float
+    slide_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class GuardState:
+    """The law's whole memory.
+
+    since_s: when the phase began. guarding: slip is acted on (`guard off` ends that until `guard on`).
+    target_n: the force per finger last commanded or adopted; 0 with nothing held. commanded_s: when.
+    ground_mm, goal_mm: arm heights where the lift began and where the present motion ends.
+    arm_sent_s: when the arm was last told something. paused: the arm waits for calm.
+    referenced: the turn could be read when the object was gripped. blind: why it could not.
+    person_near: the arm was last seen in a protective or emergency stop, so no force is added.
+    adopted: the gripper's first state has been looked at.
+    """
+
+    phase: Phase = Phase.IDLE
+    since_s: float = 0.0
+    guarding: bool = True
+    target_n: float = 0.0
+    commanded_s: float = -math.inf
+    detector: Detector = field(default_factory=Detector)
+    slip: Slip | None = None
+    ground_mm: float | None = None
+    goal_mm: float | None = None
+    lift_speed_mm_s: float | None = None
+    arm_sent_s: float = -math.inf
+    paused: bool = False
+    referenced: bool = False
+    blind: str | None = None
+    person_near: bool = False
+    lost_since_s: float | None = None
+    adopted: bool = False
+    note: str | None = None
+    fault: Fault | None = None
+
+
+def entered(state: GuardState, phase: Phase, now_s: float) -> GuardState:
+    """The same memory at the beginning of another phase."""
+    return replace(state, phase=phase, since_s=now_s, paused=False)
+
+
+def emptied(state: GuardState, phase: Phase, now_s: float) -> GuardState:
+    """Nothing is held any more: everything about the object is forgotten."""
+    return GuardState(phase=phase, since_s=now_s, guarding=state.guarding, person_near=state.person_near, adopted=True)
+
+
+def taken_over(state: GuardState, gripper: GripperState, now_s: float) -> GuardState:
+    """The object the gripper holds, with the grip it has, is guarded from a new reference on."""
+    return replace(emptied(state, Phase.REFERENCE, now_s), target_n=gripper.force_n)
