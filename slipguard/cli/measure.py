@@ -102,14 +102,16 @@ def _make_folder(folder: Path) -> None:
 
 
 def _known_estimator(name: str) -> str:
+    import difflib
     from typing import get_args
 
-    from slipguard.complaints import closest
     from slipguard.perception.settings import EstimatorName
 
     names = list(get_args(EstimatorName))
     if name not in names:
-        raise InputError(f"--estimator {name}: there are {', '.join(names)}{closest(name, names)}")
+        near = difflib.get_close_matches(name, names, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise InputError(f"--estimator {name}: there are {', '.join(names)}{hint}")
     return name
 
 
