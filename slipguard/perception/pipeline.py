@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import cv2
@@ -19,18 +18,13 @@ from slipguard.perception.axial import wrap_axial_deg
 from slipguard.perception.estimate import Estimate, Orientation
 from slipguard.perception.gate import Blocks, Gate, block_means, near_patch
 from slipguard.perception.regions import Patch, find_patch
-from slipguard.perception.register import Pose, Registrar, Registration, Template, make_template
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skeleton import middle_line
-from slipguard.perception.track import Tracker, Turn, axis_turn, combined
+from slipguard.perception.stages import StageClock
+from slipguard.perception.turn import TurnMeter
 
-STABLE_FRAMES = 5
-STABLE_SHARE = 0.05
-"""The contact area is stable when the last five frames differ by less than this share of it."""
 NO_CONTACT = "no contact"
 UNCHANGED = "unchanged"
-NO_REFERENCE = "no reference yet"
-UNSURE = "too uncertain"
 
 
 class SegmentsContact(Protocol):
@@ -43,16 +37,6 @@ class SegmentsContact(Protocol):
     def input_size(self) -> tuple[int, int]: ...
 
     def segment(self, image: NDArray[np.uint8], background: NDArray[np.uint8] | None) -> NDArray[np.float32]: ...
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reference:
-    """What turns are measured against."""
-
-    patch: Patch
-    orientation: Orientation
-    template: Template
-    centre_px: tuple[float, float]
 
 
 class Pipeline:
@@ -89,7 +73,7 @@ class Pipeline:
         self._px_per_mm = px_per_mm
         self._rotation_deg = rotation_deg
         self._timer = timer
-        self._threshold = segmenter.threshold if settings.threshold is None else settings.threshold
+        self._threshold: float = segmenter.threshold if settings.threshold is None else settings.threshold
         self._frame_px = FRAME_WIDTH_PX / segmenter.input_size[0]
         self._patch: Patch | None = None
         self._skeleton: NDArray[np.uint8] | None = None
@@ -98,20 +82,17 @@ class Pipeline:
 
     def reset_reference(self) -> None:
         """Forget the reference; the next stable contact makes a new one."""
-        self._reference: Reference | None = None
-        self._tracker = Tracker()
-        self._pose = Pose()
-        self._areas: deque[int] = deque(maxlen=STABLE_FRAMES)
+        self._meter = TurnMeter(self._settings, self._frame_px)
         self._measured = None
 
     @property
     def has_reference(self) -> bool:
-        return self._reference is not None
+        return self._meter.reference is not None
 
     @property
     def reference_area_px(self) -> int | None:
         """Contact area of the reference in frame pixels."""
-        return None if self._reference is None else self._reference.patch.area_px
+        return None if self._meter.reference is None else self._meter.reference.area_px
 
     @property
     def last_mask(self) -> NDArray[np.uint8]:
@@ -129,7 +110,7 @@ class Pipeline:
 
     def process(self, frame: Frame) -> Estimate:
         """Measure one frame. Raises `FrameCorrupt` for a frame that is no gel picture."""
-        clock = _StageClock(self._timer)
+        clock = StageClock(self._timer)
         now_s = frame.captured_at_s
         blocks = block_means(frame.image)
         if not math.isfinite(now_s):
@@ -149,8 +130,7 @@ class Pipeline:
         if patch is None:
             return self._without_contact(frame, blocks, None, clock)
         orientation = self._orientation(patch, clock)
-        self._take_reference(patch, orientation, now_s)
-        turn, shift_mm = self._turn(patch, orientation, now_s, clock)
+        turn, shift_px = self._meter.measure(patch, orientation, now_s, clock)
         shown = orientation.angle_deg
         answer = Estimate(
             sequence=frame.sequence,
@@ -162,8 +142,8 @@ class Pipeline:
             angle_deg=turn.turn_deg,
             sigma_deg=turn.sigma_deg,
             orientation_deg=None if shown is None else wrap_axial_deg(shown + self._rotation_deg),
-            rate_deg_s=None if turn.turn_deg is None else self._tracker.rate_deg_s(now_s),
-            shift_mm=shift_mm,
+            rate_deg_s=None if turn.turn_deg is None else self._meter.tracker.rate_deg_s(now_s),
+            shift_mm=None if shift_px is None else self._shift_mm(shift_px),
             declined=turn.declined,
             stage_ms=clock.stage_ms,
         )
@@ -171,9 +151,9 @@ class Pipeline:
         self._measured = (blocks, near_patch(patch.full_mask()), answer)
         return answer
 
-    def _without_contact(self, frame: Frame, blocks: Blocks, skipped: str | None, clock: _StageClock) -> Estimate:
+    def _without_contact(self, frame: Frame, blocks: Blocks, skipped: str | None, clock: StageClock) -> Estimate:
         self._patch, self._skeleton = None, None
-        self._areas.clear()
+        self._meter.lost()
         answer = Estimate(
             sequence=frame.sequence,
             captured_at_s=frame.captured_at_s,
@@ -194,19 +174,19 @@ class Pipeline:
             return None
         measured_blocks, near, answer = self._measured
         age_s = frame.captured_at_s - answer.measured_at_s
-        if answer.contact and self._reference is None:
+        if answer.contact and self._meter.reference is None:
             return None  # a reference needs measured frames
         if not 0.0 <= age_s < self._settings.refresh_s or not self._gate.unchanged(blocks, measured_blocks, near):
             return None
         rate = answer.rate_deg_s
         if answer.angle_deg is not None:
-            self._tracker.unchanged(frame.captured_at_s)
-            rate = self._tracker.rate_deg_s(frame.captured_at_s)
+            self._meter.tracker.unchanged(frame.captured_at_s)
+            rate = self._meter.tracker.rate_deg_s(frame.captured_at_s)
         return replace(
             answer, sequence=frame.sequence, captured_at_s=frame.captured_at_s, rate_deg_s=rate, skipped=UNCHANGED
         )
 
-    def _orientation(self, patch: Patch, clock: _StageClock) -> Orientation:
+    def _orientation(self, patch: Patch, clock: StageClock) -> Orientation:
         name, aspect = self._settings.estimator, self._settings.round_aspect
         if name in ("moments", "pca", "ellipse"):
             answer = estimate(patch, name, aspect)
@@ -225,94 +205,11 @@ class Pipeline:
         clock.mark("angle")
         return answer
 
-    def _take_reference(self, patch: Patch, orientation: Orientation, now_s: float) -> None:
-        if self._reference is not None:
-            return
-        self._areas.append(patch.area_px)
-        if self._settings.reference == "stable":
-            largest, smallest = max(self._areas), min(self._areas)
-            if len(self._areas) < STABLE_FRAMES or largest - smallest >= STABLE_SHARE * largest:
-                return
-        template = make_template(patch, orientation.angle_deg)
-        self._reference = Reference(patch, orientation, template, _centre_px(patch))
-        self._tracker.start(now_s)
-        self._pose = Pose()
-
-    def _turn(
-        self, patch: Patch, orientation: Orientation, now_s: float, clock: _StageClock
-    ) -> tuple[Turn, tuple[float, float] | None]:
-        reference = self._reference
-        if reference is None:
-            return Turn(None, None, NO_REFERENCE), None
-        predicted = self._tracker.predicted_deg(now_s)
-        turn = _between(reference.orientation, orientation, predicted)
-        shift_px = _difference(_centre_px(patch), reference.centre_px)
-        if self._settings.estimator in ("fused", "registration"):
-            laid = self._laid_over(reference, patch, turn, predicted)
-            registered = Turn(None, None, laid.declined)
-            if laid.declined is None:
-                registered = Turn(laid.pose.turn_deg, laid.sigma_deg)
-                shift_px = (laid.pose.dx_px * self._frame_px, laid.pose.dy_px * self._frame_px)
-            turn = registered if self._settings.estimator == "registration" else combined(registered, turn)
-            clock.mark("register")
-        if turn.sigma_deg is not None and turn.sigma_deg > self._settings.sigma_max_deg:
-            turn = Turn(None, None, UNSURE)
-        turn = self._tracker.accept(now_s, turn)
-        if turn.turn_deg is not None:
-            self._pose = Pose(turn.turn_deg, shift_px[0] / self._frame_px, shift_px[1] / self._frame_px)
-        return turn, self._shift_mm(shift_px)
-
-    def _laid_over(self, reference: Reference, patch: Patch, turn: Turn, predicted_deg: float) -> Registration:
-        """The patch laid over the reference, from where the track leads or from where its axis points."""
-        registrar = Registrar(reference.template, patch)
-        best = registrar.fit(replace(self._pose, turn_deg=predicted_deg))
-        if turn.turn_deg is None or abs(turn.turn_deg - best.pose.turn_deg) < 4.0:
-            return best
-        dx, dy = _difference(_centre_px(patch), reference.centre_px)
-        other = registrar.fit(Pose(turn.turn_deg, dx / self._frame_px, dy / self._frame_px))
-        better = other.declined is None and (best.declined is not None or other.residual < best.residual)
-        return other if better else best
-
     def _shift_mm(self, shift_px: tuple[float, float]) -> tuple[float, float]:
         """Frame pixels right and down to millimetres right and up, as the mounting turns them."""
         c, s = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}[self._rotation_deg]
         right, up = shift_px[0] / self._px_per_mm, -shift_px[1] / self._px_per_mm
         return (c * right - s * up, s * right + c * up)
-
-
-class _StageClock:
-    """Collects milliseconds per stage; the same stage may be marked more than once."""
-
-    def __init__(self, timer: Callable[[], float] | None) -> None:
-        self._timer = timer
-        self.stage_ms: dict[str, float] = {}
-        self._since_s = 0.0 if timer is None else timer()
-
-    def mark(self, stage: str) -> None:
-        """What ran since the last mark was `stage`."""
-        if self._timer is None:
-            return
-        now_s = self._timer()
-        self.stage_ms[stage] = self.stage_ms.get(stage, 0.0) + 1e3 * (now_s - self._since_s)
-        self._since_s = now_s
-
-
-def _between(reference: Orientation, now: Orientation, near_deg: float) -> Turn:
-    if reference.angle_deg is None or reference.sigma_deg is None:
-        return Turn(None, None, reference.declined)
-    if now.angle_deg is None or now.sigma_deg is None:
-        return Turn(None, None, now.declined)
-    return axis_turn(now.angle_deg, now.sigma_deg, reference.angle_deg, reference.sigma_deg, near_deg)
-
-
-def _centre_px(patch: Patch) -> tuple[float, float]:
-    """Centre of the patch in frame pixels, right and down."""
-    m = cv2.moments(patch.mask, True)
-    return patch.to_frame(m["m10"] / m["m00"], m["m01"] / m["m00"])
-
-
-def _difference(now: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
-    return (now[0] - before[0], now[1] - before[1])
 
 
 def _at_frame_size(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
