@@ -88,9 +88,15 @@ class Status:
     current_a: float
 
     @property
-    def holding(self) -> bool:
-        """Stopped on an object while closing: letting go of rACT would drop it."""
-        return self.ready and self.motion is Motion.STOPPED_CLOSING
+    def may_hold(self) -> bool:
+        """Stopped on something while closing, or halted on the way to it: it would fall if the fingers opened."""
+        halted = not self.going and self.position_echo == CLOSED_COUNT and self.motion is not Motion.AT_POSITION
+        return self.ready and (self.motion is Motion.STOPPED_CLOSING or halted)
+
+    @property
+    def closed_on_nothing(self) -> bool:
+        """Told to close, and arrived at the end without meeting anything."""
+        return self.ready and self.motion is Motion.AT_POSITION and self.position_echo == CLOSED_COUNT
 
     @property
     def fault(self) -> str | None:

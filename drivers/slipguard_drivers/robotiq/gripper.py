@@ -1,0 +1,203 @@
+"""A Robotiq 2F over Modbus RTU: intents of the port turned into register writes, each verified.
+
+Two habits of the hardware decide everything here. Activating it (rACT from 0 to 1) moves the fingers all the way, so
+an object falls: that happens in `release` and nowhere else. And the force register acts only while the fingers move,
+so tightening is stop, then go; the screw holds the grip meanwhile. Force can rise, never fall, until the fingers open.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from slipguard.devices import DriverContext, Gripper, GripperState
+from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
+from slipguard_drivers.robotiq import registers
+from slipguard_drivers.robotiq.line import RegisterLine
+from slipguard_drivers.robotiq.registers import CLOSED_COUNT, MODELS, Motion, Status
+
+T = TypeVar("T")
+
+ECHO_TRIES = 5
+"""Status reads until a command must be seen in the position echo: 5 x 5 ms, the gripper's cycle being 5 ms."""
+LETTING_GO_COUNTS = 15
+"""A release opens at least this far (5.6 mm on a 2F-85), whatever width was asked for."""
+ACTIVATION_S = 10.0
+"""Opening and closing fully takes a 2F-85 about 3 s."""
+ACTIVATION_POLL_S = 0.05
+
+
+class RobotiqGripper(Gripper):
+    """A 2F-85 or 2F-140 on a serial port of its own."""
+
+    class Settings(BaseModel):
+        """port: best a name under /dev/serial/by-id, which stays with the adapter."""
+
+        model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+        port: str
+        model: Literal["2F-85", "2F-140"] = "2F-85"
+        slave_id: Annotated[int, Field(ge=1, le=247)] = registers.SLAVE_ID
+        timeout_ms: Annotated[float, Field(ge=20.0, le=1000.0)] = 50.0
+        approach_speed: Annotated[float, Field(ge=0.0, le=1.0)] = 0.25
+        """Share of the full speed (150 mm/s on a 2F-85) at which the fingers meet an object."""
+
+    def __init__(self, settings: Settings, context: DriverContext) -> None:
+        self._name = context.name
+        self._model = MODELS[settings.model]
+        self._approach = round(settings.approach_speed * 255)
+        self._line = RegisterLine(context.name, settings.port, settings.slave_id, settings.timeout_ms / 1000.0)
+        self._command = asyncio.Lock()
+        self._under_way: set[asyncio.Task[Any]] = set()
+        self._applied: int | None = None
+        """Force count of the grip; None while fingers are open, or where another program closed them."""
+
+    @property
+    def force_limits_n(self) -> tuple[float, float]:
+        """Those of the model."""
+        return self._model.force_min_n, self._model.force_max_n
+
+    async def open(self) -> None:
+        """Connect and look. A gripper that is not activated is left so: `release` activates it."""
+        if not self._line.connected:
+            self._applied = None  # whoever had the gripper meanwhile may have gripped anew
+            await self._line.connect()
+        try:
+            await self._finish(self._status())
+        except DeviceError:
+            self._line.close()
+            raise
+
+    async def state(self) -> GripperState:
+        """Ask the gripper now."""
+        status = await self._finish(self._status())
+        return GripperState(
+            active=status.ready,
+            moving=status.going and status.motion is Motion.MOVING,
+            holding=status.may_hold,
+            closed_on_nothing=status.closed_on_nothing,
+            width_mm=registers.count_to_width(status.position, self._model),
+            force_n=self._force_n(status),
+            fault=status.fault,
+            measured_at_s=asyncio.get_running_loop().time(),
+        )
+
+    async def hold(self, force_n: float) -> float:
+        """Close with `force_n` or tighten to it; return the force applied."""
+        return await self._finish(self._hold(registers.force_to_count(force_n, self._model)))
+
+    async def move(self, width_mm: float, force_n: float) -> float:
+        """Move empty-handed; return the width commanded."""
+        position = registers.width_to_count(width_mm, self._model)
+        return await self._finish(self._move(position, registers.force_to_count(force_n, self._model)))
+
+    async def release(self, width_mm: float) -> None:
+        """Open, activating the gripper first where it needs that; the fingers then move all the way."""
+        await self._finish(self._release(registers.width_to_count(width_mm, self._model)))
+
+    async def close(self) -> None:
+        """Disconnect; the grip stays."""
+        if self._under_way:
+            await asyncio.wait(self._under_way)
+        self._line.close()
+
+    async def _finish(self, work: Coroutine[Any, Any, T]) -> T:
+        """Do `work` to its end even when the caller is cancelled: an answer nobody waits for confuses the line."""
+        task = asyncio.create_task(work, name=f"{self._name}: command")
+        self._under_way.add(task)
+        task.add_done_callback(self._done)
+        return await asyncio.shield(task)
+
+    def _done(self, task: asyncio.Task[Any]) -> None:
+        self._under_way.discard(task)
+        if not task.cancelled():
+            task.exception()  # the caller may have been cancelled; then nobody else asks
+
+    async def _hold(self, force: int) -> float:
+        async with self._command:
+            status = await self._ready_status()
+            gripping = status.may_hold or (status.motion is Motion.MOVING and status.position_echo == CLOSED_COUNT)
+            if gripping and self._applied is not None and force <= self._applied:
+                return registers.count_to_force(self._applied, self._model)
+            speed = registers.FULL_SPEED if status.may_hold else self._approach
+            if status.may_hold:
+                await self._write(go=False, position=CLOSED_COUNT, speed=speed, force=force)
+            await self._write(go=True, position=CLOSED_COUNT, speed=speed, force=force)
+            await self._expect_echo(CLOSED_COUNT)
+            self._applied = force
+            return registers.count_to_force(force, self._model)
+
+    async def _move(self, position: int, force: int) -> float:
+        async with self._command:
+            status = await self._ready_status()
+            if status.may_hold:
+                raise CommandRefused(
+                    f"{self._name}: an object is held and a move would let it go; use release for that"
+                )
+            await self._write(go=True, position=position, speed=self._approach, force=force)
+            await self._expect_echo(position)
+            self._applied = None
+            return registers.count_to_width(position, self._model)
+
+    async def _release(self, position: int) -> None:
+        async with self._command:
+            status = await self._status()
+            if not status.ready or status.fault is not None:
+                status = await self._activate()
+            position = max(0, min(position, status.position - LETTING_GO_COUNTS))
+            self._applied = None
+            await self._write(go=True, position=position, speed=registers.FULL_SPEED, force=0)
+            await self._expect_echo(position)
+
+    async def _activate(self) -> Status:
+        """Reset and activate: the fingers open and close fully. Only an explicit release may ask for that."""
+        await self._line.write(registers.OUTPUT_ADDRESS, [0, 0, 0])
+        await self._write(go=False, position=0, speed=0, force=0)
+        loop = asyncio.get_running_loop()
+        deadline_s = loop.time() + ACTIVATION_S
+        while loop.time() < deadline_s:
+            await asyncio.sleep(ACTIVATION_POLL_S)
+            status = await self._status()
+            if status.ready and status.fault is None:
+                return status
+        raise DeviceTimeout(
+            f"{self._name}: not activated after {ACTIVATION_S:.0f} s ({status.fault or 'no fault reported'}); "
+            "check that nothing is in the fingers' way"
+        )
+
+    async def _status(self) -> Status:
+        return registers.decode(await self._line.read(registers.INPUT_ADDRESS, registers.REGISTERS))
+
+    async def _ready_status(self) -> Status:
+        status = await self._status()
+        if status.fault is not None:
+            raise DeviceError(f"{self._name}: the gripper reports a fault: {status.fault}; release clears it")
+        if not status.ready:
+            raise CommandRefused(
+                f"{self._name}: the gripper is not activated; release does that: its fingers open and close fully, "
+                "so take away what is between them"
+            )
+        return status
+
+    async def _write(self, *, go: bool, position: int, speed: int, force: int) -> None:
+        values = registers.encode(activate=True, go=go, position=position, speed=speed, force=force)
+        await self._line.write(registers.OUTPUT_ADDRESS, values)
+
+    async def _expect_echo(self, position: int) -> None:
+        for _ in range(ECHO_TRIES):
+            status = await self._status()
+            if status.position_echo == position and status.going:
+                return
+        raise DeviceLost(
+            f"{self._name}: the gripper does not take commands: its position echo is {status.position_echo} instead "
+            f"of {position}; is another program commanding it?"
+        )
+
+    def _force_n(self, status: Status) -> float:
+        """The force applied; a grip found at the start has at least the lowest force there is."""
+        if self._applied is not None:
+            return registers.count_to_force(self._applied, self._model)
+        return self._model.force_min_n if status.may_hold else 0.0
