@@ -66,11 +66,22 @@ def test_stopping_twice_or_at_rest_changes_nothing() -> None:
     assert pose(twice, 9.0).height_mm == pytest.approx(pose(once, 9.0).height_mm)
 
 
-@pytest.mark.parametrize("when_s", [0.02, 0.1, 0.3])
-def test_the_same_goal_ordered_again_on_the_way_costs_no_time(when_s: float) -> None:
-    plant, _ = order_lift(AT_REST, MODEL, 0.0, 50.0, 100.0)
-    again, _ = order_lift(plant, MODEL, when_s, 50.0 - pose(plant, when_s).height_mm, 100.0)
+@pytest.mark.parametrize(("way_mm", "speed", "when_s"), [(50.0, 100.0, 0.02), (50.0, 100.0, 0.3), (5.0, 250.0, 0.03)])
+def test_the_same_goal_ordered_again_on_the_way_costs_no_time(way_mm: float, speed: float, when_s: float) -> None:
+    plant, _ = order_lift(AT_REST, MODEL, 0.0, way_mm, speed)
+    again, _ = order_lift(plant, MODEL, when_s, way_mm - pose(plant, when_s).height_mm, speed)
     assert end_s(again) == pytest.approx(end_s(plant))
+
+
+@pytest.mark.parametrize("way_mm", [-30.0, 0.0, 5.0])
+def test_a_goal_behind_or_too_near_is_overshot_and_come_back_to(way_mm: float) -> None:
+    plant, _ = order_lift(AT_REST, MODEL, 0.0, 400.0, 250.0)
+    here = pose(plant, 1.0)
+    back, _ = order_lift(plant, MODEL, 1.0, way_mm, 250.0)
+    assert continuous(back)
+    top = max(pose(back, 1.0 + i * 1e-3).height_mm for i in range(1000))
+    assert top - here.height_mm == pytest.approx(250.0**2 / 2 / 1200.0, abs=0.01)
+    assert pose(back, 9.0).height_mm == pytest.approx(here.height_mm + way_mm)
 
 
 moves = st.tuples(st.floats(-300.0, 300.0), st.floats(0.0, 300.0), st.floats(0.0, 2.0), st.booleans())

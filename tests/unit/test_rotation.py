@@ -275,3 +275,22 @@ def test_a_body_needs_mass_and_friction() -> None:
         Body.of(bar(mass_kg=0.0))
     with pytest.raises(InputError, match="bar: mass"):
         Body.of(bar(friction=0.0))
+
+
+@pytest.mark.parametrize(
+    ("ratio", "tightened", "mujoco_deg"),
+    [
+        (0.80, 0.80, 41.5),
+        (0.90, 0.90, 21.9),
+        (0.97, 0.97, 6.83),
+        (1.03, 1.03, 0.0),
+        (1.50, 1.50, 0.0),
+        (0.80, 1.60, 13.28),
+    ],
+)
+def test_it_turns_as_far_as_in_mujoco(ratio: float, tightened: float, mujoco_deg: float) -> None:
+    """Recorded from MuJoCo 4.0.0: elliptic cone, condim 4, impratio 10, 20 noslip iterations, tightened at 0.12 s."""
+    needed_n = needed_force_n(bar(), RIGID)
+    seconds = 0.4 if tightened != ratio else 0.25
+    end = run(FREE, RIGID, seconds, lambda t: Load(needed_n * (ratio if t < 0.12 else tightened)))[-1]
+    assert math.degrees(end.turn_rad) == pytest.approx(mujoco_deg, abs=0.5)
