@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+
+from slipguard.errors import InputError
 
 HeightMap = Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[np.float32]]
 
@@ -33,3 +36,25 @@ class SimObject:
     press_mm: float
     width_mm: float = 30.0  # thickness between the fingers
     axial: bool = True  # False: its patch has no readable axis (round)
+
+
+def get(name: str) -> SimObject:
+    """The catalogue object of that name; raises InputError that lists the names."""
+    found = _catalogue().get(name)
+    if found is None:
+        raise InputError(f"no object {name!r}; there are: {', '.join(sorted(_catalogue()))}")
+    return found
+
+
+def names(split: str) -> tuple[str, ...]:
+    """Names of the "train" or the "test" objects, in a fixed order. Raises InputError for another split."""
+    if split not in ("train", "test"):
+        raise InputError(f"no split {split!r}; there are: train, test")
+    return tuple(item.name for item in _catalogue().values() if item.split == split)
+
+
+@cache
+def _catalogue() -> dict[str, SimObject]:
+    from slipguard.sim import catalogue_test, catalogue_train  # they are made of this module's SimObject
+
+    return {item.name: item for item in (*catalogue_train.OBJECTS, *catalogue_test.OBJECTS)}

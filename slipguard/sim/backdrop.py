@@ -1,0 +1,80 @@
+"""No-contact images of sensors that do not exist: glowing lobes, streaks from the lights, dust, vignette."""
+
+from __future__ import annotations
+
+import math
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.sim.raster import blurred, f32
+from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Unit
+
+_BLEED = ((0.80, 0.20, 0.12), (0.16, 0.80, 0.12), (0.12, 0.16, 0.80))
+"""How the three colours mix: no light is pure, no filter is sharp."""
+Plane = NDArray[np.float32]
+
+
+def backdrop(unit: Unit) -> NDArray[np.uint8]:
+    """The no-contact image of a unit: its own real one, or one made up from its lights and seed; (320, 240, 3) BGR."""
+    if unit.background is not None:
+        return unit.background
+    rng = np.random.default_rng(unit.backdrop_seed)
+    rows, columns = np.mgrid[0:FRAME_HEIGHT_PX, 0:FRAME_WIDTH_PX].astype(np.float32)
+    x = columns / (FRAME_WIDTH_PX - 1) * 2 - 1
+    y = 1 - rows / (FRAME_HEIGHT_PX - 1) * 2
+    crisp = rng.random() < 0.4  # some gels show where a light's cone ends
+    planes = [_glow(rng, x, y, unit.led_azimuth_deg[c], crisp) + _streaks(rng, unit, c) for c in range(3)]
+    image = f32(cv2.transform(cv2.merge(planes), np.asarray(_BLEED, np.float32)))
+    image *= (1 - rng.uniform(0.05, 0.35) * (x * x + y * y) / 2)[..., None]
+    _dust(rng, image)
+    image = blurred(image, 1.2) * rng.uniform(0.75, 1.2)
+    stripes = rng.normal(0.0, rng.uniform(0.0, 1.2), (1, FRAME_WIDTH_PX, 3))
+    return np.clip(np.rint(image + stripes), 5, 250).astype(np.uint8)
+
+
+def _glow(rng: np.random.Generator, x: Plane, y: Plane, azimuth_deg: float, crisp: bool) -> Plane:
+    """One colour: bright on the side away from its light, where the dome leans towards it, and a weak rest."""
+    glow = np.full(x.shape, rng.uniform(20, 75), np.float32)
+    for k in range(int(rng.integers(2, 4))):
+        away = 180.0 if k == 0 or rng.random() < 0.6 else 0.0
+        angle = math.radians(azimuth_deg + away + rng.normal(0, 28))
+        distance, wide, high = rng.uniform(0.35, 1.15), rng.uniform(0.35, 1.0), rng.uniform(0.35, 1.0)
+        strength = rng.uniform(40, 120) * (1.0 if k == 0 else 0.5)
+        square = ((x - distance * math.cos(angle)) / wide) ** 2 + ((y - distance * math.sin(angle)) / high) ** 2
+        if crisp and k == 0:
+            edge = rng.uniform(0.04, 0.2)
+            share = 1.0 / (1.0 + np.exp(np.clip((np.sqrt(square) - 1.3) / edge, -30.0, 30.0)))
+            glow += (strength * share * (1.0 - 0.25 * np.minimum(square, 3.0))).astype(np.float32)
+        else:
+            glow += (strength * np.exp(-0.5 * square)).astype(np.float32)
+    slow = rng.standard_normal((5, 4)).astype(np.float32) * np.float32(rng.uniform(0, 8))
+    glow += cv2.resize(slow, (FRAME_WIDTH_PX, FRAME_HEIGHT_PX), interpolation=cv2.INTER_CUBIC)
+    return glow
+
+
+def _streaks(rng: np.random.Generator, unit: Unit, channel: int) -> Plane:
+    """Light that enters through flaws of the gel's edge: bands that start near the light and fade."""
+    sheet = np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.float32)
+    middle = np.array([FRAME_WIDTH_PX / 2, FRAME_HEIGHT_PX / 2])
+    for _ in range(int(rng.integers(0, 4))):
+        angle = math.radians(unit.led_azimuth_deg[channel] + rng.normal(0, 30))
+        towards = np.array([math.cos(angle), -math.sin(angle)])
+        start = middle + 150 * towards
+        end = start - towards * rng.uniform(80, 300) + rng.normal(0, 25, 2)
+        band = np.zeros_like(sheet)
+        ends = [(round(float(p[0])), round(float(p[1]))) for p in (start, end)]
+        cv2.line(band, ends[0], ends[1], (float(rng.uniform(20, 80)),), int(rng.integers(3, 14)))
+        sheet += cv2.GaussianBlur(band, (0, 0), float(rng.uniform(2, 9)))
+    return sheet
+
+
+def _dust(rng: np.random.Generator, image: NDArray[np.float32]) -> None:
+    """Specks and flaws of the paint, drawn into the image."""
+    for _ in range(int(rng.integers(0, 6))):
+        column, row = int(rng.integers(8, FRAME_WIDTH_PX - 8)), int(rng.integers(8, FRAME_HEIGHT_PX - 8))
+        colour = image[row, column] + rng.normal(0, 40, 3)
+        radius = int(rng.integers(1, 3))
+        cv2.circle(image, (column, row), radius, cast("tuple[float, float, float]", tuple(colour.tolist())), -1)

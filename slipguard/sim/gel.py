@@ -1,0 +1,100 @@
+"""A DIGIT fingertip camera, drawn: object -> gel -> light and shadow -> no-contact image -> noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.errors import InputError
+from slipguard.sim.backdrop import backdrop
+from slipguard.sim.imprint import Imprint, Imprinter
+from slipguard.sim.noise import Noise
+from slipguard.sim.raster import Field
+from slipguard.sim.relief import Relief
+from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Light, Unit
+from slipguard.sim.view import GelView
+
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class GelTruth:
+    """One frame and what was really there.
+
+    image: (320, 240, 3) uint8 BGR. contact: (320, 240) bool, where object and gel touch. displacement_mm: (320, 240)
+    float32, gel towards the camera, >= 0. press_mm: indentation of the object's highest point, 0 without contact.
+    """
+
+    image: Image
+    contact: NDArray[np.bool_]
+    displacement_mm: Field
+    press_mm: float
+
+
+class GelCamera:
+    """The camera of one sensor unit. Its images depend on unit, seed and the sequence of calls alone.
+
+    background: no-contact image (320, 240, 3) uint8 BGR in place of the unit's own; raises InputError on another shape.
+    """
+
+    def __init__(self, unit: Unit, background: Image | None = None, seed: int = 0) -> None:
+        self.unit = unit
+        self._background = backdrop(unit) if background is None else background
+        shape = (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3)
+        if self._background.shape != shape or self._background.dtype != np.uint8:
+            raise InputError(
+                f"a background of shape {self._background.shape} and type {self._background.dtype} cannot be used; "
+                f"give one of shape {shape}, uint8 (240 wide, 320 high, BGR)"
+            )
+        self._imprinter = Imprinter(unit)
+        self._noise = Noise(unit.noise_bgr, seed)
+        self._light = Light()
+        self._lit_background = self._background.astype(np.float32)
+
+    def no_contact(self) -> Image:
+        """The unit's no-contact image, without noise and in the light it was taken in."""
+        return self._background.copy()
+
+    def reseed(self, seed: int) -> None:
+        """Start the noise anew, as in a camera made with this seed of the same canvas."""
+        self._noise.reseed(seed)
+
+    def set_light(self, light: Light) -> None:
+        """Change the light from the next frame on; `no_contact` stays as it was taken."""
+        if light == self._light:
+            return
+        position = np.linspace(-1.0, 1.0, FRAME_WIDTH_PX, dtype=np.float32)[None, :, None]
+        offset = np.asarray(light.offset_bgr, np.float32) + position * np.asarray(light.tilt_bgr, np.float32)
+        self._lit_background = self._background * np.float32(light.gain) + offset
+        self._light = light
+
+    def draw(self, view: GelView, exposure_s: float = 0.008, relief: Relief | None = None) -> Image:
+        """One frame, (320, 240, 3) uint8 BGR. Raises InputError for an unknown object or a pose that is not finite.
+
+        view: the pose in the middle of the exposure. relief: a surface to draw in place of the named object's.
+        """
+        return self._finish(self._imprinter.imprint(view, exposure_s, relief))
+
+    def draw_with_truth(self, view: GelView, exposure_s: float = 0.008, relief: Relief | None = None) -> GelTruth:
+        """The frame `draw` would give, and what was there in the middle of its exposure."""
+        imprint = self._imprinter.imprint(view, exposure_s, relief)
+        contact = np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.bool_)
+        gel_mm = np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.float32)
+        if imprint is not None:
+            contact[imprint.window] = imprint.contact
+            gel_mm[imprint.window] = imprint.gel_mm
+        return GelTruth(self._finish(imprint), contact, gel_mm, max(view.depth_mm, 0.0))
+
+    def _finish(self, imprint: Imprint | None) -> Image:
+        noise = self._noise.next()
+        image = cv2.add(self._lit_background, noise, dtype=cv2.CV_8U)
+        if imprint is not None:
+            window = imprint.window
+            change = imprint.change_bgr
+            change += self._lit_background[window]
+            image[window] = cv2.add(change, noise[window], dtype=cv2.CV_8U)
+        return cast("Image", image)

@@ -1,0 +1,184 @@
+"""What a pressed object changes in a unit's picture.
+
+Only the neighbourhood of the imprint differs from the no-contact image. The coarse grid, which is cheap, says how far
+that reaches; full pixels are computed there alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.errors import InputError
+from slipguard.sim.membrane import STEP_PX, lit, settle
+from slipguard.sim.raster import Field, blurred, enlarged, f32
+from slipguard.sim.relief import Relief, relief_of
+from slipguard.sim.shading import Shading
+from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Unit
+from slipguard.sim.view import GelView
+
+_PAD_CELLS = 8
+"""The coarse grid goes this far beyond the frame: what is pressed out there still bends and shades the gel in it."""
+_GRID = (FRAME_WIDTH_PX // STEP_PX + 2 * _PAD_CELLS, FRAME_HEIGHT_PX // STEP_PX + 2 * _PAD_CELLS)
+_RING_CELLS = 3
+"""Filters near a window's border need this much around it."""
+_RING_PX = _RING_CELLS * STEP_PX
+_VISIBLE_MM = 0.002
+_VISIBLE_SHADE = 0.005
+_GEL_BLUR_PX = 1.2
+"""The gel rounds what is finer than this."""
+_TOUCH_MM = 0.03
+"""Object and gel count as touching within this distance."""
+_SMEAR_PX = 0.7
+"""A frame in which nothing moves further than this during its exposure is drawn sharp."""
+_MOTION_REACH_MM = 8.0
+_MOTION_LIMIT_PX = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Imprint:
+    """The part of a frame that an object changes. window: (rows, columns) of the frame, to which the arrays belong.
+
+    change_bgr: grey levels to add. contact: where object and gel touch. gel_mm: displacement towards the camera.
+    """
+
+    window: tuple[slice, slice]
+    change_bgr: Field
+    contact: NDArray[np.bool_]
+    gel_mm: Field
+
+
+class Imprinter:
+    """Computes imprints on one unit's gel."""
+
+    def __init__(self, unit: Unit) -> None:
+        self._unit = unit
+        self._shading = Shading(unit, _RING_PX)
+
+    def imprint(
+        self, view: GelView, exposure_s: float, relief: Relief | None = None, *, whole: bool = False
+    ) -> Imprint | None:
+        """The change an object makes, smeared by its motion; None where there is none.
+
+        relief: a surface in place of the named object's. whole: compute all of the frame, for comparison.
+        Raises InputError for an unknown object or a pose that is not finite.
+        """
+        pose = (view.x_mm, view.y_mm, view.angle_deg, view.depth_mm, view.vx_mm_s, view.vy_mm_s, view.rate_deg_s)
+        if not all(map(math.isfinite, pose)):
+            raise InputError(f"a view with a value that is not finite cannot be drawn: {view}")
+        if view.depth_mm <= 0.0:
+            return None
+        relief = relief_of(view.object_name) if relief is None else relief
+        overlap_mm = self._overlap(relief, view, STEP_PX, (-_PAD_CELLS, -_PAD_CELLS), _GRID)
+        if float(overlap_mm.max()) <= 0.0:
+            return None
+        gel_mm = settle(overlap_mm, self._unit)
+        shares = lit(gel_mm, self._unit)
+        darkest = np.minimum(np.minimum(shares[0], shares[1]), shares[2])
+        changed = (gel_mm > _VISIBLE_MM) | (darkest < 1 - _VISIBLE_SHADE)
+        if whole:
+            changed[:] = True
+        motion_px = self._motion_px(view, exposure_s)
+        cells = _frame_cells(changed, grow=1 + math.ceil(motion_px / STEP_PX))
+        return None if cells is None else self._full_size(relief, view, exposure_s, cells, gel_mm, shares)
+
+    def _full_size(
+        self,
+        relief: Relief,
+        view: GelView,
+        exposure_s: float,
+        cells: tuple[int, int, int, int],
+        coarse_mm: Field,
+        shares: list[Field],
+    ) -> Imprint:
+        """The imprint on the frame pixels of some cells (left, top, right, bottom)."""
+        left, top = cells[0] - _RING_CELLS, cells[1] - _RING_CELLS
+        right, bottom = cells[2] + _RING_CELLS, cells[3] + _RING_CELLS
+        block = (slice(top, bottom), slice(left, right))
+        size = (STEP_PX * (right - left), STEP_PX * (bottom - top))
+        corner = (STEP_PX * (left - _PAD_CELLS), STEP_PX * (top - _PAD_CELLS))
+        overlap_mm = self._overlap(relief, view, 1, corner, size)
+        membrane_mm = enlarged(coarse_mm[block], size)
+        contact = (overlap_mm > 0.0) & (overlap_mm >= membrane_mm - np.float32(_TOUCH_MM))
+        gel_mm = blurred(f32(np.maximum(overlap_mm, membrane_mm)), _GEL_BLUR_PX)
+        x, y = corner[0] + _RING_PX, corner[1] + _RING_PX
+        fields = (slice(y, y + size[1]), slice(x, x + size[0]))
+        change = self._shading.change(gel_mm, [enlarged(share[block], size) for share in shares], fields)
+        change = blurred(change, self._unit.psf_px)
+        if self._motion_px(view, exposure_s) > _SMEAR_PX:
+            change = self._smear(change, view, exposure_s, corner)
+        inner = (slice(_RING_PX, size[1] - _RING_PX), slice(_RING_PX, size[0] - _RING_PX))
+        window = (slice(y, y + size[1] - 2 * _RING_PX), slice(x, x + size[0] - 2 * _RING_PX))
+        return Imprint(window, change[inner], contact[inner], gel_mm[inner])
+
+    def _overlap(
+        self, relief: Relief, view: GelView, step: int, corner: tuple[int, int], size: tuple[int, int]
+    ) -> Field:
+        """Overlap of the rigid object with the undeformed gel, mm, on a grid of `step` frame pixels from `corner`."""
+        scale = self._unit.px_per_mm
+        c, s = math.cos(math.radians(view.angle_deg)), math.sin(math.radians(view.angle_deg))
+        first = (step - 1) / 2  # of a cell's pixels the middle
+        right0 = (step * corner[0] + first - (FRAME_WIDTH_PX - 1) / 2) / scale
+        up0 = -(step * corner[1] + first - (FRAME_HEIGHT_PX - 1) / 2) / scale
+        pitch = step / scale
+        dx, dy = right0 - view.x_mm, up0 - view.y_mm
+        to_object = np.array([[c * pitch, -s * pitch, c * dx + s * dy], [-s * pitch, -c * pitch, -s * dx + c * dy]])
+        overlap = relief.posed(to_object, size, coarse=step > 1)
+        overlap += np.float32(view.depth_mm)
+        self._subtract_dome(overlap, view, (right0, up0), pitch)
+        return overlap
+
+    def _subtract_dome(self, overlap: Field, view: GelView, start: tuple[float, float], pitch: float) -> None:
+        """Let the dome fall away from a flat object: its sag relative to that under the object's origin."""
+        share = self._unit.dome_share / (2.0 * self._unit.dome_radius_mm)
+        if share == 0.0:
+            return
+        rows, columns = overlap.shape
+        right = start[0] + pitch * np.arange(columns, dtype=np.float32)
+        up = start[1] - pitch * np.arange(rows, dtype=np.float32)
+        overlap -= np.float32(share) * right * right
+        overlap -= (np.float32(share) * up * up - np.float32(share * (view.x_mm**2 + view.y_mm**2)))[:, None]
+
+    def _motion_px(self, view: GelView, exposure_s: float) -> float:
+        """The longest way a point of the imprint moves in the picture during the exposure, pixels."""
+        turning_mm_s = math.radians(abs(view.rate_deg_s)) * _MOTION_REACH_MM
+        speed_mm_s = math.hypot(view.vx_mm_s, view.vy_mm_s) + turning_mm_s
+        return min(speed_mm_s * exposure_s * self._unit.px_per_mm, _MOTION_LIMIT_PX)
+
+    def _smear(self, change: Field, view: GelView, exposure_s: float, corner: tuple[int, int]) -> Field:
+        """Average over the poses of the exposure: each pass adds the image to itself, moved, and so doubles them."""
+        scale = self._unit.px_per_mm
+        origin = (
+            view.x_mm * scale + (FRAME_WIDTH_PX - 1) / 2 - corner[0],
+            -view.y_mm * scale + (FRAME_HEIGHT_PX - 1) / 2 - corner[1],
+        )
+        size = (change.shape[1], change.shape[0])
+
+        def moved(image: Field, share: float) -> Field:
+            turn = cv2.getRotationMatrix2D(origin, view.rate_deg_s * exposure_s * share, 1.0)
+            turn[0, 2] += view.vx_mm_s * exposure_s * scale * share
+            turn[1, 2] -= view.vy_mm_s * exposure_s * scale * share
+            return cast("Field", cv2.warpAffine(image, turn, size, flags=cv2.INTER_LINEAR))
+
+        passes = max(math.ceil(math.log2(self._motion_px(view, exposure_s))), 1)  # copies about a pixel apart
+        for k in range(passes):
+            share = 0.5 ** (k + 1)
+            change = f32(cv2.addWeighted(moved(change, share / 2), 0.5, moved(change, -share / 2), 0.5, 0.0))
+        return change
+
+
+def _frame_cells(changed: NDArray[np.bool_], grow: int) -> tuple[int, int, int, int] | None:
+    """Bounds (left, top, right, bottom) of the changed cells within the frame, `grow` wider; None if there are none."""
+    left, top, width, height = cv2.boundingRect(changed.astype(np.uint8))
+    if width == 0:
+        return None
+    rows, columns = changed.shape
+    left, top = max(left - grow, _PAD_CELLS), max(top - grow, _PAD_CELLS)
+    right = min(left + width + 2 * grow, columns - _PAD_CELLS)
+    bottom = min(top + height + 2 * grow, rows - _PAD_CELLS)
+    return (left, top, right, bottom) if right > left and bottom > top else None
