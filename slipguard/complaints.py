@@ -5,29 +5,37 @@ from __future__ import annotations
 import difflib
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 
-def first_complaint(error: ValidationError) -> str:
-    """The first problem of a validation error; how many more there are is said at the end."""
+def first_complaint(error: ValidationError, model: type[BaseModel]) -> str:
+    """The first problem of a validation error; how many more there are is said at the end.
+
+    model: what was validated; names the keys there are where one is unknown.
+    """
     problems = error.errors(include_url=False)
     more = f" ({len(problems) - 1} more after this one)" if len(problems) > 1 else ""
-    return _one(problems[0]) + more
+    return _one(problems[0], model) + more
 
 
-def _one(problem: Any) -> str:
-    key = ".".join(str(part) for part in problem["loc"]) or "the file"
-    kind, context, given = problem["type"], problem.get("ctx", {}), problem["input"]
+def _one(problem: Any, model: type[BaseModel]) -> str:
+    key = ".".join(str(part) for part in problem["loc"]) or "the table"
+    kind, given = problem["type"], problem["input"]
     if kind == "extra_forbidden":
-        return f"{key}: no such key; see the commented config.toml for those there are"
+        known = _keys_beside(problem["loc"], model)
+        near = difflib.get_close_matches(str(problem["loc"][-1]), known, n=1)
+        return f"{key}: no such key; " + (f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(known)}")
     if kind == "missing":
         return f"{key}: missing; it must be given"
-    if kind in ("value_error", "assertion_error"):
-        return f"{key} = {given!r}: {context.get('error', problem['msg'])}"
-    return f"{key} = {given!r}: {problem['msg'][0].lower()}{problem['msg'][1:]}"
+    message = str(problem.get("ctx", {}).get("error", problem["msg"]))
+    return f"{key} = {given!r}: {message[0].lower()}{message[1:]}"
 
 
-def closest(name: str, choices: list[str]) -> str:
-    """`; did you mean 'x'?` for the nearest choice, or an empty string."""
-    near = difflib.get_close_matches(name, choices, n=1)
-    return f"; did you mean {near[0]!r}?" if near else ""
+def _keys_beside(location: tuple[int | str, ...], model: type[BaseModel]) -> list[str]:
+    """The keys allowed where an unknown one stands."""
+    for part in location[:-1]:
+        inner = model.model_fields[str(part)].annotation
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return []
+        model = inner
+    return [name for name in model.model_fields if name != "settings"]

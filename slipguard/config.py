@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from slipguard.complaints import first_complaint
 from slipguard.errors import ConfigError
@@ -33,57 +33,25 @@ class Section(BaseModel):
 
 
 class DeviceSection(Section):
-    """A device: which driver, and the driver's own settings (already checked)."""
+    """A device: which driver, and the driver's own settings, already checked by the driver."""
 
     driver: str
     settings: BaseModel
-
-    @model_validator(mode="before")
-    @classmethod
-    def _driver_owns_its_table(cls, raw: Any) -> Any:
-        if not isinstance(raw, Mapping) or not isinstance(raw.get("driver"), str):
-            return raw
-        name = raw["driver"]
-        driver = load_driver(cls.group(), name)
-        rest = {key: value for key, value in raw.items() if key not in (name, "settings")}
-        return rest | {"settings": driver.Settings.model_validate(raw.get(name, {}))}
-
-    @classmethod
-    def group(cls) -> str:
-        """Entry-point group of the drivers that fit this section."""
-        raise TypeError("a device section names its entry-point group")
 
 
 class FingerSection(DeviceSection):
     """One fingertip camera and how it is mounted."""
 
-    driver: str = "digit"
     rotation_deg: Literal[0, 90, 180, 270] = 0
     px_per_mm: Annotated[float, Field(ge=5.0, le=60.0)] = 18.5
-
-    @classmethod
-    def group(cls) -> str:
-        return "slipguard.tactile"
 
 
 class GripperSection(DeviceSection):
     """The gripper."""
 
-    driver: str = "robotiq"
-
-    @classmethod
-    def group(cls) -> str:
-        return "slipguard.gripper"
-
 
 class ArmSection(DeviceSection):
     """The arm."""
-
-    driver: str = "ur5"
-
-    @classmethod
-    def group(cls) -> str:
-        return "slipguard.arm"
 
 
 class LoopSection(Section):
@@ -124,7 +92,13 @@ class Config(Section):
     state: StateSection = StateSection()
 
 
-DEVICES = ("left", "right", "gripper", "arm")
+GROUP_OF = {
+    "left": "slipguard.tactile",
+    "right": "slipguard.tactile",
+    "gripper": "slipguard.gripper",
+    "arm": "slipguard.arm",
+}
+USUAL_DRIVER = {"left": "digit", "right": "digit", "gripper": "robotiq", "arm": "ur5"}
 
 
 def read_config(path: Path, *, sim: bool = False) -> Config:
@@ -135,9 +109,7 @@ def read_config(path: Path, *, sim: bool = False) -> Config:
     try:
         raw = tomllib.loads(path.read_bytes().decode("utf-8"))
     except FileNotFoundError as error:
-        raise ConfigError(
-            f"{path}: no such file; config.toml in the project is a commented start"
-        ) from error
+        raise ConfigError(f"{path}: no such file; config.toml in the project is a commented start") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from error
     except tomllib.TOMLDecodeError as error:
@@ -148,22 +120,36 @@ def read_config(path: Path, *, sim: bool = False) -> Config:
 def parse_config(raw: Mapping[str, Any], *, where: str, sim: bool = False) -> Config:
     """Check what a file holds; `where` names it in the complaint."""
     values = dict(raw)
-    if sim:
-        for name in DEVICES:
-            section = values.get(name, {})
-            if not isinstance(section, Mapping):
-                continue  # the model below says what is wrong with it
-            own = section.get("driver")
-            kept = {key: value for key, value in section.items() if key != own or key == "fake"}
-            values[name] = kept | {"driver": "fake"}
+    for name in GROUP_OF:
+        values[name] = _with_driver(values.get(name, {}), name, where, sim)
     try:
         return Config.model_validate(values)
     except ValidationError as error:
-        raise ConfigError(f"{where}: {first_complaint(error)}") from None
+        raise ConfigError(f"{where}: {first_complaint(error, Config)}") from None
+
+
+def _with_driver(section: Any, name: str, where: str, sim: bool) -> dict[str, Any]:
+    """Let the driver check its own table, and put the result under `settings`."""
+    if not isinstance(section, Mapping):
+        raise ConfigError(f"{where}: {name} = {section!r}: a table is needed, [{name}]")
+    named = section.get("driver", USUAL_DRIVER[name])
+    if not isinstance(named, str):
+        raise ConfigError(f"{where}: {name}.driver = {named!r}: the name of a driver is needed, such as \"digit\"")
+    if "settings" in section:
+        raise ConfigError(f"{where}: {name}.settings: no such key; the driver's table is [{name}.{named}]")
+    chosen = "fake" if sim else named
+    try:
+        driver = load_driver(GROUP_OF[name], chosen)
     except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from None
+        raise ConfigError(f"{where}: {name}.driver = {chosen!r}: {error}") from None
+    try:
+        settings = driver.Settings.model_validate(section.get(chosen, {}))
+    except ValidationError as error:
+        raise ConfigError(f"{where}: {name}.{chosen}.{first_complaint(error, driver.Settings)}") from None
+    rest = {key: value for key, value in section.items() if key not in (named, chosen)}
+    return rest | {"driver": chosen, "settings": settings}
 
 
 def sim_config() -> Config:
-    """What `slipguard --sim` runs with: the fakes and every default."""
+    """What `slipguard run --sim` runs with where there is no file: the fakes and every default."""
     return parse_config({}, where="--sim", sim=True)

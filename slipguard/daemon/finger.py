@@ -71,6 +71,9 @@ class Finger:
         self.counts = FingerCounts()
         self.serial: str | None = None
         self.newest: Seen | None = None
+        """None where the newest answer belongs to an older reference or no-contact image."""
+        self.captured_at_s: float | None = None
+        """Of the newest frame that was judged."""
         self.newest_image: NDArray[np.uint8] | None = None
         self.tap: asyncio.Queue[Frame] | None = None
         """Set by a calibration: a copy of every good frame goes here."""
@@ -157,12 +160,11 @@ class Finger:
                 self.counts.corrupt += 1
                 self._trouble(str(error))
                 continue
+            self.captured_at_s = frame.captured_at_s
+            self.health.good(loop.time())
             if pipeline is not self.pipeline or self._wants_reset:
                 continue
             if estimate.skipped:
-                self.counts.skipped[estimate.skipped] = (
-                    self.counts.skipped.get(estimate.skipped, 0) + 1
-                )
+                self.counts.skipped[estimate.skipped] = self.counts.skipped.get(estimate.skipped, 0) + 1
             self.newest = Seen(estimate, handed_at_s, loop.time())
-            self.health.good(loop.time())
             self._on_news()

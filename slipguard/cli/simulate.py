@@ -1,0 +1,103 @@
+"""`slipguard --sim`: the campaign with a live display, a table, a picture and an exit code."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from slipguard.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from slipguard.lab.campaign import Live
+
+
+class Speed(StrEnum):
+    """Which clock a simulation runs on."""
+
+    realtime = "realtime"
+    fast = "fast"
+
+
+def simulate(*, seed: int, lifts: int | None, guarded: bool, json: bool, out: Path | None, speed: Speed) -> None:
+    """Run the campaign; exit code 1 if an object was dropped."""
+    import logging
+
+    from rich.console import Console
+
+    from slipguard.daemon import log
+    from slipguard.daemon.virtual_time import run_virtual
+    from slipguard.lab.campaign import CampaignSettings, run_campaign
+    from slipguard.lab.campaign_report import draw, print_lines, print_tables
+
+    if lifts is not None and lifts < 1:
+        raise InputError(f"--lifts {lifts}: at least one lift is needed")
+    if out is not None:
+        _make_folder(out)
+    log.configure(level=logging.CRITICAL)
+    realtime = speed is Speed.realtime
+    settings = CampaignSettings(seed=seed, lifts=lifts, guarded=guarded, realtime=realtime)
+    console, progress = Console(), Console(stderr=True)
+    with _display(progress) as show:
+        runner = asyncio.run if realtime else run_virtual
+        records = runner(run_campaign(settings, show))
+    if json:
+        print_lines(records, realtime=realtime)
+    else:
+        print_tables(console, records, realtime=realtime)
+    if out is not None:
+        picture = out / ("guarded.png" if guarded else "unguarded.png")
+        draw(records, picture)
+        progress.print(f"picture: {picture}")
+    if any(record.outcome == "dropped" for record in records):
+        raise typer.Exit(1)
+
+
+def _make_folder(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {path}: cannot be made: {error}") from error
+
+
+@contextmanager
+def _display(console: Console) -> Iterator[Callable[[Live], None]]:
+    """A live table on a terminal, nothing on a pipe."""
+    from rich.live import Live as Screen
+
+    newest: list[Live] = []
+    if not console.is_terminal:
+        yield lambda live: None
+        return
+    with Screen(
+        get_renderable=lambda: _table(newest[-1] if newest else None),
+        console=console,
+        refresh_per_second=8,
+        transient=True,
+    ):
+        yield lambda live: newest.__setitem__(slice(None), [live])
+
+
+def _table(live: Live | None) -> Table:
+    from rich.table import Table
+
+    table = Table.grid(padding=(0, 2))
+    if live is None:
+        table.add_row("starting the simulated cell …")
+        return table
+    turn = "cannot tell" if live.turn_deg is None else f"{live.turn_deg:+6.1f}° ± {live.sigma_deg:.1f}°"
+    table.add_row(f"lift {live.lift} of {live.lifts}", f"[bold]{live.object_name}[/]", live.phase)
+    table.add_row("turn measured", turn, f"true {live.true_turn_deg:+6.1f}°")
+    bar = "█" * round(live.force_n / 5)
+    table.add_row("grip", f"{live.force_n:5.0f} N", bar)
+    if live.latency_ms is not None:
+        table.add_row("latency", f"{live.latency_ms:5.1f} ms", "")
+    return table

@@ -1,0 +1,70 @@
+"""Each finger's no-contact image and noise: what `slipguard calibrate` stores, by serial."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.devices import Frame
+from slipguard.errors import CommandRefused
+
+FRAMES = 30
+"""Half a second at 60 fps: averages the noise to a fifth, and a passing touch shows."""
+TIMEOUT_S = 5.0
+NOISE_MAX = 8.0
+"""Grey levels; a still DIGIT has 1.5 to 2.9. More means that something moves."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoContact:
+    """image: (320, 240, 3) uint8 BGR, mean of the frames. noise_bgr: standard deviation over time of one pixel."""
+
+    image: NDArray[np.uint8]
+    noise_bgr: tuple[float, float, float]
+    frames: int
+
+
+class Store(Protocol):
+    """Where no-contact images are kept, by serial."""
+
+    def load_no_contact(self, serial: str) -> NoContact | None: ...
+
+    def save_no_contact(self, serial: str, taken: NoContact) -> None: ...
+
+
+def no_contact_of(images: Sequence[NDArray[np.uint8]], finger: str) -> NoContact:
+    """Average frames (each (320, 240, 3) uint8 BGR) of an untouched gel.
+
+    Raises CommandRefused where the pictures are not still.
+    """
+    stack = np.stack(images).astype(np.float32)
+    mean = stack.mean(axis=0)
+    # Neighbouring frames differ by the noise alone, whatever the light slowly does.
+    noise = np.diff(stack, axis=0).std(axis=(0, 1, 2)) / np.sqrt(2.0)
+    if noise.max() > NOISE_MAX:
+        raise CommandRefused(
+            f"{finger}: the picture is not still (noise {noise.max():.1f} grey levels, at most {NOISE_MAX:g}); "
+            "keep the jaws open, empty and at rest, and try again"
+        )
+    image = np.clip(np.rint(mean), 0, 255).astype(np.uint8)
+    image.setflags(write=False)
+    return NoContact(image, (float(noise[0]), float(noise[1]), float(noise[2])), len(images))
+
+
+async def collect(tap: asyncio.Queue[Frame], finger: str) -> list[NDArray[np.uint8]]:
+    """The next FRAMES images of a sensor; raises CommandRefused when they do not come."""
+    images: list[NDArray[np.uint8]] = []
+    try:
+        async with asyncio.timeout(TIMEOUT_S):
+            while len(images) < FRAMES:
+                images.append((await tap.get()).image)
+    except TimeoutError:
+        raise CommandRefused(
+            f"{finger}: only {len(images)} of {FRAMES} frames came within {TIMEOUT_S:g} s; check the sensor"
+        ) from None
+    return images

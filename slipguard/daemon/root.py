@@ -1,0 +1,110 @@
+"""The composition root: from a configuration to a running guard, its API and its signals."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from slipguard import __version__
+from slipguard.config import GROUP_OF, Config
+from slipguard.daemon.api import make_app, serve
+from slipguard.daemon.controls import Controls
+from slipguard.daemon.service import FINGERS, Law, Service
+from slipguard.daemon.state_dir import StateDir
+from slipguard.daemon.worker import ThreadWorker, Worker
+from slipguard.devices import DriverContext
+from slipguard.grasp.guard import tick
+from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.segment import Segmenter
+from slipguard.registry import load_driver
+
+log = structlog.get_logger()
+
+
+def socket_path(config: Config) -> Path:
+    """Where the local API listens."""
+    return config.api.socket or StateDir(config.state.directory).runtime_path / "slipguard.sock"
+
+
+def build_service(
+    config: Config,
+    *,
+    world: object | None = None,
+    make_worker: Callable[[str], Worker] = ThreadWorker,
+    law: Law = tick,
+) -> Service:
+    """Build all devices and the guard around them; touches no hardware.
+
+    world: what the fakes share. Raises ConfigError or ModelError.
+    """
+    state_dir = StateDir(config.state.directory)
+
+    def device(name: str) -> Any:
+        section = getattr(config, name)
+        driver = load_driver(GROUP_OF[name], section.driver)
+        return driver(section.settings, DriverContext(name=name, world=world))
+
+    def pipeline_maker(name: str) -> Callable[[str], Pipeline]:
+        section = getattr(config, name)
+        segmenter = Segmenter(config.perception.model)
+
+        def make(serial: str) -> Pipeline:
+            known = state_dir.load_no_contact(serial)
+            return Pipeline(
+                segmenter,
+                config.perception,
+                background=None if known is None else known.image,
+                noise=None if known is None else known.noise_bgr,
+                px_per_mm=section.px_per_mm,
+                rotation_deg=section.rotation_deg,
+                timer=time.perf_counter,
+            )
+
+        return make
+
+    return Service(
+        config,
+        sensors={name: device(name) for name in FINGERS},
+        gripper=device("gripper"),
+        arm=device("arm"),
+        make_worker=make_worker,
+        make_pipeline={name: pipeline_maker(name) for name in FINGERS},
+        store=state_dir,
+        law=law,
+    )
+
+
+async def run(config: Config, *, world: object | None = None) -> None:
+    """Guard until SIGINT or SIGTERM, with the local API; the grip stays as it is at the end."""
+    service = build_service(config, world=world)
+    path = socket_path(config)
+    log.info("slipguard starts", version=__version__, mode=config.guard.mode, socket=str(path))
+    stop = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stop.set)
+
+    async def until_stopped() -> None:
+        await stop.wait()
+        raise _Stopped
+
+    try:
+        async with asyncio.TaskGroup() as group:
+            group.create_task(service.run(), name="service")
+            group.create_task(serve(make_app(Controls(service)), path), name="api")
+            group.create_task(until_stopped(), name="signals")
+    except* _Stopped:
+        log.info("slipguard stops; the grip stays as it is")
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.remove_signal_handler(number)
+
+
+class _Stopped(Exception):
+    """Ends the task group on a signal."""

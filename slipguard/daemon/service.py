@@ -1,0 +1,257 @@
+"""The service: four devices, one pure law, and the loop that brings them together.
+
+The loop wakes when a finger has an answer, and at every beat; it gathers what is known, asks the law, and hands commands on.
+It never waits for a device: `Actuator` and `Finger` do that in tasks of their own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import structlog
+
+from slipguard.config import Config
+from slipguard.daemon.actuator import Actuator
+from slipguard.daemon.calibration import Store
+from slipguard.daemon.finger import Finger, Perceiver
+from slipguard.daemon.finger import Seen as FingerSeen
+from slipguard.daemon.notify import notify, watchdog_period_s
+from slipguard.daemon.ticker import Ticker
+from slipguard.daemon.worker import Worker
+from slipguard.devices import Arm, ArmState, Gripper, GripperState, TactileSensor
+from slipguard.errors import CommandRefused
+from slipguard.grasp.fault import Fault
+from slipguard.grasp.fuse import fuse
+from slipguard.grasp.guard import Guard, tick
+from slipguard.grasp.messages import ArmLift, Command, Condition, FingerHealth, Request, Seen
+from slipguard.grasp.params import GuardParams
+from slipguard.grasp.state import GuardState, Phase
+from slipguard.perception.estimate import Estimate
+
+FINGERS = ("left", "right")
+STALE_S = 0.1
+"""A finger whose newest good frame is older than this does not speak for the present."""
+REQUEST_TIMEOUT_S = 2.0
+
+Law = Callable[[Guard, Seen, GuardParams], tuple[Guard, Command]]
+log = structlog.get_logger()
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What one turn of the loop decided, for observers.
+
+    new_estimates: by finger, those not yet decided on. latencies_s: of each of them, from the frame's being handed over to the
+    command's being handed to the gripper's task, or found needless.
+    """
+
+    now_s: float
+    phase: Phase
+    seen: Seen
+    command: Command
+    new_estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    latencies_s: tuple[float, ...] = ()
+
+
+class Service:
+    """Runs fingers, gripper, arm and law until cancelled; then the grip stays as it is.
+
+    law: the pure tick; another may be given to see what happens without it.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        *,
+        sensors: Mapping[str, TactileSensor],
+        gripper: Gripper,
+        arm: Arm,
+        make_worker: Callable[[str], Worker],
+        make_pipeline: Mapping[str, Callable[[str], Perceiver]],
+        store: Store,
+        law: Law = tick,
+    ) -> None:
+        self.config = config
+        self.store = store
+        self.observers: list[Callable[[Decision], None]] = []
+        self.deadlines_missed = 0
+        self._guard = Guard()
+        self.seen: Seen | None = None
+        self._law = law
+        self._gripper_device = gripper
+        self._arm_device = arm
+        self._wake = asyncio.Event()
+        self._workers = {name: make_worker(name) for name in FINGERS}
+        retry_s, poll_s = config.loop.retry_s, config.loop.poll_ms / 1e3
+        self.fingers = {
+            name: Finger(name, sensors[name], self._workers[name], make_pipeline[name], retry_s, self._wake.set)
+            for name in FINGERS
+        }
+        self.gripper: Actuator[GripperState] = Actuator(
+            "gripper", gripper, poll_s, retry_s, self._wake.set, self._event
+        )
+        self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, self._wake.set, self._event)
+        self._requests: asyncio.Queue[tuple[Request, asyncio.Future[str]]] = asyncio.Queue()
+        self._decided_on: dict[str, FingerSeen | None] = dict.fromkeys(FINGERS)
+        self._last_fault: Fault | None = None
+        self.said: list[str] = []
+        """The newest events, oldest first; at most 50."""
+
+    @property
+    def state(self) -> GuardState:
+        """What the law remembers."""
+        return self._guard.law
+
+    @property
+    def phase(self) -> Phase:
+        """Where the grasp is."""
+        return self._guard.law.phase
+
+    @property
+    def devices(self) -> dict[str, Finger | Actuator[GripperState] | Actuator[ArmState]]:
+        """All four, by name."""
+        return {**self.fingers, "gripper": self.gripper, "arm": self.arm}
+
+    @property
+    def waiting_for(self) -> list[str]:
+        """One line for each device that is not ready."""
+        return [f"{name}: {one.health.why}" for name, one in self.devices.items() if not one.health.ready]
+
+    async def request(self, request: Request) -> str:
+        """Hand a wish to the law; returns what it says to it. Raises CommandRefused with its reason."""
+        answer: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        self._requests.put_nowait((request, answer))
+        self._wake.set()
+        try:
+            async with asyncio.timeout(REQUEST_TIMEOUT_S):
+                return await answer
+        except TimeoutError:
+            raise CommandRefused(f"{request.kind}: the loop did not answer within {REQUEST_TIMEOUT_S:g} s") from None
+
+    async def run(self) -> None:
+        """Guard until cancelled."""
+        try:
+            async with asyncio.TaskGroup() as group:
+                for name, device in self.devices.items():
+                    group.create_task(device.run(), name=name)
+                group.create_task(self._decide(), name="decide")
+        finally:
+            for worker in self._workers.values():
+                worker.close()
+            while not self._requests.empty():
+                self._requests.get_nowait()[1].cancel()
+
+    async def _decide(self) -> None:
+        loop = asyncio.get_running_loop()
+        ticker = Ticker(self.config.loop.period_ms / 1e3)
+        feed_every_s = watchdog_period_s()
+        feed_at_s = loop.time()
+        notify("READY=1")
+        while True:
+            await ticker.wait(self._wake)
+            self._wake.clear()
+            self.deadlines_missed = ticker.missed
+            self._turn(loop.time())
+            if feed_every_s is not None and loop.time() >= feed_at_s:
+                notify("WATCHDOG=1")
+                feed_at_s = loop.time() + feed_every_s
+
+    def _turn(self, now_s: float) -> None:
+        """Gather, ask the law, hand commands on, tell observers."""
+        request, answer = self._requests.get_nowait() if not self._requests.empty() else (Request(), None)
+        seen = self._gather(now_s, request)
+        before = self.phase
+        self._guard, command = self._law(self._guard, seen, self.config.guard)
+        self.seen = seen
+        self._issue(command)
+        done_s = asyncio.get_running_loop().time()
+        news = self._news()
+        decision = Decision(
+            now_s,
+            self.phase,
+            seen,
+            command,
+            {name: one.estimate for name, one in news.items()},
+            tuple(done_s - one.handed_at_s for one in news.values()),
+        )
+        self._tell(before, command, answer)
+        for observer in self.observers:
+            observer(decision)
+
+    def _gather(self, now_s: float, request: Request) -> Seen:
+        fresh: dict[str, Estimate | None] = {}
+        health = {}
+        for name, finger in self.fingers.items():
+            newest = finger.newest
+            age_s = now_s - finger.captured_at_s if finger.captured_at_s is not None else float("inf")
+            if finger.health.state == "waiting":
+                condition = Condition.LOST
+            elif age_s > STALE_S:
+                condition = Condition.STALE
+            else:
+                condition = Condition.FRESH
+            fresh[name] = newest.estimate if newest is not None and condition is Condition.FRESH else None
+            health[name] = FingerHealth(condition, age_s, finger.health.why)
+        return Seen(
+            now_s=now_s,
+            fused=fuse(fresh["left"], fresh["right"]),
+            left=health["left"],
+            right=health["right"],
+            gripper=self.gripper.newest,
+            arm=self.arm.newest,
+            request=request,
+            gripper_limits_n=self._gripper_device.force_limits_n,
+        )
+
+    def _news(self) -> dict[str, FingerSeen]:
+        """Answers that this turn of the loop was the first to use."""
+        news = {}
+        for name, finger in self.fingers.items():
+            newest = finger.newest
+            if newest is not None and newest is not self._decided_on[name]:
+                news[name] = newest
+            self._decided_on[name] = newest
+        return news
+
+    def _issue(self, command: Command) -> None:
+        gripper, arm = self._gripper_device, self._arm_device
+        if command.release_width_mm is not None:
+            width_mm = command.release_width_mm
+            self.gripper.command(lambda: gripper.release(width_mm))
+        elif command.hold_force_n is not None:
+            force_n = command.hold_force_n
+            self.gripper.command(lambda: gripper.hold(force_n))
+        elif command.move_width_mm is not None and command.move_force_n is not None:
+            move_mm, with_n = command.move_width_mm, command.move_force_n
+            self.gripper.command(lambda: gripper.move(move_mm, with_n))
+        if command.arm == "stop":
+            self.arm.command(arm.stop)
+        elif isinstance(command.arm, ArmLift):
+            way = command.arm
+            self.arm.command(lambda: arm.lift(way.height_mm, way.speed_mm_s))
+        if command.new_reference:
+            for finger in self.fingers.values():
+                finger.reset_reference()
+
+    def _tell(self, before: Phase, command: Command, answer: asyncio.Future[str] | None) -> None:
+        if command.say is not None:
+            self._event(command.say)
+        if command.fault is not None and command.fault != self._last_fault:
+            log.error("fault", code=command.fault.code.value, seen=command.fault.seen, do=command.fault.what_to_do)
+            self.said.append(str(command.fault))
+        self._last_fault = command.fault
+        if self.phase is not before:
+            log.info("phase", now=self.phase.value, before=before.value)
+            notify(f"STATUS={self.phase.value}")
+        if answer is None or answer.done():
+            return
+        if command.refused is not None:
+            answer.set_exception(CommandRefused(command.refused))
+        else:
+            answer.set_result(command.say or self.phase.value)
+
+    def _event(self, text: str) -> None:
+        log.info(text)
+        self.said = [*self.said[-49:], text]

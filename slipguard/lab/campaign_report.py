@@ -1,0 +1,171 @@
+"""A campaign's table, picture and JSON lines."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from slipguard.lab import figures
+from slipguard.lab.lift_record import FINGERS, PICTURE_SIGN, LiftRecord, mean_abs, summary, turn_errors
+
+ESTIMATORS = ("skeleton", "pca", "ellipse", "moments")
+
+
+def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
+    """One lift as the object of one JSON line."""
+    latencies_ms = 1e3 * np.asarray(record.latency_s)
+    timed = realtime and latencies_ms.size > 0
+    error = mean_abs(record.errors_deg(record.fused))
+    sigmas = [one.sigma_deg for one in record.fused]
+    final = [one for one in record.fused if one.captured_at_s <= record.ended_at_s]
+    return {
+        "object": record.object_name,
+        "outcome": record.outcome,
+        "why": record.why or None,
+        "true_turn_deg": round(record.true_turn_deg, 2),
+        "measured_turn_deg": round(max((one.turn_deg for one in final), key=abs), 2) if final else None,
+        "turn_error_deg": None if error is None else round(error, 3),
+        "sigma_deg": round(float(np.median(sigmas)), 3) if sigmas else None,
+        "peak_force_n": round(max(record.truth.force_n, default=0.0), 1),
+        "needed_force_n": round(max(record.truth.needed_n, default=0.0), 1),
+        "latency_p50_ms": round(float(np.percentile(latencies_ms, 50)), 2) if timed else None,
+        "latency_p99_ms": round(float(np.percentile(latencies_ms, 99)), 2) if timed else None,
+        "frames": record.frames,
+        "skipped": dict(record.skips),
+        "deadlines_missed": record.deadlines_missed,
+    }
+
+
+def print_lines(records: list[LiftRecord], *, realtime: bool) -> None:
+    """One JSON object a lift, then the errors of each source, then the summary as the last line."""
+    for record in records:
+        print(json.dumps({"lift": record_line(record, realtime=realtime)}))
+    for source in (*FINGERS, "fused", *ESTIMATORS):
+        errors = turn_errors(records, source)
+        print(
+            json.dumps(
+                {
+                    "turn_errors": {
+                        "source": source,
+                        "lifts": errors.lifts,
+                        "mean_deg": errors.mean_deg,
+                        "p95_deg": errors.p95_deg,
+                        "worst_object_deg": errors.worst_object_deg,
+                        "worst_object": errors.worst_object,
+                    }
+                }
+            )
+        )
+    print(json.dumps({"summary": summary(records, realtime=realtime)}), flush=True)
+
+
+def print_tables(console: Console, records: list[LiftRecord], *, realtime: bool) -> None:
+    """The same for people."""
+    table = Table(title="Lifts", title_justify="left")
+    for name in ("object", "true turn", "measured", "error", "sigma", "grip / needed"):
+        table.add_column(name, justify="left" if name == "object" else "right")
+    table.add_column("outcome")
+    table.add_column("latency p50 / p99", justify="right")
+    table.add_column("skipped")
+    table.add_column("late", justify="right")
+    for record in records:
+        line = record_line(record, realtime=realtime)
+        colour = {"held": "green", "dropped": "red"}.get(record.outcome, "yellow")
+        share = {name: count / max(record.frames, 1) for name, count in record.skips.items()}
+        table.add_row(
+            record.object_name + (f" ({record.hard})" if record.hard else ""),
+            _degrees(line["true_turn_deg"]),
+            _degrees(line["measured_turn_deg"]),
+            _degrees(line["turn_error_deg"], "{:.2f}°"),
+            _degrees(line["sigma_deg"], "{:.2f}°"),
+            f"{line['peak_force_n']:.0f} / {line['needed_force_n']:.0f} N",
+            f"[{colour}]{record.outcome}[/]" + (f": {record.why}" if record.why else ""),
+            f"{line['latency_p50_ms']} / {line['latency_p99_ms']} ms" if line["latency_p50_ms"] is not None else "–",
+            ", ".join(f"{name} {100 * value:.0f} %" for name, value in share.items()) or "–",
+            str(record.deadlines_missed),
+        )
+    console.print(table)
+    errors_table = Table(
+        title="Turn error over the lifts that turned at least 10° (every frame, stated minus true)",
+        title_justify="left",
+    )
+    for name in ("source", "lifts", "mean", "95 %", "worst object"):
+        errors_table.add_column(name, justify="left" if name == "source" else "right")
+    for source in (*FINGERS, "fused", *ESTIMATORS):
+        errors = turn_errors(records, source)
+        if errors.mean_deg is None:
+            errors_table.add_row(source, "0", "–", "–", "–")
+            continue
+        errors_table.add_row(
+            source,
+            str(errors.lifts),
+            f"{errors.mean_deg:.2f}°",
+            f"{errors.p95_deg:.2f}°",
+            f"{errors.worst_object_deg:.2f}° ({errors.worst_object})",
+        )
+    console.print(errors_table)
+    figures_now = summary(records, realtime=realtime)
+    console.print(
+        f"{figures_now['lifts']} lifts: {figures_now['held']} held, {figures_now['dropped']} dropped, "
+        f"{figures_now['refused']} refused; {figures_now['over_20_deg_or_dropped']} turned over 20° or were dropped"
+    )
+    if figures_now["latency_p99_ms"] is not None:
+        console.print(
+            f"latency, frame handed over → command issued or found needless: "
+            f"p50 {figures_now['latency_p50_ms']} ms, p99 {figures_now['latency_p99_ms']} ms"
+        )
+
+
+def _degrees(value: object, form: str = "{:+.1f}°") -> str:
+    return "–" if value is None else form.format(value)
+
+
+def draw(records: list[LiftRecord], path: Path) -> None:
+    """One small chart a lift: true and measured turn above, force and needed force below."""
+    columns = 3
+    rows = -(-len(records) // columns)
+    drawing = figures.figure(5.2 * columns, 3.6 * rows)
+    outer = drawing.subfigures(rows, columns, squeeze=False)
+    for index, place in enumerate(outer.flat):
+        if index >= len(records):
+            continue
+        record = records[index]
+        upper, lower = place.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+        truth_s = np.asarray(record.truth.time_s)
+        start_s = truth_s[0] if truth_s.size else 0.0
+        turn = np.asarray(record.truth.turn_deg)
+        upper.plot(truth_s - start_s, turn - (turn[0] if turn.size else 0.0), color="black", lw=2.2, label="true")
+        for finger, colour in zip(FINGERS, ("tab:blue", "tab:orange"), strict=True):
+            stated = record.measured(finger)
+            upper.plot(
+                [one.captured_at_s - start_s for one in stated],
+                [one.turn_deg for one in stated],
+                ".",
+                ms=2.5,
+                color=colour,
+                label=finger if PICTURE_SIGN[finger] > 0 else f"{finger} (sign turned)",
+            )
+        upper.plot(
+            [one.captured_at_s - start_s for one in record.fused],
+            [one.turn_deg for one in record.fused],
+            color="tab:red",
+            lw=1.0,
+            label="fused",
+        )
+        upper.set_ylabel("turn / °")
+        upper.grid(alpha=0.3)
+        upper.set_title(f"{record.object_name}: {record.outcome}", fontsize=10)
+        lower.plot(truth_s - start_s, record.truth.force_n, color="tab:green", label="grip, per finger")
+        lower.plot(truth_s - start_s, record.truth.needed_n, color="tab:gray", ls="--", label="needed")
+        lower.set_ylabel("force / N")
+        lower.set_xlabel("time / s")
+        lower.set_ylim(bottom=0)
+        lower.grid(alpha=0.3)
+        if index == 0:
+            upper.legend(fontsize=7, loc="best")
+            lower.legend(fontsize=7, loc="best")
+    figures.save(drawing, path)

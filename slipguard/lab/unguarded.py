@@ -1,0 +1,28 @@
+"""The law with its eyes shut: grips, lifts and lowers the same way, and never sees a turn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from slipguard.grasp.guard import Guard
+from slipguard.grasp.messages import Command, Seen
+from slipguard.grasp.params import GuardParams
+from slipguard.grasp.policy import step
+
+
+def unguarded_tick(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
+    """What `tick` does with an object that seems never to move: the same phases, the first force throughout."""
+    fused = seen.fused
+    if fused is not None and (fused.left_contact or fused.right_contact):
+        fused = replace(
+            fused,
+            turn_deg=0.0,
+            sigma_deg=1.0,
+            rate_deg_s=0.0,
+            shift_mm=0.0,
+            fingers=("left", "right"),
+            conflict=None,
+            declined=None,
+        )
+    law, command = step(guard.law, replace(seen, fused=fused, fault=None), params)
+    return replace(guard, law=law), command
