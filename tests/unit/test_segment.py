@@ -139,5 +139,5 @@ def test_an_output_that_is_no_probability_is_an_error(value: float) -> None:
 
     segmenter = Segmenter()
     segmenter._session = Broken()
-    with pytest.raises(ModelError, match="a probability in 0..1 is needed"):
+    with pytest.raises(ModelError, match=r"a probability in 0\.\.1 is needed"):
         segmenter.segment(gel(), gel(1))

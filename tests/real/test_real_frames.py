@@ -1,0 +1,79 @@
+"""The shipped network on real DIGIT frames, through `slipguard measure`; needs the recordings, never committed."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from slipguard.cli.measure import ReferenceChoice, measure
+from slipguard.lab.scores import RealFrame, iou, no_contact_frames, real_frames
+
+pytestmark = pytest.mark.real
+
+
+def masks_of(paths: list[Path], background: Path | None, out: Path, independent: bool) -> dict[str, np.ndarray]:
+    """Contact masks by stem, as `slipguard measure --masks` writes them."""
+    measure(
+        paths,
+        background=background,
+        masks=out,
+        plot=None,
+        json=True,
+        independent=independent,
+        reference=ReferenceChoice.stable,
+        model=None,
+        estimator=None,
+    )
+    return {path.stem: cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) > 127 for path in out.glob("*.png")}
+
+
+def mean_iou(frames: list[RealFrame], masks: dict[str, np.ndarray]) -> float:
+    scores = [iou(masks[frame.name], frame.mask) for frame in frames]
+    print(f"{len(scores)} frames, mean IoU {np.mean(scores):.3f}, lowest {np.min(scores):.3f}")
+    return float(np.mean(scores))
+
+
+def of(real_data: Path, group: str, split: str) -> list[RealFrame]:
+    return [frame for frame in real_frames(real_data) if frame.group == group and frame.split in split]
+
+
+@pytest.mark.parametrize("split", ["tune", "test"])
+def test_ball_presses(real_data: Path, tmp_path: Path, split: str) -> None:
+    folder = real_data / "taxim_sphere"
+    frames = of(real_data, "taxim_sphere", split)
+    assert len(frames) == 15
+    files = [folder / f"{frame.name}.png" for frame in frames]
+    assert mean_iou(frames, masks_of(files, folder / "background.png", tmp_path, independent=True)) >= 0.80
+
+
+@pytest.mark.parametrize("split", ["tune", "test"])
+def test_indenter_video(real_data: Path, tmp_path: Path, split: str) -> None:
+    folder = real_data / "anytouch2_force2"
+    frames = of(real_data, "anytouch2_force2", split)
+    assert len(frames) > 20
+    files = [folder / "frames" / f"{frame.name}.png" for frame in frames]
+    assert mean_iou(frames, masks_of(files, folder / "background.png", tmp_path, independent=False)) >= 0.80
+
+
+def test_a_frame_of_the_source_paper_without_its_background(real_data: Path, tmp_path: Path) -> None:
+    frames = of(real_data, "aurova", "test")
+    found = masks_of([real_data / "aurova" / "frame.png"], None, tmp_path, independent=True)
+    assert mean_iou(frames, found) >= 0.75
+
+
+def test_no_contact_is_reported_on_untouched_gels(
+    real_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    days = 5
+    frames = no_contact_frames(real_data, days)
+    assert len(frames) == 6 * days
+    for number, frame in enumerate(frames):
+        assert frame.background is not None
+        background, image = tmp_path / f"unit-{number}.png", tmp_path / f"{frame.name}.png"
+        cv2.imwrite(str(background), frame.background)
+        cv2.imwrite(str(image), frame.image)
+        masks_of([image], background, tmp_path / "masks", independent=True)
+        said = json.loads(capsys.readouterr().out)
+        assert said["contact"] is False, f"{frame.name}: {said['contact_area_px']} px called contact"
