@@ -58,6 +58,7 @@ class Ur5Arm(Arm):
         stop_m_s2 = self._settings.stop_mm_s2 / 1000.0
         await self._link.start(self._settings.watchdog_hz, stop_m_s2)
         self._lost = None
+        self._newest = {}
         try:
             await self._beat()
         except BaseException:
@@ -99,7 +100,7 @@ class Ur5Arm(Arm):
         return speed_mm_s
 
     async def stop(self) -> None:
-        """Stop now; without a working worker by killing it, which lets the robot's watchdog stop the arm."""
+        """Stop now. A worker that does not answer is killed, and the robot's watchdog stops the arm."""
         self._check_alive()
         await self._link.call("stop", self._settings.stop_mm_s2 / 1000, deadline_s=CALL_S)
 

@@ -15,6 +15,7 @@ import signal
 import socket
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 import rtde_control
@@ -107,7 +108,12 @@ class Robot:
 def answer(robot: Robot, packet: bytes) -> dict[str, Any]:
     """Do what one packet asks."""
     name, *arguments = json.loads(packet)
-    calls = {"beat": robot.beat, "lift": robot.lift, "stop": robot.stop, "leave": robot.leave}
+    calls: dict[str, Callable[..., Any]] = {
+        "beat": robot.beat,
+        "lift": robot.lift,
+        "stop": robot.stop,
+        "leave": robot.leave,
+    }
     try:
         return {"ok": calls[name](*arguments)}
     except Refused as error:
