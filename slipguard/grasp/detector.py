@@ -19,13 +19,14 @@ CALM_SHIFT_MM = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Detector:
-    """What is remembered between frames. base: where the object was when it was last calm."""
+    """What is remembered between frames. base: where the object was when it was last calm. episodes: of slip so far."""
 
     base_turn_deg: float | None = None
     base_shift_mm: float | None = None
     measured_s: float = -math.inf
     captured_s: float = -math.inf
     frames: int = 0
+    episodes: int = 0
     smooth_shift_mm: float | None = None
     slide_rate_mm_s: float = 0.0
     rest_turn_deg: float | None = None
@@ -33,8 +34,8 @@ class Detector:
     rest_since_s: float | None = None
 
     def rebased(self) -> Detector:
-        """From here on only what moves further counts."""
-        return replace(self, base_turn_deg=None, base_shift_mm=None, frames=0)
+        """An episode is over: from here on only what moves further counts."""
+        return replace(self, base_turn_deg=None, base_shift_mm=None, frames=0, episodes=self.episodes + 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +63,10 @@ class Look:
         return f"{turn}, slid {self.slide_mm:.1f} mm" if self.slide_mm > CALM_SHIFT_MM else turn
 
 
-def level_deg(sigma_deg: float, params: GuardParams) -> float:
-    """The turn below which nothing counts as slip."""
-    return max(params.level_deg, min(params.level_sigmas * sigma_deg, params.level_max_deg))
+def level_deg(sigma_deg: float, episodes: int, params: GuardParams) -> float:
+    """The turn below which nothing counts as slip after so many episodes of it."""
+    level = max(params.level_deg, min(params.level_sigmas * sigma_deg, params.level_max_deg))
+    return level * params.level_growth**episodes
 
 
 def look(detector: Detector, fused: Fused, params: GuardParams, *, only_outward: bool = False) -> Look:
@@ -85,7 +87,8 @@ def look(detector: Detector, fused: Fused, params: GuardParams, *, only_outward:
     turn, rate, turning = _turning(detector, fused, params, only_outward)
     slide = (fused.shift_mm or 0.0) - (detector.base_shift_mm or 0.0) if fused.shift_mm is not None else 0.0
     slides_fast = detector.slide_rate_mm_s >= params.slide_rate_mm_s
-    sliding = slide > params.slide_mm and (slides_fast or slide > params.slide_creep_mm)
+    growth = params.level_growth**detector.episodes
+    sliding = slide > params.slide_mm * growth and (slides_fast or slide > params.slide_creep_mm * growth)
     if new:
         detector = replace(detector, frames=detector.frames + 1 if turning or sliding else 0)
     return Look(
@@ -110,9 +113,10 @@ def _turning(detector: Detector, fused: Fused, params: GuardParams, only_outward
     rate_deg_s = math.copysign(1.0, away_deg) * (fused.rate_deg_s or 0.0)
     if only_outward and away_deg * fused.turn_deg < 0.0:
         return turn_deg, 0.0, False
-    level = level_deg(fused.sigma_deg, params)
+    growth = params.level_growth**detector.episodes
+    level = level_deg(fused.sigma_deg, detector.episodes, params)
     fast = rate_deg_s >= params.rate_deg_s
-    return turn_deg, rate_deg_s, turn_deg > level and (fast or turn_deg > max(params.creep_deg, level))
+    return turn_deg, rate_deg_s, turn_deg > level and (fast or turn_deg > params.creep_deg * growth)
 
 
 def _follow_shift(detector: Detector, fused: Fused) -> Detector:

@@ -20,6 +20,9 @@ SLOWING = 0.8
 PROGRESS_DEG = 1.0
 PROGRESS_MM = 0.2
 """A step is answered by another only if the object has moved this much further since."""
+SPENT_DEG = 5.0
+SPENT_MM = 1.0
+"""With the whole budget applied and the arm stopped, moving this much further is no wind-up of the gel."""
 LATE_SHARE = 0.5
 """Beyond this share of `give_up_turn_deg` there is no waiting whether a step helps."""
 
@@ -58,18 +61,23 @@ def _begin(state: GuardState, sight: Look, seen: Seen, params: GuardParams) -> V
 
 def _go_on(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: GuardParams) -> Verdict:
     """Another step if the last one has had its time and does not help; a fault if there is nothing left to do."""
+    waiting = Verdict(state, stop=True)
     far = state.referenced and _turned_deg(seen) > params.give_up_turn_deg
-    waited = seen.now_s - slip.stepped_s >= params.hold_off_s
-    further = sight.turn_deg - slip.turn_deg > PROGRESS_DEG or sight.slide_mm - slip.slide_mm > PROGRESS_MM
-    if not (sight.moving and further and (waited or far)):
-        return Verdict(state, stop=True)
-    if far:
+    if far and sight.moving:
         return _give_up(state, sight, seen, params)
+    turned_deg, slid_mm = sight.turn_deg - slip.turn_deg, sight.slide_mm - slip.slide_mm
+    waited = seen.now_s - slip.stepped_s >= params.hold_off_s
+    if not (sight.moving and waited and (turned_deg > PROGRESS_DEG or slid_mm > PROGRESS_MM)):
+        return waiting
     settled = seen.gripper is not None and not seen.gripper.moving
+    within = limits.budget(params.force_max_n, seen.gripper_limits_n)
+    if within is None or state.target_n >= within.high_n:
+        further = turned_deg > SPENT_DEG or slid_mm > SPENT_MM
+        return replace(waiting, fault=_spent(state, sight, params)) if settled and further else waiting
     slows = sight.rate_deg_s < SLOWING * slip.rate_deg_s and sight.slide_rate_mm_s < params.slide_rate_mm_s
     late = _turned_deg(seen) > LATE_SHARE * params.give_up_turn_deg
     if slows and not settled and not late:
-        return Verdict(state, stop=True)
+        return waiting
     return _step(state, slip, sight, seen, params, params.next_step)
 
 
@@ -92,14 +100,15 @@ def _step(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: GuardP
         said = f"slip: {sight.what}: tightening from {state.target_n:.0f} N to {target_n:.0f} N"
         state = replace(state, slip=slip, target_n=target_n, commanded_s=seen.now_s)
         return Verdict(state, hold_n=target_n, stop=True, say=said)
-    if seen.gripper is None or seen.gripper.moving or slip.steps == 1:
-        return Verdict(replace(state, slip=slip), stop=True)  # the last step is still on its way
-    fault = Fault(
+    return Verdict(replace(state, slip=slip), stop=True)
+
+
+def _spent(state: GuardState, sight: Look, params: GuardParams) -> Fault:
+    return Fault(
         FaultCode.BUDGET_SPENT,
         f"{sight.what} at {state.target_n:.0f} N, and force_max_n = {params.force_max_n:g} N",
         "support the object, lower it or release it; raise force_max_n if object and gel allow it",
     )
-    return Verdict(replace(state, slip=slip), stop=True, fault=fault)
 
 
 def _give_up(state: GuardState, sight: Look, seen: Seen, params: GuardParams) -> Verdict:

@@ -19,7 +19,7 @@ class GuardParams(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     mode: Literal["lift", "guard"] = "lift"
-    """lift: slipguard closes, lifts, guards, lowers. guard: another program moves the arm, which is only ever paused."""
+    """lift: slipguard closes, lifts, guards, lowers. guard: another program moves the arm; it is only paused."""
 
     first_force_n: Force = 40.0
     """First grip; gentle, for the guard tightens where it is not enough."""
@@ -48,6 +48,8 @@ class GuardParams(BaseModel):
     """... nor one below this many standard deviations of the estimate,"""
     level_max_deg: Annotated[float, Field(ge=0.5, le=20.0)] = 5.0
     """... but an unsure estimate does not raise the level beyond this."""
+    level_growth: Annotated[float, Field(ge=1.0, le=3.0)] = 1.6
+    """Each tightening multiplies the level by this: the firmer the grip, the likelier a turn is only the gel winding up."""
     rate_deg_s: Annotated[float, Field(ge=0.5, le=100.0)] = 8.0
     """Slip turns at least this fast; a wound-up gel comes to rest."""
     creep_deg: Annotated[float, Field(ge=1.0, le=30.0)] = 6.0

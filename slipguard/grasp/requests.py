@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from slipguard.grasp import limits
+from slipguard.grasp.detector import Detector
 from slipguard.grasp.messages import ArmLift, Command, RequestKind, Seen
 from slipguard.grasp.params import GuardParams
 from slipguard.grasp.state import GuardState, Phase, emptied, entered, taken_over
@@ -137,7 +138,7 @@ def _guard_on(state: GuardState, command: Command, seen: Seen, params: GuardPara
 def _guard_off(state: GuardState, command: Command, seen: Seen, params: GuardParams) -> Outcome:
     if state.phase is Phase.FAULT:
         return _refuse(state, command, "a fault is latched; clear it first")
-    state = replace(state, guarding=False, slip=None, detector=state.detector.rebased())
+    state = replace(state, guarding=False, slip=None, detector=Detector())
     return state, replace(command, say="not guarding: slip is not acted on")
 
 
