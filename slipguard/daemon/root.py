@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
@@ -80,8 +80,16 @@ def build_service(
     )
 
 
-async def run(config: Config, *, world: object | None = None) -> None:
-    """Guard until SIGINT or SIGTERM, with the local API; the grip stays as it is at the end."""
+async def run(
+    config: Config,
+    *,
+    world: object | None = None,
+    beside: Callable[[Service], Coroutine[None, None, None]] | None = None,
+) -> None:
+    """Guard until SIGINT or SIGTERM, with the local API; the grip stays as it is at the end.
+
+    beside: what else runs as long as the service does.
+    """
     service = build_service(config, world=world)
     path = socket_path(config)
     log.info("slipguard starts", version=__version__, mode=config.guard.mode, socket=str(path))
@@ -99,6 +107,8 @@ async def run(config: Config, *, world: object | None = None) -> None:
             group.create_task(service.run(), name="service")
             group.create_task(serve(make_app(Controls(service)), path), name="api")
             group.create_task(until_stopped(), name="signals")
+            if beside is not None:
+                group.create_task(beside(service), name="beside")
     except* _Stopped:
         log.info("slipguard stops; the grip stays as it is")
     finally:

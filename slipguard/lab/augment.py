@@ -17,6 +17,7 @@ LIGHT_LEVELS = (5.0, 2.5, 2.5, 1.5, 1.5, 1.5)
 """Largest drift of the lamps in grey levels: constant, x, y, xy, x^2, y^2."""
 BACKGROUND_NOISE_LEVELS = 1.2
 """What is left of camera noise in a no-contact image at network resolution when a single frame was stored."""
+NOISE_POOL = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +42,8 @@ class Augment:
         self._rng = torch.Generator().manual_seed(seed)
         self._structure = torch.from_numpy(patterns(structure, pool, seed))
         self._drift = torch.from_numpy(patterns(drift, pool, seed + 1))
+        noise = torch.randn((NOISE_POOL, INPUT_HEIGHT_PX, INPUT_WIDTH_PX, 3), generator=self._rng)
+        self._noise = noise.half()
         self._unknown = unknown
         y, x = torch.meshgrid(
             torch.linspace(-1, 1, INPUT_HEIGHT_PX), torch.linspace(-1, 1, INPUT_WIDTH_PX), indexing="ij"
@@ -58,8 +61,7 @@ class Augment:
         offset = self._between(count, -12.0, 12.0)
         seen = self._drifted(seen * gain + offset)
         unit = unit * gain + offset
-        noise = torch.randn(unit.shape, generator=self._rng) * BACKGROUND_NOISE_LEVELS
-        unit = unit + noise * self._chosen(count, 0.5)
+        unit = unit + self._drawn(self._noise, count) * (self._chosen(count, 0.5) * BACKGROUND_NOISE_LEVELS)
         axes = [axis for axis in (1, 2) if self._coin(0.5)]
         seen, unit, label = seen.flip(axes), unit.flip(axes), label.flip(axes)
         shown = seen.round().clamp(0, 255).byte()

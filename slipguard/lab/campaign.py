@@ -27,6 +27,9 @@ TRUTH_STEP_S = 0.004
 HOLD_S = 1.2
 """How long an object is held up, after the lift, before it is put down."""
 PHASE_TIMEOUT_S = 12.0
+LIFT_SPEED_MM_S = 60.0
+LOWER_SPEED_MM_S = 150.0
+"""Nothing is at stake on the way down any more: ten lifts in a minute and a half."""
 STATED_LATENCY_S = 0.006
 """On the fast clock a frame's answer comes this long after the frame."""
 GRIPPED = frozenset({Phase.REFERENCE, Phase.LIFTING, Phase.HOLDING, Phase.FAULT})
@@ -69,6 +72,7 @@ def campaign_config(settings: CampaignSettings, state_directory: Path) -> Config
     """The fakes with every default; drawing in processes of their own on the real clock."""
     draw = "process" if settings.realtime else "inline"
     raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": draw}} for name in FINGERS}
+    raw["guard"] = {"lift_speed_mm_s": LIFT_SPEED_MM_S, "lower_speed_mm_s": LOWER_SPEED_MM_S}
     raw["state"] = {"directory": str(state_directory)}
     return parse_config(raw, where="--sim", sim=True)
 

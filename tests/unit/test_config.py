@@ -28,7 +28,8 @@ def test_the_shipped_file_is_fine_and_complete() -> None:
     text = SHIPPED.read_text()
     for section in ("guard", "perception", "loop", "api", "state"):
         for key in getattr(config, section).__class__.model_fields:
-            assert key in text, f"config.toml does not explain {section}.{key}"
+            assert f"{key} = " in text, f"config.toml does not explain {section}.{key}"
+        assert getattr(config, section) == type(getattr(config, section))(), f"[{section}] differs from the defaults"
 
 
 def test_sim_replaces_all_four_drivers() -> None:
@@ -38,7 +39,9 @@ def test_sim_replaces_all_four_drivers() -> None:
 
 
 def test_a_typo_names_the_nearest_key() -> None:
-    assert "guard.first_forse_n: no such key; did you mean 'first_force_n'?" in complaint({"guard": {"first_forse_n": 3}})
+    assert "guard.first_forse_n: no such key; did you mean 'first_force_n'?" in complaint(
+        {"guard": {"first_forse_n": 3}}
+    )
     assert "left.rotation: no such key; did you mean 'rotation_deg'?" in complaint({"left": {"rotation": 0}})
 
 
@@ -67,7 +70,9 @@ def test_a_wrong_value_is_shown_with_its_key(raw: dict[str, Any], expected: str)
 
 
 def test_an_unknown_driver_lists_those_there_are() -> None:
-    text = complaint({"gripper": {"driver": "robotik"}}, sim=False)
+    text = complaint(
+        {name: {"driver": "fake"} for name in ("left", "right", "arm")} | {"gripper": {"driver": "robotik"}}, sim=False
+    )
     assert "gripper.driver = 'robotik'" in text
     assert "fake, robotiq" in text
 
