@@ -9,12 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.sim.raster import blurred, f32
+from slipguard.sim.raster import Field, blurred, f32
 from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Unit
 
 _BLEED = ((0.80, 0.20, 0.12), (0.16, 0.80, 0.12), (0.12, 0.16, 0.80))
 """How the three colours mix: no light is pure, no filter is sharp."""
-Plane = NDArray[np.float32]
 
 
 def backdrop(unit: Unit) -> NDArray[np.uint8]:
@@ -26,7 +25,7 @@ def backdrop(unit: Unit) -> NDArray[np.uint8]:
     x = columns / (FRAME_WIDTH_PX - 1) * 2 - 1
     y = 1 - rows / (FRAME_HEIGHT_PX - 1) * 2
     crisp = rng.random() < 0.4  # some gels show where a light's cone ends
-    planes = [_glow(rng, x, y, unit.led_azimuth_deg[c], crisp) + _streaks(rng, unit, c) for c in range(3)]
+    planes = [_glow(rng, x, y, azimuth, crisp) + _streaks(rng, x, y, azimuth) for azimuth in unit.led_azimuth_deg]
     image = f32(cv2.transform(cv2.merge(planes), np.asarray(_BLEED, np.float32)))
     image *= (1 - rng.uniform(0.05, 0.35) * (x * x + y * y) / 2)[..., None]
     _dust(rng, image)
@@ -35,7 +34,7 @@ def backdrop(unit: Unit) -> NDArray[np.uint8]:
     return np.clip(np.rint(image + stripes), 5, 250).astype(np.uint8)
 
 
-def _glow(rng: np.random.Generator, x: Plane, y: Plane, azimuth_deg: float, crisp: bool) -> Plane:
+def _glow(rng: np.random.Generator, x: Field, y: Field, azimuth_deg: float, crisp: bool) -> Field:
     """One colour: bright on the side away from its light, where the dome leans towards it, and a weak rest."""
     glow = np.full(x.shape, rng.uniform(20, 75), np.float32)
     for k in range(int(rng.integers(2, 4))):
@@ -55,23 +54,23 @@ def _glow(rng: np.random.Generator, x: Plane, y: Plane, azimuth_deg: float, cris
     return glow
 
 
-def _streaks(rng: np.random.Generator, unit: Unit, channel: int) -> Plane:
-    """Light that enters through flaws of the gel's edge: bands that start near the light and fade."""
-    sheet = np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.float32)
-    middle = np.array([FRAME_WIDTH_PX / 2, FRAME_HEIGHT_PX / 2])
-    for _ in range(int(rng.integers(0, 4))):
-        angle = math.radians(unit.led_azimuth_deg[channel] + rng.normal(0, 30))
-        towards = np.array([math.cos(angle), -math.sin(angle)])
-        start = middle + 150 * towards
-        end = start - towards * rng.uniform(80, 300) + rng.normal(0, 25, 2)
-        band = np.zeros_like(sheet)
-        ends = [(round(float(p[0])), round(float(p[1]))) for p in (start, end)]
-        cv2.line(band, ends[0], ends[1], (float(rng.uniform(20, 80)),), int(rng.integers(3, 14)))
-        sheet += cv2.GaussianBlur(band, (0, 0), float(rng.uniform(2, 9)))
-    return sheet
+def _streaks(rng: np.random.Generator, x: Field, y: Field, azimuth_deg: float) -> Field:
+    """Light that enters through flaws of the gel's edge: a fan of soft rays from the light, fading on its way."""
+    angle = math.radians(azimuth_deg + rng.normal(0, 10))
+    source = (1.5 * math.cos(angle), 1.15 * math.sin(angle))
+    right, up = x - np.float32(source[0]), (y - np.float32(source[1])) * np.float32(FRAME_HEIGHT_PX / FRAME_WIDTH_PX)
+    bearing = np.arctan2(
+        right * np.float32(-math.sin(angle)) + up * np.float32(math.cos(angle)),
+        -(right * np.float32(math.cos(angle)) + up * np.float32(math.sin(angle))),
+    )
+    rays = np.maximum(rng.standard_normal(64), 0.0) ** 2
+    rays = np.convolve(rays, np.hanning(int(rng.integers(4, 14))), "same") * rng.uniform(0.0, 14.0)
+    reach = rng.uniform(0.4, 1.6)
+    fade = np.exp(-np.hypot(right, up) / np.float32(reach))
+    return f32(f32(np.interp(bearing, np.linspace(-1.3, 1.3, rays.size), rays)) * fade)
 
 
-def _dust(rng: np.random.Generator, image: NDArray[np.float32]) -> None:
+def _dust(rng: np.random.Generator, image: Field) -> None:
     """Specks and flaws of the paint, drawn into the image."""
     for _ in range(int(rng.integers(0, 6))):
         column, row = int(rng.integers(8, FRAME_WIDTH_PX - 8)), int(rng.integers(8, FRAME_HEIGHT_PX - 8))

@@ -13,7 +13,7 @@ from slipguard.errors import InputError
 from slipguard.sim.backdrop import backdrop
 from slipguard.sim.imprint import Imprint, Imprinter
 from slipguard.sim.noise import Noise
-from slipguard.sim.raster import Field
+from slipguard.sim.raster import Field, f32
 from slipguard.sim.relief import Relief
 from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Light, Unit
 from slipguard.sim.view import GelView
@@ -67,9 +67,11 @@ class GelCamera:
         """Change the light from the next frame on; `no_contact` stays as it was taken."""
         if light == self._light:
             return
-        position = np.linspace(-1.0, 1.0, FRAME_WIDTH_PX, dtype=np.float32)[None, :, None]
-        offset = np.asarray(light.offset_bgr, np.float32) + position * np.asarray(light.tilt_bgr, np.float32)
-        self._lit_background = self._background * np.float32(light.gain) + offset
+        x = np.linspace(-1.0, 1.0, FRAME_WIDTH_PX, dtype=np.float32)[None, :, None]
+        y = np.linspace(1.0, -1.0, FRAME_HEIGHT_PX, dtype=np.float32)[:, None, None]
+        self._lit_background = self._background * np.float32(light.gain)
+        self._lit_background += f32(light.offset_bgr) + x * f32(light.tilt_bgr)
+        self._lit_background += y * f32(light.tilt_up_bgr)
         self._light = light
 
     def draw(self, view: GelView, exposure_s: float = 0.008, relief: Relief | None = None) -> Image:

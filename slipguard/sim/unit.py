@@ -65,12 +65,14 @@ class Unit:
 class Light:
     """How the light has changed since the no-contact image was taken.
 
-    image -> gain * image + offset_bgr + tilt_bgr * position, position from -1 (left) to 1 (right). Grey levels.
+    image -> gain * image + offset_bgr + tilt_bgr * x + tilt_up_bgr * y, with x from -1 (left) to 1 (right) and y
+    from -1 (bottom) to 1 (top). Grey levels.
     """
 
     gain: float = 1.0
     offset_bgr: Triple = (0.0, 0.0, 0.0)
     tilt_bgr: Triple = (0.0, 0.0, 0.0)
+    tilt_up_bgr: Triple = (0.0, 0.0, 0.0)
 
 
 def random_unit(rng: np.random.Generator, backgrounds: Sequence[NDArray[np.uint8]] | None = None) -> Unit:
