@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from slipguard.sim.gel import GelTruth
 
-PRESS_SHARE = 0.12
+PRESS_SHARE = 0.15
 """Pressed is what moved by more than this share of the deepest press; chosen on the tuning frames."""
 HIDDEN_PRESS_SHARE = 0.1
 """Where the deepest point lies outside the picture: the skirt of what is out there is no contact in here."""
@@ -27,7 +27,7 @@ LABEL_NAME = f"displaced>{PRESS_SHARE:g}*press,closed{GAP_RADIUS_PX}px"
 
 
 def label(truth: GelTruth) -> NDArray[np.uint8]:
-    """The region to learn, (320, 240) uint8, 0 or 1: gel moved by over an eighth of the press depth, gaps closed."""
+    """The region to learn, (320, 240) uint8, 0 or 1: gel moved by over 15 % of the press depth, gaps closed."""
     seen_mm = float(truth.displacement_mm.max())
     least_mm = max(PRESS_SHARE * seen_mm, HIDDEN_PRESS_SHARE * truth.press_mm, VISIBLE_MM)
     pressed = np.asarray(truth.displacement_mm > least_mm, np.uint8)
