@@ -5,18 +5,28 @@ from __future__ import annotations
 import asyncio
 
 from slipguard.daemon.calibration import TIMEOUT_S, NoContact, collect, no_contact_of
+from slipguard.daemon.api import Control
 from slipguard.daemon.service import Service
+from slipguard.daemon.snapshot import snapshot, trouble
 from slipguard.errors import CommandRefused
 from slipguard.grasp.messages import Request, RequestKind
 from slipguard.grasp.state import Phase
 
 
-class Controls:
+class Controls(Control):
     """Every method answers with one line; raises CommandRefused with the reason."""
 
     def __init__(self, service: Service) -> None:
         self._service = service
         self._calibrating = asyncio.Lock()
+
+    def snapshot(self) -> dict[str, object]:
+        """Everything there is to know now; does not wait."""
+        return snapshot(self._service)
+
+    def trouble(self) -> str | None:
+        """Why the service is not well, in one line; None if it is."""
+        return trouble(self._service)
 
     async def grasp(self, force_n: float | None = None) -> str:
         """Close on what is between the jaws. Needs all devices and both no-contact images."""

@@ -1,0 +1,65 @@
+"""Everything there is to know about a running service, as JSON can say it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, is_dataclass
+from typing import Any
+
+from slipguard import __version__
+from slipguard.daemon.service import Service
+
+
+def snapshot(service: Service) -> dict[str, object]:
+    """State of the grasp, of each device, and what was said last. Times are of the monotonic clock."""
+    seen, state = service.seen, service.state
+    fault = state.fault
+    return {
+        "version": __version__,
+        "mode": service.config.guard.mode,
+        "phase": state.phase.value,
+        "guarding": state.guarding,
+        "slipping": state.slip is not None,
+        "target_force_n": state.target_n,
+        "cannot_see_turn": state.blind,
+        "fault": None
+        if fault is None
+        else {"code": fault.code.value, "seen": fault.seen, "what_to_do": fault.what_to_do},
+        "turn": _plain(seen.fused) if seen is not None else None,
+        "gripper": _plain(service.gripper.newest),
+        "arm": _plain(service.arm.newest),
+        "fingers": {
+            name: {
+                "serial": finger.serial,
+                "estimate": _plain(finger.newest.estimate) if finger.newest is not None else None,
+                "counts": _plain(finger.counts),
+            }
+            for name, finger in service.fingers.items()
+        },
+        "devices": {name: device.health.as_dict() for name, device in service.devices.items()},
+        "waiting_for": service.waiting_for,
+        "deadlines_missed": service.deadlines_missed,
+        "said": service.said[-10:],
+    }
+
+
+def trouble(service: Service) -> str | None:
+    """Why the service is not well, in one line; None if it is."""
+    fault = service.state.fault
+    if fault is not None:
+        return str(fault)
+    waiting = service.waiting_for
+    return f"not ready: {'; '.join(waiting)}" if waiting else None
+
+
+def _plain(value: Any) -> Any:
+    """Dataclasses as dicts, and what JSON has no number for as None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = asdict(value)
+    if isinstance(value, dict):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
