@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from pathlib import Path
 from typing import Annotated
 
@@ -13,9 +14,7 @@ ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The configur
 
 def run(
     config: ConfigOption = Path("config.toml"),
-    sim: Annotated[
-        bool, typer.Option("--sim", help="Put the fakes in place of all devices.")
-    ] = False,
+    sim: Annotated[bool, typer.Option("--sim", help="Put the fakes in place of all devices.")] = False,
     log_json: Annotated[
         bool | None,
         typer.Option("--log-json/--log-text", help="Default: JSON unless on a terminal."),
@@ -40,9 +39,7 @@ def run(
 
 def check(
     config: ConfigOption = Path("config.toml"),
-    json: Annotated[
-        bool, typer.Option("--json", help="The whole configuration, defaults filled in, as JSON.")
-    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="The whole configuration, defaults filled in, as JSON.")] = False,
 ) -> None:
     """Read and explain a configuration; touch nothing.
 
@@ -66,9 +63,7 @@ def check(
     table = Table("device", "driver", "settings", title=str(config), title_justify="left")
     for name in ("left", "right", "gripper", "arm"):
         device = getattr(settings, name)
-        own = ", ".join(
-            f"{key} = {value!r}" for key, value in device.settings.model_dump(mode="json").items()
-        )
+        own = ", ".join(f"{key} = {value!r}" for key, value in device.settings.model_dump(mode="json").items())
         table.add_row(name, device.driver, own)
     console.print(table)
     guard = settings.guard
@@ -77,20 +72,14 @@ def check(
         f"{guard.blind_force_n:g} N where the turn cannot be seen"
     )
     width, height = segmenter.input_size
-    console.print(
-        f"network {segmenter.name} at {width}×{height}, estimator {settings.perception.estimator!r}"
-    )
+    console.print(f"network {segmenter.path.name} at {width}×{height}, estimator {settings.perception.estimator!r}")
     console.print("the configuration is fine")
 
 
 def calibrate(
     config: ConfigOption = Path("config.toml"),
-    socket: Annotated[
-        Path | None, typer.Option(help="Socket of a running daemon; default: from the config.")
-    ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Even if the stored image says there is contact.")
-    ] = False,
+    socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon; default: from the config.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Even if the stored image says there is contact.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
 ) -> None:
     """Store each finger's no-contact image, by serial; needed before the first grasp.
@@ -98,12 +87,25 @@ def calibrate(
     Asks the running daemon; opens the sensors itself only when none runs. The jaws must be open and empty.
     Example: `slipguard calibrate --config config.toml`
     """
+    import json as jsonlib
+
     from slipguard.config import read_config
-    from slipguard.daemon.calibration import calibrate_through_daemon_or_directly, report
+    from slipguard.daemon import log, root
+    from slipguard.daemon.client import Client, NoDaemon
 
     settings = read_config(config)
-    result = calibrate_through_daemon_or_directly(settings, socket, force=force)
-    report(result, as_json=json)
+    try:
+        with Client(socket or root.socket_path(settings)) as client:
+            answer = client.calibrate(force=force)
+    except NoDaemon:
+        log.configure(level=logging.WARNING)
+        answer = asyncio.run(root.calibrate(settings, force=force))
+    if json:
+        print(jsonlib.dumps(answer))
+        return
+    for name, finger in answer["fingers"].items():
+        print(f"{name}: {finger['frames']} frames, noise {finger['noise_bgr']} grey levels (B, G, R)")
+    print(answer["said"])
 
 
 def version(

@@ -13,17 +13,19 @@ import structlog
 
 from slipguard import __version__
 from slipguard.config import GROUP_OF, Config
-from slipguard.daemon.api import make_app, serve
+from slipguard.daemon.api import calibration_answer, make_app, serve
 from slipguard.daemon.controls import Controls
 from slipguard.daemon.service import FINGERS, Law, Service
 from slipguard.daemon.state_dir import StateDir
 from slipguard.daemon.worker import ThreadWorker, Worker
 from slipguard.devices import DriverContext
+from slipguard.errors import DeviceTimeout
 from slipguard.grasp.guard import tick
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.segment import Segmenter
 from slipguard.registry import load_driver
 
+FIRST_ANSWER_S = 10.0
 log = structlog.get_logger()
 
 
@@ -114,6 +116,38 @@ async def run(
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.remove_signal_handler(number)
+
+
+async def calibrate(config: Config, *, force: bool = False) -> dict[str, object]:
+    """Take both no-contact images without a daemon: opens the sensors and asks the gripper, leaves the arm alone.
+
+    Raises CommandRefused or DeviceTimeout with the reason.
+    """
+    service = build_service(config)
+    tasks = [asyncio.create_task(finger.run(), name=name) for name, finger in service.fingers.items()]
+    tasks.append(asyncio.create_task(service.gripper.run(), name="gripper"))
+    try:
+        await _first_answers(service)
+        return calibration_answer(await Controls(service).calibrate(force=force))
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        service.close()
+
+
+async def _first_answers(service: Service) -> None:
+    """Until both fingers see and the gripper has answered; a gripper that is not there is no hindrance."""
+    loop = asyncio.get_running_loop()
+    deadline_s = loop.time() + FIRST_ANSWER_S
+    while True:
+        missing = [f"{name}: {one.health.why}" for name, one in service.fingers.items() if not one.health.ready]
+        gripper_known = service.gripper.health.ready or service.gripper.health.why != "not tried yet"
+        if not missing and gripper_known:
+            return
+        if loop.time() > deadline_s:
+            raise DeviceTimeout("; ".join(missing) or "gripper: no answer")
+        await asyncio.sleep(0.02)  # noqa: ASYNC110 - three devices, none of which announces its first answer here
 
 
 class _Stopped(Exception):

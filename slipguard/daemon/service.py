@@ -138,10 +138,14 @@ class Service:
                     group.create_task(device.run(), name=name)
                 group.create_task(self._decide(), name="decide")
         finally:
-            for worker in self._workers.values():
-                worker.close()
+            self.close()
             while not self._requests.empty():
                 self._requests.get_nowait()[1].cancel()
+
+    def close(self) -> None:
+        """Let go of the workers' threads; `run` does so at its end."""
+        for worker in self._workers.values():
+            worker.close()
 
     async def _decide(self) -> None:
         loop = asyncio.get_running_loop()

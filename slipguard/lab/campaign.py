@@ -173,10 +173,9 @@ def _watched(
 ) -> Iterator[None]:
     """Write truth, estimates and decisions into the record while the body runs."""
     loop = asyncio.get_running_loop()
-    watching = True
 
     def sample_truth() -> None:
-        nonlocal timer
+        timers[0] = loop.call_later(TRUTH_STEP_S, sample_truth)
         truth = world.truth(loop.time())
         if truth.dropped is None and truth.object_name is not None:
             log = record.truth
@@ -186,8 +185,6 @@ def _watched(
             log.needed_n.append(truth.needed_force_n)
             log.height_mm.append(truth.height_mm)
         live.true_turn_deg, live.force_n = truth.turn_deg, truth.force_n
-        if watching:
-            timer = loop.call_at(loop.time() + TRUTH_STEP_S, sample_truth)
 
     def decided(decision: Decision) -> None:
         if decision.phase not in GRIPPED or loop.time() > record.ended_at_s:
@@ -208,13 +205,12 @@ def _watched(
             live.latency_ms = 1e3 * decision.latencies_s[-1]
         show(live)
 
-    timer: asyncio.Handle = loop.call_soon(sample_truth)
+    timers: list[asyncio.Handle] = [loop.call_soon(sample_truth)]
     service.observers.append(decided)
     try:
         yield
     finally:
-        watching = False
-        timer.cancel()
+        timers[0].cancel()
         service.observers.remove(decided)
 
 

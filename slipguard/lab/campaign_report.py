@@ -27,7 +27,9 @@ def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
         "outcome": record.outcome,
         "why": record.why or None,
         "true_turn_deg": round(record.true_turn_deg, 2),
-        "measured_turn_deg": round(max((one.turn_deg for one in final), key=abs), 2) if final else None,
+        "measured_turn_deg": round(max((one.turn_deg for one in final), key=lambda turn_deg: abs(turn_deg)), 2)
+        if final
+        else None,
         "turn_error_deg": None if error is None else round(error, 3),
         "sigma_deg": round(float(np.median(sigmas)), 3) if sigmas else None,
         "peak_force_n": round(max(record.truth.force_n, default=0.0), 1),

@@ -30,7 +30,7 @@ class TruthLog:
 
     def turn_at(self, when_s: float | NDArray[np.float64]) -> NDArray[np.float64]:
         """True turn in the left picture, linearly between samples."""
-        return np.interp(when_s, self.time_s, self.turn_deg)
+        return np.asarray(np.interp(when_s, self.time_s, self.turn_deg), np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,8 @@ class LiftRecord:
             return np.empty(0)
         when_s = np.array([one.captured_at_s for one in stated])
         true_deg = self.truth.turn_at(when_s)
-        return np.array([one.turn_deg for one in stated]) - (true_deg - true_deg[0])
+        stated_deg = np.array([one.turn_deg for one in stated], np.float64)
+        return np.asarray(stated_deg - (true_deg - true_deg[0]), np.float64)
 
     @property
     def counts(self) -> bool:
