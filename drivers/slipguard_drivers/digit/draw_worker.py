@@ -19,6 +19,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.sim.gel import GelCamera
+from slipguard.sim.relief import relief_of
+from slipguard.sim.unit import Light, random_unit
 from slipguard.sim.view import GelView
 from slipguard_drivers.child import PACKET_BYTES
 
@@ -40,21 +43,18 @@ class Draughtsman:
     """Draws what one sensor unit sees. A new noise seed starts the noise anew, so a grasp can be repeated."""
 
     def __init__(self, unit_seed: int) -> None:
-        from slipguard.sim.unit import random_unit
-
-        self._unit = random_unit(np.random.default_rng(unit_seed))
+        self._camera = GelCamera(random_unit(np.random.default_rng(unit_seed)))
         self._noise_seed: int | None = None
 
     def draw(self, shot: Shot) -> NDArray[np.uint8]:
         """One image: (320, 240, 3) uint8 BGR."""
         if shot.noise_seed != self._noise_seed:
-            from slipguard.sim.gel import GelCamera
-
-            self._camera = GelCamera(self._unit, seed=shot.noise_seed)
+            self._camera.reseed(shot.noise_seed)
             self._noise_seed = shot.noise_seed
-        levels = np.arange(256.0)[:, None, None] + np.array(shot.light_drift_bgr)
-        table = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
-        return np.asarray(cv2.LUT(self._camera.draw(shot.view), table), dtype=np.uint8)
+        if shot.view.object_name:
+            relief_of(shot.view.object_name)  # 20-90 ms for a new object: better before it touches the gel
+        self._camera.set_light(Light(offset_bgr=shot.light_drift_bgr))
+        return self._camera.draw(shot.view)
 
 
 def serve(link: socket.socket, memory: mmap.mmap, draughtsman: Draughtsman) -> None:

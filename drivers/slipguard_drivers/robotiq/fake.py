@@ -7,7 +7,6 @@ moves nothing).
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable
 from typing import Annotated, TypeVar
 
@@ -15,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import DriverContext, Gripper, GripperState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
-from slipguard_drivers.robotiq.registers import MODEL_2F85
+from slipguard_drivers.robotiq.registers import MODEL_2F85, force_to_count, width_to_count
 from slipguard_drivers.shared_world import world_of
 
 T = TypeVar("T")
@@ -57,7 +56,7 @@ class FakeGripper(Gripper):
 
     async def hold(self, force_n: float) -> float:
         """Close on what is there with `force_n`; return the force applied."""
-        self._check_number("force_n", force_n)
+        force_to_count(force_n, MODEL_2F85)  # refuses what is no force
 
         def order(now_s: float) -> float:
             self._check_fault()
@@ -67,8 +66,8 @@ class FakeGripper(Gripper):
 
     async def move(self, width_mm: float, force_n: float) -> float:
         """Move empty-handed; return the width commanded."""
-        self._check_width(width_mm)
-        self._check_number("force_n", force_n)
+        width_to_count(width_mm, MODEL_2F85)
+        force_to_count(force_n, MODEL_2F85)  # refuses what is no force
 
         def order(now_s: float) -> float:
             self._check_fault()
@@ -82,7 +81,7 @@ class FakeGripper(Gripper):
 
     async def release(self, width_mm: float) -> None:
         """Open to `width_mm`."""
-        self._check_width(width_mm)
+        width_to_count(width_mm, MODEL_2F85)
 
         def order(now_s: float) -> None:
             self._check_fault()
@@ -103,14 +102,6 @@ class FakeGripper(Gripper):
     def _check_fault(self) -> None:
         if "fault" in self._faults():
             raise DeviceError(f"{self._name}: the gripper reports a fault (internal fault) and moves nothing")
-
-    def _check_number(self, name: str, value: float) -> None:
-        if not (math.isfinite(value) and value >= 0):
-            raise CommandRefused(f"{self._name}: {name} is {value}; it must be a number of at least 0")
-
-    def _check_width(self, width_mm: float) -> None:
-        if not 0 <= width_mm <= MODEL_2F85.stroke_mm:
-            raise CommandRefused(f"{self._name}: width_mm is {width_mm}; it must be 0 to {MODEL_2F85.stroke_mm:g}")
 
     async def _round_trip(self, act: Callable[[float], T], trips: int = 1) -> T:
         """Have the wire to oneself; `act(now_s)` is what the gripper does when the request arrives."""

@@ -135,12 +135,12 @@ def decode(registers: Sequence[int]) -> Status:
 def force_to_count(force_n: float, model: GripperModel) -> int:
     """The lowest count that applies at least `force_n` per finger; beyond the limits, the nearest.
 
-    Raises CommandRefused for a force that is not a number.
+    Raises CommandRefused for a force that is negative or not a number.
     """
-    if not math.isfinite(force_n):
+    if not (math.isfinite(force_n) and force_n >= 0):
         raise CommandRefused(f"a force of {force_n} N makes no sense; {limits(model)}")
-    share = (force_n - model.force_min_n) / (model.force_max_n - model.force_min_n)
-    return min(255, max(0, math.ceil(share * 255 - 1e-9)))
+    share = (min(force_n, model.force_max_n) - model.force_min_n) / (model.force_max_n - model.force_min_n)
+    return max(0, math.ceil(share * 255 - 1e-9))
 
 
 def count_to_force(count: int, model: GripperModel) -> float:

@@ -1,0 +1,145 @@
+"""The 2F's register map against the manual's own frames, and its conversions."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slipguard.errors import CommandRefused, DeviceError
+from slipguard_drivers.robotiq.registers import (
+    CLOSED_COUNT,
+    INPUT_ADDRESS,
+    MODEL_2F85,
+    MODEL_2F140,
+    OUTPUT_ADDRESS,
+    Motion,
+    count_to_force,
+    count_to_width,
+    decode,
+    encode,
+    force_to_count,
+    width_to_count,
+)
+
+OPEN_FULLY = bytes.fromhex("09 10 03E8 0003 06 0900 0000 FFFF 7219")
+READ_STATUS = bytes.fromhex("09 04 07D0 0003 B1CE")
+GRASPED_AT_189 = bytes.fromhex("09 04 06 B900 00FF BD00 5C9A")
+
+
+def words(payload: bytes) -> list[int]:
+    return list(struct.unpack(f">{len(payload) // 2}H", payload))
+
+
+def test_the_manuals_open_command() -> None:
+    address, count = struct.unpack(">HH", OPEN_FULLY[2:6])
+    assert (address, count) == (OUTPUT_ADDRESS, 3)
+    assert encode(activate=True, go=True, position=0, speed=255, force=255) == words(OPEN_FULLY[7:13])
+
+
+def test_activation_clears_everything_but_ract() -> None:
+    assert encode(activate=True, go=False, position=0, speed=0, force=0) == [0x0100, 0, 0]
+
+
+def test_the_manuals_status_of_a_grasp() -> None:
+    assert struct.unpack(">H", READ_STATUS[2:4]) == (INPUT_ADDRESS,)
+    status = decode(words(GRASPED_AT_189[3:9]))
+    assert status.activated
+    assert status.ready
+    assert status.going
+    assert status.motion is Motion.STOPPED_CLOSING
+    assert status.may_hold
+    assert not status.closed_on_nothing
+    assert status.fault is None
+    assert (status.position_echo, status.position, status.current_a) == (255, 189, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("flags", "echo", "position", "holds", "nothing"),
+    [
+        (0xB9, 255, 189, True, False),  # stopped on an object
+        (0xB1, 255, 189, True, False),  # the same, halted between stop and go
+        (0x31, 255, 120, True, False),  # halted on the way to it: who knows
+        (0x39, 255, 120, False, False),  # still closing
+        (0xF9, 255, 230, False, True),  # closed on nothing
+        (0xF9, 0, 3, False, False),  # open
+        (0x79, 0, 100, False, False),  # stopped while opening
+        (0x11, 255, 189, False, False),  # not activated
+    ],
+)
+def test_what_may_be_held(flags: int, echo: int, position: int, holds: bool, nothing: bool) -> None:
+    status = decode([flags << 8, echo, position << 8])
+    assert (status.may_hold, status.closed_on_nothing) == (holds, nothing)
+
+
+@pytest.mark.parametrize(
+    ("code", "told"), [(0x00, None), (0x05, None), (0x07, None), (0x09, None), (0x0E, "overcurrent"), (0x06, "0x06")]
+)
+def test_faults_are_words(code: int, told: str | None) -> None:
+    fault = decode([0xB900, code << 8 | 255, 0xBD00]).fault
+    assert fault is None if told is None else told in (fault or "")
+
+
+@pytest.mark.parametrize("registers", [[], [0xB900, 255], [0xB900, 255, 0x10000], [0xB900, -1, 0]])
+def test_what_is_no_status_is_refused(registers: list[int]) -> None:
+    with pytest.raises(DeviceError):
+        decode(registers)
+
+
+@pytest.mark.parametrize("name", ["position", "speed", "force"])
+@pytest.mark.parametrize("count", [-1, 256])
+def test_counts_are_bytes(name: str, count: int) -> None:
+    with pytest.raises(ValueError, match=name):
+        encode(activate=True, go=True, **{"position": 0, "speed": 0, "force": 0, name: count})
+
+
+def test_the_force_range_of_both_models() -> None:
+    assert [count_to_force(count, MODEL_2F85) for count in (0, 255)] == [20.0, 235.0]
+    assert [count_to_force(count, MODEL_2F140) for count in (0, 255)] == [10.0, 125.0]
+    assert count_to_force(1, MODEL_2F85) - 20.0 == pytest.approx(0.843, abs=1e-3)
+
+
+@given(st.floats(min_value=0.0, allow_infinity=False))
+def test_never_less_force_than_asked_for_within_the_limits(force_n: float) -> None:
+    count = force_to_count(force_n, MODEL_2F85)
+    applied_n = count_to_force(count, MODEL_2F85)
+    if 20.0 <= force_n <= 235.0:
+        assert force_n - 1e-6 <= applied_n < force_n + 0.844
+    else:
+        assert applied_n == (20.0 if force_n < 20.0 else 235.0)
+
+
+@given(st.integers(0, 255))
+def test_a_force_count_is_its_own_force(count: int) -> None:
+    assert force_to_count(count_to_force(count, MODEL_2F85), MODEL_2F85) == count
+
+
+@given(st.floats(0.0, 85.0))
+def test_a_width_comes_back_within_half_a_count(width_mm: float) -> None:
+    count = width_to_count(width_mm, MODEL_2F85)
+    assert 3 <= count <= 230
+    assert count_to_width(count, MODEL_2F85) == pytest.approx(width_mm, abs=85.0 / 227 / 2 + 1e-9)
+
+
+def test_the_ends_of_the_stroke() -> None:
+    assert width_to_count(85.0, MODEL_2F85) == 3
+    assert width_to_count(0.0, MODEL_2F85) == 230
+    assert count_to_width(0, MODEL_2F85) == 85.0
+    assert count_to_width(CLOSED_COUNT, MODEL_2F85) == 0.0
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -1.0])
+def test_what_is_no_number_is_refused(value: float) -> None:
+    with pytest.raises(CommandRefused):
+        force_to_count(value, MODEL_2F85)
+    with pytest.raises(CommandRefused):
+        width_to_count(value, MODEL_2F85)
+
+
+@pytest.mark.parametrize("width_mm", [-0.1, 85.1])
+def test_a_width_outside_the_stroke_is_refused(width_mm: float) -> None:
+    with pytest.raises(CommandRefused, match="0 to 85"):
+        width_to_count(width_mm, MODEL_2F85)
