@@ -48,8 +48,8 @@ class GuardParams(BaseModel):
     """... nor one below this many standard deviations of the estimate,"""
     level_max_deg: Annotated[float, Field(ge=0.5, le=20.0)] = 5.0
     """... but an unsure estimate does not raise the level beyond this."""
-    level_growth: Annotated[float, Field(ge=1.0, le=3.0)] = 1.6
-    """Each tightening multiplies the level by this: the firmer the grip, the likelier a turn is only the gel winding up."""
+    level_growth: Annotated[float, Field(ge=1.0, le=3.0)] = 2.0
+    """Each tightening multiplies the level: the firmer the grip, the likelier a turn is only the gel winding up."""
     rate_deg_s: Annotated[float, Field(ge=0.5, le=100.0)] = 8.0
     """Slip turns at least this fast; a wound-up gel comes to rest."""
     creep_deg: Annotated[float, Field(ge=1.0, le=30.0)] = 6.0

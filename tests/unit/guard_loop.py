@@ -133,7 +133,7 @@ class Run:
         self.now_s += TICK_S
         self.capture()
         while self.queue and self.queue[0][0] <= self.now_s:
-            when_s, _, action = heapq.heappop(self.queue)
+            _, _, action = heapq.heappop(self.queue)
             action()
         ages = {n: FingerHealth(age_s=self.now_s - e.captured_at_s if e else 0.0) for n, e in self.estimates.items()}
         seen = Seen(

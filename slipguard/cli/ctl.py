@@ -1,0 +1,196 @@
+"""`slipguard ctl`: talk to a running daemon."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from slipguard.daemon.client import Client
+
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Talk to a running daemon. Exit code 1 with the daemon's reason where it refuses.\n\n"
+    "Example: `slipguard ctl state`, `slipguard ctl grasp`, `slipguard ctl lift`, `slipguard ctl release --yes`",
+)
+
+SocketOption = Annotated[
+    Path | None, typer.Option("--socket", help="Unix socket of the daemon; default: that of this user or system.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="The daemon's answer as one JSON object.")]
+ForceOption = Annotated[float | None, typer.Option(min=0.1, max=235.0, help="Newtons per finger.")]
+HeightOption = Annotated[float | None, typer.Option(min=0.1, max=2000.0, help="Millimetres.")]
+SpeedOption = Annotated[float | None, typer.Option(min=0.1, max=250.0, help="Millimetres a second.")]
+WidthOption = Annotated[float | None, typer.Option(min=0.0, max=200.0, help="Millimetres between the jaws.")]
+
+
+class Switch(StrEnum):
+    """on or off."""
+
+    on = "on"
+    off = "off"
+
+
+@app.command()
+def state(socket: SocketOption = None, json: JsonOption = False) -> None:
+    """Show everything the daemon knows now.
+
+    Example: `slipguard ctl state --json`
+    """
+    with _client(socket) as client:
+        answer = client.state()
+    if json:
+        _print_json(answer)
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(show_header=False)
+    for key, value in _flat(answer):
+        table.add_row(key, value)
+    Console().print(table)
+
+
+@app.command()
+def grasp(force_n: ForceOption = None, socket: SocketOption = None, json: JsonOption = False) -> None:
+    """Close on what is between the jaws, gently.
+
+    Example: `slipguard ctl grasp --force-n 30`
+    """
+    _ask(socket, json, lambda client: client.grasp(force_n))
+
+
+@app.command()
+def lift(
+    height_mm: HeightOption = None,
+    speed_mm_s: SpeedOption = None,
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Lift what is held; returns when the lift has begun.
+
+    Example: `slipguard ctl lift --height-mm 120`
+    """
+    _ask(socket, json, lambda client: client.lift(height_mm, speed_mm_s))
+
+
+@app.command()
+def lower(
+    height_mm: HeightOption = None,
+    speed_mm_s: SpeedOption = None,
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Lower what is held, by as much as it was lifted; returns when the motion has begun.
+
+    Example: `slipguard ctl lower`
+    """
+    _ask(socket, json, lambda client: client.lower(height_mm, speed_mm_s))
+
+
+@app.command()
+def guard(
+    switch: Annotated[Switch, typer.Argument(help="on: tighten when the object slips. off: only watch.")],
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Guard what is held, or stop guarding.
+
+    Example: `slipguard ctl guard on`
+    """
+    _ask(socket, json, lambda client: client.guard(switch is Switch.on))
+
+
+@app.command()
+def gripper(
+    width_mm: WidthOption = None,
+    force_n: ForceOption = None,
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Move the jaws for another program; never opens a held object, never lowers its grip.
+
+    Example: `slipguard ctl gripper --width-mm 60`
+    """
+    _ask(socket, json, lambda client: client.gripper(width_mm, force_n))
+
+
+@app.command()
+def release(
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
+    width_mm: WidthOption = None,
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Open the jaws, in every state, faults included: what is held drops.
+
+    Example: `slipguard ctl release --yes`
+    """
+    if not yes:
+        typer.confirm("Open the jaws? What is held drops.", abort=True, err=True)
+    _ask(socket, json, lambda client: client.release(width_mm))
+
+
+@app.command()
+def clear(socket: SocketOption = None, json: JsonOption = False) -> None:
+    """Leave a fault whose cause is gone; what is held stays held.
+
+    Example: `slipguard ctl clear`
+    """
+    _ask(socket, json, lambda client: client.clear())
+
+
+@app.command()
+def calibrate(
+    force: Annotated[
+        bool, typer.Option("--force", help="Even if the stored image says that there is contact.")
+    ] = False,
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Take and store each finger's no-contact image; the jaws must be open and empty.
+
+    Example: `slipguard ctl calibrate`
+    """
+    _ask(socket, json, lambda client: client.calibrate(force=force))
+
+
+@contextmanager
+def _client(socket: Path | None) -> Iterator[Client]:
+    from slipguard.daemon.client import Client
+
+    with Client(socket) as client:
+        yield client
+
+
+def _ask(socket: Path | None, json: bool, command: Callable[[Client], dict[str, Any]]) -> None:
+    with _client(socket) as client:
+        answer = command(client)
+    if json:
+        _print_json(answer)
+    else:
+        typer.echo(answer.get("said", "done"))
+
+
+def _print_json(answer: dict[str, Any]) -> None:
+    import json
+
+    typer.echo(json.dumps(answer))
+
+
+def _flat(value: object, path: str = "") -> Iterator[tuple[str, str]]:
+    """Every leaf of a JSON object with its dotted name, as a person reads it."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _flat(inner, f"{path}.{key}" if path else str(key))
+    elif isinstance(value, list):
+        yield path, "\n".join(str(one) for one in value) or "–"
+    elif isinstance(value, float):
+        yield path, f"{value:.3f}".rstrip("0").rstrip(".")
+    else:
+        yield path, "–" if value is None else str(value)

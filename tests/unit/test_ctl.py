@@ -1,0 +1,119 @@
+"""`slipguard ctl` against a served daemon, as a person runs it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import sys
+from pathlib import Path
+
+import pytest
+from fake_control import FakeControl, served
+from typer.testing import CliRunner
+
+from slipguard.cli.ctl import app
+from slipguard.daemon.client import NoDaemon, find_socket
+from slipguard.errors import CommandRefused
+
+
+@pytest.fixture
+def control() -> FakeControl:
+    return FakeControl()
+
+
+async def ctl(control: FakeControl, folder: Path, *words: str, typed: str | None = None) -> tuple[int, str]:
+    """Exit code and output of one command; errors of slipguard come through."""
+    async with served(control, folder / "s") as path:
+        line = [words[0], "--socket", str(path), *words[1:]]
+        result = await asyncio.to_thread(CliRunner().invoke, app, line, input=typed)
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.output
+
+
+LINES = [
+    (["grasp", "--force-n", "30"], ("grasp", 30.0)),
+    (["lift", "--height-mm", "120", "--speed-mm-s", "20"], ("lift", 120.0, 20.0)),
+    (["lower"], ("lower", None, None)),
+    (["guard", "on"], ("guard", True)),
+    (["guard", "off"], ("guard", False)),
+    (["gripper", "--width-mm", "60"], ("gripper", 60.0, None)),
+    (["release", "--yes"], ("release", None)),
+    (["clear"], ("clear",)),
+    (["calibrate", "--force"], ("calibrate", True)),
+]
+
+
+@pytest.mark.parametrize(("words", "asked"), LINES, ids=lambda value: " ".join(map(str, value)))
+async def test_commands(words: list[str], asked: tuple[object, ...], control: FakeControl, tmp_path: Path) -> None:
+    code, output = await ctl(control, tmp_path, *words)
+    assert code == 0
+    assert control.asked == [asked]
+    assert output.count("\n") == 1
+    code, output = await ctl(control, tmp_path, *words, "--json")
+    assert code == 0
+    assert "said" in json.loads(output)
+
+
+async def test_state_for_people_and_programs(control: FakeControl, tmp_path: Path) -> None:
+    _, output = await ctl(control, tmp_path, "state")
+    assert "grip.force_n" in output
+    assert "40.25" in output
+    _, output = await ctl(control, tmp_path, "state", "--json")
+    assert json.loads(output) == control.snapshot()
+
+
+async def test_a_release_is_asked_for_twice(control: FakeControl, tmp_path: Path) -> None:
+    code, _ = await ctl(control, tmp_path, "release", typed="n\n")
+    assert code == 1
+    assert control.asked == []
+    code, _ = await ctl(control, tmp_path, "release", typed="y\n")
+    assert code == 0
+    assert control.asked == [("release", None)]
+
+
+async def test_a_refusal_comes_through(control: FakeControl, tmp_path: Path) -> None:
+    control.failure = CommandRefused("cannot lift while idle")
+    with pytest.raises(CommandRefused, match="cannot lift while idle"):
+        await ctl(control, tmp_path, "lift")
+
+
+def test_without_a_daemon(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["state", "--socket", str(tmp_path / "s")])
+    assert isinstance(result.exception, NoDaemon)
+    assert "start it with `slipguard run`" in str(result.exception)
+
+
+@pytest.mark.parametrize("words", [[], ["guard"], ["guard", "maybe"], ["grasp", "--force-n", "-1"], ["nothing"]])
+def test_misuse_is_exit_code_2(words: list[str]) -> None:
+    assert CliRunner().invoke(app, words).exit_code == 2
+
+
+@pytest.mark.parametrize(
+    "command", ["state", "grasp", "lift", "lower", "guard", "gripper", "release", "clear", "calibrate"]
+)
+def test_help_has_an_example(command: str) -> None:
+    output = CliRunner().invoke(app, [command, "--help"]).output
+    assert f"slipguard ctl {command}" in " ".join(output.split())
+
+
+async def test_the_refusal_is_one_line_and_exit_code_1(control: FakeControl, tmp_path: Path) -> None:
+    """The whole program, in its own process."""
+    control.failure = CommandRefused("cannot clear: no fault is latched")
+    async with served(control, tmp_path / "s") as path:
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "slipguard", "ctl", "clear", "--socket", str(path)),
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+            env=os.environ | {"HOME": str(tmp_path)},
+        )
+        output, errors = await process.communicate()
+    assert process.returncode == 1
+    assert output == b""
+    assert errors.decode() == "slipguard: refused: cannot clear: no fault is latched\n"
+
+
+def test_where_the_daemon_is_looked_for(tmp_path: Path) -> None:
+    assert find_socket({"HOME": str(tmp_path)}) == tmp_path / ".local/state/slipguard/slipguard.sock"
+    assert find_socket({"RUNTIME_DIRECTORY": "/run/x", "HOME": "/h"}) == Path("/run/x/slipguard.sock")
