@@ -15,6 +15,7 @@ from slipguard import __version__
 from slipguard.config import GROUP_OF, Config
 from slipguard.daemon.api import calibration_answer, make_app, serve
 from slipguard.daemon.controls import Controls
+from slipguard.daemon.finger import Perceiver
 from slipguard.daemon.service import FINGERS, Law, Service
 from slipguard.daemon.state_dir import StateDir
 from slipguard.daemon.worker import ThreadWorker, Worker
@@ -40,10 +41,12 @@ def build_service(
     world: object | None = None,
     make_worker: Callable[[str], Worker] = ThreadWorker,
     law: Law = tick,
+    around: Callable[[str, Pipeline], Perceiver] = lambda finger, pipeline: pipeline,
 ) -> Service:
     """Build all devices and the guard around them; touches no hardware.
 
-    world: what the fakes share. Raises ConfigError or ModelError.
+    world: what the fakes share. law: what decides. around: put around each finger's pipeline.
+    Raises ConfigError or ModelError.
     """
     state_dir = StateDir(config.state.directory)
 
@@ -52,13 +55,13 @@ def build_service(
         driver = load_driver(GROUP_OF[name], section.driver)
         return driver(section.settings, DriverContext(name=name, world=world))
 
-    def pipeline_maker(name: str) -> Callable[[str], Pipeline]:
+    def pipeline_maker(name: str) -> Callable[[str], Perceiver]:
         section = getattr(config, name)
         segmenter = Segmenter(config.perception.model)
 
-        def make(serial: str) -> Pipeline:
+        def make(serial: str) -> Perceiver:
             known = state_dir.load_no_contact(serial)
-            return Pipeline(
+            pipeline = Pipeline(
                 segmenter,
                 config.perception,
                 background=None if known is None else known.image,
@@ -67,6 +70,7 @@ def build_service(
                 rotation_deg=section.rotation_deg,
                 timer=time.perf_counter,
             )
+            return around(name, pipeline)
 
         return make
 
@@ -147,7 +151,7 @@ async def _first_answers(service: Service) -> None:
             return
         if loop.time() > deadline_s:
             raise DeviceTimeout("; ".join(missing) or "gripper: no answer")
-        await asyncio.sleep(0.02)  # noqa: ASYNC110 - three devices, none of which announces its first answer here
+        await asyncio.sleep(0.02)
 
 
 class _Stopped(Exception):

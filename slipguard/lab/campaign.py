@@ -18,6 +18,7 @@ from slipguard.errors import CommandRefused, SlipguardError
 from slipguard.grasp.guard import tick
 from slipguard.grasp.state import Phase
 from slipguard.lab.lift_record import FINGERS, LiftRecord, Measured
+from slipguard.lab.other_estimators import PatchKeeper, SeenPatch, turns_by_estimator
 from slipguard.lab.unguarded import unguarded_tick
 from slipguard.sim.objects import names
 from slipguard.sim.scenario import scenario
@@ -27,7 +28,8 @@ TRUTH_STEP_S = 0.004
 HOLD_S = 1.2
 """How long an object is held up, after the lift, before it is put down."""
 PHASE_TIMEOUT_S = 12.0
-LIFT_SPEED_MM_S = 60.0
+LIFT_HEIGHT_MM = 150.0
+LIFT_SPEED_MM_S = 80.0
 LOWER_SPEED_MM_S = 150.0
 """Nothing is at stake on the way down any more: ten lifts in a minute and a half."""
 STATED_LATENCY_S = 0.006
@@ -72,7 +74,11 @@ def campaign_config(settings: CampaignSettings, state_directory: Path) -> Config
     """The fakes with every default; drawing in processes of their own on the real clock."""
     draw = "process" if settings.realtime else "inline"
     raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": draw}} for name in FINGERS}
-    raw["guard"] = {"lift_speed_mm_s": LIFT_SPEED_MM_S, "lower_speed_mm_s": LOWER_SPEED_MM_S}
+    raw["guard"] = {
+        "lift_height_mm": LIFT_HEIGHT_MM,
+        "lift_speed_mm_s": LIFT_SPEED_MM_S,
+        "lower_speed_mm_s": LOWER_SPEED_MM_S,
+    }
     raw["state"] = {"directory": str(state_directory)}
     return parse_config(raw, where="--sim", sim=True)
 
@@ -87,13 +93,24 @@ async def run_campaign(settings: CampaignSettings, show: Callable[[Live], None])
             return ThreadWorker(name) if settings.realtime else StatedLatencyWorker(STATED_LATENCY_S)
 
         law = tick if settings.guarded else unguarded_tick
-        service = build_service(config, world=world, make_worker=make_worker, law=law)
+        patches: list[SeenPatch] = []
+        service = build_service(
+            config,
+            world=world,
+            make_worker=make_worker,
+            law=law,
+            around=lambda finger, pipeline: PatchKeeper(finger, pipeline, patches),
+        )
         running = asyncio.create_task(service.run(), name="service")
         try:
-            return await _lifts(settings, service, world, running, show)
+            records = await _lifts(settings, service, world, running, show)
         finally:
             running.cancel()
             await asyncio.gather(running, return_exceptions=True)
+        for record in records:
+            if record.reference_s is not None:
+                record.other_estimators = turns_by_estimator(patches, record.reference_s, record.ended_at_s)
+        return records
 
 
 async def _lifts(

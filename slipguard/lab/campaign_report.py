@@ -21,15 +21,13 @@ def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
     timed = realtime and latencies_ms.size > 0
     error = mean_abs(record.errors_deg(record.fused))
     sigmas = [one.sigma_deg for one in record.fused]
-    final = [one for one in record.fused if one.captured_at_s <= record.ended_at_s]
+    turns_deg: list[float] = [one.turn_deg for one in record.fused if one.captured_at_s <= record.ended_at_s]
     return {
         "object": record.object_name,
         "outcome": record.outcome,
         "why": record.why or None,
         "true_turn_deg": round(record.true_turn_deg, 2),
-        "measured_turn_deg": round(max((one.turn_deg for one in final), key=lambda turn_deg: abs(turn_deg)), 2)
-        if final
-        else None,
+        "measured_turn_deg": round(max(turns_deg, key=abs), 2) if turns_deg else None,
         "turn_error_deg": None if error is None else round(error, 3),
         "sigma_deg": round(float(np.median(sigmas)), 3) if sigmas else None,
         "peak_force_n": round(max(record.truth.force_n, default=0.0), 1),

@@ -51,8 +51,8 @@ class LiftRecord:
     truth: TruthLog = field(default_factory=TruthLog)
     estimates: dict[str, list[Estimate]] = field(default_factory=lambda: {name: [] for name in FINGERS})
     fused: list[Measured] = field(default_factory=list)
-    other_estimators: dict[str, list[Measured]] = field(default_factory=dict)
-    """Per estimator name, both fingers together: what it would have said on the same patches."""
+    other_estimators: dict[str, list[list[Measured]]] = field(default_factory=dict)
+    """Per estimator name and finger: what it would have said of the same patches."""
     latency_s: list[float] = field(default_factory=list)
     deadlines_missed: int = 0
     outcome: str = "held"
@@ -140,12 +140,12 @@ def turn_errors(records: list[LiftRecord], source: str) -> TurnErrors:
         if not record.counts:
             continue
         if source in FINGERS:
-            stated = record.measured(source)
+            stated = [record.measured(source)]
         elif source == "fused":
-            stated = record.fused
+            stated = [record.fused]
         else:
             stated = record.other_estimators.get(source, [])
-        errors = record.errors_deg(stated)
+        errors = np.concatenate([np.empty(0), *(record.errors_deg(one) for one in stated)])
         if errors.size:
             per_object.setdefault(record.object_name, []).append(errors)
     if not per_object:

@@ -24,5 +24,6 @@ def unguarded_tick(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard
             conflict=None,
             declined=None,
         )
-    law, command = step(guard.law, replace(seen, fused=fused, fault=None), params)
+    eyes_shut = params.model_copy(update={"blind_force_n": params.first_force_n})
+    law, command = step(guard.law, replace(seen, fused=fused, fault=None), eyes_shut)
     return replace(guard, law=law), command
