@@ -89,14 +89,20 @@ class GripperPlant:
         """Nothing moves and nothing is on its way."""
         return self.drive is Drive.REST and not self.orders
 
+    @property
+    def grips(self) -> bool:
+        """An object is held, or the fingers are on their way to whatever is there."""
+        closes = self.drive is Drive.CLOSING and self.goal_mm == 0.0
+        return self.holding or closes or any(order.goal_mm == 0.0 and not order.opens for order in self.orders)
+
 
 def order_hold(plant: GripperPlant, model: GripperModel, now_s: float, force_n: float) -> tuple[GripperPlant, float]:
     """Close, or tighten, to `force_n`; returns the plant and the force applied by command.
 
-    A force that is not above the one applied changes nothing.
+    A force that is not above the one already gripped or being gripped with changes nothing.
     """
     wanted_n = model.quantised_force_n(force_n)
-    if plant.applied_n >= wanted_n:
+    if plant.grips and plant.applied_n >= wanted_n:
         return plant, plant.applied_n
     order = Order(_due_s(plant, model, now_s), 0.0, wanted_n)
     return replace(plant, applied_n=wanted_n, orders=(*plant.orders, order)), wanted_n

@@ -205,12 +205,7 @@ async def test_move_goes_to_the_width_it_returns(gripper: Gripper, eventually: E
     await eventually(gripper.state, lambda state: abs(state.width_mm - goal_mm) < STEP_MM and not state.moving)
 
 
-async def test_hold_closes_after_a_move_with_more_force(
-    rig: Rig, gripper: Gripper, eventually: Eventually, request: pytest.FixtureRequest
-) -> None:
-    if isinstance(rig, FakeRig):
-        reason = "the world takes the force of a move for a grip already applied"
-        request.applymarker(pytest.mark.xfail(strict=False, reason=reason))
+async def test_hold_closes_after_a_move_with_more_force(rig: Rig, gripper: Gripper, eventually: Eventually) -> None:
     rig.put_object()
     await gripper.move(80.0, 60.0)
     await eventually(gripper.state, lambda state: not state.moving)
