@@ -142,7 +142,8 @@ def _resume(path: Path, settings: TrainSettings, count: int, *parts: Any) -> int
     if not path.is_file():
         return 0
     saved = torch.load(path, weights_only=True)
-    if saved["settings"] != asdict(settings) or saved["frames"] != count:
+    wanted = asdict(settings) | {"threads": saved["settings"]["threads"]}
+    if saved["settings"] != wanted or saved["frames"] != count:
         return 0
     for part, state in zip(parts, saved["state"], strict=True):
         part.load_state_dict(state)
