@@ -20,6 +20,8 @@ from slipguard.perception.skeleton import Line, middle_line
 
 ESTIMATORS = ("moments", "ellipse", "pca", "skeleton")
 ROUND_ASPECT = 1.15
+LINE_SHARE_MIN = 0.4
+"""Where most of the thinned patch is corner branches its middle line is no axis."""
 CUT_SHARE_MAX = 0.25
 """A patch with more of its outline drawn by the frame's edge shows no axis of its own."""
 CUT_ASPECT = 2.5
@@ -38,13 +40,17 @@ _DISAGREE = "estimators disagree"
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """An axis in crop coordinates. long_px, short_px: semi-axes of the ellipse with the same second moments."""
+    """An axis in crop coordinates. long_px, short_px: semi-axes of the ellipse with the same second moments.
+
+    rough_px: how far what was fitted is from what it was fitted to, where that says how far to trust it.
+    """
 
     angle_deg: float
     x_px: float
     y_px: float
     long_px: float
     short_px: float
+    rough_px: float = 0.0
 
     @property
     def aspect(self) -> float:
@@ -106,7 +112,8 @@ def _orientation(patch: Patch, name: str, axis: Axis | None, reason: str | None,
         reason = _CLIPPED if axis.aspect >= round_aspect else _ROUND
     if reason is not None:
         return Orientation(name, None, None, centre, reason)
-    sigma = axis.sigma_deg(_OUTLINE_PX[name] * (1.0 + CUT_SIGMA * cut_share))
+    outline_px = math.hypot(_OUTLINE_PX[name], axis.rough_px)
+    sigma = axis.sigma_deg(outline_px * (1.0 + CUT_SIGMA * cut_share))
     return Orientation(name, axis.angle_deg, sigma, centre)
 
 
@@ -232,10 +239,10 @@ def _skeleton_axis(patch: Patch, line: Line) -> tuple[Axis | None, str | None]:
     axis = _axis_of(x, y, float(w @ dx**2), float(w @ dy**2), float(w @ (dx * dy)))
     half_width = float(line.weight.max())
     length = axis.long_px * math.sqrt(3.0) / 2.0 + half_width
-    if length < 2.0 * half_width or axis.aspect < 2.5:
+    if length < 2.0 * half_width or axis.aspect < 2.5 or line.share < LINE_SHARE_MIN:
         return Axis(axis.angle_deg, x, y, 1.0, 1.0), _ROUND
     # The line's own width is nil: its semi-axes are those of the bar that it is the middle of.
-    return Axis(axis.angle_deg, x, y, length, half_width + axis.short_px), None
+    return Axis(axis.angle_deg, x, y, length, half_width, axis.short_px / 4.0), None
 
 
 _AXES = {"moments": _moments_axis, "pca": _pca_axis, "ellipse": _ellipse_axis}

@@ -95,6 +95,11 @@ class Pipeline:
         return None if self._meter.reference is None else self._meter.reference.area_px
 
     @property
+    def last_patch(self) -> Patch | None:
+        """The contact found last, at the network's resolution; None without contact."""
+        return self._patch
+
+    @property
     def last_mask(self) -> NDArray[np.uint8]:
         """The contact found last, (320, 240) uint8, 0 or 1."""
         if self._patch is None:
@@ -129,9 +134,9 @@ class Pipeline:
         clock.mark("regions")
         if patch is None:
             return self._without_contact(frame, blocks, None, clock)
-        orientation = self._orientation(patch, clock)
-        turn, shift_px = self._meter.measure(patch, orientation, now_s, clock)
-        shown = orientation.angle_deg
+        axes = self._axes(patch, clock)
+        turn, shift_px = self._meter.measure(patch, axes, now_s, clock)
+        shown = fuse(list(axes.values())).angle_deg
         answer = Estimate(
             sequence=frame.sequence,
             captured_at_s=now_s,
@@ -186,24 +191,22 @@ class Pipeline:
             answer, sequence=frame.sequence, captured_at_s=frame.captured_at_s, rate_deg_s=rate, skipped=UNCHANGED
         )
 
-    def _orientation(self, patch: Patch, clock: StageClock) -> Orientation:
-        name, aspect = self._settings.estimator, self._settings.round_aspect
-        if name in ("moments", "pca", "ellipse"):
-            answer = estimate(patch, name, aspect)
-            clock.mark("angle")
-            return answer
-        plain = estimate(patch, "moments", aspect)
-        if name == "registration" or (plain.declined is not None and name == "fused"):
-            clock.mark("angle")
-            return plain
+    def _axes(self, patch: Patch, clock: StageClock) -> dict[str, Orientation]:
+        """The patch's axis by every estimator that the setting asks for; a patch without one is not thinned."""
+        name, aspect = str(self._settings.estimator), self._settings.round_aspect
+        plain = "moments" if name in ("fused", "registration", "skeleton") else name
+        axes = {plain: estimate(patch, plain, aspect)}
+        readable = axes[plain].declined is None
+        if name == "fused" and readable:
+            axes["ellipse"] = estimate(patch, "ellipse", aspect)
         clock.mark("angle")
-        line = middle_line(patch)
-        self._skeleton = line.skeleton
-        clock.mark("thin")
-        thinned = skeleton_orientation(patch, line, aspect)
-        answer = thinned if name == "skeleton" else fuse([plain, estimate(patch, "ellipse", aspect), thinned])
-        clock.mark("angle")
-        return answer
+        if name == "skeleton" or (name == "fused" and readable):
+            line = middle_line(patch)
+            self._skeleton = line.skeleton
+            clock.mark("thin")
+            axes["skeleton"] = skeleton_orientation(patch, line, aspect)
+            clock.mark("angle")
+        return {"skeleton": axes["skeleton"]} if name == "skeleton" else axes
 
     def _shift_mm(self, shift_px: tuple[float, float]) -> tuple[float, float]:
         """Frame pixels right and down to millimetres right and up, as the mounting turns them."""

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.regions import Patch
+from slipguard.perception.template import BLUR_PX, RIM_PX, Template, blurred, sampled
 
-BLUR_PX = 2.0
-"""Blur of both pictures, network pixels: what is within about twice this of the outline pulls."""
 MAX_ROUNDS = 8
 OUTLINE_PX = 0.16
 """Smooth error of the outline that mimics a turn, network pixels, one standard deviation."""
@@ -28,28 +27,34 @@ RESIDUAL_MAX = 0.16
 """Pictures that differ more than this (r.m.s. of probability along the outline) do not show the same contact."""
 OVERLAP_MIN = 0.45
 """Share of the reference's outline that must be in sight."""
-RIM_PX = 5
-"""Outline this close to the edge of the frame does not count: the network sees only half of what made it."""
-TELLING_DEG = 12.0
-CONTRAST_MIN = 0.08
+CONTRAST_MIN = 0.10
 CONTRAST_RATIO_MIN = 1.8
-"""A turn by `TELLING_DEG` must change the picture by this much (r.m.s.), and this many times what the fit leaves."""
-_PRIOR_STD = np.array([1e3, 60.0, 60.0, 6.0, 0.4, 0.4])
-"""Turn (rad), shift x and y (px), growth (px), stretch along and across (share): weak, keeps the fit solvable."""
-_EDGE_SHARE = 0.04
-"""Pixels whose gradient is above this share of the steepest belong to the outline."""
+"""A turn by `template.TELLING_DEG` must change the picture by this much (r.m.s.), and this many times what the fit
+leaves."""
+_CORRELATED_PX = math.pi * BLUR_PX**2
+"""How many of the template's pixels (every second row and column) carry the same blurred error."""
+_RAIL = 1e3
+"""Weight that holds a shift along a template's rail at 0; the outline's own is of the order of 1."""
+_PRIOR_STD = np.array([10.0, 2.0, 2.0, 6.0, 0.2, 0.2])
+"""Turn (rad), shift x and y from the start (px), growth (px), stretch along and across (share): weak, for what the
+outline does not tell."""
 _NOT_SAME = "contact changed too much since the reference"
 _ROUND = "round contact"
+_REPEATS = "outline repeats itself"
 _CLIPPED = "clipped by the frame"
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where the reference has moved to: turn counter-clockwise, shift of its centre in network pixels, y down."""
+    """Where the reference has moved to: turn counter-clockwise, shift of its centre in network pixels, y down.
+
+    growth: how far the outline has grown (network pixels) and the patch stretched along and across (shares).
+    """
 
     turn_deg: float = 0.0
     dx_px: float = 0.0
     dy_px: float = 0.0
+    growth: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,120 +67,47 @@ class Registration:
     declined: str | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Template:
-    """The reference's outline: pixels around its centre, their values, and how each moves them.
-
-    x_px, y_px: (N,) float32 from the centre, network pixels, y down. value: (N,) float32.
-    motion: (N, 6) float32, change of value per turn, shift x, shift y, growth, stretch along, stretch across.
-    centre_px: in the network's picture. slope: (N,) gradient magnitude. contrast: how much the picture differs
-    (r.m.s.) from itself turned by `TELLING_DEG`.
-    """
-
-    x_px: NDArray[np.float32]
-    y_px: NDArray[np.float32]
-    value: NDArray[np.float32]
-    motion: NDArray[np.float32]
-    slope: NDArray[np.float32]
-    centre_px: tuple[float, float]
-    contrast: float
-
-
-def _blurred(patch: Patch) -> NDArray[np.float32]:
-    return np.asarray(cv2.GaussianBlur(patch.probability, (0, 0), BLUR_PX, borderType=cv2.BORDER_REPLICATE), np.float32)
-
-
-def make_template(patch: Patch, angle_deg: float | None = None) -> Template:
-    """Remember a patch as the reference. angle_deg: its axis where one is known; it steers the stretches."""
-    soft = _blurred(patch)
-    gx = cv2.Sobel(soft, cv2.CV_32F, 1, 0, scale=0.125, borderType=cv2.BORDER_REPLICATE)
-    gy = cv2.Sobel(soft, cv2.CV_32F, 0, 1, scale=0.125, borderType=cv2.BORDER_REPLICATE)
-    steep = np.asarray(cv2.magnitude(gx, gy), np.float32)
-    outline = steep > _EDGE_SHARE * float(steep.max())
-    rows, columns = soft.shape
-    # Where the frame cuts the patch the outline is not the object's.
-    if patch.clipped.left:
-        outline[:, :RIM_PX] = False
-    if patch.clipped.right:
-        outline[:, columns - RIM_PX :] = False
-    if patch.clipped.top:
-        outline[:RIM_PX] = False
-    if patch.clipped.bottom:
-        outline[rows - RIM_PX :] = False
-    # The blurred pictures carry nothing finer than two pixels: every second row and column is enough.
-    y, x = np.nonzero(outline[::2, ::2])
-    y, x = 2 * y, 2 * x
-    m = cv2.moments(patch.mask, True)
-    centre_x, centre_y = m["m10"] / m["m00"], m["m01"] / m["m00"]
-    slope_x, slope_y = gx[y, x], gy[y, x]
-    value, slope = soft[y, x], steep[y, x]
-    dx, dy = (x - centre_x).astype(np.float32), (y - centre_y).astype(np.float32)
-    turned = 0.0 if angle_deg is None else math.radians(angle_deg)
-    c, s = np.float32(math.cos(turned)), np.float32(-math.sin(turned))
-    along, across = dx * c + dy * s, dy * c - dx * s
-    along_slope, across_slope = slope_x * c + slope_y * s, slope_y * c - slope_x * s
-    contrast = _contrast(soft, dx, dy, value, (centre_x, centre_y))
-    motion = np.stack(
-        # A turn counter-clockwise as seen moves (dx, dy), y down, by (dy, -dx) a radian.
-        [slope_x * dy - slope_y * dx, slope_x, slope_y, slope, along * along_slope, across * across_slope],
-        axis=1,
-    )
-    return Template(
-        dx,
-        dy,
-        value,
-        motion,
-        slope,
-        (centre_x + patch.left_px, centre_y + patch.top_px),
-        contrast,
-    )
-
-
-def _contrast(
-    soft: NDArray[np.float32],
-    dx: NDArray[np.float32],
-    dy: NDArray[np.float32],
-    value: NDArray[np.float32],
-    centre: tuple[float, float],
-) -> float:
-    """How much the picture differs (r.m.s.) from itself turned about its centre by `TELLING_DEG` both ways."""
-    total = 0.0
-    for turn in (math.radians(TELLING_DEG), -math.radians(TELLING_DEG)):
-        c, s = np.float32(math.cos(turn)), np.float32(math.sin(turn))
-        x, y = dx * c + dy * s + np.float32(centre[0]), dy * c - dx * s + np.float32(centre[1])
-        seen = np.asarray(cv2.remap(soft, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
-        total += float(np.mean((seen.ravel() - value) ** 2))
-    return math.sqrt(total / 2.0)
-
-
 class Registrar:
     """Lays patches over one template. `blurred` is shared between several starts on one patch."""
 
     def __init__(self, template: Template, patch: Patch) -> None:
         self._template = template
         self._patch = patch
-        self._soft = _blurred(patch)
+        self._soft = blurred(patch)
         self._cut = patch.clipped.any
 
     def fit(self, start: Pose) -> Registration:
-        """Refine a start; converges from within about ten degrees and a few pixels."""
+        """Refine a start; converges from within about ten degrees and a few pixels.
+
+        The shift is held near its start where the outline hardly tells it, and at 0 along a template's rail.
+        """
         t = self._template
         turn, dx, dy = math.radians(start.turn_deg), start.dx_px, start.dy_px
-        nuisance = np.zeros(3)
         if t.value.size < 30:
             return Registration(start, 180.0, 1.0, _CLIPPED)
+        nuisance = np.array(start.growth, np.float32)
         last_step = 0.0
         for _ in range(MAX_ROUNDS):
-            difference, weight = self._difference(turn, dx, dy)
-            difference -= t.motion[:, 3:] @ nuisance.astype(np.float32)
+            difference, weight = self._difference(turn, dx, dy, nuisance)
             weighted = t.motion * weight[:, None]
             normal = (weighted.T @ t.motion).astype(np.float64)
             noise2 = max(float(weight @ difference**2) / max(float(weight.sum()), 1.0), 1e-4)
             gradient = (weighted.T @ difference).astype(np.float64)
-            prior = noise2 / _PRIOR_STD**2
+            prior = _CORRELATED_PX * noise2 / _PRIOR_STD**2
+            c, s = math.cos(turn), math.sin(turn)
+            away_x, away_y = dx - start.dx_px, dy - start.dy_px
+            gradient[1] += prior[1] * (c * away_x - s * away_y)
+            gradient[2] += prior[2] * (s * away_x + c * away_y)
             gradient[3:] -= prior[3:] * nuisance
-            step = np.linalg.solve(normal + np.diag(prior), gradient)
-            nuisance += step[3:]
+            held = normal + np.diag(prior)
+            if t.rail is not None:
+                along_x, along_y = t.rail
+                away = along_x * (c * dx - s * dy) + along_y * (s * dx + c * dy)
+                gradient[1] += _RAIL * along_x * away
+                gradient[2] += _RAIL * along_y * away
+                held[1:3, 1:3] += _RAIL * np.outer(t.rail, t.rail)
+            step = np.linalg.solve(held, gradient)
+            nuisance += step[3:].astype(np.float32)
             turn_step, move_x, move_y = float(step[0]), float(step[1]), float(step[2])
             small = abs(turn_step) < 4e-4 and abs(move_x) + abs(move_y) < 0.02
             # A rough outline makes every step too short by the same share: go on to where the steps lead.
@@ -192,17 +124,19 @@ class Registrar:
             dy -= -s * move_x + c * move_y
             if small:
                 break
-        pose = Pose(math.degrees(turn), dx, dy)
+        pose = Pose(math.degrees(turn), dx, dy, (float(nuisance[0]), float(nuisance[1]), float(nuisance[2])))
         return self._judged(pose, normal, noise2, weight)
 
-    def _difference(self, turn: float, dx: float, dy: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Picture minus template along the outline, and a robust weight, 0 outside the frame."""
+    def _difference(
+        self, turn: float, dx: float, dy: float, nuisance: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Picture minus grown and stretched template along the outline; a robust weight, 0 outside the frame."""
         t, patch = self._template, self._patch
         c, s = np.float32(math.cos(turn)), np.float32(math.sin(turn))
-        x = t.x_px * c + t.y_px * s + np.float32(t.centre_px[0] + dx - patch.left_px)
-        y = t.y_px * c - t.x_px * s + np.float32(t.centre_px[1] + dy - patch.top_px)
-        seen = cv2.remap(self._soft, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
-        difference = np.asarray(seen, np.float32).ravel() - t.value
+        grown_x, grown_y = t.x_px + t.growth_x @ nuisance, t.y_px + t.growth_y @ nuisance
+        x = grown_x * c + grown_y * s + np.float32(t.centre_px[0] + dx - patch.left_px)
+        y = grown_y * c - grown_x * s + np.float32(t.centre_px[1] + dy - patch.top_px)
+        difference = sampled(self._soft, x.astype(np.float32), y.astype(np.float32), cv2.BORDER_CONSTANT) - t.value
         width, height = patch.picture_size
         weight = 1.0 / (1.0 + (difference * np.float32(1.0 / 0.25)) ** 2)
         left, top = np.float32(RIM_PX - patch.left_px), np.float32(RIM_PX - patch.top_px)
@@ -228,6 +162,8 @@ class Registrar:
         declined = None
         if float(weight.sum()) < OVERLAP_MIN * t.value.size:
             declined = _CLIPPED if self._cut else _NOT_SAME
+        elif t.repeats:
+            declined = _REPEATS
         elif residual > RESIDUAL_MAX:
             declined = _NOT_SAME
         elif lever_px < LEVER_MIN_PX or t.contrast < max(CONTRAST_MIN, CONTRAST_RATIO_MIN * residual):

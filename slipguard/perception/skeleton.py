@@ -23,12 +23,13 @@ class Line:
     """The pixels of the thinned patch that tell its axis.
 
     x_px, y_px: crop coordinates, right and down. weight: distance to the outline, network pixels.
-    skeleton: (h, w) uint8, the whole thinned patch, in the crop.
+    share: how much of the thinned patch these are. skeleton: (h, w) uint8, the whole thinned patch, in the crop.
     """
 
     x_px: NDArray[np.float64]
     y_px: NDArray[np.float64]
     weight: NDArray[np.float64]
+    share: float
     skeleton: NDArray[np.uint8]
 
 
@@ -40,13 +41,13 @@ def middle_line(patch: Patch) -> Line:
     mask = patch.mask
     if sides.any:
         mask = np.asarray(cv2.copyMakeBorder(mask, top, bottom, left, right, cv2.BORDER_REPLICATE), np.uint8)
-    inside = cv2.distanceTransform(mask, cv2.DIST_L2, 3)
+    inside = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
     skeleton = thin(mask)
     rows, columns = patch.mask.shape
     skeleton = skeleton[top : top + rows, left : left + columns]
     y, x = np.nonzero(skeleton)
-    slope_x = cv2.Sobel(inside, cv2.CV_32F, 1, 0, scale=0.125)[y + top, x + left]
-    slope_y = cv2.Sobel(inside, cv2.CV_32F, 0, 1, scale=0.125)[y + top, x + left]
+    slope_x = cv2.Sobel(inside, cv2.CV_32F, 1, 0, ksize=5, scale=1 / 128)[y + top, x + left]
+    slope_y = cv2.Sobel(inside, cv2.CV_32F, 0, 1, ksize=5, scale=1 / 128)[y + top, x + left]
     weight = inside[y + top, x + left]
     keep = slope_x**2 + slope_y**2 < CORNER_SLOPE**2
     if sides.left:
@@ -57,4 +58,10 @@ def middle_line(patch: Patch) -> Line:
         keep &= columns - 1 - x > weight
     if sides.bottom:
         keep &= rows - 1 - y > weight
-    return Line(x[keep].astype(np.float64), y[keep].astype(np.float64), weight[keep].astype(np.float64), skeleton)
+    return Line(
+        x[keep].astype(np.float64),
+        y[keep].astype(np.float64),
+        weight[keep].astype(np.float64),
+        float(np.count_nonzero(keep)) / max(keep.size, 1),
+        skeleton,
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from slipguard.perception.axial import nearest_turn_deg
@@ -62,6 +63,27 @@ def combined(first: Turn, second: Turn) -> Turn:
         return Turn(None, None, DISAGREE)
     surer = first if first.sigma_deg <= second.sigma_deg else second
     return Turn(surer.turn_deg, max(smaller, 0.5 * apart))
+
+
+def pooled(turns: Sequence[Turn]) -> Turn:
+    """One turn from those of several estimators of axes: the surest, averaged with all that agree with it.
+
+    One that does not agree is left out but widens sigma. Declined, for the first one's reason, where all are.
+    """
+    said = [(t.turn_deg, t.sigma_deg) for t in turns if t.turn_deg is not None and t.sigma_deg is not None]
+    if not said:
+        return turns[0]
+    best, sigma = min(said, key=lambda one: one[1])
+    total = weights = 0.0
+    widened = sigma
+    for value, own in said:
+        apart = abs(value - best)
+        if apart <= AGREE_SIGMA * math.hypot(own, sigma):
+            total += value / own**2
+            weights += 1.0 / own**2
+        else:
+            widened = max(widened, apart / 4.0)
+    return Turn(total / weights, widened)
 
 
 class Tracker:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import cv2
 
 from slipguard.perception.estimate import Orientation
 from slipguard.perception.regions import Patch
-from slipguard.perception.register import Pose, Registrar, Registration, Template, make_template
+from slipguard.perception.register import Pose, Registrar, Registration
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stages import StageClock
-from slipguard.perception.track import Tracker, Turn, axis_turn, combined
+from slipguard.perception.template import Template, make_template
+from slipguard.perception.track import Tracker, Turn, axis_turn, combined, pooled
 
 STABLE_FRAMES = 5
 STABLE_SHARE = 0.05
@@ -23,9 +25,9 @@ UNSURE = "too uncertain"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """What turns are measured against. Centre and area in frame pixels."""
+    """What turns are measured against. axes: by estimator. Centre and area in frame pixels."""
 
-    orientation: Orientation
+    axes: Mapping[str, Orientation]
     template: Template
     centre_px: tuple[float, float]
     area_px: int
@@ -47,20 +49,25 @@ class TurnMeter:
         self._areas.clear()
 
     def measure(
-        self, patch: Patch, orientation: Orientation, now_s: float, clock: StageClock
+        self, patch: Patch, axes: Mapping[str, Orientation], now_s: float, clock: StageClock
     ) -> tuple[Turn, tuple[float, float] | None]:
-        """Turn and shift (frame pixels right and down) since the reference, which this patch may become."""
-        self._take_reference(patch, orientation, now_s)
+        """Turn and shift (frame pixels right and down) since the reference, which this patch may become.
+
+        axes: the patch's axis by each estimator used; each is compared with its own answer for the reference.
+        """
+        self._take_reference(patch, axes, now_s)
         reference = self.reference
         if reference is None:
             return Turn(None, None, NO_REFERENCE), None
         predicted = self.tracker.predicted_deg(now_s)
-        turn = _between(reference.orientation, orientation, predicted)
+        known = reference.axes
+        turn = pooled([_between(known[name], axis, predicted) for name, axis in axes.items() if name in known])
         shift_px = _difference(_centre_px(patch), reference.centre_px)
         if self._settings.estimator in ("fused", "registration"):
             laid = self._laid_over(reference, patch, turn, predicted)
             registered = Turn(None, None, laid.declined)
             if laid.declined is None:
+                self._pose = laid.pose
                 registered = Turn(laid.pose.turn_deg, laid.sigma_deg)
                 shift_px = (laid.pose.dx_px * self._frame_px, laid.pose.dy_px * self._frame_px)
             turn = registered if self._settings.estimator == "registration" else combined(registered, turn)
@@ -68,11 +75,9 @@ class TurnMeter:
         if turn.sigma_deg is not None and turn.sigma_deg > self._settings.sigma_max_deg:
             turn = Turn(None, None, UNSURE)
         turn = self.tracker.accept(now_s, turn)
-        if turn.turn_deg is not None:
-            self._pose = Pose(turn.turn_deg, shift_px[0] / self._frame_px, shift_px[1] / self._frame_px)
         return turn, shift_px
 
-    def _take_reference(self, patch: Patch, orientation: Orientation, now_s: float) -> None:
+    def _take_reference(self, patch: Patch, axes: Mapping[str, Orientation], now_s: float) -> None:
         if self.reference is not None:
             return
         self._areas.append(patch.area_px)
@@ -80,8 +85,7 @@ class TurnMeter:
             largest, smallest = max(self._areas), min(self._areas)
             if len(self._areas) < STABLE_FRAMES or largest - smallest >= STABLE_SHARE * largest:
                 return
-        template = make_template(patch, orientation.angle_deg)
-        self.reference = Reference(orientation, template, _centre_px(patch), patch.area_px)
+        self.reference = Reference(dict(axes), make_template(patch), _centre_px(patch), patch.area_px)
         self.tracker.start(now_s)
         self._pose = Pose()
 
@@ -98,6 +102,7 @@ class TurnMeter:
 
 
 def _between(reference: Orientation, now: Orientation, near_deg: float) -> Turn:
+    """The turn between two answers of one estimator."""
     if reference.angle_deg is None or reference.sigma_deg is None:
         return Turn(None, None, reference.declined)
     if now.angle_deg is None or now.sigma_deg is None:
