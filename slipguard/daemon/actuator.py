@@ -30,7 +30,8 @@ class Actuator(Generic[S]):
     """Runs one device for as long as the daemon lives; a missing one is waited for.
 
     A command is any coroutine function; a newer one replaces one not yet begun, one begun is let finish. A command that
-    could not be carried out is not tried again: the law sees the state and commands anew.
+    could not be carried out is not tried again, nor is one given while the device was gone: the law sees the state and
+    commands anew. `on_news` is called when the device's health changes, and with the state that follows a command.
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class Actuator(Generic[S]):
             while True:
                 try:
                     await self._device.open()
+                    self._commands.take()
                     await self._serve()
                 except DeviceError as error:
                     self.health.lost(str(error))
@@ -87,9 +89,10 @@ class Actuator(Generic[S]):
                 if action is not None or loop.time() >= next_poll_s:
                     self.newest = await self._device.state()
                     self.polled += 1
+                    if action is not None or not self.health.ready:
+                        self._on_news()
                     self.health.good(loop.time())
                     self._backoff.reset()
-                    self._on_news()
                     next_poll_s = loop.time() + self._poll_s
             except CommandRefused as error:
                 self._on_event(f"{self.name}: {error}")

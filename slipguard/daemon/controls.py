@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 
-from slipguard.daemon.calibration import TIMEOUT_S, NoContact, collect, no_contact_of
 from slipguard.daemon.api import Control
+from slipguard.daemon.calibration import TIMEOUT_S, NoContact, collect, no_contact_of
+from slipguard.daemon.finger import Finger
 from slipguard.daemon.service import Service
 from slipguard.daemon.snapshot import snapshot, trouble
-from slipguard.errors import CommandRefused
+from slipguard.devices import Frame
+from slipguard.errors import CommandRefused, InputError
 from slipguard.grasp.messages import Request, RequestKind
 from slipguard.grasp.state import Phase
 
@@ -33,8 +35,9 @@ class Controls(Control):
         waiting = self._service.waiting_for
         if waiting:
             raise CommandRefused(f"cannot grasp: not ready: {'; '.join(waiting)}")
+        self._check_calibration_is_over()
         for name, finger in self._service.fingers.items():
-            if finger.serial is None or self._service.store.load_no_contact(finger.serial) is None:
+            if not await self._calibrated(finger):
                 raise CommandRefused(
                     f"cannot grasp: {name} finger ({finger.serial}) has no no-contact image; run `slipguard calibrate`"
                 )
@@ -54,6 +57,7 @@ class Controls(Control):
 
     async def gripper(self, width_mm: float | None, force_n: float | None) -> str:
         """Move the jaws for another program; never opens a held object and never lowers its grip."""
+        self._check_calibration_is_over()
         return await self._ask(Request(RequestKind.GRIPPER, width_mm=width_mm, force_n=force_n))
 
     async def release(self, width_mm: float | None = None) -> str:
@@ -69,51 +73,62 @@ class Controls(Control):
 
         force: also where a stored image says that there is contact (its light may have changed).
         """
-        service = self._service
-        if self._calibrating.locked():
-            raise CommandRefused("a calibration is under way")
+        self._check_calibration_is_over()
         async with self._calibrating:
-            if service.phase is not Phase.IDLE:
-                raise CommandRefused(f"cannot calibrate while {service.phase}; release first")
-            gripper = service.gripper.newest
-            if gripper is not None and (gripper.holding or gripper.moving):
-                raise CommandRefused("cannot calibrate: the gripper moves or holds something; open the jaws first")
-            missing = [name for name, finger in service.fingers.items() if not finger.health.ready]
-            if missing:
-                raise CommandRefused(f"cannot calibrate: no frames from {' and '.join(missing)}; check the sensors")
-            for name, finger in service.fingers.items():
+            self._check_idle()
+            for name, finger in self._service.fingers.items():
                 newest = finger.newest
-                known = finger.serial is not None and service.store.load_no_contact(finger.serial) is not None
-                if known and newest is not None and newest.estimate.contact and not force:
+                if newest is not None and newest.estimate.contact and not force and await self._calibrated(finger):
                     raise CommandRefused(
                         f"cannot calibrate: {name} finger is in contact; take the object away, or use --force "
                         "if the light has changed"
                     )
             return await self._take()
 
-    async def _take(self) -> dict[str, NoContact]:
-        taken = {}
-        fingers = self._service.fingers
+    def _check_idle(self) -> None:
+        service = self._service
+        if service.phase is not Phase.IDLE:
+            raise CommandRefused(f"cannot calibrate while {service.phase}; release first")
+        gripper = service.gripper.newest
+        if gripper is not None and (gripper.holding or gripper.moving or gripper.closed_on_nothing):
+            raise CommandRefused("cannot calibrate: the gripper moves, holds or is closed; open the jaws first")
+        missing = [name for name, finger in service.fingers.items() if not finger.health.ready]
+        if missing:
+            raise CommandRefused(f"cannot calibrate: no frames from {' and '.join(missing)}; check the sensors")
+
+    def _check_calibration_is_over(self) -> None:
+        if self._calibrating.locked():
+            raise CommandRefused("a calibration is under way; ask again in a second")
+
+    async def _calibrated(self, finger: Finger) -> bool:
+        """Whether there is a no-contact image; reading it would keep the loop waiting, so that is done beside it."""
+        if finger.serial is None:
+            return False
         try:
-            for finger in fingers.values():
-                finger.tap = asyncio.Queue(maxsize=4)
-            async with asyncio.TaskGroup() as group:
-                collecting = {
-                    name: group.create_task(collect(finger.tap, name))
-                    for name, finger in fingers.items()
-                    if finger.tap is not None
-                }
-            for name, task in collecting.items():
-                taken[name] = no_contact_of(task.result(), name)
-        except* CommandRefused as refusals:
-            raise refusals.exceptions[0] from None
+            return await asyncio.to_thread(self._service.store.load_no_contact, finger.serial) is not None
+        except InputError as error:
+            raise CommandRefused(str(error)) from None
+
+    async def _take(self) -> dict[str, NoContact]:
+        """Both fingers at once; stored only if both are good and nothing has moved meanwhile."""
+        fingers, store = self._service.fingers, self._service.store
+        taps: dict[str, asyncio.Queue[Frame]] = {name: asyncio.Queue(maxsize=4) for name in fingers}
+        try:
+            for name, finger in fingers.items():
+                finger.tap = taps[name]
+            images = await asyncio.gather(*(collect(tap, name) for name, tap in taps.items()), return_exceptions=True)
         finally:
             for finger in fingers.values():
                 finger.tap = None
-        for name, image in taken.items():
-            finger = fingers[name]
+        taken = {}
+        for name, result in zip(fingers, images, strict=True):
+            if isinstance(result, BaseException):
+                raise result
+            taken[name] = await asyncio.to_thread(no_contact_of, result, name)
+        self._check_idle()
+        for name, finger in fingers.items():
             if finger.serial is not None:
-                self._service.store.save_no_contact(finger.serial, image)
+                await asyncio.to_thread(store.save_no_contact, finger.serial, taken[name])
                 finger.renew_pipeline()
         await self._until_seen_anew()
         return taken
@@ -122,8 +137,8 @@ class Controls(Control):
         """The first answers with the new images are there."""
         try:
             async with asyncio.timeout(TIMEOUT_S):
-                while any(finger.newest is None for finger in self._service.fingers.values()):
-                    await asyncio.sleep(0.005)
+                for finger in self._service.fingers.values():
+                    await finger.answered.wait()
         except TimeoutError:
             raise CommandRefused("the no-contact images are stored, but no frames come any more") from None
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -16,8 +15,11 @@ from slipguard.daemon.health import Health
 from slipguard.daemon.latest import Latest
 from slipguard.daemon.worker import Worker
 from slipguard.devices import Frame, TactileSensor
-from slipguard.errors import DeviceError, FrameCorrupt, FrameFrozen
+from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen, SlipguardError
 from slipguard.perception.estimate import Estimate
+
+REOPEN_S = 2.0
+"""A sensor that is there but has given nothing good for so long is closed and opened again."""
 
 
 class Perceiver(Protocol):
@@ -44,16 +46,23 @@ class FingerCounts:
     frames: int = 0
     corrupt: int = 0
     frozen: int = 0
+    stalled: int = 0
     late: int = 0
     """Replaced by a newer one before the worker was free."""
     skipped: dict[str, int] = field(default_factory=dict)
+
+    def note(self, error: DeviceError) -> None:
+        """Count one frame that did not come, or came damaged."""
+        self.corrupt += isinstance(error, FrameCorrupt)
+        self.frozen += isinstance(error, FrameFrozen)
+        self.stalled += isinstance(error, DeviceTimeout)
 
 
 class Finger:
     """Runs one sensor for as long as the daemon lives; a missing one is waited for.
 
-    `make_pipeline(serial)` is called each time the sensor opens, so that the unit's own no-contact image is used.
-    `on_news` is called after each new estimate and each change of health.
+    `make_pipeline(serial)` is called for each new serial, so that the unit's own no-contact image is used; a sensor
+    that comes back goes on with its reference. `on_news` is called after each new estimate and each change of health.
     """
 
     def __init__(
@@ -70,8 +79,11 @@ class Finger:
         self.health = Health(name)
         self.counts = FingerCounts()
         self.serial: str | None = None
+        self.pipeline: Perceiver | None = None
         self.newest: Seen | None = None
         """None where the newest answer belongs to an older reference or no-contact image."""
+        self.answered = asyncio.Event()
+        """Set while there is a `newest`."""
         self.captured_at_s: float | None = None
         """Of the newest frame that was judged."""
         self.newest_image: NDArray[np.uint8] | None = None
@@ -79,65 +91,74 @@ class Finger:
         """Set by a calibration: a copy of every good frame goes here."""
         self._worker = worker
         self._make_pipeline = make_pipeline
-        self.pipeline: Perceiver | None = None
         self._backoff = Backoff(retry_s)
         self._on_news = on_news
         self._waiting: Latest[tuple[Frame, float]] = Latest()
         self._wants_reset = False
+        self._streaming = False
 
     def reset_reference(self) -> None:
         """Take a new reference from the next stable contact on."""
         self._wants_reset = True
-        self.newest = None
+        self._forget()
 
     def renew_pipeline(self) -> None:
         """Build the pipeline again: the unit's no-contact image has changed."""
         if self.serial is not None:
             self.pipeline = self._make_pipeline(self.serial)
-            self.newest = None
+            self._forget()
+
+    def _forget(self) -> None:
+        self.newest = None
+        self.answered.clear()
 
     async def run(self) -> None:
         """Capture and perceive until cancelled."""
-        perceiving = asyncio.create_task(self._perceive(), name=f"{self.name}: perceive")
         try:
-            while True:
-                try:
-                    await self._stream()
-                except DeviceError as error:
-                    self.health.lost(str(error))
-                    self._on_news()
-                    await self.sensor.close()
-                    await self._backoff.wait()
-                if perceiving.done():
-                    perceiving.result()
+            async with asyncio.TaskGroup() as group:
+                group.create_task(self._capture(), name=f"{self.name}: capture")
+                group.create_task(self._perceive(), name=f"{self.name}: perceive")
         finally:
-            perceiving.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await perceiving
             await self.sensor.close()
 
+    async def _capture(self) -> None:
+        """Frames for ever; what cannot be opened, or has gone, is tried again after a pause."""
+        while True:
+            try:
+                await self._stream()
+            except SlipguardError as error:
+                self._streaming = False
+                self.health.lost(str(error))
+                self._on_news()
+                await self.sensor.close()
+                await self._backoff.wait()
+
     async def _stream(self) -> None:
+        """Hand frames on until the sensor is gone, or has given nothing good for `REOPEN_S`."""
         await self.sensor.open()
-        self.serial = self.sensor.serial
-        self.pipeline = self._make_pipeline(self.serial)
+        if self.sensor.serial != self.serial:
+            self.serial, self.pipeline = self.sensor.serial, None
+        if self.pipeline is None:
+            self.renew_pipeline()
+        self._streaming = True
         loop = asyncio.get_running_loop()
+        good_at_s = loop.time()
         while True:
             try:
                 frame = await self.sensor.next_frame()
-            except FrameCorrupt as error:
-                self.counts.corrupt += 1
+            except (FrameCorrupt, FrameFrozen, DeviceTimeout) as error:
+                self.counts.note(error)
                 self._trouble(str(error))
+                if loop.time() - good_at_s > REOPEN_S:
+                    raise
                 continue
-            except FrameFrozen as error:
-                self.counts.frozen += 1
-                self._trouble(str(error))
-                continue
+            good_at_s = loop.time()
             self._backoff.reset()
             self.counts.frames += 1
             self.newest_image = frame.image
             if self.tap is not None and not self.tap.full():
                 self.tap.put_nowait(frame)
-            self._waiting.put((frame, loop.time()))
+            self._waiting.put((frame, good_at_s))
             self.counts.late = self._waiting.overwritten
 
     def _trouble(self, why: str) -> None:
@@ -156,9 +177,11 @@ class Finger:
                 pipeline.reset_reference()
             try:
                 estimate = await self._worker.run(pipeline.process, frame)
-            except FrameCorrupt as error:
+            except SlipguardError as error:
                 self.counts.corrupt += 1
                 self._trouble(str(error))
+                continue
+            if not self._streaming:
                 continue
             self.captured_at_s = frame.captured_at_s
             self.health.good(loop.time())
@@ -167,4 +190,5 @@ class Finger:
             if estimate.skipped:
                 self.counts.skipped[estimate.skipped] = self.counts.skipped.get(estimate.skipped, 0) + 1
             self.newest = Seen(estimate, handed_at_s, loop.time())
+            self.answered.set()
             self._on_news()

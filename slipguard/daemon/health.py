@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class Health:
-    """state: `waiting` (never seen yet or gone; being retried), `troubled` (there, but its last answer was bad), `ready`."""
+    """One device's health.
+
+    state: `waiting` (never seen yet or gone; being retried), `troubled` (there, but its last answer was bad), `ready`.
+    """
 
     name: str
     state: str = "waiting"

@@ -1,7 +1,7 @@
 """The service: four devices, one pure law, and the loop that brings them together.
 
-The loop wakes when a finger has an answer, and at every beat; it gathers what is known, asks the law, and hands commands on.
-It never waits for a device: `Actuator` and `Finger` do that in tasks of their own.
+The loop wakes when a finger has an answer, and at every beat; it gathers what is known, asks the law, and hands
+commands on. It never waits for a device: `Actuator` and `Finger` do that in tasks of their own.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ from slipguard.perception.estimate import Estimate
 
 FINGERS = ("left", "right")
 STALE_S = 0.1
-"""A finger whose newest good frame is older than this does not speak for the present."""
+"""A finger whose newest good frame is older than this does not speak for the present, nor one from the future."""
 REQUEST_TIMEOUT_S = 2.0
+SAID_MAX = 50
 
 Law = Callable[[Guard, Seen, GuardParams], tuple[Guard, Command]]
 log = structlog.get_logger()
@@ -43,8 +44,8 @@ log = structlog.get_logger()
 class Decision:
     """What one turn of the loop decided, for observers.
 
-    new_estimates: by finger, those not yet decided on. latencies_s: of each of them, from the frame's being handed over to the
-    command's being handed to the gripper's task, or found needless.
+    new_estimates: by finger, those not yet decided on. latencies_s: of each of them, from the frame's being handed over
+    to the command's being handed to the gripper's task, or found needless.
     """
 
     now_s: float
@@ -97,7 +98,7 @@ class Service:
         self._decided_on: dict[str, FingerSeen | None] = dict.fromkeys(FINGERS)
         self._last_fault: Fault | None = None
         self.said: list[str] = []
-        """The newest events, oldest first; at most 50."""
+        """The newest events, oldest first; at most SAID_MAX."""
 
     @property
     def state(self) -> GuardState:
@@ -138,9 +139,10 @@ class Service:
                     group.create_task(device.run(), name=name)
                 group.create_task(self._decide(), name="decide")
         finally:
+            notify("STOPPING=1")
             self.close()
-            while not self._requests.empty():
-                self._requests.get_nowait()[1].cancel()
+            while (waiting := self._next_request()) is not None:
+                waiting[1].set_exception(CommandRefused(f"{waiting[0].kind}: slipguard is stopping"))
 
     def close(self) -> None:
         """Let go of the workers' threads; `run` does so at its end."""
@@ -164,7 +166,7 @@ class Service:
 
     def _turn(self, now_s: float) -> None:
         """Gather, ask the law, hand commands on, tell observers."""
-        request, answer = self._requests.get_nowait() if not self._requests.empty() else (Request(), None)
+        request, answer = self._next_request() or (Request(), None)
         seen = self._gather(now_s, request)
         before = self.phase
         self._guard, command = self._law(self._guard, seen, self.config.guard)
@@ -184,6 +186,14 @@ class Service:
         for observer in self.observers:
             observer(decision)
 
+    def _next_request(self) -> tuple[Request, asyncio.Future[str]] | None:
+        """The oldest that somebody still waits for: a wish given up must not come true later."""
+        while not self._requests.empty():
+            request, answer = self._requests.get_nowait()
+            if not answer.done():
+                return request, answer
+        return None
+
     def _gather(self, now_s: float, request: Request) -> Seen:
         fresh: dict[str, Estimate | None] = {}
         health = {}
@@ -192,7 +202,7 @@ class Service:
             age_s = now_s - finger.captured_at_s if finger.captured_at_s is not None else float("inf")
             if finger.health.state == "waiting":
                 condition = Condition.LOST
-            elif age_s > STALE_S:
+            elif not -STALE_S <= age_s <= STALE_S:
                 condition = Condition.STALE
             else:
                 condition = Condition.FRESH
@@ -244,7 +254,6 @@ class Service:
             self._event(command.say)
         if command.fault is not None and command.fault != self._last_fault:
             log.error("fault", code=command.fault.code.value, seen=command.fault.seen, do=command.fault.what_to_do)
-            self.said.append(str(command.fault))
         self._last_fault = command.fault
         if self.phase is not before:
             log.info("phase", now=self.phase.value, before=before.value)
@@ -258,4 +267,4 @@ class Service:
 
     def _event(self, text: str) -> None:
         log.info(text)
-        self.said = [*self.said[-49:], text]
+        self.said = [*self.said[1 - SAID_MAX :], text]
