@@ -1,0 +1,264 @@
+"""What is slip, what is done about it, and what happens when that does not help."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from play import FAULT, NOW_S, PARAMS, PRIMED, Play, seen_in, state_in
+from seen import arm, ask, fused, gripper, seen
+
+from slipguard.grasp.fault import FaultCode
+from slipguard.grasp.messages import ArmLift, Command, RequestKind
+from slipguard.grasp.params import GuardParams
+from slipguard.grasp.policy import step
+from slipguard.grasp.state import Phase
+
+
+def test_the_first_step_is_large_and_stops_the_arm() -> None:
+    play = Play().held()
+    command = play.slips()
+    assert command.hold_force_n == pytest.approx(40.2 * (1.5 + 0.25 * 0.3), abs=0.9)
+    assert command.arm == "stop"
+    assert "tightening" in (command.say or "")
+
+
+def test_a_turn_either_way_is_slip() -> None:
+    assert Play().held().slips(-4.0, -30.0).hold_force_n is not None
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "rate_deg_s", "sigma_deg", "frames"),
+    [
+        (1.9, 90.0, 0.5, 5),  # below the level
+        (4.0, 7.0, 0.5, 5),  # too slow: a gel that winds up
+        (4.0, -30.0, 0.5, 5),  # coming back
+        (4.0, 30.0, 0.5, 1),  # one frame only
+        (4.0, 30.0, 1.5, 5),  # within three sigma
+        (4.0, None, 0.5, 5),  # no rate known
+    ],
+)
+def test_what_is_not_slip(turn_deg: float, rate_deg_s: float | None, sigma_deg: float, frames: int) -> None:
+    play = Play().held()
+    play.view = replace(play.view, sigma_deg=sigma_deg)
+    commands = []
+    play.view = replace(play.view, turn_deg=turn_deg, rate_deg_s=rate_deg_s)
+    commands = [play.tick() for _ in range(frames)]
+    assert all(command.hold_force_n is None for command in commands)
+
+
+def test_a_frame_counts_once_however_often_it_is_looked_at() -> None:
+    play = Play().held()
+    play.slips(frames=1)
+    play.lazy = True
+    assert all(command.hold_force_n is None for command in play.ticks(0.2))
+
+
+def test_a_creeping_turn_is_slip_at_any_rate() -> None:
+    assert Play().held().slips(6.5, 0.5).hold_force_n is not None
+
+
+def test_an_unsure_estimate_does_not_hide_slip() -> None:
+    play = Play().held()
+    play.view = replace(play.view, sigma_deg=6.0)
+    assert play.slips(5.5, 30.0).hold_force_n is not None
+
+
+def test_further_steps_wait_for_the_hold_off_and_for_progress() -> None:
+    play = Play().held()
+    play.slips(4.0, 30.0)
+    first_n = play.law.target_n
+    for number in range(7):  # 140 ms
+        assert play.slips(4.5 + number, 40.0, frames=1).hold_force_n is None
+    command = play.slips(13.0, 40.0, frames=1)
+    assert command.hold_force_n is not None
+    assert command.hold_force_n == pytest.approx(first_n * (1.25 + 0.1), abs=0.9)
+    play.ticks(0.2)
+    assert play.slips(13.5, 40.0, frames=1).hold_force_n is None  # hardly further
+
+
+def test_while_the_turn_slows_down_and_the_force_still_rises_it_waits() -> None:
+    def later(moving: bool, turn_deg: float) -> Command:
+        play = Play().held()
+        play.slips(4.0, 60.0)
+        play.jaws = replace(play.jaws, moving=moving)
+        play.ticks(0.2)
+        return play.slips(turn_deg, 30.0, frames=1)
+
+    assert later(True, 8.0).hold_force_n is None
+    assert later(False, 8.0).hold_force_n is not None
+    assert later(True, 24.0).hold_force_n is not None  # too far to wait
+
+
+def test_calm_ends_an_episode_and_the_next_needs_twice_the_turn() -> None:
+    play = Play().held()
+    play.slips(4.0)
+    play.view = replace(play.view, turn_deg=4.5, rate_deg_s=0.0)
+    said = " ".join(command.say or "" for command in play.ticks(0.6))
+    assert "calm at" in said
+    assert play.law.slip is None
+    assert play.slips(8.0).hold_force_n is None  # 3.5 degrees more
+    assert play.slips(9.0).hold_force_n is not None
+
+
+def test_a_lift_stops_for_slip_and_goes_on_when_calm() -> None:
+    play = Play().held()
+    play.tick(RequestKind.LIFT)
+    play.here = arm(7.0, moving=True)
+    play.tick()
+    assert play.slips().arm == "stop"
+    stops = [command for command in play.ticks(0.5) if command.arm == "stop"]
+    assert 2 <= len(stops) <= 4  # said again, but not at every tick
+    play.here = arm(8.0)
+    play.view = replace(play.view, rate_deg_s=0.0)
+    commands = play.ticks(1.0)
+    assert ArmLift(7.0, 20.0) in [command.arm for command in commands]
+    assert play.law.phase is Phase.HOLDING
+
+
+def test_without_stop_on_slip_the_arm_goes_on() -> None:
+    play = Play(GuardParams(stop_on_slip=False)).held()
+    command = play.slips()
+    assert command.hold_force_n is not None
+    assert command.arm is None
+
+
+def test_the_budget_spent_is_a_fault_that_keeps_the_grip() -> None:
+    play = Play(GuardParams(force_max_n=60.0, blind_force_n=60.0)).held()
+    for turn_deg in range(4, 40, 2):
+        play.slips(float(turn_deg), 40.0, frames=5)
+    assert play.law.fault is not None
+    assert play.law.fault.code is FaultCode.BUDGET_SPENT
+    assert play.law.target_n <= 60.0
+    assert any(command.arm == "stop" for command in play.commands)
+
+
+def test_turned_too_far_takes_all_the_force_there_is() -> None:
+    play = Play().held()
+    play.slips(30.0, 300.0)
+    command = play.slips(50.0, 300.0, frames=1)
+    assert command.fault is not None
+    assert command.fault.code is FaultCode.TURNED_TOO_FAR
+    assert command.hold_force_n == pytest.approx(130.0, abs=0.85)
+    assert command.arm == "stop"
+    play.slips(70.0, 300.0, frames=20)
+    assert play.law.fault.code is FaultCode.TURNED_TOO_FAR  # type: ignore[union-attr]
+
+
+def test_no_force_is_added_near_a_person() -> None:
+    """In a protective or emergency stop somebody may be in the jaws, also while the arm no longer says so."""
+    play = Play().held()
+    play.here = arm(emergency=True)
+    play.slips(4.0)
+    play.here = None  # type: ignore[assignment]
+    play.slips(50.0, 100.0, frames=20)
+    assert all(command.hold_force_n is None for command in play.commands[-20:])
+    assert play.law.target_n == pytest.approx(40.0, abs=0.85)
+
+
+def test_a_turn_back_while_putting_down_is_no_slip() -> None:
+    slipped = replace(PRIMED, base_turn_deg=20.0)
+    back = seen_in(Phase.LOWERING, fused=fused(15.0, -30.0, at_s=NOW_S))
+    for phase, tightens in ((Phase.LOWERING, False), (Phase.HOLDING, True)):
+        _, command = step(state_in(phase, detector=slipped), back, PARAMS)
+        assert (command.hold_force_n is not None) is tightens
+
+
+def test_guard_off_only_watches_until_guard_on() -> None:
+    play = Play().held()
+    play.tick(RequestKind.GUARD_OFF)
+    assert play.slips(30.0, 50.0, frames=10).hold_force_n is None
+    play.tick(RequestKind.GUARD_ON)
+    play.tick()
+    assert play.slips(34.0, 50.0).hold_force_n is not None
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"view": fused(None, contact=False, shift_mm=None)},
+        {"jaws": gripper(40.0, holding=False, nothing=True)},
+        {"jaws": gripper(40.0, holding=False)},
+    ],
+)
+def test_a_lost_object_latches(changes: dict[str, object]) -> None:
+    play = Play().held()
+    for name, value in changes.items():
+        setattr(play, name, value)
+    assert all(command.fault is None for command in play.ticks(0.08))
+    command = play.ticks(0.08)[-1]
+    assert command.fault is not None
+    assert command.fault.code is FaultCode.OBJECT_LOST
+
+
+def test_a_passing_loss_of_contact_does_not() -> None:
+    play = Play().held()
+    for _ in range(5):
+        play.view = fused(None, contact=False, shift_mm=None)
+        play.ticks(0.06)
+        play.view = fused()
+        play.ticks(0.04)
+    assert play.law.phase is Phase.HOLDING
+
+
+def test_in_a_fault_slip_is_still_answered_with_force() -> None:
+    play = Play().held()
+    play.guard = replace(play.guard, law=replace(play.law, phase=Phase.FAULT, fault=FAULT))
+    assert play.slips().hold_force_n is not None
+    assert play.law.fault == FAULT
+
+
+def test_clear_takes_over_what_is_held() -> None:
+    state, command = step(
+        state_in(Phase.FAULT), seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), gripper=gripper(77.0)), PARAMS
+    )
+    assert state.phase is Phase.REFERENCE
+    assert state.target_n == 77.0
+    assert state.fault is None
+    assert state.ground_mm == 0.0
+    assert command.new_reference
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"fault": FAULT}, "the cause is still there"),
+        ({"gripper": None}, "not known what it holds"),
+        ({"arm": arm(protective=True)}, "protective"),
+    ],
+)
+def test_clear_needs_the_cause_to_be_gone(changes: dict[str, object], says: str) -> None:
+    view = seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), **changes)
+    state, command = step(state_in(Phase.FAULT), view, PARAMS)
+    assert state.phase is Phase.FAULT
+    assert says in (command.refused or "")
+
+
+def test_clear_with_nothing_held_is_idle() -> None:
+    view = seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), gripper=gripper(0.0, holding=False))
+    assert step(state_in(Phase.FAULT), view, PARAMS)[0].phase is Phase.IDLE
+
+
+def test_a_stop_is_said_again_until_the_arm_stands() -> None:
+    state, stops = state_in(Phase.FAULT, arm_sent_s=NOW_S), 0
+    for number in range(1, 31):
+        now_s = NOW_S + 0.02 * number
+        state, command = step(state, seen(now_s, arm=None if number < 20 else arm(at_s=now_s)), PARAMS)
+        stops += command.arm == "stop"
+    assert stops == 3
+
+
+def test_a_force_that_was_not_taken_is_commanded_again() -> None:
+    play = Play().held()
+    play.slips()
+    wanted_n = play.law.target_n
+    play.jaws = replace(play.jaws, force_n=40.0)
+    again = [command.hold_force_n for command in play.ticks(0.25) if command.hold_force_n is not None]
+    assert again[0] == wanted_n
+
+
+def test_a_gripper_somebody_opened_is_not_closed_again() -> None:
+    play = Play().held()
+    play.jaws = replace(play.jaws, force_n=0.0, holding=False, width_mm=85.0)
+    assert all(command.hold_force_n is None for command in play.ticks(1.0))
+    assert play.law.fault is not None
