@@ -87,6 +87,19 @@ async def test_closing_ends_the_process_and_leaves_nothing_open() -> None:
     assert not any("slipguard" in name for name in descriptors() - before)
 
 
+async def test_closing_ends_a_process_that_hangs() -> None:
+    sensor = new_sensor()
+    await sensor.open()
+    pid = child_of(sensor)
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        await sensor.close()
+        assert not runs(pid)
+    finally:
+        if runs(pid):
+            os.kill(pid, signal.SIGCONT)
+
+
 async def test_a_process_that_dies_is_a_lost_sensor_and_open_starts_another() -> None:
     sensor = new_sensor()
     await sensor.open()

@@ -91,6 +91,22 @@ async def test_tightening_is_stop_then_go_and_never_lets_go(emulator: RobotiqEmu
     assert go[2] & 0xFF == 72  # 20 N + 72 x 0.843 N
 
 
+@pytest.mark.parametrize("after_s", [0.001, 0.006, 0.011, 0.016])
+async def test_a_tightening_whose_caller_gives_up_is_finished(
+    emulator: RobotiqEmulator, gripper: RobotiqGripper, after_s: float
+) -> None:
+    await gripper.release(85.0)
+    emulator.fingers.object_at = 120.0
+    await gripper.hold(40.0)
+    await until_it_holds(gripper)
+    with pytest.raises(TimeoutError):
+        await asyncio.wait_for(gripper.hold(80.0), after_s)
+    await asyncio.sleep(0.1)
+    await gripper.state()
+    assert emulator.fingers.going
+    assert emulator.fingers.grip == 72
+
+
 async def test_a_late_answer_is_never_taken_for_the_next(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
     await gripper.release(85.0)
     emulator.delay_s = 0.08
