@@ -18,6 +18,9 @@ FRAMES = 30
 TIMEOUT_S = 5.0
 NOISE_MAX = 8.0
 """Grey levels; a still DIGIT has 1.5 to 2.9. More means that something moves."""
+CHANGE_MAX = 4.0
+"""Grey levels between beginning, middle and end, mean of a block; noise leaves 0.1. More means that something came."""
+BLOCK_PX = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,9 +54,24 @@ def no_contact_of(images: Sequence[NDArray[np.uint8]], finger: str) -> NoContact
             f"{finger}: the picture is not still (noise {noise.max():.1f} grey levels, at most {NOISE_MAX:g}); "
             "keep the jaws open, empty and at rest, and try again"
         )
+    change = _change(stack)
+    if change > CHANGE_MAX:
+        raise CommandRefused(
+            f"{finger}: something touched the gel (the picture changed by {change:.0f} grey levels, "
+            f"at most {CHANGE_MAX:g}); keep the jaws open, empty and at rest, and try again"
+        )
     image = np.clip(np.rint(mean), 0, 255).astype(np.uint8)
     image.setflags(write=False)
     return NoContact(image, (float(noise[0]), float(noise[1]), float(noise[2])), len(images))
+
+
+def _change(stack: NDArray[np.float32]) -> float:
+    """Largest difference of a block's mean among beginning, middle and end of the frames, in grey levels."""
+    thirds = np.stack([part.mean(axis=0) for part in np.array_split(stack, 3)])
+    rows, columns = (size // BLOCK_PX for size in thirds.shape[1:3])
+    whole = thirds[:, : rows * BLOCK_PX, : columns * BLOCK_PX]
+    blocks = whole.reshape(3, rows, BLOCK_PX, columns, BLOCK_PX, -1).mean(axis=(2, 4))
+    return float(np.ptp(blocks, axis=0).max())
 
 
 async def collect(tap: asyncio.Queue[Frame], finger: str) -> list[NDArray[np.uint8]]:

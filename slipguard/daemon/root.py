@@ -14,13 +14,14 @@ import structlog
 from slipguard import __version__
 from slipguard.config import GROUP_OF, Config
 from slipguard.daemon.api import calibration_answer, make_app, serve
+from slipguard.daemon.calibration import NoContact
 from slipguard.daemon.controls import Controls
 from slipguard.daemon.finger import Perceiver
 from slipguard.daemon.service import FINGERS, Law, Service
 from slipguard.daemon.state_dir import StateDir
 from slipguard.daemon.worker import ThreadWorker, Worker
 from slipguard.devices import DriverContext
-from slipguard.errors import DeviceTimeout
+from slipguard.errors import DeviceTimeout, InputError
 from slipguard.grasp.guard import tick
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.segment import Segmenter
@@ -60,7 +61,7 @@ def build_service(
         segmenter = Segmenter(config.perception.model)
 
         def make(serial: str) -> Perceiver:
-            known = state_dir.load_no_contact(serial)
+            known = _no_contact(state_dir, serial)
             pipeline = Pipeline(
                 segmenter,
                 config.perception,
@@ -84,6 +85,15 @@ def build_service(
         store=state_dir,
         law=law,
     )
+
+
+def _no_contact(store: StateDir, serial: str) -> NoContact | None:
+    """The unit's image; a damaged one counts as none, so that the sensor runs and can be calibrated anew."""
+    try:
+        return store.load_no_contact(serial)
+    except InputError as error:
+        log.error("no-contact image", why=str(error))
+        return None
 
 
 async def run(
