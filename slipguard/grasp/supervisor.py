@@ -6,6 +6,7 @@ now. The law latches what it says. A fault that has passed is no longer said, so
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from slipguard.grasp.fault import Fault, FaultCode
@@ -56,7 +57,7 @@ def watch(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> 
     checks = (
         _arm_stop(seen),
         _gripper(memory, seen, params),
-        _frames(memory, state, seen, params),
+        _frames(memory, seen, params),
         _arm(memory, seen, params),
         _arm_stuck(memory, state, seen, params),
         _no_help(memory, seen, params),
@@ -121,17 +122,18 @@ def _blind(finger: FingerHealth, params: GuardParams) -> bool:
     return finger.condition is not Condition.FRESH or finger.age_s >= params.frames_timeout_s
 
 
-def _frames(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> Fault | None:
-    silent_s = min(seen.left.age_s, seen.right.age_s)
-    lasts = _lasts(memory.frames_since_s, seen.now_s, params.frames_timeout_s)
-    if memory.frames_since_s is None or not (lasts or silent_s >= params.frames_timeout_s):
+def _frames(memory: Watch, seen: Seen, params: GuardParams) -> Fault | None:
+    if memory.frames_since_s is None:
+        return None
+    silent_s = max(min(seen.left.age_s, seen.right.age_s), seen.now_s - memory.frames_since_s)
+    if silent_s < params.frames_timeout_s:
         return None
     both = " and ".join(
         f"{name}: {finger.why or finger.condition}" for name, finger in (("left", seen.left), ("right", seen.right))
     )
     return Fault(
         FaultCode.FRAMES_LOST,
-        f"no good frame for {silent_s:.1f} s ({both})",
+        f"no good frame for {silent_s:.1f} s ({both})" if math.isfinite(silent_s) else f"never a good frame ({both})",
         "check the sensors' cables, then clear; until then nobody sees a slip",
     )
 
