@@ -13,7 +13,7 @@ from slipguard.grasp.detector import Look, look
 from slipguard.grasp.fault import Fault, FaultCode
 from slipguard.grasp.messages import Seen
 from slipguard.grasp.params import GuardParams
-from slipguard.grasp.state import GuardState, Phase, Slip
+from slipguard.grasp.state import GuardState, Phase, Slip, settled
 
 SLOWING = 0.8
 """A rate below this share of that at the last step says that the step helps."""
@@ -47,7 +47,7 @@ def guard(state: GuardState, seen: Seen, params: GuardParams) -> Verdict:
     slip = state.slip
     if slip is None:
         return _begin(state, sight, seen, params) if sight.slipping else Verdict(state)
-    if _calm(slip, sight, seen, params):
+    if _calm(state, slip, sight, seen, params):
         state = replace(state, slip=None, detector=sight.detector.rebased())
         return Verdict(state, say=f"calm at {state.target_n:.0f} N")
     return _go_on(state, slip, sight, seen, params)
@@ -69,14 +69,14 @@ def _go_on(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: Guard
     waited = seen.now_s - slip.stepped_s >= params.hold_off_s
     if not (sight.moving and waited and (turned_deg > PROGRESS_DEG or slid_mm > PROGRESS_MM)):
         return waiting
-    settled = seen.gripper is not None and not seen.gripper.moving
+    at_rest = seen.gripper is not None and settled(state, seen.gripper)
     within = limits.budget(params.force_max_n, seen.gripper_limits_n)
     if within is None or state.target_n >= within.high_n:
         further = turned_deg > SPENT_DEG or slid_mm > SPENT_MM
-        return replace(waiting, fault=_spent(state, sight, params)) if settled and further else waiting
+        return replace(waiting, fault=_spent(state, sight, params)) if at_rest and further else waiting
     slows = sight.rate_deg_s < SLOWING * slip.rate_deg_s and sight.slide_rate_mm_s < params.slide_rate_mm_s
     late = _turned_deg(seen) > LATE_SHARE * params.give_up_turn_deg
-    if slows and not settled and not late:
+    if slows and not at_rest and not late:
         return waiting
     return _step(state, slip, sight, seen, params, params.next_step)
 
@@ -126,11 +126,11 @@ def _give_up(state: GuardState, sight: Look, seen: Seen, params: GuardParams) ->
     return Verdict(state, hold_n=target_n, stop=True, fault=fault)
 
 
-def _calm(slip: Slip, sight: Look, seen: Seen, params: GuardParams) -> bool:
+def _calm(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: GuardParams) -> bool:
     """At rest for long enough, with the last step done and its effect seen."""
-    settled = seen.gripper is not None and not seen.gripper.moving
+    at_rest = seen.gripper is not None and settled(state, seen.gripper)
     seen_since = sight.detector.captured_s - slip.stepped_s >= params.hold_off_s
-    return settled and seen_since and sight.still_s >= params.calm_s
+    return at_rest and seen_since and sight.still_s >= params.calm_s
 
 
 def _turned_deg(seen: Seen) -> float:

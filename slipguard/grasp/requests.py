@@ -12,7 +12,7 @@ from slipguard.grasp import limits
 from slipguard.grasp.detector import Detector
 from slipguard.grasp.messages import ArmLift, Command, RequestKind, Seen
 from slipguard.grasp.params import GuardParams
-from slipguard.grasp.state import GuardState, Phase, emptied, entered, taken_over
+from slipguard.grasp.state import GuardState, Phase, emptied, entered, settled, taken_over
 
 Outcome = tuple[GuardState, Command]
 
@@ -114,7 +114,7 @@ def _no_motion(state: GuardState, seen: Seen, params: GuardParams, verb: str) ->
         return f"cannot {verb} while {state.phase}; grasp and wait for 'holding'"
     if state.slip is not None:
         return f"cannot {verb}: the object is slipping; wait until it is calm"
-    if seen.gripper is None or seen.gripper.moving:
+    if seen.gripper is None or not settled(state, seen.gripper):
         return f"cannot {verb}: the grip is not yet firm; ask again in a moment"
     if seen.arm is None:
         return f"cannot {verb}: the arm is not there; see its health in `slipguard ctl state`"

@@ -80,6 +80,11 @@ class GuardState:
     fault: Fault | None = None
 
 
+def settled(state: GuardState, gripper: GripperState) -> bool:
+    """The gripper is at rest, and said so after it was last told something."""
+    return not gripper.moving and gripper.measured_at_s > state.commanded_s
+
+
 def entered(state: GuardState, phase: Phase, now_s: float) -> GuardState:
     """The same memory at the beginning of another phase."""
     return replace(state, phase=phase, since_s=now_s, paused=False)

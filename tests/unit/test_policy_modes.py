@@ -1,0 +1,132 @@
+"""Restarts, guard mode and notes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+from play import GUARD_MODE, PARAMS, Play, seen_in, state_in
+from seen import arm, ask, fused, gripper
+
+from slipguard.grasp.messages import ArmLift, RequestKind
+from slipguard.grasp.policy import step
+from slipguard.grasp.state import Phase
+
+
+def test_a_restart_adopts_what_is_held() -> None:
+    play = Play()
+    play.jaws, play.view, play.here = gripper(93.0), fused(), arm(60.0)
+    play.tick()
+    assert play.law.phase is Phase.REFERENCE
+    play.ticks(0.5)
+    assert play.law.phase is Phase.HOLDING
+    assert play.law.target_n == 93.0
+    assert all(command.hold_force_n is command.release_width_mm is None for command in play.commands)
+    assert "not known how far up" in (play.tick(RequestKind.LOWER).refused or "")
+    assert play.slips().hold_force_n == pytest.approx(130.0, abs=0.85)
+
+
+def test_an_adopted_grip_above_the_budget_is_kept() -> None:
+    play = Play()
+    play.jaws, play.view = gripper(200.0), fused()
+    play.ticks(0.5)
+    play.slips(30.0, 100.0, frames=30)
+    assert play.law.target_n == 200.0
+
+
+def test_guard_mode_guards_what_another_program_grips() -> None:
+    play = Play(GUARD_MODE)
+    play.tick()
+    play.jaws = gripper(55.0)
+    play.ticks(0.1)
+    assert play.law.phase is Phase.IDLE  # no contact seen yet
+    play.view = fused()
+    assert play.tick().new_reference
+    play.ticks(0.1)
+    assert play.law.phase is Phase.HOLDING
+    play.here = arm(10.0, moving=True)
+    command = play.slips()
+    assert command.hold_force_n is not None
+    assert command.arm == "stop"
+    for kind in (RequestKind.LIFT, RequestKind.LOWER):
+        assert "belongs to another program" in (play.tick(kind).refused or "")
+    assert all(not isinstance(command.arm, ArmLift) for command in play.commands)
+
+
+def test_guard_mode_off_and_on() -> None:
+    play = Play(GUARD_MODE)
+    play.tick(RequestKind.GUARD_OFF)
+    play.jaws, play.view = gripper(55.0), fused()
+    play.ticks(0.2)
+    assert play.law.phase is Phase.IDLE
+    play.tick(RequestKind.GUARD_ON)
+    assert play.law.phase is Phase.REFERENCE
+    empty = Play(GUARD_MODE)
+    assert empty.tick(RequestKind.GUARD_ON).say == "will guard what is gripped"
+
+
+def test_another_program_tightens_but_never_loosens() -> None:
+    play = Play(GUARD_MODE)
+    play.jaws, play.view = gripper(55.0), fused()
+    play.ticks(0.3)
+    assert play.tick(RequestKind.GRIPPER, width_mm=0.0, force_n=80.0).hold_force_n == pytest.approx(80.0, abs=0.85)
+    held_n = play.law.target_n
+    assert play.tick(RequestKind.GRIPPER, width_mm=0.0, force_n=30.0).hold_force_n == held_n
+    assert "use release" in (play.tick(RequestKind.GRIPPER, width_mm=60.0).refused or "")
+
+
+def test_another_program_moves_the_empty_jaws() -> None:
+    command = Play(GUARD_MODE).tick(RequestKind.GRIPPER, width_mm=50.0, force_n=25.0)
+    assert command.move_width_mm == 50.0
+    assert command.move_force_n == pytest.approx(25.0, abs=0.85)
+    stopped = Play(GUARD_MODE)
+    stopped.here = arm(protective=True)
+    assert "protective" in (stopped.tick(RequestKind.GRIPPER, width_mm=50.0).refused or "")
+    gone = Play(GUARD_MODE)
+    gone.jaws = None  # type: ignore[assignment]
+    assert "not there" in (gone.tick(RequestKind.GRIPPER, width_mm=50.0).refused or "")
+
+
+def test_an_object_held_unguarded_can_be_gripped_tighter_too() -> None:
+    play = Play(GUARD_MODE)
+    play.tick(RequestKind.GUARD_OFF)
+    play.jaws = gripper(55.0)
+    assert play.tick(RequestKind.GRIPPER, force_n=80.0).hold_force_n == pytest.approx(80.0, abs=0.85)
+    assert play.law.phase is Phase.IDLE
+
+
+def test_a_lift_waits_until_all_is_ready() -> None:
+    def refusal(change: Callable[[Play], object]) -> str:
+        play = Play().held()
+        change(play)
+        return play.tick(RequestKind.LIFT).refused or ""
+
+    assert "slipping" in refusal(lambda play: play.slips())
+    assert "not yet firm" in refusal(lambda play: setattr(play, "jaws", replace(play.jaws, moving=True)))
+    assert "the arm is not there" in refusal(lambda play: setattr(play, "here", None))
+
+
+def test_notes_are_said_once() -> None:
+    play = Play().held()
+    play.view = fused(0.0, fingers=("left",), note="right finger: 150 ms behind")
+    said = [command.say for command in play.ticks(0.3) if command.say]
+    assert said == ["right finger: 150 ms behind"]
+    play.view = fused()
+    play.tick()
+    play.view = fused(0.0, conflict="both pictures turn the same way (left 3, right 3): a fault")
+    assert "same way" in (play.tick().say or "")
+
+
+def test_an_episode_of_sliding_names_the_slide() -> None:
+    play = Play().held()
+    play.view = replace(play.view, shift_mm=0.6)
+    play.tick()
+    play.view = replace(play.view, shift_mm=0.9)
+    assert "slid 0.9 mm" in (play.tick().say or "")
+
+
+def test_no_motion_near_a_person() -> None:
+    """Also where nothing has latched yet."""
+    view = seen_in(Phase.HOLDING, arm=arm(protective=True), request=ask(RequestKind.LIFT))
+    assert "protective" in (step(state_in(Phase.HOLDING), view, PARAMS)[1].refused or "")
