@@ -27,7 +27,7 @@ from slipguard.grasp.fuse import fuse
 from slipguard.grasp.guard import Guard, tick
 from slipguard.grasp.messages import ArmLift, Command, Condition, FingerHealth, Request, Seen
 from slipguard.grasp.params import GuardParams
-from slipguard.grasp.state import GuardState, Phase
+from slipguard.grasp.state import GuardState, Phase, settled
 from slipguard.perception.estimate import Estimate
 
 FINGERS = ("left", "right")
@@ -109,6 +109,12 @@ class Service:
     def phase(self) -> Phase:
         """Where the grasp is."""
         return self._guard.law.phase
+
+    @property
+    def firm(self) -> bool:
+        """Held and calm, and the gripper has done what it was last told: fit to be lifted."""
+        state, gripper = self._guard.law, self.gripper.newest
+        return state.phase is Phase.HOLDING and state.slip is None and gripper is not None and settled(state, gripper)
 
     @property
     def devices(self) -> dict[str, Finger | Actuator[GripperState] | Actuator[ArmState]]:

@@ -148,11 +148,6 @@ async def _one_lift(
     def dropped() -> bool:
         return world.truth(loop.time()).dropped is not None
 
-    def steady() -> bool:
-        gripper = service.gripper.newest
-        calm = service.phase is Phase.HOLDING and service.state.slip is None
-        return calm and gripper is not None and not gripper.moving
-
     async def until(reached: Callable[[], bool], what: str) -> None:
         await _until(
             running,
@@ -163,7 +158,7 @@ async def _one_lift(
 
     try:
         await controls.grasp()
-        await until(steady, "the object was not gripped")
+        await until(lambda: service.firm, "the object was not gripped")
         await controls.lift()
         await until(lambda: service.phase is Phase.HOLDING, "the lift did not end")
         hold_until_s = loop.time() + HOLD_S

@@ -205,6 +205,10 @@ class Cell:
     says: list[str] = field(default_factory=list)
     phases: list[Phase] = field(default_factory=list)
     ticks: int = 0
+    loosened: str | None = None
+    """The first moment at which the grip got weaker or wider though nobody had asked to release."""
+    tightest_n: float = 0.0
+    narrowest_mm: float = 1e9
 
     def __post_init__(self) -> None:
         self.fresh = self.world is None
@@ -253,6 +257,15 @@ class Cell:
             self.says.append(decision.command.say)
         if not self.phases or decision.phase is not self.phases[-1]:
             self.phases.append(decision.phase)
+        self._watch_grip()
+
+    def _watch_grip(self) -> None:
+        truth, width_mm = self.truth, self.width_mm
+        if truth.dropped is not None or any(what == "release" for _, what, _ in self.gripper.told):
+            return
+        if truth.force_n < self.tightest_n - 0.01 or (truth.in_contact and width_mm > self.narrowest_mm + 0.01):
+            self.loosened = self.loosened or f"{truth.force_n:.1f} N, {width_mm:.1f} mm at {self.now_s:.3f}: {truth}"
+        self.tightest_n, self.narrowest_mm = max(self.tightest_n, truth.force_n), min(self.narrowest_mm, width_mm)
 
     # What is so.
 
@@ -275,11 +288,8 @@ class Cell:
         return self.world.gripper_state(self.now_s).width_mm
 
     def steady(self) -> bool:
-        """Held, calm, and the gripper at rest."""
-        newest = self.service.gripper.newest
-        return (
-            self.phase is Phase.HOLDING and self.service.state.slip is None and newest is not None and not newest.moving
-        )
+        """Held, calm, and the grip as firm as it was commanded."""
+        return self.service.firm
 
     # What is done.
 
@@ -326,6 +336,7 @@ async def running(cell: Cell) -> AsyncIterator[Cell]:
     try:
         yield cell
         assert not task.done(), task
+        assert cell.loosened is None, cell.loosened
     finally:
         task.cancel()
         (end,) = await asyncio.gather(task, return_exceptions=True)

@@ -1,0 +1,116 @@
+"""Guard mode: another program moves the arm and asks for the gripper; slipguard watches what is held."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from loop_cell import Cell, play
+
+from slipguard.errors import CommandRefused
+from slipguard.grasp.state import Phase
+
+GUARD: dict[str, object] = {"mode": "guard"}
+GRIP_N = 40.0
+
+
+async def gripped_by_another_program(cell: Cell) -> None:
+    await cell.ready()
+    await cell.controls.gripper(0.0, GRIP_N)
+    await cell.until(lambda: cell.phase is Phase.HOLDING)
+
+
+async def lifted_by_another_program(cell: Cell, height_mm: float = 60.0) -> None:
+    assert cell.world is not None
+    cell.world.command_lift(cell.now_s, 10.0, 20.0)
+    await asyncio.sleep(0.8)
+    await cell.until(cell.steady)
+    cell.world.command_lift(cell.now_s, height_mm - cell.truth.height_mm, 40.0)
+    await asyncio.sleep(2.5)
+
+
+def test_guarding_starts_by_itself_when_something_is_held() -> None:
+    async def scene(cell: Cell) -> None:
+        await gripped_by_another_program(cell)
+        await lifted_by_another_program(cell)
+        assert cell.truth.dropped is None
+        assert abs(cell.truth.turn_deg) < 25.0
+        assert cell.truth.applied_n > GRIP_N + 5.0
+
+    cell = play(Cell("wrench", 1, guard=GUARD), scene)
+    assert any(said.startswith("slip: ") for said in cell.says)
+    assert all(what == "stop" for _, what, _ in cell.arm.told)  # paused, never taken over
+
+
+def test_guard_on_guards_what_is_held_after_guard_off() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        await cell.controls.guard(False)
+        await cell.controls.gripper(0.0, GRIP_N)
+        await cell.until(lambda: cell.truth.in_contact)
+        await asyncio.sleep(1.0)
+        assert cell.phase is Phase.IDLE
+        await cell.controls.guard(True)
+        await cell.until(lambda: cell.phase is Phase.HOLDING)
+        await lifted_by_another_program(cell)
+        assert cell.truth.dropped is None
+        assert abs(cell.truth.turn_deg) < 25.0
+
+    play(Cell("wrench", 1, guard=GUARD), scene)
+
+
+def test_guard_off_only_watches() -> None:
+    async def scene(cell: Cell) -> None:
+        await gripped_by_another_program(cell)
+        await cell.controls.guard(False)
+        await lifted_by_another_program(cell)
+        assert cell.truth.applied_n < GRIP_N + 1.0
+
+    play(Cell("wrench", 1, guard=GUARD), scene)
+
+
+def test_another_program_never_undercuts_the_guard() -> None:
+    async def scene(cell: Cell) -> None:
+        await gripped_by_another_program(cell)
+        await lifted_by_another_program(cell)
+        guarded_n = cell.truth.applied_n
+        assert guarded_n > GRIP_N + 5.0
+        said = await cell.controls.gripper(None, 25.0)
+        assert f"{guarded_n:.0f} N" in said
+        with pytest.raises(CommandRefused, match="opening would drop it; use release"):
+            await cell.controls.gripper(80.0, 25.0)
+        with pytest.raises(CommandRefused, match="force_max_n"):
+            await cell.controls.gripper(None, 200.0)
+        await asyncio.sleep(0.3)
+        assert cell.truth.applied_n == pytest.approx(guarded_n)
+        await cell.controls.gripper(None, 125.0)
+        await asyncio.sleep(0.3)
+        assert cell.truth.applied_n >= 125.0
+
+    play(Cell("wrench", 1, guard=GUARD), scene)
+
+
+def test_slipguard_does_not_move_an_arm_that_is_not_its_own() -> None:
+    async def scene(cell: Cell) -> None:
+        await gripped_by_another_program(cell)
+        for motion in (cell.controls.lift, cell.controls.lower):
+            with pytest.raises(CommandRefused, match="the arm belongs to another program"):
+                await motion()
+        await cell.release()
+        assert not cell.truth.in_contact
+
+    play(Cell("wrench", 1, guard=GUARD), scene)
+
+
+def test_the_jaws_move_freely_while_nothing_is_held() -> None:
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        cell.world.clear(cell.now_s)
+        await cell.ready()
+        await cell.controls.gripper(30.0, 20.0)
+        await cell.until(lambda: abs(cell.width_mm - 30.0) < 0.5)
+        await cell.controls.gripper(60.0, 20.0)
+        await cell.until(lambda: abs(cell.width_mm - 60.0) < 0.5)
+        assert cell.phase is Phase.IDLE
+
+    play(Cell(guard=GUARD), scene)

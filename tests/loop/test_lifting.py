@@ -1,0 +1,114 @@
+"""Lift mode from grasp to release, on the real world, law and fakes."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from loop_cell import Cell, play
+
+from slipguard.daemon.service import Law
+from slipguard.errors import CommandRefused
+from slipguard.grasp.guard import tick
+from slipguard.grasp.state import Phase
+from slipguard.lab.unguarded import unguarded_tick
+
+BRISK = {"lift_height_mm": 60.0, "lift_speed_mm_s": 80.0, "lower_speed_mm_s": 150.0}
+
+
+def carried(object_name: str, seed: int, law: Law = tick, height_mm: float = 60.0) -> tuple[Cell, list[float]]:
+    """Grasp, lift, hold for a second, lower, release; all turns on the way."""
+    turns: list[float] = []
+
+    async def scene(cell: Cell) -> None:
+        cell.service.observers.append(lambda decision: turns.append(abs(cell.truth.turn_deg)))
+        await cell.grasp()
+        await cell.lift()
+        await asyncio.sleep(1.0)
+        if law is tick:
+            assert cell.phase is Phase.HOLDING, cell.service.state.fault
+            assert cell.truth.dropped is None
+            assert cell.truth.height_mm == pytest.approx(height_mm, abs=1.0)
+            await cell.lower()
+            assert cell.truth.height_mm == pytest.approx(0.0, abs=1.0)
+        await cell.release()
+        assert cell.width_mm == pytest.approx(85.0, abs=0.5)
+        assert not cell.truth.in_contact
+
+    return play(Cell(object_name, seed, guard=BRISK | {"lift_height_mm": height_mm}, law=law), scene), turns
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("object_name", ["bar", "wrench", "knife_edge", "key"])
+def test_an_object_is_carried_and_put_down(object_name: str, seed: int) -> None:
+    cell, turns = carried(object_name, seed)
+    assert max(turns) < 20.0
+    assert cell.phases == [
+        Phase.IDLE, Phase.CLOSING, Phase.REFERENCE, Phase.HOLDING, Phase.LIFTING,
+        Phase.HOLDING, Phase.LOWERING, Phase.HOLDING, Phase.RELEASED, Phase.IDLE,
+    ]  # fmt: skip
+    assert [what for _, what, _ in cell.gripper.told].count("release") == 1
+    assert cell.service.deadlines_missed == 0
+
+
+@pytest.mark.parametrize("object_name", ["bar", "wrench"])
+def test_without_the_guard_it_turns_far(object_name: str) -> None:
+    cell, turns = carried(object_name, 1, law=unguarded_tick, height_mm=120.0)
+    assert max(turns) > 25.0
+    assert [force_n for _, what, force_n in cell.gripper.told if what == "hold"] == [pytest.approx(40.0, abs=0.9)]
+
+
+BLIND = {"left": "round contact", "right": "round contact"}
+
+
+def test_what_cannot_be_seen_turning_is_gripped_firmly_before_it_is_lifted() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        assert cell.service.state.blind is not None
+        assert cell.truth.applied_n >= 100.0
+        assert cell.truth.force_n >= 85.0  # a gripper may be 10 % weaker than it says
+        assert cell.truth.height_mm == 0.0
+        await cell.lift()
+        await asyncio.sleep(0.5)
+        assert cell.phase is Phase.HOLDING
+        assert cell.truth.dropped is None
+
+    play(Cell("ball", 1, guard=BRISK, blind=BLIND), scene)
+
+
+def test_what_cannot_be_seen_turning_is_not_lifted_where_that_is_refused() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        with pytest.raises(CommandRefused, match=r"the turn cannot be seen \(left finger: round contact"):
+            await cell.controls.lift()
+        assert cell.truth.applied_n < 45.0
+        assert not [told for told in cell.arm.told if told[1] == "lift"]
+        await cell.release()
+
+    play(Cell("ball", 1, guard=BRISK | {"on_blind": "refuse"}, blind=BLIND), scene)
+
+
+def test_one_finger_that_sees_is_enough() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        assert cell.service.state.referenced
+        await cell.lift()
+        await asyncio.sleep(0.5)
+        assert cell.phase is Phase.HOLDING
+        assert abs(cell.truth.turn_deg) < 25.0
+
+    cell = play(Cell("wrench", 1, guard=BRISK, blind={"right": "round contact"}), scene)
+    assert any("by one finger only (right finger: round contact)" in said for said in cell.says)
+
+
+def test_closing_on_nothing_ends_in_idle_and_can_be_tried_again() -> None:
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        cell.world.clear(cell.now_s)
+        await cell.ready()
+        await cell.controls.grasp()
+        await cell.until(lambda: cell.phase is Phase.IDLE)
+        assert "the gripper closed on nothing" in cell.says
+        await cell.release()
+
+    play(Cell(), scene)
