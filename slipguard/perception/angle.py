@@ -29,7 +29,7 @@ CUT_SIGMA = 6.0
 """How much more elongated a cut patch must be, and how much less certain it is, per share of outline cut."""
 SMALLEST_PX = 40
 """Fewer network pixels than this tell no axis."""
-_OUTLINE_PX = {"moments": 0.30, "pca": 0.33, "ellipse": 0.45, "skeleton": 0.6}
+_OUTLINE_PX = {"moments": 0.30, "pca": 0.33, "ellipse": 0.45, "skeleton": 0.4}
 """Standard deviation of the outline's place, network pixels, as each estimator feels it: smooth errors of the network
 that no averaging removes."""
 _TOO_FEW = "contact too small"
@@ -242,7 +242,7 @@ def _skeleton_axis(patch: Patch, line: Line) -> tuple[Axis | None, str | None]:
     if length < 2.0 * half_width or axis.aspect < 2.5 or line.share < LINE_SHARE_MIN:
         return Axis(axis.angle_deg, x, y, 1.0, 1.0), _ROUND
     # The line's own width is nil: its semi-axes are those of the bar that it is the middle of.
-    return Axis(axis.angle_deg, x, y, length, half_width, axis.short_px / 4.0), None
+    return Axis(axis.angle_deg, x, y, length, half_width, axis.short_px / 8.0), None
 
 
 _AXES = {"moments": _moments_axis, "pca": _pca_axis, "ellipse": _ellipse_axis}

@@ -19,7 +19,7 @@ from slipguard.perception.regions import Patch
 from slipguard.perception.template import BLUR_PX, RIM_PX, Template, blurred, sampled
 
 MAX_ROUNDS = 8
-OUTLINE_PX = 0.16
+OUTLINE_PX = 0.20
 """Smooth error of the outline that mimics a turn, network pixels, one standard deviation."""
 LEVER_MIN_PX = 2.2
 """A turn by a radian must move the outline by at least this (r.m.s., what shift and growth cannot explain)."""

@@ -44,25 +44,24 @@ def axis_turn(
     return Turn(turn, math.hypot(now_sigma_deg, reference_sigma_deg))
 
 
-def combined(first: Turn, second: Turn) -> Turn:
-    """One turn from two that were read off the same mask.
+def checked(laid: Turn, axial: Turn) -> Turn:
+    """The turn by registration, checked by the one that the axes show.
 
-    Where they agree within their sigmas: the mean weighted by 1 / sigma^2, with the smaller sigma (their errors are not
-    independent). Where they do not, the surer one with a sigma that covers both; far apart, none.
+    Both come from one mask and err together, so their mean would be no better than the surer: that is registration's
+    unless its sigma is half as large again. Where they differ by more than both sigmas allow, sigma covers both;
+    far apart, there is no turn. One alone is taken as it is; where both are declined, registration's reason counts.
     """
-    if first.turn_deg is None or first.sigma_deg is None:
-        return second if second.turn_deg is not None else first
-    if second.turn_deg is None or second.sigma_deg is None:
-        return first
-    apart = abs(first.turn_deg - second.turn_deg)
-    smaller = min(first.sigma_deg, second.sigma_deg)
-    if apart <= AGREE_SIGMA * math.hypot(first.sigma_deg, second.sigma_deg):
-        a, b = first.sigma_deg**-2, second.sigma_deg**-2
-        return Turn((a * first.turn_deg + b * second.turn_deg) / (a + b), smaller)
+    if laid.turn_deg is None or laid.sigma_deg is None:
+        return axial if axial.turn_deg is not None else laid
+    if axial.turn_deg is None or axial.sigma_deg is None:
+        return laid
+    apart = abs(laid.turn_deg - axial.turn_deg)
+    surer = laid if laid.sigma_deg <= 1.5 * axial.sigma_deg else axial
+    if apart <= AGREE_SIGMA * math.hypot(laid.sigma_deg, axial.sigma_deg):
+        return surer
     if apart > DISAGREE_DEG:
         return Turn(None, None, DISAGREE)
-    surer = first if first.sigma_deg <= second.sigma_deg else second
-    return Turn(surer.turn_deg, max(smaller, 0.5 * apart))
+    return Turn(surer.turn_deg, max(surer.sigma_deg or 0.0, 0.5 * apart))
 
 
 def pooled(turns: Sequence[Turn]) -> Turn:

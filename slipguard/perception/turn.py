@@ -14,7 +14,7 @@ from slipguard.perception.register import Pose, Registrar, Registration
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stages import StageClock
 from slipguard.perception.template import Template, make_template
-from slipguard.perception.track import Tracker, Turn, axis_turn, combined, pooled
+from slipguard.perception.track import Tracker, Turn, axis_turn, checked, pooled
 
 STABLE_FRAMES = 5
 STABLE_SHARE = 0.05
@@ -70,7 +70,7 @@ class TurnMeter:
                 self._pose = laid.pose
                 registered = Turn(laid.pose.turn_deg, laid.sigma_deg)
                 shift_px = (laid.pose.dx_px * self._frame_px, laid.pose.dy_px * self._frame_px)
-            turn = registered if self._settings.estimator == "registration" else combined(registered, turn)
+            turn = registered if self._settings.estimator == "registration" else checked(registered, turn)
             clock.mark("register")
         if turn.sigma_deg is not None and turn.sigma_deg > self._settings.sigma_max_deg:
             turn = Turn(None, None, UNSURE)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slipguard.perception.axial import axial_difference_deg, axial_mean_deg, nearest_turn_deg, wrap_axial_deg
-from slipguard.perception.track import Tracker, Turn, axis_turn, combined, pooled
+from slipguard.perception.track import Tracker, Turn, axis_turn, checked, pooled
 
 ANY_DEG = st.floats(-1e4, 1e4)
 
@@ -95,22 +95,22 @@ def test_time_that_stands_still_or_goes_back_breaks_nothing() -> None:
     assert rate is None or math.isfinite(rate)
 
 
-def test_two_turns_that_agree_are_averaged_and_keep_the_smaller_sigma() -> None:
-    turn = combined(Turn(10.0, 0.5), Turn(11.0, 0.5))
-    assert (turn.turn_deg, turn.sigma_deg) == pytest.approx((10.5, 0.5))
+def test_registration_counts_where_the_axes_agree_with_it() -> None:
+    assert checked(Turn(10.0, 0.5), Turn(11.0, 0.5)) == Turn(10.0, 0.5)
+    assert checked(Turn(10.0, 2.0), Turn(11.0, 0.5)) == Turn(11.0, 0.5)
 
 
 def test_two_turns_that_contradict_each_other_are_none() -> None:
-    assert combined(Turn(10.0, 0.5), Turn(30.0, 0.5)).declined is not None
-    near = combined(Turn(10.0, 0.5), Turn(14.0, 0.6))
+    assert checked(Turn(10.0, 0.5), Turn(30.0, 0.5)).declined is not None
+    near = checked(Turn(10.0, 0.5), Turn(14.0, 0.6))
     assert near.turn_deg == 10.0
     assert near.sigma_deg == pytest.approx(2.0)
 
 
 def test_one_turn_is_enough_and_none_keeps_its_reason() -> None:
-    assert combined(Turn(None, None, "round contact"), Turn(3.0, 1.0)).turn_deg == 3.0
-    assert combined(Turn(3.0, 1.0), Turn(None, None, "round contact")).turn_deg == 3.0
-    assert combined(Turn(None, None, "a"), Turn(None, None, "b")).declined == "a"
+    assert checked(Turn(None, None, "round contact"), Turn(3.0, 1.0)).turn_deg == 3.0
+    assert checked(Turn(3.0, 1.0), Turn(None, None, "round contact")).turn_deg == 3.0
+    assert checked(Turn(None, None, "a"), Turn(None, None, "b")).declined == "a"
     assert pooled([Turn(None, None, "a"), Turn(None, None, "b")]).declined == "a"
 
 
