@@ -33,6 +33,8 @@ def step(state: GuardState, seen: Seen, params: GuardParams) -> tuple[GuardState
     """
     if seen.arm is not None:
         state = replace(state, person_near=seen.arm.protective_stop or seen.arm.emergency_stop)
+    elif state.ground_mm is not None:
+        state = replace(state, ground_mm=None)  # an arm that comes back counts its height from where it is found
     if seen.request.kind is RequestKind.RELEASE:
         return _release(state, seen, params)
     state, fault = _watch_object(state, seen, params)

@@ -178,6 +178,8 @@ def _clear(state: GuardState, command: Command, seen: Seen, params: GuardParams)
         return _refuse(state, command, "the gripper is not there, so it is not known what it holds")
     if state.person_near:
         return _refuse(state, command, "the arm is in a protective or emergency stop; end that first")
+    if seen.gripper.moving and not seen.gripper.holding:
+        return _refuse(state, command, "the gripper is moving, so it is not known what it will hold; ask again")
     if not seen.gripper.holding:
         return emptied(state, Phase.IDLE, seen.now_s), replace(command, say="cleared; nothing is held")
     ground_mm, target_n = state.ground_mm, max(state.target_n, seen.gripper.force_n)

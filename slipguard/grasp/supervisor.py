@@ -58,7 +58,7 @@ def watch(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> 
         _arm_stop(seen),
         _gripper(memory, seen, params),
         _frames(memory, seen, params),
-        _arm(memory, seen, params),
+        _arm(memory, state, seen, params),
         _arm_stuck(memory, state, seen, params),
         _no_help(memory, seen, params),
         _trust(memory, state, seen, params),
@@ -157,9 +157,10 @@ def _trust(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) ->
     )
 
 
-def _arm(memory: Watch, seen: Seen, params: GuardParams) -> Fault | None:
+def _arm(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> Fault | None:
     silent_s = _silent_s(seen.arm.measured_at_s if seen.arm else None, memory.arm_since_s, seen.now_s)
-    if silent_s < params.arm_timeout_s:
+    gone_on_the_way = seen.arm is None and state.phase in MOVING
+    if silent_s < params.arm_timeout_s and not gone_on_the_way:
         return None
     return Fault(
         FaultCode.ARM_SILENT,

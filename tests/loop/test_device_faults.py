@@ -1,0 +1,234 @@
+"""Every fault of every device while an object is being gripped, lifted and held.
+
+Whatever fails: the jaws do not open, the force does not fall (the cell watches both at every tick), the arm is told to
+stop, the fault has a name within half a second, `clear` works once it is mended, and `release` works at any time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+import pytest
+from loop_cell import Cell, play
+
+from slipguard.errors import CommandRefused
+from slipguard.grasp.fault import FaultCode
+from slipguard.grasp.state import Phase
+
+BRISK: dict[str, object] = {"lift_height_mm": 80.0, "lift_speed_mm_s": 60.0, "lower_speed_mm_s": 150.0}
+NAMED_WITHIN_S = 0.5
+Reach = Callable[[Cell], Awaitable[None]]
+
+
+async def closing(cell: Cell) -> None:
+    await cell.ready()
+    await cell.controls.grasp()
+    await asyncio.sleep(0.1)
+    assert cell.phase is Phase.CLOSING
+
+
+async def lifting(cell: Cell) -> None:
+    await cell.grasp()
+    await cell.controls.lift()
+    await asyncio.sleep(0.3)
+    assert cell.phase is Phase.LIFTING
+
+
+async def holding(cell: Cell) -> None:
+    await cell.grasp()
+    await cell.lift()
+    await cell.until(cell.steady)
+
+
+FAULTS = [
+    (("left", "right"), "disconnect", FaultCode.FRAMES_LOST, "unplugged"),
+    (("left", "right"), "stall", FaultCode.FRAMES_LOST, "no frame for"),
+    (("left", "right"), "frozen", FaultCode.FRAMES_LOST, "repeats itself"),
+    (("left", "right"), "corrupt", FaultCode.FRAMES_LOST, "damaged frame"),
+    (("gripper",), "disconnect", FaultCode.GRIPPER_SILENT, ""),
+    (("gripper",), "timeout", FaultCode.GRIPPER_SILENT, ""),
+    (("gripper",), "fault", FaultCode.GRIPPER_FAULT, "internal fault"),
+    (("arm",), "disconnect", FaultCode.ARM_SILENT, ""),
+    (("arm",), "timeout", FaultCode.ARM_SILENT, ""),
+    (("arm",), "protective_stop", FaultCode.ARM_STOPPED, ""),
+    (("arm",), "emergency_stop", FaultCode.ARM_EMERGENCY, ""),
+]
+STANDS = {"protective_stop", "emergency_stop"}
+
+
+@pytest.mark.parametrize("reach", [closing, lifting, holding])
+@pytest.mark.parametrize(("devices", "kind", "code", "seen"), FAULTS, ids=lambda value: None if value == "" else None)
+def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
+    reach: Reach, devices: tuple[str, ...], kind: str, code: FaultCode, seen: str
+) -> None:
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        await reach(cell)
+        failed_at_s, force_n = cell.now_s, cell.service.state.target_n
+        for device in devices:
+            cell.world.faults.fail(device, kind)
+        await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
+        fault = cell.service.state.fault
+        assert fault is not None
+        assert fault.code is code
+        assert seen in fault.seen
+        assert str(fault) in "\n".join(cell.service.said)
+        await asyncio.sleep(0.7)
+        told = [what for told_s, what, _ in cell.arm.told if told_s > failed_at_s]
+        assert told[:1] == ["stop"] or (devices, kind) == (("arm",), "disconnect")  # nobody is there to be told
+        assert "lift" not in told
+        await asyncio.sleep(0.3)
+        if devices == ("arm",) and kind in STANDS:
+            assert cell.service.state.target_n == force_n
+        if devices != ("arm",) or kind in STANDS:
+            height_mm = cell.truth.height_mm
+            await asyncio.sleep(0.2)
+            assert cell.truth.height_mm == height_mm
+        with pytest.raises(CommandRefused, match=r"still there|not there|stop"):
+            await cell.controls.clear()
+        for device in devices:
+            cell.world.faults.mend(device, kind)
+        await asyncio.sleep(0.1)
+        await cell.until(lambda: not cell.service.waiting_for and not cell.service.gripper.newest.moving)  # type: ignore[union-attr]
+        await cell.controls.clear()
+        await cell.until(lambda: cell.phase in (Phase.HOLDING, Phase.IDLE))
+        assert cell.phase is Phase.HOLDING
+        assert cell.truth.in_contact
+        assert cell.truth.dropped is None
+        assert cell.truth.applied_n >= force_n - 0.5
+        assert not any(what == "release" for _, what, _ in cell.gripper.told)
+
+    play(Cell("wrench", 1, guard=BRISK), scene)
+
+
+def test_a_gripper_still_closing_is_not_declared_empty() -> None:
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        await closing(cell)
+        cell.world.faults.fail("gripper", "fault")
+        await cell.until(lambda: cell.phase is Phase.FAULT)
+        cell.world.faults.mend("gripper")
+        await asyncio.sleep(0.1)
+        with pytest.raises(CommandRefused, match="the gripper is moving"):
+            await cell.controls.clear()
+
+    play(Cell("wrench", 1), scene)
+
+
+@pytest.mark.parametrize("kind", ["disconnect", "stall", "frozen", "corrupt"])
+@pytest.mark.parametrize("finger", ["left", "right"])
+def test_one_finger_gone_is_said_and_the_other_guards_on(finger: str, kind: str) -> None:
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        await cell.grasp()
+        cell.world.faults.fail(finger, kind)
+        said = len(cell.says)
+        await cell.until(lambda: any(f"{finger} finger: no frames" in line for line in cell.says[said:]), NAMED_WITHIN_S)
+        await cell.until(lambda: any(line.startswith(finger) for line in cell.service.waiting_for), NAMED_WITHIN_S)
+        await cell.lift()
+        assert cell.phase is Phase.HOLDING
+        assert cell.truth.dropped is None
+        assert abs(cell.truth.turn_deg) < 20.0
+        turned_deg = cell.truth.turn_deg
+        cell.world.faults.mend(finger, kind)
+        await cell.until(lambda: not cell.service.waiting_for)
+        await asyncio.sleep(0.5)
+        fused = cell.service.seen.fused if cell.service.seen is not None else None
+        assert fused is not None
+        assert fused.fingers == ("left", "right")
+        assert fused.conflict is None
+        assert fused.turn_deg == pytest.approx(turned_deg, abs=3.0)  # with its old reference
+        assert cell.phase is Phase.HOLDING
+
+    cell = play(Cell("wrench", 1, guard=BRISK), scene)
+    assert len(cell.perceivers[finger]) == 1
+
+
+@pytest.mark.parametrize("kind", sorted(STANDS))
+def test_no_force_is_added_while_the_arm_is_stopped_for_a_person(kind: str) -> None:
+    """The arm stops in the middle of a slip, when the law wants more force."""
+
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        await cell.grasp()
+        await cell.controls.lift()
+        await cell.until(lambda: cell.service.state.slip is not None)
+        cell.world.faults.fail("arm", kind)
+        await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
+        told = len(cell.gripper.told)
+        with pytest.raises(CommandRefused, match="protective or emergency stop"):
+            await cell.controls.gripper(None, 120.0)
+        await asyncio.sleep(2.0)
+        assert cell.gripper.told[told:] == []
+
+    play(Cell("wrench", 1, guard=BRISK), scene)
+
+
+async def faulty(cell: Cell) -> None:
+    assert cell.world is not None
+    await holding(cell)
+    cell.world.faults.fail("arm", "protective_stop")
+    await cell.until(lambda: cell.phase is Phase.FAULT)
+
+
+async def referencing(cell: Cell) -> None:
+    await cell.ready()
+    await cell.controls.grasp()
+    await cell.until(lambda: cell.phase is Phase.REFERENCE)
+
+
+async def lowering(cell: Cell) -> None:
+    await holding(cell)
+    await cell.controls.lower()
+    await asyncio.sleep(0.2)
+
+
+async def blind(cell: Cell) -> None:
+    """Both cameras are gone: a fault by now."""
+    assert cell.world is not None
+    await holding(cell)
+    for finger in ("left", "right"):
+        cell.world.faults.fail(finger, "disconnect")
+    await cell.until(lambda: cell.phase is Phase.FAULT)
+
+
+@pytest.mark.parametrize("reach", [Cell.ready, closing, referencing, lifting, holding, lowering, faulty, blind])
+def test_a_release_is_granted_in_every_phase(reach: Reach) -> None:
+    async def scene(cell: Cell) -> None:
+        await reach(cell)
+        await cell.release()
+        assert cell.width_mm == pytest.approx(85.0, abs=0.5)
+        moving_mm = cell.truth.height_mm
+        await asyncio.sleep(0.2)
+        assert cell.truth.height_mm == moving_mm
+
+    play(Cell("wrench", 1, guard=BRISK), scene)
+
+
+def test_the_height_of_an_arm_that_was_away_is_not_taken_for_the_old_one() -> None:
+    """An arm counts from where it was found: after a lost connection nobody knows how far down the table is."""
+
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        await cell.grasp()
+        await cell.controls.lift()
+        await asyncio.sleep(0.3)
+        cell.world.faults.fail("arm", "disconnect")
+        await asyncio.sleep(0.05)
+        cell.world.faults.mend("arm")
+        await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
+        await cell.until(lambda: not cell.service.waiting_for)
+        await asyncio.sleep(1.0)
+        lifts = [told for told in cell.arm.told if told[1] == "lift"]
+        assert len(lifts) == 1
+        await cell.controls.clear()
+        await cell.until(cell.steady)
+        with pytest.raises(CommandRefused, match="give a height"):
+            await cell.controls.lower()
+        height_mm = cell.truth.height_mm
+        await cell.controls.lower(height_mm)
+        await cell.until(lambda: cell.phase is Phase.HOLDING)
+        assert cell.truth.height_mm == pytest.approx(0.0, abs=1.0)
+
+    play(Cell("wrench", 1, guard=BRISK, loop={"retry_s": 0.05}), scene)
