@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -69,6 +71,18 @@ def test_a_damaged_picture_is_named(tmp_path: Path, keep: int) -> None:
     with pytest.raises(InputError, match=r"no_contact-0001\.png: .*sha256.*slipguard calibrate") as caught:
         state.load_no_contact("D20479")
     assert "\n" not in str(caught.value)
+
+
+def test_a_picture_of_another_size_is_named(tmp_path: Path) -> None:
+    state = StateDir(tmp_path)
+    state.save_no_contact("D20479", no_contact())
+    facts = tmp_path / "sensors" / "D20479" / "no_contact-0001.json"
+    _, png = cv2.imencode(".png", np.zeros((24, 32, 3), np.uint8))
+    before = hashlib.sha256(facts.with_suffix(".png").read_bytes()).hexdigest()
+    facts.with_suffix(".png").write_bytes(png.tobytes())
+    facts.write_text(facts.read_text().replace(before, hashlib.sha256(png.tobytes()).hexdigest()))
+    with pytest.raises(InputError, match=r"is not a picture of 240 x 320"):
+        state.load_no_contact("D20479")
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 2}', '{"format": 1, "serial": "D20479"}'])
