@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator
 from typing import Protocol
 
 import pytest
-from conftest import Eventually
+from patience import eventually
 from ur_emulator import EMERGENCY, NORMAL, PROTECTIVE, UrEmulator
 
 from slipguard.devices import Arm, ArmState, DriverContext
@@ -100,7 +100,7 @@ def at_rest(state: ArmState) -> bool:
     return not state.moving and state.speed_mm_s == pytest.approx(0.0)
 
 
-async def test_it_rests_at_height_zero_where_it_was_found(rig: Rig, arm: Arm, eventually: Eventually) -> None:
+async def test_it_rests_at_height_zero_where_it_was_found(rig: Rig, arm: Arm) -> None:
     assert (await arm.state()).height_mm == pytest.approx(0.0)
     await arm.lift(10.0, 200.0)
     await eventually(arm.state, lambda state: state.height_mm > 9.9 and at_rest(state))
@@ -109,7 +109,7 @@ async def test_it_rests_at_height_zero_where_it_was_found(rig: Rig, arm: Arm, ev
     assert (await arm.state()).height_mm == pytest.approx(0.0)
 
 
-async def test_a_lift_starts_and_does_not_wait(arm: Arm, eventually: Eventually) -> None:
+async def test_a_lift_starts_and_does_not_wait(arm: Arm) -> None:
     before_s = asyncio.get_running_loop().time()
     assert await arm.lift(30.0, 100.0) == pytest.approx(100.0)
     assert asyncio.get_running_loop().time() - before_s < 0.2, "30 mm at 100 mm/s take 0.38 s"
@@ -123,7 +123,7 @@ async def test_a_speed_beyond_its_limit_is_cut_and_told(arm: Arm) -> None:
     assert 0 < await arm.lift(5.0, 1e6) <= 1000.0
 
 
-async def test_stop_ends_a_motion_and_may_come_at_any_time(arm: Arm, eventually: Eventually) -> None:
+async def test_stop_ends_a_motion_and_may_come_at_any_time(arm: Arm) -> None:
     await arm.stop()
     await arm.lift(300.0, 150.0)
     await eventually(arm.state, lambda state: state.height_mm > 5.0)
@@ -135,7 +135,7 @@ async def test_stop_ends_a_motion_and_may_come_at_any_time(arm: Arm, eventually:
     assert (await arm.state()).height_mm == pytest.approx(stopped.height_mm, abs=0.1)
 
 
-async def test_close_stops_the_arm(arm: Arm, eventually: Eventually) -> None:
+async def test_close_stops_the_arm(arm: Arm) -> None:
     await arm.lift(300.0, 150.0)
     await eventually(arm.state, lambda state: state.moving)
     await arm.close()
@@ -152,7 +152,7 @@ async def test_a_lift_that_makes_no_sense_is_refused(arm: Arm, height_mm: float,
 
 
 @pytest.mark.parametrize("kind", ["protective_stop", "emergency_stop"])
-async def test_a_safety_stop_is_seen_and_refuses_motion(rig: Rig, arm: Arm, kind: str, eventually: Eventually) -> None:
+async def test_a_safety_stop_is_seen_and_refuses_motion(rig: Rig, arm: Arm, kind: str) -> None:
     await arm.lift(300.0, 100.0)
     await eventually(arm.state, lambda state: state.moving)
     await rig.fail(kind)
@@ -166,7 +166,7 @@ async def test_a_safety_stop_is_seen_and_refuses_motion(rig: Rig, arm: Arm, kind
     await eventually(lambda: _lift_opening_again(arm), bool)
 
 
-async def test_an_arm_that_falls_silent_times_out(rig: Rig, arm: Arm, eventually: Eventually) -> None:
+async def test_an_arm_that_falls_silent_times_out(rig: Rig, arm: Arm) -> None:
     await rig.fail("timeout")
     assert isinstance(await asyncio.wait_for(_failure(arm), 1.0), DeviceTimeout)
     with pytest.raises(DeviceTimeout):

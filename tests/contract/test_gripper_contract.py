@@ -4,122 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import math
-from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from conftest import Eventually
-from robotiq_emulator import RobotiqEmulator
+from gripper_rigs import FakeRig, Rig, WireRig
+from patience import eventually
 
-from slipguard.devices import DriverContext, Gripper, GripperState
+from slipguard.devices import Gripper, GripperState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
-from slipguard.sim.gripper_plant import GripperModel
-from slipguard.sim.objects import SimObject
-from slipguard.sim.scenario import Scenario
-from slipguard.sim.world import World, WorldSettings
-from slipguard_drivers.robotiq.fake import FakeGripper
-from slipguard_drivers.robotiq.gripper import RobotiqGripper
-from slipguard_drivers.robotiq.registers import MODEL_2F85, count_to_force
 
 STEP_N = 0.85  # one force count
 STEP_MM = 0.38  # one position count
-
-
-class Rig(ABC):
-    """A gripper, what lies between its fingers, and a way to break it. Built with open fingers, not yet opened."""
-
-    gripper: Gripper
-
-    @abstractmethod
-    def put_object(self) -> None: ...
-
-    @abstractmethod
-    def pressed_with_n(self) -> float:
-        """The force the fingers press with by command, told by the double, not by the driver."""
-
-    @abstractmethod
-    def fail(self, kind: str) -> None: ...
-
-    @abstractmethod
-    def mend(self, kind: str) -> None: ...
-
-    @abstractmethod
-    def again(self) -> Gripper:
-        """A new driver on the same gripper, as after a restart."""
-
-    def end(self) -> None:
-        """Put the double away."""
-        return
-
-
-class FakeRig(Rig):
-    """A quick gripper in a world of its own."""
-
-    def __init__(self, folder: Path) -> None:
-        def lookup(name: str) -> SimObject:
-            return SimObject(name, "test", lambda u, v: 0 * u, 0.05, 10.0, 1e-4, 0.9, 0.8, width_mm=70.0)
-
-        self.model = GripperModel(transaction_s=0.004, dead_time_s=0.01, ramp_n_s=2000.0, speed_mm_s=300.0)
-        self.world = World(WorldSettings(gripper=self.model), lookup=lookup)
-        self.gripper = self.again()
-
-    def put_object(self) -> None:
-        self.world.place(Scenario("block", gripper=self.model), asyncio.get_running_loop().time())
-
-    def pressed_with_n(self) -> float:
-        return self.world.truth(asyncio.get_running_loop().time()).force_n
-
-    def fail(self, kind: str) -> None:
-        self.world.faults.fail("gripper", kind)
-
-    def mend(self, kind: str) -> None:
-        self.world.faults.mend("gripper", kind)
-
-    def again(self) -> Gripper:
-        return FakeGripper(FakeGripper.Settings(), DriverContext("gripper", self.world))
-
-
-class WireRig(Rig):
-    """The real driver, a pseudo terminal, and an emulated 2F-85."""
-
-    def __init__(self, folder: Path) -> None:
-        self.emulator = RobotiqEmulator(folder / "ttyGripper")
-        loop = asyncio.get_running_loop()
-        self.emulator.fingers.write([0x0100, 0, 0], loop.time() - 1.0)  # switched on and activated before our time
-        self.emulator.fingers.activations = 0
-        self.gripper = self.again()
-
-    def put_object(self) -> None:
-        self.emulator.fingers.object_at = 120.0
-
-    def pressed_with_n(self) -> float:
-        self.emulator.fingers.update(asyncio.get_running_loop().time())
-        return count_to_force(self.emulator.fingers.grip, MODEL_2F85) if self.emulator.fingers.grip else 0.0
-
-    def fail(self, kind: str) -> None:
-        if kind == "disconnect":
-            self.emulator.unplug()
-        elif kind == "timeout":
-            self.emulator.mute = True
-        else:
-            self.emulator.fingers.fault = 0x0E
-
-    def mend(self, kind: str) -> None:
-        if kind == "disconnect":
-            self.emulator.plug()
-        elif kind == "timeout":
-            self.emulator.mute = False
-        else:
-            self.emulator.fingers.fault = 0
-
-    def again(self) -> Gripper:
-        settings = RobotiqGripper.Settings(port=str(self.emulator.path), approach_speed=1.0)
-        return RobotiqGripper(settings, DriverContext("gripper"))
-
-    def end(self) -> None:
-        assert self.emulator.fingers.activations == 0, "activation moves the fingers: only a release may ask for it"
-        self.emulator.unplug()
 
 
 @pytest.fixture(params=[FakeRig, WireRig], ids=["fake", "wire"])
@@ -137,7 +33,7 @@ async def gripper(rig: Rig) -> Gripper:
 
 
 @pytest.fixture
-async def held(rig: Rig, gripper: Gripper, eventually: Eventually[GripperState]) -> Gripper:
+async def held(rig: Rig, gripper: Gripper) -> Gripper:
     rig.put_object()
     await gripper.hold(40.0)
     await eventually(gripper.state, lambda state: state.holding and not state.moving)
@@ -149,7 +45,7 @@ async def test_force_limits_are_a_range(gripper: Gripper) -> None:
     assert 0 < low_n < high_n
 
 
-async def test_hold_grips_with_the_force_it_returns(rig: Rig, gripper: Gripper, eventually: Eventually) -> None:
+async def test_hold_grips_with_the_force_it_returns(rig: Rig, gripper: Gripper) -> None:
     rig.put_object()
     applied_n = await gripper.hold(40.0)
     assert 40.0 <= applied_n <= 40.0 + STEP_N
@@ -169,7 +65,7 @@ async def test_a_lower_force_changes_nothing(rig: Rig, held: Gripper) -> None:
     assert rig.pressed_with_n() == pytest.approx(before_n)
 
 
-async def test_a_higher_force_really_tightens(rig: Rig, held: Gripper, eventually: Eventually) -> None:
+async def test_a_higher_force_really_tightens(rig: Rig, held: Gripper) -> None:
     applied_n = await held.hold(80.0)
     assert 80.0 <= applied_n <= 80.0 + STEP_N
 
@@ -192,20 +88,20 @@ async def test_a_force_that_makes_no_sense_is_refused(held: Gripper, force_n: fl
     assert (await held.state()).holding
 
 
-async def test_closing_on_nothing_is_told(gripper: Gripper, eventually: Eventually) -> None:
+async def test_closing_on_nothing_is_told(gripper: Gripper) -> None:
     await gripper.hold(30.0)
     state = await eventually(gripper.state, lambda state: state.closed_on_nothing)
     assert not state.holding
     assert state.width_mm < 2.0
 
 
-async def test_move_goes_to_the_width_it_returns(gripper: Gripper, eventually: Eventually) -> None:
+async def test_move_goes_to_the_width_it_returns(gripper: Gripper) -> None:
     goal_mm = await gripper.move(50.0, 30.0)
     assert goal_mm == pytest.approx(50.0, abs=STEP_MM)
     await eventually(gripper.state, lambda state: abs(state.width_mm - goal_mm) < STEP_MM and not state.moving)
 
 
-async def test_hold_closes_after_a_move_with_more_force(rig: Rig, gripper: Gripper, eventually: Eventually) -> None:
+async def test_hold_closes_after_a_move_with_more_force(rig: Rig, gripper: Gripper) -> None:
     rig.put_object()
     await gripper.move(80.0, 60.0)
     await eventually(gripper.state, lambda state: not state.moving)
@@ -230,13 +126,13 @@ async def test_move_is_refused_while_an_object_is_held(rig: Rig, held: Gripper) 
     assert rig.pressed_with_n() == pytest.approx(before_n)
 
 
-async def test_release_lets_go(rig: Rig, held: Gripper, eventually: Eventually) -> None:
+async def test_release_lets_go(rig: Rig, held: Gripper) -> None:
     await held.release(85.0)
     await eventually(held.state, lambda state: state.width_mm > 84.0 and not state.holding)
     assert rig.pressed_with_n() == 0.0
 
 
-async def test_after_a_release_a_lower_force_holds(rig: Rig, held: Gripper, eventually: Eventually) -> None:
+async def test_after_a_release_a_lower_force_holds(rig: Rig, held: Gripper) -> None:
     await held.release(85.0)
     await eventually(held.state, lambda state: state.width_mm > 84.0)
     assert await held.hold(25.0) < 40.0
@@ -244,7 +140,7 @@ async def test_after_a_release_a_lower_force_holds(rig: Rig, held: Gripper, even
     assert rig.pressed_with_n() == pytest.approx(25.0, abs=STEP_N)
 
 
-async def test_a_restart_adopts_the_grip(rig: Rig, held: Gripper, eventually: Eventually) -> None:
+async def test_a_restart_adopts_the_grip(rig: Rig, held: Gripper) -> None:
     before_n = rig.pressed_with_n()
     await held.close()
     rig.gripper = rig.again()

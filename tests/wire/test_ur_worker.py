@@ -122,6 +122,13 @@ async def test_a_controller_whose_clock_stands_still_is_given_up(controller: UrE
     assert not arm._link.up
 
 
+async def test_without_a_controller_open_names_the_port() -> None:
+    arm = Ur5Arm(Ur5Arm.Settings(host=HOST), DriverContext("arm"))
+    with pytest.raises(DeviceLost, match=f"no answer from {HOST}:30004"):
+        await arm.open()
+    assert not arm._link.up
+
+
 async def test_a_controller_that_accepts_and_says_nothing_does_not_hold_the_loop() -> None:
     async def silence(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await reader.read()
