@@ -20,7 +20,7 @@ from slipguard.perception.skeleton import Line, middle_line
 
 ESTIMATORS = ("moments", "ellipse", "pca", "skeleton")
 ROUND_ASPECT = 1.15
-LINE_SHARE_MIN = 0.4
+LINE_SHARE_MIN = 0.3
 """Where most of the thinned patch is corner branches its middle line is no axis."""
 CUT_SHARE_MAX = 0.25
 """A patch with more of its outline drawn by the frame's edge shows no axis of its own."""
@@ -35,6 +35,7 @@ that no averaging removes."""
 _TOO_FEW = "contact too small"
 _ROUND = "round contact"
 _CLIPPED = "clipped by the frame"
+_NO_LINE = "no straight middle line"
 _DISAGREE = "estimators disagree"
 
 
@@ -232,17 +233,17 @@ def _skeleton_axis(patch: Patch, line: Line) -> tuple[Axis | None, str | None]:
     """A straight line through the thinned patch, each pixel weighted by its distance to the outline."""
     mass = float(line.weight.sum())
     if line.weight.size < 4 or mass <= 0.0:
-        return None, _CLIPPED if patch.clipped.any else _ROUND
+        return None, _CLIPPED if patch.clipped.any else _NO_LINE
     x, y = float(line.weight @ line.x_px) / mass, float(line.weight @ line.y_px) / mass
     dx, dy = line.x_px - x, line.y_px - y
     w = line.weight / mass
     axis = _axis_of(x, y, float(w @ dx**2), float(w @ dy**2), float(w @ (dx * dy)))
     half_width = float(line.weight.max())
     length = axis.long_px * math.sqrt(3.0) / 2.0 + half_width
-    if length < 2.0 * half_width or axis.aspect < 2.5 or line.share < LINE_SHARE_MIN:
-        return Axis(axis.angle_deg, x, y, 1.0, 1.0), _ROUND
+    if length < 1.6 * half_width or axis.aspect < 2.2 or line.share < LINE_SHARE_MIN:
+        return axis, _NO_LINE
     # The line's own width is nil: its semi-axes are those of the bar that it is the middle of.
-    return Axis(axis.angle_deg, x, y, length, half_width, axis.short_px / 8.0), None
+    return Axis(axis.angle_deg, x, y, length, half_width, axis.short_px / 4.0), None
 
 
 _AXES = {"moments": _moments_axis, "pca": _pca_axis, "ellipse": _ellipse_axis}
