@@ -55,7 +55,7 @@ class DigitSensor(TactileSensor):
         if self._stream is not None and not self._stream.lost:
             return
         await self.close()
-        path = find_digit(self.serial, self._name)
+        path = find_digit(self.serial, self._name, BY_ID)
         try:
             capture = Capture(str(path), WIRE_WIDTH_PX, WIRE_HEIGHT_PX, self._settings.fps, "YUYV")
         except OSError as error:
@@ -135,7 +135,7 @@ def led_level(red: int, green: int, blue: int) -> int:
     return red << 8 | green << 4 | blue
 
 
-def find_digit(serial: str, name: str, folder: Path = BY_ID) -> Path:
+def find_digit(serial: str, name: str, folder: Path) -> Path:
     """The capture node of the DIGIT with this serial number. Raises DeviceLost naming those there are."""
     nodes = sorted(folder.glob("*DIGIT_*-video-index0")) if folder.is_dir() else []
     for node in nodes:
