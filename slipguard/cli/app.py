@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import click
 import typer
 
 from slipguard.cli import bench, ctl, dataset, guard, measure, simulate, train
 from slipguard.errors import CommandRefused, ConfigError, InputError, ModelError, SlipguardError
 
-app = typer.Typer(
-    name="slipguard",
-    help="Keeps a robot from dropping what it holds: DIGIT tactile images in, grip force out.",
-    no_args_is_help=False,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",
-)
+SIM_PANEL = "With --sim"
+CTRL_C = 130
+"""What typer makes of a KeyboardInterrupt."""
+Misuse: type[Exception] = typer.BadParameter.__mro__[2]
+"""Base of every complaint about a command line; the click that typer brings along has no public name."""
+
+app = typer.Typer(name="slipguard", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
 app.command()(guard.run)
 app.command()(guard.check)
 app.command()(guard.calibrate)
@@ -35,42 +33,40 @@ app.command()(guard.version)
 def top(
     context: typer.Context,
     sim: Annotated[
-        bool, typer.Option("--sim", help="Run a whole grasp-and-lift campaign on the fakes.")
+        bool, typer.Option("--sim", help="Lift objects that would turn and fall, all simulated: about a minute.")
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="With --sim: seed of all that is random.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all that is random.", rich_help_panel=SIM_PANEL)] = 0,
     lifts: Annotated[
-        int | None, typer.Option(help="With --sim: how many lifts; default one per test object.")
+        int | None, typer.Option(help="How many lifts; default: one for each test object.", rich_help_panel=SIM_PANEL)
     ] = None,
     guarded: Annotated[
         bool,
-        typer.Option(
-            "--guard/--no-guard", help="With --sim: without the guard, to see what it is for."
-        ),
+        typer.Option("--guard/--no-guard", help="Without the guard, to see what it is for.", rich_help_panel=SIM_PANEL),
     ] = True,
     json: Annotated[
-        bool, typer.Option("--json", help="With --sim: JSON lines, the summary last.")
+        bool, typer.Option("--json", help="JSON lines, the summary last.", rich_help_panel=SIM_PANEL)
     ] = False,
     out: Annotated[
-        Path | None, typer.Option(help="With --sim: folder for the picture and the table.")
+        Path | None, typer.Option(help="Folder for a picture of every lift.", rich_help_panel=SIM_PANEL)
     ] = None,
     speed: Annotated[
         simulate.Speed,
-        typer.Option(help="With --sim: on the real clock, or as fast as it computes."),
+        typer.Option(help="On the real clock, or as fast as it computes.", rich_help_panel=SIM_PANEL),
     ] = simulate.Speed.realtime,
 ) -> None:
-    """Keeps a robot from dropping what it holds.
+    """Keeps a robot from dropping what it holds: DIGIT tactile images in, grip force out.
 
     Example: `slipguard --sim`, `slipguard run --config config.toml`, `slipguard measure frames/ --background bg.png`
     """
     if context.invoked_subcommand is not None:
         if sim:
-            raise click.UsageError(
-                "--sim before a command has no meaning; write `slipguard run --config FILE --sim`"
-            )
+            raise InputError("--sim before a command has no meaning; write `slipguard run --config FILE --sim`")
         return
     if not sim:
+        if (seed, lifts, guarded, json, out, speed) != (0, None, True, False, None, simulate.Speed.realtime):
+            raise InputError("these options belong to --sim; write `slipguard --sim ...`")
         typer.echo(context.get_help())
-        raise typer.Exit(0)
+        return
     simulate.simulate(seed=seed, lifts=lifts, guarded=guarded, json=json, out=out, speed=speed)
 
 
@@ -79,21 +75,56 @@ def run(arguments: list[str] | None = None) -> int:
     command = typer.main.get_command(app)
     try:
         result = command.main(args=arguments, prog_name="slipguard", standalone_mode=False)
-    except click.exceptions.Exit as finished:
+    except typer.Exit as finished:
         return finished.exit_code
-    except click.ClickException as misuse:
-        misuse.show()
-        return 2
-    except click.Abort:
-        print("slipguard: interrupted", file=sys.stderr)
-        return 1
-    except (ConfigError, InputError, ModelError) as error:
-        print(f"slipguard: {error}", file=sys.stderr)
-        return 2
-    except CommandRefused as error:
-        print(f"slipguard: refused: {error}", file=sys.stderr)
-        return 1
+    except typer.Abort:
+        return _complain("interrupted", 1)
+    except Misuse as misuse:
+        return _complain(_what_is_wrong(misuse), 2)
     except SlipguardError as error:
-        print(f"slipguard: {error}", file=sys.stderr)
-        return 1
+        return _complain(*_in_words(error))
+    except ExceptionGroup as group:
+        # A task group's: the first failure cancelled the others.
+        expected, unexpected = group.split(SlipguardError)
+        if unexpected is not None or expected is None:
+            raise
+        return _complain(*_in_words(_leaf(expected)))
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        # A full disk, a folder that cannot be written to: the file and the reason say it all.
+        where = f"{error.filename}: " if error.filename else ""
+        return _complain(f"{where}{error.strerror or error}", 1)
+    if result == CTRL_C:
+        return _complain("interrupted", 1)
     return result if isinstance(result, int) else 0
+
+
+def _complain(text: str, code: int) -> int:
+    if text:
+        print(f"slipguard: {' '.join(text.split())}", file=sys.stderr)
+    return code
+
+
+def _in_words(error: BaseException) -> tuple[str, int]:
+    """The line and the exit code of an expected failure."""
+    if isinstance(error, CommandRefused):
+        return f"refused: {error}", 1
+    return str(error), 2 if isinstance(error, ConfigError | InputError | ModelError) else 1
+
+
+def _leaf(group: BaseExceptionGroup[Any]) -> BaseException:
+    first: BaseException = group
+    while isinstance(first, BaseExceptionGroup):
+        first = first.exceptions[0]
+    return first
+
+
+def _what_is_wrong(misuse: Any) -> str:
+    """One line with the way to the help; nothing where the help has just been shown."""
+    text = str(misuse.format_message()).strip()
+    if not text:
+        return ""
+    context = getattr(misuse, "ctx", None)
+    path = context.command_path if context is not None else "slipguard"
+    return f"{text[0].lower()}{text[1:].rstrip('.')}; see `{path} --help`"

@@ -38,9 +38,9 @@ class Switch(StrEnum):
 
 @app.command()
 def state(socket: SocketOption = None, json: JsonOption = False) -> None:
-    """Show everything the daemon knows now.
+    """Show what is held, how each device is, and what to do about a fault; `--json` has everything.
 
-    Example: `slipguard ctl state --json`
+    Example: `slipguard ctl state`
     """
     with _client(socket) as client:
         answer = client.state()
@@ -48,12 +48,10 @@ def state(socket: SocketOption = None, json: JsonOption = False) -> None:
         _print_json(answer)
         return
     from rich.console import Console
-    from rich.table import Table
 
-    table = Table(show_header=False)
-    for key, value in _flat(answer):
-        table.add_row(key, value)
-    Console().print(table)
+    from slipguard.cli.state_view import view
+
+    Console(highlight=False).print(view(answer))
 
 
 @app.command()
@@ -131,8 +129,9 @@ def release(
 
     Example: `slipguard ctl release --yes`
     """
-    if not yes:
-        typer.confirm("Open the jaws? What is held drops.", abort=True, err=True)
+    if not yes and not typer.confirm("Open the jaws? What is held drops.", err=True):
+        typer.echo("nothing was opened", err=True)
+        raise typer.Exit(1)
     _ask(socket, json, lambda client: client.release(width_mm))
 
 
@@ -181,16 +180,3 @@ def _print_json(answer: dict[str, Any]) -> None:
     import json
 
     typer.echo(json.dumps(answer))
-
-
-def _flat(value: object, path: str = "") -> Iterator[tuple[str, str]]:
-    """Every leaf of a JSON object with its dotted name, as a person reads it."""
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _flat(inner, f"{path}.{key}" if path else str(key))
-    elif isinstance(value, list):
-        yield path, "\n".join(str(one) for one in value) or "–"
-    elif isinstance(value, float):
-        yield path, f"{value:.3f}".rstrip("0").rstrip(".")
-    else:
-        yield path, "–" if value is None else str(value)

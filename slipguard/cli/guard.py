@@ -9,12 +9,15 @@ from typing import Annotated
 
 import typer
 
+USUAL_FILE = Path("config.toml")
 ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The configuration file.")]
 
 
 def run(
-    config: ConfigOption = Path("config.toml"),
-    sim: Annotated[bool, typer.Option("--sim", help="Put the fakes in place of all devices.")] = False,
+    config: ConfigOption = USUAL_FILE,
+    sim: Annotated[
+        bool, typer.Option("--sim", help="Put the fakes in place of all devices; the file may be missing then.")
+    ] = False,
     log_json: Annotated[
         bool | None,
         typer.Option("--log-json/--log-text", help="Default: JSON unless on a terminal."),
@@ -24,10 +27,10 @@ def run(
 
     Example: `slipguard run --config config.toml`, then in another terminal `slipguard ctl state`
     """
-    from slipguard.config import read_config
+    from slipguard.config import read_config, sim_config
     from slipguard.daemon import log, root
 
-    settings = read_config(config, sim=sim)
+    settings = sim_config() if sim and config == USUAL_FILE and not config.exists() else read_config(config, sim=sim)
     log.configure(json_lines=log_json)
     if sim:
         from slipguard.lab.stage import run_on_stage
@@ -38,7 +41,7 @@ def run(
 
 
 def check(
-    config: ConfigOption = Path("config.toml"),
+    config: ConfigOption = USUAL_FILE,
     json: Annotated[bool, typer.Option("--json", help="The whole configuration, defaults filled in, as JSON.")] = False,
 ) -> None:
     """Read and explain a configuration; touch nothing.
@@ -77,7 +80,7 @@ def check(
 
 
 def calibrate(
-    config: ConfigOption = Path("config.toml"),
+    config: ConfigOption = USUAL_FILE,
     socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon; default: from the config.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Even if the stored image says there is contact.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,

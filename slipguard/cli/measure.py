@@ -35,7 +35,7 @@ def measure(
         Path | None, typer.Option(help="No-contact image of the same unit; without it results are worse.")
     ] = None,
     masks: Annotated[
-        Path | None, typer.Option(help="Folder for the contact masks, <frame-stem>.png, 0 or 255.")
+        Path | None, typer.Option(help="Folder for the contact masks, named after the frames: PNG, 0 or 255.")
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture of turn, orientation and area over time.")] = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON object a line for each frame.")] = False,

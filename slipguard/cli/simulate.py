@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from slipguard.lab.campaign import Live
+    from slipguard.lab.campaign import CampaignSettings, Live
+
+LIFT_TAKES_S = 7
+"""One lift on the real clock: close 1 s, lift 3 s, hold 1 s, lower and open 2 s."""
 
 
 class Speed(StrEnum):
@@ -45,7 +48,9 @@ def simulate(*, seed: int, lifts: int | None, guarded: bool, json: bool, out: Pa
     log.configure(level=logging.CRITICAL)
     realtime = speed is Speed.realtime
     settings = CampaignSettings(seed=seed, lifts=lifts, guarded=guarded, realtime=realtime)
-    console, progress = Console(), Console(stderr=True)
+    console, progress = Console(highlight=False), Console(stderr=True)
+    if not json:
+        console.print(_announcement(settings))
     with _display(progress) as show:
         runner = asyncio.run if realtime else run_virtual
         records = runner(run_campaign(settings, show))
@@ -56,16 +61,44 @@ def simulate(*, seed: int, lifts: int | None, guarded: bool, json: bool, out: Pa
     if out is not None:
         picture = out / ("guarded.png" if guarded else "unguarded.png")
         draw(records, picture)
-        progress.print(f"picture: {picture}")
+        progress.print(f"picture: {picture}", highlight=False, soft_wrap=True)
+    if not json:
+        console.print(_what_next(settings, out), style="dim")
     if any(record.outcome == "dropped" for record in records):
         raise typer.Exit(1)
+
+
+def _announcement(settings: CampaignSettings) -> str:
+    count = len(settings.objects())
+    guard = (
+        "slipguard watches the gel images and tightens the grip"
+        if settings.guarded
+        else "the grip stays as it is: this is what happens without the guard"
+    )
+    takes = f"about {count * LIFT_TAKES_S} s" if settings.realtime else "as fast as it computes"
+    return (
+        f"{count} {'lift' if count == 1 else 'lifts'} of objects held off their centre of mass, on simulated sensors, "
+        f"gripper and arm; {guard}. Seed {settings.seed}, {takes}."
+    )
+
+
+def _what_next(settings: CampaignSettings, out: Path | None) -> str:
+    seed = f" --seed {settings.seed}" if settings.seed else ""
+    if settings.guarded:
+        steps = [f"`slipguard --sim --no-guard{seed}` the same lifts without the guard"]
+    else:
+        steps = [f"`slipguard --sim{seed}` the same lifts with the guard"]
+    if out is None:
+        steps.append("`--out DIR` a picture of every lift")
+    steps.append("`slipguard run --sim` the daemon, for `slipguard ctl`")
+    return "try next: " + "; ".join(steps)
 
 
 def _make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"--out {path}: cannot be made: {error}") from error
+        raise InputError(f"--out {path}: the folder cannot be made ({error.strerror}); name another") from error
 
 
 @contextmanager

@@ -13,10 +13,11 @@ import structlog
 
 from slipguard import __version__
 from slipguard.config import GROUP_OF, Config
-from slipguard.daemon.api import calibration_answer, make_app, serve
+from slipguard.daemon.api import calibration_answer, make_app
 from slipguard.daemon.calibration import NoContact
 from slipguard.daemon.controls import Controls
 from slipguard.daemon.finger import Perceiver
+from slipguard.daemon.serve import bind, serve
 from slipguard.daemon.service import FINGERS, Law, Service
 from slipguard.daemon.state_dir import StateDir
 from slipguard.daemon.worker import ThreadWorker, Worker
@@ -108,6 +109,7 @@ async def run(
     """
     service = build_service(config, world=world)
     path = socket_path(config)
+    bound = bind(path)  # before any device is opened: a second daemon must not touch what the first one owns
     log.info("slipguard starts", version=__version__, mode=config.guard.mode, socket=str(path))
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -121,7 +123,7 @@ async def run(
     try:
         async with asyncio.TaskGroup() as group:
             group.create_task(service.run(), name="service")
-            group.create_task(serve(make_app(Controls(service)), path), name="api")
+            group.create_task(serve(make_app(Controls(service)), path, bound), name="api")
             group.create_task(until_stopped(), name="signals")
             if beside is not None:
                 group.create_task(beside(service), name="beside")

@@ -31,12 +31,13 @@ class _Server(uvicorn.Server):
         yield
 
 
-async def serve(app: Starlette, socket_path: Path) -> None:
+async def serve(app: Starlette, socket_path: Path, bound: tuple[socket.socket, int] | None = None) -> None:
     """Serve until cancelled; the socket file is gone afterwards.
 
+    bound: what `bind(socket_path)` gave, where that was done before.
     Raises ConfigError where the socket cannot be made, SlipguardError where another daemon listens there.
     """
-    listening, inode = bind(socket_path)
+    listening, inode = bind(socket_path) if bound is None else bound
     config = uvicorn.Config(
         app,
         log_config=None,
@@ -82,6 +83,7 @@ def bind(path: Path) -> tuple[socket.socket, int]:
             made.bind(str(path))
             path.chmod(SOCKET_MODE)  # before it listens, nobody can connect
             made.setblocking(False)
+            made.listen()  # at once: a file that nobody listens at is taken for a dead daemon's
             return made, path.stat().st_ino
         except BaseException:
             made.close()

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -13,6 +14,10 @@ from slipguard.lab import figures
 from slipguard.lab.lift_record import FINGERS, PICTURE_SIGN, LiftRecord, mean_abs, summary, turn_errors
 
 ESTIMATORS = ("skeleton", "pca", "ellipse", "moments")
+LEGEND = (
+    "turns, mean error and median sigma in degrees; highest grip given / needed, N per finger; latency of the loop "
+    "p50 / p99; frames answered without the network, and why; late: deadlines missed"
+)
 
 
 def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
@@ -27,7 +32,7 @@ def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
         "outcome": record.outcome,
         "why": record.why or None,
         "true_turn_deg": round(record.true_turn_deg, 2),
-        "measured_turn_deg": round(max(turns_deg, key=abs), 2) if turns_deg else None,
+        "measured_turn_deg": round(max(turns_deg, key=lambda turn_deg: abs(turn_deg)), 2) if turns_deg else None,
         "turn_error_deg": None if error is None else round(error, 3),
         "sigma_deg": round(float(np.median(sigmas)), 3) if sigmas else None,
         "peak_force_n": round(max(record.truth.force_n, default=0.0), 1),
@@ -64,50 +69,14 @@ def print_lines(records: list[LiftRecord], *, realtime: bool) -> None:
 
 
 def print_tables(console: Console, records: list[LiftRecord], *, realtime: bool) -> None:
-    """The same for people."""
-    table = Table(title="Lifts", title_justify="left")
-    for name in ("object", "true turn", "measured", "error", "sigma", "grip / needed"):
-        table.add_column(name, justify="left" if name == "object" else "right")
-    table.add_column("outcome")
-    table.add_column("latency p50 / p99", justify="right")
-    table.add_column("skipped")
-    table.add_column("late", justify="right")
+    """The same for people, within 80 columns."""
+    console.print(_lift_table(records, realtime=realtime))
     for record in records:
-        line = record_line(record, realtime=realtime)
-        colour = {"held": "green", "dropped": "red"}.get(record.outcome, "yellow")
-        share = {name: count / max(record.frames, 1) for name, count in record.skips.items()}
-        table.add_row(
-            record.object_name + (f" ({record.hard})" if record.hard else ""),
-            _degrees(line["true_turn_deg"]),
-            _degrees(line["measured_turn_deg"]),
-            _degrees(line["turn_error_deg"], "{:.2f}°"),
-            _degrees(line["sigma_deg"], "{:.2f}°"),
-            f"{line['peak_force_n']:.0f} / {line['needed_force_n']:.0f} N",
-            f"[{colour}]{record.outcome}[/]" + (f": {record.why}" if record.why else ""),
-            f"{line['latency_p50_ms']} / {line['latency_p99_ms']} ms" if line["latency_p50_ms"] is not None else "–",
-            ", ".join(f"{name} {100 * value:.0f} %" for name, value in share.items()) or "–",
-            str(record.deadlines_missed),
-        )
-    console.print(table)
-    errors_table = Table(
-        title="Turn error over the lifts that turned at least 10° (every frame, stated minus true)",
-        title_justify="left",
-    )
-    for name in ("source", "lifts", "mean", "95 %", "worst object"):
-        errors_table.add_column(name, justify="left" if name == "source" else "right")
-    for source in (*FINGERS, "fused", *ESTIMATORS):
-        errors = turn_errors(records, source)
-        if errors.mean_deg is None:
-            errors_table.add_row(source, "0", "–", "–", "–")
-            continue
-        errors_table.add_row(
-            source,
-            str(errors.lifts),
-            f"{errors.mean_deg:.2f}°",
-            f"{errors.p95_deg:.2f}°",
-            f"{errors.worst_object_deg:.2f}° ({errors.worst_object})",
-        )
-    console.print(errors_table)
+        if record.why:
+            console.print(f"{record.object_name} {record.outcome}: {record.why}")
+    console.print(LEGEND, style="dim")
+    console.print()
+    console.print(_error_table(records))
     figures_now = summary(records, realtime=realtime)
     console.print(
         f"{figures_now['lifts']} lifts: {figures_now['held']} held, {figures_now['dropped']} dropped, "
@@ -118,6 +87,59 @@ def print_tables(console: Console, records: list[LiftRecord], *, realtime: bool)
             f"latency, frame handed over → command issued or found needless: "
             f"p50 {figures_now['latency_p50_ms']} ms, p99 {figures_now['latency_p99_ms']} ms"
         )
+
+
+def _lift_table(records: list[LiftRecord], *, realtime: bool) -> Table:
+    """A row a lift, 79 columns where each frame was skipped for one reason."""
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    for name in ("object", "true\nturn", "meas.\nturn", "error", "sigma", "grip /\nneed N"):
+        table.add_column(name, justify="left" if name == "object" else "right", no_wrap=name != "object")
+    table.add_column("", no_wrap=True)
+    table.add_column("p50 / p99\nms", justify="right", no_wrap=True)
+    table.add_column("skipped")
+    table.add_column("late", justify="right", no_wrap=True)
+    for record in records:
+        line = record_line(record, realtime=realtime)
+        colour = {"held": "green", "dropped": "red"}.get(record.outcome, "yellow")
+        share = {name: count / max(record.frames, 1) for name, count in record.skips.items()}
+        table.add_row(
+            record.object_name + (f" ({record.hard})" if record.hard else ""),
+            _degrees(line["true_turn_deg"], "{:+.1f}"),
+            _degrees(line["measured_turn_deg"], "{:+.1f}"),
+            _degrees(line["turn_error_deg"], "{:.2f}"),
+            _degrees(line["sigma_deg"], "{:.2f}"),
+            f"{line['peak_force_n']:.0f}/{line['needed_force_n']:.0f}",
+            f"[{colour}]{record.outcome}[/]",
+            f"{line['latency_p50_ms']:.1f}/{line['latency_p99_ms']:.1f}" if line["latency_p50_ms"] is not None else "–",
+            "\n".join(f"{100 * value:.0f}% {name}" for name, value in share.items()) or "–",
+            str(record.deadlines_missed),
+        )
+    return table
+
+
+def _error_table(records: list[LiftRecord]) -> Table:
+    table = Table(
+        title="Turn error over the lifts that turned at least 10°: every frame, stated minus true",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+    )
+    for name in ("source", "lifts", "mean", "95 %", "worst object"):
+        table.add_column(name, justify="left" if name == "source" else "right", no_wrap=True)
+    for source in (*FINGERS, "fused", *ESTIMATORS):
+        errors = turn_errors(records, source)
+        if errors.mean_deg is None:
+            table.add_row(source, "0", "–", "–", "–")
+            continue
+        table.add_row(
+            source,
+            str(errors.lifts),
+            f"{errors.mean_deg:.2f}°",
+            f"{errors.p95_deg:.2f}°",
+            f"{errors.worst_object_deg:.2f}° ({errors.worst_object})",
+        )
+    return table
 
 
 def _degrees(value: object, form: str = "{:+.1f}°") -> str:

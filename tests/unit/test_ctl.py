@@ -58,8 +58,8 @@ async def test_commands(words: list[str], asked: tuple[object, ...], control: Fa
 
 async def test_state_for_people_and_programs(control: FakeControl, tmp_path: Path) -> None:
     _, output = await ctl(control, tmp_path, "state")
-    assert "grip.force_n" in output
-    assert "40.25" in output
+    assert "holding" in output
+    assert "gripped" in output
     _, output = await ctl(control, tmp_path, "state", "--json")
     assert json.loads(output) == control.snapshot()
 

@@ -1,0 +1,120 @@
+"""A daemon's state on one screen, for people: what is held, how well each device is, what to do about a fault."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import groupby
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.markup import escape
+from rich.table import Table
+
+COLOUR = {"ready": "green", "troubled": "yellow", "waiting": "red"}
+SHOWN_EVENTS = 6
+
+
+def view(answer: Mapping[str, Any]) -> RenderableType:
+    """What `GET /state` answered, in at most 80 columns where no reason is longer."""
+    grasp = _two_columns()
+    for name, text in _grasp(answer):
+        grasp.add_row(name, text)
+    devices = _two_columns()
+    devices.add_column()
+    for name, health in answer.get("devices", {}).items():
+        state = str(health.get("state"))
+        colour = COLOUR.get(state, "white")
+        devices.add_row(name, f"[{colour}]{escape(state)}[/]", escape(_device(answer, name, health)))
+    events = _two_columns()
+    for number, line in enumerate(_events(answer.get("said", []))):
+        events.add_row("last events" if number == 0 else "", escape(line))
+    return Group(grasp, "", devices, "", events)
+
+
+def _two_columns() -> Table:
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(style="bold", no_wrap=True, min_width=len("last events"))
+    table.add_column()
+    return table
+
+
+def _grasp(answer: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    phase = str(answer.get("phase"))
+    notes = [f"mode {answer.get('mode')}", "guarding" if answer.get("guarding") else "[yellow]not guarding[/]"]
+    if answer.get("slipping"):
+        notes.append("[red]slipping[/]")
+    yield "phase", f"[{'red' if phase == 'fault' else 'bold'}]{escape(phase)}[/] ({', '.join(notes)})"
+    fault = answer.get("fault")
+    if fault:
+        yield "fault", f"[red]{escape(fault['code'])}[/]: {escape(fault['seen'])}"
+        yield "what to do", escape(fault["what_to_do"])
+    yield "turn", escape(_turn(answer))
+    yield "grip", escape(_grip(answer))
+    arm = answer.get("arm")
+    if arm:
+        stop = "protective stop" if arm["protective_stop"] else "emergency stop" if arm["emergency_stop"] else ""
+        moving = f"moving at {arm['speed_mm_s']:.0f} mm/s" if arm["moving"] else "at rest"
+        yield "arm", f"{arm['height_mm']:.0f} mm above its start, {stop or moving}"
+    else:
+        yield "arm", "not known"
+
+
+def _turn(answer: Mapping[str, Any]) -> str:
+    turn = answer.get("turn")
+    if not turn:
+        return "no finger sees anything now"
+    if turn.get("turn_deg") is None:
+        return f"cannot tell: {turn.get('declined') or answer.get('cannot_see_turn') or 'no contact'}"
+    text = f"{turn['turn_deg']:+.1f}° ± {turn['sigma_deg']:.1f}°, seen by {' and '.join(turn.get('fingers', []))}"
+    shift_mm = turn.get("shift_mm")
+    if shift_mm is not None:
+        text += f"; slid {shift_mm:+.1f} mm"
+    return text + (f"; {turn['conflict']}" if turn.get("conflict") else "")
+
+
+def _grip(answer: Mapping[str, Any]) -> str:
+    gripper = answer.get("gripper")
+    if not gripper:
+        return "not known"
+    if gripper.get("fault"):
+        return f"gripper fault: {gripper['fault']}"
+    if not gripper["active"]:
+        return "gripper not activated"
+    where = f"jaws {gripper['width_mm']:.0f} mm apart"
+    if gripper["moving"]:
+        return f"moving, {where}"
+    if gripper["closed_on_nothing"]:
+        return f"closed on nothing, {where}"
+    if not gripper["holding"]:
+        return f"empty, {where}"
+    target_n = answer.get("target_force_n") or 0.0
+    asked = "" if abs(target_n - gripper["force_n"]) < 1.0 else f" (asked for {target_n:.0f} N)"
+    return f"holds with {gripper['force_n']:.0f} N per finger{asked}, {where}"
+
+
+def _device(answer: Mapping[str, Any], name: str, health: Mapping[str, Any]) -> str:
+    """Why it is not ready, or how it does."""
+    if health.get("why"):
+        return str(health["why"])
+    finger = answer.get("fingers", {}).get(name)
+    if not finger:
+        return ""
+    estimate = finger.get("estimate") or {}
+    words = [str(finger.get("serial"))]
+    if estimate:
+        words.append(f"contact of {estimate['contact_area_px']} px" if estimate.get("contact") else "no contact")
+    if estimate.get("declined") and estimate.get("contact"):
+        words.append(str(estimate["declined"]))
+    counts = finger.get("counts", {})
+    words.append(f"{counts.get('frames', 0)} frames")
+    words += [f"{counts[kind]} {kind}" for kind in ("corrupt", "frozen", "stalled", "late") if counts.get(kind)]
+    return ", ".join(words)
+
+
+def _events(said: list[str]) -> Iterator[str]:
+    """The newest last; what was said several times in a row is told once."""
+    runs = [(line, len(list(same))) for line, same in groupby(said)]
+    for line, times in runs[-SHOWN_EVENTS:]:
+        yield line if times == 1 else f"{line} (×{times})"
+    if not runs:
+        yield "nothing yet"
