@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from play import GUARD_MODE, PARAMS, Play, seen_in, state_in
+from play import GUARD_MODE, NOW_S, PARAMS, Play, seen_in, state_in
 from seen import arm, ask, fused, gripper
 
 from slipguard.grasp.messages import ArmLift, RequestKind
@@ -130,3 +130,10 @@ def test_no_motion_near_a_person() -> None:
     """Also where nothing has latched yet."""
     view = seen_in(Phase.HOLDING, arm=arm(protective=True), request=ask(RequestKind.LIFT))
     assert "protective" in (step(state_in(Phase.HOLDING), view, PARAMS)[1].refused or "")
+
+
+def test_a_tighter_grip_asked_for_counts_from_what_is_there() -> None:
+    """The gripper may hold more than the law has commanded."""
+    view = seen_in(Phase.HOLDING, gripper=gripper(90.0, at_s=NOW_S), request=ask(RequestKind.GRIPPER, force_n=60.0))
+    state, command = step(state_in(Phase.HOLDING), view, PARAMS)
+    assert command.hold_force_n == state.target_n == 90.0

@@ -90,6 +90,39 @@ def test_while_the_turn_slows_down_and_the_force_still_rises_it_waits() -> None:
     assert later(True, 24.0).hold_force_n is not None  # too far to wait
 
 
+@pytest.mark.parametrize(("share", "steps"), [(0.78, False), (0.82, True)])
+def test_a_turn_a_fifth_slower_counts_as_slowing(share: float, steps: bool) -> None:
+    play = Play().held()
+    play.slips(4.0, 60.0)
+    play.jaws = replace(play.jaws, moving=True)
+    play.ticks(0.2)
+    assert (play.slips(8.0, 60.0 * share, frames=1).hold_force_n is not None) is steps
+
+
+@pytest.mark.parametrize(
+    ("episodes", "slid_mm", "at_once", "slips"),
+    [
+        (0, 0.45, True, False),
+        (0, 0.55, True, True),
+        (0, 1.9, False, False),
+        (0, 2.1, False, True),
+        (1, 0.95, True, False),
+        (1, 1.05, True, True),
+        (1, 3.9, False, False),
+        (1, 4.1, False, True),
+    ],
+)
+def test_slides_have_levels_too(episodes: int, slid_mm: float, at_once: bool, slips: bool) -> None:
+    """Fast beyond 0.5 mm or at any rate beyond 2 mm; twice that after each episode."""
+    start_mm = 5.0
+    detector = replace(PRIMED, episodes=episodes, base_shift_mm=start_mm, smooth_shift_mm=start_mm)
+    if not at_once:
+        detector = replace(detector, smooth_shift_mm=start_mm + slid_mm)
+    view = seen_in(Phase.HOLDING, fused=fused(0.0, 0.0, at_s=NOW_S, shift_mm=start_mm + slid_mm))
+    _, command = step(state_in(Phase.HOLDING, detector=detector), view, PARAMS)
+    assert (command.hold_force_n is not None) is slips
+
+
 def test_calm_ends_an_episode_and_the_next_needs_twice_the_turn() -> None:
     play = Play().held()
     play.slips(4.0)
@@ -142,7 +175,8 @@ def test_turned_too_far_takes_all_the_force_there_is() -> None:
     assert command.hold_force_n == pytest.approx(130.0, abs=0.85)
     assert command.arm == "stop"
     play.slips(70.0, 300.0, frames=20)
-    assert play.law.fault.code is FaultCode.TURNED_TOO_FAR  # type: ignore[union-attr]
+    assert play.law.fault is not None
+    assert play.law.fault.code is FaultCode.TURNED_TOO_FAR
 
 
 def test_no_force_is_added_near_a_person() -> None:
