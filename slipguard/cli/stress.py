@@ -1,0 +1,90 @@
+"""`slipguard stress`: numerical stability, from degenerate masks to a million tracked frames."""
+
+from __future__ import annotations
+
+import json as jsonlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from slipguard.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+PICTURE = "error-against-noise.png"
+
+
+def stress(
+    seconds: Annotated[
+        float, typer.Option(min=0.0, help="Time to spend; 0 runs the full list, which says how long it takes.")
+    ] = 60.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all that is random; trial k has this plus k.")] = 0,
+    only: Annotated[
+        list[str] | None, typer.Option(help="Only this family of trials; may be given several times.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    out: Annotated[Path | None, typer.Option(help=f"Folder for {PICTURE} and stress.json.")] = None,
+) -> None:
+    """Try what breaks estimators: degenerate masks, noise, seams, near-circles, bad numbers, odd clocks, bad light.
+
+    Exit code 1 where anything crashed, gave NaN, was confidently wrong (more than 5 sigma and 3 degrees) or broke a
+    promise.
+
+    Example: `slipguard stress --seconds 60 --out stress/`, `slipguard stress --only noise --seed 136 --seconds 1`
+    """
+    from rich.console import Console
+
+    from slipguard.lab.stress.report import as_json, draw, print_table
+    from slipguard.lab.stress.run import chosen, full_hours, run
+
+    families = chosen(only or [])
+    if out is not None:
+        _make_folder(out)
+    progress = Console(stderr=True)
+    if seconds == 0.0:
+        progress.print(f"the full list takes about {full_hours(families):.1f} h on one core")
+    with _progress(progress) as show:
+        outcome = run(families, seed, seconds, progress=show)
+    found = as_json(outcome)
+    if json:
+        print(jsonlib.dumps(found))
+    else:
+        print_table(Console(), outcome)
+    if out is not None:
+        _write(out / "stress.json", jsonlib.dumps(found, indent=1) + "\n")
+        draw(outcome, out / PICTURE)
+        progress.print(f"picture: {out / PICTURE}")
+    if outcome.failed:
+        raise typer.Exit(1)
+
+
+def _make_folder(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {path}: cannot be made: {error}") from error
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error}") from error
+
+
+@contextmanager
+def _progress(console: Console) -> Iterator[Callable[[float, str], None] | None]:
+    """A bar on a terminal, nothing on a pipe."""
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    if not console.is_terminal:
+        yield None
+        return
+    columns = (TextColumn("{task.description:12}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("stress", total=1.0)
+        yield lambda share, family: bar.update(task, completed=share, description=family)

@@ -1,0 +1,44 @@
+"""Shapes turned, shifted, scaled, mirrored and cut by the frame: what is read turns with them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slipguard.lab.stress.family import Family, Notes, Trial
+from slipguard.lab.stress.map_checks import compare
+from slipguard.lab.stress.shapes import ALONG_U, ELONGATED, LONG_BAR, Pose, soft
+from slipguard.lab.stress.subject import Subject
+from slipguard.lab.stress.turning import readings_of, turn_held
+
+
+def _begin(subject: Subject) -> Trial:
+    names = (*ELONGATED, "long bar")
+
+    def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+        name = names[seed % len(names)]
+        shape = LONG_BAR if name == "long bar" else ELONGATED[name]
+        spread = 45.0 if seed % 4 == 3 else 12.0
+        mirrored = bool(rng.integers(2))
+        a = Pose(rng.uniform(-180, 180), 59.5 + rng.uniform(-1, 1) * spread, 79.5 + rng.uniform(-1, 1) * spread,
+                 rng.uniform(0.6, 1.2), mirrored)  # fmt: skip
+        turn = float(rng.uniform(-90, 90))
+        b = Pose(a.angle_deg + turn, 59.5 + rng.uniform(-1, 1) * spread, 79.5 + rng.uniform(-1, 1) * spread,
+                 rng.uniform(0.6, 1.2), mirrored)  # fmt: skip
+        readings = readings_of((soft(shape, a), soft(shape, b)), subject, notes)
+        if readings is not None:
+            before, now = readings
+            compare(before, now, turn, notes)
+            if name in ALONG_U:
+                for reader, found in now.items():
+                    notes.angle(f"{reader}, absolute", found.angle_deg, found.sigma_deg, b.angle_deg, axial=True)
+        turn = float(rng.uniform(-25, 25))
+        near = Pose(a.angle_deg + turn, a.x_px + rng.uniform(-8, 8), a.y_px + rng.uniform(-8, 8),
+                    a.scale * rng.uniform(0.95, 1.1), mirrored)  # fmt: skip
+        turn_held(shape, a, near, subject, notes, (None, None))
+
+    return trial
+
+
+EQUIVARIANCE = Family(
+    "equivariance", "shapes turned, shifted, scaled, mirrored, cut by the frame", 20_000, 24.0, _begin
+)

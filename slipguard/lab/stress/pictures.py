@@ -1,0 +1,128 @@
+"""Rendered grasps in impossible light through the whole pipeline with its network: declined, or right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, cast
+
+import numpy as np
+
+from slipguard.devices import Frame
+from slipguard.lab.stress.family import Family, Notes, Trial
+from slipguard.lab.stress.light import SPOILS, Image, malformed, nonsense
+from slipguard.lab.stress.subject import FRAME_S, PX_PER_MM, Subject
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.sim.gel import GelCamera
+from slipguard.sim.objects import get, names
+from slipguard.sim.unit import Unit
+from slipguard.sim.view import GelView
+
+GRASPS = 24
+STILL_FRAMES, TURNED_FRAMES = 6, 5
+STEP_DEG = 4.0
+NOISE_LEVELS = (0.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+STRENGTHS = (0.03, 0.06, 0.12, 0.25, 0.5, 0.75, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grasp:
+    """One object held still and then turned by `STEP_DEG` a frame."""
+
+    background: Image
+    frames: tuple[Image, ...]
+    turns_deg: tuple[float, ...]
+
+
+@cache
+def grasp(number: int) -> Grasp:
+    """The same grasp for the same number: an object with an axis, anywhere, pressed lightly or hard."""
+    rng = np.random.default_rng(np.random.SeedSequence([number, 77]))
+    things = [get(name) for name in names("train")]
+    readable = [thing for thing in things if thing.axial]
+    thing = readable[number % len(readable)]
+    camera = GelCamera(Unit.default(), seed=number)
+    x, y, start = rng.uniform(-2, 2), rng.uniform(-3, 3), rng.uniform(-180, 180)
+    depth = thing.press_mm * rng.uniform(0.5, 1.0)
+    way = float(rng.choice((-1.0, 1.0)))
+    turns = [0.0] * STILL_FRAMES + [way * STEP_DEG * (k + 1) for k in range(TURNED_FRAMES)]
+    frames = [camera.draw(GelView(thing.name, x, y, start + turn, depth)) for turn in turns]
+    return Grasp(camera.no_contact(), tuple(frames), tuple(turns))
+
+
+def _begin(subject: Subject) -> Trial:
+    segmenter = subject.segmenter()
+    spoils = list(SPOILS.items())
+    settings = PerceptionSettings()
+
+    def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+        kind, seed = seed % 4, seed // 4
+        shown = grasp(int(rng.integers(GRASPS)))
+        if kind == 0:
+            level = NOISE_LEVELS[seed % len(NOISE_LEVELS)]
+            spoiled = [SPOILS["noise"](image, level / 64.0, rng) for image in shown.frames]
+            error = _watch(subject, segmenter, settings, shown.background, spoiled, list(shown.turns_deg), notes)
+            notes.point("frame noise/pipeline", level, error)
+            return
+        name, spoil = spoils[seed % len(spoils)]
+        strength = STRENGTHS[seed // len(spoils) % len(STRENGTHS)]
+        seen = np.random.default_rng(seed)  # the same spoiling in every frame: a state of the sensor, not a flicker
+        draw = int(seen.integers(2**31))
+        frames = [spoil(image, strength, np.random.default_rng(draw)) for image in shown.frames]
+        background: Image | None = shown.background
+        if kind == 1:  # from the calibration on
+            background = spoil(shown.background, strength, np.random.default_rng(draw))
+        elif kind == 2:  # since the reference was taken
+            frames[:STILL_FRAMES] = shown.frames[:STILL_FRAMES]
+        elif rng.random() < 0.5:  # in each frame anew
+            frames = [spoil(image, strength, rng) for image in shown.frames]
+        else:
+            background = None
+        _watch(subject, segmenter, settings, background, frames, list(shown.turns_deg), notes, name)
+        _look_at_nonsense(subject, segmenter, settings, shown, rng, notes)
+
+    return trial
+
+
+def _watch(
+    subject: Subject,
+    segmenter: Any,
+    settings: PerceptionSettings,
+    background: Image | None,
+    frames: list[Image],
+    turns_deg: list[float],
+    notes: Notes,
+    label: str = "noise",
+) -> float | None:
+    """Feed frames and judge every answer; the last one's error, None where it declined."""
+    pipeline = notes.attempt("pipeline", subject.pipeline, segmenter, settings, background, None, PX_PER_MM)
+    error = None
+    for k, (image, truth) in enumerate(zip(frames, turns_deg, strict=True)):
+        if pipeline is None:  # a spoiled no-contact image may be refused
+            return None
+        answer = notes.attempt(f"pipeline, {label}", pipeline.process, Frame(image, k * FRAME_S, k))
+        error = None
+        if answer is not None:
+            notes.finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
+            error = notes.angle(f"pipeline, {label}", answer.angle_deg, answer.sigma_deg, truth, axial=False)
+    return error
+
+
+def _look_at_nonsense(
+    subject: Subject, segmenter: Any, settings: PerceptionSettings, shown: Grasp, rng: np.random.Generator, notes: Notes
+) -> None:
+    """After a reference: pictures of nothing and things that are no pictures; no turn may be claimed."""
+    if rng.random() > 0.25:
+        return
+    pipeline = subject.pipeline(segmenter, settings, shown.background, None, PX_PER_MM)
+    for k in range(STILL_FRAMES):
+        notes.attempt("pipeline", pipeline.process, Frame(shown.frames[k], k * FRAME_S, k))
+    for k in range(STILL_FRAMES, STILL_FRAMES + 4):
+        image = nonsense(rng) if k % 2 else cast(Image, malformed(rng))
+        answer = notes.attempt("pipeline, no picture", pipeline.process, Frame(image, k * FRAME_S, k))
+        if answer is not None:
+            notes.angle("pipeline, no picture", answer.angle_deg, answer.sigma_deg, None, axial=False)
+
+
+PICTURES = Family("pictures", "extreme light, hot pixels, saturated frames, swapped colours, nonsense", 10_000, 60.0,
+                  _begin)  # fmt: skip

@@ -1,0 +1,111 @@
+"""Runs the families of trials in turns, for as long as there is time, always in the same order."""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from slipguard.errors import InputError
+from slipguard.lab.stress.drift import HOLD, TRACKING
+from slipguard.lab.stress.equivariance import EQUIVARIANCE
+from slipguard.lab.stress.family import Family, Notes, Trial, generator
+from slipguard.lab.stress.floats import FLOATS
+from slipguard.lab.stress.fusion import FUSION
+from slipguard.lab.stress.mask_trials import DEGENERATE, RANDOM
+from slipguard.lab.stress.noise import NOISE
+from slipguard.lab.stress.pictures import PICTURES
+from slipguard.lab.stress.rounds import ROUNDS
+from slipguard.lab.stress.seams import SEAMS
+from slipguard.lab.stress.subject import Subject
+from slipguard.lab.stress.times import TIMES
+
+FAMILIES: tuple[Family, ...] = (
+    DEGENERATE, RANDOM, EQUIVARIANCE, NOISE, SEAMS, ROUNDS, FLOATS, FUSION, TIMES, TRACKING, HOLD, PICTURES,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """All that was tried. families and notes go together."""
+
+    seed: int
+    spent_s: float
+    families: tuple[Family, ...]
+    notes: tuple[Notes, ...]
+
+    @property
+    def failed(self) -> bool:
+        return any(notes.counts for notes in self.notes)
+
+
+def chosen(names: Sequence[str]) -> tuple[Family, ...]:
+    """The families of these names, all for none. Raises InputError that lists the names."""
+    known = {family.name: family for family in FAMILIES}
+    for name in names:
+        if name not in known:
+            raise InputError(f"--only {name}: there are {', '.join(known)}")
+    return tuple(known[name] for name in dict.fromkeys(names)) or FAMILIES
+
+
+def full_hours(families: Sequence[Family]) -> float:
+    """About how long the full list takes on one core."""
+    return sum(family.full * family.cost_ms for family in families) / 3.6e6
+
+
+def schedule(families: Sequence[Family]) -> Iterator[tuple[int, int]]:
+    """(index of the family, number of its trial) for the full list; every family gets the same share of the time.
+
+    Time is reckoned by `cost_ms`, not measured: the order is the same on every machine.
+    """
+    turns = [(family.cost_ms, index, 0) for index, family in enumerate(families)]
+    heapq.heapify(turns)
+    while turns:
+        used_ms, index, number = heapq.heappop(turns)
+        yield index, number
+        if number + 1 < families[index].full:
+            heapq.heappush(turns, (used_ms + families[index].cost_ms, index, number + 1))
+
+
+def run(
+    families: Sequence[Family],
+    seed: int,
+    seconds: float,
+    subject: Subject | None = None,
+    progress: Callable[[float, str], None] | None = None,
+    clock: Callable[[], float] = time.perf_counter,
+) -> Outcome:
+    """Run the list from its start until `seconds` are over (0: all of it), each family at least once.
+
+    Trial k of a family has the seed `seed + k`. progress: called with the share done (of the time, or of the list)
+    and the name of the family that runs.
+    """
+    subject = Subject() if subject is None else subject
+    notes = tuple(Notes(family.name) for family in families)
+    all_ms = sum(family.full * family.cost_ms for family in families)
+    done_ms = 0.0
+    started_s = clock()
+    with np.errstate(all="ignore"):  # what comes out is checked; an overflow on the way is no failure by itself
+        begun: dict[int, Trial] = {}
+        for index, number in schedule(families):
+            spent_s = clock() - started_s
+            if seconds > 0.0 and spent_s >= seconds and len(begun) == len(families):
+                break
+            family = families[index]
+            if progress is not None:
+                progress(min(spent_s / seconds, 1.0) if seconds > 0.0 else done_ms / all_ms, family.name)
+            if index not in begun:
+                begun[index] = family.begin(subject)
+            notes[index].seed = seed if family.continuous else seed + number
+            _try(family, begun[index], seed + number, notes[index])
+            done_ms += family.cost_ms
+    return Outcome(seed, clock() - started_s, tuple(families), notes)
+
+
+def _try(family: Family, trial: Trial, seed: int, notes: Notes) -> None:
+    """One trial; what it lets through is a crash too."""
+    notes.attempt("trial", trial, generator(family.name, seed), seed, notes)
+    notes.tried += family.frames
