@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from slipguard.cli import bench, ctl, dataset, guard, measure, simulate, train
+from slipguard.cli import bench, ctl, dataset, guard, measure, simulate, stress, train
 from slipguard.errors import CommandRefused, ConfigError, InputError, ModelError, SlipguardError
 
 SIM_PANEL = "With --sim"
@@ -24,6 +24,7 @@ app.command()(guard.calibrate)
 app.add_typer(ctl.app, name="ctl")
 app.command()(measure.measure)
 app.command()(bench.bench)
+app.command()(stress.stress)
 app.command()(train.train)
 app.add_typer(dataset.app, name="dataset")
 app.command()(guard.version)
@@ -122,7 +123,7 @@ def _leaf(group: BaseExceptionGroup[Any]) -> BaseException:
 
 def _what_is_wrong(misuse: Any) -> str:
     """One line with the way to the help; nothing where the help has just been shown."""
-    text = str(misuse.format_message()).strip()
+    text = str(misuse.format_message()).replace("Value error, ", "").strip()
     if not text:
         return ""
     context = getattr(misuse, "ctx", None)

@@ -14,6 +14,8 @@ from slipguard.lab import figures
 from slipguard.lab.lift_record import FINGERS, PICTURE_SIGN, LiftRecord, mean_abs, summary, turn_errors
 
 ESTIMATORS = ("skeleton", "pca", "ellipse", "moments")
+WIDE = 90
+"""Columns of a terminal from which tables are set with air."""
 LEGEND = (
     "turns, mean error and median sigma in degrees; highest grip given / needed, N per finger; latency of the loop "
     "p50 / p99; frames answered without the network, and why; late: deadlines missed"
@@ -27,12 +29,13 @@ def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
     error = mean_abs(record.errors_deg(record.fused))
     sigmas = [one.sigma_deg for one in record.fused]
     turns_deg: list[float] = [one.turn_deg for one in record.fused if one.captured_at_s <= record.ended_at_s]
+    peak_deg: float = max(turns_deg, key=abs, default=0.0)
     return {
         "object": record.object_name,
         "outcome": record.outcome,
         "why": record.why or None,
         "true_turn_deg": round(record.true_turn_deg, 2),
-        "measured_turn_deg": round(max(turns_deg, key=lambda turn_deg: abs(turn_deg)), 2) if turns_deg else None,
+        "measured_turn_deg": round(peak_deg, 2) if turns_deg else None,
         "turn_error_deg": None if error is None else round(error, 3),
         "sigma_deg": round(float(np.median(sigmas)), 3) if sigmas else None,
         "peak_force_n": round(max(record.truth.force_n, default=0.0), 1),
@@ -70,12 +73,15 @@ def print_lines(records: list[LiftRecord], *, realtime: bool) -> None:
 
 def print_tables(console: Console, records: list[LiftRecord], *, realtime: bool) -> None:
     """The same for people, within 80 columns."""
-    console.print(_lift_table(records, realtime=realtime))
+    console.print(_lift_table(records, realtime=realtime, gap=1 if console.width >= WIDE else 0))
+    hard = {f"{record.object_name} ({record.hard})" for record in records if record.hard}
+    if hard:
+        console.print(f"hard cases: {', '.join(sorted(hard))}")
     for record in records:
         if record.why:
             console.print(f"{record.object_name} {record.outcome}: {record.why}")
     console.print(LEGEND, style="dim")
-    console.print()
+    console.print("\nturn errors over the lifts that turned at least 10°: every frame, stated minus true")
     console.print(_error_table(records))
     figures_now = summary(records, realtime=realtime)
     console.print(
@@ -89,13 +95,13 @@ def print_tables(console: Console, records: list[LiftRecord], *, realtime: bool)
         )
 
 
-def _lift_table(records: list[LiftRecord], *, realtime: bool) -> Table:
-    """A row a lift, 79 columns where each frame was skipped for one reason."""
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
-    for name in ("object", "true\nturn", "meas.\nturn", "error", "sigma", "grip /\nneed N"):
+def _lift_table(records: list[LiftRecord], *, realtime: bool, gap: int) -> Table:
+    """A row a lift; 80 columns without a `gap` between its columns."""
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, gap, 0, 0))
+    for name in ("object", "true\nturn", "meas.\nturn", "error", "sigma", "grip/\nneed N"):
         table.add_column(name, justify="left" if name == "object" else "right", no_wrap=name != "object")
     table.add_column("", no_wrap=True)
-    table.add_column("p50 / p99\nms", justify="right", no_wrap=True)
+    table.add_column("p50/p99\nms", justify="right", no_wrap=True)
     table.add_column("skipped")
     table.add_column("late", justify="right", no_wrap=True)
     for record in records:
@@ -103,7 +109,7 @@ def _lift_table(records: list[LiftRecord], *, realtime: bool) -> Table:
         colour = {"held": "green", "dropped": "red"}.get(record.outcome, "yellow")
         share = {name: count / max(record.frames, 1) for name, count in record.skips.items()}
         table.add_row(
-            record.object_name + (f" ({record.hard})" if record.hard else ""),
+            record.object_name,
             _degrees(line["true_turn_deg"], "{:+.1f}"),
             _degrees(line["measured_turn_deg"], "{:+.1f}"),
             _degrees(line["turn_error_deg"], "{:.2f}"),
@@ -118,13 +124,7 @@ def _lift_table(records: list[LiftRecord], *, realtime: bool) -> Table:
 
 
 def _error_table(records: list[LiftRecord]) -> Table:
-    table = Table(
-        title="Turn error over the lifts that turned at least 10°: every frame, stated minus true",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        pad_edge=False,
-    )
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
     for name in ("source", "lifts", "mean", "95 %", "worst object"):
         table.add_column(name, justify="left" if name == "source" else "right", no_wrap=True)
     for source in (*FINGERS, "fused", *ESTIMATORS):
