@@ -50,8 +50,8 @@ class GelCamera:
                 f"a background of shape {self._background.shape} and type {self._background.dtype} cannot be used; "
                 f"give one of shape {shape}, uint8 (240 wide, 320 high, BGR)"
             )
-        self._imprinter = Imprinter(unit)
-        self._noise = Noise(unit.noise_bgr, seed)
+        self._imprinter = Imprinter(unit, self._background)
+        self._noise = Noise(unit.noise_bgr, unit.stripe_bgr, seed)
         self._light = Light()
         self._lit_background = self._background.astype(np.float32)
 

@@ -56,9 +56,9 @@ class Imprint:
 class Imprinter:
     """Computes imprints on one unit's gel."""
 
-    def __init__(self, unit: Unit) -> None:
+    def __init__(self, unit: Unit, background: NDArray[np.uint8]) -> None:
         self._unit = unit
-        self._shading = Shading(unit, _RING_PX)
+        self._shading = Shading(unit, background, _RING_PX)
 
     def imprint(
         self, view: GelView, exposure_s: float, relief: Relief | None = None, *, whole: bool = False

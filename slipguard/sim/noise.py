@@ -5,28 +5,30 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from slipguard.sim.raster import blurred
+from slipguard.sim.raster import Field, blurred
 from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Triple
 
 _CORRELATION_PX = 0.79
 """Blur of white noise that gives the measured lag-1 correlation of 0.65, exp(-1 / (4 s^2)), rounding included."""
+_STRIPE_PX = 1.5
+"""Columns drift together, a few at a time."""
 _CANVASES = 4
 
 
 class Noise:
     """Noise of one camera; frames follow from the seed alone, one after the other."""
 
-    def __init__(self, std_bgr: Triple, seed: int) -> None:
-        self._canvas = _canvas(seed % _CANVASES) * np.asarray(std_bgr, np.float32)
+    def __init__(self, std_bgr: Triple, stripe_bgr: Triple, seed: int) -> None:
+        noise, stripes = _canvas(seed % _CANVASES)
+        self._canvas = noise * np.asarray(std_bgr, np.float32) + stripes * np.asarray(stripe_bgr, np.float32)
         self._rng = np.random.default_rng(seed)
 
     def reseed(self, seed: int) -> None:
         """Start the sequence of windows anew."""
         self._rng = np.random.default_rng(seed)
 
-    def next(self) -> NDArray[np.float32]:
+    def next(self) -> Field:
         """The next frame of noise, (320, 240, 3) float32 grey levels, not to be written to."""
         height, width = self._canvas.shape[:2]
         top = int(self._rng.integers(height - FRAME_HEIGHT_PX + 1))
@@ -35,10 +37,13 @@ class Noise:
 
 
 @lru_cache(maxsize=_CANVASES)
-def _canvas(index: int) -> NDArray[np.float32]:
-    """Noise of standard deviation 1, (640, 480, 3)."""
+def _canvas(index: int) -> tuple[Field, Field]:
+    """Pixel noise (640, 480, 3) and column noise (1, 480, 3), both of standard deviation 1."""
     rng = np.random.default_rng([20479, index])
     white = rng.standard_normal((2 * FRAME_HEIGHT_PX, 2 * FRAME_WIDTH_PX, 3), dtype=np.float32)
     noise = blurred(white, _CORRELATION_PX)
     noise /= noise.std(axis=(0, 1))
-    return noise
+    white = rng.standard_normal((1, 2 * FRAME_WIDTH_PX, 3), dtype=np.float32)
+    stripes = blurred(white, _STRIPE_PX)
+    stripes /= stripes.std(axis=(0, 1))
+    return noise, stripes

@@ -6,17 +6,19 @@ import math
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from slipguard.sim.raster import Field, f32
+from slipguard.sim.raster import Field, blurred, f32
 from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Unit
 
+_GLOW_BLUR_PX = 6.0
 Window = tuple[slice, slice]
 
 
 class Shading:
     """Light fields of one unit on the frame and `margin_px` around it; windows count from the margin's corner."""
 
-    def __init__(self, unit: Unit, margin_px: int) -> None:
+    def __init__(self, unit: Unit, background: NDArray[np.uint8], margin_px: int) -> None:
         rows, columns = np.mgrid[-margin_px : FRAME_HEIGHT_PX + margin_px, -margin_px : FRAME_WIDTH_PX + margin_px]
         right = ((columns - (FRAME_WIDTH_PX - 1) / 2) / unit.px_per_mm).astype(np.float32)
         down = ((rows - (FRAME_HEIGHT_PX - 1) / 2) / unit.px_per_mm).astype(np.float32)
@@ -25,14 +27,15 @@ class Shading:
         self._mix = np.asarray(unit.crosstalk, np.float32)
         self._tilt = (right / np.float32(unit.dome_radius_mm), down / np.float32(unit.dome_radius_mm))
         self._slope_scale = unit.px_per_mm / 8.0
-        self._leds = [self._led(unit, channel, right, down) for channel in range(3)]
+        glow = _glow(background, margin_px, unit.glow_share)
+        self._leds = [self._led(unit, channel, right, down, glow[..., channel]) for channel in range(3)]
         flat = 1.0 / np.sqrt(self._tilt[0] ** 2 + self._tilt[1] ** 2 + 1.0)
         self._empty = [
             np.maximum((z - self._tilt[0] * x - self._tilt[1] * y) * flat, 0.0).astype(np.float32)
             for x, y, z in self._leds
         ]
 
-    def _led(self, unit: Unit, channel: int, right: Field, down: Field) -> tuple[Field, Field, Field]:
+    def _led(self, unit: Unit, channel: int, right: Field, down: Field, glow: Field) -> tuple[Field, Field, Field]:
         """Direction to one light at every pixel (right, down, towards the camera), scaled with its strength there."""
         azimuth = math.radians(unit.led_azimuth_deg[channel])
         x = unit.led_radius_mm * math.cos(azimuth) - right
@@ -41,7 +44,7 @@ class Shading:
         distance = np.sqrt(x * x + y * y + z * z)
         reference_mm = math.hypot(unit.led_radius_mm, unit.led_height_mm[channel])
         slope_right, slope_up = unit.gain_slope_mm[channel]
-        gain = unit.gain_bgr[channel] * np.maximum(1.0 + slope_right * right - slope_up * down, 0.1)
+        gain = glow * unit.gain_bgr[channel] * np.maximum(1.0 + slope_right * right - slope_up * down, 0.1)
         strength = gain * (reference_mm / distance) ** unit.falloff / distance
         return (
             (x * strength).astype(np.float32),
@@ -75,3 +78,10 @@ class Shading:
             light -= empty[window]
             planes.append(light)
         return f32(cv2.transform(cv2.merge(planes), self._mix))
+
+
+def _glow(background: NDArray[np.uint8], margin_px: int, share: float) -> Field:
+    """How strongly each light reaches each pixel, 1 on average: where the no-contact image is bright in its colour."""
+    wide = cv2.copyMakeBorder(background, margin_px, margin_px, margin_px, margin_px, cv2.BORDER_REPLICATE)
+    smooth = blurred(f32(wide), _GLOW_BLUR_PX)
+    return f32(np.float32(1.0 - share) + np.float32(share) * smooth / (smooth.mean(axis=(0, 1)) + np.float32(1.0)))

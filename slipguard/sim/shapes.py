@@ -138,6 +138,17 @@ def knurl(u: Field, v: Field, pitch: float, depth: float) -> Field:
     return np.maximum(grooves(a, pitch, depth), grooves(b, pitch, depth))
 
 
+def dimples(u: Field, v: Field, pitch: float, radius: float, depth: float) -> Field:
+    """Round hollows on a triangular lattice, the origin in the middle between three of them."""
+    rise = pitch * math.sqrt(3.0)
+    nearest = np.full(u.shape, pitch, np.float32)
+    for start in ((0.0, 2.0 * rise / 6.0), (pitch / 2, 5.0 * rise / 6.0)):  # the lattice is two rectangular ones
+        du = (u - np.float32(start[0]) + np.float32(pitch / 2)) % np.float32(pitch) - np.float32(pitch / 2)
+        dv = (v - np.float32(start[1]) + np.float32(rise / 2)) % np.float32(rise) - np.float32(rise / 2)
+        nearest = np.minimum(nearest, np.hypot(du, dv))
+    return f32(np.float32(depth) * np.maximum(1 - (nearest / np.float32(radius)) ** 2, 0))
+
+
 def rays(u: Field, v: Field, count: int, depth: float, inner: float) -> Field:
     """Grooves that run out from the middle, from radius `inner` on."""
     shown = np.clip((np.hypot(u, v) - np.float32(inner)) * 4, 0, 1)
