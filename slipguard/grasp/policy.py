@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from slipguard.devices import GripperState
 from slipguard.grasp import limits, requests
 from slipguard.grasp.fault import Fault, FaultCode
 from slipguard.grasp.guarding import guard
@@ -20,6 +21,8 @@ REPEAT_S = 0.1
 """A command that had no effect is given again after this time."""
 START_S = 0.25
 """An arm at rest this long after it was told to move has ended its motion, or not taken it up."""
+ARM_WAIT_S = 5.0
+"""How long the arm may take to appear when an object is found held; a UR's control program starts within 2 s."""
 REACHED_MM = 0.5
 FORCE_TOLERANCE_N = 0.5
 
@@ -92,14 +95,23 @@ def _idle(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     if gripper is None:
         return state, Command()
     if gripper.holding and not state.adopted:
-        said = f"an object is held with {gripper.force_n:.0f} N already: taken over as it is"
-        return taken_over(state, gripper, seen.now_s), Command(say=said)
+        return _adopt(state, gripper, seen)
     state = replace(state, adopted=True)
     touched = seen.fused is not None and seen.fused.both_touch
     if params.mode == "guard" and state.guarding and gripper.holding and touched:
         said = f"an object is held with {gripper.force_n:.0f} N: guarding"
         return taken_over(state, gripper, seen.now_s), Command(new_reference=True, say=said)
     return state, Command()
+
+
+def _adopt(state: GuardState, gripper: GripperState, seen: Seen) -> Outcome:
+    """An object held since before the start is taken over once a finger speaks; the arm is waited for, for a while."""
+    held = f"an object is held with {gripper.force_n:.0f} N already"
+    found_s = state.found_s if state.found_s is not None else seen.now_s
+    if seen.fused is not None and (seen.arm is not None or seen.now_s - found_s >= ARM_WAIT_S):
+        return taken_over(state, gripper, seen.now_s), Command(say=f"{held}: taken over as it is")
+    first = state.found_s is None
+    return replace(state, found_s=found_s), Command(say=f"{held}: waiting for fingers and arm" if first else None)
 
 
 def _closing(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:

@@ -56,7 +56,7 @@ class GuardState:
     arm_sent_s: when the arm was last told something. paused: the arm waits for calm.
     referenced: the turn could be read when the object was gripped. blind: why it could not.
     person_near: the arm was last seen in a protective or emergency stop, so no force is added.
-    adopted: the gripper's first state has been looked at.
+    adopted: the gripper's first state has been looked at. found_s: when it was first seen to hold something already.
     """
 
     phase: Phase = Phase.IDLE
@@ -76,6 +76,7 @@ class GuardState:
     person_near: bool = False
     lost_since_s: float | None = None
     adopted: bool = False
+    found_s: float | None = None
     note: str | None = None
     fault: Fault | None = None
 

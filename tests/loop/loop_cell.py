@@ -21,14 +21,14 @@ from slipguard.daemon.calibration import NoContact
 from slipguard.daemon.controls import Controls
 from slipguard.daemon.service import FINGERS, Decision, Law, Service
 from slipguard.daemon.virtual_time import run_virtual
-from slipguard.daemon.worker import StatedLatencyWorker, Worker
+from slipguard.daemon.worker import StatedLatencyWorker, ThreadWorker, Worker
 from slipguard.devices import DriverContext, Frame
 from slipguard.grasp.guard import tick
 from slipguard.grasp.state import Phase
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.cell import Truth
 from slipguard.sim.scenario import scenario
-from slipguard.sim.world import World
+from slipguard.sim.world import World, WorldSettings
 from slipguard_drivers.digit.draw_worker import Shot
 from slipguard_drivers.digit.fake import FakeSensor
 from slipguard_drivers.digit.stream import SHAPE
@@ -49,6 +49,7 @@ class Pictures:
     world: World
     count: int = 0
     shown: dict[int, Truth] = field(default_factory=dict)
+    flickers: bool = False
 
     async def start(self) -> None:
         """Nothing to get ready."""
@@ -57,7 +58,7 @@ class Pictures:
         self.count += 1
         self.shown[self.count] = self.world.truth(asyncio.get_running_loop().time())
         self.shown.pop(self.count - 100, None)
-        row = np.zeros(SHAPE[1:], np.uint8)
+        row = np.full(SHAPE[1:], 60 * (self.count % 2) if self.flickers else 0, np.uint8)
         row[0] = tuple(self.count.to_bytes(3, "little"))
         done(np.broadcast_to(row, SHAPE))
         return True
@@ -83,7 +84,7 @@ class Oracle:
 
     def __init__(self, pictures: Pictures, sign: float, rng: np.random.Generator, blind: str | None) -> None:
         self.pictures, self.sign, self.rng, self.blind = pictures, sign, rng, blind
-        self.references = 0
+        self.always_touched = False
         self.reset_reference()
 
     def reset_reference(self) -> None:
@@ -94,7 +95,7 @@ class Oracle:
 
     def process(self, frame: Frame) -> Estimate:
         truth, now_s = self.pictures.truth(frame.image), frame.captured_at_s
-        touched = truth.in_contact
+        touched = truth.in_contact or self.always_touched
         plain = Estimate(frame.sequence, now_s, now_s, touched, 4000 * touched, "oracle")
         if not touched:
             self.stable = 0
@@ -106,7 +107,6 @@ class Oracle:
             if self.stable < STABLE_FRAMES:
                 return replace(plain, declined="no reference yet")
             self.reference, self.tracked_s = (turn_deg, slide_mm), now_s
-            self.references += 1
         shift_mm = (0.0, self.reference[1] - slide_mm)
         if self.blind is not None:
             return replace(plain, shift_mm=shift_mm, declined=self.blind)
@@ -190,7 +190,8 @@ class Shelf(StatedLatencyWorker):
 class Cell:
     """One service on a world of its own (or on the one it is given, as after a restart).
 
-    guard, loop: sections of the configuration. blind: finger -> why it declines every turn.
+    guard, loop: sections of the configuration. blind: finger -> why it declines every turn. threads: real workers
+    instead of a stated latency, for the real clock. watched: the grip is compared with the truth at every tick.
     """
 
     object_name: str = "wrench"
@@ -200,6 +201,9 @@ class Cell:
     blind: dict[str, str] = field(default_factory=dict)
     law: Law = tick
     latency_s: float = 0.006
+    threads: bool = False
+    fps: float = 60.0
+    watched: bool = True
     world: World | None = None
     calibrated: bool = True
     says: list[str] = field(default_factory=list)
@@ -212,7 +216,7 @@ class Cell:
 
     def __post_init__(self) -> None:
         self.fresh = self.world is None
-        self.world = world = self.world or World(seed=self.seed)
+        self.world = world = self.world or World(WorldSettings(step_s=2e-3), seed=self.seed)
         rng = np.random.default_rng([self.seed, 7])
         self.sensors = {name: FlatSensor(DriverContext(name, world)) for name in FINGERS}
         self.gripper = LoggedGripper(DriverContext("gripper", world))
@@ -222,6 +226,8 @@ class Cell:
         self.store = Memory("SIM-L", "SIM-R") if self.calibrated else Memory()
 
         def make_worker(name: str) -> Worker:
+            if self.threads:
+                return ThreadWorker(name)
             self.workers[name] = Shelf(self.latency_s)
             return self.workers[name]
 
@@ -257,7 +263,8 @@ class Cell:
             self.says.append(decision.command.say)
         if not self.phases or decision.phase is not self.phases[-1]:
             self.phases.append(decision.phase)
-        self._watch_grip()
+        if self.watched:
+            self._watch_grip()
 
     def _watch_grip(self) -> None:
         truth, width_mm = self.truth, self.width_mm
@@ -291,17 +298,20 @@ class Cell:
         """Held, calm, and the grip as firm as it was commanded."""
         return self.service.firm
 
+    @property
+    def where(self) -> str:
+        """How things stand, for a failing test."""
+        service = self.service
+        return f"{self.phase} at {self.now_s:.2f} s: {service.waiting_for} {service.said[-6:]} {self.truth}"
+
     # What is done.
 
     async def until(self, reached: Callable[[], bool], within_s: float = 10.0) -> None:
         """Wait on the virtual clock; says where things stood if it takes too long."""
         deadline_s = self.now_s + within_s
         while not reached():
-            where = (
-                f"{self.phase} at {self.now_s:.2f}: {self.service.waiting_for} {self.service.said[-6:]} {self.truth}"
-            )
-            assert self.now_s < deadline_s, where
-            await asyncio.sleep(0.005)
+            assert self.now_s < deadline_s, self.where
+            await asyncio.sleep(0.01)
 
     async def ready(self) -> None:
         await self.until(lambda: not self.service.waiting_for)
@@ -330,7 +340,9 @@ async def running(cell: Cell) -> AsyncIterator[Cell]:
     """The service runs while the body does; what it raises is raised here, and it leaves no task behind."""
     assert cell.world is not None
     if cell.fresh:
-        cell.world.place(scenario(cell.object_name, cell.seed), cell.now_s)
+        drawn = scenario(cell.object_name, cell.seed)
+        left, right = replace(drawn.left, fps=cell.fps), replace(drawn.right, fps=cell.fps)
+        cell.world.place(replace(drawn, left=left, right=right), cell.now_s)
     before = asyncio.all_tasks()
     task = asyncio.create_task(cell.service.run(), name="service")
     try:

@@ -58,7 +58,7 @@ STANDS = {"protective_stop", "emergency_stop"}
 
 
 @pytest.mark.parametrize("reach", [closing, lifting, holding])
-@pytest.mark.parametrize(("devices", "kind", "code", "seen"), FAULTS, ids=lambda value: None if value == "" else None)
+@pytest.mark.parametrize(("devices", "kind", "code", "seen"), FAULTS)
 def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
     reach: Reach, devices: tuple[str, ...], kind: str, code: FaultCode, seen: str
 ) -> None:
@@ -124,7 +124,8 @@ def test_one_finger_gone_is_said_and_the_other_guards_on(finger: str, kind: str)
         await cell.grasp()
         cell.world.faults.fail(finger, kind)
         said = len(cell.says)
-        await cell.until(lambda: any(f"{finger} finger: no frames" in line for line in cell.says[said:]), NAMED_WITHIN_S)
+        missed = f"{finger} finger: no frames"
+        await cell.until(lambda: any(missed in line for line in cell.says[said:]), NAMED_WITHIN_S)
         await cell.until(lambda: any(line.startswith(finger) for line in cell.service.waiting_for), NAMED_WITHIN_S)
         await cell.lift()
         assert cell.phase is Phase.HOLDING

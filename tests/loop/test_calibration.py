@@ -1,0 +1,169 @@
+"""No-contact images: when they may be taken, what is wrong with those refused, and that the new ones are used."""
+
+from __future__ import annotations
+
+import asyncio
+
+import numpy as np
+import pytest
+from loop_cell import Cell, play
+
+from slipguard.daemon.calibration import FRAMES, NoContact, no_contact_of
+from slipguard.errors import CommandRefused, InputError
+from slipguard.grasp.state import Phase
+
+
+def still(seed: int = 0, level: float = 100.0) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return [np.clip(rng.normal(level, 2.0, (320, 240, 3)), 0, 255).astype(np.uint8) for _ in range(FRAMES)]
+
+
+def test_the_mean_and_the_noise_of_a_still_gel() -> None:
+    taken = no_contact_of(still(), "left")
+    assert taken.image.shape == (320, 240, 3)
+    assert abs(float(taken.image.mean()) - 100.0) < 1.0
+    assert taken.noise_bgr == pytest.approx((2.0, 2.0, 2.0), abs=0.1)
+    assert not taken.image.flags.writeable
+
+
+def test_a_picture_that_trembles_is_refused() -> None:
+    images = [image + np.uint8(20 * (index % 2)) for index, image in enumerate(still())]
+    with pytest.raises(CommandRefused, match=r"left: the picture is not still \(noise"):
+        no_contact_of(images, "left")
+
+
+@pytest.mark.parametrize("frames", [range(20, 30), range(12, 18), range(8)])
+def test_a_touch_at_any_time_is_refused(frames: range) -> None:
+    images = still()
+    for index in frames:
+        images[index][150:200, 100:140] -= np.uint8(30)
+    with pytest.raises(CommandRefused, match="right: something touched the gel"):
+        no_contact_of(images, "right")
+
+
+def uncalibrated() -> Cell:
+    return Cell(calibrated=False)
+
+
+def test_it_is_needed_before_the_first_grasp_and_used_from_then_on() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        with pytest.raises(CommandRefused, match=r"left finger \(SIM-L\) has no no-contact image; run `slipguard cal"):
+            await cell.controls.grasp()
+        taken = await cell.controls.calibrate()
+        assert sorted(taken) == ["left", "right"]
+        assert sorted(cell.store.kept) == ["SIM-L", "SIM-R"]
+        assert cell.store.kept["SIM-L"] is taken["left"]
+        assert {name: len(made) for name, made in cell.perceivers.items()} == {"left": 2, "right": 2}
+        for name, finger in cell.service.fingers.items():
+            assert finger.pipeline is cell.perceivers[name][-1]
+            assert finger.newest is not None
+        await cell.grasp()
+
+    play(uncalibrated(), scene)
+
+
+def test_it_is_refused_while_something_is_or_may_be_touched() -> None:
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        await cell.ready()
+        await cell.controls.grasp()
+        with pytest.raises(CommandRefused, match="cannot calibrate while closing; release first"):
+            await cell.controls.calibrate()
+        await cell.until(cell.steady)
+        with pytest.raises(CommandRefused, match="cannot calibrate while holding; release first"):
+            await cell.controls.calibrate()
+        await cell.release()
+        cell.world.clear(cell.now_s)
+        await cell.controls.grasp()
+        await cell.until(lambda: cell.phase is Phase.IDLE)
+        with pytest.raises(CommandRefused, match="open the jaws first"):
+            await cell.controls.calibrate()
+        await cell.release()
+        await asyncio.sleep(0.2)
+        assert sorted(await cell.controls.calibrate()) == ["left", "right"]
+
+    play(Cell(), scene)
+
+
+def test_it_is_refused_in_contact_unless_that_is_known_better() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        cell.perceivers["left"][0].always_touched = True
+        await asyncio.sleep(0.1)
+        with pytest.raises(CommandRefused, match="left finger is in contact; take the object away, or use --force"):
+            await cell.controls.calibrate()
+        await cell.controls.calibrate(force=True)
+
+    play(Cell(), scene)
+
+
+def test_it_is_refused_while_the_gripper_is_held_by_another_program() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        await cell.controls.guard(False)
+        await cell.controls.gripper(0.0, 30.0)
+        await cell.until(lambda: cell.truth.in_contact)
+        await asyncio.sleep(0.3)
+        assert cell.phase is Phase.IDLE
+        with pytest.raises(CommandRefused, match="moves, holds or is closed; open the jaws first"):
+            await cell.controls.calibrate()
+
+    play(Cell(guard={"mode": "guard"}), scene)
+
+
+def test_a_moving_picture_stores_nothing() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        cell.sensors["right"].pictures.flickers = True
+        with pytest.raises(CommandRefused, match="right: the picture is not still"):
+            await cell.controls.calibrate()
+        assert cell.store.kept == {}
+        assert all(finger.tap is None for finger in cell.service.fingers.values())
+        assert not cell.service.waiting_for
+
+    play(uncalibrated(), scene)
+
+
+@pytest.mark.parametrize("kind", ["disconnect", "stall"])
+def test_without_frames_it_is_refused(kind: str) -> None:
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        await cell.ready()
+        asked = asyncio.create_task(cell.controls.calibrate())
+        await asyncio.sleep(0.1)
+        cell.world.faults.fail("right", kind)
+        with pytest.raises(CommandRefused, match=r"right: only \d+ of 30 frames came within 5 s"):
+            await asked
+        with pytest.raises(CommandRefused, match="no frames from right"):
+            await cell.controls.calibrate()
+        assert cell.store.kept == {}
+
+    play(uncalibrated(), scene)
+
+
+def test_nothing_may_close_while_it_goes_on() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        asked = asyncio.create_task(cell.controls.calibrate())
+        await asyncio.sleep(0.1)
+        for wish in (cell.controls.grasp(), cell.controls.gripper(0.0, 30.0), cell.controls.calibrate()):
+            with pytest.raises(CommandRefused, match="a calibration is under way"):
+                await wish
+        await asked
+        await cell.grasp()
+
+    play(Cell(), scene)
+
+
+def test_a_damaged_image_is_a_reason_not_to_grasp() -> None:
+    def damaged(serial: str) -> NoContact | None:
+        raise InputError("no_contact-0001.png: cannot be read; run `slipguard calibrate`")
+
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        cell.store.load_no_contact = damaged  # type: ignore[method-assign]
+        with pytest.raises(CommandRefused, match="cannot be read; run `slipguard calibrate`"):
+            await cell.controls.grasp()
+
+    play(Cell(), scene)

@@ -1,0 +1,146 @@
+"""Hours of holding in small: nothing is tightened for noise, nothing grows, and a busy machine skips and counts."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import threading
+
+import numpy as np
+import pytest
+from loop_cell import Cell, play, running
+
+from slipguard.daemon.service import SAID_MAX
+from slipguard.devices import Frame
+from slipguard.grasp.state import Phase
+from slipguard.perception.estimate import Estimate
+
+
+def test_five_minutes_of_holding_tighten_nothing_and_keep_nothing() -> None:
+    """30,000 beats of 10 ms. Frames at 30 a second and a slow poll: what is not looked at here is left cheap."""
+
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        await cell.lift()
+        await cell.until(cell.steady)
+        await asyncio.sleep(5.0)
+        told, size, said = len(cell.gripper.told), weight(cell), len(cell.service.said)
+        ended_s = cell.now_s + 300.0
+        while cell.now_s < ended_s:
+            await asyncio.sleep(30.0)
+            assert weight(cell) <= size + 2000
+        assert len(cell.gripper.told) == told
+        assert cell.phase is Phase.HOLDING
+        assert cell.service.deadlines_missed == 0
+        assert len(cell.service.said) == said
+
+    cell = Cell("wrench", 1, loop={"poll_ms": 100.0}, fps=30.0, watched=False)
+    play(cell, scene)
+    assert cell.ticks > 30_000
+
+
+def weight(cell: Cell) -> int:
+    """Bytes of what the service holds on to, roughly: every object reached from it, arrays and modules aside."""
+    seen: set[int] = set()
+    todo: list[object] = [cell.service._guard, cell.service.said, cell.service.seen, *vars(cell.service).values()]
+    total = 0
+    while todo:
+        one = todo.pop()
+        if id(one) in seen or isinstance(one, (type, np.ndarray)) or callable(one):
+            continue
+        seen.add(id(one))
+        total += sys.getsizeof(one)
+        if isinstance(one, dict):
+            todo += [*one.keys(), *one.values()]
+        elif isinstance(one, (list, tuple, set, frozenset)):
+            todo += list(one)
+        elif type(one).__module__.startswith("slipguard.daemon") or type(one).__module__.startswith("slipguard.grasp"):
+            names = getattr(one, "__slots__", None) or vars(one)
+            todo += [getattr(one, name) for name in names if hasattr(one, name)]
+    return total
+
+
+def test_what_was_said_is_kept_up_to_a_limit() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        for on in [False, True] * 40:
+            await cell.controls.guard(on)
+        assert len(cell.service.said) == SAID_MAX
+
+    play(Cell(guard={"mode": "guard"}), scene)
+
+
+def test_the_newest_frame_wins_when_the_worker_is_slow() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        judged: dict[str, list[int]] = {"left": [], "right": []}
+        cell.service.observers.append(
+            lambda decision: [judged[name].append(one.sequence) for name, one in decision.new_estimates.items()]
+        )
+        await asyncio.sleep(2.0)
+        for name, finger in cell.service.fingers.items():
+            steps = np.diff(judged[name])
+            assert (steps >= 3).all()  # 50 ms of work, a frame every 16.7 ms
+            assert (steps <= 5).all()
+            assert finger.counts.late > 50
+            assert finger.captured_at_s is not None
+            assert cell.now_s - finger.captured_at_s < 0.17
+
+    play(Cell(latency_s=0.05), scene)
+
+
+def test_a_blocked_loop_counts_what_it_missed_and_does_not_burst() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        beats: list[float] = []
+        loop = asyncio.get_running_loop()
+        loop._jumping.now_s += 0.155  # type: ignore[attr-defined]
+        cell.service.observers.append(lambda decision: beats.append(decision.now_s))
+        await asyncio.sleep(0.1)
+        assert cell.service.deadlines_missed in (14, 15)
+        assert len(beats) < 30
+        assert cell.phase is Phase.HOLDING
+
+    play(Cell("wrench", 1), scene)
+
+
+def test_a_loop_blocked_for_long_is_a_fault() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        loop = asyncio.get_running_loop()
+        loop._jumping.now_s += 0.7  # type: ignore[attr-defined]
+        await cell.until(lambda: cell.phase is Phase.FAULT)
+        assert cell.truth.in_contact
+        await asyncio.sleep(0.5)
+        await cell.controls.clear()
+
+    play(Cell("wrench", 1), scene)
+
+
+def test_a_bug_in_perception_ends_the_service_and_not_in_silence() -> None:
+    """Better a restart that takes the object over than a guard that sees nothing and says nothing."""
+
+    def bug(frame: Frame) -> Estimate:
+        raise ZeroDivisionError("a bug")
+
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        cell.perceivers["left"][0].process = bug  # type: ignore[method-assign]
+        await asyncio.sleep(1.0)
+
+    cell = Cell("wrench", 1)
+    with pytest.raises(BaseExceptionGroup) as caught:
+        play(cell, scene)
+    assert caught.value.subgroup(ZeroDivisionError) is not None
+    assert [what for _, what, _ in cell.gripper.told] == ["hold"]
+
+
+async def test_on_the_real_clock_with_threads_it_grips_and_leaves_no_thread_behind() -> None:
+    cell = Cell("key", 1, guard={"reference_timeout_s": 5.0, "frames_timeout_s": 5.0, "loop_late_s": 5.0}, threads=True)
+    async with running(cell):
+        await cell.grasp()
+        names = {thread.name for thread in threading.enumerate()}
+        assert any(name.startswith("slipguard-left") for name in names)
+        assert cell.truth.in_contact
+    assert cell.truth.in_contact
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("slipguard-")]

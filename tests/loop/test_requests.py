@@ -1,0 +1,130 @@
+"""What is asked is answered or refused in time, and what the gripper did not take is said again."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+
+import pytest
+from loop_cell import Cell, play
+
+from slipguard.errors import CommandRefused, DeviceTimeout
+from slipguard.grasp.messages import Request, RequestKind
+from slipguard.grasp.state import Phase
+
+
+def test_a_grip_that_was_not_taken_is_commanded_again() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        cell.gripper.failures = [DeviceTimeout("gripper: no answer within 50 ms")] * 2
+        await cell.grasp()
+        assert [what for _, what, _ in cell.gripper.told] == ["hold"] * 3
+        times_s = [told_s for told_s, _, _ in cell.gripper.told]
+        assert max(later - earlier for earlier, later in itertools.pairwise(times_s)) < 0.2
+
+    play(Cell(), scene)
+
+
+def test_a_tightening_that_was_not_taken_is_commanded_again() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        cell.gripper.failures = [DeviceTimeout("gripper: no answer within 50 ms")]
+        before = len(cell.gripper.told)
+        await cell.lift()
+        assert cell.gripper.failures == []
+        holds = [value for _, what, value in cell.gripper.told[before:] if what == "hold"]
+        assert holds[0] == holds[1]
+        assert cell.truth.applied_n == pytest.approx(cell.service.state.target_n, abs=0.5)
+        assert cell.truth.dropped is None
+
+    play(Cell("wrench", 1), scene)
+
+
+def test_a_release_that_was_not_taken_is_commanded_again() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        cell.gripper.failures = [DeviceTimeout("gripper: no answer within 50 ms")]
+        await cell.release()
+        assert [what for _, what, _ in cell.gripper.told].count("release") == 2
+        assert cell.width_mm == pytest.approx(85.0, abs=0.5)
+
+    play(Cell(), scene)
+
+
+def test_a_refusal_of_the_gripper_is_told() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        cell.gripper.failures = [CommandRefused("gripper: width_mm is 99; it must be 0 to 85")]
+        await cell.controls.gripper(50.0, 20.0)
+        await asyncio.sleep(0.1)
+        assert cell.service.said[-1] == "gripper: gripper: width_mm is 99; it must be 0 to 85"
+
+    play(Cell(), scene)
+
+
+def test_two_wishes_at_once_are_both_answered_in_order() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        asked_s = cell.now_s
+        both = [cell.controls.grasp(), cell.controls.release()]
+        first, second = await asyncio.gather(*both)
+        assert first.startswith("closing with")
+        assert second.startswith("releasing, as asked")
+        assert cell.now_s - asked_s < 0.05
+        await cell.until(lambda: cell.phase is Phase.IDLE)
+        twice = await asyncio.gather(cell.controls.grasp(), cell.controls.grasp(), return_exceptions=True)
+        assert str(twice[0]).startswith("closing with")
+        assert isinstance(twice[1], CommandRefused)
+        assert str(twice[1]) == "cannot grasp while closing; release first"
+
+    play(Cell(), scene)
+
+
+def test_a_loop_that_does_not_answer_is_said_in_time_and_the_wish_does_not_come_true_later() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        turn = cell.service._turn
+        cell.service._turn = lambda now_s: None  # type: ignore[method-assign]
+        asked_s = cell.now_s
+        with pytest.raises(CommandRefused, match="grasp: the loop did not answer within 2 s"):
+            await cell.service.request(Request(RequestKind.GRASP))
+        assert cell.now_s - asked_s == pytest.approx(2.0, abs=0.02)
+        cell.service._turn = turn  # type: ignore[method-assign]
+        await asyncio.sleep(0.5)
+        assert cell.phase is Phase.IDLE
+        assert cell.gripper.told == []
+
+    play(Cell(), scene)
+
+
+def test_a_wish_whose_asker_has_gone_does_not_come_true() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        asker = asyncio.create_task(cell.service.request(Request(RequestKind.GRASP)))
+        other = asyncio.create_task(cell.service.request(Request(RequestKind.GUARD_OFF)))
+        await asyncio.sleep(0)
+        asker.cancel()
+        await other
+        await asyncio.sleep(0.2)
+        assert cell.phase is Phase.IDLE
+        assert cell.gripper.told == []
+
+    play(Cell(), scene)
+
+
+def test_a_command_given_while_the_arm_is_away_is_not_obeyed_when_it_returns() -> None:
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        await cell.grasp()
+        cell.world.faults.fail("arm", "timeout")
+        await asyncio.sleep(0.1)
+        await cell.controls.lift()  # the arm is there, and does not answer
+        cell.world.faults.fail("arm", "disconnect")
+        await asyncio.sleep(3.0)
+        cell.world.faults.mend("arm")
+        await cell.until(lambda: not cell.service.waiting_for)
+        await asyncio.sleep(2.0)
+        assert cell.truth.height_mm == 0.0
+        assert cell.phase is Phase.FAULT
+
+    play(Cell(), scene)
