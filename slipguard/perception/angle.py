@@ -161,14 +161,15 @@ def _square_cut(
     whole = axis
     edge_x, edge_y = _edge_points(patch)
     rows, columns = patch.mask.shape
-    y, x = np.mgrid[0:rows, 0:columns].astype(np.float32)
+    x = np.arange(columns, dtype=np.float32)[None, :] - np.float32(whole.x_px)
+    y = np.arange(rows, dtype=np.float32)[:, None] - np.float32(whole.y_px)
     for _ in range(3):
         c, s = math.cos(math.radians(axis.angle_deg)), -math.sin(math.radians(axis.angle_deg))
         along = (edge_x - whole.x_px) * c + (edge_y - whole.y_px) * s
         after, before = along[along > 0], along[along <= 0]
         furthest = float(after.min()) if after.size else math.inf
         nearest = float(before.max()) if before.size else -math.inf
-        u = (x - np.float32(whole.x_px)) * np.float32(c) + (y - np.float32(whole.y_px)) * np.float32(s)
+        u = x * np.float32(c) + y * np.float32(s)
         cut = np.where((u < furthest) & (u > nearest), weights, weights.dtype.type(0))
         again = _axis_of_picture(cut, binary)
         if again is None or abs(axial_difference_deg(again.angle_deg, whole.angle_deg)) > 30.0:

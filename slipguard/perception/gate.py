@@ -31,6 +31,8 @@ _UNCHANGED_MEAN = 1.05
 _UNCHANGED_PEAK = 4.6
 """Allowed difference of the worst of the 1200 blocks, in standard deviations (three colours together)."""
 
+_NEIGHBOURS = np.ones((3, 3), np.uint8)
+
 Blocks = NDArray[np.float32]
 
 
@@ -117,4 +119,4 @@ class Gate:
 def near_patch(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Blocks in and next to a mask, any resolution: (h, w) uint8 0/1 to (1200,) bool for `Gate.unchanged`."""
     small = cv2.resize(mask * np.uint8(255), (BLOCKS_WIDE, BLOCKS_HIGH), interpolation=cv2.INTER_AREA)
-    return cv2.dilate(small, np.ones((3, 3), np.uint8)).ravel() > 0
+    return cv2.dilate(small, _NEIGHBOURS).ravel() > 0

@@ -19,6 +19,8 @@ NEAR_SHARE = 0.08
 NEAR_PX = 6
 """A region this close to the largest (network pixels between the boxes) belongs to it from a smaller share on."""
 
+_NEAR = np.ones((2 * MARGIN_PX - 1, 2 * MARGIN_PX - 1), np.uint8)
+
 
 @dataclass(frozen=True, slots=True)
 class ClippedSides:
@@ -135,9 +137,10 @@ def _cut(mask: NDArray[np.uint8], probability: NDArray[np.float32], frame_px: fl
     left, top = max(x - MARGIN_PX, 0), max(y - MARGIN_PX, 0)
     right, bottom = min(x + w + MARGIN_PX, width), min(y + h + MARGIN_PX, height)
     crop = np.ascontiguousarray(mask[top:bottom, left:right])
-    near = cv2.dilate(crop, np.ones((2 * MARGIN_PX - 1, 2 * MARGIN_PX - 1), np.uint8))
+    near = cv2.dilate(crop, _NEAR)
     soft = np.where(near > 0, probability[top:bottom, left:right], np.float32(0.0))
-    np.nan_to_num(soft, copy=False, nan=0.0, posinf=1.0, neginf=0.0)
+    if not np.isfinite(soft.sum()):
+        np.nan_to_num(soft, copy=False, nan=0.0, posinf=1.0, neginf=0.0)
     crop.flags.writeable = False
     soft.flags.writeable = False
     return Patch(

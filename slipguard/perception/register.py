@@ -19,12 +19,14 @@ from slipguard.perception.regions import Patch
 from slipguard.perception.template import BLUR_PX, RIM_PX, Template, blurred, sampled
 
 MAX_ROUNDS = 8
-OUTLINE_PX = 0.20
-"""Smooth error of the outline that mimics a turn, network pixels, one standard deviation."""
+OUTLINE_PX = 0.10
+MISFIT_SHARE = 0.55
+"""One standard deviation of the turn, as the outline's place in network pixels: this much at best, and this share of
+the misfit left between the outlines. Fitted to rendered turns of the training objects through the network."""
 LEVER_MIN_PX = 2.2
 """A turn by a radian must move the outline by at least this (r.m.s., what shift and growth cannot explain)."""
-RESIDUAL_MAX = 0.16
-"""Pictures that differ more than this (r.m.s. of probability along the outline) do not show the same contact."""
+MISFIT_MAX_PX = 1.4
+"""Outlines that stay further apart (r.m.s., network pixels) are not those of one contact."""
 OVERLAP_MIN = 0.45
 """Share of the reference's outline that must be in sight."""
 CONTRAST_MIN = 0.10
@@ -38,7 +40,7 @@ _RAIL = 1e3
 _PRIOR_STD = np.array([10.0, 2.0, 2.0, 6.0, 0.2, 0.2])
 """Turn (rad), shift x and y from the start (px), growth (px), stretch along and across (share): weak, for what the
 outline does not tell."""
-_NOT_SAME = "contact changed too much since the reference"
+NOT_SAME = "contact changed too much since the reference"
 _ROUND = "round contact"
 _REPEATS = "outline repeats itself"
 _CLIPPED = "clipped by the frame"
@@ -59,10 +61,15 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Registration:
-    """The best pose, its sigma, and what is left: r.m.s. difference of probability. declined: None or why no turn."""
+    """The best pose and its sigma.
+
+    misfit_deg: the turn that would move the outline by as much as is left between the two outlines.
+    residual: what is left, r.m.s. difference of probability. declined: None, or why there is no turn.
+    """
 
     pose: Pose
     sigma_deg: float
+    misfit_deg: float
     residual: float
     declined: str | None
 
@@ -84,7 +91,7 @@ class Registrar:
         t = self._template
         turn, dx, dy = math.radians(start.turn_deg), start.dx_px, start.dy_px
         if t.value.size < 30:
-            return Registration(start, 180.0, 1.0, _CLIPPED)
+            return Registration(start, 180.0, 180.0, 1.0, _CLIPPED)
         nuisance = np.array(start.growth, np.float32)
         last_step = 0.0
         for _ in range(MAX_ROUNDS):
@@ -136,7 +143,9 @@ class Registrar:
         grown_x, grown_y = t.x_px + t.growth_x @ nuisance, t.y_px + t.growth_y @ nuisance
         x = grown_x * c + grown_y * s + np.float32(t.centre_px[0] + dx - patch.left_px)
         y = grown_y * c - grown_x * s + np.float32(t.centre_px[1] + dy - patch.top_px)
-        difference = sampled(self._soft, x.astype(np.float32), y.astype(np.float32), cv2.BORDER_CONSTANT) - t.value
+        difference = (
+            sampled(self._soft, np.asarray(x, np.float32), np.asarray(y, np.float32), cv2.BORDER_CONSTANT) - t.value
+        )
         width, height = patch.picture_size
         weight = 1.0 / (1.0 + (difference * np.float32(1.0 / 0.25)) ** 2)
         left, top = np.float32(RIM_PX - patch.left_px), np.float32(RIM_PX - patch.top_px)
@@ -153,19 +162,19 @@ class Registrar:
         residual = math.sqrt(noise2)
         covariance = np.linalg.inv(normal + np.diag(1e-4 / _PRIOR_STD**2))
         information = 1.0 / max(float(covariance[0, 0]), 1e-12)
+        steepness2 = max(float(weight @ t.slope**2), 1e-9)
         # What a turn moves the outline by, beyond what shift, growth and stretch explain.
-        lever_px = math.sqrt(information / max(float(weight @ t.slope**2), 1e-9))
-        correlated = 4.0 * math.pi * BLUR_PX**2
-        sigma = math.degrees(
-            math.hypot(OUTLINE_PX / max(lever_px, 1e-3), residual * math.sqrt(correlated / information))
-        )
+        lever_px = max(math.sqrt(information / steepness2), 1e-3)
+        misfit_px = residual / math.sqrt(steepness2 / max(float(weight.sum()), 1e-6))
+        misfit_deg = math.degrees(misfit_px / lever_px)
+        sigma = math.hypot(math.degrees(OUTLINE_PX / lever_px), MISFIT_SHARE * misfit_deg)
         declined = None
         if float(weight.sum()) < OVERLAP_MIN * t.value.size:
-            declined = _CLIPPED if self._cut else _NOT_SAME
+            declined = _CLIPPED if self._cut else NOT_SAME
         elif t.repeats:
             declined = _REPEATS
-        elif residual > RESIDUAL_MAX:
-            declined = _NOT_SAME
-        elif lever_px < LEVER_MIN_PX or t.contrast < max(CONTRAST_MIN, CONTRAST_RATIO_MIN * residual):
+        elif lever_px < LEVER_MIN_PX or t.contrast < CONTRAST_MIN:
             declined = _ROUND
-        return Registration(pose, min(sigma, 180.0), residual, declined)
+        elif misfit_px > MISFIT_MAX_PX or t.contrast < CONTRAST_RATIO_MIN * residual:
+            declined = NOT_SAME
+        return Registration(pose, min(sigma, 180.0), min(misfit_deg, 180.0), residual, declined)

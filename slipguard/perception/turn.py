@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -10,7 +11,7 @@ import cv2
 
 from slipguard.perception.estimate import Orientation
 from slipguard.perception.regions import Patch
-from slipguard.perception.register import Pose, Registrar, Registration
+from slipguard.perception.register import NOT_SAME, Pose, Registrar, Registration
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stages import StageClock
 from slipguard.perception.template import Template, make_template
@@ -66,6 +67,9 @@ class TurnMeter:
         if self._settings.estimator in ("fused", "registration"):
             laid = self._laid_over(reference, patch, turn, predicted)
             registered = Turn(None, None, laid.declined)
+            if laid.declined == NOT_SAME and turn.turn_deg is not None and turn.sigma_deg is not None:
+                # An outline that has become another one has moved its axis too.
+                turn = Turn(turn.turn_deg, math.hypot(turn.sigma_deg, laid.misfit_deg))
             if laid.declined is None:
                 self._pose = laid.pose
                 registered = Turn(laid.pose.turn_deg, laid.sigma_deg)
