@@ -48,13 +48,14 @@ def render(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from slipguard.lab.dataset_files import contact_sheet, read_backgrounds, render_dataset
+    from slipguard.lab.dataset_files import check_request, contact_sheet, read_backgrounds, render_dataset
 
+    check_request(out, count, seed, split.value)
     real = read_backgrounds(backgrounds) if backgrounds is not None else None
     console = Console(stderr=True)
     columns = (TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as bar:
-        task = bar.add_task("frames", total=max(count, 0))
+        task = bar.add_task("frames", total=count)
         render_dataset(out, count, seed, split.value, real, lambda done: bar.update(task, completed=done))
     if show is not None:
         contact_sheet(out, show)

@@ -24,6 +24,18 @@ _SHEET_COLUMNS = 10
 _SHEET_ROWS = 3
 
 
+def check_request(out_dir: Path, count: int, seed: int, split: str) -> None:
+    """Raise the InputError that `render_dataset` would raise before it writes anything."""
+    if count < 1:
+        raise InputError(f"{count} frames cannot be rendered; give a count of at least 1")
+    if seed < 0:
+        raise InputError(f"seed {seed} is negative; give 0 or more")
+    if split not in ("train", "test"):
+        raise InputError(f"no split {split!r}; there are: train, test")
+    if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
+        raise InputError(f"{out_dir} exists and is not an empty folder; name a new one")
+
+
 def render_dataset(
     out_dir: Path,
     count: int,
@@ -39,14 +51,7 @@ def render_dataset(
     label. progress is called with the number of frames written. Raises InputError for a count that is not positive, a
     negative seed, an unknown split, a folder with something in it, or one that cannot be written.
     """
-    if count < 1:
-        raise InputError(f"{count} frames cannot be rendered; give a count of at least 1")
-    if seed < 0:
-        raise InputError(f"seed {seed} is negative; give 0 or more")
-    if split not in ("train", "test"):
-        raise InputError(f"no split {split!r}; there are: train, test")
-    if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
-        raise InputError(f"{out_dir} exists and is not an empty folder; name a new one")
+    check_request(out_dir, count, seed, split)
     folders = {name: out_dir / name for name in ("images", "backgrounds", "masks")}
     try:
         for folder in folders.values():
