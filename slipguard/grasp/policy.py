@@ -25,6 +25,8 @@ ARM_WAIT_S = 5.0
 """How long the arm may take to appear when an object is found held; a UR's control program starts within 2 s."""
 REACHED_MM = 0.5
 FORCE_TOLERANCE_N = 0.5
+_NO_FIGURES = str.maketrans("", "", "0123456789.+-")
+"""A note whose figures alone have changed is the same note."""
 
 Outcome = tuple[GuardState, Command]
 
@@ -267,7 +269,7 @@ def _tell_notes(state: GuardState, seen: Seen, command: Command) -> Outcome:
     """Say once that a finger is blind or that the two contradict each other."""
     held = state.phase in AT_STAKE and state.phase not in (Phase.CLOSING, Phase.REFERENCE)
     note = (seen.fused.conflict or seen.fused.note) if held and seen.fused is not None else None
-    plain = note.split(":")[0] if note is not None else None
+    plain = note.translate(_NO_FIGURES) if note is not None else None
     if plain == state.note:
         return state, command
     return replace(state, note=plain), replace(command, say=_both(command.say, note))

@@ -26,6 +26,7 @@ from slipguard.devices import DriverContext, Frame
 from slipguard.grasp.guard import tick
 from slipguard.grasp.state import Phase
 from slipguard.perception.estimate import Estimate
+from slipguard.sim import objects
 from slipguard.sim.cell import Truth
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World, WorldSettings
@@ -216,7 +217,9 @@ class Cell:
 
     def __post_init__(self) -> None:
         self.fresh = self.world is None
-        self.world = world = self.world or World(WorldSettings(step_s=2e-3), seed=self.seed)
+        start_mm = objects.get(self.object_name).width_mm + 20.0
+        settings = WorldSettings(step_s=2e-3, start_width_mm=start_mm)
+        self.world = world = self.world or World(settings, seed=self.seed)
         rng = np.random.default_rng([self.seed, 7])
         self.sensors = {name: FlatSensor(DriverContext(name, world)) for name in FINGERS}
         self.gripper = LoggedGripper(DriverContext("gripper", world))

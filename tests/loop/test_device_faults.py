@@ -16,7 +16,7 @@ from slipguard.errors import CommandRefused
 from slipguard.grasp.fault import FaultCode
 from slipguard.grasp.state import Phase
 
-BRISK: dict[str, object] = {"lift_height_mm": 80.0, "lift_speed_mm_s": 60.0, "lower_speed_mm_s": 150.0}
+BRISK: dict[str, object] = {"lift_height_mm": 50.0, "lift_speed_mm_s": 80.0, "lower_speed_mm_s": 150.0}
 NAMED_WITHIN_S = 0.5
 Reach = Callable[[Cell], Awaitable[None]]
 

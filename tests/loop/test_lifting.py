@@ -13,7 +13,7 @@ from slipguard.grasp.guard import tick
 from slipguard.grasp.state import Phase
 from slipguard.lab.unguarded import unguarded_tick
 
-BRISK = {"lift_height_mm": 60.0, "lift_speed_mm_s": 80.0, "lower_speed_mm_s": 150.0}
+BRISK = {"lift_height_mm": 60.0, "lift_speed_mm_s": 100.0, "lower_speed_mm_s": 150.0}
 
 
 def carried(object_name: str, seed: int, law: Law = tick, height_mm: float = 60.0) -> tuple[Cell, list[float]]:
