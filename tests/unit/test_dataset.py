@@ -40,6 +40,8 @@ def many() -> list[Sample]:
 
 def test_a_seed_gives_the_same_frame_whatever_was_drawn_before() -> None:
     first = sample(12)
+    sample(13)  # of the same unit
+    assert equal(first, sample(12))
     for other in (13, 12 + 5 * UNIT_FRAMES, 900, 1300, 1700):
         sample(other)
     assert equal(first, sample(12))
