@@ -22,5 +22,5 @@ class Guard:
 def tick(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
     """Look for faults first, then let the law decide. Pure; `seen.fault` need not be filled in."""
     memory, fault = watch(guard.watch, guard.law, seen, params)
-    law, command = step(guard.law, replace(seen, fault=fault), params)
+    law, command = step(guard.law, seen if fault is seen.fault else replace(seen, fault=fault), params)
     return Guard(law, memory), command

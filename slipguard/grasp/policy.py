@@ -37,7 +37,8 @@ def step(state: GuardState, seen: Seen, params: GuardParams) -> tuple[GuardState
     Pure; meant to be called every few milliseconds and on every new estimate.
     """
     if seen.arm is not None:
-        state = replace(state, person_near=seen.arm.protective_stop or seen.arm.emergency_stop)
+        person_near = seen.arm.protective_stop or seen.arm.emergency_stop
+        state = state if person_near is state.person_near else replace(state, person_near=person_near)
     elif state.ground_mm is not None:
         state = replace(state, ground_mm=None)  # an arm that comes back counts its height from where it is found
     if seen.request.kind is RequestKind.RELEASE:
@@ -49,7 +50,7 @@ def step(state: GuardState, seen: Seen, params: GuardParams) -> tuple[GuardState
     state, command = _keep_force(state, seen, command)
     state, command = _tell_notes(state, seen, command)
     state, command = requests.answer(state, command, seen, params)
-    return state, replace(command, fault=state.fault)
+    return state, command if command.fault is state.fault else replace(command, fault=state.fault)
 
 
 # --- faults ---
@@ -59,11 +60,10 @@ def _watch_object(state: GuardState, seen: Seen, params: GuardParams) -> tuple[G
     """The supervisor's fault, or the loss of the object after it has lasted `lost_s`."""
     if seen.fault is not None:
         return state, seen.fault
-    if state.phase not in AT_STAKE or state.phase is Phase.CLOSING:
-        return replace(state, lost_since_s=None), None
-    why = _loss(seen)
+    held = state.phase in AT_STAKE and state.phase is not Phase.CLOSING
+    why = _loss(seen) if held else None
     if why is None:
-        return replace(state, lost_since_s=None), None
+        return (state if state.lost_since_s is None else replace(state, lost_since_s=None)), None
     since_s = state.lost_since_s if state.lost_since_s is not None else seen.now_s
     state = replace(state, lost_since_s=since_s)
     if seen.now_s - since_s < params.lost_s:

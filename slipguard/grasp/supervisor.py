@@ -24,7 +24,8 @@ GAIN_MM = 1.0
 class Watch:
     """What the supervisor remembers. Times are None while all is well.
 
-    help_turn_deg, help_since_s: the first tightening of the present episode. mark_mm, mark_s: last progress of the arm.
+    help_turn_deg, help_since_s: the first tightening of the present episode. mark_mm, mark_s: last progress of the arm,
+    while it should move.
     """
 
     tick_s: float | None = None
@@ -172,14 +173,14 @@ def _arm(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> F
 def _follow_arm(memory: Watch, state: GuardState, seen: Seen) -> Watch:
     """Mark each millimetre the arm gains while it should be moving."""
     if state.phase not in MOVING or state.slip is not None or seen.arm is None:
-        return replace(memory, mark_mm=None, mark_s=seen.now_s)
+        return memory if memory.mark_mm is None else replace(memory, mark_mm=None)
     if memory.mark_mm is None or abs(seen.arm.height_mm - memory.mark_mm) >= GAIN_MM:
         return replace(memory, mark_mm=seen.arm.height_mm, mark_s=seen.now_s)
     return memory
 
 
 def _arm_stuck(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> Fault | None:
-    if state.phase not in MOVING or seen.arm is None or seen.now_s - memory.mark_s < params.stuck_s:
+    if memory.mark_mm is None or seen.arm is None or seen.now_s - memory.mark_s < params.stuck_s:
         return None
     return Fault(
         FaultCode.ARM_STUCK,
@@ -192,7 +193,7 @@ def _follow_help(memory: Watch, state: GuardState, seen: Seen) -> Watch:
     """Mark where the object stood when it was first tightened."""
     turn_deg = seen.fused.turn_deg if seen.fused is not None else None
     if state.slip is None:
-        return replace(memory, help_turn_deg=None, help_since_s=None)
+        return memory if memory.help_since_s is None else replace(memory, help_turn_deg=None, help_since_s=None)
     if memory.help_turn_deg is None and turn_deg is not None:
         return replace(memory, help_turn_deg=turn_deg, help_since_s=seen.now_s)
     return memory
