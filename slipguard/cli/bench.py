@@ -31,7 +31,8 @@ def bench(
             out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"--out {out}: the folder cannot be made: {error.strerror}") from error
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    progress = Console(stderr=True)
+    with Progress(console=progress, transient=True, disable=not progress.is_terminal) as bar:
         task = bar.add_task("bench", total=1.0)
         found = lab.bench(quick, model, lambda what, share: bar.update(task, description=what, completed=share))
     if out is not None:

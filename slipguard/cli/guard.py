@@ -9,6 +9,8 @@ from typing import Annotated
 
 import typer
 
+from slipguard.cli.interrupt import left_to_the_loop
+
 USUAL_FILE = Path("config.toml")
 ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The configuration file.")]
 
@@ -35,9 +37,11 @@ def run(
     if sim:
         from slipguard.lab.stage import run_on_stage
 
-        asyncio.run(run_on_stage(settings))
+        daemon = run_on_stage(settings)
     else:
-        asyncio.run(root.run(settings))
+        daemon = root.run(settings)
+    with left_to_the_loop():
+        asyncio.run(daemon)
 
 
 def check(
@@ -102,7 +106,8 @@ def calibrate(
             answer = client.calibrate(force=force)
     except NoDaemon:
         log.configure(level=logging.WARNING)
-        answer = asyncio.run(root.calibrate(settings, force=force))
+        with left_to_the_loop():
+            answer = asyncio.run(root.calibrate(settings, force=force))
     if json:
         print(jsonlib.dumps(answer))
         return

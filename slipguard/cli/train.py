@@ -23,9 +23,12 @@ def train(
     validate: Annotated[
         Path | None, typer.Option(help="Folder of labelled real frames to report on after every epoch.")
     ] = None,
-    frames: Annotated[int, typer.Option(min=64, help="Rendered training frames.")] = 20000,
+    frames: Annotated[int, typer.Option(min=64, help="Rendered training frames.")] = 16000,
     validation_frames: Annotated[int, typer.Option(min=10, help="Rendered validation frames.")] = 400,
-    epochs: Annotated[int, typer.Option(min=1, help="Passes over the frames.")] = 10,
+    epochs: Annotated[int, typer.Option(min=1, help="Passes over the frames.")] = 8,
+    blind_epochs: Annotated[
+        int, typer.Option(min=0, help="Further passes with half of the no-contact images unknown.")
+    ] = 3,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all that is random.")] = 0,
     batch: Annotated[int, typer.Option(min=2, help="Frames a step.")] = 32,
     rate: Annotated[float, typer.Option(min=1e-6, max=1.0, help="Highest learning rate of Adam.")] = 3e-3,
@@ -39,7 +42,7 @@ def train(
 ) -> None:
     """Train the segmentation network on rendered frames and export it as ONNX.
 
-    Example: `slipguard train --out models/tsnn-small.onnx --frames 20000 --epochs 10 --work /tmp/train`
+    Example: `slipguard train --out models/tsnn-small.onnx --work /tmp/train`
     """
     missing = [name for name in ("torch", "onnx") if importlib.util.find_spec(name) is None]
     if missing:
@@ -66,7 +69,7 @@ def train(
     console = Console()
     real = [frame for frame in real_frames(validate) if frame.split == "tune"] if validate else []
     no_contact = backgrounds_in(backgrounds) if backgrounds else None
-    settings = TrainSettings(epochs, batch, rate, seed, threads, threshold)
+    settings = TrainSettings(epochs, blind_epochs, batch, rate, seed, threads, threshold)
     work.mkdir(parents=True, exist_ok=True)
     columns = (
         TextColumn("{task.description}"),
@@ -106,7 +109,10 @@ def train(
             lambda done, total: progress.update(training, completed=done, total=total),
             on_epoch,
         )
-    command = f"slipguard train --frames {frames} --epochs {epochs} --seed {seed} --batch {batch} --rate {rate:g}"
+    command = (
+        f"slipguard train --frames {frames} --epochs {epochs} --blind-epochs {blind_epochs} "
+        f"--seed {seed} --batch {batch} --rate {rate:g}"
+    )
     if no_contact:
         command += f" --backgrounds ({len(no_contact)} images)"
     metadata = contract_metadata(command, seed, threshold)

@@ -1,0 +1,146 @@
+"""Whatever is typed wrong is one line that teaches, exit code 2, and nothing on stdout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from command_line import slipguard
+
+from slipguard.perception.segment import default_model_path
+
+WRONG = {
+    "frobnicate": "no such command 'frobnicate'; see `slipguard --help`",
+    "ctl frobnicate": "see `slipguard ctl --help`",
+    "ctl guard": "on, off",
+    "ctl guard maybe": "'maybe' is not one of 'on', 'off'",
+    "ctl grasp --force-n much": "--force-n",
+    "--sim --lifts 0": "at least one lift",
+    "--sim --lifts -1": "at least one lift",
+    "--sim --lifts many": "--lifts",
+    "--sim --seed -1": "--seed",
+    "--sim --speed warp": "'warp' is not one of 'realtime', 'fast'",
+    "--sim --sedd 1": "--sedd",
+    "--sim check": "slipguard run --config FILE --sim",
+    "--no-guard": "belong to --sim",
+    "--json": "belong to --sim",
+    "measure": "missing argument 'paths'",
+    "measure nowhere": "no such file or folder",
+    "measure . --reference last": "'last' is not one of",
+    "check --config nowhere.toml": "no such file; config.toml in the project is a commented start",
+    "run --config nowhere.toml": "no such file",
+    "run --config nowhere.toml --sim": "no such file",
+    "run": "config.toml: no such file",
+    "calibrate --config nowhere.toml": "no such file",
+    "dataset render --count 3": "--out",
+    "dataset render --out . --count 0": "count",
+    "train --frames 1": "--frames",
+    "bench --quick --model nowhere.onnx": "no such file",
+    "version --verbose": "--verbose",
+}
+
+
+@pytest.fixture(autouse=True)
+def _somewhere_empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("STATE_DIRECTORY", "RUNTIME_DIRECTORY", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.mark.parametrize("line", WRONG)
+def test_misuse_is_one_line(line: str, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    ran = slipguard(capfd, *line.split())
+    assert WRONG[line] in ran.complaint
+    assert ran.code == 2
+    assert ran.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+CONFIGS = {
+    "typo": ("[guard]\nfirst_forse_n = 3\n", "guard.first_forse_n: no such key; did you mean 'first_force_n'?"),
+    "wrong type": ('[guard]\nfirst_force_n = "much"\n', "guard.first_force_n = 'much'"),
+    "wrong range": ("[guard]\nfirst_force_n = 1000\n", "guard.first_force_n = 1000"),
+    "wrong unit": ("[guard]\nfirst_force_kg = 3\n", "guard.first_force_kg: no such key"),
+    "not TOML": ("[guard\n", "not valid TOML"),
+    "empty driver": ('[left]\ndriver = ""\n', "left.driver = ''"),
+    "missing model": ('[perception]\nmodel = "none.onnx"\n', "none.onnx: no such file"),
+    "empty": ("", "missing; it must be given"),
+}
+
+
+@pytest.mark.parametrize("kind", CONFIGS)
+@pytest.mark.parametrize("command", ["check", "run"])
+def test_a_bad_configuration_names_file_key_and_value(
+    command: str, kind: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    text, said = CONFIGS[kind]
+    serials = '[left.digit]\nserial = "D1"\n[right.digit]\nserial = "D2"\n[gripper.robotiq]\nport = "/dev/null"\n'
+    path = tmp_path / "cell.toml"
+    path.write_text(text + (serials + '[arm.ur5]\nhost = "127.0.0.1"\n' if text else ""))
+    ran = slipguard(capfd, command, "--config", path)
+    assert said in ran.complaint
+    assert ran.code == 2
+    assert [entry.name for entry in tmp_path.iterdir()] == ["cell.toml"]
+
+
+def test_a_corrupt_model_in_the_configuration(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    model = tmp_path / "half.onnx"
+    whole = default_model_path().read_bytes()
+    model.write_bytes(whole[: len(whole) // 2])
+    shipped = (Path(__file__).parents[2] / "config.toml").read_text()
+    path = tmp_path / "cell.toml"
+    path.write_text(shipped.replace('# model = "models/tsnn-small.onnx"', f'model = "{model}"'))
+    for command in ("check", "run"):
+        ran = slipguard(capfd, command, "--config", path)
+        assert "not a readable ONNX model" in ran.complaint
+        assert ran.code == 2
+
+
+@pytest.mark.parametrize("words", [("--sim",), ("bench", "--quick")])
+def test_out_on_a_file_is_refused_before_anything_runs(
+    words: tuple[str, ...], capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    there = tmp_path / "there"
+    there.write_text("keep me")
+    ran = slipguard(capfd, *words, "--out", there)
+    assert "the folder cannot be made" in ran.complaint
+    assert ran.code == 2
+    assert there.read_text() == "keep me"
+
+
+def test_without_arguments_there_is_help_with_an_example(capfd: pytest.CaptureFixture[str]) -> None:
+    ran = slipguard(capfd)
+    assert ran.code == 0
+    assert "Example:" in ran.out
+    assert "--no-guard" in ran.out
+    assert ran.err == ""
+
+
+@pytest.mark.parametrize("group", ["ctl", "dataset"])
+def test_a_group_without_a_command_shows_its_help(group: str, capfd: pytest.CaptureFixture[str]) -> None:
+    ran = slipguard(capfd, group)
+    assert ran.code == 2
+    assert f"slipguard {group}" in ran.out
+    assert "Traceback" not in ran.err
+
+
+@pytest.mark.parametrize(
+    "command", ["state", "grasp", "lift", "lower", "guard on", "release --yes", "clear", "gripper", "calibrate"]
+)
+def test_ctl_without_a_daemon_says_how_to_start_one(command: str, capfd: pytest.CaptureFixture[str]) -> None:
+    ran = slipguard(capfd, "ctl", *command.split())
+    assert "start it with `slipguard run`" in ran.complaint
+    assert ran.code == 1
+
+
+def test_ctl_at_something_that_is_no_socket(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for place in ("file", "file/below", "x" * 200):
+        assert slipguard(capfd, "ctl", "state", "--socket", tmp_path / place).complaint
+
+
+def test_what_the_disk_refuses_is_one_line(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    ran = slipguard(capfd, "train", "--frames", "64", "--work", tmp_path / "file")
+    assert ran.complaint
