@@ -38,21 +38,24 @@ def picture(found: Bench, path: Path) -> None:
     """Mean turn error against time a frame, the peer as a line. Raises `InputError` where it cannot be written."""
     drawing = figure(8.0, 5.0)
     axes = drawing.add_subplot()
-    for row in found.pipelines:
+    for row, marker in zip(found.pipelines, "osD^vP", strict=False):
         if row.turn_error_mean_deg is None:
             continue
-        colour = "tab:red" if row.name == found.default else "tab:blue"
-        axes.plot([row.p50_ms, row.p99_ms], [row.turn_error_mean_deg] * 2, "-", color=colour, alpha=0.4)
-        axes.plot(row.p50_ms, row.turn_error_mean_deg, "o", color=colour)
-        axes.annotate(row.estimator, (row.p50_ms, row.turn_error_mean_deg), xytext=(6, 5), textcoords="offset points")
+        chosen = row.name == found.default
+        (line,) = axes.plot([row.p50_ms, row.p99_ms], [row.turn_error_mean_deg] * 2, "-", alpha=0.4)
+        name = f"{row.estimator} (default)" if chosen else row.estimator
+        size = 10 if chosen else 6
+        axes.plot(row.p50_ms, row.turn_error_mean_deg, marker, color=line.get_color(), markersize=size, label=name)
+    axes.legend(loc="lower right", title="estimator")
     for row in found.peers:
         axes.axvline(row.p50_ms, color="0.4", linestyle="--")
         axes.annotate(
-            f"{row.name}\n(time only)", (row.p50_ms, 0.98), xycoords=("data", "axes fraction"), xytext=(-6, 0),
+            f"{row.name}\n(time only)", (row.p50_ms, 0.97), xycoords=("data", "axes fraction"), xytext=(-6, 0),
             textcoords="offset points", ha="right", va="top", fontsize=8,
         )  # fmt: skip
     axes.set_xscale("log")
     axes.set_ylim(bottom=0.0)
+    axes.margins(y=0.1)
     axes.set_xlabel("time for a frame in contact, ms (dot: median, line: to the 99th percentile)")
     axes.set_ylabel("mean turn error, degrees")
     axes.set_title("Rendered grasps of the test objects, one core")

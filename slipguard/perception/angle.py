@@ -158,24 +158,27 @@ def _square_cut(
         return None, _TOO_FEW
     if not patch.clipped.any:
         return axis, None
-    whole = axis
+    # Big patches are cut at half the resolution: it is four times quicker, and the ends of the patch stay sharp enough.
+    step = 2 if weights.size > 4000 else 1
+    coarse = np.ascontiguousarray(weights[::step, ::step])
     edge_x, edge_y = _edge_points(patch)
-    rows, columns = patch.mask.shape
-    x = np.arange(columns, dtype=np.float32)[None, :] - np.float32(whole.x_px)
-    y = np.arange(rows, dtype=np.float32)[:, None] - np.float32(whole.y_px)
+    across, down = edge_x - np.float32(axis.x_px), edge_y - np.float32(axis.y_px)
+    rows, columns = coarse.shape
+    x = step * np.arange(columns, dtype=np.float32)[None, :] - np.float32(axis.x_px)
+    y = step * np.arange(rows, dtype=np.float32)[:, None] - np.float32(axis.y_px)
+    whole = axis
     for _ in range(3):
         c, s = math.cos(math.radians(axis.angle_deg)), -math.sin(math.radians(axis.angle_deg))
-        along = (edge_x - whole.x_px) * c + (edge_y - whole.y_px) * s
+        along = across * np.float32(c) + down * np.float32(s)
         after, before = along[along > 0], along[along <= 0]
         furthest = float(after.min()) if after.size else math.inf
         nearest = float(before.max()) if before.size else -math.inf
         u = x * np.float32(c) + y * np.float32(s)
-        cut = np.where((u < furthest) & (u > nearest), weights, weights.dtype.type(0))
-        again = _axis_of_picture(cut, binary)
-        if again is None or abs(axial_difference_deg(again.angle_deg, whole.angle_deg)) > 30.0:
+        cut = _axis_of_picture(np.where((u < furthest) & (u > nearest), coarse, coarse.dtype.type(0)), binary)
+        if cut is None or abs(axial_difference_deg(cut.angle_deg, whole.angle_deg)) > 30.0:
             return whole, _CLIPPED
-        settled = abs(axial_difference_deg(again.angle_deg, axis.angle_deg)) < 0.1
-        axis = again
+        settled = abs(axial_difference_deg(cut.angle_deg, axis.angle_deg)) < 0.1
+        axis = Axis(cut.angle_deg, step * cut.x_px, step * cut.y_px, step * cut.long_px, step * cut.short_px)
         if settled:
             break
     return axis, None
