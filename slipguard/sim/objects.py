@@ -55,6 +55,8 @@ def names(split: str) -> tuple[str, ...]:
 
 @cache
 def _catalogue() -> dict[str, SimObject]:
-    from slipguard.sim import catalogue_test, catalogue_train  # they are made of this module's SimObject
+    # Here and not above: they are made of this module's SimObject.
+    from slipguard.sim.catalogue_test import OBJECTS as FOR_TESTING
+    from slipguard.sim.catalogue_train import OBJECTS as FOR_TRAINING
 
-    return {item.name: item for item in (*catalogue_train.OBJECTS, *catalogue_test.OBJECTS)}
+    return {item.name: item for item in (*FOR_TRAINING, *FOR_TESTING)}
