@@ -20,13 +20,14 @@ import onnxruntime as ort
 from slipguard.lab.peer import PEER_MODEL, Peer
 from slipguard.lab.scores import dice, iou
 from slipguard.lab.sequences import Sequence, Shot, sequence
+from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.segment import Segmenter
 from slipguard.perception.settings import EstimatorName, PerceptionSettings
 from slipguard.sim.objects import names
 
 QUICK_SEQUENCES, FULL_SEQUENCES = 1, 6
-PEER_FRAMES = 24
+PEER_FRAMES, PEER_WARM_UP_FRAMES = 24, 3
 WARM_UP_FRAMES = 40
 PEER_NAME = "DeepLabV3+/ResNet18 240×320 + OpenCV thinning"
 SEED = 4100
@@ -103,91 +104,103 @@ def bench(
     segmenter = Segmenter(model)
     per_object = QUICK_SEQUENCES if quick else FULL_SEQUENCES
     wanted = [(name, SEED + k) for k in range(per_object) for name in names("test")]
-    sequences = []
-    for index, (name, seed) in enumerate(wanted):
-        on_progress("rendering", 0.3 * index / len(wanted))
-        sequences.append(sequence(name, seed, with_masks=True))
     estimators: tuple[EstimatorName, ...] = get_args(EstimatorName)
-    rows, errors = [], {}
-    for index, estimator in enumerate(estimators):
-        on_progress(f"measuring with {estimator}", 0.3 + 0.6 * index / len(estimators))
-        row, found = _measured(segmenter, estimator, sequences)
-        rows.append(row)
-        errors[row.name] = found
+    tallies = [_Tally(segmenter, estimator) for estimator in estimators]
+    keep = -(-(PEER_FRAMES + PEER_WARM_UP_FRAMES) // len(wanted))
+    kept: list[Shot] = []
+    for index, (name, seed) in enumerate(wanted):
+        on_progress(f"{name}, grasp {seed - SEED + 1} of {per_object}", 0.9 * index / len(wanted))
+        grasp = sequence(name, seed, with_masks=True)
+        for tally in tallies:
+            tally.add(grasp)
+        kept += _spread([shot for shot in grasp.shots if shot.compared], keep)
     on_progress("timing the paper's pipeline", 0.9)
-    peer = _peer_row(sequences)
+    rows = tuple(tally.row() for tally in tallies)
     default = PerceptionSettings().estimator
-    name = next(row.name for row in rows if row.estimator == default)
-    return Bench(machine(), tuple(rows), (peer,), name, errors)
+    chosen = next(row.name for row in rows if row.estimator == default)
+    errors = {row.name: tally.errors for row, tally in zip(rows, tallies, strict=True)}
+    return Bench(machine(), rows, (_peer_row(kept),), chosen, errors)
 
 
-def _measured(
-    segmenter: Segmenter, estimator: EstimatorName, sequences: list[Sequence]
-) -> tuple[Row, dict[str, list[tuple[float, float]]]]:
-    network = segmenter.path.stem
-    settings = PerceptionSettings(estimator=estimator)
-    busy_ms: list[float] = []
-    empty_ms: list[float] = []
-    overlaps: list[tuple[float, float]] = []
-    errors: dict[str, list[tuple[float, float]]] = {}
-    declined: list[bool] = []
-    warm = _pipeline(segmenter, settings, sequences[0])
-    for shot in sequences[0].shots[:WARM_UP_FRAMES]:
-        warm.process(shot.frame)
-    for grasp in sequences:
-        pipeline = _pipeline(segmenter, settings, grasp)
+class _Tally:
+    """Runs one estimator over grasp after grasp and adds up what it did."""
+
+    def __init__(self, segmenter: Segmenter, estimator: EstimatorName) -> None:
+        self._segmenter = segmenter
+        self._settings = PerceptionSettings(estimator=estimator)
+        self._busy_ms: list[float] = []
+        self._empty_ms: list[float] = []
+        self._overlaps: list[tuple[float, float]] = []
+        self._declined: list[bool] = []
+        self._sequences = 0
+        self.errors: dict[str, list[tuple[float, float]]] = {}
+
+    def add(self, grasp: Sequence) -> None:
+        if self._sequences == 0:
+            warm = self._pipeline(grasp)
+            for shot in grasp.shots[:WARM_UP_FRAMES]:
+                warm.process(shot.frame)
+        self._sequences += 1
+        pipeline = self._pipeline(grasp)
         for shot in grasp.shots:
             start_s = time.perf_counter()
             seen = pipeline.process(shot.frame)
             spent_ms = 1e3 * (time.perf_counter() - start_s)
             if seen.skipped == "no contact":
-                empty_ms.append(spent_ms)
+                self._empty_ms.append(spent_ms)
             elif seen.skipped is None and seen.contact:
-                busy_ms.append(spent_ms)
+                self._busy_ms.append(spent_ms)
             if shot.contact and shot.mask is not None and seen.skipped is None:
                 found, label = pipeline.last_mask > 0, shot.mask > 0
-                overlaps.append((dice(found, label), iou(found, label)))
+                self._overlaps.append((dice(found, label), iou(found, label)))
             if shot.compared:
-                if grasp.readable:
-                    declined.append(seen.angle_deg is None)
-                if seen.angle_deg is not None and seen.sigma_deg is not None:
-                    error = seen.angle_deg - shot.turn_deg
-                    errors.setdefault(grasp.object_name, []).append((error, seen.sigma_deg))
-    means = {name: float(np.mean([abs(error) for error, _ in found])) for name, found in errors.items()}
-    everything = [abs(error) for found in errors.values() for error, _ in found]
-    row = Row(
-        name=f"{network} + {estimator}",
-        network=network,
-        estimator=estimator,
-        p50_ms=_quantile(busy_ms, 0.5),
-        p99_ms=_quantile(busy_ms, 0.99),
-        skipped_p50_ms=_quantile(empty_ms, 0.5) if empty_ms else None,
-        turn_error_mean_deg=round(float(np.mean(everything)), 3) if everything else None,
-        turn_error_worst_object_deg=round(max(means.values()), 3) if means else None,
-        declined_share=round(float(np.mean(declined)), 4) if declined else None,
-        dice=round(float(np.mean([d for d, _ in overlaps])), 4) if overlaps else None,
-        iou=round(float(np.mean([i for _, i in overlaps])), 4) if overlaps else None,
-        frames=len(busy_ms) + len(empty_ms),
-        sequences=len(sequences),
-    )
-    return row, errors
+                self._compare(grasp, shot, seen)
+
+    def _compare(self, grasp: Sequence, shot: Shot, seen: Estimate) -> None:
+        if grasp.readable:
+            self._declined.append(seen.angle_deg is None)
+        if seen.angle_deg is not None and seen.sigma_deg is not None:
+            error = seen.angle_deg - shot.turn_deg
+            self.errors.setdefault(grasp.object_name, []).append((error, seen.sigma_deg))
+
+    def _pipeline(self, grasp: Sequence) -> Pipeline:
+        return Pipeline(self._segmenter, self._settings, grasp.background, grasp.noise_bgr, grasp.px_per_mm)
+
+    def row(self) -> Row:
+        network, estimator = self._segmenter.path.stem, self._settings.estimator
+        means = [float(np.mean([abs(error) for error, _ in found])) for found in self.errors.values()]
+        everything = [abs(error) for found in self.errors.values() for error, _ in found]
+        return Row(
+            name=f"{network} + {estimator}",
+            network=network,
+            estimator=estimator,
+            p50_ms=_quantile(self._busy_ms, 0.5),
+            p99_ms=_quantile(self._busy_ms, 0.99),
+            skipped_p50_ms=_quantile(self._empty_ms, 0.5) if self._empty_ms else None,
+            turn_error_mean_deg=round(float(np.mean(everything)), 3) if everything else None,
+            turn_error_worst_object_deg=round(max(means), 3) if means else None,
+            declined_share=_mean(self._declined),
+            dice=_mean([d for d, _ in self._overlaps]),
+            iou=_mean([i for _, i in self._overlaps]),
+            frames=len(self._busy_ms) + len(self._empty_ms),
+            sequences=self._sequences,
+        )
 
 
-def _pipeline(segmenter: Segmenter, settings: PerceptionSettings, grasp: Sequence) -> Pipeline:
-    return Pipeline(segmenter, settings, grasp.background, grasp.noise_bgr, grasp.px_per_mm)
+def _mean(values: list[float] | list[bool]) -> float | None:
+    return round(float(np.mean(values)), 4) if values else None
 
 
-def _peer_row(sequences: list[Sequence]) -> Row:
+def _peer_row(shots: list[Shot]) -> Row:
     """Time the paper's two stages on frames in contact; thinning gets the true mask, for the weights are made up."""
     peer = Peer()
     spent_ms = []
-    shots = _spread([shot for grasp in sequences for shot in grasp.shots if shot.compared], PEER_FRAMES + 3)
     for index, shot in enumerate(shots):
         if shot.mask is None:
             continue
         start_s = time.perf_counter()
         peer.run(shot.frame.image, shot.mask)
-        if index >= 3:
+        if index >= PEER_WARM_UP_FRAMES:
             spent_ms.append(1e3 * (time.perf_counter() - start_s))
     return Row(
         name=PEER_NAME,
