@@ -38,13 +38,14 @@ class Augment:
     `unknown` of the samples the no-contact image is replaced by the guess that use without one would make.
     """
 
-    def __init__(self, seed: int, pool: int = 800, unknown: float = 0.25) -> None:
+    def __init__(self, seed: int, pool: int = 800, unknown: float = 0.25, contrast_max: float = 1.5) -> None:
         self._rng = torch.Generator().manual_seed(seed)
         self._structure = torch.from_numpy(patterns(structure, pool, seed))
         self._drift = torch.from_numpy(patterns(drift, pool, seed + 1))
         noise = torch.randn((NOISE_POOL, INPUT_HEIGHT_PX, INPUT_WIDTH_PX, 3), generator=self._rng)
         self._noise = noise.half()
         self._unknown = unknown
+        self._contrast_max = contrast_max
         y, x = torch.meshgrid(
             torch.linspace(-1, 1, INPUT_HEIGHT_PX), torch.linspace(-1, 1, INPUT_WIDTH_PX), indexing="ij"
         )
@@ -55,7 +56,7 @@ class Augment:
         """frame, background: (N, 160, 120, 3) uint8; label: (N, 160, 120) uint8, 255 is contact."""
         count = len(frame)
         unit = background.float()
-        seen = unit + (frame.float() - unit) * self._between(count, 0.6, 1.5)
+        seen = unit + (frame.float() - unit) * self._between(count, 0.6, self._contrast_max)
         seen, unit = self._structured(seen, unit)
         gain = self._between(count, 0.8, 1.25) * self._between(count, 0.85, 1.15, channels=3)
         offset = self._between(count, -12.0, 12.0)

@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,14 +31,37 @@ DICE_SMOOTHING_PX = 20.0
 
 @dataclass(frozen=True, slots=True)
 class TrainSettings:
-    """What decides the outcome of a training, besides the frames."""
+    """What decides the outcome of a training, besides the frames.
 
-    epochs: int = 10
+    After `epochs` come `blind_epochs` at a third of the rate, in which half of the frames have no known background and
+    imprints may be stronger: the harder task, learnt better once the easier one is.
+    """
+
+    epochs: int = 8
+    blind_epochs: int = 3
     batch: int = 32
     rate: float = 3e-3
     seed: int = 0
     threads: int = 2
     threshold: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """One schedule of the rate, from warm-up to zero. first_epoch counts from the start of the training."""
+
+    first_epoch: int
+    epochs: int
+    rate: float
+    unknown: float
+    contrast_max: float
+
+
+def phases(settings: TrainSettings) -> list[Phase]:
+    """The parts of a training in order; those without epochs are left out."""
+    known = Phase(0, settings.epochs, settings.rate, unknown=0.25, contrast_max=1.5)
+    blind = Phase(settings.epochs, settings.blind_epochs, settings.rate / 3.0, unknown=0.5, contrast_max=2.4)
+    return [phase for phase in (known, blind) if phase.epochs]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +101,7 @@ def train(
 ) -> SmallNet:
     """Train and return the averaged network; picks up after the last whole epoch found in `work`.
 
-    Adam, linear warm-up and cosine decay; the network handed out is an exponential average. `on_step(done,
+    Adam, linear warm-up and cosine decay in each phase; the result is an exponential average. `on_step(done,
     total)` counts batches, `on_epoch` gets the figures and the average so far. Raises `InputError` for fewer frames
     than one batch.
     """
@@ -88,36 +112,41 @@ def train(
     torch.manual_seed(settings.seed)
     net = SmallNet()
     average = copy.deepcopy(net)
-    optimiser = torch.optim.Adam(net.parameters(), settings.rate)
-    total = settings.epochs * steps_per_epoch
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda step: _rate_share(step, total))
-    checkpoint = work / "checkpoint.pt"
-    first = _resume(checkpoint, settings, len(frames), net, average, optimiser, schedule)
-    keep = 0.5 ** (1.0 / max(EMA_HALF_LIFE_EPOCHS * steps_per_epoch, 1.0))
-    for epoch in range(first, settings.epochs):
-        augment = Augment(settings.seed + 1000 * (epoch + 1))
-        order = np.random.default_rng([settings.seed, epoch]).permutation(len(frames))
-        net.train()
-        losses = 0.0
-        for step in range(steps_per_epoch):
-            pick = np.sort(order[step * settings.batch : (step + 1) * settings.batch])
-            batch = augment(*(torch.from_numpy(a[pick]) for a in (frames.frame, frames.background, frames.label)))
-            loss = segmentation_loss(net(batch.frame, batch.background, batch.known), batch.label)
-            optimiser.zero_grad()
-            torch.autograd.backward(loss)
-            optimiser.step()
-            schedule.step()
-            losses += float(loss.detach())
-            done = epoch * steps_per_epoch + step + 1
-            _average_into(average, net, min(keep, done / (done + 10.0)))
-            on_step(done, total)
-        scores = rendered_scores(average, validation, settings.threshold)
-        on_epoch(EpochFigures(epoch + 1, losses / steps_per_epoch, *scores), average)
-        state = [part.state_dict() for part in (net, average, optimiser, schedule)]
-        torch.save(
-            {"settings": asdict(settings), "frames": len(frames), "epoch": epoch + 1, "state": state},
-            checkpoint,
-        )
+    total = (settings.epochs + settings.blind_epochs) * steps_per_epoch
+    for phase in phases(settings):
+        optimiser = torch.optim.Adam(net.parameters(), phase.rate)
+        steps = phase.epochs * steps_per_epoch
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, partial(_rate_share, total=steps))
+        checkpoint = work / f"checkpoint-{phase.first_epoch}.pt"
+        done_epochs = _resume(checkpoint, settings, len(frames), net, average, optimiser, schedule)
+        keep = 0.5 ** (1.0 / max(EMA_HALF_LIFE_EPOCHS * steps_per_epoch, 1.0))
+        for epoch in range(phase.first_epoch + done_epochs, phase.first_epoch + phase.epochs):
+            augment = Augment(
+                settings.seed + 1000 * (epoch + 1), unknown=phase.unknown, contrast_max=phase.contrast_max
+            )
+            order = np.random.default_rng([settings.seed, epoch]).permutation(len(frames))
+            net.train()
+            losses = 0.0
+            for step in range(steps_per_epoch):
+                pick = np.sort(order[step * settings.batch : (step + 1) * settings.batch])
+                batch = augment(*(torch.from_numpy(a[pick]) for a in (frames.frame, frames.background, frames.label)))
+                loss = segmentation_loss(net(batch.frame, batch.background, batch.known), batch.label)
+                optimiser.zero_grad()
+                torch.autograd.backward(loss)
+                optimiser.step()
+                schedule.step()
+                losses += float(loss.detach())
+                done = epoch * steps_per_epoch + step + 1
+                _average_into(average, net, min(keep, done / (done + 10.0)))
+                on_step(done, total)
+            scores = rendered_scores(average, validation, settings.threshold)
+            on_epoch(EpochFigures(epoch + 1, losses / steps_per_epoch, *scores), average)
+            state = [part.state_dict() for part in (net, average, optimiser, schedule)]
+            done_epochs = epoch + 1 - phase.first_epoch
+            torch.save(
+                {"settings": asdict(settings), "frames": len(frames), "epoch": done_epochs, "state": state}, checkpoint
+            )
+        net.load_state_dict(average.state_dict())
     return average.eval()
 
 

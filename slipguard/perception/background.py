@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-ORDER = 3
+ORDER = 4
 """Degree of the polynomial: the glow of three lamps on a dome, and little of any imprint."""
 ROUNDS = 6
 GRID_WIDTH_PX, GRID_HEIGHT_PX = 30, 40
@@ -17,7 +17,7 @@ OUTLIER_FLOOR_LEVELS = 4.0
 
 
 def _terms(width_px: int, height_px: int) -> NDArray[np.float64]:
-    """Monomials x^i y^j with i + j <= ORDER on a picture spanning -1..1: (height * width, 10)."""
+    """Monomials x^i y^j with i + j <= ORDER on a picture spanning -1..1: (height * width, 15)."""
     y, x = np.mgrid[0:height_px, 0:width_px]
     x = ((x + 0.5) / width_px * 2.0 - 1.0).ravel()
     y = ((y + 0.5) / height_px * 2.0 - 1.0).ravel()
@@ -35,7 +35,7 @@ def _bases(width_px: int, height_px: int) -> tuple[NDArray[np.float32], NDArray[
 def guess_background(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """A smooth picture that follows the gel's own glow and passes under the imprint.
 
-    image: (H, W, 3) uint8 BGR; the result has its shape and type. A cubic is fitted to each channel by least squares
+    image: (H, W, 3) uint8 BGR; the result has its shape and type. A quartic is fitted to each channel by least squares
     with weights 1 / (1 + (r / k)^4), r the residual over the channels and k 1.5 times its median: an imprint on less
     than half of the picture is left out. Streaks, dust and edges of the glow are not followed, so a network sees them
     as differences: worse than the unit's own no-contact image.

@@ -25,6 +25,8 @@ INPUT_WIDTH_PX = FRAME_WIDTH_PX // 2
 INPUT_HEIGHT_PX = FRAME_HEIGHT_PX // 2
 CONTRACT = "1"
 DEFAULT_MODEL = "tsnn-small.onnx"
+ROUNDING = 1e-4
+"""onnxruntime's sigmoid exceeds 1 by a few units in the last place."""
 REQUIRED_METADATA = ("slipguard_contract", "threshold", "label", "command", "seed")
 
 _IMAGE_SHAPE = [1, INPUT_HEIGHT_PX, INPUT_WIDTH_PX, 3]
@@ -106,11 +108,11 @@ class Segmenter:
             raise ModelError(f"{self.path}: the network failed to run ({_first_line(error)})") from error
         probability: NDArray[np.float32] = answer[0, 0]
         lowest, highest = float(probability.min()), float(probability.max())
-        if not (lowest >= 0.0 and highest <= 1.0):  # also true of NaN
+        if not (lowest >= -ROUNDING and highest <= 1.0 + ROUNDING):  # also true of NaN
             raise ModelError(
                 f"{self.path}: the output ranges over {lowest:g}..{highest:g}; a probability in 0..1 is needed"
             )
-        return probability
+        return np.clip(probability, 0.0, 1.0)
 
 
 def _halved(image: NDArray[np.uint8], what: str) -> NDArray[np.uint8]:

@@ -8,23 +8,27 @@ import pytest
 from slipguard.errors import InputError, ModelError
 from slipguard.perception.background import guess_background
 from slipguard.perception.segment import Segmenter, default_model_path
+from slipguard.sim.gel import GelCamera
+from slipguard.sim.unit import Unit
+from slipguard.sim.view import GelView
+
+CAMERA = GelCamera(Unit.default(), seed=7)
+TOUCH = GelView("ball", x_mm=0.5, y_mm=1.0, angle_deg=0.0, depth_mm=1.0)
+CENTRE = (70, 64)
+"""Row and column of the ball at network resolution: 1 mm up and 0.5 mm right of the middle."""
+UNTOUCHED = GelView("", depth_mm=-1.0)
 
 
 def gel(seed: int = 0) -> np.ndarray:
-    """A smooth coloured glow with camera noise, (320, 240, 3) uint8."""
-    y, x = np.mgrid[0:320, 0:240].astype(np.float32)
-    glow = np.stack([90 - 40 * y / 320, 60 + 60 * x / 240, 140 - 80 * x / 240], -1)
-    noise = np.random.default_rng(seed).normal(0.0, 1.5, glow.shape)
-    return np.clip(glow + noise, 0, 255).astype(np.uint8)
+    """The untouched gel with camera noise, (320, 240, 3) uint8."""
+    CAMERA.reseed(seed)
+    return CAMERA.draw(UNTOUCHED)
 
 
-def with_ball(image: np.ndarray, strength: float = 70.0) -> np.ndarray:
-    """A press by a ball: a disc whose colours follow the slope under lamps at 30, 150 and 270 degrees."""
-    y, x = np.mgrid[0:320, 0:240].astype(np.float32)
-    right, up = (x - 120) / 38, -(y - 150) / 38
-    inside = np.exp(-(np.maximum(np.hypot(right, up) - 0.9, 0) ** 2) / 0.02)
-    change = [strength * inside * (right * np.cos(a) + up * np.sin(a)) for a in np.radians([270.0, 150.0, 30.0])]
-    return np.clip(image + np.stack(change, -1), 0, 255).astype(np.uint8)
+def with_ball(seed: int = 0) -> np.ndarray:
+    """A ball pressed in above and right of the middle."""
+    CAMERA.reseed(seed)
+    return CAMERA.draw(TOUCH)
 
 
 @pytest.fixture(scope="module")
@@ -53,16 +57,16 @@ def test_answer_is_a_probability_at_network_size(segmenter: Segmenter) -> None:
 
 def test_a_ball_is_found_where_it_is_and_nothing_where_there_is_none(segmenter: Segmenter) -> None:
     background = gel(1)
-    mask = segmenter.segment(with_ball(gel(2)), background) > segmenter.threshold
+    mask = segmenter.segment(with_ball(2), background) > segmenter.threshold
     rows, columns = np.nonzero(mask)
     assert mask.sum() > 500
-    assert abs(rows.mean() - 75) < 4
-    assert abs(columns.mean() - 60) < 4
+    assert abs(rows.mean() - CENTRE[0]) < 4
+    assert abs(columns.mean() - CENTRE[1]) < 4
     assert not (segmenter.segment(gel(3), background) > segmenter.threshold).any()
 
 
 def test_a_new_background_replaces_the_remembered_one(segmenter: Segmenter) -> None:
-    frame = with_ball(gel(2))
+    frame = with_ball(2)
     before = segmenter.segment(frame, gel(1))
     itself = segmenter.segment(frame, frame.copy())
     assert (before > segmenter.threshold).sum() > 500
@@ -71,16 +75,19 @@ def test_a_new_background_replaces_the_remembered_one(segmenter: Segmenter) -> N
 
 
 def test_without_a_background_a_clear_press_is_still_found(segmenter: Segmenter) -> None:
-    mask = segmenter.segment(with_ball(gel(2)), None) > segmenter.threshold
-    assert mask[75 - 8 : 75 + 8, 60 - 8 : 60 + 8].mean() > 0.9
+    mask = segmenter.segment(with_ball(2), None) > segmenter.threshold
+    row, column = CENTRE
+    assert mask[row - 8 : row + 8, column - 8 : column + 8].mean() > 0.9
 
 
 def test_guessed_background_follows_the_glow_and_passes_under_a_press() -> None:
-    glow, pressed = gel(1), with_ball(gel(1))
+    glow, pressed = gel(1), with_ball(1)
     guess = guess_background(pressed).astype(int)
     assert guess.shape == pressed.shape
-    assert np.abs(guess - glow).mean() < 3.0
-    assert np.abs(guess - pressed)[130:170, 90:150].mean() > 2.0 * np.abs(guess - glow)[130:170, 90:150].mean()
+    patch = np.s_[2 * CENTRE[0] - 30 : 2 * CENTRE[0] + 30, 2 * CENTRE[1] - 30 : 2 * CENTRE[1] + 30]
+    assert np.abs(guess - pressed)[patch].mean() > 1.5 * np.abs(guess - glow)[patch].mean()
+    smooth = np.full((320, 240, 3), (90, 60, 140), np.uint8)
+    np.testing.assert_allclose(guess_background(smooth), smooth, atol=1)
 
 
 @pytest.mark.parametrize(
