@@ -37,7 +37,11 @@ class Controls(Control):
             raise CommandRefused(f"cannot grasp: not ready: {'; '.join(waiting)}")
         self._check_calibration_is_over()
         for name, finger in self._service.fingers.items():
-            if not await self._calibrated(finger):
+            try:
+                calibrated = await self._calibrated(finger)
+            except InputError as error:
+                raise CommandRefused(f"cannot grasp: {error}") from None
+            if not calibrated:
                 raise CommandRefused(
                     f"cannot grasp: {name} finger ({finger.serial}) has no no-contact image; run `slipguard calibrate`"
                 )
@@ -78,7 +82,7 @@ class Controls(Control):
             self._check_idle()
             for name, finger in self._service.fingers.items():
                 newest = finger.newest
-                if newest is not None and newest.estimate.contact and not force and await self._calibrated(finger):
+                if newest is not None and newest.estimate.contact and not force and await self._knows_contact(finger):
                     raise CommandRefused(
                         f"cannot calibrate: {name} finger is in contact; take the object away, or use --force "
                         "if the light has changed"
@@ -101,13 +105,20 @@ class Controls(Control):
             raise CommandRefused("a calibration is under way; ask again in a second")
 
     async def _calibrated(self, finger: Finger) -> bool:
-        """Whether there is a no-contact image; reading it would keep the loop waiting, so that is done beside it."""
+        """Whether there is a no-contact image; reading it would keep the loop waiting, so that is done beside it.
+
+        Raises InputError where it is damaged.
+        """
         if finger.serial is None:
             return False
+        return await asyncio.to_thread(self._service.store.load_no_contact, finger.serial) is not None
+
+    async def _knows_contact(self, finger: Finger) -> bool:
+        """Whether its word on contact counts: not without a good no-contact image, or no new one could be had."""
         try:
-            return await asyncio.to_thread(self._service.store.load_no_contact, finger.serial) is not None
-        except InputError as error:
-            raise CommandRefused(str(error)) from None
+            return await self._calibrated(finger)
+        except InputError:
+            return False
 
     async def _take(self) -> dict[str, NoContact]:
         """Both fingers at once; stored only if both are good and nothing has moved meanwhile."""

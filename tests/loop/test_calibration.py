@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -165,5 +166,26 @@ def test_a_damaged_image_is_a_reason_not_to_grasp() -> None:
         cell.store.load_no_contact = damaged  # type: ignore[method-assign]
         with pytest.raises(CommandRefused, match="cannot be read; run `slipguard calibrate`"):
             await cell.controls.grasp()
+
+    play(Cell(), scene)
+
+
+def test_a_damaged_image_is_no_reason_against_a_new_one() -> None:
+    """Without its image a finger may see contact where there is none; the advice to calibrate must lead somewhere."""
+
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        known = cell.store.load_no_contact
+
+        def damaged(serial: str) -> NoContact | None:
+            raise InputError("no_contact-0001.png: cannot be read; run `slipguard calibrate`")
+
+        cell.store.load_no_contact = damaged  # type: ignore[method-assign]
+        for finger in cell.service.fingers.values():
+            assert finger.newest is not None
+            finger.newest = replace(finger.newest, estimate=replace(finger.newest.estimate, contact=True))
+        await cell.controls.calibrate()
+        cell.store.load_no_contact = known  # type: ignore[method-assign]
+        await cell.grasp()
 
     play(Cell(), scene)
