@@ -44,6 +44,8 @@ class TrainSettings:
     seed: int = 0
     threads: int = 2
     threshold: float = 0.5
+    patterns: int = 800
+    """Procedural disturbances of each kind drawn anew for every epoch."""
 
 
 @dataclass(frozen=True, slots=True)
