@@ -18,6 +18,9 @@ AGREE_SIGMAS = 3.0
 """Turns further apart than this many combined standard deviations disagree."""
 GAP_MAX_S = 0.1
 """A finger further behind the other than this is left out; frames come every 17-33 ms."""
+SIGMA_MAX_DEG = 180.0
+LARGEST = 1e6
+"""No turn in degrees, rate in degrees/s or shift in mm is larger than this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,19 +71,14 @@ class _Turn:
     captured_at_s: float
     measured_at_s: float
 
-    def at(self, when_s: float) -> _Turn:
-        """The same turn moved along its own rate to another moment."""
-        moved_deg = (self.rate_deg_s or 0.0) * (when_s - self.captured_at_s)
-        return _Turn(
-            self.finger, self.turn_deg + moved_deg, self.sigma_deg, self.rate_deg_s, when_s, self.measured_at_s
-        )
-
 
 def fuse(left: Estimate | None, right: Estimate | None) -> Fused | None:
     """What both fingers say together; None if neither has said anything.
 
-    A finger whose frames are stale is given as None.
+    A finger whose frames are stale is given as None. One whose numbers are none (NaN, infinite, beyond all measure)
+    tells no turn; without a time it says nothing at all.
     """
+    left, right = _sound(left), _sound(right)
     said = [estimate for estimate in (left, right) if estimate is not None]
     if not said:
         return None
@@ -113,6 +111,19 @@ def fuse(left: Estimate | None, right: Estimate | None) -> Fused | None:
     )
 
 
+def _sound(estimate: Estimate | None) -> Estimate | None:
+    """The estimate, without its turn and shift where a number in it cannot be one."""
+    if estimate is None or not (math.isfinite(estimate.captured_at_s) and math.isfinite(estimate.measured_at_s)):
+        return None
+    numbers = (estimate.angle_deg, estimate.rate_deg_s, *(estimate.shift_mm or ()))
+    sigma_deg = estimate.sigma_deg
+    if all(n is None or abs(n) <= LARGEST for n in numbers) and (
+        sigma_deg is None or 0.0 <= sigma_deg <= SIGMA_MAX_DEG
+    ):
+        return estimate
+    return replace(estimate, angle_deg=None, sigma_deg=None, rate_deg_s=None, shift_mm=None, declined="not a number")
+
+
 def _turn(finger: str, estimate: Estimate | None, sign: float) -> _Turn | None:
     if estimate is None or estimate.angle_deg is None or estimate.sigma_deg is None:
         return None
@@ -133,12 +144,19 @@ def _why(estimate: Estimate | None) -> str | None:
 
 
 def _together(one: _Turn, other: _Turn) -> tuple[list[_Turn], list[str]]:
-    """Both turns at the older one's moment; only the newer one where the other is too far behind."""
+    """Both turns at the older one's moment; only the newer one where the other is too far behind.
+
+    A finger that knows no rate turns at the other's, for it is one object; where neither knows one, nothing can be
+    moved and only the newer one counts.
+    """
     older, newer = sorted((one, other), key=lambda turn: turn.captured_at_s)
     gap_s = newer.captured_at_s - older.captured_at_s
-    if gap_s > GAP_MAX_S:
+    rate_deg_s = older.rate_deg_s if newer.rate_deg_s is None else newer.rate_deg_s
+    if gap_s > GAP_MAX_S or (gap_s > 0.0 and rate_deg_s is None):
         return [newer], [f"{older.finger} finger: {1e3 * gap_s:.0f} ms behind"]
-    return [turn.at(older.captured_at_s) for turn in (one, other)], []
+    moved_deg = -gap_s * (rate_deg_s or 0.0)
+    back = replace(newer, turn_deg=newer.turn_deg + moved_deg, captured_at_s=older.captured_at_s)
+    return [back if turn is newer else turn for turn in (one, other)], []
 
 
 def _weigh(turns: list[_Turn]) -> tuple[float, float, str | None]:

@@ -31,6 +31,12 @@ _UNCHANGED_MEAN = 1.05
 _UNCHANGED_PEAK = 4.6
 """Allowed difference of the worst of the 1200 blocks, in standard deviations (three colours together)."""
 
+_UNLIKE_LEVELS = 8.0
+"""Away from the contact a frame differs from the no-contact image, but for an even change of light, by 1-3 grey levels
+on average, by 4.3 in the worst of real lighting drifts; swapped colours and a failing lamp give 9 and more."""
+_OUTSIDE_MIN = 180
+"""Fewer blocks than this outside the contact (a seventh of the frame) show neither its outline nor the light."""
+
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 Blocks = NDArray[np.float32]
@@ -114,6 +120,21 @@ class Gate:
             return False
         around = square if near_patch is None else square[near_patch]
         return bool(around.mean() < 2.0 * 3.0 * _UNCHANGED_MEAN)
+
+    def fits(self, blocks: Blocks, near_patch: NDArray[np.bool_]) -> bool:
+        """Whether a picture is still one of this unit's gel away from the contact: enough of it, and as lit before.
+
+        near_patch: (1200,) bool, the blocks in and around the contact. Without a no-contact image only the first
+        can be told.
+        """
+        outside = ~near_patch
+        if np.count_nonzero(outside) < _OUTSIDE_MIN:
+            return False
+        if self._background is None:
+            return True
+        difference = (blocks - self._background)[outside]
+        difference -= difference.mean(axis=0)
+        return bool(np.abs(difference).mean() < _UNLIKE_LEVELS)
 
 
 def near_patch(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:

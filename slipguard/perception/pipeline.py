@@ -25,6 +25,7 @@ from slipguard.perception.turn import TurnMeter
 
 NO_CONTACT = "no contact"
 UNCHANGED = "unchanged"
+UNLIKE = "picture unlike the no-contact image"
 
 
 class SegmentsContact(Protocol):
@@ -134,6 +135,9 @@ class Pipeline:
         clock.mark("regions")
         if patch is None:
             return self._without_contact(frame, blocks, None, clock)
+        near = near_patch(patch.full_mask())
+        if not self._gate.fits(blocks, near):
+            return self._unlike(frame, patch, clock)
         axes = self._axes(patch, clock)
         turn, shift_px = self._meter.measure(patch, axes, now_s, clock)
         shown = fuse(list(axes.values())).angle_deg
@@ -153,8 +157,23 @@ class Pipeline:
             stage_ms=clock.stage_ms,
         )
         clock.mark("track")
-        self._measured = (blocks, near_patch(patch.full_mask()), answer)
+        self._measured = (blocks, near, answer)
         return answer
+
+    def _unlike(self, frame: Frame, patch: Patch, clock: StageClock) -> Estimate:
+        """Contact perhaps, but nothing to measure on, and no reference to take."""
+        self._meter.lost()
+        self._measured = None
+        return Estimate(
+            sequence=frame.sequence,
+            captured_at_s=frame.captured_at_s,
+            measured_at_s=frame.captured_at_s,
+            contact=True,
+            contact_area_px=patch.area_px,
+            method=self._settings.estimator,
+            declined=UNLIKE,
+            stage_ms=clock.stage_ms,
+        )
 
     def _without_contact(self, frame: Frame, blocks: Blocks, skipped: str | None, clock: StageClock) -> Estimate:
         self._patch, self._skeleton = None, None

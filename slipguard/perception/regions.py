@@ -80,7 +80,7 @@ class Patch:
 def find_patch(probability: NDArray[np.float32], threshold: float, min_area_px: float, frame_px: float) -> Patch | None:
     """The contact patch in a probability map, or None where there is no contact.
 
-    probability: (H, W) float32 in 0..1, at network resolution; anything not finite counts as 0.
+    probability: (H, W) float32 in 0..1, at network resolution; NaN counts as 0, what is beyond 0..1 as its nearest end.
     threshold: contact where the probability is above. min_area_px: smallest region kept, in frame pixels.
     frame_px: frame pixels per network pixel.
     """
@@ -139,8 +139,8 @@ def _cut(mask: NDArray[np.uint8], probability: NDArray[np.float32], frame_px: fl
     crop = np.ascontiguousarray(mask[top:bottom, left:right])
     near = cv2.dilate(crop, _NEAR)
     soft = np.where(near > 0, probability[top:bottom, left:right], np.float32(0.0))
-    if not np.isfinite(soft.sum()):
-        np.nan_to_num(soft, copy=False, nan=0.0, posinf=1.0, neginf=0.0)
+    np.fmax(soft, np.float32(0.0), out=soft)  # also NaN
+    np.minimum(soft, np.float32(1.0), out=soft)
     crop.flags.writeable = False
     soft.flags.writeable = False
     return Patch(

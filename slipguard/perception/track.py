@@ -18,9 +18,12 @@ JUMP_RATE_DEG_S = 600.0
 JUMP_MAX_DEG = 60.0
 """A turn may differ from the last one by JUMP_DEG plus JUMP_RATE_DEG_S times the time since, never by JUMP_MAX_DEG: an
 axis that jumps by a right angle is a round patch that changed its mind, not a turn."""
+STEP_MIN_S = 0.002
+"""Frames closer together than this tell no rate: their noise over so short a time is hundreds of degrees a second."""
 AGREE_SIGMA = 3.0
 DISAGREE_DEG = 8.0
 IMPLAUSIBLE = "implausible jump"
+NO_NUMBER = "not a number"
 DISAGREE = "estimators disagree"
 
 
@@ -113,22 +116,30 @@ class Tracker:
 
     def accept(self, now_s: float, turn: Turn) -> Turn:
         """Take a turn measured at `now_s` into the history, or decline it as implausible."""
-        if turn.turn_deg is None:
+        if turn.turn_deg is None or turn.sigma_deg is None:
             return turn
+        if not (math.isfinite(turn.turn_deg) and math.isfinite(turn.sigma_deg)):
+            return Turn(None, None, NO_NUMBER)
         last_s, last = self._last
         since_s = max(now_s - last_s, 0.0) if math.isfinite(last_s) else 0.0
         allowed = min(JUMP_DEG + JUMP_RATE_DEG_S * since_s, JUMP_MAX_DEG)
         if abs(turn.turn_deg - last) > allowed:
             return Turn(None, None, IMPLAUSIBLE)
         self._last = (now_s, turn.turn_deg)
-        if not self._history or now_s > self._history[-1][0]:
-            self._history.append((now_s, turn.turn_deg))
+        self._remember(now_s, turn.turn_deg)
         return turn
 
     def unchanged(self, now_s: float) -> None:
         """The picture at `now_s` shows no change: the turn is still the last one."""
-        if self._history and now_s > self._history[-1][0]:
-            self._history.append((now_s, self._history[-1][1]))
+        if self._history:
+            self._remember(now_s, self._history[-1][1])
+
+    def _remember(self, now_s: float, turn_deg: float) -> None:
+        """A clock that went back makes what came after `now_s` worthless for rates."""
+        while self._history and self._history[-1][0] > now_s:
+            self._history.pop()
+        if not self._history or now_s - self._history[-1][0] >= STEP_MIN_S:
+            self._history.append((now_s, turn_deg))
 
     def rate_deg_s(self, now_s: float) -> float | None:
         """Slope of the turns of the last `RATE_WINDOW_S`, of at least the last three; None where there are too few."""

@@ -1,0 +1,148 @@
+"""Numbers that are none, clocks that go back and pictures of something else give no turn instead of a wrong one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from drawn_masks import drawn
+from numpy.typing import NDArray
+from seen import estimate as said
+
+from slipguard.devices import Frame
+from slipguard.grasp.fuse import fuse
+from slipguard.lab.stress.light import SPOILS
+from slipguard.lab.stress.pictures import grasp
+from slipguard.perception.angle import estimate
+from slipguard.perception.gate import Gate, block_means, near_patch
+from slipguard.perception.pipeline import UNLIKE, Pipeline
+from slipguard.perception.regions import find_patch
+from slipguard.perception.segment import Segmenter
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.track import RATE_STALE_S, Tracker, Turn
+
+
+def turning(tracker: Tracker, from_s: float, rate_deg_s: float, frames: int) -> float | None:
+    """The rate after so many regular frames of a steady turn."""
+    for k in range(frames):
+        tracker.accept(from_s + k / 60, Turn(rate_deg_s * k / 60, 0.3))
+    return tracker.rate_deg_s(from_s + (frames - 1) / 60)
+
+
+@pytest.mark.parametrize("back_s", [1e-9, 0.01, 0.1, 50.0, 1e6])
+def test_the_rate_is_right_again_after_the_clock_went_back(back_s: float) -> None:
+    tracker = Tracker()
+    tracker.start(1e6)
+    turning(tracker, 1e6, 0.0, 20)
+    assert turning(tracker, 1e6 + 19 / 60 - back_s, 60.0, 12) == pytest.approx(60.0, abs=1.0)
+
+
+def test_frames_a_nanosecond_apart_tell_no_rate() -> None:
+    tracker = Tracker()
+    tracker.start(5.0)
+    for k in range(10):
+        tracker.accept(5.0 + k * 1e-9, Turn(0.1 * (-1) ** k, 0.1))
+    assert tracker.rate_deg_s(5.0 + RATE_STALE_S / 2) is None
+
+
+@pytest.mark.parametrize("bad", [Turn(math.nan, 1.0), Turn(1.0, math.nan), Turn(math.inf, 1.0), Turn(1.0, math.inf)])
+def test_the_tracker_takes_no_turn_that_is_no_number(bad: Turn) -> None:
+    tracker = Tracker()
+    tracker.start(0.0)
+    assert tracker.accept(0.1, bad).declined == "not a number"
+    assert tracker.last_turn_deg == 0.0
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e308])
+@pytest.mark.parametrize("field", ["angle_deg", "sigma_deg", "rate_deg_s"])
+def test_a_finger_whose_numbers_are_none_tells_no_turn(field: str, bad: float) -> None:
+    values = {"angle_deg": 10.0, "sigma_deg": 0.5, "rate_deg_s": 0.0, field: bad}
+    fused = fuse(said(**values), said(-12.0, rate_deg_s=0.0))  # type: ignore[arg-type]
+    assert fused is not None
+    assert fused.turn_deg == pytest.approx(12.0)
+    assert fused.fingers == ("right",)
+    assert fused.note == "left finger: not a number"
+    assert fused.left_contact
+
+
+def test_a_finger_without_a_time_says_nothing() -> None:
+    fused = fuse(said(10.0, at_s=math.nan), said(-12.0))
+    assert fused is not None
+    assert fused.turn_deg == pytest.approx(12.0)
+    assert fused.left_contact is None
+    assert fuse(said(10.0, at_s=math.inf), None) is None
+
+
+def test_a_shift_that_is_no_number_is_left_out() -> None:
+    fused = fuse(said(10.0, shift_mm=(0.0, math.nan)), said(-10.0, shift_mm=(0.0, -0.5)))
+    assert fused is not None
+    assert fused.shift_mm == pytest.approx(0.5)
+
+
+def test_a_finger_that_knows_no_rate_turns_at_the_others() -> None:
+    fused = fuse(said(10.0, at_s=1.0, rate_deg_s=100.0), said(-12.0, at_s=1.02))
+    assert fused is not None
+    assert fused.turn_deg == pytest.approx(10.0)
+    assert fused.fingers == ("left", "right")
+
+
+def test_without_any_rate_the_older_finger_is_left_out() -> None:
+    fused = fuse(said(10.0, at_s=1.0), said(-30.0, at_s=1.05))
+    assert fused is not None
+    assert fused.turn_deg == pytest.approx(30.0)
+    assert fused.fingers == ("right",)
+    assert fused.note == "left finger: 50 ms behind"
+
+
+@pytest.mark.parametrize("beyond", [3e38, -3e38, math.inf, -math.inf, math.nan])
+def test_probabilities_beyond_0_and_1_weigh_no_more_than_these(beyond: float) -> None:
+    clean = drawn("bar", 30.0)
+    spoiled = clean.copy()
+    spoiled[np.random.default_rng(0).random(clean.shape) < 0.02] = beyond
+    patch = find_patch(spoiled, 0.5, 200, 2.0)
+    assert patch is not None
+    assert patch.probability.min() >= 0.0
+    assert patch.probability.max() <= 1.0
+    assert estimate(patch, "moments").angle_deg == pytest.approx(30.0, abs=2.0)
+
+
+def whole_frame() -> NDArray[np.uint8]:
+    return np.random.default_rng(1).integers(90, 100, (320, 240, 3), np.uint8)
+
+
+def test_a_contact_that_fills_the_picture_shows_no_outline() -> None:
+    gate = Gate(None)
+    blocks = block_means(whole_frame())
+    mask = np.ones((160, 120), np.uint8)
+    assert not gate.fits(blocks, near_patch(mask))
+    mask[:, :40] = 0
+    assert gate.fits(blocks, near_patch(mask))
+
+
+def test_light_may_drift_but_the_picture_must_be_the_units_own() -> None:
+    background = whole_frame()
+    gate = Gate(background)
+    near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
+    brighter = background + np.uint8(20)
+    assert gate.fits(block_means(brighter), near)
+    pressed = background.copy()
+    pressed[130:190, 90:150] = 240
+    assert gate.fits(block_means(pressed), near)
+    other = background.copy()
+    other[:, :120] += np.uint8(40)
+    assert not gate.fits(block_means(other), near)
+
+
+@pytest.mark.parametrize(("what", "strength"), [("swapped colours", 1.0), ("negative", 0.5), ("crushed", 0.5)])
+def test_a_camera_with_another_light_tells_no_turn_and_takes_no_reference(what: str, strength: float) -> None:
+    shown = grasp(0)
+    pipeline = Pipeline(Segmenter(), PerceptionSettings(), shown.background, None, 18.5)
+    rng = np.random.default_rng(0)
+    answers = [
+        pipeline.process(Frame(SPOILS[what](image, strength, rng), k / 60, k)) for k, image in enumerate(shown.frames)
+    ]
+    assert {answer.declined for answer in answers if answer.contact} == {UNLIKE}
+    assert not pipeline.has_reference
+    clean = [pipeline.process(Frame(image, (20 + k) / 60, 20 + k)) for k, image in enumerate(shown.frames)]
+    assert clean[-1].angle_deg == pytest.approx(shown.turns_deg[-1], abs=3.0)
