@@ -94,17 +94,21 @@ def _watch(
     notes: Notes,
     label: str = "noise",
 ) -> float | None:
-    """Feed frames and judge every answer; the last one's error, None where it declined."""
+    """Feed frames and judge every answer against the turn since the reference; the last one's error, None: declined."""
     pipeline = notes.attempt("pipeline", subject.pipeline, segmenter, settings, background, None, PX_PER_MM)
     error = None
+    since_deg: float | None = None
     for k, (image, truth) in enumerate(zip(frames, turns_deg, strict=True)):
         if pipeline is None:  # a spoiled no-contact image may be refused
             return None
         answer = notes.attempt(f"pipeline, {label}", pipeline.process, Frame(image, k * FRAME_S, k))
+        if since_deg is None and pipeline.has_reference:
+            since_deg = truth
         error = None
         if answer is not None:
+            turn = truth - (since_deg or 0.0)
             notes.finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
-            error = notes.angle(f"pipeline, {label}", answer.angle_deg, answer.sigma_deg, truth, axial=False)
+            error = notes.angle(f"pipeline, {label}", answer.angle_deg, answer.sigma_deg, turn, axial=False)
     return error
 
 

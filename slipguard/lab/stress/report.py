@@ -66,24 +66,26 @@ def again(failure: Failure) -> str:
 def print_table(console: Console, outcome: Outcome) -> None:
     """The same for people."""
     table = Table(title=f"Stress, seed {outcome.seed}", title_justify="left")
-    for name in ("family", "tried", "of the full list", "answers", "declined", "crashes", "NaN"):
-        table.add_column(name, justify="left" if name == "family" else "right")
-    for name in ("confidently wrong", "promises broken", "worst error", "in sigmas"):
-        table.add_column(name, justify="right")
+    for name in ("family", "tried", "of list", "told", "crash", "NaN", "wrong", "broken", "worst", "sigmas"):
+        table.add_column(name, justify="left" if name == "family" else "right", no_wrap=True)
     for family, notes in _pairs(outcome):
         counts = [_coloured(notes.counts[kind]) for kind in ("crash", "nan", "confident wrong", "limit")]
         worst, sigmas = max(notes.worst_deg.values(), default=None), max(notes.worst_sigmas.values(), default=None)
+        asked = notes.answers + notes.declined
         table.add_row(
             family.name,
-            f"{notes.tried:,}",
-            f"{100.0 * notes.tried / (family.full * family.frames):.3g} %",
-            f"{notes.answers:,}",
-            f"{notes.declined:,}",
+            str(notes.tried),
+            f"{100.0 * notes.tried / (family.full * family.frames):.2g} %",
+            f"{100.0 * notes.answers / asked:.0f} %" if asked else "",
             *counts,
-            "" if worst is None else f"{worst:.2f}°",
-            "" if sigmas is None else f"{sigmas:.2f}",
+            "" if worst is None else f"{worst:.1f}°",
+            "" if sigmas is None else f"{sigmas:.1f}",
         )
     console.print(table)
+    console.print(
+        "told: of what was asked; wrong: by more than 5 sigma and 3°; broken: the promises below; worst: sure or not",
+        style="dim",
+    )
     promises = {what: value for notes in outcome.notes for what, value in notes.promises.items()}
     for what, value in promises.items():
         console.print(f"{what}: at most {value:.3g}")

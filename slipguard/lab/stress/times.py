@@ -16,6 +16,8 @@ NO_TIMES = (math.nan, math.inf, -math.inf)
 RATE_DEG_S = 60.0
 RATE_SIGMA_DEG_S = 12.0
 """Noise of the rate at a noise of 0.1 degrees over a tenth of a second is 1.5 degrees/s; this is far outside."""
+REST_RATE_DEG_S = 400.0
+"""What a noise of 0.1 degrees may pretend over the shortest time that counts."""
 REGULAR_FRAMES = 30
 NOISE_DEG = 0.1
 
@@ -55,7 +57,8 @@ def _track(rng: np.random.Generator, subject: Subject, notes: Notes) -> None:
         accepted = notes.attempt("tracker", tracker.accept, now_s, seen)
         rate = notes.attempt("rate", tracker.rate_deg_s, now_s)
         notes.finite("prediction", predicted)
-        notes.finite("rate", rate)
+        if rate is not None:
+            notes.limit("rate at rest, degrees/s", abs(rate), REST_RATE_DEG_S)
         if accepted is not None:
             notes.angle("tracker", accepted.turn_deg, accepted.sigma_deg, 0.0, axial=False)
     if abs(now_s) > 1e9:  # a double tells no 60 Hz frames apart beyond: no rate can be right

@@ -1,0 +1,270 @@
+"""The stress trials catch estimators that are wrong, give NaN or crash, and say how to see it again."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from slipguard.cli.app import run as cli
+from slipguard.devices import Frame
+from slipguard.errors import InputError
+from slipguard.grasp.fuse import Fused, fuse
+from slipguard.lab.stress.family import Family, Notes
+from slipguard.lab.stress.floats import fitted_ellipse_deg, second_moments_deg
+from slipguard.lab.stress.masks import degenerate, turned, turned_axis_deg
+from slipguard.lab.stress.report import as_json, first_failures
+from slipguard.lab.stress.run import FAMILIES, Outcome, chosen, run, schedule
+from slipguard.lab.stress.shapes import ELONGATED, Pose, soft
+from slipguard.lab.stress.subject import Subject
+from slipguard.perception.angle import estimate
+from slipguard.perception.estimate import Estimate, Orientation
+from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.regions import Patch
+from slipguard.perception.track import Tracker, Turn
+
+FLAWS = ("biased", "nan", "raising")
+KIND = {"biased": "confident wrong", "nan": "nan", "raising": "crash"}
+
+
+def tried(only: str, trials: int, subject: Subject | None = None, seed: int = 0) -> Outcome:
+    """So many trials of one family: the clock ticks once a trial."""
+    ticks = itertools.count()
+    return run(chosen([only]), seed, float(trials), subject, clock=lambda: float(next(ticks)))
+
+
+def spoiled(flaw: str, angle_deg: float | None) -> tuple[float | None, float | None]:
+    """An angle and its sigma, spoiled."""
+    if flaw == "raising":
+        raise ValueError("broken on purpose")
+    if angle_deg is None:
+        return None, None
+    return (math.nan, 1.0) if flaw == "nan" else (0.5 * angle_deg + 20.0, 0.05)
+
+
+def broken_estimate(flaw: str) -> Callable[[Patch, str], Orientation]:
+    def broken(patch: Patch, name: str) -> Orientation:
+        found = estimate(patch, name)
+        angle, sigma = spoiled(flaw, found.angle_deg)
+        return replace(found, angle_deg=angle, sigma_deg=sigma)
+
+    return broken
+
+
+class BrokenPipeline(Pipeline):
+    flaw = "biased"
+
+    def process(self, frame: Frame) -> Estimate:
+        answer = super().process(frame)
+        angle, sigma = spoiled(self.flaw, answer.angle_deg)
+        return replace(answer, angle_deg=angle, sigma_deg=sigma)
+
+
+def broken_pipeline(flaw: str) -> type[Pipeline]:
+    return type("Broken", (BrokenPipeline,), {"flaw": flaw})
+
+
+class BrokenTracker(Tracker):
+    flaw = "biased"
+
+    def accept(self, now_s: float, turn: Turn) -> Turn:
+        accepted = super().accept(now_s, turn)
+        return Turn(*spoiled(self.flaw, accepted.turn_deg))
+
+
+def broken_tracker(flaw: str) -> type[Tracker]:
+    return type("Broken", (BrokenTracker,), {"flaw": flaw})
+
+
+def broken_fuse(flaw: str) -> Callable[[Estimate | None, Estimate | None], Fused | None]:
+    def broken(left: Estimate | None, right: Estimate | None) -> Fused | None:
+        fused = fuse(left, right)
+        if fused is None:
+            return None
+        angle, sigma = spoiled(flaw, fused.turn_deg)
+        return replace(fused, turn_deg=angle, sigma_deg=sigma)
+
+    return broken
+
+
+@pytest.mark.parametrize("flaw", FLAWS)
+@pytest.mark.parametrize("family", ["degenerate", "random", "equivariance", "noise", "seams", "round", "floats"])
+def test_a_broken_estimator_is_caught(family: str, flaw: str) -> None:
+    trials = {"random": 60, "round": 25, "degenerate": 70}.get(family, 5)
+    outcome = tried(family, trials, Subject(estimate=broken_estimate(flaw)), seed=3)
+    # Both readings of a clean and a poisoned map are wrong by the same: only the comparison with float64 tells.
+    kind = "limit" if (family, flaw) == ("floats", "biased") else KIND[flaw]
+    assert outcome.notes[0].counts[kind] > 0
+    assert outcome.failed
+
+
+@pytest.mark.parametrize("flaw", FLAWS)
+@pytest.mark.parametrize(
+    "family", ["degenerate", "equivariance", "noise", "seams", "round", "floats", "holding", "pictures", "times"]
+)
+def test_a_broken_pipeline_is_caught(family: str, flaw: str) -> None:
+    trials = {"round": 25, "degenerate": 70}.get(family, 4)
+    outcome = tried(family, trials, Subject(pipeline=broken_pipeline(flaw)), seed=0 if family == "times" else 3)
+    assert outcome.notes[0].counts[KIND[flaw]] > 0
+
+
+@pytest.mark.parametrize("flaw", FLAWS)
+def test_a_broken_tracker_is_caught(flaw: str) -> None:
+    subject = Subject(tracker=broken_tracker(flaw))
+    assert tried("times", 3, subject, seed=1).notes[0].counts[KIND[flaw]] > 0
+    assert tried("drift", 2, subject).failed
+
+
+def test_a_drift_of_a_tenth_of_a_degree_is_caught() -> None:
+    class Drifting(Tracker):
+        off = 0.0
+
+        def accept(self, now_s: float, turn: Turn) -> Turn:
+            accepted = super().accept(now_s, turn)
+            self.off += 1e-4
+            return replace(accepted, turn_deg=(accepted.turn_deg or 0.0) + self.off)
+
+    outcome = tried("drift", 4, Subject(tracker=Drifting))
+    assert outcome.notes[0].counts["limit"] > 0
+    assert as_json(outcome)["drift_deg"] > 0.1
+
+
+@pytest.mark.parametrize("flaw", FLAWS)
+def test_a_broken_fusion_is_caught(flaw: str) -> None:
+    assert tried("fusion", 40, Subject(fuse=broken_fuse(flaw))).notes[0].counts[KIND[flaw]] > 0
+
+
+@pytest.mark.parametrize("family", ["degenerate", "random"])
+def test_one_pixel_too_many_in_a_thinned_mask_is_caught(family: str) -> None:
+    def unthinned(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        return mask
+
+    assert tried(family, 40, Subject(thin=unthinned)).notes[0].counts["limit"] > 0
+
+
+def test_a_failure_is_shown_again_by_its_seed() -> None:
+    subject = Subject(estimate=broken_estimate("biased"))
+    first = first_failures(tried("noise", 4, subject, seed=100))[0]
+    assert first_failures(tried("noise", 1, subject, seed=first.seed))[0] == first
+
+
+@pytest.fixture(scope="module")
+def quick() -> Outcome:
+    return run(FAMILIES, 0, 0.2)
+
+
+def test_a_quick_run_tries_every_family_and_finds_nothing_wrong(quick: Outcome) -> None:
+    assert all(notes.tried > 0 for notes in quick.notes)
+    assert not quick.failed, [one.what for one in first_failures(quick)]
+    found = as_json(quick)
+    assert (found["crashes"], found["nan"], found["confident_wrong"], found["broken_promises"]) == (0, 0, 0, 0)
+    assert found["tried"] == sum(notes.tried for notes in quick.notes)
+    assert 0.0 < found["share"] < 0.01
+    assert set(found["worst"]) == {family.name for family in FAMILIES}
+    assert found["drift_deg"] <= 0.1
+
+
+def test_the_same_seed_finds_the_same() -> None:
+    def without_time(outcome: Outcome) -> dict[str, Any]:
+        return {key: value for key, value in as_json(outcome).items() if key != "spent_s"}
+
+    for name in ("round", "random", "times"):
+        assert without_time(tried(name, 6, seed=5)) == without_time(tried(name, 6, seed=5))
+        assert without_time(tried(name, 6, seed=5)) != without_time(tried(name, 6, seed=6))
+
+
+def test_families_take_turns_in_a_fixed_order_and_the_list_ends() -> None:
+    def family(name: str, full: int, cost_ms: float) -> Family:
+        return Family(name, "", full, cost_ms, lambda subject: lambda rng, seed, notes: None)
+
+    slow, quick_one = family("slow", 3, 10.0), family("quick", 40, 1.0)
+    order = [index for index, _ in schedule((slow, quick_one))]
+    assert order.count(0) == 3
+    assert order.count(1) == 40
+    assert 8 <= order[: order.index(0) + 1].count(1) <= 10
+    outcome = run((slow, quick_one), 0, 0.0)
+    assert [notes.tried for notes in outcome.notes] == [3, 40]
+    assert as_json(outcome)["share"] == 1.0
+
+
+def test_what_counts_as_confidently_wrong() -> None:
+    def counted(angle: float | None, sigma: float | None, truth: float | None, *, axial: bool = False) -> int:
+        notes = Notes("test")
+        notes.angle("x", angle, sigma, truth, axial=axial)
+        return notes.counts.total()
+
+    assert counted(10.0, 1.0, 0.0) == 1
+    assert counted(10.0, 2.1, 0.0) == 0
+    assert counted(2.9, 0.1, 0.0) == 0
+    assert counted(178.0, 0.1, 0.0, axial=True) == 0
+    assert counted(10.0, 3.0, None) == 1
+    assert counted(10.0, 3.4, None) == 0
+    assert counted(None, None, 0.0) == 0
+    assert counted(math.nan, 1.0, 0.0) == 1
+    assert counted(0.0, 0.0, 0.0) == 1
+    assert counted(0.0, None, 0.0) == 1
+
+
+def test_the_float64_references_read_the_drawn_axis() -> None:
+    for angle in (-80.0, -30.0, 0.0, 25.0, 70.0):
+        drawn = soft(ELONGATED["ellipse"], Pose(angle))
+        mask = (drawn > 0.5).astype(np.uint8)
+        assert abs(math.remainder(second_moments_deg(drawn) - angle, 180.0)) < 0.1
+        assert abs(math.remainder(fitted_ellipse_deg(mask) - angle, 180.0)) < 1.0
+
+
+def test_turned_pictures_and_axes_agree() -> None:
+    drawn = soft(ELONGATED["bar"], Pose(20.0, scale=0.8))
+    for which in range(8):
+        seen = second_moments_deg(np.asarray(turned(drawn, which), np.float32))
+        assert abs(math.remainder(seen - turned_axis_deg(20.0, which), 180.0)) < 0.1
+
+
+def test_there_are_masks_of_every_degenerate_kind() -> None:
+    import cv2
+
+    masks = degenerate()
+    assert masks["empty"].sum() == 0
+    assert masks["full"].all()
+    assert cv2.connectedComponents(masks["10,000 components"])[0] - 1 >= 10_000
+    assert all(mask.dtype == np.uint8 and mask.max() <= 1 for mask in masks.values())
+
+
+def test_the_command_prints_json_and_writes_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "stress"
+    assert cli(["stress", "--only", "noise", "--only", "fusion", "--seconds", "0.1", "--json", "--out", str(out)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {"tried", "share", "crashes", "nan", "confident_wrong", "worst", "drift_deg"} <= set(found)
+    assert found["drift_deg"] is None
+    assert (out / "error-against-noise.png").stat().st_size > 10_000
+    assert json.loads((out / "stress.json").read_text()) == found
+
+
+def test_the_command_prints_a_table_that_fits(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli(["stress", "--only", "seams", "--seconds", "0.01"]) == 0
+    shown = capsys.readouterr().out
+    assert "seams" in shown
+    assert "of the full list" in " ".join(shown.split())
+
+
+def test_what_is_found_wrong_is_exit_code_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("slipguard.lab.stress.run.Subject", lambda: Subject(fuse=broken_fuse("nan")))
+    assert cli(["stress", "--only", "fusion", "--seconds", "0.05"]) == 1
+    assert "again: slipguard stress --only fusion --seed" in " ".join(capsys.readouterr().out.split())
+
+
+def test_an_unknown_family_is_refused_with_the_list(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InputError, match="degenerate, random, equivariance"):
+        chosen(["nonsense"])
+    assert cli(["stress", "--only", "nonsense"]) == 2
+    assert "there are degenerate" in capsys.readouterr().err
