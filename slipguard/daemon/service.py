@@ -48,7 +48,7 @@ class Decision:
     """What one turn of the loop decided, for observers.
 
     new_estimates: by finger, those not yet decided on. latencies_s: of each of them, from the frame's being handed over
-    to the command's being handed to the gripper's task, or found needless.
+    until no command was found needed; empty where one was (see `Service.hold_observers`).
     """
 
     now_s: float
@@ -80,6 +80,8 @@ class Service:
         self.config = config
         self.store = store
         self.observers: list[Callable[[Decision], None]] = []
+        self.hold_observers: list[Callable[[float], None]] = []
+        """Called as a hold goes to the gripper, with the seconds since the frame that caused it was handed over."""
         self.deadlines_missed = 0
         self._guard = Guard()
         self.seen: Seen | None = None
@@ -180,16 +182,17 @@ class Service:
         before = self.phase
         self._guard, command = self._law(self._guard, seen, self.config.guard)
         self.seen = seen
-        self._issue(command)
-        done_s = asyncio.get_running_loop().time()
         news = self._news()
+        self._issue(command, max((one.handed_at_s for one in news.values()), default=now_s))
+        done_s = asyncio.get_running_loop().time()
+        found_needless = tuple(done_s - one.handed_at_s for one in news.values())
         decision = Decision(
             now_s,
             self.phase,
             seen,
             command,
             {name: one.estimate for name, one in news.items()},
-            tuple(done_s - one.handed_at_s for one in news.values()),
+            found_needless if command.hold_force_n is None else (),
         )
         self._tell(before, command, answer)
         for observer in self.observers:
@@ -238,14 +241,20 @@ class Service:
             self._decided_on[name] = newest
         return news
 
-    def _issue(self, command: Command) -> None:
+    def _issue(self, command: Command, handed_at_s: float) -> None:
         gripper, arm = self._gripper_device, self._arm_device
+
+        async def hold(force_n: float) -> None:
+            for observer in self.hold_observers:
+                observer(asyncio.get_running_loop().time() - handed_at_s)
+            await gripper.hold(force_n)
+
         if command.release_width_mm is not None:
             width_mm = command.release_width_mm
             self.gripper.command(lambda: gripper.release(width_mm))
         elif command.hold_force_n is not None:
             force_n = command.hold_force_n
-            self.gripper.command(lambda: gripper.hold(force_n))
+            self.gripper.command(lambda: hold(force_n))
         elif command.move_width_mm is not None and command.move_force_n is not None:
             move_mm, with_n = command.move_width_mm, command.move_force_n
             self.gripper.command(lambda: gripper.move(move_mm, with_n))

@@ -219,10 +219,12 @@ def _watched(
 
     timers: list[asyncio.Handle] = [loop.call_soon(sample_truth)]
     service.observers.append(decided)
+    service.hold_observers.append(record.latency_s.append)
     try:
         yield
     finally:
         timers[0].cancel()
+        service.hold_observers.remove(record.latency_s.append)
         service.observers.remove(decided)
 
 
