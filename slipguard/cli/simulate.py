@@ -86,13 +86,14 @@ def _announcement(settings: CampaignSettings) -> str:
 def _what_next(settings: CampaignSettings, out: Path | None) -> str:
     seed = f" --seed {settings.seed}" if settings.seed else ""
     if settings.guarded:
-        steps = [f"`slipguard --sim --no-guard{seed}` the same lifts without the guard"]
+        steps = [(f"slipguard --sim --no-guard{seed}", "the same lifts without the guard")]
     else:
-        steps = [f"`slipguard --sim{seed}` the same lifts with the guard"]
+        steps = [(f"slipguard --sim{seed}", "the same lifts with the guard")]
     if out is None:
-        steps.append("`--out DIR` a picture of every lift")
-    steps.append("`slipguard run --sim` the daemon, for `slipguard ctl`")
-    return "try next: " + "; ".join(steps)
+        steps.append((f"slipguard --sim --out sim/{seed}", "a picture of every lift"))
+    steps.append(("slipguard run --sim", "the daemon, for `slipguard ctl`"))
+    width = max(len(command) for command, _ in steps)
+    return "\n".join(["try next:", *(f"  {command:{width}}  {what}" for command, what in steps)])
 
 
 def _make_folder(path: Path) -> None:
