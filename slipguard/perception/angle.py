@@ -113,7 +113,7 @@ def _orientation(patch: Patch, name: str, axis: Axis | None, reason: str | None,
         reason = _CLIPPED if axis.aspect >= round_aspect else _ROUND
     if reason is not None:
         return Orientation(name, None, None, centre, reason)
-    outline_px = math.hypot(_OUTLINE_PX[name], axis.rough_px)
+    outline_px = math.hypot(_OUTLINE_PX[name], axis.rough_px, patch.ragged_px)
     sigma = axis.sigma_deg(outline_px * (1.0 + CUT_SIGMA * cut_share))
     return Orientation(name, axis.angle_deg, sigma, centre)
 

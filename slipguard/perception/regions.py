@@ -11,6 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.perception.outline import ragged_px
+
 MARGIN_PX = 5
 """Empty rim of a patch's crop (network pixels), so that blurs and gradients have room; less at the frame's edge."""
 COMPARABLE_SHARE = 0.30
@@ -47,6 +49,7 @@ class Patch:
     frame_px: frame pixels per network pixel.
     clipped: the sides of the frame that the patch touches.
     regions: how many separate regions it is made of.
+    ragged_px: how far its outline is off, judged by its raggedness, network pixels; 0 for most.
     """
 
     mask: NDArray[np.uint8]
@@ -57,6 +60,7 @@ class Patch:
     frame_px: float
     clipped: ClippedSides
     regions: int
+    ragged_px: float = 0.0
 
     @property
     def area_px(self) -> int:
@@ -152,4 +156,5 @@ def _cut(mask: NDArray[np.uint8], probability: NDArray[np.float32], frame_px: fl
         frame_px=frame_px,
         clipped=ClippedSides(x == 0, y == 0, x + w == width, y + h == height),
         regions=regions,
+        ragged_px=ragged_px(crop),
     )

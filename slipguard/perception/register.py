@@ -167,7 +167,8 @@ class Registrar:
         lever_px = max(math.sqrt(information / steepness2), 1e-3)
         misfit_px = residual / math.sqrt(steepness2 / max(float(weight.sum()), 1e-6))
         misfit_deg = math.degrees(misfit_px / lever_px)
-        sigma = math.hypot(math.degrees(OUTLINE_PX / lever_px), MISFIT_SHARE * misfit_deg)
+        own_px = math.hypot(OUTLINE_PX, self._patch.ragged_px)
+        sigma = math.hypot(math.degrees(own_px / lever_px), MISFIT_SHARE * misfit_deg)
         declined = None
         if float(weight.sum()) < OVERLAP_MIN * t.value.size:
             declined = _CLIPPED if self._cut else NOT_SAME

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from drawn_masks import drawn
+from drawn_masks import SHAPES, drawn
 from numpy.typing import NDArray
 from seen import estimate as said
 
@@ -16,6 +16,7 @@ from slipguard.lab.stress.light import SPOILS
 from slipguard.lab.stress.pictures import grasp
 from slipguard.perception.angle import estimate
 from slipguard.perception.gate import Gate, block_means, near_patch
+from slipguard.perception.outline import ragged_px
 from slipguard.perception.pipeline import UNLIKE, Pipeline
 from slipguard.perception.regions import find_patch
 from slipguard.perception.segment import Segmenter
@@ -146,3 +147,32 @@ def test_a_camera_with_another_light_tells_no_turn_and_takes_no_reference(what: 
     assert not pipeline.has_reference
     clean = [pipeline.process(Frame(image, (20 + k) / 60, 20 + k)) for k, image in enumerate(shown.frames)]
     assert clean[-1].angle_deg == pytest.approx(shown.turns_deg[-1], abs=3.0)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_outlines_of_objects_are_not_ragged(shape: str) -> None:
+    for angle in (0, 20, 65):
+        patch = find_patch(drawn(shape, angle, ragged_px=0.3), 0.5, 200, 2.0)
+        assert patch is not None
+        assert patch.ragged_px < 0.4
+
+
+@pytest.mark.parametrize("shape", ["bar", "rectangle", "ellipse"])
+def test_ragged_outlines_make_every_estimator_less_certain(shape: str) -> None:
+    for seed in range(4):
+        clean = find_patch(drawn(shape, 25.0), 0.5, 200, 2.0)
+        rough = find_patch(drawn(shape, 25.0, ragged_px=3.0, seed=seed), 0.5, 200, 2.0)
+        assert clean is not None
+        assert rough is not None
+        assert rough.ragged_px > 0.8
+        for name in ("moments", "pca", "ellipse"):
+            sure, unsure = estimate(clean, name).sigma_deg, estimate(rough, name).sigma_deg
+            assert sure is not None
+            assert unsure is None or unsure > 2.0 * sure
+
+
+def test_a_mask_in_many_pieces_is_ragged_all_over() -> None:
+    mask = np.zeros((160, 120), np.uint8)
+    mask[::4, ::4] = 1
+    assert ragged_px(mask) > 3.0
+    assert ragged_px(np.zeros((5, 5), np.uint8)) == 0.0
