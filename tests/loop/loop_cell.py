@@ -39,6 +39,7 @@ from slipguard_drivers.ur5.fake import FakeArm
 SIGMA_DEG = 0.4
 NOISE_MM = 0.03
 STABLE_FRAMES = 5
+SWING_DEG_S = 25.0
 ALPHA, BETA = 0.5, 0.15  # turn and rate gain of the tracker's filter
 Image = NDArray[np.uint8]
 
@@ -78,14 +79,24 @@ class FlatSensor(FakeSensor):
         super().__init__(FakeSensor.Settings(draw="inline"), context)
         self.pictures = Pictures(self._world)
         self._painter = self.pictures
+        self.opened = 0
+
+    async def open(self) -> None:
+        self.opened += 1
+        await super().open()
 
 
 class Oracle:
-    """A perceiver that knows the truth, with the noise, the reference and the declining of the real one."""
+    """A perceiver that knows the truth, with the noise, the reference and the declining of the real one.
+
+    always_touched: it sees contact where there is none. swings_since_s: it sees the object turn, though it rests.
+    """
 
     def __init__(self, pictures: Pictures, sign: float, rng: np.random.Generator, blind: str | None) -> None:
         self.pictures, self.sign, self.rng, self.blind = pictures, sign, rng, blind
         self.always_touched = False
+        self.swings_since_s: float | None = None
+        self.sequence = 0
         self.reset_reference()
 
     def reset_reference(self) -> None:
@@ -96,12 +107,15 @@ class Oracle:
 
     def process(self, frame: Frame) -> Estimate:
         truth, now_s = self.pictures.truth(frame.image), frame.captured_at_s
+        self.sequence = frame.sequence
         touched = truth.in_contact or self.always_touched
         plain = Estimate(frame.sequence, now_s, now_s, touched, 4000 * touched, "oracle")
         if not touched:
             self.stable = 0
             return replace(plain, skipped="no contact", declined="no contact")
         turn_deg = self.sign * truth.turn_deg + self.rng.normal(0.0, SIGMA_DEG)
+        if self.swings_since_s is not None:
+            turn_deg += self.sign * SWING_DEG_S * (now_s - self.swings_since_s)
         slide_mm = truth.slide_mm + self.rng.normal(0.0, NOISE_MM)
         self.stable += 1
         if self.reference is None:

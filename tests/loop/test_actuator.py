@@ -114,3 +114,24 @@ def test_a_time_out_is_trouble_and_a_refusal_is_an_event() -> None:
         assert events == ["motor: an object is held; release it first"]
 
     assert drive(scenario).opened == 1
+
+
+def test_a_command_from_before_the_device_was_lost_is_not_carried_out_after_it() -> None:
+    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
+        async def lift() -> None:
+            motor.done.append("lift")
+
+        async def lost_while_asked() -> int:
+            actuator.command(lift)
+            raise DeviceLost("motor: unplugged; plug it in")
+
+        await asyncio.sleep(0.1)
+        motor.state = lost_while_asked  # type: ignore[method-assign]
+        await asyncio.sleep(0.1)
+        assert actuator.health.state == "waiting"
+        actuator.command(lift)
+        del motor.state
+        await asyncio.sleep(1.0)
+        assert actuator.health.ready
+
+    assert drive(scenario).done == []

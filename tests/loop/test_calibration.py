@@ -11,6 +11,7 @@ from loop_cell import Cell, play
 
 from slipguard.daemon.calibration import FRAMES, NoContact, no_contact_of
 from slipguard.errors import CommandRefused, InputError
+from slipguard.grasp.messages import Request, RequestKind
 from slipguard.grasp.state import Phase
 
 
@@ -155,6 +156,19 @@ def test_nothing_may_close_while_it_goes_on() -> None:
         await cell.grasp()
 
     play(Cell(), scene)
+
+
+def test_nothing_is_stored_if_something_was_gripped_meanwhile() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        asked = asyncio.create_task(cell.controls.calibrate())
+        await asyncio.sleep(0.1)
+        await cell.service.request(Request(RequestKind.GRASP))
+        with pytest.raises(CommandRefused, match="cannot calibrate while"):
+            await asked
+        assert cell.store.kept == {}
+
+    play(uncalibrated(), scene)
 
 
 def test_a_damaged_image_is_a_reason_not_to_grasp() -> None:

@@ -146,24 +146,56 @@ def test_one_finger_gone_is_said_and_the_other_guards_on(finger: str, kind: str)
     assert len(cell.perceivers[finger]) == 1
 
 
+def swing(cell: Cell) -> None:
+    """From now on both fingers see the object turn."""
+    for made in cell.perceivers.values():
+        made[-1].swings_since_s = cell.now_s
+
+
+def test_an_object_seen_to_turn_is_gripped_tighter() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        told = len(cell.gripper.told)
+        swing(cell)
+        await asyncio.sleep(0.8)
+        assert len(cell.gripper.told) > told
+
+    play(Cell("wrench", 1), scene)
+
+
 @pytest.mark.parametrize("kind", sorted(STANDS))
 def test_no_force_is_added_while_the_arm_is_stopped_for_a_person(kind: str) -> None:
-    """The arm stops in the middle of a slip, when the law wants more force."""
-
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
         await cell.grasp()
-        await cell.controls.lift()
-        await cell.until(lambda: cell.service.state.slip is not None)
-        cell.world.faults.fail("arm", kind)
-        await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
         told = len(cell.gripper.told)
+        cell.world.faults.fail("arm", kind)
+        await asyncio.sleep(0.05)
+        swing(cell)
+        await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
         with pytest.raises(CommandRefused, match="protective or emergency stop"):
             await cell.controls.gripper(None, 120.0)
         await asyncio.sleep(2.0)
         assert cell.gripper.told[told:] == []
 
-    play(Cell("wrench", 1, guard=BRISK), scene)
+    play(Cell("wrench", 1), scene)
+
+
+@pytest.mark.parametrize("kind", ["frozen", "corrupt", "stall"])
+def test_a_sensor_that_gives_nothing_good_for_long_is_opened_again(kind: str) -> None:
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        await cell.ready()
+        cell.world.faults.fail("left", kind)
+        await asyncio.sleep(1.5)
+        assert cell.sensors["left"].opened == 1
+        await asyncio.sleep(2.0)
+        assert cell.sensors["left"].opened == 2
+        cell.world.faults.mend("left")
+        await cell.until(lambda: not cell.service.waiting_for, 1.0)
+        assert cell.sensors["right"].opened == 1
+
+    play(Cell(), scene)
 
 
 async def faulty(cell: Cell) -> None:

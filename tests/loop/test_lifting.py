@@ -76,6 +76,25 @@ def test_what_cannot_be_seen_turning_is_gripped_firmly_before_it_is_lifted() -> 
     play(Cell("ball", 1, guard=BRISK, blind=BLIND), scene)
 
 
+def test_it_is_not_lifted_before_the_firm_grip_is_there() -> None:
+    """Asked in the very tick in which the force is commanded, when the gripper's last word is still that it rests."""
+
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        await cell.controls.grasp()
+        await cell.until(lambda: cell.phase is Phase.REFERENCE)
+        holding = asyncio.Event()
+        cell.service.observers.append(lambda decision: decision.phase is Phase.HOLDING and holding.set())
+        await holding.wait()
+        with pytest.raises(CommandRefused, match="the grip is not yet firm"):
+            await cell.controls.lift()
+        await cell.until(cell.steady)
+        await cell.controls.lift()
+        assert cell.truth.force_n >= 85.0
+
+    play(Cell("ball", 1, guard=BRISK, blind=BLIND), scene)
+
+
 def test_what_cannot_be_seen_turning_is_not_lifted_where_that_is_refused() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()

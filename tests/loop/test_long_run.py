@@ -89,6 +89,22 @@ def test_the_newest_frame_wins_when_the_worker_is_slow() -> None:
     play(Cell(latency_s=0.05), scene)
 
 
+def test_an_answer_under_way_when_a_new_reference_is_asked_for_does_not_count() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        finger, oracle = cell.service.fingers["left"], cell.perceivers["left"][0]
+        await cell.until(lambda: finger.newest is not None and finger.newest.estimate.sequence < oracle.sequence)
+        under_way = oracle.sequence
+        finger.reset_reference()
+        assert finger.newest is None
+        await finger.answered.wait()
+        assert finger.newest is not None
+        assert finger.newest.estimate.sequence > under_way
+        assert finger.newest.estimate.angle_deg is None
+
+    play(Cell("wrench", 1, latency_s=0.03), scene)
+
+
 def test_a_blocked_loop_counts_what_it_missed_and_does_not_burst() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
