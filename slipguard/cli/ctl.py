@@ -129,8 +129,8 @@ def release(
 
     Example: `slipguard ctl release --yes`
     """
-    if not yes and not typer.confirm("Open the jaws? What is held drops.", err=True):
-        typer.echo("nothing was opened", err=True)
+    if not yes and not _sure("Open the jaws? What is held drops."):
+        typer.echo("nothing was opened; `slipguard ctl release --yes` does not ask", err=True)
         raise typer.Exit(1)
     _ask(socket, json, lambda client: client.release(width_mm))
 
@@ -157,6 +157,15 @@ def calibrate(
     Example: `slipguard ctl calibrate`
     """
     _ask(socket, json, lambda client: client.calibrate(force=force))
+
+
+def _sure(question: str) -> bool:
+    """A person's yes; anything else, the end of the input and Ctrl-C included, is a no."""
+    try:
+        return typer.confirm(question, err=True)
+    except typer.Abort:
+        typer.echo(err=True)
+        return False
 
 
 @contextmanager

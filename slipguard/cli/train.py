@@ -18,14 +18,15 @@ if TYPE_CHECKING:
 def train(
     out: Annotated[Path, typer.Option(help="The ONNX file to write.")] = Path("models/tsnn-small.onnx"),
     backgrounds: Annotated[
-        Path | None, typer.Option(help="Folder of real no-contact images (240x320); half of the frames use them.")
+        Path | None,
+        typer.Option(help="Folder of real no-contact images (240x320); half of the imprints are put on them."),
     ] = None,
     validate: Annotated[
         Path | None, typer.Option(help="Folder of labelled real frames to report on after every epoch.")
     ] = None,
     frames: Annotated[int, typer.Option(min=64, help="Rendered training frames.")] = 16000,
     validation_frames: Annotated[int, typer.Option(min=10, help="Rendered validation frames.")] = 400,
-    epochs: Annotated[int, typer.Option(min=1, help="Passes over the frames.")] = 8,
+    epochs: Annotated[int, typer.Option(min=0, help="Passes over the frames.")] = 8,
     blind_epochs: Annotated[
         int, typer.Option(min=0, help="Further passes with half of the no-contact images unknown.")
     ] = 3,
@@ -36,6 +37,9 @@ def train(
         float, typer.Option(min=0.05, max=0.95, help="Probability from which a pixel counts as contact.")
     ] = 0.5,
     threads: Annotated[int, typer.Option(min=1, help="Threads torch may use.")] = 2,
+    start: Annotated[
+        Path | None, typer.Option(help="Begin with the weights.pt that an earlier training left in its work folder.")
+    ] = None,
     work: Annotated[
         Path, typer.Option(help="Folder for rendered frames and the checkpoint; a stopped run goes on from there.")
     ] = Path("build/train"),
@@ -69,6 +73,8 @@ def train(
     console = Console()
     real = [frame for frame in real_frames(validate) if frame.split == "tune"] if validate else []
     no_contact = backgrounds_in(backgrounds) if backgrounds else None
+    if start is not None and not start.is_file():
+        raise InputError(f"{start}: no such file; name the weights.pt of an earlier training's work folder")
     settings = TrainSettings(epochs, blind_epochs, batch, rate, seed, threads, threshold)
     work.mkdir(parents=True, exist_ok=True)
     columns = (
@@ -82,14 +88,11 @@ def train(
         drawing = progress.add_task("rendering", total=frames)
         checking = progress.add_task("rendering for validation", total=validation_frames)
         training = progress.add_task("training", total=None)
-        shown = rendered_frames(
-            work, seed * frames, frames, no_contact, lambda done: progress.update(drawing, completed=done)
-        )
+        shown = rendered_frames(work, seed * frames, frames, lambda done: progress.update(drawing, completed=done))
         held_out = rendered_frames(
             work,
             VALIDATION_SEED,
             validation_frames,
-            no_contact,
             lambda done: progress.update(checking, completed=done),
         )
 
@@ -108,11 +111,15 @@ def train(
             work,
             lambda done, total: progress.update(training, completed=done, total=total),
             on_epoch,
+            no_contact,
+            start,
         )
     command = (
         f"slipguard train --frames {frames} --epochs {epochs} --blind-epochs {blind_epochs} "
         f"--seed {seed} --batch {batch} --rate {rate:g}"
     )
+    if start:
+        command += " --start weights.pt"
     if no_contact:
         command += f" --backgrounds ({len(no_contact)} images)"
     metadata = contract_metadata(command, seed, threshold)

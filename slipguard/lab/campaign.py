@@ -199,6 +199,7 @@ def _watched(
         live.true_turn_deg, live.force_n = truth.turn_deg, truth.force_n
 
     def decided(decision: Decision) -> None:
+        live.phase = decision.phase.value
         if decision.phase not in GRIPPED or loop.time() > record.ended_at_s:
             live.turn_deg = live.sigma_deg = None
             return
@@ -212,7 +213,6 @@ def _watched(
             live.turn_deg, live.sigma_deg = fused.turn_deg, fused.sigma_deg
         else:
             live.turn_deg = live.sigma_deg = None
-        live.phase = decision.phase.value
         if decision.latencies_s:
             live.latency_ms = 1e3 * decision.latencies_s[-1]
         show(live)

@@ -68,6 +68,10 @@ async def test_a_release_is_asked_for_twice(control: FakeControl, tmp_path: Path
     code, _ = await ctl(control, tmp_path, "release", typed="n\n")
     assert code == 1
     assert control.asked == []
+    code, output = await ctl(control, tmp_path, "release", typed="")
+    assert code == 1
+    assert "nothing was opened" in output
+    assert control.asked == []
     code, _ = await ctl(control, tmp_path, "release", typed="y\n")
     assert code == 0
     assert control.asked == [("release", None)]
