@@ -24,10 +24,10 @@ log = structlog.get_logger()
 async def run_on_stage(config: Config) -> None:
     """Run the daemon on a fresh world until it is stopped."""
     world = World(seed=0)
-    log.info("try in another terminal: slipguard ctl calibrate, then grasp, state, lift, lower, release")
 
     async def stagehand(service: Service) -> None:
         """After each release, take the object away and bring the next."""
+        log.info("try in another terminal: slipguard ctl calibrate, then grasp, state, lift, lower, release")
         loop = asyncio.get_running_loop()
         touched = True
         for number, name in enumerate(cycle(names("test"))):
