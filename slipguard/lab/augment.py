@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from slipguard.lab.disturbances import drift, patterns, structure
@@ -18,6 +21,7 @@ LIGHT_LEVELS = (5.0, 2.5, 2.5, 1.5, 1.5, 1.5)
 BACKGROUND_NOISE_LEVELS = 1.2
 """What is left of camera noise in a no-contact image at network resolution when a single frame was stored."""
 NOISE_POOL = 64
+REAL_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +40,17 @@ class Augment:
     Contrast of the imprint, gain and offset per channel, structure of the unit in both images (slightly moved in the
     frame), drift of many kinds in the frame alone, noise in the no-contact image, mirror images; and for a share
     `unknown` of the samples the no-contact image is replaced by the guess that use without one would make.
+    backgrounds: real no-contact images (320, 240, 3) on which half of the imprints are put.
     """
 
-    def __init__(self, seed: int, pool: int = 800, unknown: float = 0.25, contrast_max: float = 1.5) -> None:
+    def __init__(
+        self,
+        seed: int,
+        pool: int = 800,
+        unknown: float = 0.25,
+        contrast_max: float = 1.5,
+        backgrounds: list[NDArray[np.uint8]] | None = None,
+    ) -> None:
         self._rng = torch.Generator().manual_seed(seed)
         self._structure = torch.from_numpy(patterns(structure, pool, seed))
         self._drift = torch.from_numpy(patterns(drift, pool, seed + 1))
@@ -46,6 +58,8 @@ class Augment:
         self._noise = noise.half()
         self._unknown = unknown
         self._contrast_max = contrast_max
+        size = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX)
+        self._backgrounds = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in backgrounds or []]
         y, x = torch.meshgrid(
             torch.linspace(-1, 1, INPUT_HEIGHT_PX), torch.linspace(-1, 1, INPUT_WIDTH_PX), indexing="ij"
         )
@@ -56,7 +70,9 @@ class Augment:
         """frame, background: (N, 160, 120, 3) uint8; label: (N, 160, 120) uint8, 255 is contact."""
         count = len(frame)
         unit = background.float()
-        seen = unit + (frame.float() - unit) * self._between(count, 0.6, self._contrast_max)
+        change = (frame.float() - unit) * self._between(count, 0.6, self._contrast_max)
+        unit = self._on_real(unit)
+        seen = unit + change
         seen, unit = self._structured(seen, unit)
         gain = self._between(count, 0.8, 1.25) * self._between(count, 0.85, 1.15, channels=3)
         offset = self._between(count, -12.0, 12.0)
@@ -71,6 +87,27 @@ class Augment:
         for index in torch.nonzero(known == 0).flatten().tolist():
             reference[index] = torch.from_numpy(guess_background(shown[index].numpy()))
         return Batch(shown, reference, known, label[:, None].float() / 255.0)
+
+    def _on_real(self, unit: Tensor) -> Tensor:
+        """Half of the units given the look of a real one: one of the real images, or two mixed, warped."""
+        if not self._backgrounds:
+            return unit
+        out = unit.clone()
+        for index in torch.nonzero(torch.rand(len(unit), generator=self._rng) < REAL_SHARE).flatten().tolist():
+            weight = 1.0 if self._coin(0.5) else float(torch.rand((), generator=self._rng))
+            out[index] = weight * self._warped_real() + (1.0 - weight) * self._warped_real()
+        return out
+
+    def _warped_real(self) -> Tensor:
+        """A real no-contact image turned by up to 15 degrees, enlarged, shifted, perhaps mirrored."""
+        which, turn, scale, right, down, mirror = torch.rand(6, generator=self._rng).tolist()
+        image = self._backgrounds[int(which * len(self._backgrounds))]
+        centre = (INPUT_WIDTH_PX / 2, INPUT_HEIGHT_PX / 2)
+        matrix = cv2.getRotationMatrix2D(centre, 30.0 * turn - 15.0, 1.0 + 0.4 * scale)
+        matrix[:, 2] += (20.0 * right - 10.0, 20.0 * down - 10.0)
+        size = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX)
+        warped = cv2.warpAffine(image, matrix, size, borderMode=cv2.BORDER_REFLECT)
+        return torch.from_numpy(warped[:, ::-1].copy() if mirror < 0.3 else warped).float()
 
     def _structured(self, seen: Tensor, unit: Tensor) -> tuple[Tensor, Tensor]:
         count = len(seen)

@@ -38,15 +38,13 @@ def rendered_frames(
     work: Path,
     first_seed: int,
     count: int,
-    backgrounds: list[NDArray[np.uint8]] | None,
     progress: Callable[[int], None],
 ) -> RenderedFrames:
     """Frames `first_seed` to `first_seed + count`, from the cache in `work` as far as they are there.
 
-    backgrounds: real no-contact images (320, 240, 3) that half of the frames are drawn on, or None for procedural ones
-    alone. `progress` is called with the number of frames ready. What was drawn before an interruption is kept.
+    `progress` is called with the number of frames ready. What was drawn before an interruption is kept.
     """
-    folder = work / f"frames-{_key(first_seed, count, backgrounds)}"
+    folder = work / f"frames-{_key(first_seed, count)}"
     folder.mkdir(parents=True, exist_ok=True)
     note = folder / "ready.json"
     ready = json.loads(note.read_text())["ready"] if note.is_file() else 0
@@ -59,7 +57,7 @@ def rendered_frames(
     while ready < count:
         upto = min(ready + CHUNK, count)
         for index in range(ready, upto):
-            drawn = sample(first_seed + index, backgrounds)
+            drawn = sample(first_seed + index)
             frame[index] = _halved(drawn.image)
             background[index] = _halved(drawn.background)
             labels[index] = _halved(label(drawn.truth) * np.uint8(255))
@@ -71,11 +69,8 @@ def rendered_frames(
     return RenderedFrames(frame, background, labels)
 
 
-def _key(first_seed: int, count: int, backgrounds: list[NDArray[np.uint8]] | None) -> str:
-    digest = hashlib.sha256(f"{first_seed} {count} {LABEL_NAME}".encode())
-    for image in backgrounds or []:
-        digest.update(image.tobytes())
-    return digest.hexdigest()[:12]
+def _key(first_seed: int, count: int) -> str:
+    return hashlib.sha256(f"{first_seed} {count} {LABEL_NAME}".encode()).hexdigest()[:12]
 
 
 def _array(path: Path, mode: Any, shape: tuple[int, ...]) -> np.memmap[Any, np.dtype[np.uint8]]:

@@ -27,6 +27,8 @@ from slipguard.perception.segment import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
 WARM_UP_SHARE = 0.05
 EMA_HALF_LIFE_EPOCHS = 0.25
 DICE_SMOOTHING_PX = 20.0
+WEIGHTS = "weights.pt"
+"""In the work folder: the finished network's weights, which a later training may start from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,12 +102,15 @@ def train(
     work: Path,
     on_step: Callable[[int, int], None],
     on_epoch: Callable[[EpochFigures, SmallNet], None],
+    backgrounds: list[NDArray[np.uint8]] | None = None,
+    start: Path | None = None,
 ) -> SmallNet:
     """Train and return the averaged network; picks up after the last whole epoch found in `work`.
 
     Adam, linear warm-up and cosine decay in each phase; the result is an exponential average. `on_step(done,
     total)` counts batches, `on_epoch` gets the figures and the average so far. Raises `InputError` for fewer frames
-    than one batch.
+    than one batch. backgrounds: real no-contact images (320, 240, 3) that half of the imprints are put on;
+    start: weights to begin with instead of random ones.
     """
     steps_per_epoch = len(frames) // settings.batch
     if steps_per_epoch < 1:
@@ -113,6 +118,8 @@ def train(
     torch.set_num_threads(settings.threads)
     torch.manual_seed(settings.seed)
     net = SmallNet()
+    if start is not None:
+        net.load_state_dict(torch.load(start, weights_only=True))
     average = copy.deepcopy(net)
     total = (settings.epochs + settings.blind_epochs) * steps_per_epoch
     for phase in phases(settings):
@@ -124,7 +131,7 @@ def train(
         keep = 0.5 ** (1.0 / max(EMA_HALF_LIFE_EPOCHS * steps_per_epoch, 1.0))
         for epoch in range(phase.first_epoch + done_epochs, phase.first_epoch + phase.epochs):
             augment = Augment(
-                settings.seed + 1000 * (epoch + 1), unknown=phase.unknown, contrast_max=phase.contrast_max
+                settings.seed + 1000 * (epoch + 1), settings.patterns, phase.unknown, phase.contrast_max, backgrounds
             )
             order = np.random.default_rng([settings.seed, epoch]).permutation(len(frames))
             net.train()
@@ -149,6 +156,7 @@ def train(
                 {"settings": asdict(settings), "frames": len(frames), "epoch": done_epochs, "state": state}, checkpoint
             )
         net.load_state_dict(average.state_dict())
+    torch.save(average.state_dict(), work / WEIGHTS)
     return average.eval()
 
 

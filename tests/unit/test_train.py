@@ -51,6 +51,7 @@ def test_a_stopped_training_goes_on_and_its_export_keeps_the_contract(tmp_path: 
     whole.mkdir()
     parts.mkdir()
     at_once = train(frames, frames, settings, whole, nothing, nothing)
+    assert (whole / "weights.pt").is_file()
     with pytest.raises(Stopped):
         train(frames, frames, settings, parts, nothing, stop)
     epochs: list[int] = []
@@ -72,13 +73,13 @@ def test_rendered_frames_come_from_the_cache_the_second_time(tmp_path: Path, mon
     drawn: list[int] = []
     original = frame_cache.sample
 
-    def counted(seed: int, backgrounds: object) -> object:
+    def counted(seed: int) -> object:
         drawn.append(seed)
-        return original(seed, None)
+        return original(seed)
 
     monkeypatch.setattr(frame_cache, "sample", counted)
-    first = frame_cache.rendered_frames(tmp_path, 5, 4, None, lambda ready: None)
-    again = frame_cache.rendered_frames(tmp_path, 5, 4, None, lambda ready: None)
+    first = frame_cache.rendered_frames(tmp_path, 5, 4, lambda ready: None)
+    again = frame_cache.rendered_frames(tmp_path, 5, 4, lambda ready: None)
     assert drawn == [5, 6, 7, 8]
     np.testing.assert_array_equal(first.frame, again.frame)
     assert set(np.unique(first.label)) <= set(range(256))
