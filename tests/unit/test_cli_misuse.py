@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 
 import pytest
 from command_line import slipguard
 
+from slipguard.daemon import root
+from slipguard.errors import ConfigError
 from slipguard.perception.segment import default_model_path
 
 WRONG = {
@@ -144,3 +147,33 @@ def test_what_the_disk_refuses_is_one_line(capfd: pytest.CaptureFixture[str], tm
     (tmp_path / "file").write_text("")
     ran = slipguard(capfd, "train", "--frames", "64", "--work", tmp_path / "file")
     assert ran.complaint
+
+
+def fails_with(error: BaseException) -> Callable[..., Coroutine[None, None, None]]:
+    async def run(*words: object, **options: object) -> None:
+        raise error
+
+    return run
+
+
+def test_what_a_task_of_the_daemon_fails_with_is_one_line(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inner = ExceptionGroup("tasks", [ConfigError("api.socket = x: cannot be made")])
+    monkeypatch.setattr(root, "run", fails_with(ExceptionGroup("daemon", [inner])))
+    ran = slipguard(capfd, "run", "--sim")
+    assert ran.complaint == "api.socket = x: cannot be made"
+    assert ran.code == 2
+    monkeypatch.setattr(root, "run", fails_with(OSError(28, "No space left on device", "/state/x")))
+    ran = slipguard(capfd, "run", "--sim")
+    assert ran.complaint == "/state/x: No space left on device"
+    assert ran.code == 1
+
+
+def test_a_mistake_of_the_program_is_not_hidden(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    both = ExceptionGroup("daemon", [ConfigError("x"), ValueError("a mistake")])
+    monkeypatch.setattr(root, "run", fails_with(both))
+    with pytest.raises(ExceptionGroup):
+        slipguard(capfd, "run", "--sim")
