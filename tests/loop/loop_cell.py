@@ -1,8 +1,6 @@
 """A whole cell on the virtual clock: the real service, law, fakes and world; the pictures alone are stood in for.
 
-The sensor delivers on the fake's own schedule, with its latency, losses, repetitions and faults, but paints one flat
-colour: a number under which the truth at the moment of exposure is kept. The perceiver looks the truth up and adds
-seeded noise. So a lift of eight seconds takes a fraction of one.
+So a lift of eight seconds takes a fraction of one.
 """
 
 from __future__ import annotations
@@ -14,191 +12,20 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from loop_doubles import FlatSensor, LoggedArm, LoggedGripper, Memory, Oracle, Shelf
 
 from slipguard.config import Config, parse_config
-from slipguard.daemon.calibration import NoContact
 from slipguard.daemon.controls import Controls
 from slipguard.daemon.service import FINGERS, Decision, Law, Service
 from slipguard.daemon.virtual_time import run_virtual
-from slipguard.daemon.worker import StatedLatencyWorker, ThreadWorker, Worker
-from slipguard.devices import DriverContext, Frame
+from slipguard.daemon.worker import ThreadWorker, Worker
+from slipguard.devices import DriverContext
 from slipguard.grasp.guard import tick
 from slipguard.grasp.state import Phase
-from slipguard.perception.estimate import Estimate
 from slipguard.sim import objects
 from slipguard.sim.cell import Truth
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World, WorldSettings
-from slipguard_drivers.digit.draw_worker import Shot
-from slipguard_drivers.digit.fake import FakeSensor
-from slipguard_drivers.digit.stream import SHAPE
-from slipguard_drivers.robotiq.fake import FakeGripper
-from slipguard_drivers.ur5.fake import FakeArm
-
-SIGMA_DEG = 0.4
-NOISE_MM = 0.03
-STABLE_FRAMES = 5
-SWING_DEG_S = 25.0
-ALPHA, BETA = 0.5, 0.15  # turn and rate gain of the tracker's filter
-Image = NDArray[np.uint8]
-
-
-@dataclass
-class Pictures:
-    """Truths by the number that a flat picture shows."""
-
-    world: World
-    count: int = 0
-    shown: dict[int, Truth] = field(default_factory=dict)
-    flickers: bool = False
-
-    async def start(self) -> None:
-        """Nothing to get ready."""
-
-    def paint(self, shot: Shot, done: Callable[[Image], None]) -> bool:
-        self.count += 1
-        self.shown[self.count] = self.world.truth(asyncio.get_running_loop().time())
-        self.shown.pop(self.count - 100, None)
-        row = np.full(SHAPE[1:], 60 * (self.count % 2) if self.flickers else 0, np.uint8)
-        row[0] = tuple(self.count.to_bytes(3, "little"))
-        done(np.broadcast_to(row, SHAPE))
-        return True
-
-    def truth(self, image: Image) -> Truth:
-        return self.shown[int.from_bytes(image[0, 0].tobytes(), "little")]
-
-    def stop(self) -> None:
-        """Nothing to let go of."""
-
-
-class FlatSensor(FakeSensor):
-    """The fake sensor with pictures that cost nothing."""
-
-    def __init__(self, context: DriverContext) -> None:
-        super().__init__(FakeSensor.Settings(draw="inline"), context)
-        self.pictures = Pictures(self._world)
-        self._painter = self.pictures
-        self.opened = 0
-
-    async def open(self) -> None:
-        self.opened += 1
-        await super().open()
-
-
-class Oracle:
-    """A perceiver that knows the truth, with the noise, the reference and the declining of the real one.
-
-    always_touched: it sees contact where there is none. swings_since_s: it sees the object turn, though it rests.
-    """
-
-    def __init__(self, pictures: Pictures, sign: float, rng: np.random.Generator, blind: str | None) -> None:
-        self.pictures, self.sign, self.rng, self.blind = pictures, sign, rng, blind
-        self.always_touched = False
-        self.swings_since_s: float | None = None
-        self.sequence = 0
-        self.reset_reference()
-
-    def reset_reference(self) -> None:
-        self.stable = 0
-        self.reference: tuple[float, float] | None = None
-        self.track = (0.0, 0.0)
-        self.tracked_s = 0.0
-
-    def process(self, frame: Frame) -> Estimate:
-        truth, now_s = self.pictures.truth(frame.image), frame.captured_at_s
-        self.sequence = frame.sequence
-        touched = truth.in_contact or self.always_touched
-        plain = Estimate(frame.sequence, now_s, now_s, touched, 4000 * touched, "oracle")
-        if not touched:
-            self.stable = 0
-            return replace(plain, skipped="no contact", declined="no contact")
-        turn_deg = self.sign * truth.turn_deg + self.rng.normal(0.0, SIGMA_DEG)
-        if self.swings_since_s is not None:
-            turn_deg += self.sign * SWING_DEG_S * (now_s - self.swings_since_s)
-        slide_mm = truth.slide_mm + self.rng.normal(0.0, NOISE_MM)
-        self.stable += 1
-        if self.reference is None:
-            if self.stable < STABLE_FRAMES:
-                return replace(plain, declined="no reference yet")
-            self.reference, self.tracked_s = (turn_deg, slide_mm), now_s
-        shift_mm = (0.0, self.reference[1] - slide_mm)
-        if self.blind is not None:
-            return replace(plain, shift_mm=shift_mm, declined=self.blind)
-        turn_deg -= self.reference[0]
-        passed_s = max(now_s - self.tracked_s, 1e-3)
-        value, rate = self.track[0] + self.track[1] * passed_s, self.track[1]
-        self.track = (value + ALPHA * (turn_deg - value), rate + BETA * (turn_deg - value) / passed_s)
-        self.tracked_s = now_s
-        return replace(
-            plain, angle_deg=turn_deg, sigma_deg=SIGMA_DEG, orientation_deg=0.0,
-            rate_deg_s=self.track[1], shift_mm=shift_mm,
-        )  # fmt: skip
-
-
-class LoggedGripper(FakeGripper):
-    """The fake gripper, and what it was told and when. A `failure` is raised by the next commands instead."""
-
-    def __init__(self, context: DriverContext) -> None:
-        super().__init__(FakeGripper.Settings(), context)
-        self.told: list[tuple[float, str, float]] = []
-        self.failures: list[Exception] = []
-
-    async def hold(self, force_n: float) -> float:
-        self._note("hold", force_n)
-        return await super().hold(force_n)
-
-    async def move(self, width_mm: float, force_n: float) -> float:
-        self._note("move", width_mm)
-        return await super().move(width_mm, force_n)
-
-    async def release(self, width_mm: float) -> None:
-        self._note("release", width_mm)
-        await super().release(width_mm)
-
-    def _note(self, what: str, value: float) -> None:
-        self.told.append((asyncio.get_running_loop().time(), what, value))
-        if self.failures:
-            raise self.failures.pop(0)
-
-
-class LoggedArm(FakeArm):
-    """The fake arm, and what it was told and when."""
-
-    def __init__(self, context: DriverContext) -> None:
-        super().__init__(FakeArm.Settings(), context)
-        self.told: list[tuple[float, str, float]] = []
-
-    async def lift(self, height_mm: float, speed_mm_s: float) -> float:
-        self.told.append((asyncio.get_running_loop().time(), "lift", height_mm))
-        return await super().lift(height_mm, speed_mm_s)
-
-    async def stop(self) -> None:
-        self.told.append((asyncio.get_running_loop().time(), "stop", 0.0))
-        await super().stop()
-
-
-class Memory:
-    """A store of no-contact images that forgets with the process."""
-
-    def __init__(self, *serials: str) -> None:
-        blank = np.zeros(SHAPE, np.uint8)
-        self.kept = {serial: NoContact(blank, (2.0, 2.0, 2.0), 30) for serial in serials}
-
-    def load_no_contact(self, serial: str) -> NoContact | None:
-        return self.kept.get(serial)
-
-    def save_no_contact(self, serial: str, taken: NoContact) -> None:
-        self.kept[serial] = taken
-
-
-class Shelf(StatedLatencyWorker):
-    """A worker of stated latency that knows whether it was closed."""
-
-    closed = False
-
-    def close(self) -> None:
-        self.closed = True
 
 
 @dataclass
