@@ -154,3 +154,33 @@ def test_a_second_daemon_is_refused_and_a_killed_one_leaves_nothing_in_the_way(t
     assert third.returncode == 0
     assert "slipguard stops; the grip stays as it is" in err
     assert not socket.exists()
+
+
+INTERRUPTS_ITSELF = "import os, signal; os.kill(os.getpid(), signal.SIGINT); sum(range(100))"
+SWALLOWED = f"""
+import slipguard.cli.app
+def run():
+    try:
+        {INTERRUPTS_ITSELF}
+    except KeyboardInterrupt:
+        raise ValueError("what a library made of it") from None
+slipguard.cli.app.run = run
+"""
+
+
+@pytest.mark.parametrize("kind", ["while importing", "turned into another error"])
+def test_what_libraries_make_of_a_ctrl_c_is_not_shown(kind: str, tmp_path: Path) -> None:
+    (tmp_path / "numpy.py").write_text(INTERRUPTS_ITSELF)
+    before = SWALLOWED if kind == "turned into another error" else "import sys; sys.path.insert(0, '.')"
+    command = [sys.executable, "-c", f"{before}\nfrom slipguard.cli import main\nmain()", "check"]
+    (tmp_path / "config.toml").write_text("")
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert (done.stdout, done.stderr) == ("", "slipguard: interrupted\n")
+
+
+def test_a_mistake_without_a_ctrl_c_is_not_hidden(tmp_path: Path) -> None:
+    before = SWALLOWED.replace("os.kill(os.getpid(), signal.SIGINT)", "raise KeyError")
+    command = [sys.executable, "-c", f"{before}\nfrom slipguard.cli import main\nmain()"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "KeyError" in done.stderr
