@@ -34,8 +34,12 @@ _UNCHANGED_PEAK = 4.6
 _UNLIKE_LEVELS = 8.0
 """Away from the contact a frame differs from the no-contact image, but for an even change of light, by 1-3 grey levels
 on average, by 4.3 in the worst of real lighting drifts; swapped colours and a failing lamp give 9 and more."""
-_OUTSIDE_MIN = 180
-"""Fewer blocks than this outside the contact (a seventh of the frame) show neither its outline nor the light."""
+_OUTSIDE_MIN = 120
+"""Fewer blocks than this outside the contact (a tenth of the frame) show neither its outline nor the light."""
+
+_CLEAR_SQUARE = 30.0
+"""Least mean square contrast of a contact, in units of the noise: where it is less (a picture almost dark) a turn of
+several degrees drowns in the noise. Light contacts in good light have 50 and more, most have 1000."""
 
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
@@ -135,6 +139,13 @@ class Gate:
         difference = (blocks - self._background)[outside]
         difference -= difference.mean(axis=0)
         return bool(np.abs(difference).mean() < _UNLIKE_LEVELS)
+
+    def clear(self, blocks: Blocks, near_patch: NDArray[np.bool_]) -> bool:
+        """Whether a contact stands out so clearly that an `unchanged` picture of it shows an unchanged turn."""
+        seen = blocks[near_patch]
+        under = seen.mean(axis=0) if self._background is None else self._background[near_patch]
+        contrast = (seen - under) * self._per_std
+        return bool(np.vdot(contrast, contrast) > _CLEAR_SQUARE * len(seen))
 
 
 def near_patch(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:

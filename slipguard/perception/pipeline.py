@@ -157,7 +157,7 @@ class Pipeline:
             stage_ms=clock.stage_ms,
         )
         clock.mark("track")
-        self._measured = (blocks, near, answer)
+        self._measured = (blocks, near, answer) if self._gate.clear(blocks, near) else None
         return answer
 
     def _unlike(self, frame: Frame, patch: Patch, clock: StageClock) -> Estimate:

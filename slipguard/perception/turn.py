@@ -20,6 +20,8 @@ from slipguard.perception.track import Tracker, Turn, axis_turn, checked, pooled
 STABLE_FRAMES = 5
 STABLE_SHARE = 0.05
 """The contact area is stable when the last five frames differ by less than this share of it."""
+MISFIT_SIGMAS = 1.5
+"""An axis whose outline is not the reference's any more is off by so many times the turn that fits the misfit."""
 NO_REFERENCE = "no reference yet"
 UNSURE = "too uncertain"
 
@@ -69,7 +71,7 @@ class TurnMeter:
             registered = Turn(None, None, laid.declined)
             if laid.declined == NOT_SAME and turn.turn_deg is not None and turn.sigma_deg is not None:
                 # An outline that has become another one has moved its axis too.
-                turn = Turn(turn.turn_deg, math.hypot(turn.sigma_deg, laid.misfit_deg))
+                turn = Turn(turn.turn_deg, math.hypot(turn.sigma_deg, MISFIT_SIGMAS * laid.misfit_deg))
             if laid.declined is None:
                 self._pose = laid.pose
                 registered = Turn(laid.pose.turn_deg, laid.sigma_deg)

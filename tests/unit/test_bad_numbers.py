@@ -135,6 +135,25 @@ def test_light_may_drift_but_the_picture_must_be_the_units_own() -> None:
     assert not gate.fits(block_means(other), near)
 
 
+def test_nothing_is_unchanged_in_the_dark() -> None:
+    near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
+    for background in (whole_frame(), None):
+        gate = Gate(background)
+        faint, strong = whole_frame(), whole_frame()
+        faint[140:180:4, 100:140] += np.uint8(4)
+        strong[140:180, 100:140] += np.uint8(60)
+        assert not gate.clear(block_means(faint), near)
+        assert gate.clear(block_means(strong), near)
+
+
+def test_a_turn_in_an_almost_dark_picture_is_measured_not_skipped() -> None:
+    shown = grasp(0)
+    dark = [np.asarray(image // 16, np.uint8) for image in shown.frames]
+    pipeline = Pipeline(Segmenter(), PerceptionSettings(), np.asarray(shown.background // 16, np.uint8), None, 18.5)
+    answers = [pipeline.process(Frame(image, k / 60, k)) for k, image in enumerate(dark)]
+    assert not [one for one in answers if one.contact and one.skipped]
+
+
 @pytest.mark.parametrize(("what", "strength"), [("swapped colours", 1.0), ("negative", 0.5), ("crushed", 0.5)])
 def test_a_camera_with_another_light_tells_no_turn_and_takes_no_reference(what: str, strength: float) -> None:
     shown = grasp(0)
