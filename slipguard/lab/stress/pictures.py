@@ -128,5 +128,5 @@ def _look_at_nonsense(
             notes.angle("pipeline, no picture", answer.angle_deg, answer.sigma_deg, None, axial=False)
 
 
-PICTURES = Family("pictures", "extreme light, hot pixels, saturated frames, swapped colours, nonsense", 10_000, 60.0,
+PICTURES = Family("pictures", "extreme light, hot pixels, saturated frames, swapped colours, nonsense", 10_000, 110.0,
                   _begin)  # fmt: skip
