@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from slipguard.devices import Frame
 from slipguard.lab.lift_record import PICTURE_SIGN, Measured
 from slipguard.perception.angle import ESTIMATORS, estimate
-from slipguard.perception.axial import axial_difference_deg
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.regions import Patch
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.track import axis_turn
+
+SIGMA_MAX_DEG = PerceptionSettings().sigma_max_deg
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +49,8 @@ class PatchKeeper:
 def turns_by_estimator(seen: list[SeenPatch], from_s: float, to_s: float) -> dict[str, list[list[Measured]]]:
     """Per estimator and finger, the turn since its first patch in the span, in the left picture's sign, unwrapped.
 
-    Where an estimator declines, there is no entry.
+    As in the pipeline: where an estimator declines, or is less certain than `sigma_max_deg`, there is no entry, and one
+    that cannot read the reference says nothing at all.
     """
     patches = {
         finger: [one for one in seen if one.finger == finger and from_s <= one.captured_at_s <= to_s]
@@ -56,14 +60,20 @@ def turns_by_estimator(seen: list[SeenPatch], from_s: float, to_s: float) -> dic
 
 
 def _turns(seen: list[SeenPatch], name: str, sign: float) -> list[Measured]:
+    if not seen:
+        return []
+    reference = estimate(seen[0].patch, name)
+    if reference.angle_deg is None or reference.sigma_deg is None:
+        return []
     turns: list[Measured] = []
-    turn_deg, last_deg = 0.0, None
+    near_deg = 0.0
     for one in seen:
         now = estimate(one.patch, name)
         if now.angle_deg is None or now.sigma_deg is None:
             continue
-        if last_deg is not None:
-            turn_deg += axial_difference_deg(now.angle_deg, last_deg)
-        last_deg = now.angle_deg
-        turns.append(Measured(one.captured_at_s, sign * turn_deg, now.sigma_deg))
+        turn = axis_turn(now.angle_deg, now.sigma_deg, reference.angle_deg, reference.sigma_deg, near_deg)
+        if turn.turn_deg is None or turn.sigma_deg is None or turn.sigma_deg > SIGMA_MAX_DEG:
+            continue
+        near_deg = turn.turn_deg
+        turns.append(Measured(one.captured_at_s, sign * turn.turn_deg, turn.sigma_deg))
     return turns
