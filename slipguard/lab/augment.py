@@ -22,6 +22,7 @@ BACKGROUND_NOISE_LEVELS = 1.2
 """What is left of camera noise in a no-contact image at network resolution when a single frame was stored."""
 NOISE_POOL = 64
 REAL_SHARE = 0.5
+ZOOM_MAX = 2.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +51,7 @@ class Augment:
         unknown: float = 0.25,
         contrast_max: float = 1.5,
         backgrounds: list[NDArray[np.uint8]] | None = None,
+        zoom_share: float = 0.0,
     ) -> None:
         self._rng = torch.Generator().manual_seed(seed)
         self._structure = torch.from_numpy(patterns(structure, pool, seed))
@@ -58,6 +60,7 @@ class Augment:
         self._noise = noise.half()
         self._unknown = unknown
         self._contrast_max = contrast_max
+        self._zoom_share = zoom_share
         size = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX)
         self._backgrounds = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in backgrounds or []]
         y, x = torch.meshgrid(
@@ -69,6 +72,8 @@ class Augment:
     def __call__(self, frame: Tensor, background: Tensor, label: Tensor) -> Batch:
         """frame, background: (N, 160, 120, 3) uint8; label: (N, 160, 120) uint8, 255 is contact."""
         count = len(frame)
+        if self._zoom_share:
+            frame, background, label = self._zoomed(frame, background, label)
         unit = background.float()
         change = (frame.float() - unit) * self._between(count, 0.6, self._contrast_max)
         unit = self._on_real(unit)
@@ -87,6 +92,22 @@ class Augment:
         for index in torch.nonzero(known == 0).flatten().tolist():
             reference[index] = torch.from_numpy(guess_background(shown[index].numpy()))
         return Batch(shown, reference, known, label[:, None].float() / 255.0)
+
+    def _zoomed(self, frame: Tensor, background: Tensor, label: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """A share of the samples enlarged by up to `ZOOM_MAX` about a point of the imprint: broad, smooth bulges."""
+        images = [frame.numpy().copy(), background.numpy().copy(), label.numpy().copy()]
+        size = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX)
+        for index in torch.nonzero(torch.rand(len(frame), generator=self._rng) < self._zoom_share).flatten().tolist():
+            rows, columns = np.nonzero(images[2][index])
+            if len(rows) == 0:
+                continue
+            zoom, which = torch.rand(2, generator=self._rng).tolist()
+            at = int(which * len(rows))
+            about = ((columns[at] + columns.mean()) / 2.0, (rows[at] + rows.mean()) / 2.0)
+            matrix = cv2.getRotationMatrix2D(about, 0.0, 1.0 + (ZOOM_MAX - 1.0) * zoom)
+            for image in images:
+                image[index] = cv2.warpAffine(image[index], matrix, size, borderMode=cv2.BORDER_REPLICATE)
+        return torch.from_numpy(images[0]), torch.from_numpy(images[1]), torch.from_numpy(images[2])
 
     def _on_real(self, unit: Tensor) -> Tensor:
         """Half of the units given the look of a real one: one of the real images, or two mixed, warped."""

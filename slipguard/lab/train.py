@@ -59,12 +59,15 @@ class Phase:
     rate: float
     unknown: float
     contrast_max: float
+    zoom_share: float
 
 
 def phases(settings: TrainSettings) -> list[Phase]:
     """The parts of a training in order; those without epochs are left out."""
-    known = Phase(0, settings.epochs, settings.rate, unknown=0.25, contrast_max=1.5)
-    blind = Phase(settings.epochs, settings.blind_epochs, settings.rate / 3.0, unknown=0.5, contrast_max=2.4)
+    known = Phase(0, settings.epochs, settings.rate, unknown=0.25, contrast_max=1.5, zoom_share=0.0)
+    blind = Phase(
+        settings.epochs, settings.blind_epochs, settings.rate / 3.0, unknown=0.5, contrast_max=2.4, zoom_share=0.4
+    )
     return [phase for phase in (known, blind) if phase.epochs]
 
 
@@ -131,7 +134,12 @@ def train(
         keep = 0.5 ** (1.0 / max(EMA_HALF_LIFE_EPOCHS * steps_per_epoch, 1.0))
         for epoch in range(phase.first_epoch + done_epochs, phase.first_epoch + phase.epochs):
             augment = Augment(
-                settings.seed + 1000 * (epoch + 1), settings.patterns, phase.unknown, phase.contrast_max, backgrounds
+                settings.seed + 1000 * (epoch + 1),
+                settings.patterns,
+                phase.unknown,
+                phase.contrast_max,
+                backgrounds,
+                phase.zoom_share,
             )
             order = np.random.default_rng([settings.seed, epoch]).permutation(len(frames))
             net.train()
