@@ -13,7 +13,7 @@ from slipguard.sim.unit import Unit
 from slipguard.sim.view import GelView
 
 CAMERA = GelCamera(Unit.default(), seed=7)
-TOUCH = GelView("ball", x_mm=0.5, y_mm=1.0, angle_deg=0.0, depth_mm=1.0)
+TOUCH = GelView("ball", x_mm=0.5, y_mm=1.0, angle_deg=0.0, depth_mm=0.6)
 CENTRE = (70, 64)
 """Row and column of the ball at network resolution: 1 mm up and 0.5 mm right of the middle."""
 UNTOUCHED = GelView("", depth_mm=-1.0)
