@@ -37,6 +37,8 @@ on average, by 4.3 in the worst of real lighting drifts; swapped colours and a f
 _OUTSIDE_MIN = 120
 """Fewer blocks than this outside the contact (a tenth of the frame) show neither its outline nor the light."""
 
+_BLIND_SHARE = 0.02
+"""A contact with more of its blocks all black or all white lies under a glare or a dead spot that hides its outline."""
 _CLEAR_SQUARE = 30.0
 """Least mean square contrast of a contact, in units of the noise: where it is less (a picture almost dark) a turn of
 several degrees drowns in the noise. Light contacts in good light have 50 and more, most have 1000."""
@@ -126,14 +128,19 @@ class Gate:
         return bool(around.mean() < 2.0 * 3.0 * _UNCHANGED_MEAN)
 
     def fits(self, blocks: Blocks, near_patch: NDArray[np.bool_]) -> bool:
-        """Whether a picture is still one of this unit's gel away from the contact: enough of it, and as lit before.
+        """Whether a picture is still one of this unit's gel: enough of it beside the contact, and lit as before there.
 
-        near_patch: (1200,) bool, the blocks in and around the contact. Without a no-contact image only the first
-        can be told.
+        near_patch: (1200,) bool, the blocks in and around the contact, which must be neither black nor white. Without
+        a no-contact image the light cannot be told.
         """
         outside = ~near_patch
         if np.count_nonzero(outside) < _OUTSIDE_MIN:
             return False
+        seen = blocks[near_patch]
+        if seen.max() > _BRIGHT or seen.min() < _DARK:
+            blind = (seen > _BRIGHT).all(axis=1) | (seen < _DARK).all(axis=1)
+            if np.count_nonzero(blind) > _BLIND_SHARE * len(seen):
+                return False
         if self._background is None:
             return True
         difference = (blocks - self._background)[outside]

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -65,7 +66,7 @@ def again(failure: Failure) -> str:
 
 def print_table(console: Console, outcome: Outcome) -> None:
     """The same for people."""
-    table = Table(title=f"Stress, seed {outcome.seed}", title_justify="left")
+    table = Table(title=f"Stress, seed {outcome.seed}", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in ("family", "tried", "of list", "told", "crash", "NaN", "wrong", "broken", "worst", "sigmas"):
         table.add_column(name, justify="left" if name == "family" else "right", no_wrap=True)
     for family, notes in _pairs(outcome):
@@ -75,7 +76,7 @@ def print_table(console: Console, outcome: Outcome) -> None:
         table.add_row(
             family.name,
             str(notes.tried),
-            f"{100.0 * notes.tried / (family.full * family.frames):.2g} %",
+            f"{100.0 * notes.tried / (family.full * family.frames):.1f} %",
             f"{100.0 * notes.answers / asked:.0f} %" if asked else "",
             *counts,
             "" if worst is None else f"{worst:.1f}°",
