@@ -53,7 +53,7 @@ class RealFrame:
 
 def read_bgr(path: Path) -> NDArray[np.uint8]:
     """A colour image (H, W, 3) uint8 BGR. Raises `InputError` naming the file where there is none."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
     if image is None:
         raise InputError(f"{path}: no image could be read here; give a PNG or JPEG file")
     return np.asarray(image, np.uint8)
