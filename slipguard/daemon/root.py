@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import signal
+import sys
 import time
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
+import cv2
 import structlog
 
 from slipguard import __version__
@@ -28,6 +30,8 @@ from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.segment import Segmenter
 from slipguard.registry import load_driver
 
+SWITCH_S = 0.0005
+"""A thread in Python code gives way after this time. Python's usual 5 ms would keep the loop waiting for a worker."""
 FIRST_ANSWER_S = 10.0
 log = structlog.get_logger()
 
@@ -50,6 +54,9 @@ def build_service(
     world: what the fakes share. law: what decides. around: put around each finger's pipeline.
     Raises ConfigError or ModelError.
     """
+    # Both hold for the whole process: one core for each finger, and the loop never far from its turn.
+    cv2.setNumThreads(1)
+    sys.setswitchinterval(SWITCH_S)
     state_dir = StateDir(config.state.directory)
 
     def device(name: str) -> Any:
