@@ -200,7 +200,8 @@ def _watched(
 
     def decided(decision: Decision) -> None:
         live.phase = decision.phase.value
-        if decision.phase not in GRIPPED or loop.time() > record.ended_at_s:
+        fresh_grip = decision.command.new_reference  # what was seen before it belongs to an older reference
+        if decision.phase not in GRIPPED or fresh_grip or loop.time() > record.ended_at_s:
             live.turn_deg = live.sigma_deg = None
             return
         for finger, estimate in decision.new_estimates.items():
