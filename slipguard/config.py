@@ -134,7 +134,7 @@ def _with_driver(section: Any, name: str, where: str, sim: bool) -> dict[str, An
         raise ConfigError(f"{where}: {name} = {section!r}: a table is needed, [{name}]")
     named = section.get("driver", USUAL_DRIVER[name])
     if not isinstance(named, str):
-        raise ConfigError(f"{where}: {name}.driver = {named!r}: the name of a driver is needed, such as \"digit\"")
+        raise ConfigError(f'{where}: {name}.driver = {named!r}: the name of a driver is needed, such as "digit"')
     if "settings" in section:
         raise ConfigError(f"{where}: {name}.settings: no such key; the driver's table is [{name}.{named}]")
     chosen = "fake" if sim else named

@@ -35,6 +35,18 @@ def composition(rng: np.random.Generator) -> Relief:
     return Relief.of(height_mm, HALF_MM, PX_PER_MM)
 
 
+def broad(rng: np.random.Generator) -> Relief:
+    """A bottle, can or handle lying in the gel: gently curved across, hardly along, with soft or cut ends."""
+    across_mm, along_mm = float(rng.uniform(4.0, 25.0)), math.exp(rng.uniform(math.log(15.0), math.log(200.0)))
+    half_mm, fall = float(rng.uniform(3.0, 11.0)), float(rng.uniform(0.15, 1.5))
+
+    def height_mm(u: Field, v: Field) -> Field:
+        curved = v * v / np.float32(2.0 * across_mm) + u * u / np.float32(2.0 * along_mm)
+        return f32(-curved - np.float32(fall) * np.maximum(np.abs(u) - np.float32(half_mm), 0.0))
+
+    return Relief.of(height_mm, HALF_MM, PX_PER_MM)
+
+
 def resized(relief: Relief, factor: float) -> Relief:
     """The same surface, `factor` times as long and wide."""
     return Relief(relief.fine, relief.coarse, relief.px_per_mm / factor)

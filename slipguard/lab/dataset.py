@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.lab.compositions import beside, composition, resized, roughened
+from slipguard.lab.compositions import beside, broad, composition, resized, roughened
 from slipguard.sim import objects
 from slipguard.sim.gel import GelCamera, GelTruth
 from slipguard.sim.label import VISIBLE_MM
@@ -29,6 +29,11 @@ UNIT_FRAMES = 50
 NO_CONTACT_SHARE = 0.15
 COMPOSITION_SHARE = 0.4
 COMPOSITION_NAME = "composition"
+BROAD_SHARE = 0.2
+BROAD_NAME = "broad"
+DEPTH_MM = {BROAD_NAME: (0.25, 2.0)}
+"""Lightest and deepest press; a broad body is pressed deeper before it fills the picture."""
+USUAL_DEPTH_MM = (0.12, 1.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,8 +54,8 @@ def sample(seed: int, backgrounds: Sequence[Image] | None = None, split: str = "
     """Draw the frame of that seed (>= 0). About 15 % show no contact.
 
     backgrounds: real no-contact images, (320, 240, 3) uint8, on which half of the units are drawn. split "test": the
-    test objects alone, else the training objects and random compositions. Quick for consecutive seeds, which share
-    units; hand in the same list each time.
+    test objects alone, else the training objects, random compositions and broad bodies. Quick for consecutive seeds,
+    which share units; hand in the same list each time.
     """
     rng = np.random.default_rng([seed, 1 if split == "test" else 0])
     camera = _camera(seed // UNIT_FRAMES, _Pool(backgrounds))
@@ -103,6 +108,9 @@ def _light(rng: np.random.Generator) -> Light:
 
 
 def _surface(rng: np.random.Generator, split: str) -> tuple[str, Relief]:
+    if split == "train" and rng.random() < BROAD_SHARE:
+        body = broad(rng)
+        return BROAD_NAME, roughened(body, rng, float(rng.uniform(0.010, 0.080))) if rng.random() < 0.5 else body
     names = objects.names(split)
     name = names[int(rng.integers(len(names)))]
     composed = split == "train" and rng.random() < COMPOSITION_SHARE
@@ -130,7 +138,7 @@ def _view(rng: np.random.Generator, name: str) -> GelView:
         x_mm=float(rng.uniform(-reach_x_mm, reach_x_mm)),
         y_mm=float(rng.uniform(-reach_y_mm, reach_y_mm)),
         angle_deg=float(rng.uniform(-180.0, 180.0)),
-        depth_mm=math.exp(float(rng.uniform(math.log(0.12), math.log(1.5)))),
+        depth_mm=math.exp(float(rng.uniform(*np.log(DEPTH_MM.get(name, USUAL_DEPTH_MM))))),
         vx_mm_s=vx_mm_s,
         vy_mm_s=vy_mm_s,
         rate_deg_s=rate_deg_s,

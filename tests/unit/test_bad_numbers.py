@@ -135,6 +135,16 @@ def test_light_may_drift_but_the_picture_must_be_the_units_own() -> None:
     assert not gate.fits(block_means(other), near)
 
 
+@pytest.mark.parametrize("order", [(2, 1, 0), (1, 0, 2), (0, 2, 1), (1, 2, 0), (2, 0, 1)])
+def test_swapped_colours_are_seen_even_under_a_large_contact(order: tuple[int, int, int]) -> None:
+    shown = grasp(2)
+    gate = Gate(shown.background)
+    near = near_patch(np.pad(np.ones((120, 100), np.uint8), ((20, 20), (10, 10))))
+    for image in shown.frames:
+        assert gate.fits(block_means(image), near)
+        assert not gate.fits(block_means(np.ascontiguousarray(image[..., order])), near)
+
+
 @pytest.mark.parametrize("level", [0, 255])
 def test_a_contact_under_a_glare_or_a_dead_spot_shows_no_outline(level: int) -> None:
     spotted = whole_frame()

@@ -14,9 +14,7 @@ Mask = NDArray[np.uint8]
 
 def reference(mask: Mask) -> Mask:
     grey = np.where(mask > 0, 255, 0).astype(np.uint8)
-    return (cv2.ximgproc.thinning(grey, thinningType=cv2.ximgproc.THINNING_GUOHALL) > 0).astype(
-        np.uint8
-    )
+    return (cv2.ximgproc.thinning(grey, thinningType=cv2.ximgproc.THINNING_GUOHALL) > 0).astype(np.uint8)
 
 
 def drawn(kind: int, rng: np.random.Generator, largest_px: int = 44) -> Mask:
@@ -28,9 +26,7 @@ def drawn(kind: int, rng: np.random.Generator, largest_px: int = 44) -> Mask:
         return (rng.random((height, width)) < rng.uniform(0.05, 0.98)).astype(np.uint8)
     mask = np.zeros((height, width), np.uint8)
     if kind == 1:
-        noise = cv2.GaussianBlur(
-            rng.random((height, width)).astype(np.float32), (0, 0), rng.uniform(1, 4)
-        )
+        noise = cv2.GaussianBlur(rng.random((height, width)).astype(np.float32), (0, 0), rng.uniform(1, 4))
         return (noise > np.quantile(noise, rng.uniform(0.1, 0.9))).astype(np.uint8)
     for _ in range(int(rng.integers(1, 4))):
         centre = (int(rng.integers(-2, width + 2)), int(rng.integers(-2, height + 2)))
@@ -93,12 +89,7 @@ def test_accepts_bool_and_255_and_leaves_its_input_alone() -> None:
 def test_the_removal_rule_over_all_neighbourhoods() -> None:
     for code in range(256):
         p2, p3, p4, p5, p6, p7, p8, p9 = ((code >> i) & 1 for i in range(8))
-        connected = (
-            ((1 - p2) & (p3 | p4))
-            + ((1 - p4) & (p5 | p6))
-            + ((1 - p6) & (p7 | p8))
-            + ((1 - p8) & (p9 | p2))
-        )
+        connected = ((1 - p2) & (p3 | p4)) + ((1 - p4) & (p5 | p6)) + ((1 - p6) & (p7 | p8)) + ((1 - p8) & (p9 | p2))
         n1 = (p9 | p2) + (p3 | p4) + (p5 | p6) + (p7 | p8)
         n2 = (p2 | p3) + (p4 | p5) + (p6 | p7) + (p8 | p9)
         rule = connected == 1 and 2 <= min(n1, n2) <= 3 and not ((p6 | p7 | (1 - p9)) & p8)
