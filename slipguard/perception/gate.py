@@ -41,8 +41,9 @@ _OUTSIDE_MIN = 120
 _SWAPPED_MARGIN = 0.08
 """In another order of the colours the three correlations with the no-contact image add up to more than in the right
 one by 0.1 and more where the colours are swapped (99 % of rendered frames), and to less by 0.04 at least where not."""
-_CHANNELS = np.arange(3)
-_ORDERS = np.array(list(itertools.permutations(range(3))))
+_ORDERS = np.array([[3 * k + c for k, c in enumerate(order)] for order in itertools.permutations(range(3))])
+"""The six orders of three channels, as places in a 3 x 3 table; the right one first."""
+_ALL = np.ones(BLOCKS_WIDE * BLOCKS_HIGH, np.float32)
 _BLIND_SHARE = 0.02
 """A contact with more of its blocks all black or all white lies under a glare or a dead spot that hides its outline."""
 _CLEAR_SQUARE = 30.0
@@ -161,17 +162,20 @@ class Gate:
 
     def _colours_swapped(self, blocks: Blocks) -> bool:
         """Whether the channels follow those of the no-contact image better in another order."""
-        tints = blocks - blocks.mean(axis=0)
-        alike = (tints.T @ self._tints) / (np.sqrt(np.einsum("ij,ij->j", tints, tints)) + 1e-6)[:, None]
-        orders = alike[_CHANNELS, _ORDERS].sum(axis=1)
+        # The no-contact tints have no mean, so that of the picture falls out of the products.
+        sums, squares = _ALL @ blocks, np.diagonal(blocks.T @ blocks)
+        deviations = np.sqrt(np.maximum(squares - sums**2 / len(blocks), 1.0))
+        alike = (blocks.T @ self._tints) / deviations[:, None]
+        orders = alike.take(_ORDERS).sum(axis=1)
         return bool(orders[1:].max() > orders[0] + _SWAPPED_MARGIN)
 
     def clear(self, blocks: Blocks, near_patch: NDArray[np.bool_]) -> bool:
         """Whether a contact stands out so clearly that an `unchanged` picture of it shows an unchanged turn."""
-        seen = blocks[near_patch]
-        under = seen.mean(axis=0) if self._background is None else self._background[near_patch]
-        contrast = (seen - under) * self._per_std
-        return bool(np.vdot(contrast, contrast) > _CLEAR_SQUARE * len(seen))
+        inside = near_patch.astype(np.float32)
+        count = max(float(inside.sum()), 1.0)
+        contrast = blocks - ((inside @ blocks) / count if self._background is None else self._background)
+        contrast *= self._per_std
+        return float((inside @ np.square(contrast)).sum()) > _CLEAR_SQUARE * count
 
 
 def near_patch(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
