@@ -76,8 +76,8 @@ def print_table(console: Console, outcome: Outcome) -> None:
         table.add_row(
             family.name,
             str(notes.tried),
-            f"{100.0 * notes.tried / (family.full * family.frames):.1f} %",
-            f"{100.0 * notes.answers / asked:.0f} %" if asked else "",
+            f"{100.0 * notes.tried / (family.full * family.frames):.3g}%",
+            f"{100.0 * notes.answers / asked:.0f}%" if asked else "",
             *counts,
             "" if worst is None else f"{worst:.1f}°",
             "" if sigmas is None else f"{sigmas:.1f}",
