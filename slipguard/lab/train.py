@@ -165,7 +165,8 @@ def train(
             )
         net.load_state_dict(average.state_dict())
     torch.save(average.state_dict(), work / WEIGHTS)
-    return average.eval()
+    average.eval()
+    return average
 
 
 def _rate_share(step: int, total: int) -> float:
