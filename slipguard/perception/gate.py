@@ -38,6 +38,12 @@ on average, by 4.3 in the worst of real lighting drifts; swapped colours and a f
 _OUTSIDE_MIN = 120
 """Fewer blocks than this outside the contact (a tenth of the frame) show neither its outline nor the light."""
 
+_BRIGHTER_LEVELS = 30.0
+"""Even change of a colour's light, grey levels; real drifts and rendered ones reach 6. The network was taught no more
+than a few times that."""
+_NOISY_LEVELS = 4.0
+"""Mean difference from block to block away from the contact, grey levels: 1-2.3 in real frames, 4.6 where a pixel's
+noise is 32."""
 _SWAPPED_MARGIN = 0.08
 """In another order of the colours the three correlations with the no-contact image add up to more than in the right
 one by 0.1 and more where the colours are swapped (99 % of rendered frames), and to less by 0.04 at least where not."""
@@ -98,6 +104,7 @@ class Gate:
         noise_bgr: Sequence[float] | NDArray[np.floating] | None = None,
         gate_sigma: float = 7.0,
     ) -> None:
+        self._noise_known = noise_bgr is not None
         given = np.asarray(DEFAULT_NOISE_BGR if noise_bgr is None else noise_bgr, np.float32)
         noise = given.reshape(-1, 3).mean(axis=0)
         noise = np.where(np.isfinite(noise), np.clip(noise, 0.3, 20.0), DEFAULT_NOISE_BGR)
@@ -107,8 +114,8 @@ class Gate:
         self._limit = gate_sigma**2
         self._background = None if background is None else block_means(background)
         if self._background is not None:
-            tints = self._background - self._background.mean(axis=0)
-            self._tints: NDArray[np.float32] = tints / (np.sqrt(np.einsum("ij,ij->j", tints, tints)) + np.float32(1e-6))
+            tints = np.ascontiguousarray((self._background - self._background.mean(axis=0)).T)
+            self._tints: NDArray[np.float32] = tints / (np.linalg.norm(tints, axis=1, keepdims=True) + np.float32(1e-6))
         x, y = np.meshgrid(np.linspace(-1, 1, BLOCKS_WIDE), np.linspace(-1, 1, BLOCKS_HIGH))
         drift = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=1)
         self._drift: NDArray[np.float32] = np.linalg.qr(drift)[0].astype(np.float32)
@@ -155,22 +162,33 @@ class Gate:
         if self._background is None:
             return True
         difference = blocks - self._background
-        difference -= (outside @ difference) / count
-        if float((outside @ np.abs(difference)).sum()) >= 3.0 * _UNLIKE_LEVELS * count:
+        brighter = (outside @ difference) / count
+        if np.abs(brighter).max() > _BRIGHTER_LEVELS:
+            return False
+        if float((outside @ np.abs(difference - brighter)).sum()) >= 3.0 * _UNLIKE_LEVELS * count:
+            return False
+        beside = outside[1:] * outside[:-1]
+        steps = np.abs(difference[1:] - difference[:-1])
+        if float((beside @ steps).sum()) >= 3.0 * _NOISY_LEVELS * float(beside.sum()):
             return False
         return not self._colours_swapped(blocks)
 
     def _colours_swapped(self, blocks: Blocks) -> bool:
         """Whether the channels follow those of the no-contact image better in another order."""
         # The no-contact tints have no mean, so that of the picture falls out of the products.
-        sums, squares = _ALL @ blocks, np.diagonal(blocks.T @ blocks)
+        sums, squares = _ALL @ blocks, _ALL @ np.square(blocks)
         deviations = np.sqrt(np.maximum(squares - sums**2 / len(blocks), 1.0))
-        alike = (blocks.T @ self._tints) / deviations[:, None]
+        alike = (self._tints @ blocks) / deviations
         orders = alike.take(_ORDERS).sum(axis=1)
         return bool(orders[1:].max() > orders[0] + _SWAPPED_MARGIN)
 
     def clear(self, blocks: Blocks, near_patch: NDArray[np.bool_]) -> bool:
-        """Whether a contact stands out so clearly that an `unchanged` picture of it shows an unchanged turn."""
+        """Whether a contact stands out so clearly that an `unchanged` picture of it shows an unchanged turn.
+
+        Never where the sensor's noise is not known: a quieter one than is typical would hide a turn of some degrees.
+        """
+        if not self._noise_known:
+            return False
         inside = near_patch.astype(np.float32)
         count = max(float(inside.sum()), 1.0)
         contrast = blocks - ((inside @ blocks) / count if self._background is None else self._background)

@@ -15,7 +15,7 @@ from slipguard.grasp.fuse import fuse
 from slipguard.lab.stress.light import SPOILS
 from slipguard.lab.stress.pictures import grasp
 from slipguard.perception.angle import estimate
-from slipguard.perception.gate import Gate, block_means, near_patch
+from slipguard.perception.gate import DEFAULT_NOISE_BGR, Gate, block_means, near_patch
 from slipguard.perception.outline import ragged_px
 from slipguard.perception.pipeline import UNLIKE, Pipeline
 from slipguard.perception.regions import find_patch
@@ -156,23 +156,43 @@ def test_a_contact_under_a_glare_or_a_dead_spot_shows_no_outline(level: int) -> 
     assert gate.fits(block_means(spotted), away)
 
 
-def test_nothing_is_unchanged_in_the_dark() -> None:
+def test_nothing_is_unchanged_in_the_dark_or_under_unknown_noise() -> None:
     near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
     for background in (whole_frame(), None):
-        gate = Gate(background)
+        gate = Gate(background, DEFAULT_NOISE_BGR)
         faint, strong = whole_frame(), whole_frame()
         faint[140:180:4, 100:140] += np.uint8(4)
         strong[140:180, 100:140] += np.uint8(60)
         assert not gate.clear(block_means(faint), near)
         assert gate.clear(block_means(strong), near)
+        assert not Gate(background).clear(block_means(strong), near)
 
 
 def test_a_turn_in_an_almost_dark_picture_is_measured_not_skipped() -> None:
     shown = grasp(0)
     dark = [np.asarray(image // 16, np.uint8) for image in shown.frames]
-    pipeline = Pipeline(Segmenter(), PerceptionSettings(), np.asarray(shown.background // 16, np.uint8), None, 18.5)
+    background = np.asarray(shown.background // 16, np.uint8)
+    pipeline = Pipeline(Segmenter(), PerceptionSettings(), background, DEFAULT_NOISE_BGR, 18.5)
     answers = [pipeline.process(Frame(image, k / 60, k)) for k, image in enumerate(dark)]
     assert not [one for one in answers if one.contact and one.skipped]
+
+
+@pytest.mark.parametrize("noise", [2.0, 32.0])
+def test_a_camera_that_has_become_far_too_noisy_is_unlike(noise: float) -> None:
+    background = np.full((320, 240, 3), 100, np.uint8)
+    rng = np.random.default_rng(0)
+    noisy = np.clip(background + noise * rng.standard_normal(background.shape), 0, 255).astype(np.uint8)
+    near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
+    assert Gate(background).fits(block_means(noisy), near) == (noise < 10.0)
+
+
+@pytest.mark.parametrize(("levels", "fits"), [(6, True), (20, True), (45, False)])
+def test_light_may_change_evenly_only_so_far(levels: int, fits: bool) -> None:
+    background = whole_frame()
+    lamp = background.copy()
+    lamp[..., 1] += np.uint8(levels)
+    near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
+    assert Gate(background).fits(block_means(lamp), near) == fits
 
 
 @pytest.mark.parametrize(("what", "strength"), [("swapped colours", 1.0), ("negative", 0.5), ("crushed", 0.5)])
