@@ -21,6 +21,8 @@ from slipguard_drivers.digit.fake import FakeSensor
 
 PARENT = """
 import asyncio
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a gate run in the background ignores it, and hands that down
 from slipguard.devices import DriverContext
 from slipguard.sim.world import World
 from slipguard_drivers.digit.fake import FakeSensor
