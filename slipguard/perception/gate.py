@@ -52,9 +52,9 @@ _ORDERS = np.array([[3 * k + c for k, c in enumerate(order)] for order in iterto
 _ALL = np.ones(BLOCKS_WIDE * BLOCKS_HIGH, np.float32)
 _BLIND_SHARE = 0.02
 """A contact with more of its blocks all black or all white lies under a glare or a dead spot that hides its outline."""
-_CLEAR_SQUARE = 30.0
+_CLEAR_SQUARE = 100.0
 """Least mean square contrast of a contact, in units of the noise: where it is less (a picture almost dark) a turn of
-several degrees drowns in the noise. Light contacts in good light have 50 and more, most have 1000."""
+several degrees drowns in the noise. One in a hundred light contacts in good light has less, most have 1000."""
 
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
