@@ -8,6 +8,7 @@ the first.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -144,8 +145,10 @@ class Gate:
         around = square if near_patch is None else square[near_patch]
         return bool(around.mean() < 2.0 * 3.0 * _UNCHANGED_MEAN)
 
-    def fits(self, blocks: Blocks, near_patch: NDArray[np.bool_]) -> bool:
-        """Whether a picture is still one of this unit's gel: enough of it beside the contact, and lit as before there.
+    def unlike_levels(self, blocks: Blocks, near_patch: NDArray[np.bool_]) -> float:
+        """How far a picture is from this unit's gel beside the contact, grey levels; infinite where it is none of it.
+
+        The mean difference from the no-contact image but for an even change of light, 1-3 in good light.
 
         near_patch: (1200,) bool, the blocks in and around the contact, which must be neither black nor white. Without
         a no-contact image neither the light nor the order of the colours can be told.
@@ -153,25 +156,26 @@ class Gate:
         outside = (~near_patch).astype(np.float32)
         count = float(outside.sum())
         if count < _OUTSIDE_MIN:
-            return False
+            return math.inf
         if blocks.max() > _BRIGHT or blocks.min() < _DARK:
             seen = blocks[near_patch]
             blind = (seen > _BRIGHT).all(axis=1) | (seen < _DARK).all(axis=1)
             if np.count_nonzero(blind) > _BLIND_SHARE * len(seen):
-                return False
+                return math.inf
         if self._background is None:
-            return True
+            return 0.0
         difference = blocks - self._background
         brighter = (outside @ difference) / count
         if np.abs(brighter).max() > _BRIGHTER_LEVELS:
-            return False
-        if float((outside @ np.abs(difference - brighter)).sum()) >= 3.0 * _UNLIKE_LEVELS * count:
-            return False
+            return math.inf
+        unlike = float((outside @ np.abs(difference - brighter)).sum()) / (3.0 * count)
+        if unlike > _UNLIKE_LEVELS:
+            return math.inf
         beside = outside[1:] * outside[:-1]
         steps = np.abs(difference[1:] - difference[:-1])
         if float((beside @ steps).sum()) >= 3.0 * _NOISY_LEVELS * float(beside.sum()):
-            return False
-        return not self._colours_swapped(blocks)
+            return math.inf
+        return math.inf if self._colours_swapped(blocks) else unlike
 
     def _colours_swapped(self, blocks: Blocks) -> bool:
         """Whether the channels follow those of the no-contact image better in another order."""

@@ -21,11 +21,17 @@ from slipguard.perception.regions import Patch, find_patch
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skeleton import middle_line
 from slipguard.perception.stages import StageClock
+from slipguard.perception.track import Turn
 from slipguard.perception.turn import TurnMeter
 
 NO_CONTACT = "no contact"
 UNCHANGED = "unchanged"
 UNLIKE = "picture unlike the no-contact image"
+
+LIGHT_FREE_LEVELS = 1.0
+LIGHT_DEG = 0.6
+"""Light that changes after the reference was taken moves outlines: one standard deviation of the turn a grey level of
+mean difference from the no-contact image, from the first on. A slope of 6 levels over the picture gives 2."""
 
 
 class SegmentsContact(Protocol):
@@ -84,6 +90,7 @@ class Pipeline:
     def reset_reference(self) -> None:
         """Forget the reference; the next stable contact makes a new one."""
         self._meter = TurnMeter(self._settings, self._frame_px)
+        self._reference_unlike = 0.0
         self._measured = None
 
     @property
@@ -136,10 +143,15 @@ class Pipeline:
         if patch is None:
             return self._without_contact(frame, blocks, None, clock)
         near = near_patch(patch.full_mask())
-        if not self._gate.fits(blocks, near):
+        unlike = self._gate.unlike_levels(blocks, near)
+        if not math.isfinite(unlike):
             return self._unlike(frame, patch, clock)
         axes = self._axes(patch, clock)
+        had_reference = self.has_reference
         turn, shift_px = self._meter.measure(patch, axes, now_s, clock)
+        if not had_reference:
+            self._reference_unlike = unlike
+        turn = _in_other_light(turn, unlike - self._reference_unlike)
         shown = fuse(list(axes.values())).angle_deg
         answer = Estimate(
             sequence=frame.sequence,
@@ -232,6 +244,13 @@ class Pipeline:
         c, s = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}[self._rotation_deg]
         right, up = shift_px[0] / self._px_per_mm, -shift_px[1] / self._px_per_mm
         return (c * right - s * up, s * right + c * up)
+
+
+def _in_other_light(turn: Turn, levels: float) -> Turn:
+    """A turn whose picture is further from the no-contact image than the reference's was: the network errs apart."""
+    if turn.turn_deg is None or turn.sigma_deg is None or levels <= LIGHT_FREE_LEVELS:
+        return turn
+    return Turn(turn.turn_deg, math.hypot(turn.sigma_deg, LIGHT_DEG * (levels - LIGHT_FREE_LEVELS)))
 
 
 def _at_frame_size(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:

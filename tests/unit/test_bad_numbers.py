@@ -108,6 +108,10 @@ def test_probabilities_beyond_0_and_1_weigh_no_more_than_these(beyond: float) ->
     assert estimate(patch, "moments").angle_deg == pytest.approx(30.0, abs=2.0)
 
 
+def fits(gate: Gate, blocks: NDArray[np.float32], near: NDArray[np.bool_]) -> bool:
+    return math.isfinite(gate.unlike_levels(blocks, near))
+
+
 def whole_frame() -> NDArray[np.uint8]:
     return np.random.default_rng(1).integers(90, 100, (320, 240, 3), np.uint8)
 
@@ -116,9 +120,9 @@ def test_a_contact_that_fills_the_picture_shows_no_outline() -> None:
     gate = Gate(None)
     blocks = block_means(whole_frame())
     mask = np.ones((160, 120), np.uint8)
-    assert not gate.fits(blocks, near_patch(mask))
+    assert not fits(gate, blocks, near_patch(mask))
     mask[:, :40] = 0
-    assert gate.fits(blocks, near_patch(mask))
+    assert fits(gate, blocks, near_patch(mask))
 
 
 def test_light_may_drift_but_the_picture_must_be_the_units_own() -> None:
@@ -126,13 +130,13 @@ def test_light_may_drift_but_the_picture_must_be_the_units_own() -> None:
     gate = Gate(background)
     near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
     brighter = background + np.uint8(20)
-    assert gate.fits(block_means(brighter), near)
+    assert fits(gate, block_means(brighter), near)
     pressed = background.copy()
     pressed[130:190, 90:150] = 240
-    assert gate.fits(block_means(pressed), near)
+    assert fits(gate, block_means(pressed), near)
     other = background.copy()
     other[:, :120] += np.uint8(40)
-    assert not gate.fits(block_means(other), near)
+    assert not fits(gate, block_means(other), near)
 
 
 @pytest.mark.parametrize("order", [(2, 1, 0), (1, 0, 2), (0, 2, 1), (1, 2, 0), (2, 0, 1)])
@@ -141,8 +145,8 @@ def test_swapped_colours_are_seen_even_under_a_large_contact(order: tuple[int, i
     gate = Gate(shown.background)
     near = near_patch(np.pad(np.ones((120, 100), np.uint8), ((20, 20), (10, 10))))
     for image in shown.frames:
-        assert gate.fits(block_means(image), near)
-        assert not gate.fits(block_means(np.ascontiguousarray(image[..., order])), near)
+        assert fits(gate, block_means(image), near)
+        assert not fits(gate, block_means(np.ascontiguousarray(image[..., order])), near)
 
 
 @pytest.mark.parametrize("level", [0, 255])
@@ -152,8 +156,26 @@ def test_a_contact_under_a_glare_or_a_dead_spot_shows_no_outline(level: int) -> 
     near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
     away = near_patch(np.pad(np.ones((40, 40), np.uint8), ((10, 110), (10, 70))))
     gate = Gate(spotted)
-    assert not gate.fits(block_means(spotted), near)
-    assert gate.fits(block_means(spotted), away)
+    assert not fits(gate, block_means(spotted), near)
+    assert fits(gate, block_means(spotted), away)
+
+
+def test_light_that_changes_after_the_reference_makes_turns_less_certain() -> None:
+    shown = grasp(2)
+    slope = np.linspace(-9.0, 9.0, 320)[:, None, None]
+
+    def last(tilt: float) -> tuple[float, float]:
+        pipeline = Pipeline(Segmenter(), PerceptionSettings(), shown.background, None, 18.5)
+        for k, image in enumerate(shown.frames[:8]):
+            lit = image if k < 6 else np.clip(image + tilt * slope, 0, 255).astype(np.uint8)
+            answer = pipeline.process(Frame(lit, k / 60, k))
+        assert answer.angle_deg is not None
+        assert answer.sigma_deg is not None
+        return answer.angle_deg, answer.sigma_deg
+
+    (_, steady), (turned, tilted) = last(0.0), last(1.0)
+    assert tilted > steady + 0.5
+    assert abs(turned - shown.turns_deg[7]) < 3.0 * tilted
 
 
 def test_nothing_is_unchanged_in_the_dark_or_under_unknown_noise() -> None:
@@ -183,16 +205,16 @@ def test_a_camera_that_has_become_far_too_noisy_is_unlike(noise: float) -> None:
     rng = np.random.default_rng(0)
     noisy = np.clip(background + noise * rng.standard_normal(background.shape), 0, 255).astype(np.uint8)
     near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
-    assert Gate(background).fits(block_means(noisy), near) == (noise < 10.0)
+    assert fits(Gate(background), block_means(noisy), near) == (noise < 10.0)
 
 
-@pytest.mark.parametrize(("levels", "fits"), [(6, True), (20, True), (45, False)])
-def test_light_may_change_evenly_only_so_far(levels: int, fits: bool) -> None:
+@pytest.mark.parametrize(("levels", "fit"), [(6, True), (20, True), (45, False)])
+def test_light_may_change_evenly_only_so_far(levels: int, fit: bool) -> None:
     background = whole_frame()
     lamp = background.copy()
     lamp[..., 1] += np.uint8(levels)
     near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
-    assert Gate(background).fits(block_means(lamp), near) == fits
+    assert fits(Gate(background), block_means(lamp), near) == fit
 
 
 @pytest.mark.parametrize(("what", "strength"), [("swapped colours", 1.0), ("negative", 0.5), ("crushed", 0.5)])
