@@ -60,8 +60,8 @@ class Scenario:
 def scenario(object_name: str, seed: int) -> Scenario:
     """Draw one grasp of an object; the same name and seed give the same grasp on every machine.
 
-    Ranges: SIM.md 3.3 and 4 in the design notes (dead time 20-60 ms, ramp 64-480 N/s, gain +-10 %, latency 30-50 ms,
-    0.1-1 % dropped frames, stamp jitter 1-3 ms, light +-5 grey levels); one gel in five is stiff.
+    Ranges of what is published and measured of such parts: dead time 20-60 ms, ramp 64-480 N/s, gain +-10 %, latency
+    30-50 ms, 0.1-1 % dropped frames, stamp jitter 1-3 ms, light +-5 grey levels; one gel in five is stiff.
     """
     name_seed = int.from_bytes(hashlib.sha256(object_name.encode()).digest()[:8], "big")
     rng = np.random.default_rng([seed, name_seed])
