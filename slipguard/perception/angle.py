@@ -119,9 +119,21 @@ def _orientation(patch: Patch, name: str, axis: Axis | None, reason: str | None,
 
 
 def _cut_share(patch: Patch) -> float:
-    """Share of the outline that the frame's edge drew."""
+    """Share of the outline around all of the patch that the frame's edge drew; of a cut ring the whole chord counts."""
     contours, _ = cv2.findContours(patch.mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return _edge_points(patch)[0].size / max(sum(len(contour) for contour in contours), 1)
+    points = np.concatenate(contours)
+    around = cv2.arcLength(cv2.convexHull(points), True)
+    x, y = points[:, 0, 0], points[:, 0, 1]
+    rows, columns = patch.mask.shape
+    sides = patch.clipped
+    cuts = (
+        y[x == 0] if sides.left else x[:0],
+        y[x == columns - 1] if sides.right else x[:0],
+        x[y == 0] if sides.top else x[:0],
+        x[y == rows - 1] if sides.bottom else x[:0],
+    )
+    spans = [int(cut.max()) - int(cut.min()) + 1 for cut in cuts if cut.size]
+    return min(sum(spans) / max(around, 1.0), 1.0)
 
 
 def _axis_of(mean_x: float, mean_y: float, xx: float, yy: float, xy: float) -> Axis:

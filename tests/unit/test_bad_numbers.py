@@ -259,3 +259,12 @@ def test_a_mask_in_many_pieces_is_ragged_all_over() -> None:
     mask[::4, ::4] = 1
     assert ragged_px(mask) > 3.0
     assert ragged_px(np.zeros((5, 5), np.uint8)) == 0.0
+
+
+@pytest.mark.parametrize("name", ["moments", "pca", "ellipse", "fused"])
+def test_a_ring_cut_by_the_frame_is_no_axis(name: str) -> None:
+    for seed, x in enumerate((8.0, 14.0, 20.0, 24.0)):
+        patch = find_patch(drawn("ring", 0.0, (x, 80.0), ragged_px=0.3, seed=seed), 0.5, 200, 2.0)
+        assert patch is not None
+        assert patch.clipped.left
+        assert estimate(patch, name).declined
