@@ -11,7 +11,7 @@ import logging
 import signal
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -53,7 +53,7 @@ def each(
     *,
     named: Callable[[T], str] = str,
     progress: Callable[[int], None] = lambda done: None,
-) -> Iterator[R]:
+) -> Generator[R, None, None]:
     """Yield work(item) of every item, in the order of the items.
 
     work and items must be picklable unless one process does it all (one job or one item). progress is called with the
@@ -62,7 +62,7 @@ def each(
     and carries the name as a note. Raises `InputError` where no cluster answers.
     """
     task = _Task(work, named)
-    results: Iterator[R | _Failure]
+    results: Generator[R | _Failure, None, None]
     if workers is not None and workers.cluster is not None:
         results = _on_cluster(task, items, workers.cluster)
     else:
@@ -106,7 +106,7 @@ def _job_count(asked: int) -> int:
     return int(joblib.cpu_count())
 
 
-def _in_processes(task: _Task[T, R], items: Sequence[T], jobs: int) -> Iterator[R | _Failure]:
+def _in_processes(task: Callable[[T], R], items: Sequence[T], jobs: int) -> Generator[R, None, None]:
     from joblib import Parallel, delayed
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
@@ -120,14 +120,14 @@ def _in_processes(task: _Task[T, R], items: Sequence[T], jobs: int) -> Iterator[
         ) from error
 
 
-def _in_worker(task: _Task[T, R], item: T) -> R | _Failure:
+def _in_worker(task: Callable[[T], R], item: T) -> R:
     """The worker's share: one thread, because the cores are shared out already, and Ctrl-C left to the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
     return task(item)
 
 
-def _on_cluster(task: _Task[T, R], items: Sequence[T], address: str) -> Iterator[R | _Failure]:
+def _on_cluster(task: Callable[[T], R], items: Sequence[T], address: str) -> Generator[R, None, None]:
     with closing(_client(address)) as client:
         ahead = AHEAD_PER_CORE * sum(client.ncores().values())
         waiting: deque[Any] = deque()
