@@ -17,6 +17,7 @@ from slipguard.daemon.worker import Worker
 from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen, SlipguardError
 from slipguard.perception.estimate import Estimate
+from slipguard.perception.regions import Patch
 
 REOPEN_S = 2.0
 """A sensor that is there but has given nothing good for so long is closed and opened again."""
@@ -29,6 +30,9 @@ class Perceiver(Protocol):
 
     def reset_reference(self) -> None: ...
 
+    @property
+    def last_patch(self) -> Patch | None: ...
+
 
 @dataclass(frozen=True, slots=True)
 class Seen:
@@ -37,6 +41,23 @@ class Seen:
     estimate: Estimate
     handed_at_s: float
     ready_at_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judgement:
+    """One frame that went through the pipeline, for observers.
+
+    new_reference, new_pipeline: the pipeline forgot its reference, or was built anew, just before. estimate: None where
+    the frame was refused, then `refused` says why. patch: the contact found in it.
+    """
+
+    frame: Frame
+    judged_at_s: float
+    new_reference: bool
+    new_pipeline: bool
+    estimate: Estimate | None = None
+    refused: str | None = None
+    patch: Patch | None = None
 
 
 @dataclass(slots=True)
@@ -87,6 +108,7 @@ class Finger:
         self.captured_at_s: float | None = None
         """Of the newest frame that was judged."""
         self.newest_image: NDArray[np.uint8] | None = None
+        self.observers: list[Callable[[Judgement], None]] = []
         self.tap: asyncio.Queue[Frame] | None = None
         """Set by a calibration: a copy of every good frame goes here."""
         self._worker = worker
@@ -167,20 +189,25 @@ class Finger:
 
     async def _perceive(self) -> None:
         loop = asyncio.get_running_loop()
+        used: Perceiver | None = None
         while True:
             frame, handed_at_s = await self._waiting.next()
             pipeline = self.pipeline
             if pipeline is None:
                 continue
-            if self._wants_reset:
-                self._wants_reset = False
+            new_pipeline, used = pipeline is not used, pipeline
+            new_reference, self._wants_reset = self._wants_reset, False
+            if new_reference:
                 pipeline.reset_reference()
             try:
                 estimate = await self._worker.run(pipeline.process, frame)
             except SlipguardError as error:
                 self.counts.corrupt += 1
                 self._trouble(str(error))
+                self._observe(Judgement(frame, loop.time(), new_reference, new_pipeline, refused=str(error)))
                 continue
+            patch = pipeline.last_patch if self.observers else None
+            self._observe(Judgement(frame, loop.time(), new_reference, new_pipeline, estimate, patch=patch))
             if not self._streaming:
                 continue
             self.captured_at_s = frame.captured_at_s
@@ -192,3 +219,7 @@ class Finger:
             self.newest = Seen(estimate, handed_at_s, loop.time())
             self.answered.set()
             self._on_news()
+
+    def _observe(self, judgement: Judgement) -> None:
+        for observer in self.observers:
+            observer(judgement)

@@ -47,7 +47,8 @@ log = structlog.get_logger()
 class Decision:
     """What one turn of the loop decided, for observers.
 
-    new_estimates: by finger, those not yet decided on. latencies_s: of each of them, from the frame's being handed over
+    memory: the law's, before. estimates: by finger, what spoke for it; None where nothing fresh did.
+    new_estimates: those not yet decided on. latencies_s: of each of them, from the frame's being handed over
     until no command was found needed; empty where one was (see `Service.hold_observers`).
     """
 
@@ -55,6 +56,8 @@ class Decision:
     phase: Phase
     seen: Seen
     command: Command
+    memory: Guard
+    estimates: Mapping[str, Estimate | None] = field(default_factory=dict)
     new_estimates: Mapping[str, Estimate] = field(default_factory=dict)
     latencies_s: tuple[float, ...] = ()
 
@@ -178,9 +181,9 @@ class Service:
     def _turn(self, now_s: float) -> None:
         """Gather, ask the law, hand commands on, tell observers."""
         request, answer = self._next_request() or (Request(), None)
-        seen = self._gather(now_s, request)
-        before = self.phase
-        self._guard, command = self._law(self._guard, seen, self.config.guard)
+        fresh, seen = self._gather(now_s, request)
+        before = self._guard
+        self._guard, command = self._law(before, seen, self.config.guard)
         self.seen = seen
         news = self._news()
         self._issue(command, max((one.handed_at_s for one in news.values()), default=now_s))
@@ -191,10 +194,12 @@ class Service:
             self.phase,
             seen,
             command,
+            before,
+            fresh,
             {name: one.estimate for name, one in news.items()},
             found_needless if command.hold_force_n is None else (),
         )
-        self._tell(before, command, answer)
+        self._tell(before.law.phase, command, answer)
         for observer in self.observers:
             observer(decision)
 
@@ -206,7 +211,8 @@ class Service:
                 return request, answer
         return None
 
-    def _gather(self, now_s: float, request: Request) -> Seen:
+    def _gather(self, now_s: float, request: Request) -> tuple[dict[str, Estimate | None], Seen]:
+        """What speaks for each finger, and all that the law is told."""
         fresh: dict[str, Estimate | None] = {}
         health = {}
         for name, finger in self.fingers.items():
@@ -220,7 +226,7 @@ class Service:
                 condition = Condition.FRESH
             fresh[name] = newest.estimate if newest is not None and condition is Condition.FRESH else None
             health[name] = FingerHealth(condition, age_s, finger.health.why)
-        return Seen(
+        return fresh, Seen(
             now_s=now_s,
             fused=fuse(fresh["left"], fresh["right"]),
             left=health["left"],

@@ -45,6 +45,11 @@ class PatchKeeper:
         """Forget the reference."""
         self._pipeline.reset_reference()
 
+    @property
+    def last_patch(self) -> Patch | None:
+        """The contact found last."""
+        return self._pipeline.last_patch
+
 
 def turns_by_estimator(seen: list[SeenPatch], from_s: float, to_s: float) -> dict[str, list[list[Measured]]]:
     """Per estimator and finger, the turn since its first patch in the span, in the left picture's sign, unwrapped.

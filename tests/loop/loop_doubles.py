@@ -87,6 +87,7 @@ class Oracle:
         self.pictures, self.sign, self.rng, self.blind = pictures, sign, rng, blind
         self.always_touched = False
         self.swings_since_s: float | None = None
+        self.last_patch = None
         self.sequence = 0
         self.reset_reference()
 
