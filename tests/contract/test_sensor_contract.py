@@ -14,6 +14,8 @@ import pytest
 from slipguard.devices import DriverContext, Frame, TactileSensor
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout, FrameCorrupt, FrameFrozen
 from slipguard.sim.world import World
+from slipguard_drivers.cell.frame_server import FrameServer
+from slipguard_drivers.cell.socket_sensor import SocketSensor
 from slipguard_drivers.digit.fake import FakeSensor
 from slipguard_drivers.digit.replay import ReplaySensor
 
@@ -37,6 +39,32 @@ class FakeRig:
     def mend(self, kind: str) -> None:
         self.world.faults.mend("left", kind)
 
+    async def close(self) -> None:
+        """Nothing but the sensor to put away."""
+
+
+class SocketRig(FakeRig):
+    """The same finger behind a frame server, read by the driver of the socket."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__("inline")
+        self.server = FrameServer(folder / "left.sock", self.sensor, fps=60.0)
+        self.server.plug()
+        settings = SocketSensor.Settings(path=self.server.path, stall_ms=500)
+        self.sensor = SocketSensor(settings, DriverContext("left"))
+
+    def fail(self, kind: str) -> None:
+        super().fail(kind)
+        if kind == "disconnect":
+            self.server.unplug()
+
+    def mend(self, kind: str) -> None:
+        super().mend(kind)
+        self.server.plug()
+
+    async def close(self) -> None:
+        await self.server.close()
+
 
 class ReplayRig:
     """A folder of seven noise pictures, played for ever."""
@@ -49,19 +77,28 @@ class ReplayRig:
             cv2.imwrite(str(folder / f"{number}.png"), rng.integers(0, 256, (320, 240, 3), np.uint8))
         self.sensor: TactileSensor = ReplaySensor(ReplaySensor.Settings(path=folder), DriverContext("left"))
 
+    async def close(self) -> None:
+        """Nothing but the sensor to put away."""
 
-@pytest.fixture(params=["inline", "process"])
-async def fake(request: pytest.FixtureRequest) -> AsyncIterator[FakeRig]:
-    rig = FakeRig(request.param)
+
+@pytest.fixture(params=["inline", "process", "socket"])
+async def fake(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[FakeRig]:
+    rig = SocketRig(tmp_path) if request.param == "socket" else FakeRig(request.param)
     yield rig
     await rig.sensor.close()
+    await rig.close()
 
 
-@pytest.fixture(params=["inline", "process", "replay"])
+@pytest.fixture(params=["inline", "process", "socket", "replay"])
 async def rig(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[FakeRig | ReplayRig]:
-    rig = ReplayRig(tmp_path) if request.param == "replay" else FakeRig(request.param)
+    rig: FakeRig | ReplayRig
+    if request.param == "replay":
+        rig = ReplayRig(tmp_path)
+    else:
+        rig = SocketRig(tmp_path) if request.param == "socket" else FakeRig(request.param)
     yield rig
     await rig.sensor.close()
+    await rig.close()
 
 
 async def good_frame(sensor: TactileSensor) -> Frame:
