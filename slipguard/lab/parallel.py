@@ -10,6 +10,7 @@ import importlib
 import logging
 import signal
 import traceback
+import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
@@ -111,13 +112,17 @@ def _in_processes(task: Callable[[T], R], items: Sequence[T], jobs: int) -> Gene
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     pool = Parallel(n_jobs=jobs, return_as="generator")
+    results = pool(delayed(_in_worker)(task, item) for item in items)
     try:
-        with closing(pool(delayed(_in_worker)(task, item) for item in items)) as results:
-            yield from results
+        yield from results
     except TerminatedWorkerError as error:
         raise SlipguardError(
             f"one of {jobs} worker processes died, perhaps for want of memory; try fewer with --jobs"
         ) from error
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of results that were not asked for
+            results.close()
 
 
 def _in_worker(task: Callable[[T], R], item: T) -> R:
