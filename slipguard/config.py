@@ -78,6 +78,24 @@ class StateSection(Section):
     """None: $STATE_DIRECTORY under systemd, else ~/.local/state/slipguard."""
 
 
+class RecordingSection(Section):
+    """The ring of recordings (MCAP): the last minutes, and what is kept around every slip and fault."""
+
+    enabled: bool = True
+    directory: Path | None = None
+    """None: `recordings` in the state directory."""
+    image: Literal["jpeg", "png", "none"] = "jpeg"
+    """png replays to the very same turns, and costs ten times the time and space; none keeps estimates only."""
+    jpeg_quality: Annotated[int, Field(ge=50, le=100)] = 90
+    ring_s: Annotated[float, Field(ge=20.0, le=86_400.0)] = 600.0
+    ring_max_mb: Annotated[int, Field(ge=10, le=1_000_000)] = 1000
+    """The ring is shorter where its time does not fit into this."""
+    keep_before_s: Annotated[float, Field(ge=0.0, le=600.0)] = 20.0
+    keep_after_s: Annotated[float, Field(ge=0.0, le=600.0)] = 20.0
+    kept_max_mb: Annotated[int, Field(ge=10, le=1_000_000)] = 4000
+    """Beyond this the oldest kept recordings are deleted."""
+
+
 class Config(Section):
     """All of config.toml."""
 
@@ -90,6 +108,7 @@ class Config(Section):
     loop: LoopSection = LoopSection()
     api: ApiSection = ApiSection()
     state: StateSection = StateSection()
+    recording: RecordingSection = RecordingSection()
 
 
 GROUP_OF = {

@@ -19,6 +19,7 @@ from slipguard.daemon.api import calibration_answer, make_app
 from slipguard.daemon.calibration import NoContact
 from slipguard.daemon.controls import Controls
 from slipguard.daemon.finger import Perceiver
+from slipguard.daemon.recording import make_recorder, record
 from slipguard.daemon.serve import bind, serve
 from slipguard.daemon.service import FINGERS, Law, Service
 from slipguard.daemon.state_dir import StateDir
@@ -39,6 +40,11 @@ log = structlog.get_logger()
 def socket_path(config: Config) -> Path:
     """Where the local API listens."""
     return config.api.socket or StateDir(config.state.directory).runtime_path / "slipguard.sock"
+
+
+def recordings_path(config: Config) -> Path:
+    """Where recordings lie."""
+    return config.recording.directory or StateDir(config.state.directory).path / "recordings"
 
 
 def build_service(
@@ -132,6 +138,8 @@ async def run(
             group.create_task(service.run(), name="service")
             group.create_task(serve(make_app(Controls(service)), path, bound), name="api")
             group.create_task(until_stopped(), name="signals")
+            if config.recording.enabled:
+                group.create_task(record(service, make_recorder(service, recordings_path(config))), name="recorder")
             if beside is not None:
                 group.create_task(beside(service), name="beside")
     except* _Stopped:

@@ -17,6 +17,7 @@ from slipguard.daemon.actuator import Actuator
 from slipguard.daemon.calibration import Store
 from slipguard.daemon.finger import Finger, Perceiver
 from slipguard.daemon.finger import Seen as FingerSeen
+from slipguard.daemon.journal import Journal
 from slipguard.daemon.notify import notify, watchdog_period_s
 from slipguard.daemon.ticker import Ticker
 from slipguard.daemon.worker import Worker
@@ -37,7 +38,6 @@ STALE_S = 0.15
 At 30 fps one lost frame makes it 122 ms: two frames of 33 ms, 50 ms of latency, 6 ms of work.
 """
 REQUEST_TIMEOUT_S = 2.0
-SAID_MAX = 50
 
 Law = Callable[[Guard, Seen, GuardParams], tuple[Guard, Command]]
 log = structlog.get_logger()
@@ -85,6 +85,7 @@ class Service:
         self.observers: list[Callable[[Decision], None]] = []
         self.hold_observers: list[Callable[[float], None]] = []
         """Called as a hold goes to the gripper, with the seconds since the frame that caused it was handed over."""
+        self.journal = Journal()
         self.deadlines_missed = 0
         self._guard = Guard()
         self.seen: Seen | None = None
@@ -99,14 +100,12 @@ class Service:
             for name in FINGERS
         }
         self.gripper: Actuator[GripperState] = Actuator(
-            "gripper", gripper, poll_s, retry_s, self._wake.set, self._event
+            "gripper", gripper, poll_s, retry_s, self._wake.set, self.journal.say
         )
-        self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, self._wake.set, self._event)
+        self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, self._wake.set, self.journal.say)
         self._requests: asyncio.Queue[tuple[Request, asyncio.Future[str]]] = asyncio.Queue()
         self._decided_on: dict[str, FingerSeen | None] = dict.fromkeys(FINGERS)
         self._last_fault: Fault | None = None
-        self.said: list[str] = []
-        """The newest events, oldest first; at most SAID_MAX."""
 
     @property
     def state(self) -> GuardState:
@@ -275,9 +274,9 @@ class Service:
 
     def _tell(self, before: Phase, command: Command, answer: asyncio.Future[str] | None) -> None:
         if command.say is not None:
-            self._event(command.say)
+            self.journal.say(command.say)
         if command.fault is not None and command.fault != self._last_fault:
-            log.error("fault", code=command.fault.code.value, seen=command.fault.seen, do=command.fault.what_to_do)
+            self.journal.fault(command.fault.code.value, command.fault.seen, command.fault.what_to_do)
         self._last_fault = command.fault
         if self.phase is not before:
             log.info("phase", now=self.phase.value, before=before.value)
@@ -288,7 +287,3 @@ class Service:
             answer.set_exception(CommandRefused(command.refused))
         else:
             answer.set_result(command.say or self.phase.value)
-
-    def _event(self, text: str) -> None:
-        log.info(text)
-        self.said = [*self.said[1 - SAID_MAX :], text]

@@ -39,7 +39,7 @@ def snapshot(service: Service) -> dict[str, object]:
         "devices": {name: device.health.as_dict() for name, device in service.devices.items()},
         "waiting_for": service.waiting_for,
         "deadlines_missed": service.deadlines_missed,
-        "said": service.said[-10:],
+        "said": service.journal.lines[-10:],
     }
 
 

@@ -146,7 +146,7 @@ class Cell:
     def where(self) -> str:
         """How things stand, for a failing test."""
         service = self.service
-        return f"{self.phase} at {self.now_s:.2f} s: {service.waiting_for} {service.said[-6:]} {self.truth}"
+        return f"{self.phase} at {self.now_s:.2f} s: {service.waiting_for} {service.journal.lines[-6:]} {self.truth}"
 
     # What is done.
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from loop_cell import Cell, play, running
 
-from slipguard.daemon.service import SAID_MAX
+from slipguard.daemon.journal import KEPT
 from slipguard.devices import Frame
 from slipguard.grasp.state import Phase
 from slipguard.perception.estimate import Estimate
@@ -24,7 +24,7 @@ def test_five_minutes_of_holding_tighten_nothing_and_keep_nothing() -> None:
         await cell.lift()
         await cell.until(cell.steady)
         await asyncio.sleep(5.0)
-        told, size, said = len(cell.gripper.told), weight(cell), len(cell.service.said)
+        told, size, said = len(cell.gripper.told), weight(cell), len(cell.service.journal.lines)
         ended_s = cell.now_s + 300.0
         while cell.now_s < ended_s:
             await asyncio.sleep(30.0)
@@ -32,7 +32,7 @@ def test_five_minutes_of_holding_tighten_nothing_and_keep_nothing() -> None:
         assert len(cell.gripper.told) == told
         assert cell.phase is Phase.HOLDING
         assert cell.service.deadlines_missed == 0
-        assert len(cell.service.said) == said
+        assert len(cell.service.journal.lines) == said
 
     cell = Cell("wrench", 1, loop={"poll_ms": 100.0}, fps=30.0, watched=False)
     play(cell, scene)
@@ -42,7 +42,12 @@ def test_five_minutes_of_holding_tighten_nothing_and_keep_nothing() -> None:
 def weight(cell: Cell) -> int:
     """Bytes of what the service holds on to, roughly: every object reached from it, arrays and modules aside."""
     seen: set[int] = set()
-    todo: list[object] = [cell.service._guard, cell.service.said, cell.service.seen, *vars(cell.service).values()]
+    todo: list[object] = [
+        cell.service._guard,
+        cell.service.journal.lines,
+        cell.service.seen,
+        *vars(cell.service).values(),
+    ]
     total = 0
     while todo:
         one = todo.pop()
@@ -65,7 +70,7 @@ def test_what_was_said_is_kept_up_to_a_limit() -> None:
         await cell.ready()
         for on in [False, True] * 40:
             await cell.controls.guard(on)
-        assert len(cell.service.said) == SAID_MAX
+        assert len(cell.service.journal.lines) == KEPT
 
     play(Cell(guard={"mode": "guard"}), scene)
 

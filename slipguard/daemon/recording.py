@@ -1,0 +1,159 @@
+"""What of the running service is recorded, and when it is worth keeping."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard import __version__
+from slipguard.config import Config
+from slipguard.daemon.finger import Judgement
+from slipguard.daemon.service import Decision, Service
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
+from slipguard.errors import InputError
+from slipguard.grasp.state import Phase
+from slipguard.perception.estimate import Estimate
+from slipguard.perception.regions import Patch
+from slipguard.perception.segment import default_model_path
+from slipguard.recording import messages as m
+from slipguard.recording.recorder import Recorder, RecorderSettings, Said, Seen, Turn
+from slipguard.recording.ring import Limits, Ring
+from slipguard.recording.writer import Clock, Header
+
+SEGMENT_S = 20.0
+IDLE_IMAGE_S = 1.0
+"""With nothing held and nothing touched, one picture in this time is enough."""
+STOP_S = 5.0
+
+
+def make_recorder(service: Service, folder: Path) -> Recorder:
+    """A recorder for a service, into `folder`; not yet started."""
+    asked = service.config.recording
+    loop = asyncio.get_running_loop()
+    limits = Limits(max(round(asked.ring_s / SEGMENT_S), 1), asked.ring_max_mb * 2**20, asked.kept_max_mb * 2**20)
+    return Recorder(
+        Ring(folder, limits),
+        RecorderSettings(asked.image, asked.jpeg_quality, SEGMENT_S, asked.keep_before_s, asked.keep_after_s),
+        Clock(time.time_ns(), loop.time()),
+        header=lambda: _header(service),
+        on_trouble=lambda text: _say_in(loop, service.journal.say, text),
+    )
+
+
+async def record(service: Service, recorder: Recorder) -> None:
+    """Record until cancelled; then what waits is written and the file is closed."""
+    watcher = Watcher(recorder)
+    for name, finger in service.fingers.items():
+        finger.observers.append(lambda judgement, name=name: watcher.judged(name, judgement))  # type: ignore[misc]
+    service.observers.append(watcher.decided)
+    loop = asyncio.get_running_loop()
+    service.journal.listeners.append(lambda text, error: recorder.hand(Said(loop.time(), text, error)))
+    recorder.start()
+    try:
+        await loop.create_future()
+    finally:
+        await asyncio.to_thread(recorder.stop, STOP_S)
+
+
+class Watcher:
+    """Hands over what the loop and the fingers tell; costs them some microseconds."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder = recorder
+        self._idle = True
+        self._slipping = False
+        self._faulty = False
+        self._pictured_s: dict[str, float] = {}
+
+    def judged(self, finger: str, judgement: Judgement) -> None:
+        """A finger's frame and what it says; without its picture while nothing is going on."""
+        frame, estimate = judgement.frame, judgement.estimate
+        boring = self._idle and estimate is not None and not estimate.contact
+        recent = frame.captured_at_s - self._pictured_s.get(finger, float("-inf")) < IDLE_IMAGE_S
+        pictured = not (boring and recent)
+        if pictured:
+            self._pictured_s[finger] = frame.captured_at_s
+        told = m.Judged(
+            frame.sequence,
+            frame.captured_at_s,
+            judgement.new_reference,
+            judgement.new_pipeline,
+            estimate,
+            judgement.refused,
+        )
+        patch = judgement.patch if estimate is not None and estimate.skipped is None else None
+        self._recorder.hand(
+            Seen(
+                finger,
+                judgement.judged_at_s,
+                told,
+                frame.image if pictured else None,
+                _mask(patch) if patch is not None else None,
+            )
+        )
+
+    def decided(self, decision: Decision) -> None:
+        """A turn of the loop; the beginning of a slip or a fault is worth keeping."""
+        law = decision.memory.law
+        slipping, faulty = law.slip is not None, decision.command.fault is not None
+        keep = (slipping and not self._slipping) or (faulty and not self._faulty)
+        self._slipping, self._faulty = slipping, faulty
+        self._idle = decision.phase is Phase.IDLE
+        estimates = decision.estimates
+        tick = m.Tick(
+            decision.now_s,
+            decision.phase.value,
+            decision.seen,
+            decision.command,
+            _sequence(estimates.get("left")),
+            _sequence(estimates.get("right")),
+        )
+        self._recorder.hand(Turn(tick, decision.memory, keep))
+
+
+def _sequence(estimate: Estimate | None) -> int | None:
+    return None if estimate is None else estimate.sequence
+
+
+def _mask(patch: Patch) -> NDArray[np.uint8]:
+    """(320, 240) uint8, 0 or 1."""
+    size = (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
+    return np.asarray(cv2.resize(patch.full_mask(), size, interpolation=cv2.INTER_NEAREST), np.uint8)
+
+
+def _header(service: Service) -> Header:
+    """Versions, the whole configuration, and each finger's no-contact image."""
+    model = service.config.perception.model or default_model_path()
+    facts = {"slipguard": __version__, "model_sha256": hashlib.sha256(model.read_bytes()).hexdigest()}
+    attachments = {m.CONFIG_ATTACHMENT: config_json(service.config)}
+    for name, finger in service.fingers.items():
+        if finger.serial is None:
+            continue
+        facts[f"{name}.serial"] = finger.serial
+        try:
+            known = service.store.load_no_contact(finger.serial)
+        except InputError:
+            known = None
+        if known is not None:
+            facts[f"{name}.noise_bgr"] = json.dumps(known.noise_bgr)
+            attachments[m.no_contact_name(name)] = cv2.imencode(".png", known.image)[1].tobytes()
+    return Header(facts, attachments)
+
+
+def config_json(config: Config) -> bytes:
+    """The configuration with every default spelled out, drivers' tables too."""
+    return config.model_dump_json(indent=2, serialize_as_any=True).encode()
+
+
+def _say_in(loop: asyncio.AbstractEventLoop, say: Callable[[str], None], text: str) -> None:
+    """From the recorder's thread into the loop; nothing once the loop is closed."""
+    if not loop.is_closed():
+        loop.call_soon_threadsafe(say, text)

@@ -1,0 +1,160 @@
+"""Reading recordings back, also those cut off by a kill or a full disk: all up to the damage, then a word on it."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import DecodeError
+from mcap.exceptions import EndOfFile, McapError
+from mcap.records import Attachment, Channel, Message, Metadata
+from mcap.stream_reader import StreamReader
+from numpy.typing import NDArray
+
+from slipguard.errors import InputError
+from slipguard.grasp.guard import Guard
+from slipguard.recording import messages as m
+
+RECORD_MAX_BYTES = 64 * 2**20
+"""No record of ours is larger; a damaged length must not ask for all the memory there is."""
+_DAMAGE = (
+    McapError,
+    DecodeError,
+    InputError,
+    struct.error,
+    ValueError,
+    RuntimeError,
+    EOFError,
+    OverflowError,
+    KeyError,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One compressed picture of a finger: its gel image, or the mask found in it. format: "jpeg" or "png"."""
+
+    finger: str
+    encoded: bytes
+    format: str
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """(320, 240, 3) uint8 BGR; raises InputError if it is no picture."""
+        image = cv2.imdecode(np.frombuffer(self.encoded, np.uint8), cv2.IMREAD_COLOR)
+        if image is None:
+            raise InputError(f"a picture of the {self.finger} finger cannot be decoded")
+        return np.asarray(image, np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line that was said."""
+
+    text: str
+    error: bool
+
+
+Value = Guard | m.Judged | m.Tick | Picture | Line
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One message: its topic, when (wall clock, nanoseconds since 1970), and what it says."""
+
+    topic: str
+    at_ns: int
+    value: Value
+
+
+@dataclass(slots=True)
+class Recording:
+    """One file. facts and attachments are those it began with; `damage` is known once `items` has been exhausted."""
+
+    path: Path
+    facts: dict[str, str] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    damage: str | None = None
+    """Why reading ended before the file's own end; None if it did not."""
+
+    def items(self) -> Iterator[Item]:
+        """All messages in the order written; ends early, and says so in `damage`, where the file is damaged."""
+        topics: dict[int, str] = {}
+        ended = False
+        self.damage = None
+        try:
+            with self.path.open("rb") as file:
+                for record in _records(file):
+                    ended = ended or type(record).__name__ == "Footer"
+                    if isinstance(record, Channel):
+                        topics[record.id] = record.topic
+                    elif isinstance(record, Message):
+                        value = _value(topics[record.channel_id], record.data)
+                        if value is not None:
+                            yield Item(topics[record.channel_id], record.log_time, value)
+        except _DAMAGE as error:
+            self.damage = (
+                "is cut off" if isinstance(error, EndOfFile) else f"is damaged: {error or type(error).__name__}"
+            )
+        except OSError as error:
+            self.damage = f"cannot be read: {error.strerror}"
+        else:
+            self.damage = None if ended else "was not finished (killed, or the disk was full)"
+
+
+def open_recording(path: Path) -> Recording:
+    """Read what a recording says of itself. Raises InputError for what is no recording of slipguard."""
+    recording = Recording(path)
+    try:
+        with path.open("rb") as file:
+            for record in _records(file):
+                if isinstance(record, Metadata) and record.name == m.HEADER:
+                    recording.facts = dict(record.metadata)
+                elif isinstance(record, Attachment):
+                    recording.attachments[record.name] = record.data
+                elif isinstance(record, Message):
+                    break
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except _DAMAGE as error:
+        if not recording.facts:
+            raise InputError(f"{path}: not an MCAP recording ({str(error) or type(error).__name__})") from None
+    if "format" not in recording.facts:
+        raise InputError(f"{path}: no recording of slipguard, or cut off before its header")
+    if recording.facts["format"] != m.FORMAT:
+        raise InputError(
+            f"{path}: written in format {recording.facts['format']}; this slipguard reads format {m.FORMAT}"
+        )
+    return recording
+
+
+def _records(file: Any) -> Iterator[Any]:
+    return StreamReader(file, validate_crcs=True, record_size_limit=RECORD_MAX_BYTES).records
+
+
+_TOPICS: dict[str, m.Json[Any]] = {
+    m.TICK_TOPIC: m.TICK,
+    m.MEMORY_TOPIC: m.MEMORY,
+    **dict.fromkeys(m.JUDGED_TOPIC.values(), m.JUDGED),
+}
+_FINGER_OF = {topic: finger for topics in (m.IMAGE_TOPIC, m.MASK_TOPIC) for finger, topic in topics.items()}
+
+
+def _value(topic: str, data: bytes) -> Value | None:
+    """The message; None for a topic that a later version may have added."""
+    if topic in _TOPICS:
+        value: Guard | m.Judged | m.Tick = _TOPICS[topic].decode(data)
+        return value
+    if topic in _FINGER_OF:
+        picture = CompressedImage.FromString(data)
+        return Picture(_FINGER_OF[topic], picture.data, picture.format)
+    if topic == m.LOG_TOPIC:
+        line = Log.FromString(data)
+        return Line(line.message, line.level >= Log.ERROR)
+    return None

@@ -1,0 +1,224 @@
+"""Writes the ring of recordings in a thread of its own, from values handed over by the loop.
+
+Handing over never waits: a recorder that falls behind leaves pictures out, then everything, and counts it. A disk that
+takes no more ends the recording with one line, and never the guard; it is tried again after a while.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import BinaryIO, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.grasp.guard import Guard
+from slipguard.recording import messages as m
+from slipguard.recording.ring import Ring
+from slipguard.recording.writer import Clock, Header, RecordingFile, open_new
+
+BACKLOG_MAX = 2000
+"""Values waiting for the disk. Pictures are left out from a quarter of it on: 250 of them are 60 MB."""
+WAIT_S = 0.25
+TRY_AGAIN_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderSettings:
+    """segment_s: length of one file. keep_before_s, keep_after_s: what is kept around an event."""
+
+    image: Literal["jpeg", "png", "none"] = "jpeg"
+    jpeg_quality: int = 90
+    segment_s: float = 20.0
+    keep_before_s: float = 20.0
+    keep_after_s: float = 20.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """A judged frame of one finger. image: (320, 240, 3) uint8; mask: (320, 240) uint8, 0 or 1; None: left out."""
+
+    finger: str
+    at_s: float
+    judged: m.Judged
+    image: NDArray[np.uint8] | None = None
+    mask: NDArray[np.uint8] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """One turn of the loop. memory: the law's, before it. keep: this is worth keeping."""
+
+    tick: m.Tick
+    memory: Guard
+    keep: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """One line of the log."""
+
+    at_s: float
+    text: str
+    error: bool = False
+
+
+class Recorder:
+    """A thread that writes what it is handed. header: called in that thread for each new file.
+
+    on_trouble: told, in that thread, in one line, that recording has stopped or goes on again.
+    """
+
+    def __init__(
+        self,
+        ring: Ring,
+        settings: RecorderSettings,
+        clock: Clock,
+        header: Callable[[], Header],
+        on_trouble: Callable[[str], None],
+        opener: Callable[[Path], BinaryIO] = open_new,
+    ) -> None:
+        self.left_out = 0
+        """Values that found no room."""
+        self.stopped: str | None = None
+        """Why nothing is recorded at present."""
+        self.path: Path | None = None
+        self._ring, self._settings, self._clock, self._header = ring, settings, clock, header
+        self._on_trouble, self._opener = on_trouble, opener
+        self._waiting: deque[Seen | Turn | Said] = deque()
+        self._news = threading.Condition()
+        self._ending = False
+        self._file: RecordingFile | None = None
+        self._began_s = 0.0
+        self._renew = False
+        self._keep_until_s = float("-inf")
+        self._keep_this = False
+        self._try_again_at = 0.0
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+
+    def start(self) -> None:
+        """Begin; the first file is opened with the first turn of the loop."""
+        self._thread.start()
+
+    def hand(self, value: Seen | Turn | Said) -> None:
+        """Take a value over; never waits, and may leave it out."""
+        with self._news:
+            if isinstance(value, Seen) and value.image is not None and len(self._waiting) >= BACKLOG_MAX // 4:
+                value = replace(value, image=None, mask=None)
+                self.left_out += 1
+            if len(self._waiting) >= BACKLOG_MAX:
+                self.left_out += 1
+                return
+            self._waiting.append(value)
+            self._news.notify()
+
+    def stop(self, timeout_s: float = 5.0) -> None:
+        """Write what waits, close the file, end the thread."""
+        with self._news:
+            self._ending = True
+            self._news.notify()
+        self._thread.join(timeout_s)
+
+    def _run(self) -> None:
+        while True:
+            with self._news:
+                if not self._waiting and not self._ending:
+                    self._news.wait(WAIT_S)
+                batch, ending = list(self._waiting), self._ending
+                self._waiting.clear()
+            for value in batch:
+                self._take(value)
+            if ending and not self._waiting:
+                self._guarded(self._finish)
+                return
+
+    def _take(self, value: Seen | Turn | Said) -> None:
+        if self.stopped is not None and time.monotonic() < self._try_again_at:
+            return
+        self._guarded(lambda: self._write(value))
+
+    def _guarded(self, action: Callable[[], None]) -> None:
+        """A disk that fails stops the recording, not the guard."""
+        try:
+            action()
+        except OSError as error:
+            why = f"recording stopped: {error.strerror or error} ({self.path or self._ring.ring})"
+            if self._file is not None:
+                self._file.abandon()
+                self._file = None
+            first = self.stopped is None
+            self.stopped, self._try_again_at = why, time.monotonic() + TRY_AGAIN_S
+            if first:
+                self._on_trouble(f"{why}; make room or mend the disk, the guard goes on without")
+
+    def _write(self, value: Seen | Turn | Said) -> None:
+        if isinstance(value, Turn):
+            self._turn(value)
+        elif self._file is None:
+            return  # a file begins with the law's memory, so with a turn
+        elif isinstance(value, Seen):
+            self._seen(self._file, value)
+        else:
+            self._file.log(value.at_s, "error" if value.error else "info", value.text)
+
+    def _turn(self, turn: Turn) -> None:
+        now_s = turn.tick.now_s
+        if turn.keep:
+            self._keep_until_s = now_s + self._settings.keep_after_s
+            self._keep_this = True
+            self._keep_what_was(now_s - self._settings.keep_before_s)
+        if self._file is not None and (self._renew or now_s - self._began_s >= self._settings.segment_s):
+            self._finish()
+        if self._file is None:
+            self._begin(turn.memory, now_s)
+        assert self._file is not None
+        self._file.tick(turn.tick)
+
+    def _seen(self, file: RecordingFile, seen: Seen) -> None:
+        if seen.judged.new_pipeline:
+            self._renew = True  # the file's no-contact images are those of its beginning
+        frame_s = seen.judged.captured_at_s
+        if seen.image is not None and self._settings.image != "none":
+            file.image(seen.finger, frame_s, self._encoded(seen.image), self._settings.image)
+        if seen.mask is not None:
+            file.mask(seen.finger, frame_s, cv2.imencode(".png", seen.mask * np.uint8(255))[1].tobytes())
+        file.judged(seen.finger, seen.at_s, seen.judged)
+
+    def _encoded(self, image: NDArray[np.uint8]) -> bytes:
+        if self._settings.image == "png":
+            return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+        return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, self._settings.jpeg_quality])[1].tobytes()
+
+    def _begin(self, memory: Guard, now_s: float) -> None:
+        self.path = self._ring.new(self._clock.ns(now_s))
+        self._file = RecordingFile(self.path, self._clock, self._header(), memory, now_s, self._opener)
+        self._began_s, self._renew = now_s, False
+        self._keep_this = now_s <= self._keep_until_s
+        self._ring.tidy(self.path)
+        if self.stopped is not None:
+            self.stopped = None
+            self._on_trouble("recording again")
+
+    def _finish(self) -> None:
+        """Close the present file, and move it if it is kept."""
+        file, self._file = self._file, None
+        if file is None:
+            return
+        try:
+            file.close()
+        finally:
+            if self._keep_this and self.path is not None:
+                self._ring.keep(self.path)
+
+    def _keep_what_was(self, from_s: float) -> None:
+        """Keep the finished files that reach beyond `from_s`."""
+        from_ns = self._clock.ns(from_s)
+        for path in self._ring.newest():
+            if path != self.path and path.stat().st_mtime_ns >= from_ns:
+                self._ring.keep(path)

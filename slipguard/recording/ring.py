@@ -1,0 +1,71 @@
+"""The folder of recordings: a ring of the last minutes, and what is kept because something happened.
+
+<folder>/ring/20261121T143012.250Z.mcap    the newest are written, the oldest deleted
+<folder>/kept/20261121T142952.250Z.mcap    around every slip and fault; the oldest deleted beyond the limit
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+SUFFIX = ".mcap"
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How much may lie in the folder. ring_files: how many files the ring has; whatever is older goes."""
+
+    ring_files: int
+    ring_bytes: int
+    kept_bytes: int
+
+
+class Ring:
+    """Names, keeps and deletes recordings; writes none. Every method may raise OSError."""
+
+    def __init__(self, folder: Path, limits: Limits) -> None:
+        self.ring, self.kept = folder / "ring", folder / "kept"
+        self._limits = limits
+
+    def new(self, wall_ns: int) -> Path:
+        """Where the recording that begins now is written."""
+        self.ring.mkdir(parents=True, exist_ok=True)
+        began = datetime.fromtimestamp(wall_ns * 1e-9, UTC)
+        name = f"{began:%Y%m%dT%H%M%S}.{began.microsecond // 1000:03d}Z"
+        path = self.ring / (name + SUFFIX)
+        again = 1
+        while path.exists() or (self.kept / path.name).exists():  # a wall clock may be set back
+            path = self.ring / f"{name}-{again}{SUFFIX}"
+            again += 1
+        return path
+
+    def keep(self, path: Path) -> Path:
+        """Move a finished recording out of the ring; returns where it is now."""
+        if path.parent == self.kept:
+            return path
+        self.kept.mkdir(parents=True, exist_ok=True)
+        return path.rename(self.kept / path.name)
+
+    def newest(self) -> list[Path]:
+        """The ring's files, newest first."""
+        return _newest_first(self.ring)
+
+    def tidy(self, writing: Path | None = None) -> None:
+        """Delete what is beyond the limits, the oldest first, but never the file that is being written."""
+        limits = self._limits
+        _delete_beyond(self.newest(), limits.ring_files, limits.ring_bytes, writing)
+        _delete_beyond(_newest_first(self.kept), None, limits.kept_bytes, writing)
+
+
+def _newest_first(folder: Path) -> list[Path]:
+    return sorted(folder.glob(f"*{SUFFIX}"), reverse=True) if folder.is_dir() else []
+
+
+def _delete_beyond(newest_first: list[Path], files: int | None, size_bytes: int, spare: Path | None) -> None:
+    total_bytes = 0
+    for number, path in enumerate(newest_first):
+        total_bytes += path.stat().st_size
+        if path != spare and ((files is not None and number >= files) or total_bytes > size_bytes):
+            path.unlink()

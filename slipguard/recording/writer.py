@@ -1,0 +1,167 @@
+"""One recording file, written so that whatever was written stays readable when the program is killed."""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, Literal
+
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.timestamp_pb2 import Timestamp
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import register_schema
+
+from slipguard.grasp.guard import Guard
+from slipguard.recording import messages as m
+
+CHUNK_BYTES = 64 * 1024
+"""A file is readable up to its last whole chunk. The loop alone fills one in half a second, pictures in less."""
+
+Level = Literal["info", "error"]
+_LEVELS = {"info": Log.INFO, "error": Log.ERROR}
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """From the event loop's monotonic seconds to the wall clock's nanoseconds that a recording carries."""
+
+    wall_ns: int
+    monotonic_s: float
+
+    def ns(self, at_s: float) -> int:
+        """Wall clock, nanoseconds since 1970."""
+        return max(self.wall_ns + round(1e9 * (at_s - self.monotonic_s)), 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What a file says of itself. facts: texts, such as versions. attachments: name -> content, .json or .png."""
+
+    facts: Mapping[str, str]
+    attachments: Mapping[str, bytes]
+
+
+def open_new(path: Path) -> BinaryIO:
+    """A new file, unbuffered; raises FileExistsError rather than write over another."""
+    return open(path, "xb", buffering=0)
+
+
+class RecordingFile:
+    """An open recording. Every method may raise OSError, a full disk above all; then only `close` is of use.
+
+    opener: opens a new file unbuffered, for the tests' full disks.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        clock: Clock,
+        header: Header,
+        memory: Guard,
+        now_s: float,
+        opener: Callable[[Path], BinaryIO] = open_new,
+    ) -> None:
+        self.path = path
+        self._clock = clock
+        self._stream = _Stream(opener(path))
+        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)  # type: ignore[arg-type]
+        self._writer.start(profile="", library="slipguard")
+        self._writer.add_metadata(m.HEADER, {"format": m.FORMAT, **header.facts})
+        now_ns = clock.ns(now_s)
+        for name, content in header.attachments.items():
+            kind = "image/png" if name.endswith(".png") else "application/json"
+            self._writer.add_attachment(now_ns, now_ns, name, kind, content)
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._json(m.MEMORY_TOPIC, m.MEMORY, memory, now_s)
+
+    @property
+    def size_bytes(self) -> int:
+        """What is on the disk so far."""
+        return self._stream.tell()
+
+    def image(self, finger: str, at_s: float, encoded: bytes, kind: Literal["jpeg", "png"]) -> None:
+        """The gel picture of a finger, taken at `at_s`."""
+        self._picture(m.IMAGE_TOPIC[finger], finger, at_s, encoded, kind)
+
+    def mask(self, finger: str, at_s: float, png: bytes) -> None:
+        """The contact found in the picture taken at `at_s`: 240 x 320, 0 or 255."""
+        self._picture(m.MASK_TOPIC[finger], finger, at_s, png, "png")
+
+    def judged(self, finger: str, at_s: float, judged: m.Judged) -> None:
+        """What a finger's pipeline made of a frame; `at_s` is when it was known."""
+        self._json(m.JUDGED_TOPIC[finger], m.JUDGED, judged, at_s)
+
+    def tick(self, tick: m.Tick) -> None:
+        """One turn of the loop."""
+        self._json(m.TICK_TOPIC, m.TICK, tick, tick.now_s)
+
+    def log(self, at_s: float, level: Level, text: str) -> None:
+        """One line that was said."""
+        at_ns = self._clock.ns(at_s)
+        line = Log(timestamp=_stamp(at_ns), level=_LEVELS[level], message=text, name="slipguard")
+        self._add(m.LOG_TOPIC, Log, at_ns, line.SerializeToString())
+
+    def close(self) -> None:
+        """Write the index; without it a reader must look through the whole file. Raises OSError."""
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        finally:
+            self._stream.close()
+
+    def abandon(self) -> None:
+        """Close without another byte: the disk takes none."""
+        self._stream.close()
+
+    def _picture(self, topic: str, finger: str, at_s: float, encoded: bytes, kind: str) -> None:
+        at_ns = self._clock.ns(at_s)
+        picture = CompressedImage(timestamp=_stamp(at_ns), frame_id=finger, data=encoded, format=kind)
+        self._add(topic, CompressedImage, at_ns, picture.SerializeToString())
+
+    def _json(self, topic: str, kind: m.Json[Any], value: Any, at_s: float) -> None:
+        if topic not in self._channels:
+            if kind.name not in self._schemas:
+                schema = json.dumps(kind.schema()).encode()
+                self._schemas[kind.name] = self._writer.register_schema(kind.name, "jsonschema", schema)
+            self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[kind.name])
+        at_ns = self._clock.ns(at_s)
+        self._writer.add_message(self._channels[topic], at_ns, kind.encode(value), at_ns)
+
+    def _add(self, topic: str, kind: Any, at_ns: int, data: bytes) -> None:
+        if topic not in self._channels:
+            name = kind.DESCRIPTOR.full_name
+            if name not in self._schemas:
+                self._schemas[name] = register_schema(self._writer, kind)
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", self._schemas[name])
+        self._writer.add_message(self._channels[topic], at_ns, data, at_ns)
+
+
+class _Stream:
+    """An unbuffered file that writes everything or raises, and knows how far it is."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._at = 0
+        self.flush = functools.partial(file.flush)
+
+    def write(self, data: bytes) -> int:
+        rest = memoryview(data)
+        while rest:
+            done = self._file.write(rest)
+            rest = rest[done:]
+            self._at += done
+        return len(data)
+
+    def tell(self) -> int:
+        return self._at
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _stamp(at_ns: int) -> Timestamp:
+    return Timestamp(seconds=at_ns // 1_000_000_000, nanos=at_ns % 1_000_000_000)
