@@ -114,7 +114,8 @@ def _in_processes(task: Callable[[T], R], items: Sequence[T], jobs: int) -> Gene
     pool = Parallel(n_jobs=jobs, return_as="generator")
     results = pool(delayed(_in_worker)(task, item) for item in items)
     try:
-        yield from results
+        for result in results:  # `yield from` would close them itself, with a warning
+            yield result
     except TerminatedWorkerError as error:
         raise SlipguardError(
             f"one of {jobs} worker processes died, perhaps for want of memory; try fewer with --jobs"
