@@ -114,7 +114,7 @@ def _in_processes(task: Callable[[T], R], items: Sequence[T], jobs: int) -> Gene
     pool = Parallel(n_jobs=jobs, return_as="generator")
     results = pool(delayed(_in_worker)(task, item) for item in items)
     try:
-        for result in results:  # `yield from` would close them itself, with a warning
+        for result in results:  # noqa: UP028 - `yield from` would close them itself, with a warning
             yield result
     except TerminatedWorkerError as error:
         raise SlipguardError(
