@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Awaitable, Callable
 from typing import Generic, Protocol, TypeVar
 
@@ -13,6 +14,8 @@ from slipguard.errors import CommandRefused, DeviceError, DeviceLost
 
 S_co = TypeVar("S_co", covariant=True)
 S = TypeVar("S")
+ROUND_TRIPS = 400
+"""Ten seconds of them at the usual 25 ms."""
 Action = Callable[[], Awaitable[object]]
 
 
@@ -47,6 +50,8 @@ class Actuator(Generic[S]):
         self.health = Health(name)
         self.newest: S | None = None
         self.polled = 0
+        self.round_trips_s: deque[float] = deque(maxlen=ROUND_TRIPS)
+        """How long the newest answers to a question for the state took."""
         self._device = device
         self._poll_s = poll_s
         self._backoff = Backoff(retry_s)
@@ -87,7 +92,9 @@ class Actuator(Generic[S]):
                 if action is not None:
                     await action()
                 if action is not None or loop.time() >= next_poll_s:
+                    asked_at_s = loop.time()
                     self.newest = await self._device.state()
+                    self.round_trips_s.append(loop.time() - asked_at_s)
                     self.polled += 1
                     if action is not None or not self.health.ready:
                         self._on_news()

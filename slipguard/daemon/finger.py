@@ -68,6 +68,8 @@ class FingerCounts:
     corrupt: int = 0
     frozen: int = 0
     stalled: int = 0
+    missed: int = 0
+    """Counted by the camera, but never here."""
     late: int = 0
     """Replaced by a newer one before the worker was free."""
     skipped: dict[str, int] = field(default_factory=dict)
@@ -165,6 +167,7 @@ class Finger:
         self._streaming = True
         loop = asyncio.get_running_loop()
         good_at_s = loop.time()
+        sequence: int | None = None
         while True:
             try:
                 frame = await self.sensor.next_frame()
@@ -177,6 +180,8 @@ class Finger:
             good_at_s = loop.time()
             self._backoff.reset()
             self.counts.frames += 1
+            self.counts.missed += max(0, frame.sequence - sequence - 1) if sequence is not None else 0
+            sequence = frame.sequence
             self.newest_image = frame.image
             if self.tap is not None and not self.tap.full():
                 self.tap.put_nowait(frame)

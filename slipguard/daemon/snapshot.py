@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, is_dataclass
 from typing import Any
 
@@ -37,6 +38,10 @@ def snapshot(service: Service) -> dict[str, object]:
             for name, finger in service.fingers.items()
         },
         "devices": {name: device.health.as_dict() for name, device in service.devices.items()},
+        "round_trips": {
+            "gripper": _trips(service.gripper.round_trips_s),
+            "arm": _trips(service.arm.round_trips_s),
+        },
         "waiting_for": service.waiting_for,
         "deadlines_missed": service.deadlines_missed,
         "said": service.journal.lines[-10:],
@@ -50,6 +55,15 @@ def trouble(service: Service) -> str | None:
         return str(fault)
     waiting = service.waiting_for
     return f"not ready: {'; '.join(waiting)}" if waiting else None
+
+
+def _trips(times_s: Sequence[float]) -> dict[str, float] | None:
+    """How long the newest questions for the state took; None where none was answered."""
+    if not times_s:
+        return None
+    in_order = sorted(times_s)
+    p50, p99 = (1e3 * in_order[round(share * (len(in_order) - 1))] for share in (0.5, 0.99))
+    return {"p50_ms": round(p50, 3), "p99_ms": round(p99, 3), "answered": len(in_order)}
 
 
 def _plain(value: Any) -> Any:
