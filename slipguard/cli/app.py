@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from slipguard.cli import bench, ctl, dataset, guard, measure, simulate, stress, train
+from slipguard.cli import bench, ctl, dataset, emulate, guard, measure, simulate, stress, train
 from slipguard.errors import CommandRefused, ConfigError, InputError, ModelError, SlipguardError
 
 SIM_PANEL = "With --sim"
@@ -27,6 +27,7 @@ app.command()(bench.bench)
 app.command()(stress.stress)
 app.command()(train.train)
 app.add_typer(dataset.app, name="dataset")
+app.add_typer(emulate.app, name="emulate")
 app.command()(guard.version)
 
 

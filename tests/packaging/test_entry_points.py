@@ -10,18 +10,20 @@ from pydantic import BaseModel, ValidationError
 from sandbox import ROOT
 
 from slipguard.devices import Arm, Gripper, TactileSensor
-from slipguard.registry import GROUPS, driver_names
+from slipguard.emulator import Emulator
+from slipguard.registry import EMULATORS, GROUPS, driver_names
 
-PORTS = {"slipguard.tactile": TactileSensor, "slipguard.gripper": Gripper, "slipguard.arm": Arm}
-POINTS = [point for group in GROUPS for point in entry_points(group=group)]
+PORTS = {"slipguard.tactile": TactileSensor, "slipguard.gripper": Gripper, "slipguard.arm": Arm, EMULATORS: Emulator}
+POINTS = [point for group in PORTS for point in entry_points(group=group)]
 each_driver = pytest.mark.parametrize("point", POINTS, ids=lambda point: f"{point.group}: {point.name}")
 
 
 def test_what_is_registered_is_what_the_project_says() -> None:
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
-    assert set(declared) == set(GROUPS) == set(PORTS)
-    for group in GROUPS:
+    assert set(declared) == {*GROUPS, EMULATORS} == set(PORTS)
+    for group in PORTS:
         assert set(declared[group]) <= set(driver_names(group))
+    for group in GROUPS:
         assert "fake" in declared[group]
 
 

@@ -1,0 +1,105 @@
+"""`slipguard emulate`: doubles on the wire, one command for each that is registered."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+from collections.abc import Callable, MutableMapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from slipguard.registry import EmulatorKind
+
+FaultsOption = Annotated[
+    list[str] | None,
+    typer.Option("--fault", help="NAME, NAME:PROBABILITY (0.01) or NAME:COUNT (3); may be repeated."),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Events, states and answers as JSON lines.")]
+
+
+class Emulators(TyperGroup):
+    """The emulators there are; each is imported when it is asked for, and only then."""
+
+    _built: dict[str, Any]
+
+    @property
+    def commands(self) -> MutableMapping[str, Any]:
+        """All of them."""
+        return {name: self.get_command(None, name) for name in _names()}
+
+    @commands.setter
+    def commands(self, value: object) -> None:
+        self._built = {}
+
+    def list_commands(self, ctx: object) -> list[str]:
+        """Their names, sorted."""
+        return _names()
+
+    def get_command(self, ctx: object, cmd_name: str) -> Any:
+        """One of them; None if there is none of that name."""
+        if cmd_name not in self._built and cmd_name in _names():
+            from slipguard.registry import load_emulator
+
+            self._built[cmd_name] = _command(cmd_name, load_emulator(cmd_name))
+        return self._built.get(cmd_name)
+
+
+app = typer.Typer(
+    cls=Emulators,
+    no_args_is_help=True,
+    help="Emulate a device on the wire, with faults on demand, until Ctrl-C or SIGTERM. Control words come on stdin: "
+    "`fault NAME [probability|count]`, `clear`, `state`, `log`, `quit`; `help` tells the rest.\n\n"
+    "Example: `slipguard emulate robotiq --link /tmp/ttyGR --object-width-mm 40 --fault late:0.01`",
+)
+
+
+def _names() -> list[str]:
+    from slipguard.registry import EMULATORS, driver_names
+
+    return driver_names(EMULATORS)
+
+
+def _command(name: str, kind: EmulatorKind) -> Any:
+    """The command of one emulator: its settings are the options, its docstring the help."""
+
+    def emulate(fault: list[str] | None, json: bool, **options: Any) -> None:
+        from pydantic import ValidationError
+
+        from slipguard.cli.interrupt import left_to_the_loop
+        from slipguard.complaints import first_complaint
+        from slipguard.errors import InputError
+        from slipguard.lab.emulation import run
+
+        try:
+            settings = kind.Settings(**{key: value for key, value in options.items() if value is not None})
+        except ValidationError as error:
+            raise InputError(first_complaint(error, kind.Settings)) from None
+        with left_to_the_loop():
+            asyncio.run(run(name, lambda report: kind(settings, report), fault or [], json_lines=json))
+
+    parameters = [*_options(kind.Settings), _option("fault", FaultsOption, None), _option("json", JsonOption, False)]
+    command: Callable[..., None] = emulate
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {one.name: one.annotation for one in parameters}
+    command.__doc__ = kind.__doc__
+    alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
+    alone.command(name)(command)
+    return typer.main.get_command(alone)
+
+
+def _options(settings: type[BaseModel]) -> list[inspect.Parameter]:
+    """One option for each field; what is no number, word or path of the command line is pydantic's to check."""
+    parameters = []
+    for name, field in settings.model_fields.items():
+        kind = Annotated[field.annotation, typer.Option(help=field.description)]  # type: ignore[name-defined]
+        parameters.append(_option(name, kind, field.get_default(call_default_factory=True)))
+    return parameters
+
+
+def _option(name: str, kind: Any, default: object) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
