@@ -12,6 +12,15 @@ import pytest
 REAL_DATA_VARIABLE = "SLIPGUARD_REAL_DATA"
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Real devices for the contract suites. They move; without these options no test touches one."""
+    group = parser.getgroup("slipguard", "contract suites on real hardware")
+    group.addoption("--gripper", metavar="PORT", help="a real gripper's serial port, such as /dev/ttyUSB0")
+    group.addoption("--gripper-object", action="store_true", help="something to grip lies between its jaws throughout")
+    group.addoption("--arm", metavar="HOST", help="a real arm's address, such as 192.0.2.10")
+    group.addoption("--digit", metavar="SERIAL", help="a real sensor's serial number, such as D20479")
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Without real data the `real` tests are deselected, and the closing lines say so."""
     if os.environ.get(REAL_DATA_VARIABLE):
