@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from slipguard.cli import bench, ctl, dataset, emulate, guard, measure, simulate, stress, train
+from slipguard.cli import bench, ctl, dataset, doctor, emulate, guard, measure, simulate, stress, train
 from slipguard.errors import CommandRefused, ConfigError, InputError, ModelError, SlipguardError
 
 SIM_PANEL = "With --sim"
@@ -20,6 +20,7 @@ Misuse: type[Exception] = typer.BadParameter.__mro__[2]
 app = typer.Typer(name="slipguard", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
 app.command()(guard.run)
 app.command()(guard.check)
+app.command()(doctor.doctor)
 app.command()(guard.calibrate)
 app.add_typer(ctl.app, name="ctl")
 app.command()(measure.measure)

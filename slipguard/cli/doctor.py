@@ -1,0 +1,93 @@
+"""`slipguard doctor`: a look at everything, a line for each thing, and what to do where one is wrong."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from slipguard.cli.guard import USUAL_FILE, ConfigOption
+from slipguard.cli.interrupt import left_to_the_loop
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from slipguard.doctor.examine import Line
+
+MARKS = {"fine": "[green]✓[/]", "note": "[yellow]![/]", "wrong": "[red]✗[/]"}
+
+
+def doctor(
+    config: ConfigOption = USUAL_FILE,
+    socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon; default: from the config.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+) -> None:
+    """Look at every device, link and permission and say what to do; move nothing, change nothing.
+
+    Asks the running daemon; opens the devices itself only when none runs. Exit code 1 where something is wrong.
+    Example: `slipguard doctor --config config.toml`
+    """
+    import json as jsonlib
+    import logging
+
+    from rich.console import Console
+
+    from slipguard.config import read_config
+    from slipguard.daemon import log, root
+    from slipguard.doctor.examine import examine
+
+    settings = read_config(config)
+    log.configure(level=logging.CRITICAL)
+    progress = Console(stderr=True, quiet=not Console(stderr=True).is_terminal)
+    with progress.status("looking …") as status, left_to_the_loop():
+        lines = asyncio.run(
+            examine(settings, socket or root.socket_path(settings), lambda what: status.update(f"looking at {what} …"))
+        )
+    bad = sum(line.finding.verdict == "wrong" for line in lines)
+    if json:
+        print(jsonlib.dumps({"wrong": bad, "findings": [_plain(line) for line in lines]}))
+    else:
+        _show(Console(highlight=False), lines, bad, config)
+    if bad:
+        raise typer.Exit(1)
+
+
+def _plain(line: Line) -> dict[str, str]:
+    found = line.finding
+    return {
+        "subject": line.subject,
+        "what": found.what,
+        "verdict": found.verdict.value,
+        "seen": found.seen,
+        "do": found.do,
+    }
+
+
+def _show(console: Console, lines: list[Line], bad: int, config: Path) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(no_wrap=True)
+    table.add_column(no_wrap=True)
+    table.add_column()
+    before = ""
+    for line in lines:
+        found = line.finding
+        if before and line.subject != before:
+            table.add_row()
+        do = f"\n[bold]→ {escape(found.do)}[/]" if found.do else ""
+        name = line.subject if line.subject != before else ""
+        table.add_row(name, MARKS[found.verdict], escape(found.what), escape(found.seen) + do)
+        before = line.subject
+    console.print(table)
+    notes = sum(line.finding.verdict == "note" for line in lines)
+    console.print()
+    if bad:
+        console.print(f"[red]{bad} wrong[/], {notes} to note; mend what is marked ✗ and look again", soft_wrap=True)
+    else:
+        told = f"{notes} to note, " if notes else ""
+        console.print(f"{told}nothing wrong with the cell of {escape(str(config))}", soft_wrap=True)

@@ -1,0 +1,81 @@
+"""A gripper through its port: is it there, how fast does it answer, what does it say of itself. It is only asked."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterator
+
+from slipguard.devices import Gripper, GripperState
+from slipguard.diagnosis import Finding, fine, from_error, note, wrong
+from slipguard.doctor.figures import percentiles_ms, spread
+from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout
+
+QUESTIONS = 100
+SLOW_MS = 12.0
+"""A round trip takes 4-8 ms; an FTDI adapter left at its default takes 16 ms."""
+SLOW_DO = "slow: set the adapter's latency timer to 1 ms (systemd/60-slipguard.rules)"
+
+
+async def look(name: str, gripper: Gripper) -> AsyncIterator[Finding]:
+    """Connect, ask a hundred times, disconnect. `open` of a gripper moves nothing."""
+    try:
+        await gripper.open()
+    except DeviceError as error:
+        yield from_error("gripper", error, name, "check its power and its cable")
+        await gripper.close()
+        return
+    try:
+        low_n, high_n = gripper.force_limits_n
+        yield fine("gripper", f"answers; {low_n:g} to {high_n:g} N per finger")
+        trips_s: list[float] = []
+        unanswered = 0
+        state: GripperState | None = None
+        loop = asyncio.get_running_loop()
+        for _ in range(QUESTIONS):
+            asked_at_s = loop.time()
+            try:
+                state = await gripper.state()
+                trips_s.append(loop.time() - asked_at_s)
+            except DeviceTimeout:
+                unanswered += 1
+                if unanswered > QUESTIONS // 10 and not trips_s:
+                    break
+            except DeviceLost as error:
+                yield from_error("round trip", error, name, "check the cable and the adapter")
+                return
+        yield round_trip(trips_s, unanswered)
+        if state is not None:
+            for finding in condition(state):
+                yield finding
+    finally:
+        await gripper.close()
+
+
+def round_trip(trips_s: list[float], unanswered: int) -> Finding:
+    """How long an answer takes, and how often none came."""
+    if not trips_s:
+        return wrong("round trip", f"none of {unanswered} questions answered", "check the gripper's power and cable")
+    total = len(trips_s) + unanswered
+    seen = f"{spread(trips_s)} of {total}, {unanswered} unanswered"
+    if unanswered > total // 100:
+        return wrong("round trip", seen, "check the RS-485 cable, its shield and its connectors")
+    if percentiles_ms(trips_s)[0] > SLOW_MS:
+        return note("round trip", seen, SLOW_DO)
+    return fine("round trip", seen)
+
+
+def condition(state: GripperState) -> Iterator[Finding]:
+    """What it says of itself."""
+    if state.fault is not None:
+        yield wrong("condition", f"fault: {state.fault}", "take hold of the object, then `slipguard ctl release`")
+    elif not state.active:
+        yield note(
+            "condition",
+            "not activated",
+            "empty the jaws, then `slipguard ctl release`: the fingers open and close fully",
+        )
+    else:
+        doing = "moving" if state.moving else "holding something" if state.holding else "at rest"
+        if state.closed_on_nothing:
+            doing = "closed on nothing"
+        yield fine("condition", f"activated, {doing}, {state.width_mm:.0f} mm open")
