@@ -1,6 +1,6 @@
-"""Which frames need no network: those without contact, and those that show what the last one showed.
+"""Which frames need no network, for there is no contact, and which show no gel of this unit at all.
 
-Both questions are asked of a picture of 30 x 40 block means (8 x 8 pixels each), where the camera's noise is small
+That is asked of a picture of 30 x 40 block means (8 x 8 pixels each), where the camera's noise is small
 and known. A wrong "maybe contact" costs two milliseconds, a wrong "no contact" costs the object: the gate leans to
 the first.
 """
@@ -28,11 +28,6 @@ _ROUNDING_STD = 0.3
 """Rounding to whole grey levels in three halvings, grey levels."""
 _DARK, _BRIGHT = 4, 251
 """A frame with no block above, or none below, carries no picture."""
-_UNCHANGED_MEAN = 1.05
-"""Allowed mean square difference around the patch, in units of the noise; the noise alone gives 1 or a little less."""
-_UNCHANGED_PEAK = 4.6
-"""Allowed difference of the worst of the 1200 blocks, in standard deviations (three colours together)."""
-
 _UNLIKE_LEVELS = 8.0
 """Away from the contact a frame differs from the no-contact image, but for an even change of light, by 1-3 grey levels
 on average, by 4.3 in the worst of real lighting drifts; swapped colours and a failing lamp give 9 and more."""
@@ -53,9 +48,6 @@ _ORDERS = np.array([[3 * k + c for k, c in enumerate(order)] for order in iterto
 _ALL = np.ones(BLOCKS_WIDE * BLOCKS_HIGH, np.float32)
 _BLIND_SHARE = 0.02
 """A contact with more of its blocks all black or all white lies under a glare or a dead spot that hides its outline."""
-_CLEAR_SQUARE = 100.0
-"""Least mean square contrast of a contact, in units of the noise: where it is less (a picture almost dark) a turn of
-several degrees drowns in the noise. One in a hundred light contacts in good light has less, most have 1000."""
 
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
@@ -93,7 +85,7 @@ def block_means(image: NDArray[np.uint8]) -> Blocks:
 
 
 class Gate:
-    """Knows one unit's no-contact picture and noise; answers the two questions. Holds no other state.
+    """Knows one unit's no-contact picture and noise. Holds no other state.
 
     background: (320, 240, 3) uint8 or None; without one every frame may be contact.
     noise_bgr: standard deviation of one pixel per channel, grey levels; None: what is typical of a DIGIT.
@@ -105,17 +97,20 @@ class Gate:
         noise_bgr: Sequence[float] | NDArray[np.floating] | None = None,
         gate_sigma: float = 7.0,
     ) -> None:
-        self._noise_known = noise_bgr is not None
+        self.noise_known = noise_bgr is not None
+        """Whether the noise is this unit's own: a quieter one than is typical would hide a turn of some degrees."""
         given = np.asarray(DEFAULT_NOISE_BGR if noise_bgr is None else noise_bgr, np.float32)
         noise = given.reshape(-1, 3).mean(axis=0)
         noise = np.where(np.isfinite(noise), np.clip(noise, 0.3, 20.0), DEFAULT_NOISE_BGR)
-        self._per_std: NDArray[np.float32] = (
+        self.per_std: NDArray[np.float32] = (
             1.0 / np.sqrt((_BLOCK_NOISE_SHARE * noise) ** 2 + _ROUNDING_STD**2)
         ).astype(np.float32)
+        """(3,) one over the noise of a block's mean."""
         self._limit = gate_sigma**2
-        self._background = None if background is None else block_means(background)
-        if self._background is not None:
-            tints = np.ascontiguousarray((self._background - self._background.mean(axis=0)).T)
+        self.background: Blocks | None = None if background is None else block_means(background)
+        """Block means of the no-contact picture."""
+        if self.background is not None:
+            tints = np.ascontiguousarray((self.background - self.background.mean(axis=0)).T)
             self._tints: NDArray[np.float32] = tints / (np.linalg.norm(tints, axis=1, keepdims=True) + np.float32(1e-6))
         x, y = np.meshgrid(np.linspace(-1, 1, BLOCKS_WIDE), np.linspace(-1, 1, BLOCKS_HIGH))
         drift = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=1)
@@ -126,24 +121,12 @@ class Gate:
 
         The drift taken out is a level and a slope per channel.
         """
-        if self._background is None:
+        if self.background is None:
             return True
-        difference = blocks - self._background
+        difference = blocks - self.background
         difference -= self._drift @ (self._drift.T @ difference)
-        difference *= self._per_std
+        difference *= self.per_std
         return bool(np.einsum("ij,ij->i", difference, difference).max() > self._limit)
-
-    def unchanged(self, blocks: Blocks, measured: Blocks, near_patch: NDArray[np.bool_] | None) -> bool:
-        """Whether a picture differs from the measured one by no more than the noise of two frames.
-
-        near_patch: (1200,) bool, the blocks in and around the contact, where a slip would show; None: no contact.
-        """
-        difference = (blocks - measured) * self._per_std
-        square = np.einsum("ij,ij->i", difference, difference)
-        if square.max() > 2.0 * _UNCHANGED_PEAK**2:
-            return False
-        around = square if near_patch is None else square[near_patch]
-        return bool(around.mean() < 2.0 * 3.0 * _UNCHANGED_MEAN)
 
     def unlike_levels(self, blocks: Blocks, near_patch: NDArray[np.bool_]) -> float:
         """How far a picture is from this unit's gel beside the contact, grey levels; infinite where it is none of it.
@@ -162,9 +145,9 @@ class Gate:
             blind = (seen > _BRIGHT).all(axis=1) | (seen < _DARK).all(axis=1)
             if np.count_nonzero(blind) > _BLIND_SHARE * len(seen):
                 return math.inf
-        if self._background is None:
+        if self.background is None:
             return 0.0
-        difference = blocks - self._background
+        difference = blocks - self.background
         brighter = (outside @ difference) / count
         if np.abs(brighter).max() > _BRIGHTER_LEVELS:
             return math.inf
@@ -186,21 +169,8 @@ class Gate:
         orders = alike.take(_ORDERS).sum(axis=1)
         return bool(orders[1:].max() > orders[0] + _SWAPPED_MARGIN)
 
-    def clear(self, blocks: Blocks, near_patch: NDArray[np.bool_]) -> bool:
-        """Whether a contact stands out so clearly that an `unchanged` picture of it shows an unchanged turn.
-
-        Never where the sensor's noise is not known: a quieter one than is typical would hide a turn of some degrees.
-        """
-        if not self._noise_known:
-            return False
-        inside = near_patch.astype(np.float32)
-        count = max(float(inside.sum()), 1.0)
-        contrast = blocks - ((inside @ blocks) / count if self._background is None else self._background)
-        contrast *= self._per_std
-        return float((inside @ np.square(contrast)).sum()) > _CLEAR_SQUARE * count
-
 
 def near_patch(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Blocks in and next to a mask, any resolution: (h, w) uint8 0/1 to (1200,) bool for `Gate.unchanged`."""
+    """Blocks in and next to a mask, any resolution: (h, w) uint8 0/1 to (1200,) bool."""
     small = cv2.resize(mask * np.uint8(255), (BLOCKS_WIDE, BLOCKS_HIGH), interpolation=cv2.INTER_AREA)
     return cv2.dilate(small, _NEIGHBOURS).ravel() > 0

@@ -18,9 +18,10 @@ from slipguard.perception.axial import wrap_axial_deg
 from slipguard.perception.estimate import Estimate, Orientation
 from slipguard.perception.gate import Blocks, Gate, block_means, near_patch
 from slipguard.perception.regions import Patch, find_patch
-from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.settings import EVERY_SKIP, PerceptionSettings, Skips
 from slipguard.perception.skeleton import middle_line
 from slipguard.perception.stages import StageClock
+from slipguard.perception.still import Stillness
 from slipguard.perception.track import Turn
 from slipguard.perception.turn import TurnMeter
 
@@ -53,7 +54,7 @@ class Pipeline:
     contact). noise: standard deviation of a pixel, grey levels, (3,) B G R or anything that averages to it; or None.
     px_per_mm: scale of the frame. rotation_deg: how far the sensor is mounted turned counter-clockwise, one of 0, 90,
     180, 270; it turns the reported orientation and shift. timer: seconds, for `Estimate.stage_ms`; None leaves it
-    empty.
+    empty. skips: what may be left out, all but for measurements.
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class Pipeline:
         px_per_mm: float,
         rotation_deg: int = 0,
         timer: Callable[[], float] | None = None,
+        skips: Skips = EVERY_SKIP,
     ) -> None:
         if rotation_deg not in (0, 90, 180, 270):
             raise InputError(f"rotation_deg is {rotation_deg}; a sensor is mounted at 0, 90, 180 or 270")
@@ -84,14 +86,18 @@ class Pipeline:
         self._frame_px = FRAME_WIDTH_PX / segmenter.input_size[0]
         self._patch: Patch | None = None
         self._skeleton: NDArray[np.uint8] | None = None
-        self._measured: tuple[Blocks, NDArray[np.bool_] | None, Estimate] | None = None
+        self._skips = skips
+        self._still: Stillness | None = None
+        if settings.skip_unchanged and skips.unchanged and self._gate.noise_known:
+            self._still = Stillness(self._gate.per_std, self._gate.background)
+        self._measured: Estimate | None = None
         self.reset_reference()
 
     def reset_reference(self) -> None:
         """Forget the reference; the next stable contact makes a new one."""
         self._meter = TurnMeter(self._settings, self._frame_px)
         self._reference_unlike = 0.0
-        self._measured = None
+        self._forget()
 
     @property
     def has_reference(self) -> bool:
@@ -128,10 +134,12 @@ class Pipeline:
         blocks = block_means(frame.image)
         if not math.isfinite(now_s):
             raise FrameCorrupt(f"frame {frame.sequence} has no capture time ({now_s}); it is left out")
-        if not self._gate.may_be_contact(blocks):
+        if self._skips.no_contact and not self._gate.may_be_contact(blocks):
+            self._forget()
             clock.mark("gate")
-            return self._without_contact(frame, blocks, NO_CONTACT, clock)
-        reused = self._reused(frame, blocks)
+            return self._without_contact(frame, NO_CONTACT, clock)
+        unchanged = self._still is not None and self._still.unchanged(blocks)
+        reused = self._reused(frame) if unchanged else None
         clock.mark("gate")
         if reused is not None:
             return replace(reused, stage_ms=clock.stage_ms)
@@ -141,7 +149,9 @@ class Pipeline:
         self._patch, self._skeleton = patch, None
         clock.mark("regions")
         if patch is None:
-            return self._without_contact(frame, blocks, None, clock)
+            answer = self._without_contact(frame, None, clock)
+            self._note(blocks, None, unchanged, answer)
+            return answer
         near = near_patch(patch.full_mask())
         unlike = self._gate.unlike_levels(blocks, near)
         if not math.isfinite(unlike):
@@ -169,13 +179,23 @@ class Pipeline:
             stage_ms=clock.stage_ms,
         )
         clock.mark("track")
-        self._measured = (blocks, near, answer) if self._gate.clear(blocks, near) else None
+        self._note(blocks, near, unchanged, answer)
         return answer
+
+    def _note(self, blocks: Blocks, near: NDArray[np.bool_] | None, unchanged: bool, answer: Estimate) -> None:
+        self._measured = answer
+        if self._still is not None:
+            self._still.note(blocks, near, answer.captured_at_s, unchanged)
+
+    def _forget(self) -> None:
+        self._measured = None
+        if self._still is not None:
+            self._still.forget()
 
     def _unlike(self, frame: Frame, patch: Patch, clock: StageClock) -> Estimate:
         """Contact perhaps, but nothing to measure on, and no reference to take."""
         self._meter.lost()
-        self._measured = None
+        self._forget()
         return Estimate(
             sequence=frame.sequence,
             captured_at_s=frame.captured_at_s,
@@ -187,10 +207,10 @@ class Pipeline:
             stage_ms=clock.stage_ms,
         )
 
-    def _without_contact(self, frame: Frame, blocks: Blocks, skipped: str | None, clock: StageClock) -> Estimate:
+    def _without_contact(self, frame: Frame, skipped: str | None, clock: StageClock) -> Estimate:
         self._patch, self._skeleton = None, None
         self._meter.lost()
-        answer = Estimate(
+        return Estimate(
             sequence=frame.sequence,
             captured_at_s=frame.captured_at_s,
             measured_at_s=frame.captured_at_s,
@@ -201,18 +221,15 @@ class Pipeline:
             declined=NO_CONTACT,
             stage_ms=clock.stage_ms,
         )
-        self._measured = (blocks, None, answer)
-        return answer
 
-    def _reused(self, frame: Frame, blocks: Blocks) -> Estimate | None:
-        """The last answer, where the picture has not changed and it is young enough."""
-        if self._measured is None or not self._settings.skip_unchanged:
+    def _reused(self, frame: Frame) -> Estimate | None:
+        """The last answer for an unchanged picture, where it is young, the contact clear and long at rest."""
+        answer, still, now_s = self._measured, self._still, frame.captured_at_s
+        if answer is None or still is None or not 0.0 <= now_s - answer.measured_at_s < self._settings.refresh_s:
             return None
-        measured_blocks, near, answer = self._measured
-        age_s = frame.captured_at_s - answer.measured_at_s
         if answer.contact and self._meter.reference is None:
             return None  # a reference needs measured frames
-        if not 0.0 <= age_s < self._settings.refresh_s or not self._gate.unchanged(blocks, measured_blocks, near):
+        if not still.at_rest(now_s) or (answer.contact and not still.telling(answer.angle_deg is not None)):
             return None
         rate = answer.rate_deg_s
         if answer.angle_deg is not None:
@@ -231,7 +248,7 @@ class Pipeline:
         if name == "fused" and readable:
             axes["ellipse"] = estimate(patch, "ellipse", aspect)
         clock.mark("angle")
-        if name == "skeleton" or (name == "fused" and readable):
+        if name == "skeleton" or (name == "fused" and (readable or not self._skips.round)):
             line = middle_line(patch)
             self._skeleton = line.skeleton
             clock.mark("thin")

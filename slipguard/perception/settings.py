@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -35,3 +36,15 @@ class PerceptionSettings(BaseModel):
     """Reuse the last answer while the picture differs from the measured one by no more than noise."""
     refresh_s: Annotated[float, Field(ge=0.0, le=0.25)] = 0.25
     """An unchanged picture is measured again after this time at the latest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Skips:
+    """What a frame does not need: the network without contact or on an unchanged picture, thinning of a round patch."""
+
+    no_contact: bool = True
+    unchanged: bool = True
+    round: bool = True
+
+
+EVERY_SKIP = Skips()

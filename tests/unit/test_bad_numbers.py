@@ -178,18 +178,6 @@ def test_light_that_changes_after_the_reference_makes_turns_less_certain() -> No
     assert abs(turned - shown.turns_deg[7]) < 3.0 * tilted
 
 
-def test_nothing_is_unchanged_in_the_dark_or_under_unknown_noise() -> None:
-    near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
-    for background in (whole_frame(), None):
-        gate = Gate(background, DEFAULT_NOISE_BGR)
-        faint, strong = whole_frame(), whole_frame()
-        faint[140:180:4, 100:140] += np.uint8(4)
-        strong[140:180, 100:140] += np.uint8(60)
-        assert not gate.clear(block_means(faint), near)
-        assert gate.clear(block_means(strong), near)
-        assert not Gate(background).clear(block_means(strong), near)
-
-
 def test_a_turn_in_an_almost_dark_picture_is_measured_not_skipped() -> None:
     shown = grasp(0)
     dark = [np.asarray(image // 16, np.uint8) for image in shown.frames]

@@ -1,4 +1,4 @@
-"""The gate skips only what it may: empty frames under drifting light, and frames that show nothing new."""
+"""The gate skips only what it may: empty frames under drifting light."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from slipguard.errors import FrameCorrupt
-from slipguard.perception.gate import DEFAULT_NOISE_BGR, Gate, block_means, check_frame, near_patch
+from slipguard.perception.gate import DEFAULT_NOISE_BGR, Gate, block_means, check_frame
 
 Image = NDArray[np.uint8]
 
@@ -60,30 +60,6 @@ def test_a_press_is_let_through(seed: int, levels: float, radius_px: float) -> N
 
 def test_without_a_background_every_frame_may_be_contact() -> None:
     assert Gate(None).may_be_contact(block_means(glow().astype(np.uint8)))
-
-
-def test_noise_alone_is_unchanged_and_a_small_move_is_not() -> None:
-    rng = np.random.default_rng(4)
-    scene = press(glow(), 60, 40, (120, 160))
-    moved = press(glow(), 60, 40, (122, 160))
-    gate = Gate(glow().astype(np.uint8))
-    mask = np.zeros((160, 120), np.uint8)
-    cv2.circle(mask, (60, 80), 25, 1, -1)
-    near = near_patch(mask)
-    measured = block_means(camera(scene, rng))
-    still = [gate.unchanged(block_means(camera(scene, rng)), measured, near) for _ in range(40)]
-    gone = [gate.unchanged(block_means(camera(moved, rng)), measured, near) for _ in range(40)]
-    assert sum(still) >= 34
-    assert sum(gone) == 0
-
-
-def test_a_change_far_from_the_patch_is_a_change_too() -> None:
-    rng = np.random.default_rng(4)
-    scene = press(glow(), 60, 30, (60, 60))
-    near = near_patch(np.pad(np.ones((30, 30), np.uint8), ((10, 120), (10, 80))))
-    gate = Gate(None)
-    measured = block_means(camera(scene, rng))
-    assert not gate.unchanged(block_means(camera(press(scene, 40, 20, (200, 280)), rng)), measured, near)
 
 
 @pytest.mark.parametrize(
