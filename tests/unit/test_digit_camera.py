@@ -4,97 +4,54 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import os
-from collections import deque
-from collections.abc import AsyncIterator
-from pathlib import Path
+from collections.abc import AsyncIterator, Callable
 
+import cv2
 import numpy as np
 import pytest
+from pipe_capture import PipeCapture, delivery, found
 
 from slipguard.devices import DriverContext
 from slipguard.errors import DeviceLost, DeviceTimeout, FrameCorrupt
-from slipguard_drivers.digit import camera
+from slipguard_drivers.digit import decoder, start
 from slipguard_drivers.digit.camera import DigitSensor
-from slipguard_drivers.digit.v4l2 import ZOOM_ABSOLUTE, Delivery
-
-FRAME_BYTES = 320 * 240 * 2
+from slipguard_drivers.digit.capture import Delivery, Mode
 
 
-class PipeCapture:
-    """Readable while `queue` holds something; None in it is a wake-up without a frame."""
-
-    last: PipeCapture
-    refuses: OSError | None = None
-
-    def __init__(self, path: str, width: int, height: int, fps: int, pixels: str) -> None:
-        if self.refuses is not None:
-            raise self.refuses
-        self.asked_for = (Path(path).name, width, height, fps, pixels)
-        self.controls: dict[int, int] = {}
-        self.queue: deque[Delivery | OSError | None] = deque()
-        self.started = False
-        self.error_for_ever = False
-        self._out, self._in = os.pipe()
-        os.set_blocking(self._out, False)
-        PipeCapture.last = self
-
-    def fileno(self) -> int:
-        return self._out
-
-    def set_control(self, control: int, value: int) -> None:
-        self.controls[control] = value
-
-    def start(self) -> None:
-        self.started = True
-
-    def offer(self, *items: Delivery | OSError | None) -> None:
-        self.queue.extend(items)
-        os.write(self._in, b"!")
-
-    def take(self) -> Delivery | None:
-        if not self.queue:
-            if not self.error_for_ever and self._out >= 0:
-                os.read(self._out, 4096)
-            return None
-        item = self.queue.popleft()
-        if isinstance(item, OSError):
-            raise item
-        return item
-
-    def close(self) -> None:
-        os.close(self._out)
-        os.close(self._in)
-        self._out = -1
+def jpeg(sequence: int, *, cut: int = 0) -> Delivery:
+    smooth = np.random.default_rng(sequence).integers(0, 256, (15, 20, 3), np.uint8)
+    data = cv2.imencode(".jpg", cv2.resize(smooth, (320, 240)))[1].tobytes()
+    return Delivery(data[: len(data) - cut], sequence, 1.0 + sequence / 60.0, None)
 
 
-def delivery(sequence: int, *, damaged: bool = False, captured_at_s: float | None = None) -> Delivery:
-    pixels = np.random.default_rng(sequence).integers(0, 256, FRAME_BYTES, np.uint8)
-    return Delivery(pixels.tobytes(), sequence, captured_at_s, damaged)
+def digit(**settings: object) -> DigitSensor:
+    wanted = {"serial": "D20001", "stall_ms": 100} | settings
+    return DigitSensor(DigitSensor.Settings.model_validate(wanted), DriverContext("left"), found)
+
+
+@pytest.fixture(autouse=True)
+def camera(monkeypatch: pytest.MonkeyPatch) -> type[PipeCapture]:
+    class Camera(PipeCapture):
+        pass
+
+    monkeypatch.setattr(start, "Capture", Camera)
+    return Camera
 
 
 @pytest.fixture
-def plugged_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    node = tmp_path / "usb-Facebook_DIGIT_D20001-video-index0"
-    node.touch()
-    monkeypatch.setattr(camera, "BY_ID", tmp_path)
-    monkeypatch.setattr(camera, "Capture", PipeCapture)
-    return node
-
-
-@pytest.fixture
-async def sensor(plugged_in: Path) -> AsyncIterator[DigitSensor]:
-    settings = DigitSensor.Settings(serial="D20001", led_rgb=(15, 7, 3), stall_ms=100)
-    sensor = DigitSensor(settings, DriverContext("left"))
+async def sensor(camera: type[PipeCapture]) -> AsyncIterator[DigitSensor]:
+    sensor = digit(led_rgb=(15, 7, 3))
     await sensor.open()
     yield sensor
     await sensor.close()
 
 
-async def test_it_asks_for_the_landscape_stream_and_sets_the_leds(sensor: DigitSensor, plugged_in: Path) -> None:
-    assert PipeCapture.last.asked_for == (plugged_in.name, 320, 240, 60, "YUYV")
-    assert PipeCapture.last.controls == {ZOOM_ABSOLUTE: 0xF73}
+async def test_it_asks_for_the_landscape_stream_and_sets_the_leds(sensor: DigitSensor) -> None:
+    assert PipeCapture.last.path.name == "video7"
+    assert PipeCapture.last.mode == sensor.mode == Mode("YUYV", 320, 240, 60.0)
+    assert PipeCapture.last.zoom == 0xF73
     assert PipeCapture.last.started
+    assert sensor.remarks == ()
 
 
 async def test_the_newest_of_what_waits_is_handed_out(sensor: DigitSensor) -> None:
@@ -113,8 +70,8 @@ async def test_a_driver_without_monotonic_time_gets_the_time_of_arrival(sensor: 
 
 
 async def test_a_damaged_frame_is_told(sensor: DigitSensor) -> None:
-    PipeCapture.last.offer(delivery(1), delivery(2, damaged=True))
-    with pytest.raises(FrameCorrupt):
+    PipeCapture.last.offer(delivery(1), delivery(2, damage="77 bytes instead of 153600"))
+    with pytest.raises(FrameCorrupt, match="77 bytes"):
         await sensor.next_frame()
 
 
@@ -128,6 +85,7 @@ async def test_an_unplugged_camera_is_lost_and_opened_again(sensor: DigitSensor)
     with pytest.raises(DeviceLost):
         await sensor.next_frame()
     await sensor.open()
+    assert first.closed
     assert PipeCapture.last is not first
     PipeCapture.last.offer(delivery(1))
     assert (await sensor.next_frame()).sequence == 1
@@ -148,14 +106,155 @@ async def test_a_device_in_error_for_ever_does_not_spin_for_ever(sensor: DigitSe
         (OSError(errno.EINVAL, "it gives 640x480 MJPG"), "it gives 640x480 MJPG"),
     ],
 )
-async def test_a_camera_that_cannot_be_used_says_why(
-    plugged_in: Path, monkeypatch: pytest.MonkeyPatch, error: OSError, told: str
-) -> None:
-    monkeypatch.setattr(PipeCapture, "refuses", error)
-    sensor = DigitSensor(DigitSensor.Settings(serial="D20001"), DriverContext("left"))
+async def test_a_camera_that_cannot_be_used_says_why(camera: type[PipeCapture], error: OSError, told: str) -> None:
+    camera.refuses = error
+    sensor = digit()
     with pytest.raises(DeviceLost, match=told):
         await sensor.open()
     await sensor.close()
+
+
+async def test_a_bus_without_bandwidth_is_told_with_what_to_do(camera: type[PipeCapture]) -> None:
+    camera.refuses_to_start = OSError(errno.ENOSPC, "No space left on device")
+    with pytest.raises(
+        DeviceLost, match=r"USB bus 1 .480 Mbit/s. has no bandwidth left .*; plug it into a port of another"
+    ):
+        await digit().open()
+    assert PipeCapture.last.closed
+
+
+@pytest.mark.parametrize(
+    ("offers", "settings", "chosen"),
+    [
+        ([("YUYV", 60), ("MJPG", 60)], {}, ("YUYV", 60)),
+        ([("YUYV", 30), ("MJPG", 60)], {}, ("MJPG", 60)),
+        ([("YUYV", 60), ("YUYV", 30)], {"fps": 30}, ("YUYV", 30)),
+        ([("YUYV", 60), ("MJPG", 60)], {"pixels": "MJPG"}, ("MJPG", 60)),
+        ([("YUYV", 0)], {}, ("YUYV", 60)),
+    ],
+)
+async def test_the_rate_is_had_where_it_is_offered(
+    camera: type[PipeCapture], offers: list[tuple[str, float]], settings: dict[str, object], chosen: tuple[str, float]
+) -> None:
+    camera.offers = tuple(Mode(pixels, 320, 240, fps) for pixels, fps in offers)
+    sensor = digit(**settings)
+    await sensor.open()
+    assert PipeCapture.last.mode == Mode(chosen[0], 320, 240, float(chosen[1]))
+    assert sensor.remarks == ()
+    await sensor.close()
+
+
+async def test_a_camera_without_the_format_says_what_it_offers(camera: type[PipeCapture]) -> None:
+    camera.offers = (Mode("YUYV", 640, 480, 30.0), Mode("GREY", 320, 240, 60.0))
+    with pytest.raises(
+        DeviceLost, match="320x240 YUYV or MJPG is needed, it offers 640x480 YUYV at 30 frames a second, "
+    ):
+        await digit().open()
+    assert PipeCapture.last.closed
+
+
+@pytest.mark.parametrize(
+    ("device", "settings", "told"),
+    [
+        ({"gives_fps": 30.0}, {}, "the camera gives 30 frames a second where 60 were asked for"),
+        ({"gives_fps": 0.0}, {}, "does not say its rate"),
+        ({"zoom_max": None}, {}, "the LEDs cannot be set"),
+        ({"zoom_max": 100}, {}, "the LEDs were set to 0x64 where 0xfff was asked for"),
+    ],
+)
+async def test_what_the_camera_gives_instead_is_told(
+    camera: type[PipeCapture], device: dict[str, object], settings: dict[str, object], told: str
+) -> None:
+    for name, value in device.items():
+        setattr(camera, name, value)
+    sensor = digit(**settings)
+    await sensor.open()
+    (remark,) = sensor.remarks
+    assert told in remark
+    await sensor.close()
+    assert sensor.remarks == ()
+
+
+async def test_too_few_frames_are_told(sensor: DigitSensor) -> None:
+    for number in range(100):
+        PipeCapture.last.offer(delivery(number, captured_at_s=1.0 + number / 40.0))
+    await sensor.next_frame()
+    (remark,) = sensor.remarks
+    assert "only 40 of 60 frames a second" in remark
+
+
+@pytest.mark.parametrize(
+    ("levels", "firmware", "zoom", "remarks"),
+    [((15, 15, 15), 212, 0xFFF, 0), ((15, 7, 3), 200, 0xF73, 0), ((9, 9, 9), 199, 153, 0), ((15, 7, 3), 101, 255, 1)],
+)
+async def test_old_firmware_has_one_brightness(
+    levels: tuple[int, int, int], firmware: int, zoom: int, remarks: int
+) -> None:
+    settings = DigitSensor.Settings(serial="D20001", led_rgb=levels)
+    sensor = DigitSensor(settings, DriverContext("left"), lambda serial, name: found(serial, name, firmware))
+    await sensor.open()
+    assert PipeCapture.last.zoom == zoom
+    assert len(sensor.remarks) == remarks
+    await sensor.close()
+
+
+async def test_jpeg_pictures_are_decoded_and_a_broken_one_told(camera: type[PipeCapture]) -> None:
+    camera.offers = (Mode("MJPG", 320, 240, 60.0),)
+    sensor = digit(stall_ms=2000)
+    await sensor.open()
+    PipeCapture.last.offer(jpeg(1), jpeg(2))
+    frame = await sensor.next_frame()
+    assert (frame.sequence, frame.image.shape, frame.captured_at_s) == (2, (320, 240, 3), 1.0 + 2 / 60.0)
+    PipeCapture.last.offer(jpeg(3, cut=200))
+    with pytest.raises(FrameCorrupt, match="without its end"):
+        await sensor.next_frame()
+    PipeCapture.last.offer(jpeg(4))
+    assert (await sensor.next_frame()).sequence == 4
+    await sensor.close()
+
+
+async def test_while_a_jpeg_is_decoded_only_the_newest_waits(
+    camera: type[PipeCapture], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[bytes] = []
+    monkeypatch.setattr(decoder, "upright_jpeg", lambda data: begun.append(data) or np.full((320, 240, 3), len(begun)))
+    camera.offers = (Mode("MJPG", 320, 240, 60.0),)
+    sensor = digit(stall_ms=2000)
+    await sensor.open()
+    pictures = [jpeg(number) for number in range(5)]
+    assert sensor._decoder is not None
+    for picture in pictures:
+        sensor._decoder.offer(picture, 1.0)
+    await _until(lambda: len(begun) == 2)
+    assert begun == [pictures[0].data, pictures[4].data]
+    await sensor.close()
+
+
+async def test_who_gives_up_opening_leaves_no_device_open(camera: type[PipeCapture]) -> None:
+    sensor = digit()
+    opening = asyncio.ensure_future(sensor.open())
+    await asyncio.sleep(0)
+    opening.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await opening
+    await _until(lambda: PipeCapture.last.closed)
+
+
+async def test_without_a_digit_open_says_so_and_close_is_harmless() -> None:
+    sensor = DigitSensor(DigitSensor.Settings(serial="D00000"), DriverContext("left"))
+    with pytest.raises(DeviceLost, match="D00000"):
+        await sensor.open()
+    with pytest.raises(DeviceLost):
+        await sensor.next_frame()
+    await sensor.close()
+
+
+async def _until(condition: Callable[[], bool]) -> None:
+    for _ in range(2000):
+        if condition():
+            return
+        await asyncio.sleep(0.001)
+    pytest.fail("it never came to that")
 
 
 async def _until_lost(sensor: DigitSensor) -> None:

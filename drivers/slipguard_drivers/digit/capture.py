@@ -1,0 +1,182 @@
+"""Video capture with nothing between us and the kernel: ioctl, mmap, the kernel's time and sequence number.
+
+Opening and configuring may take as long as USB answers; `take` blocks for microseconds only. Whoever wants to wait for
+a frame does so on `fileno()`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import mmap
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from slipguard_drivers.digit import v4l2
+
+BUFFERS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """A way to deliver pictures. pixels: "YUYV", "MJPG"; fps: 0 where it is not known."""
+
+    pixels: str
+    width_px: int
+    height_px: int
+    fps: float
+
+    def __str__(self) -> str:
+        rate = f" at {self.fps:g} frames a second" if self.fps else ""
+        return f"{self.width_px}x{self.height_px} {self.pixels}{rate}"
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """One frame as the driver delivered it. captured_at_s: None where the driver's clock is not monotonic."""
+
+    data: bytes
+    sequence: int
+    captured_at_s: float | None
+    damage: str | None
+
+
+class Capture:
+    """One open capture device. Every method raises OSError, ENODEV when the device is gone."""
+
+    def __init__(self, path: str) -> None:
+        self._fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+        self._maps: list[mmap.mmap] = []
+        self._frame_bytes: int | None = None
+
+    def fileno(self) -> int:
+        """Readable when a frame waits, and in error for ever when no buffer is queued."""
+        return self._fd
+
+    def modes(self, width_px: int | None = None, height_px: int | None = None) -> list[Mode]:
+        """Every mode on offer, or those of one size. Sizes and rates that form a range are left out or named 0."""
+        found = []
+        for description in self._each(v4l2.ENUM_FMT, v4l2.FORMAT_DESCRIPTION, "index", v4l2.CAPTURE, 0, b"", 0):
+            pixels = description[4]
+            sizes = [(width_px, height_px)] if width_px and height_px else self._sizes(pixels)
+            for width, height in sizes:
+                found += [
+                    Mode(v4l2.fourcc_name(pixels), width, height, fps) for fps in self._rates(pixels, width, height)
+                ]
+        return found
+
+    def configure(self, mode: Mode) -> Mode:
+        """Ask for a mode, map the buffers, and return the mode given: a driver may change the rate.
+
+        OSError EINVAL (with the reason) where it gives another size or pixel format.
+        """
+        raw = bytearray(
+            v4l2.FORMAT.pack(v4l2.CAPTURE, mode.width_px, mode.height_px, v4l2.fourcc(mode.pixels), 1, *[0] * 8)
+        )
+        fcntl.ioctl(self._fd, v4l2.S_FMT, raw)
+        _, width, height, number, _, stride, size, *_ = v4l2.FORMAT.unpack(raw)
+        pixels = v4l2.fourcc_name(number)
+        if (width, height, pixels) != (mode.width_px, mode.height_px, mode.pixels):
+            raise OSError(errno.EINVAL, f"it gives {width}x{height} {pixels} where {mode} was asked for")
+        packed = pixels == "YUYV"
+        if packed and (stride, size) != (2 * width, 2 * width * height):
+            raise OSError(errno.EINVAL, f"its rows have {stride} bytes and its frames {size}, not {2 * width} a row")
+        self._frame_bytes = size if packed else None
+        given = Mode(pixels, width, height, self._set_rate(mode.fps))
+        self._map_buffers()
+        return given
+
+    def set_control(self, control: int, value: int) -> int:
+        """Set a control and return what it is then. OSError EINVAL where the device has no such control."""
+        fcntl.ioctl(self._fd, v4l2.S_CTRL, v4l2.CONTROL.pack(control, value))
+        raw = bytearray(v4l2.CONTROL.pack(control, 0))
+        fcntl.ioctl(self._fd, v4l2.G_CTRL, raw)
+        return int(v4l2.CONTROL.unpack(raw)[1])
+
+    def control_range(self, control: int) -> tuple[int, int]:
+        """Lowest and highest value of a control."""
+        raw = bytearray(v4l2.CONTROL_QUERY.pack(control, 0, b"", 0, 0, 0, 0, 0))
+        fcntl.ioctl(self._fd, v4l2.QUERYCTRL, raw)
+        _, _, _, lowest, highest, *_ = v4l2.CONTROL_QUERY.unpack(raw)
+        return lowest, highest
+
+    def start(self) -> None:
+        """Queue every buffer and let the frames come. OSError ENOSPC where the bus has no bandwidth for them."""
+        for index in range(len(self._maps)):
+            fcntl.ioctl(self._fd, v4l2.QBUF, _buffer(index))
+        fcntl.ioctl(self._fd, v4l2.STREAMON, struct.pack("=I", v4l2.CAPTURE))
+
+    def take(self) -> Delivery | None:
+        """The oldest frame that waits, copied, or None. Its buffer is queued again at once."""
+        raw = _buffer(0)
+        try:
+            fcntl.ioctl(self._fd, v4l2.DQBUF, raw)
+        except BlockingIOError:
+            return None
+        index, _, used, flags, _, seconds, micros, _, sequence, *_ = v4l2.BUFFER.unpack(raw)
+        data = self._maps[index][:used]
+        fcntl.ioctl(self._fd, v4l2.QBUF, raw)
+        monotonic = flags & v4l2.TIMESTAMP_MASK == v4l2.TIMESTAMP_MONOTONIC
+        damage = None
+        if flags & v4l2.FLAG_ERROR:
+            damage = f"{used} bytes with the camera driver's error flag"
+        elif used != (self._frame_bytes or max(used, 1)):
+            damage = f"{used} bytes instead of {self._frame_bytes or 'a picture'}"
+        return Delivery(data, sequence, seconds + micros * 1e-6 if monotonic else None, damage)
+
+    def close(self) -> None:
+        """Stop the stream and let go of the device, which may be gone already. Idempotent."""
+        if self._fd < 0:
+            return
+        with contextlib.suppress(OSError):  # never started, or unplugged: the buffers are given back either way
+            fcntl.ioctl(self._fd, v4l2.STREAMOFF, struct.pack("=I", v4l2.CAPTURE))
+        for mapped in self._maps:
+            mapped.close()
+        self._maps.clear()
+        os.close(self._fd)
+        self._fd = -1
+
+    def _each(self, code: int, layout: struct.Struct, *fields: object) -> Iterator[tuple[int, ...]]:
+        """Everything that an enumerating request lists; "index" among the fields counts up."""
+        for index in range(64):
+            raw = bytearray(layout.pack(*(index if field == "index" else field for field in fields)))
+            try:
+                fcntl.ioctl(self._fd, code, raw)
+            except OSError as error:
+                if error.errno in (errno.EINVAL, errno.ENOTTY):  # the end of the list, or no such list
+                    return
+                raise
+            yield layout.unpack(raw)
+
+    def _sizes(self, pixels: int) -> list[tuple[int, int]]:
+        sizes = self._each(v4l2.ENUM_FRAMESIZES, v4l2.FRAME_SIZE, "index", pixels, *[0] * 7)
+        return [(one[3], one[4]) for one in sizes if one[2] == v4l2.DISCRETE]
+
+    def _rates(self, pixels: int, width: int, height: int) -> list[float]:
+        rates = self._each(v4l2.ENUM_FRAMEINTERVALS, v4l2.FRAME_INTERVAL, "index", pixels, width, height, *[0] * 7)
+        return [one[6] / one[5] if one[4] == v4l2.DISCRETE and one[5] else 0.0 for one in rates]
+
+    def _set_rate(self, fps: float) -> float:
+        raw = bytearray(v4l2.STREAM_PARAMETERS.pack(v4l2.CAPTURE, 0, 0, 1000, round(1000 * fps)))
+        fcntl.ioctl(self._fd, v4l2.S_PARM, raw)
+        numerator, denominator = v4l2.STREAM_PARAMETERS.unpack(raw)[3:5]
+        return float(denominator / numerator) if numerator else 0.0
+
+    def _map_buffers(self) -> None:
+        raw = bytearray(v4l2.BUFFER_REQUEST.pack(BUFFERS, v4l2.CAPTURE, v4l2.MEMORY_MMAP, 0))
+        fcntl.ioctl(self._fd, v4l2.REQBUFS, raw)
+        for index in range(v4l2.BUFFER_REQUEST.unpack(raw)[0]):
+            description = _buffer(index)
+            fcntl.ioctl(self._fd, v4l2.QUERYBUF, description)
+            unpacked = v4l2.BUFFER.unpack(description)
+            offset, length = unpacked[10] & 0xFFFFFFFF, unpacked[11]
+            self._maps.append(
+                mmap.mmap(self._fd, length, mmap.MAP_SHARED, mmap.PROT_READ | mmap.PROT_WRITE, offset=offset)
+            )
+
+
+def _buffer(index: int) -> bytearray:
+    return bytearray(v4l2.BUFFER.pack(index, v4l2.CAPTURE, 0, 0, 0, 0, 0, b"", 0, v4l2.MEMORY_MMAP, 0, 0, 0, 0))
