@@ -37,7 +37,7 @@ class FaultPlan:
 
         Raises CommandRefused for an unknown name or a senseless amount.
         """
-        self._check(name)
+        self.check(name)
         if isinstance(amount, float) and not 0.0 <= amount <= 1.0:
             raise CommandRefused(f"{amount} is no probability; it must be 0 to 1 (a count has no decimal point)")
         if isinstance(amount, int) and amount < 1:
@@ -49,7 +49,7 @@ class FaultPlan:
         if name is None:
             self._amounts.clear()
         else:
-            self._check(name)
+            self.check(name)
             self._amounts.pop(name, None)
 
     def strikes(self, name: str) -> bool:
@@ -75,7 +75,8 @@ class FaultPlan:
         """The faults that may strike, each with how often, in words."""
         return {name: _how_often(amount) for name, amount in self._amounts.items()}
 
-    def _check(self, name: str) -> None:
+    def check(self, name: str) -> None:
+        """Raise CommandRefused for an unknown name."""
         if name not in self.kinds:
             raise CommandRefused(f"no fault {name!r}; there are: {', '.join(self.kinds)}")
 
@@ -114,6 +115,16 @@ class ControlledEmulator(Emulator):
     def words(self) -> dict[str, Word]:
         """The words that only this emulator knows."""
 
+    def set_fault(self, name: str, amount: float | int | None = None) -> None:
+        """See `FaultPlan.set`; acts at once where the fault does."""
+        self.faults.set(name, amount)
+        self.fault_changed()
+
+    def clear_fault(self, name: str | None = None) -> None:
+        """See `FaultPlan.clear`."""
+        self.faults.clear(name)
+        self.fault_changed()
+
     def fault_changed(self) -> None:
         """Called after a fault was set or cleared; for those that act at once."""
         return
@@ -132,13 +143,11 @@ class ControlledEmulator(Emulator):
         if not rest or len(rest) > 2:
             return "\n".join(f"{name}: {text}" for name, text in self.faults.kinds.items())
         amount = _amount(rest[1]) if len(rest) == 2 else None
-        self.faults.set(rest[0], amount)
-        self.fault_changed()
+        self.set_fault(rest[0], amount)
         return f"{rest[0]}: {_how_often(amount)}"
 
     def _clear(self, rest: list[str]) -> str:
-        self.faults.clear(rest[0] if rest else None)
-        self.fault_changed()
+        self.clear_fault(rest[0] if rest else None)
         return f"cleared {rest[0] if rest else 'all faults'}"
 
     def _log(self, rest: list[str]) -> str:

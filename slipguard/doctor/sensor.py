@@ -18,7 +18,7 @@ LOOK_S = 2.0
 SETTLE_S = 0.5
 """What a camera delivers first is no measure of its rate."""
 RATE_SHARE = 0.95
-LOST_NOTE, LOST_WRONG = 0.01, 0.05
+LOST_NOTE, LOST_WRONG = 0.02, 0.05
 """Shares of frames. A healthy USB camera loses 0.1-1 %; at 5 % slip is seen frames later."""
 OLD_DAYS = 30
 """Gels wear and lights age; a no-contact image older than this is worth taking anew."""

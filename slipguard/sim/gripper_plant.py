@@ -130,6 +130,16 @@ def order_release(plant: GripperPlant, model: GripperModel, now_s: float, width_
     return replace(plant, applied_n=0.0, orders=(*plant.orders, order))
 
 
+def order_halt(plant: GripperPlant) -> GripperPlant:
+    """Stop the motor where it is; the screw keeps width and force. Orders on their way are forgotten.
+
+    A grip whose force was still rising stays at what it has reached, and any force may be ordered anew.
+    """
+    if plant.at_rest:
+        return plant
+    return replace(plant, drive=Drive.REST, orders=(), holding=plant.force_n > 0.0, applied_n=0.0)
+
+
 def _due_s(plant: GripperPlant, model: GripperModel, now_s: float) -> float:
     """When an order given now reaches the motor: one transaction, or two (stop, go) if the motor rests on an object."""
     busy_until_s = max(now_s, plant.orders[-1].due_s) if plant.orders else now_s

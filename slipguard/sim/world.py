@@ -129,6 +129,11 @@ class World:
             plant = gripper_plant.order_release(self._cell.gripper, self._cell.gripper_model, now_s, width_mm)
             self._put(replace(self._cell, gripper=plant))
 
+    def command_halt(self, now_s: float) -> None:
+        """Stop the gripper's motor where it is; width and force stay."""
+        self._advance(now_s)
+        self._put(replace(self._cell, gripper=gripper_plant.order_halt(self._cell.gripper)))
+
     def gripper_state(self, now_s: float) -> GripperState:
         """What the gripper says of itself."""
         now_s = self._advance(now_s)

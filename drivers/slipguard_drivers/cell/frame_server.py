@@ -40,6 +40,11 @@ class FrameServer:
         """Whether it can be connected to."""
         return self._listening is not None
 
+    @property
+    def read(self) -> bool:
+        """Whether somebody reads it."""
+        return self._reader is not None and not self._reader.done()
+
     def plug(self) -> None:
         """Appear. Idempotent. Raises OSError where the socket cannot be made."""
         if self._listening is not None:
@@ -85,7 +90,7 @@ class FrameServer:
             reader, writer = await asyncio.open_unix_connection(sock=connection)
             if self._reader is not None:
                 await asyncio.wait([self._reader], timeout=LEAVING_S)
-            if self._reader is not None and not self._reader.done():
+            if self.read:
                 writer.write(refuse("another program is reading this camera; stop it first"))
                 writer.close()
             else:

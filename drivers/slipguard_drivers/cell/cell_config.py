@@ -1,0 +1,91 @@
+"""The configuration of an emulated cell, ready for `slipguard run`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from slipguard.errors import InputError
+
+MARK = "# written by `slipguard emulate cell`; the next one in this folder replaces it\n"
+SOCKET_PATH_MAX_BYTES = 107
+"""`sun_path` of Linux, less its closing zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class CellPlaces:
+    """Where everything of one cell is. folder: absolute."""
+
+    folder: Path
+
+    @property
+    def config(self) -> Path:
+        """The configuration."""
+        return self.folder / "config.toml"
+
+    @property
+    def truth(self) -> Path:
+        """What really happened, as JSON lines."""
+        return self.folder / "truth.jsonl"
+
+    @property
+    def gripper(self) -> Path:
+        """The gripper's serial port."""
+        return self.folder / "ttyGripper"
+
+    def camera(self, finger: str) -> Path:
+        """A finger's socket."""
+        return self.folder / f"{finger}.sock"
+
+    @property
+    def api(self) -> Path:
+        """The socket of the daemon that will guard this cell."""
+        return self.folder / "slipguard.sock"
+
+    def make(self) -> None:
+        """Make the folder. Raises InputError where it cannot be used."""
+        longest = max((self.api, self.camera("right")), key=lambda path: len(str(path)))
+        if len(str(longest).encode()) > SOCKET_PATH_MAX_BYTES:
+            raise InputError(f"{longest}: longer than the {SOCKET_PATH_MAX_BYTES} bytes a socket's path may have")
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            if self.config.exists() and not self.config.read_text().startswith(MARK):
+                raise InputError(f"{self.config} is there and was not written by an emulated cell; name another folder")
+        except OSError as error:
+            raise InputError(f"{self.folder}: cannot be used: {error.strerror}; name another folder") from None
+
+
+def text(places: CellPlaces, *, mode: Literal["lift", "guard"], host: str, height_mm: float, speed_mm_s: float) -> str:
+    """The file's text. Whatever is not said is slipguard's default."""
+    cameras = "\n".join(
+        f"""[{finger}]
+driver = "socket"
+[{finger}.socket]
+path = "{places.camera(finger)}"
+"""
+        for finger in ("left", "right")
+    )
+    return f"""{MARK}
+{cameras}
+[gripper]
+driver = "robotiq"
+[gripper.robotiq]
+port = "{places.gripper}"
+
+[arm]
+driver = "ur5"
+[arm.ur5]
+host = "{host}"
+
+[guard]
+mode = "{mode}"
+lift_height_mm = {height_mm:g}
+lift_speed_mm_s = {speed_mm_s:g}
+
+[api]
+socket = "{places.api}"
+
+[state]
+directory = "{places.folder / "state"}"
+"""

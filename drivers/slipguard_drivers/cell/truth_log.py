@@ -1,0 +1,59 @@
+"""What really happens in an emulated cell, as JSON lines: for whoever judges slipguard, never for slipguard."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+from slipguard.sim.world import Truth, World
+
+STEP_S = 0.01
+QUIET_S = 1.0
+"""While nothing changes, a line comes this often."""
+
+
+def line_of(truth: Truth) -> dict[str, object]:
+    """One line. Angles are degrees in the left picture, forces newtons per finger; t is CLOCK_MONOTONIC."""
+    return {
+        "t": round(truth.time_s, 4),
+        "object": truth.object_name,
+        "turn": round(truth.turn_deg, 3),
+        "slip": round(truth.slip_deg, 3),
+        "slide_mm": round(truth.slide_mm, 3),
+        "force": round(truth.force_n, 2),
+        "needed": round(truth.needed_force_n, 2),
+        "height": round(truth.height_mm, 2),
+        "in_contact": truth.in_contact,
+        "on_table": truth.on_table,
+        "dropped": truth.dropped,
+    }
+
+
+class TruthLog:
+    """Writes a line whenever something has changed. on_drop: called once for each object lost, with the reason."""
+
+    def __init__(self, world: World, path: Path, on_drop: Callable[[str], None]) -> None:
+        self._world = world
+        self._path = path
+        self._on_drop = on_drop
+
+    async def run(self) -> None:
+        """Write until cancelled."""
+        loop = asyncio.get_running_loop()
+        before: dict[str, object] = {}
+        written_s, dropped = 0.0, None
+        with self._path.open("w", buffering=1) as file:
+            due_s = loop.time()
+            while True:
+                due_s = max(due_s + STEP_S, loop.time())
+                await asyncio.sleep(due_s - loop.time())
+                truth = self._world.truth(loop.time())
+                line = line_of(truth)
+                if {**line, "t": None} != before or loop.time() - written_s > QUIET_S:
+                    before, written_s = {**line, "t": None}, loop.time()
+                    file.write(json.dumps(line) + "\n")
+                if truth.dropped is not None and dropped is None:
+                    self._on_drop(truth.dropped)
+                dropped = truth.dropped
