@@ -52,6 +52,7 @@ class GelCamera:
             )
         self._imprinter = Imprinter(unit, self._background)
         self._noise = Noise(unit.noise_bgr, unit.stripe_bgr, seed)
+        self._last: tuple[GelView, float, Relief | None, Imprint | None] | None = None
         self._light = Light()
         self._lit_background = self._background.astype(np.float32)
 
@@ -79,7 +80,11 @@ class GelCamera:
 
         view: the pose in the middle of the exposure. relief: a surface to draw in place of the named object's.
         """
-        return self._finish(self._imprinter.imprint(view, exposure_s, relief))
+        last = self._last
+        if last is None or last[:2] != (view, exposure_s) or last[2] is not relief:
+            # An object that is held still is pressed in once: only the noise is new.
+            last = self._last = (view, exposure_s, relief, self._imprinter.imprint(view, exposure_s, relief))
+        return self._finish(last[3])
 
     def draw_with_truth(self, view: GelView, exposure_s: float = 0.008, relief: Relief | None = None) -> GelTruth:
         """The frame `draw` would give, and what was there in the middle of its exposure."""
@@ -96,7 +101,6 @@ class GelCamera:
         image = cv2.add(self._lit_background, noise, dtype=cv2.CV_8U)
         if imprint is not None:
             window = imprint.window
-            change = imprint.change_bgr
-            change += self._lit_background[window]
+            change = imprint.change_bgr + self._lit_background[window]
             image[window] = cv2.add(change, noise[window], dtype=cv2.CV_8U)
         return cast("Image", image)

@@ -54,7 +54,12 @@ def test_a_sequence_is_repeatable_and_its_truth_begins_at_nothing() -> None:
     assert not any(s.contact for s in one.shots[:EMPTY_FRAMES])
     compared = [s for s in one.shots if s.compared]
     assert abs(compared[0].turn_deg) < 6.0
-    assert TURN_DEG[0] <= abs(compared[-1].turn_deg) <= TURN_DEG[1]
+    turns = [s.turn_deg for s in compared]
+    assert TURN_DEG[0] <= abs(turns[-1]) <= TURN_DEG[1]
+    assert min(turns) * max(turns) < 0.0
+    assert max(map(abs, turns)) <= TURN_DEG[1]
+    assert 1.0 <= one.growth < 2.0
+    assert one.peak_deg_s > 0.0
     assert all(s.mask is not None for s in one.shots)
     assert one.shots[20].mask is not None
     assert one.shots[20].mask.any()
