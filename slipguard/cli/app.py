@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from slipguard.cli import bench, ctl, dataset, doctor, emulate, guard, measure, simulate, stress, train
+from slipguard.cli import bench, ctl, dataset, doctor, emulate, guard, measure, replay, simulate, stress, train
 from slipguard.errors import CommandRefused, ConfigError, InputError, ModelError, SlipguardError
 
 SIM_PANEL = "With --sim"
@@ -24,6 +24,7 @@ app.command()(doctor.doctor)
 app.command()(guard.calibrate)
 app.add_typer(ctl.app, name="ctl")
 app.command()(measure.measure)
+app.command()(replay.replay)
 app.command()(bench.bench)
 app.command()(stress.stress)
 app.command()(train.train)

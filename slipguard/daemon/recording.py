@@ -78,7 +78,7 @@ class Watcher:
         frame, estimate = judgement.frame, judgement.estimate
         boring = self._idle and estimate is not None and not estimate.contact
         recent = frame.captured_at_s - self._pictured_s.get(finger, float("-inf")) < IDLE_IMAGE_S
-        pictured = not (boring and recent)
+        pictured = self._recorder.takes_pictures and not (boring and recent)
         if pictured:
             self._pictured_s[finger] = frame.captured_at_s
         told = m.Judged(

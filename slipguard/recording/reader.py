@@ -86,12 +86,10 @@ class Recording:
     def items(self) -> Iterator[Item]:
         """All messages in the order written; ends early, and says so in `damage`, where the file is damaged."""
         topics: dict[int, str] = {}
-        ended = False
         self.damage = None
         try:
             with self.path.open("rb") as file:
                 for record in _records(file):
-                    ended = ended or type(record).__name__ == "Footer"
                     if isinstance(record, Channel):
                         topics[record.id] = record.topic
                     elif isinstance(record, Message):
@@ -99,13 +97,12 @@ class Recording:
                         if value is not None:
                             yield Item(topics[record.channel_id], record.log_time, value)
         except _DAMAGE as error:
-            self.damage = (
-                "is cut off" if isinstance(error, EndOfFile) else f"is damaged: {error or type(error).__name__}"
-            )
+            if isinstance(error, EndOfFile):
+                self.damage = "is cut off (killed, or the disk was full)"
+            else:
+                self.damage = f"is damaged: {error or type(error).__name__}"
         except OSError as error:
             self.damage = f"cannot be read: {error.strerror}"
-        else:
-            self.damage = None if ended else "was not finished (killed, or the disk was full)"
 
 
 def open_recording(path: Path) -> Recording:

@@ -6,6 +6,8 @@ takes no more ends the recording with one line, and never the guard; it is tried
 
 from __future__ import annotations
 
+import contextlib
+import os
 import threading
 import time
 from collections import deque
@@ -27,6 +29,10 @@ BACKLOG_MAX = 2000
 """Values waiting for the disk. Pictures are left out from a quarter of it on: 250 of them are 60 MB."""
 WAIT_S = 0.25
 TRY_AGAIN_S = 60.0
+SETTLE_S = 1.0
+"""A new no-contact image begins a new file, once the other finger has had the time to get its own."""
+NICENESS = 10
+FINISHED_MAX = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +101,18 @@ class Recorder:
         self._news = threading.Condition()
         self._ending = False
         self._file: RecordingFile | None = None
-        self._began_s = 0.0
-        self._renew = False
+        self._began_s = self._last_s = 0.0
+        self._renew_s = float("inf")
+        self._finished: deque[tuple[Path, float]] = deque(maxlen=FINISHED_MAX)
         self._keep_until_s = float("-inf")
         self._keep_this = False
         self._try_again_at = 0.0
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+
+    @property
+    def takes_pictures(self) -> bool:
+        """Whether pictures are recorded at all."""
+        return self._settings.image != "none"
 
     def start(self) -> None:
         """Begin; the first file is opened with the first turn of the loop."""
@@ -126,6 +138,9 @@ class Recorder:
         self._thread.join(timeout_s)
 
     def _run(self) -> None:
+        with contextlib.suppress(OSError):  # Linux gives every thread a priority of its own
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
+        self._guarded(self._ring.keep_unfinished)
         while True:
             with self._news:
                 if not self._waiting and not self._ending:
@@ -173,16 +188,17 @@ class Recorder:
             self._keep_until_s = now_s + self._settings.keep_after_s
             self._keep_this = True
             self._keep_what_was(now_s - self._settings.keep_before_s)
-        if self._file is not None and (self._renew or now_s - self._began_s >= self._settings.segment_s):
+        if self._file is not None and now_s >= min(self._renew_s, self._began_s + self._settings.segment_s):
             self._finish()
         if self._file is None:
             self._begin(turn.memory, now_s)
         assert self._file is not None
+        self._last_s = now_s
         self._file.tick(turn.tick)
 
     def _seen(self, file: RecordingFile, seen: Seen) -> None:
         if seen.judged.new_pipeline:
-            self._renew = True  # the file's no-contact images are those of its beginning
+            self._renew_s = seen.at_s + SETTLE_S  # the file's no-contact images are those of its beginning
         frame_s = seen.judged.captured_at_s
         if seen.image is not None and self._settings.image != "none":
             file.image(seen.finger, frame_s, self._encoded(seen.image), self._settings.image)
@@ -198,7 +214,7 @@ class Recorder:
     def _begin(self, memory: Guard, now_s: float) -> None:
         self.path = self._ring.new(self._clock.ns(now_s))
         self._file = RecordingFile(self.path, self._clock, self._header(), memory, now_s, self._opener)
-        self._began_s, self._renew = now_s, False
+        self._began_s, self._renew_s = now_s, float("inf")
         self._keep_this = now_s <= self._keep_until_s
         self._ring.tidy(self.path)
         if self.stopped is not None:
@@ -215,10 +231,15 @@ class Recorder:
         finally:
             if self._keep_this and self.path is not None:
                 self._ring.keep(self.path)
+            elif self.path is not None:
+                self._finished.append((self.path, self._last_s))
 
     def _keep_what_was(self, from_s: float) -> None:
         """Keep the finished files that reach beyond `from_s`."""
-        from_ns = self._clock.ns(from_s)
-        for path in self._ring.newest():
-            if path != self.path and path.stat().st_mtime_ns >= from_ns:
+        while self._finished:
+            path, ended_s = self._finished.pop()
+            if ended_s < from_s:
+                break
+            if path.exists():
                 self._ring.keep(path)
+        self._finished.clear()

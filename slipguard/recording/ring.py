@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 SUFFIX = ".mcap"
+MAGIC = b"\x89MCAP0\r\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,14 +49,16 @@ class Ring:
         self.kept.mkdir(parents=True, exist_ok=True)
         return path.rename(self.kept / path.name)
 
-    def newest(self) -> list[Path]:
-        """The ring's files, newest first."""
-        return _newest_first(self.ring)
+    def keep_unfinished(self) -> None:
+        """Keep what a killed daemon left behind: somebody will ask what happened then."""
+        for path in _newest_first(self.ring):
+            if not _finished(path):
+                self.keep(path)
 
     def tidy(self, writing: Path | None = None) -> None:
         """Delete what is beyond the limits, the oldest first, but never the file that is being written."""
         limits = self._limits
-        _delete_beyond(self.newest(), limits.ring_files, limits.ring_bytes, writing)
+        _delete_beyond(_newest_first(self.ring), limits.ring_files, limits.ring_bytes, writing)
         _delete_beyond(_newest_first(self.kept), None, limits.kept_bytes, writing)
 
 
@@ -69,3 +72,10 @@ def _delete_beyond(newest_first: list[Path], files: int | None, size_bytes: int,
         total_bytes += path.stat().st_size
         if path != spare and ((files is not None and number >= files) or total_bytes > size_bytes):
             path.unlink()
+
+
+def _finished(path: Path) -> bool:
+    """An MCAP file ends as it begins, with its magic."""
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - len(MAGIC), 0))
+        return file.read() == MAGIC

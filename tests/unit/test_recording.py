@@ -1,0 +1,253 @@
+"""Recordings: exact, readable up to where they were cut, within their limits, and never in the way of the guard."""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+from pathlib import Path
+from typing import BinaryIO
+
+import cv2
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from slipguard.errors import InputError
+from slipguard.grasp.detector import Detector
+from slipguard.grasp.guard import Guard
+from slipguard.grasp.messages import ArmLift, Command, Seen
+from slipguard.grasp.state import GuardState, Phase
+from slipguard.perception.estimate import Estimate
+from slipguard.recording import messages as m
+from slipguard.recording.reader import Line, Picture, open_recording
+from slipguard.recording.recorder import Recorder, RecorderSettings, Said, Turn
+from slipguard.recording.recorder import Seen as SeenFrame
+from slipguard.recording.ring import Limits, Ring
+from slipguard.recording.writer import Clock, Header, RecordingFile, open_new
+
+CLOCK = Clock(1_700_000_000_000_000_000, 0.0)
+HEADER = Header({"slipguard": "0"}, {m.CONFIG_ATTACHMENT: b"{}"})
+LIMITS = Limits(100, 10**9, 10**9)
+
+
+def tick_at(now_s: float) -> m.Tick:
+    return m.Tick(now_s, "holding", Seen(now_s=now_s), Command(hold_force_n=now_s), 1, None)
+
+
+def judged_at(now_s: float) -> m.Judged:
+    return m.Judged(7, now_s, estimate=Estimate(7, now_s, now_s, True, 4000, "fused", angle_deg=math.pi, sigma_deg=0.1))
+
+
+def picture(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 255, (320, 240, 3), np.uint8)
+
+
+def written(path: Path, count: int = 200) -> RecordingFile:
+    file = RecordingFile(path, CLOCK, HEADER, Guard(), 0.0)
+    for number in range(count):
+        at_s = number / 60
+        file.image("left", at_s, cv2.imencode(".jpg", picture(number))[1].tobytes(), "jpeg")
+        file.judged("left", at_s, judged_at(at_s))
+        file.tick(tick_at(at_s))
+        file.log(at_s, "info", f"line {number}")
+    return file
+
+
+def recorder(folder: Path, **settings: object) -> Recorder:
+    return Recorder(
+        Ring(folder, LIMITS),
+        RecorderSettings(**settings),  # type: ignore[arg-type]
+        CLOCK,
+        header=lambda: HEADER,
+        on_trouble=lambda text: None,
+    )
+
+
+def play(one: Recorder, times: np.ndarray, keep_at: float | None = None) -> None:
+    one.start()
+    for now_s in times:
+        one.hand(SeenFrame("left", float(now_s), judged_at(float(now_s)), picture(), picture()[..., 0] // 128))
+        one.hand(Turn(tick_at(float(now_s)), Guard(), keep=keep_at is not None and bool(np.isclose(now_s, keep_at))))
+    one.stop(20.0)
+
+
+def test_the_laws_memory_survives_to_the_last_bit() -> None:
+    memory = Guard(GuardState(Phase.LIFTING, 0.1 + 0.2, detector=Detector(1 / 3, frames=2), commanded_s=-math.inf))
+    assert m.MEMORY.decode(m.MEMORY.encode(memory)) == memory
+    tick = m.Tick(1e-17, "idle", Seen(now_s=1 / 7), Command(arm=ArmLift(1 / 3, 2 / 3)))
+    assert m.TICK.decode(m.TICK.encode(tick)) == tick
+
+
+def test_what_was_written_is_read(tmp_path: Path) -> None:
+    written(tmp_path / "a.mcap").close()
+    recording = open_recording(tmp_path / "a.mcap")
+    items = list(recording.items())
+    assert recording.damage is None
+    assert recording.attachments == {m.CONFIG_ATTACHMENT: b"{}"}
+    assert items[0].value == Guard()
+    ticks = [item.value for item in items if isinstance(item.value, m.Tick)]
+    assert ticks == [tick_at(number / 60) for number in range(200)]
+    assert [item.value.text for item in items if isinstance(item.value, Line)][-1] == "line 199"
+    shown = next(item for item in items if isinstance(item.value, Picture))
+    assert shown.at_ns == CLOCK.wall_ns
+    assert isinstance(shown.value, Picture)
+    assert shown.value.pixels().shape == (320, 240, 3)
+
+
+def test_an_independent_reader_finds_every_message_and_a_schema_for_each_topic(tmp_path: Path) -> None:
+    written(tmp_path / "a.mcap").close()
+    with (tmp_path / "a.mcap").open("rb") as file:
+        seen = [(schema.name, channel.topic) for schema, channel, _ in make_reader(file).iter_messages()]
+    assert len(seen) == 801
+    assert ("foxglove.CompressedImage", "/left/image") in seen
+    assert ("foxglove.Log", "/log") in seen
+    assert ("slipguard.Tick", "/tick") in seen
+
+
+def test_a_file_cut_anywhere_is_readable_up_to_there(tmp_path: Path) -> None:
+    written(tmp_path / "whole.mcap", 60).close()
+    whole = (tmp_path / "whole.mcap").read_bytes()
+    expected = [item for item in open_recording(tmp_path / "whole.mcap").items() if isinstance(item.value, m.Tick)]
+    cut = tmp_path / "cut.mcap"
+    for size in np.random.default_rng(1).integers(0, len(whole), 100):
+        cut.write_bytes(whole[:size])
+        try:
+            recording = open_recording(cut)
+        except InputError as error:
+            assert size < 3000, error  # noqa: PT017 - only a file cut within its header cannot be opened
+            continue
+        ticks = [item for item in recording.items() if isinstance(item.value, m.Tick)]
+        assert recording.damage is not None
+        assert ticks == expected[: len(ticks)]
+        share = size / len(whole)
+        assert len(ticks) >= (share - 0.05) * len(expected) - 2
+
+
+def test_a_flipped_byte_ends_the_reading_and_never_crashes_it(tmp_path: Path) -> None:
+    written(tmp_path / "whole.mcap", 30).close()
+    whole = (tmp_path / "whole.mcap").read_bytes()
+    bad = tmp_path / "bad.mcap"
+    rng = np.random.default_rng(2)
+    for at in rng.integers(0, len(whole), 100):
+        bad.write_bytes(whole[:at] + bytes([whole[at] ^ 0x5A]) + whole[at + 1 :])
+        try:
+            list(open_recording(bad).items())
+        except InputError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+
+
+@pytest.mark.parametrize("content", [b"", b"nothing of the kind", b"\x89MCAP0\r\n", os.urandom(500)])
+def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "a.mcap").write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.mcap"):
+        open_recording(tmp_path / "a.mcap")
+
+
+def test_a_killed_recorder_leaves_all_but_the_last_moment(tmp_path: Path) -> None:
+    file = written(tmp_path / "a.mcap", 300)
+    file.abandon()
+    recording = open_recording(tmp_path / "a.mcap")
+    last = [item.value for item in recording.items() if isinstance(item.value, m.Tick)][-1]
+    assert last.now_s > 299 / 60 - 1.0
+    assert recording.damage == "is cut off (killed, or the disk was full)"
+
+
+def test_around_an_event_files_are_kept_and_others_leave_the_ring(tmp_path: Path) -> None:
+    limits = Limits(3, 10**9, 10**9)
+    one = Recorder(
+        Ring(tmp_path, limits),
+        RecorderSettings("none", 90, segment_s=1.0, keep_before_s=1.5, keep_after_s=1.5),
+        CLOCK,
+        header=lambda: HEADER,
+        on_trouble=lambda text: None,
+    )
+    play(one, np.arange(0.0, 20.0, 0.25), keep_at=10.25)
+    kept = [list(open_recording(path).items()) for path in sorted((tmp_path / "kept").iterdir())]
+    times = [item.value.now_s for items in kept for item in items if isinstance(item.value, m.Tick)]
+    assert min(times) <= 10.25 - 1.5
+    assert max(times) >= 10.25 + 1.5
+    assert min(times) >= 7.0
+    assert max(times) <= 13.0
+    assert len(list((tmp_path / "ring").iterdir())) == 3
+
+
+def test_kept_files_have_their_limit_too(tmp_path: Path) -> None:
+    ring = Ring(tmp_path, Limits(10, 10**9, 2500))
+    for number in range(5):
+        path = ring.new(CLOCK.wall_ns + number * 10**9)
+        path.write_bytes(bytes(1000))
+        ring.keep(path)
+    ring.tidy()
+    assert [path.name for path in sorted((tmp_path / "kept").iterdir())] == [
+        "20231114T221323.000Z.mcap",
+        "20231114T221324.000Z.mcap",
+    ]
+
+
+def test_what_a_killed_daemon_left_is_kept(tmp_path: Path) -> None:
+    ring = Ring(tmp_path, LIMITS)
+    written(ring.new(CLOCK.wall_ns), 100).abandon()
+    written(ring.new(CLOCK.wall_ns + 10**9), 3).close()
+    ring.keep_unfinished()
+    assert len(list((tmp_path / "kept").iterdir())) == 1
+    assert len(list((tmp_path / "ring").iterdir())) == 1
+
+
+class FullDisk:
+    """A file on a disk that fills up."""
+
+    def __init__(self, path: Path, room: int) -> None:
+        self.file: BinaryIO = open_new(path)
+        self.room = room
+
+    def write(self, data: bytes) -> int:
+        if len(data) > self.room:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self.room -= len(data)
+        return self.file.write(data)
+
+    def flush(self) -> None:
+        self.file.flush()
+
+    def close(self) -> None:
+        self.file.close()
+
+
+def test_a_full_disk_stops_the_recording_with_one_line(tmp_path: Path) -> None:
+    said: list[str] = []
+    one = Recorder(
+        Ring(tmp_path, LIMITS),
+        RecorderSettings("jpeg"),
+        CLOCK,
+        header=lambda: HEADER,
+        on_trouble=said.append,
+        opener=lambda path: FullDisk(path, 300_000),  # type: ignore[arg-type,return-value]
+    )
+    play(one, np.arange(0.0, 3.0, 0.02))
+    assert len(said) == 1
+    assert "No space left on device" in said[0]
+    assert one.stopped is not None
+    (path,) = (tmp_path / "ring").iterdir()
+    assert any(isinstance(item.value, m.Tick) for item in open_recording(path).items())
+
+
+def test_handing_over_never_waits_and_leaves_pictures_out_first(tmp_path: Path) -> None:
+    one = recorder(tmp_path)
+    for number in range(2500):  # not started: nobody takes anything
+        one.hand(SeenFrame("left", number / 60, judged_at(number / 60), picture() if number < 600 else None))
+    assert one.left_out == 600 - 500 + 2500 - 2000
+    one.start()
+    one.hand(Said(1.0, "a line"))
+    one.stop(20.0)
+
+
+def test_png_keeps_every_pixel(tmp_path: Path) -> None:
+    one = recorder(tmp_path, image="png")
+    one.start()
+    one.hand(Turn(tick_at(0.0), Guard()))
+    one.hand(SeenFrame("right", 0.0, judged_at(0.0), picture(5)))
+    one.stop(20.0)
+    (path,) = (tmp_path / "ring").iterdir()
+    pixels = [item.value.pixels() for item in open_recording(path).items() if isinstance(item.value, Picture)]
+    assert np.array_equal(pixels[0], picture(5))
