@@ -63,6 +63,8 @@ async def look(name: str, sensor: TactileSensor, settings: Any, store: StateDir)
         asked_hz = getattr(settings, "fps", None) or getattr(sensor, "fps", None)
         for finding in frames(watched, asked_hz):
             yield finding
+        for remark in getattr(sensor, "remarks", ()):
+            yield note("remark", remark)
         yield no_contact(sensor.serial, store, datetime.now(UTC))
     finally:
         await sensor.close()

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 
 from slipguard.devices import DriverContext, Frame, TactileSensor
+from slipguard.diagnosis import Finding
 from slipguard.errors import DeviceLost
 from slipguard_drivers.digit.capture import Capture, Delivery, Mode
 from slipguard_drivers.digit.decoder import JpegDecoder
 from slipguard_drivers.digit.find import Found, find_digit
+from slipguard_drivers.digit.look import look
 from slipguard_drivers.digit.picture import DamagedPicture, upright_yuyv
 from slipguard_drivers.digit.rate import RateWatch
 from slipguard_drivers.digit.settings import DigitSettings
@@ -78,6 +80,11 @@ class DigitSensor(TactileSensor):
         if self._stream is None:
             raise DeviceLost(f"{self._name}: the sensor is not open; open it first")
         return await self._stream.next()
+
+    async def diagnose(self, *, owned: bool) -> AsyncIterator[Finding]:
+        """For the doctor: what there is to see from outside."""
+        for finding in look(self._name, self._settings):
+            yield finding
 
     async def close(self) -> None:
         """Stop the stream and let go of the device."""

@@ -1,0 +1,43 @@
+"""What `slipguard doctor` looks at about a gripper's serial port from outside: the device file, access, the adapter."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from slipguard.diagnosis import Finding, fine, note, wrong
+from slipguard_drivers.robotiq import serial_port
+
+LASTING = ("/dev/serial/by-id/", "/dev/serial/by-path/")
+"""Names that stay with the adapter, or with the socket it is plugged into."""
+
+
+def look(port: str) -> Iterator[Finding]:
+    """The port; nothing is opened."""
+    path = Path(port)
+    if not path.is_char_device() or not os.access(port, os.R_OK | os.W_OK):
+        why, _, do = serial_port.what_is_wrong(port).partition("; ")
+        yield wrong("port", f"{port}: {why}", do or "log out and in again after `usermod -aG dialout USER`")
+        return
+    target = os.path.realpath(port)
+    if path.is_symlink():
+        yield fine("port", f"{port} is {target}, readable and writable")
+    elif port.startswith("/dev/tty") and not port.startswith(LASTING):
+        yield note("port", f"{port} may name another adapter tomorrow", "name it by one of `ls /dev/serial/by-id`")
+    else:
+        yield fine("port", f"{port}, readable and writable")
+    yield adapter(serial_port.latency_timer_ms(port))
+
+
+def adapter(timer_ms: int | None) -> Finding:
+    """The latency timer of an FTDI adapter: each question waits for it."""
+    if timer_ms is None:
+        return fine("adapter", "not an FTDI one, no latency timer to set")
+    if timer_ms > 1:
+        return note(
+            "adapter",
+            f"FTDI latency timer {timer_ms} ms; slipguard asks for 1 ms when it opens the port",
+            "install systemd/60-slipguard.rules, so that other programs get it as well",
+        )
+    return fine("adapter", "FTDI latency timer 1 ms")
