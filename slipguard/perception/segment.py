@@ -1,9 +1,10 @@
-"""Where the object touches the gel: one small network, run by onnxruntime on one thread.
+"""Where the object touches the gel: one network, run by onnxruntime on one thread.
 
-The model contract, version 1 (models/README.md tells it in full): inputs `frame` and `background`, each
-(1, 160, 120, 3) uint8 BGR, `background_known`, (1,) float32; output `probability`, (1, 1, 160, 120) float32 in 0..1;
-metadata `slipguard_contract`, `threshold`, `label`, `command`, `seed`. All else (differences, drift, scaling) is in
-the graph.
+The model contract (models/README.md tells it in full): inputs `frame` and `background`, each (1, H, W, 3) uint8 BGR,
+`background_known`, (1,) float32; output `probability`, (1, 1, H, W) float32 in 0..1; metadata `slipguard_contract`,
+`threshold`, `label`, `command`, `seed`. H is 160 and W 120 in version 1; in version 2 any size of the frame's
+proportions up to 320 and 240, and a network may take `frame` alone. All else (differences, drift, scaling) is in the
+graph.
 """
 
 from __future__ import annotations
@@ -24,18 +25,16 @@ from slipguard.perception.background import guess_background
 INPUT_WIDTH_PX = FRAME_WIDTH_PX // 2
 INPUT_HEIGHT_PX = FRAME_HEIGHT_PX // 2
 CONTRACT = "1"
+"""Of what takes all three inputs at 120 x 160."""
+CONTRACT_ANY_INPUT = "2"
+"""Of what takes the frame alone, or another size."""
+CONTRACTS = (CONTRACT, CONTRACT_ANY_INPUT)
 DEFAULT_MODEL = "tsnn-small.onnx"
 ROUNDING = 1e-4
 """onnxruntime's sigmoid exceeds 1 by a few units in the last place."""
 REQUIRED_METADATA = ("slipguard_contract", "threshold", "label", "command", "seed")
 
-_IMAGE_SHAPE = [1, INPUT_HEIGHT_PX, INPUT_WIDTH_PX, 3]
-_INPUTS = {
-    "frame": ("tensor(uint8)", _IMAGE_SHAPE),
-    "background": ("tensor(uint8)", _IMAGE_SHAPE),
-    "background_known": ("tensor(float)", [1]),
-}
-_OUTPUTS = {"probability": ("tensor(float)", [1, 1, INPUT_HEIGHT_PX, INPUT_WIDTH_PX])}
+_Ports = dict[str, tuple[str, list[Any]]]
 
 
 def default_model_path() -> Path:
@@ -64,44 +63,46 @@ class Segmenter:
     def __init__(self, path: Path | None = None) -> None:
         self.path = default_model_path() if path is None else path
         self._session = _open(self.path)
+        self._size, self._takes_background = _checked_ports(self.path, self._session)
         self.metadata: dict[str, str] = _checked_metadata(self.path, self._session)
         self.threshold = _checked_threshold(self.path, self.metadata["threshold"])
+        middle = np.full((self._size[1], self._size[0], 3), 96, np.uint8)
         self._background: NDArray[np.uint8] | None = None
-        self._background_small: NDArray[np.uint8] = np.zeros(_IMAGE_SHAPE[1:], np.uint8)
-        middle = np.full(_IMAGE_SHAPE[1:], 96, np.uint8)
+        self._background_small = middle
         self._run(middle, middle, known=True)
 
     @property
     def input_size(self) -> tuple[int, int]:
         """(width, height) in pixels of what the network sees and answers at."""
-        return INPUT_WIDTH_PX, INPUT_HEIGHT_PX
+        return self._size
 
     @property
     def needs_background(self) -> bool:
         """The network takes the unit's no-contact image; without one it works with a guess, and worse."""
-        return True
+        return self._takes_background
 
     def segment(self, image: NDArray[np.uint8], background: NDArray[np.uint8] | None) -> NDArray[np.float32]:
-        """Probability of contact, (160, 120) float32 in 0..1, each pixel covering 2 x 2 of the frame.
+        """Probability of contact, (H, W) float32 in 0..1, at `input_size`: (160, 120) covers 2 x 2 of the frame each.
 
         image, background: (320, 240, 3) uint8 BGR; background None is guessed from the frame. A background array is
-        halved once and remembered by identity: do not write into it afterwards. Raises `InputError` for another
+        shrunk once and remembered by identity: do not write into it afterwards. Raises `InputError` for another
         shape or type, `ModelError` where the network answers with no probability.
         """
-        small = _halved(image, "frame")
+        small = _shrunk(image, self._size, "frame")
+        if not self._takes_background:
+            return self._run(small, small, known=False)
         if background is None:
             return self._run(small, guess_background(small), known=False)
         if background is not self._background:
-            self._background_small = _halved(background, "no-contact image")
+            self._background_small = _shrunk(background, self._size, "no-contact image")
             self._background = background
         return self._run(small, self._background_small, known=True)
 
     def _run(self, frame: NDArray[np.uint8], background: NDArray[np.uint8], *, known: bool) -> NDArray[np.float32]:
-        feed = {
-            "frame": frame[None],
-            "background": background[None],
-            "background_known": np.array([1.0 if known else 0.0], np.float32),
-        }
+        feed: dict[str, NDArray[Any]] = {"frame": frame[None]}
+        if self._takes_background:
+            known_flag = np.array([1.0 if known else 0.0], np.float32)
+            feed |= {"background": background[None], "background_known": known_flag}
         try:
             answer = self._session.run(["probability"], feed)[0]
         except Exception as error:
@@ -115,13 +116,12 @@ class Segmenter:
         return np.clip(probability, 0.0, 1.0)
 
 
-def _halved(image: NDArray[np.uint8], what: str) -> NDArray[np.uint8]:
+def _shrunk(image: NDArray[np.uint8], size: tuple[int, int], what: str) -> NDArray[np.uint8]:
     if image.shape != (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3) or image.dtype != np.uint8:
         raise InputError(
             f"the {what} is {image.dtype} of shape {image.shape}; "
             f"uint8 BGR of shape ({FRAME_HEIGHT_PX}, {FRAME_WIDTH_PX}, 3) is needed"
         )
-    size = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
@@ -140,21 +140,37 @@ def _open(path: Path) -> Any:
         raise ModelError(f"{path}: not a readable ONNX model ({_first_line(error)})") from error
 
 
+def _checked_ports(path: Path, session: Any) -> tuple[tuple[int, int], bool]:
+    """(width, height) of what the network sees, and whether it takes a background."""
+    inputs, outputs = (
+        {port.name: (port.type, port.shape) for port in ports}
+        for ports in (session.get_inputs(), session.get_outputs())
+    )
+    takes_background = "background" in inputs
+    shape = inputs.get("frame", ("", []))[1]
+    height, width = shape[1:3] if len(shape) == 4 else (INPUT_HEIGHT_PX, INPUT_WIDTH_PX)
+    fits = isinstance(height, int) and isinstance(width, int) and 0 < height <= FRAME_HEIGHT_PX
+    if not (fits and height * FRAME_WIDTH_PX == width * FRAME_HEIGHT_PX):
+        height, width = INPUT_HEIGHT_PX, INPUT_WIDTH_PX
+    wanted: _Ports = {"frame": ("tensor(uint8)", [1, height, width, 3])}
+    if takes_background:
+        wanted |= {"background": wanted["frame"], "background_known": ("tensor(float)", [1])}
+    answer: _Ports = {"probability": ("tensor(float)", [1, 1, height, width])}
+    for side, found, asked in (("inputs", inputs, wanted), ("outputs", outputs, answer)):
+        if found != asked:
+            raise ModelError(f"{path}: {side} are {_ports(found)}; the model contract asks for {_ports(asked)}")
+    return (width, height), takes_background
+
+
 def _checked_metadata(path: Path, session: Any) -> dict[str, str]:
-    for side, found, wanted in (
-        ("inputs", session.get_inputs(), _INPUTS),
-        ("outputs", session.get_outputs(), _OUTPUTS),
-    ):
-        seen = {port.name: (port.type, port.shape) for port in found}
-        if seen != wanted:
-            raise ModelError(f"{path}: {side} are {_ports(seen)}; the model contract asks for {_ports(wanted)}")
     metadata = dict(session.get_modelmeta().custom_metadata_map)
     missing = [key for key in REQUIRED_METADATA if key not in metadata]
     if missing:
         raise ModelError(f"{path}: metadata {', '.join(missing)} missing; export it with `slipguard train`")
-    if metadata["slipguard_contract"] != CONTRACT:
+    if metadata["slipguard_contract"] not in CONTRACTS:
+        known = " and ".join(CONTRACTS)
         raise ModelError(
-            f"{path}: keeps model contract {metadata['slipguard_contract']}; this slipguard reads contract {CONTRACT}"
+            f"{path}: keeps model contract {metadata['slipguard_contract']}; this slipguard reads contract {known}"
         )
     return metadata
 
@@ -169,7 +185,7 @@ def _checked_threshold(path: Path, text: str) -> float:
     return threshold
 
 
-def _ports(ports: dict[str, tuple[str, list[Any]]]) -> str:
+def _ports(ports: _Ports) -> str:
     return ", ".join(f"{name} {kind}{shape}" for name, (kind, shape) in sorted(ports.items()))
 
 
