@@ -1,0 +1,1 @@
+"""The grasp-and-lift experiment against markers that an external camera sees."""

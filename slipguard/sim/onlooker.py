@@ -1,0 +1,216 @@
+"""The external camera of an experiment: gripper, object and a marker on each, as a lens beside the cell sees them.
+
+Millimetres in the gripper's frame: x to the right, y up, z along the grasp axis towards the onlooker, origin between
+the fingertips. A positive turn is counter-clockwise for who looks along the axis from the onlooker's side.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Points = NDArray[np.float64]
+OVERSAMPLING = 3
+"""Markers are drawn this much larger and averaged down, as a sensor's pixels average."""
+BODY_BGR, FINGER_BGR, OBJECT_BGR = (70, 66, 62), (48, 46, 44), (96, 132, 176)
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """A camera's inside. Focal length and centre in pixels; k1, k2: radial distortion as OpenCV counts it."""
+
+    width_px: int = 1280
+    height_px: int = 720
+    focal_px: float = 1000.0
+    centre_px: tuple[float, float] = (644.0, 356.0)
+    k1: float = -0.08
+    k2: float = 0.03
+
+    def matrix(self) -> Points:
+        """(3, 3) camera matrix."""
+        (u, v), f = self.centre_px, self.focal_px
+        return np.array([[f, 0.0, u], [0.0, f, v], [0.0, 0.0, 1.0]])
+
+    def distortion(self) -> Points:
+        """(5,) k1 k2 p1 p2 k3."""
+        return np.array([self.k1, self.k2, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True, slots=True)
+class Plate:
+    """One square marker. side_mm: its black square; cells: (n, n) of 0 and 1, black border included."""
+
+    cells: NDArray[np.uint8]
+    side_mm: float
+    centre_mm: tuple[float, float, float]
+    roll_deg: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Onlooker:
+    """Where the camera stands and what it does to the picture.
+
+    distance_mm: from the grasp point. tilt_deg: of the line of sight against the grasp axis; azimuth_deg: towards which
+    side, 0 right, 90 up. roll_deg: of the camera about its line of sight. aim_mm: the point looked at.
+    """
+
+    gripper: Plate
+    thing: Plate
+    lens: Lens = field(default_factory=Lens)
+    distance_mm: float = 600.0
+    tilt_deg: float = 10.0
+    azimuth_deg: float = 40.0
+    roll_deg: float = 0.0
+    aim_mm: tuple[float, float, float] = (0.0, 60.0, 0.0)
+    blur_px: float = 0.6
+    noise: float = 2.0
+    light: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What there is to see. height_mm: of the gripper; covered: markers that something hides, "gripper", "object"."""
+
+    turn_deg: float = 0.0
+    height_mm: float = 0.0
+    slide_mm: float = 0.0
+    covered: frozenset[str] = frozenset()
+
+
+class Studio:
+    """Draws scenes for one onlooker; deterministic for a seed and the order of calls."""
+
+    def __init__(self, onlooker: Onlooker, seed: int = 0) -> None:
+        self.onlooker = onlooker
+        self._rng = np.random.default_rng(seed)
+        lens = onlooker.lens
+        self._rotation, self._centre = _looking(onlooker)
+        self._backdrop = _backdrop(lens)
+        grid = np.stack(np.meshgrid(np.arange(lens.width_px), np.arange(lens.height_px)), -1).reshape(-1, 1, 2)
+        ideal = cv2.undistortPoints(grid.astype(np.float64), lens.matrix(), lens.distortion(), P=lens.matrix())
+        self._ideal = ideal.reshape(lens.height_px, lens.width_px, 2).astype(np.float32)
+        self._noise = (onlooker.noise * self._rng.normal(0.0, 1.0, (2 * lens.height_px, 2 * lens.width_px, 1))).astype(
+            np.float32
+        )
+        self._empty = self._exposed(self._backdrop, 0, 0)
+
+    def draw(self, scene: Scene) -> NDArray[np.uint8]:
+        """(height, width, 3) uint8 BGR. Away from gripper and object the noise stands still, to save time."""
+        look = self.onlooker
+        up = np.array([0.0, scene.height_mm, 0.0])
+        down = np.array([0.0, scene.slide_mm, 0.0])
+        turn = _turned(math.radians(scene.turn_deg))
+        body = np.array([[-55, 38, 0], [55, 38, 0], [48, 150, 0], [-48, 150, 0]], np.float64) + up
+        palm = np.array([[-14, -14, 2], [14, -14, 2], [14, 40, 2], [-14, 40, 2]], np.float64) + up
+        bar = np.array([[-22, -14, 4], [130, -14, 4], [130, 14, 4], [-22, 14, 4]], np.float64)
+        thing = bar @ turn.T + up - down
+        shapes = ((body, BODY_BGR), (thing, OBJECT_BGR), (palm, FINGER_BGR))
+        picture = self._backdrop.copy()
+        for shape, colour in shapes:
+            self._fill(picture, shape, colour)
+        if "gripper" not in scene.covered:
+            self._stick(picture, look.gripper, np.eye(3), up)
+        if "object" not in scene.covered:
+            self._stick(picture, look.thing, turn, up - down)
+        left, top, right, bottom = self._window(np.concatenate([shape for shape, _ in shapes]))
+        seen = self._empty.copy()
+        seen[top:bottom, left:right] = self._exposed(picture, left, top, right, bottom)
+        return seen
+
+    def _window(self, corners_mm: Points) -> tuple[int, int, int, int]:
+        """The part of the picture that changes: left, top, right, bottom, distortion and blur allowed for."""
+        lens = self.onlooker.lens
+        corners = self.project(corners_mm)
+        margin = 40
+        low = np.clip(np.floor(corners.min(0)) - margin, 0, (lens.width_px, lens.height_px)).astype(int)
+        high = np.clip(np.ceil(corners.max(0)) + margin, 0, (lens.width_px, lens.height_px)).astype(int)
+        return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+
+    def _exposed(
+        self, picture: NDArray[np.float32], left: int, top: int, right: int | None = None, bottom: int | None = None
+    ) -> NDArray[np.uint8]:
+        """Through the lens and onto the sensor: distorted, blurred, noisy."""
+        look = self.onlooker
+        where = self._ideal[top:bottom, left:right]
+        if where.size == 0:
+            return np.zeros((*where.shape[:2], 3), np.uint8)
+        seen = cv2.remap(picture, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        if look.blur_px > 0.0:
+            seen = cv2.GaussianBlur(seen, (0, 0), look.blur_px)
+        height, width = seen.shape[:2]
+        y = int(self._rng.integers(self._noise.shape[0] - height + 1))
+        x = int(self._rng.integers(self._noise.shape[1] - width + 1))
+        seen = cv2.add(look.light * seen, np.repeat(self._noise[y : y + height, x : x + width], 3, axis=2))
+        return np.clip(seen, 0, 255).astype(np.uint8)
+
+    def project(self, points_mm: Points) -> Points:
+        """(n, 3) in the gripper's frame at rest to (n, 2) pixels of an undistorted picture."""
+        seen = (points_mm - self._centre) @ self._rotation.T
+        lens = self.onlooker.lens
+        return np.asarray(lens.focal_px * seen[:, :2] / seen[:, 2:] + np.array(lens.centre_px))
+
+    def _fill(self, picture: NDArray[np.float32], corners_mm: Points, colour: tuple[int, int, int]) -> None:
+        fixed = np.round(self.project(corners_mm) * 16).astype(np.int32)
+        cv2.fillConvexPoly(picture, fixed, colour, cv2.LINE_AA, 4)
+
+    def _stick(self, picture: NDArray[np.float32], plate: Plate, turn: Points, offset_mm: Points) -> None:
+        """A marker with its white margin of one cell, foreshortened and averaged over pixels."""
+        count = len(plate.cells)
+        cell_mm = plate.side_mm / count
+        half = plate.side_mm / 2 + cell_mm
+        flat = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]], np.float64)
+        flat = flat @ _turned(math.radians(plate.roll_deg)).T + np.array(plate.centre_mm)
+        corners = self.project(flat @ turn.T + offset_mm)
+        low = np.floor(corners.min(0)).astype(int) - 2
+        high = np.ceil(corners.max(0)).astype(int) + 3
+        low, high = np.maximum(low, 0), np.minimum(high, (picture.shape[1], picture.shape[0]))
+        if np.any(high - low < 4):
+            return
+        scale = 8
+        texture = np.pad(plate.cells, 1, constant_values=1).astype(np.float32)
+        texture = np.kron(texture, np.ones((scale, scale), np.float32))
+        side = float(scale * (count + 2))
+        corner_px = np.array([[0, 0], [side, 0], [side, side], [0, side]], np.float32) - 0.5
+        target = (corners - low + 0.5) * OVERSAMPLING - 0.5
+        warp = cv2.getPerspectiveTransform(corner_px, target.astype(np.float32))
+        size = tuple(int(v) for v in (high - low) * OVERSAMPLING)
+        ink = cv2.warpPerspective(texture, warp, size, flags=cv2.INTER_LINEAR)
+        cover = cv2.warpPerspective(np.ones_like(texture), warp, size, flags=cv2.INTER_LINEAR)
+        small = (size[0] // OVERSAMPLING, size[1] // OVERSAMPLING)
+        ink, cover = (cv2.resize(one, small, interpolation=cv2.INTER_AREA)[..., None] for one in (ink, cover))
+        part = picture[low[1] : high[1], low[0] : high[0]]
+        part *= 1.0 - cover
+        part += 25.0 * cover + 205.0 * ink
+
+
+def _turned(angle_rad: float) -> Points:
+    """About z, counter-clockwise."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _looking(look: Onlooker) -> tuple[Points, Points]:
+    """Rows of the camera's axes (right, down, forward), and where it stands."""
+    tilt, azimuth = math.radians(look.tilt_deg), math.radians(look.azimuth_deg)
+    away = np.array([math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)])
+    centre = np.array(look.aim_mm) + look.distance_mm * away
+    forward = -away
+    right = np.cross(forward, np.array([0.0, 1.0, 0.0]))
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    roll = math.radians(look.roll_deg)
+    turned = math.cos(roll) * right + math.sin(roll) * down, math.cos(roll) * down - math.sin(roll) * right
+    return np.stack([*turned, forward]), centre
+
+
+def _backdrop(lens: Lens) -> NDArray[np.float32]:
+    """A grey wall above a table."""
+    rows = np.linspace(0.0, 1.0, lens.height_px, dtype=np.float32)[:, None, None]
+    columns = np.linspace(-1.0, 1.0, lens.width_px, dtype=np.float32)[None, :, None]
+    wall = 150.0 - 50.0 * rows + 14.0 * columns
+    table = 98.0 + 30.0 * (rows - 0.78) - 8.0 * columns
+    return np.ascontiguousarray(np.broadcast_to(np.where(rows > 0.78, table, wall), (lens.height_px, lens.width_px, 3)))
