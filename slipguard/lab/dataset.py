@@ -70,6 +70,25 @@ def sample(seed: int, backgrounds: Sequence[Image] | None = None, split: str = "
     return _finished(rng, truth, background, view)
 
 
+def press_of(name: str, seed: int) -> Sample:
+    """Draw the frame of that seed (>= 0) that shows that training object, always touching the gel in the picture.
+
+    Sizes, textures, poses, light and wear vary as in `sample`. Raises InputError for an unknown object.
+    """
+    rng = np.random.default_rng([seed, 2])
+    camera = _camera(seed // UNIT_FRAMES, _Pool(None))
+    camera.reseed(int(rng.integers(2**31)))
+    camera.set_light(_light(rng))
+    relief = resized(relief_of(name), float(rng.uniform(0.75, 1.3)))
+    if rng.random() < 0.5:
+        relief = roughened(relief, rng, float(rng.uniform(0.010, 0.080)))
+    while True:
+        view = _press(rng, name)
+        truth = camera.draw_with_truth(view, float(rng.uniform(0.004, 0.016)), relief)
+        if truth.displacement_mm.max() > VISIBLE_MM:
+            return _finished(rng, truth, camera.no_contact(), view)
+
+
 @dataclass(frozen=True, slots=True)
 class _Pool:
     """A list of images, equal only to itself: comparing pixels would cost more than drawing."""
@@ -125,9 +144,13 @@ def _surface(rng: np.random.Generator, split: str) -> tuple[str, Relief]:
 
 
 def _view(rng: np.random.Generator, name: str) -> GelView:
-    """A pose: mostly in the middle, a quarter near or across the border; a third moving."""
+    """No contact, or a pose: mostly in the middle, a quarter near or across the border; a third moving."""
     if rng.random() < NO_CONTACT_SHARE:
         return GelView(object_name="", depth_mm=-1.0)
+    return _press(rng, name)
+
+
+def _press(rng: np.random.Generator, name: str) -> GelView:
     reach_x_mm, reach_y_mm = (6.5, 9.0) if rng.random() < 0.25 else (3.5, 5.0)
     rate_deg_s = vx_mm_s = vy_mm_s = 0.0
     if rng.random() < 0.33:

@@ -1,0 +1,124 @@
+"""The paper's networks as ONNX files that keep the model contract, checked against torch before they are in place."""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime as ort
+import torch
+from numpy.typing import NDArray
+from onnx import TensorProto, helper, numpy_helper
+from torch import Tensor, nn
+
+from slipguard.errors import ModelError
+from slipguard.lab.paper.frames import MaskedFrames
+from slipguard.lab.paper.networks import FrameNet
+
+LARGEST_DIFFERENCE = 1e-4
+OPSET = 17
+CHECKED_FRAMES = 32
+HALVED_FROM = 1024
+"""Arrays of at least this many weights are stored as float16: the convolutions, where the size is."""
+
+
+class _Shipped(nn.Module):
+    """Probabilities in place of logits."""
+
+    def __init__(self, net: FrameNet) -> None:
+        super().__init__()
+        self.net = net
+
+    def forward(self, frame: Tensor) -> Tensor:
+        return torch.sigmoid(self.net(frame))
+
+
+def export_onnx(net: FrameNet, path: Path, metadata: Mapping[str, str], frames: MaskedFrames, half: bool) -> float:
+    """Write `net` to `path`; return the largest difference of onnxruntime's probabilities to torch's.
+
+    half: the weights of the convolutions are rounded to float16 and stored so; what computes is float32 still, and
+    torch is asked with the rounded weights. frames: what the check is made on, of the network's size. Written beside
+    the target and moved there only when both agree to 1e-4; otherwise raises `ModelError` and leaves the target alone.
+    """
+    placed: Any = copy.deepcopy(net).to("cpu")
+    placed.to(memory_format=torch.contiguous_format)
+    if half:
+        _round_to_half(placed)
+    shipped = _Shipped(placed).eval()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_suffix(".draft.onnx")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the exporter warns of its own successor
+            torch.onnx.export(
+                shipped,
+                (torch.from_numpy(np.array(frames.frame[:1])),),
+                str(draft),
+                input_names=["frame"],
+                output_names=["probability"],
+                opset_version=OPSET,
+                training=torch.onnx.TrainingMode.PRESERVE,  # or weights are multiplied out and no float16 any more
+                dynamo=False,
+            )
+        model = onnx.load(str(draft))
+        if half:
+            _store_as_half(model)
+        for key, value in metadata.items():
+            model.metadata_props.add(key=key, value=value)
+        onnx.checker.check_model(model)
+        onnx.save(model, str(draft))
+        difference = _difference(shipped, draft, frames)
+        if not difference <= LARGEST_DIFFERENCE:
+            raise ModelError(
+                f"{path}: onnxruntime and torch differ by {difference:.2g}, over {LARGEST_DIFFERENCE:g}; not written"
+            )
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
+    return difference
+
+
+def session(path: Path, threads: int = 1) -> Any:
+    """The network of an exported file, to run on the CPU."""
+    options = ort.SessionOptions()
+    options.log_severity_level = 3
+    options.intra_op_num_threads = threads
+    return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+
+
+def _round_to_half(net: FrameNet) -> None:
+    with torch.no_grad():
+        for weights in net.parameters():
+            if weights.numel() >= HALVED_FROM:
+                weights.copy_(weights.half().float())
+
+
+def _store_as_half(model: Any) -> None:
+    """Replace float32 weights that float16 holds exactly by float16 and a cast, done once when a session opens."""
+    casts = []
+    for weights in model.graph.initializer:
+        values: NDArray[Any] = numpy_helper.to_array(weights)
+        halves = values.astype(np.float16)
+        if weights.data_type != TensorProto.FLOAT or values.size < HALVED_FROM or not np.array_equal(values, halves):
+            continue
+        name = weights.name
+        weights.CopyFrom(numpy_helper.from_array(halves, f"{name}.half"))
+        casts.append(helper.make_node("Cast", [f"{name}.half"], [name], to=TensorProto.FLOAT))
+    for cast in reversed(casts):
+        model.graph.node.insert(0, cast)
+
+
+def _difference(net: _Shipped, path: Path, frames: MaskedFrames) -> float:
+    running = session(path)
+    largest = 0.0
+    for index in range(min(CHECKED_FRAMES, len(frames))):
+        frame = np.array(frames.frame[index : index + 1])
+        with torch.no_grad():
+            theirs = net(torch.from_numpy(frame)).numpy()
+        largest = max(largest, float(np.abs(running.run(None, {"frame": frame})[0] - theirs).max()))
+    return largest
