@@ -139,8 +139,8 @@ class _Player:
                 self._judged(_finger(item), value)
             elif isinstance(value, m.Tick):
                 self._tick(value)
-            elif isinstance(value, Picture) and item.topic == m.IMAGE_TOPIC[value.finger]:
-                self._pictures[value.finger] = value
+            elif isinstance(value, Picture) and item.topic == m.IMAGE_TOPIC[value.source] and value.source in m.FINGERS:
+                self._pictures[value.source] = value
                 self._done.image = value.format
 
     def _judged(self, finger: str, judged: m.Judged) -> None:

@@ -88,13 +88,13 @@ def _tick_row(item: Item, tick: m.Tick) -> list[Any]:
 
 
 def _pictures(items: Iterable[Item], folder: Path) -> list[Path]:
-    folders = {finger: folder / finger for finger in m.FINGERS}
-    for path in folders.values():
-        path.mkdir(exist_ok=True)
+    folders = {source: folder / source for source in m.IMAGE_TOPIC}
     for item in items:
-        if isinstance(item.value, Picture) and item.topic == m.IMAGE_TOPIC[item.value.finger]:
-            cv2.imwrite(str(folders[item.value.finger] / f"{item.at_ns}.png"), item.value.pixels())
-    return list(folders.values())
+        if isinstance(item.value, Picture) and item.topic == m.IMAGE_TOPIC[item.value.source]:
+            home = folders[item.value.source]
+            home.mkdir(exist_ok=True)
+            cv2.imwrite(str(home / f"{item.at_ns}.png"), item.value.pixels())
+    return [path for path in folders.values() if path.is_dir()]
 
 
 def _films(opened: list[Recording], folder: Path) -> list[Path]:
@@ -121,7 +121,7 @@ def _film(items: Iterable[Item], finger: str, film: cv2.VideoWriter) -> None:
     next_ns: int | None = None
     for item in items:
         value = item.value
-        if isinstance(value, Picture) and value.finger == finger:
+        if isinstance(value, Picture) and value.source == finger:
             if item.topic == m.IMAGE_TOPIC[finger]:
                 image, mask = value.pixels(), None
             else:

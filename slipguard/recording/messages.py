@@ -21,8 +21,12 @@ from slipguard.perception.estimate import Estimate
 
 FORMAT = "1"
 FINGERS = ("left", "right")
-IMAGE_TOPIC = {finger: f"/{finger}/image" for finger in FINGERS}
+CAMERA = "camera"
+"""An external camera, in the recordings of an experiment."""
+IMAGE_TOPIC = {source: f"/{source}/image" for source in (*FINGERS, CAMERA)}
 MASK_TOPIC = {finger: f"/{finger}/mask" for finger in FINGERS}
+TRUE_MASK_TOPIC = {finger: f"/{finger}/true_mask" for finger in FINGERS}
+TRUTH_TOPIC = "/truth"
 JUDGED_TOPIC = {finger: f"/{finger}/judged" for finger in FINGERS}
 TICK_TOPIC = "/tick"
 MEMORY_TOPIC = "/memory"
@@ -63,6 +67,15 @@ class Tick:
     right_sequence: int | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What a simulated world knows. turn_deg: since the grasp, in the left picture's sign."""
+
+    now_s: float
+    turn_deg: float
+    height_mm: float
+
+
 T = TypeVar("T")
 
 
@@ -93,6 +106,7 @@ class Json(Generic[T]):
 JUDGED = Json(Judged)
 TICK = Json(Tick)
 MEMORY = Json(Guard)
+TRUTH = Json(Truth)
 
 
 def no_contact_name(finger: str) -> str:

@@ -39,9 +39,9 @@ _DAMAGE = (
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """One compressed picture of a finger: its gel image, or the mask found in it. format: "jpeg" or "png"."""
+    """One compressed picture, of a finger or the external camera: an image or a mask. format: "jpeg" or "png"."""
 
-    finger: str
+    source: str
     encoded: bytes
     format: str
 
@@ -49,7 +49,7 @@ class Picture:
         """(320, 240, 3) uint8 BGR; raises InputError if it is no picture."""
         image = cv2.imdecode(np.frombuffer(self.encoded, np.uint8), cv2.IMREAD_COLOR)
         if image is None:
-            raise InputError(f"a picture of the {self.finger} finger cannot be decoded")
+            raise InputError(f"a picture of {self.source} cannot be decoded")
         return np.asarray(image, np.uint8)
 
 
@@ -61,7 +61,7 @@ class Line:
     error: bool
 
 
-Value = Guard | m.Judged | m.Tick | Picture | Line
+Value = Guard | m.Judged | m.Tick | m.Truth | Picture | Line
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,19 +138,22 @@ def _records(file: Any) -> Iterator[Any]:
 _TOPICS: dict[str, m.Json[Any]] = {
     m.TICK_TOPIC: m.TICK,
     m.MEMORY_TOPIC: m.MEMORY,
+    m.TRUTH_TOPIC: m.TRUTH,
     **dict.fromkeys(m.JUDGED_TOPIC.values(), m.JUDGED),
 }
-_FINGER_OF = {topic: finger for topics in (m.IMAGE_TOPIC, m.MASK_TOPIC) for finger, topic in topics.items()}
+_SOURCE_OF = {
+    topic: source for topics in (m.IMAGE_TOPIC, m.MASK_TOPIC, m.TRUE_MASK_TOPIC) for source, topic in topics.items()
+}
 
 
 def _value(topic: str, data: bytes) -> Value | None:
     """The message; None for a topic that a later version may have added."""
     if topic in _TOPICS:
-        value: Guard | m.Judged | m.Tick = _TOPICS[topic].decode(data)
+        value: Guard | m.Judged | m.Tick | m.Truth = _TOPICS[topic].decode(data)
         return value
-    if topic in _FINGER_OF:
+    if topic in _SOURCE_OF:
         picture = CompressedImage.FromString(data)
-        return Picture(_FINGER_OF[topic], picture.data, picture.format)
+        return Picture(_SOURCE_OF[topic], picture.data, picture.format)
     if topic == m.LOG_TOPIC:
         line = Log.FromString(data)
         return Line(line.message, line.level >= Log.ERROR)

@@ -199,17 +199,7 @@ class Recorder:
     def _seen(self, file: RecordingFile, seen: Seen) -> None:
         if seen.judged.new_pipeline:
             self._renew_s = seen.at_s + SETTLE_S  # the file's no-contact images are those of its beginning
-        frame_s = seen.judged.captured_at_s
-        if seen.image is not None and self._settings.image != "none":
-            file.image(seen.finger, frame_s, self._encoded(seen.image), self._settings.image)
-        if seen.mask is not None:
-            file.mask(seen.finger, frame_s, cv2.imencode(".png", seen.mask * np.uint8(255))[1].tobytes())
-        file.judged(seen.finger, seen.at_s, seen.judged)
-
-    def _encoded(self, image: NDArray[np.uint8]) -> bytes:
-        if self._settings.image == "png":
-            return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
-        return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, self._settings.jpeg_quality])[1].tobytes()
+        write_seen(file, seen, self._settings)
 
     def _begin(self, memory: Guard, now_s: float) -> None:
         self.path = self._ring.new(self._clock.ns(now_s))
@@ -243,3 +233,19 @@ class Recorder:
             if path.exists():
                 self._ring.keep(path)
         self._finished.clear()
+
+
+def write_seen(file: RecordingFile, seen: Seen, settings: RecorderSettings) -> None:
+    """One judged frame: its picture, its mask, and what was made of it. May raise OSError."""
+    frame_s = seen.judged.captured_at_s
+    if seen.image is not None and settings.image != "none":
+        file.image(seen.finger, frame_s, _encoded(seen.image, settings), settings.image)
+    if seen.mask is not None:
+        file.mask(seen.finger, frame_s, cv2.imencode(".png", seen.mask * np.uint8(255))[1].tobytes())
+    file.judged(seen.finger, seen.at_s, seen.judged)
+
+
+def _encoded(image: NDArray[np.uint8], settings: RecorderSettings) -> bytes:
+    if settings.image == "png":
+        return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, settings.jpeg_quality])[1].tobytes()

@@ -84,13 +84,21 @@ class RecordingFile:
         """What is on the disk so far."""
         return self._stream.tell()
 
-    def image(self, finger: str, at_s: float, encoded: bytes, kind: Literal["jpeg", "png"]) -> None:
-        """The gel picture of a finger, taken at `at_s`."""
-        self._picture(m.IMAGE_TOPIC[finger], finger, at_s, encoded, kind)
+    def image(self, source: str, at_s: float, encoded: bytes, kind: Literal["jpeg", "png"]) -> None:
+        """The picture of a finger's gel, or of the external camera, taken at `at_s`."""
+        self._picture(m.IMAGE_TOPIC[source], source, at_s, encoded, kind)
 
     def mask(self, finger: str, at_s: float, png: bytes) -> None:
         """The contact found in the picture taken at `at_s`: 240 x 320, 0 or 255."""
         self._picture(m.MASK_TOPIC[finger], finger, at_s, png, "png")
+
+    def true_mask(self, finger: str, at_s: float, png: bytes) -> None:
+        """What a person would outline in the picture taken at `at_s`, where that is known."""
+        self._picture(m.TRUE_MASK_TOPIC[finger], finger, at_s, png, "png")
+
+    def truth(self, truth: m.Truth) -> None:
+        """What a simulated world knows."""
+        self._json(m.TRUTH_TOPIC, m.TRUTH, truth, truth.now_s)
 
     def judged(self, finger: str, at_s: float, judged: m.Judged) -> None:
         """What a finger's pipeline made of a frame; `at_s` is when it was known."""
@@ -117,9 +125,9 @@ class RecordingFile:
         """Close without another byte: the disk takes none."""
         self._stream.close()
 
-    def _picture(self, topic: str, finger: str, at_s: float, encoded: bytes, kind: str) -> None:
+    def _picture(self, topic: str, source: str, at_s: float, encoded: bytes, kind: str) -> None:
         at_ns = self._clock.ns(at_s)
-        picture = CompressedImage(timestamp=_stamp(at_ns), frame_id=finger, data=encoded, format=kind)
+        picture = CompressedImage(timestamp=_stamp(at_ns), frame_id=source, data=encoded, format=kind)
         self._add(topic, CompressedImage, at_ns, picture.SerializeToString())
 
     def _json(self, topic: str, kind: m.Json[Any], value: Any, at_s: float) -> None:
