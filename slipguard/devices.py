@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,8 @@ class DriverContext:
     """`left`, `right`, `gripper` or `arm`: how messages name the device."""
     world: object | None = None
     """The simulated world that the fakes share (a `slipguard.sim.world.World`); None on a real cell."""
+    mode: Literal["lift", "guard"] = "lift"
+    """guard: another program moves the arm; its driver must take nothing over, refuse `lift`, and `stop` by a pause."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,12 +149,15 @@ class Arm(Protocol):
 
     @abstractmethod
     async def lift(self, height_mm: float, speed_mm_s: float) -> float:
-        """Start moving by `height_mm` (down when negative), return the speed applied. Does not wait."""
+        """Start moving by `height_mm` (down when negative), return the speed applied; replaces a motion under way.
+
+        Does not wait for its end. Raises `CommandRefused` in guard mode and while a safety stop is active.
+        """
 
     @abstractmethod
     async def stop(self) -> None:
-        """Stop a motion now and hold still. Safe to call at any time."""
+        """Stop a motion now and hold still; in guard mode: pause who moves it. Safe to call at any time."""
 
     @abstractmethod
     async def close(self) -> None:
-        """Stop and disconnect. Never raises; idempotent."""
+        """Stop what this driver has moved, and disconnect. Never raises; idempotent."""

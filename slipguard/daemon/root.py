@@ -68,7 +68,7 @@ def build_service(
     def device(name: str) -> Any:
         section = getattr(config, name)
         driver = load_driver(GROUP_OF[name], section.driver)
-        return driver(section.settings, DriverContext(name=name, world=world))
+        return driver(section.settings, DriverContext(name=name, world=world, mode=config.guard.mode))
 
     def pipeline_maker(name: str) -> Callable[[str], Perceiver]:
         section = getattr(config, name)

@@ -72,7 +72,7 @@ class ControlScript(Program):
         self, text: str, tool: ToolPlant, number: Callable[[str], float], tell: Callable[[int, str], None], now_s: float
     ) -> None:
         self.name = "<unnamed>"
-        offset = re.search(r"reg_offset_int\s*=\s*(\d+)", text)
+        offset = re.search(r"reg_offset_int *=[^\d\n]*\n?(\d+)", text)
         self.offset = int(offset[1]) if offset else 0
         self.watchdog_s: float | None = None
         self.heard_at_s = now_s

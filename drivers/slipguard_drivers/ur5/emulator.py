@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import struct
+from collections import deque
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Annotated, Literal
 
@@ -207,10 +208,12 @@ class UrEmulator(ControlledEmulator):
         """How one connection is written to, with whatever goes wrong on the way."""
 
         loop = asyncio.get_running_loop()
-        free_s = 0.0
+        waiting: deque[bytes] = deque()
+
+        def send_next() -> None:
+            _write(stream, waiting.popleft())
 
         def write(data: bytes) -> None:
-            nonlocal free_s
             if stream.transport.is_closing() or self.faults.strikes("silence"):
                 return
             if self.faults.strikes("half"):
@@ -218,9 +221,9 @@ class UrEmulator(ControlledEmulator):
             if self.faults.strikes("garbage"):
                 data = bytes(byte ^ 0xA5 for byte in data)
             late = self.faults.strikes("late")
-            if late or loop.time() < free_s:  # what follows something late waits for it, as in every stream
-                free_s = max(free_s + 1e-6, loop.time() + late * self.settings.late_ms / 1000.0)
-                loop.call_at(free_s, _write, stream, data)
+            if late or waiting:  # what follows something late waits behind it, as in every stream
+                waiting.append(data)
+                loop.call_later(self.settings.late_ms / 1000.0, send_next)
             else:
                 _write(stream, data)
 

@@ -33,6 +33,7 @@ class FakeArm(Arm):
     def __init__(self, settings: Settings, context: DriverContext) -> None:
         self._name = context.name
         self._world = world_of(context)
+        self._guarded = context.mode == "guard"
         self._settings = settings
         self._call = asyncio.Lock()
         self._found_at_mm: float | None = None
@@ -52,6 +53,9 @@ class FakeArm(Arm):
 
     async def lift(self, height_mm: float, speed_mm_s: float) -> float:
         """Start moving by `height_mm`; return the speed applied."""
+        if self._guarded:
+            self._check_connection()
+            raise CommandRefused(f"{self._name}: in guard mode another program moves the arm; lift and lower with that")
         if not math.isfinite(height_mm):
             raise CommandRefused(f"{self._name}: height_mm is {height_mm}; it must be a number")
         if not (math.isfinite(speed_mm_s) and speed_mm_s > 0):
@@ -70,8 +74,8 @@ class FakeArm(Arm):
             self._world.command_stop(await self._answer())
 
     async def close(self) -> None:
-        """Stop and disconnect."""
-        if self._found_at_mm is not None:
+        """Stop and disconnect; in guard mode whatever moves goes on."""
+        if self._found_at_mm is not None and not self._guarded:
             with contextlib.suppress(DeviceError):
                 await self.stop()
         self._found_at_mm = None

@@ -3,46 +3,47 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
+import os
+import signal
 from typing import Any
 
 from slipguard.errors import CommandRefused, DeviceLost
 from slipguard_drivers.child import PACKET_BYTES, Child
 
 WORKER = "slipguard_drivers.ur5.worker"
-PORTS = {30004: "RTDE", 29999: "dashboard", 30003: "script"}
-CONNECT_S = 2.0
-START_S = 15.0
-"""Interpreter, two ur-rtde constructors and the script's start: 0.4 s with an emulator, seconds with a controller."""
+CONNECT_S = 10.0
+"""ur-rtde's constructor, the script's start and the watchdog: 0.1 s with an emulator, seconds with a controller."""
 
 
 class WorkerLink:
-    """One worker process, from `start` to `kill`. Calls are made one at a time."""
+    """One worker process, from `prepare` to `kill`. Calls are made one at a time."""
 
     def __init__(self, name: str, host: str) -> None:
         self._name = name
         self._host = host
         self._child: Child | None = None
         self._turn = asyncio.Lock()
+        self.connected = False
+        """Whether it has the arm in hand."""
 
     @property
-    def up(self) -> bool:
-        """Whether a worker is there to be called."""
-        return self._child is not None
+    def pid(self) -> int | None:
+        """Of the process that is there; None if there is none."""
+        return self._child.pid if self._child is not None else None
 
-    async def start(self, watchdog_hz: float, deceleration_m_s2: float) -> None:
-        """Look whether a controller answers, then let ur-rtde connect to it. Raises DeviceLost."""
+    def prepare(self) -> None:
+        """Let the process start; it imports what it needs and waits. Connects to nothing."""
         self.kill()
-        for port, what in PORTS.items():
-            await self._check_port(port, what)
-        self._child = Child(WORKER, self._host, str(watchdog_hz), str(deceleration_m_s2))
-        try:
-            await self._receive(START_S)
-        except BaseException:
-            self.kill()
-            raise
+        self._child = Child(WORKER, self._host)
 
-    async def call(self, request: str, *arguments: float, deadline_s: float) -> Any:
+    async def connect(self, watchdog_hz: float, deceleration_m_s2: float, *, upper: bool) -> None:
+        """Let ur-rtde take the arm and arm the watchdog. Raises DeviceLost."""
+        await self.call("connect", watchdog_hz, deceleration_m_s2, upper, deadline_s=CONNECT_S)
+        self.connected = True
+
+    async def call(self, request: str, *arguments: object, deadline_s: float) -> Any:
         """Make one call and return its result.
 
         Raises CommandRefused, or DeviceLost where the worker is dead, hangs, or has lost the controller.
@@ -62,51 +63,42 @@ class WorkerLink:
 
     def kill(self) -> None:
         """End the worker at once; the robot's watchdog then stops the arm. Idempotent."""
-        if self._child is not None:
-            self._child.kill()
-            self._child = None
+        child, self._child, self.connected = self._child, None, False
+        if child is None:
+            return
+        if self._turn.locked():  # the call that is under way sees the end, and puts the rest away
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(child.pid, signal.SIGKILL)
+        else:
+            child.kill()
 
     async def _exchange(self, packet: bytes, deadline_s: float) -> Any:
-        assert self._child is not None
-        try:
-            await asyncio.get_running_loop().sock_sendall(self._child.link, packet)
-        except OSError:
-            self.kill()
-            raise DeviceLost(f"{self._name}: the process that talks to the controller has ended") from None
-        return await self._receive(deadline_s)
-
-    async def _receive(self, deadline_s: float) -> Any:
-        assert self._child is not None
-        try:
-            async with asyncio.timeout(deadline_s):
-                packet = await asyncio.get_running_loop().sock_recv(self._child.link, PACKET_BYTES)
-        except TimeoutError:
-            self.kill()
-            raise DeviceLost(
-                f"{self._name}: the controller at {self._host} did not answer in {deadline_s:g} s"
-            ) from None
-        except OSError:
-            packet = b""
-        if not packet:
-            self.kill()
-            raise DeviceLost(f"{self._name}: the process that talks to the controller has ended; open the arm again")
-        reply = json.loads(packet)
+        child = self._child
+        assert child is not None
+        reply, why = await self._ask(child, packet, deadline_s)
+        if self._child is not child:  # killed meanwhile: what is left of it is put away here
+            child.kill()
+            raise DeviceLost(f"{self._name}: the connection was given up; open the arm again")
+        if why is not None:
+            self._child, self.connected = None, False
+            child.kill()
+            raise DeviceLost(f"{self._name}: {why}")
         if "refused" in reply:
             raise CommandRefused(f"{self._name}: {reply['refused']}")
-        if "lost" in reply:
-            self.kill()
-            raise DeviceLost(f"{self._name}: {self._host}: {reply['lost']}")
         return reply["ok"]
 
-    async def _check_port(self, port: int, what: str) -> None:
-        """A constructor of ur-rtde would wait without end where this fails in two seconds."""
+    async def _ask(self, child: Child, packet: bytes, deadline_s: float) -> tuple[dict[str, Any], str | None]:
+        """The answer, and why the worker is of no use any more."""
+        loop = asyncio.get_running_loop()
         try:
-            async with asyncio.timeout(CONNECT_S):
-                _, writer = await asyncio.open_connection(self._host, port)
-        except (OSError, TimeoutError) as error:
-            raise DeviceLost(
-                f"{self._name}: no answer from {self._host}:{port} ({what}): {error or 'timed out'}; "
-                "check the controller's power, its address and that remote control is on"
-            ) from None
-        writer.close()
-        await asyncio.wait([asyncio.ensure_future(writer.wait_closed())], timeout=CONNECT_S)
+            async with asyncio.timeout(deadline_s):
+                await loop.sock_sendall(child.link, packet)
+                answer = await loop.sock_recv(child.link, PACKET_BYTES)
+        except TimeoutError:
+            return {}, f"{self._host} did not answer in {deadline_s * 1000:.0f} ms"
+        except OSError:
+            answer = b""
+        if not answer:
+            return {}, "the process that talks to the controller has ended; open the arm again"
+        reply = json.loads(answer)
+        return reply, f"{self._host}: {reply['lost']}" if "lost" in reply else None

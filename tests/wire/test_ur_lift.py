@@ -1,0 +1,229 @@
+"""Lift mode when the loop, the worker, the link or the controller goes astray: the arm stops, and nothing hangs."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import threading
+from collections.abc import AsyncIterator
+from typing import Literal
+
+import pytest
+from ur_scene import lifting, lost, rests, told, under_way, until
+
+from slipguard.errors import CommandRefused, DeviceLost
+from slipguard_drivers.ur5.emulator import UrEmulator
+from slipguard_drivers.ur5.lifting import LiftingArm
+from slipguard_drivers.ur5.rtde import RtdeConnection
+
+HOST = "127.0.0.31"
+
+
+@pytest.fixture
+async def controller() -> AsyncIterator[UrEmulator]:
+    controller = UrEmulator(UrEmulator.Settings(host=HOST, series="cb3"))
+    await controller.start()
+    yield controller
+    await controller.stop()
+
+
+@pytest.fixture
+async def arm(controller: UrEmulator) -> AsyncIterator[LiftingArm]:
+    arm = lifting(HOST)
+    await arm.open()
+    yield arm
+    await arm.close()
+
+
+def dashboard_orders(controller: UrEmulator) -> list[object]:
+    """What the driver has ordered there, without its questions and ur-rtde's."""
+    return [event["asked"] for event in controller.events("dashboard") if event["asked"] in ("stop", "pause", "play")]
+
+
+async def test_the_watchdog_is_armed_before_anything_moves(controller: UrEmulator, arm: LiftingArm) -> None:
+    await under_way(arm, controller)
+    assert told(controller)[:2] == ["watchdog at 2 Hz", "movel in a thread"]
+
+
+async def test_a_stop_is_a_straight_one(controller: UrEmulator, arm: LiftingArm) -> None:
+    await under_way(arm, controller)
+    await arm.stop()
+    assert told(controller)[-1] == "stopl", "a synchronous one would be carried out as stopj, in rad/s2"
+    assert await rests(controller)
+
+
+async def test_a_new_motion_waits_until_the_old_one_has_ended(controller: UrEmulator, arm: LiftingArm) -> None:
+    await under_way(arm, controller)
+    for height_mm, speed_mm_s in ((50.0, 20.0), (-50.0, 100.0), (50.0, 250.0)):
+        await arm.lift(height_mm, speed_mm_s)
+        assert told(controller)[-2:] == ["stopl", "movel in a thread"]
+        await asyncio.sleep(0.05)
+    assert not controller.events("ended"), "two threads that move the arm would end the script"
+
+
+async def test_a_stop_during_the_wait_prevents_the_new_motion(controller: UrEmulator, arm: LiftingArm) -> None:
+    await under_way(arm, controller)
+    stopping: list[asyncio.Future[None]] = []
+    controller._report = lambda event: stopping or stopping.append(asyncio.ensure_future(arm.stop()))
+    with pytest.raises(CommandRefused, match="stopped meanwhile"):
+        await arm.lift(50.0, 100.0)
+    await stopping[0]
+    assert told(controller).count("movel in a thread") == 1
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP], ids=["dies", "hangs"])
+async def test_a_worker_that_is_gone_stops_the_arm(
+    controller: UrEmulator, arm: LiftingArm, how: signal.Signals
+) -> None:
+    await under_way(arm, controller)
+    assert arm._hands.pid is not None
+    os.kill(arm._hands.pid, how)
+    assert await rests(controller)
+    await lost(arm)
+    await arm.open()
+    assert not (await arm.state()).moving
+    assert await arm.lift(5.0, 50.0) == 50.0
+
+
+async def test_a_loop_that_hangs_stops_the_arm(controller: UrEmulator, arm: LiftingArm) -> None:
+    await under_way(arm, controller)
+    before = arm._hands.pid
+    threading.Event().wait(0.6)  # the emulator hangs with the loop: its watchdog acts when it goes on
+    assert await rests(controller)
+    assert controller.events("ended")[-1]["why"] == "its watchdog heard nothing"
+    await lost(arm)
+    await arm.open()
+    assert arm._hands.pid != before
+
+
+@pytest.mark.parametrize("how", ["drop 1", "half 1", "garbage 1", "kill"])
+async def test_a_link_that_breaks_stops_the_arm(controller: UrEmulator, arm: LiftingArm, how: str) -> None:
+    await under_way(arm, controller)
+    controller.control(f"fault {how}")
+    assert await rests(controller)
+    await lost(arm)
+    assert arm._hands.pid is None, "ur-rtde would connect again by itself, and start its script"
+    assert len(controller.events("script")) == 1, "nobody but open starts the script anew"
+    controller.control("clear")
+    await asyncio.sleep(0.05)
+    await arm.open()
+    await arm.state()
+
+
+async def test_a_controller_that_goes_blind_on_us_is_told_to_stop(controller: UrEmulator, arm: LiftingArm) -> None:
+    await under_way(arm, controller)
+    controller.control("fault freeze")
+    assert await rests(controller)
+    assert "stopl" in told(controller) or "stop" in dashboard_orders(controller)
+    await lost(arm)
+    assert arm._hands.pid is None
+
+
+async def test_late_packets_are_no_loss(controller: UrEmulator, arm: LiftingArm) -> None:
+    controller.control("fault late 0.05")
+    await under_way(arm, controller)
+    await asyncio.sleep(0.5)
+    assert (await arm.state()).moving
+    await arm.stop()
+    assert await rests(controller)
+
+
+async def test_a_stop_at_the_panel_gives_the_arm_away(controller: UrEmulator, arm: LiftingArm) -> None:
+    await under_way(arm, controller)
+    orders = dashboard_orders(controller)
+    controller.control("panel stop")
+    await asyncio.sleep(0.05)  # nobody's hand is quicker
+    controller.control("panel play")
+    assert "script" in await lost(arm)
+    with pytest.raises(DeviceLost, match=r"a program is on \(PLAYING shuttle.urp\)"):
+        await arm.open()
+    await arm.close()
+    assert dashboard_orders(controller) == orders, "what runs now is somebody else's"
+    assert controller.state()["runtime"] == "playing"
+
+
+@pytest.mark.parametrize("press", ["panel play", "panel pause"])
+async def test_a_program_of_somebody_else_is_not_ended(controller: UrEmulator, press: str) -> None:
+    controller.control("panel play")
+    controller.control(press)
+    arm = lifting(HOST)
+    with pytest.raises(DeviceLost, match='mode = "guard"'):
+        await arm.open()
+    await arm.close()
+    assert not controller.events("ended")
+    assert not controller.events("script")
+
+
+async def test_the_script_of_a_killed_daemon_ends_by_its_watchdog(controller: UrEmulator, arm: LiftingArm) -> None:
+    newcomer = lifting(HOST)
+    with pytest.raises(DeviceLost, match="a program is on"):
+        await newcomer.open()
+    await under_way(arm, controller)
+    assert arm._hands.pid is not None
+    os.kill(arm._hands.pid, signal.SIGKILL)
+    assert await until(lambda: controller.state()["runtime"] == "stopped")
+    await newcomer.open()
+    await newcomer.close()
+
+
+@pytest.mark.parametrize(
+    ("series", "fault", "words"),
+    [
+        ("e", "local", "switch it to remote control"),
+        ("cb3", "fieldbus", "EtherNet/IP"),
+        ("cb3", "silence", "does not answer"),
+    ],
+)
+async def test_what_prevents_it_is_said_before_anything_is_touched(
+    series: Literal["e", "cb3"], fault: str, words: str
+) -> None:
+    controller = UrEmulator(UrEmulator.Settings(host=HOST, series=series))
+    await controller.start()
+    controller.control(f"fault {fault}")
+    arm = lifting(HOST)
+    with pytest.raises(DeviceLost, match=words) as caught:
+        await arm.open()
+    assert "\n" not in str(caught.value)
+    assert arm._hands.pid is None
+    assert not controller.events("script")
+    await controller.stop()
+
+
+async def test_registers_that_somebody_holds_can_be_kept_clear_of(controller: UrEmulator) -> None:
+    other = await RtdeConnection.connect("other", HOST)
+    await other.inputs(["input_int_register_0"])
+    arm = lifting(HOST)
+    with pytest.raises(DeviceLost, match='registers = "upper"'):
+        await arm.open()
+    arm = lifting(HOST, registers="upper")
+    await arm.open()
+    await under_way(arm, controller)
+    await arm.stop()
+    assert await rests(controller)
+    await arm.close()
+    other.close()
+
+
+async def test_without_a_controller_open_names_the_port() -> None:
+    arm = lifting(HOST)
+    with pytest.raises(DeviceLost, match=f"no answer from {HOST}:30004"):
+        await arm.open()
+    assert arm._hands.pid is None
+
+
+async def test_a_controller_that_accepts_and_says_nothing_does_not_hold_the_loop(controller: UrEmulator) -> None:
+    controller.control("fault silence")
+    arm = lifting(HOST)
+    loop = asyncio.get_running_loop()
+    opening = asyncio.ensure_future(arm.open())
+    longest_s, last_s, ends_s = 0.0, loop.time(), loop.time() + 0.5
+    while loop.time() < ends_s:
+        await asyncio.sleep(0.005)
+        longest_s, last_s = max(longest_s, loop.time() - last_s), loop.time()
+    assert not opening.done()
+    assert longest_s < 0.4
+    opening.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await opening
+    assert arm._hands.pid is None

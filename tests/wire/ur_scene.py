@@ -1,0 +1,67 @@
+"""Helpers for tests of the arm driver against an emulated controller."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+import pytest
+
+from slipguard.devices import Arm
+from slipguard.errors import DeviceError, DeviceLost
+from slipguard_drivers.ur5.emulator import UrEmulator
+from slipguard_drivers.ur5.lifting import LiftingArm
+from slipguard_drivers.ur5.settings import Ur5Settings
+
+
+def lifting(host: str, **settings: object) -> LiftingArm:
+    """The driver in lift mode, not yet opened."""
+    return LiftingArm("arm", Ur5Settings.model_validate({"host": host, "watchdog_hz": 2.0, **settings}))
+
+
+def speed_of(controller: UrEmulator) -> float:
+    """The truth, in m/s."""
+    return max(abs(part) for part in controller.tool.velocity(asyncio.get_running_loop().time()))
+
+
+def told(controller: UrEmulator) -> list[str]:
+    """What the control script was told, in order."""
+    return [str(event["what"]) for event in controller.events("command")]
+
+
+async def until(question: Callable[[], object], within_s: float = 3.0) -> bool:
+    """Whether it becomes true in time."""
+    loop = asyncio.get_running_loop()
+    ends_s = loop.time() + within_s
+    for _ in range(100_000):
+        if question():
+            return True
+        if loop.time() > ends_s:
+            return False
+        await asyncio.sleep(0.005)
+    return False
+
+
+async def rests(controller: UrEmulator, within_s: float = 2.0) -> bool:
+    """Whether the arm comes to rest in time."""
+    return await until(lambda: speed_of(controller) == 0.0, within_s)
+
+
+async def under_way(arm: Arm, controller: UrEmulator) -> None:
+    """Lift, and wait until it really moves."""
+    await arm.lift(400.0, 100.0)
+    if not await until(lambda: speed_of(controller) > 0.05):
+        pytest.fail("it does not move")
+
+
+async def lost(arm: Arm, within_s: float = 4.0) -> str:
+    """Wait until the driver says that the arm is lost; why."""
+    async with asyncio.timeout(within_s):
+        while True:
+            try:
+                await arm.state()
+            except DeviceLost as error:
+                return str(error)
+            except DeviceError:
+                pass
+            await asyncio.sleep(0.005)
