@@ -84,9 +84,9 @@ def read_image(path: Path) -> NDArray[np.uint8]:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    damage = _damage(data)
-    if damage:
-        raise InputError(f"{path}: {damage}; give a whole image file")
+    wrong = damage(data)
+    if wrong:
+        raise InputError(f"{path}: {wrong}; give a whole image file")
     previous = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -165,7 +165,7 @@ def _video(path: Path) -> Iterator[tuple[NDArray[np.uint8], float]]:
         raise InputError(f"{path}: ends after {count} of {announced} frames; the file is cut short")
 
 
-def _damage(data: bytes) -> str | None:
+def damage(data: bytes) -> str | None:
     """What is wrong with the bytes of an image file, as far as its container tells; None if nothing."""
     if not data:
         return "the file is empty"
