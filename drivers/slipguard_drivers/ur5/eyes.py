@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from slipguard.devices import ArmState
-from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout
+from slipguard.errors import DeviceLost, DeviceTimeout
 from slipguard_drivers.ur5.rtde import ANSWER_S, RtdeConnection
 
 VARIABLES = (
@@ -29,6 +29,8 @@ RATE_HZ = 125.0
 """Both series can: all a CB3 controller has, a quarter of what an e-Series has."""
 STALE_S = 0.2
 """A state older than this is no state: 25 packets."""
+NOW_S = 0.05
+"""A program that rested longer ago may have been started again."""
 PROTECTIVE = 1 << 2 | 1 << 4
 """Protective stop, safeguard stop."""
 EMERGENCY = 1 << 5 | 1 << 6 | 1 << 7 | 1 << 8 | 1 << 9
@@ -140,11 +142,11 @@ class Eyes:
             raise DeviceTimeout(f"{self._name}: no new state from the controller for {self.age_s * 1000:.0f} ms")
         return newest
 
-    def fresh_runtime(self) -> int | None:
-        """`runtime_state` now; None where it is not known, for it is old or nothing is seen."""
+    def runtime_now(self) -> int | None:
+        """`runtime_state`; None where it is not known to be that of this very moment."""
         try:
-            return self.fresh().runtime
-        except DeviceError:
+            return self.newest.runtime if self.age_s < NOW_S else None
+        except DeviceLost:
             return None
 
     @property

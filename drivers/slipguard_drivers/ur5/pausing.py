@@ -89,10 +89,10 @@ class PausingArm(Arm):
 
     async def _pause(self) -> None:
         # Old news is no reason to be idle: only a program that is known to rest now needs no pause.
-        if self._eyes.fresh_runtime() in (STOPPED, PAUSED):
+        if self._eyes.runtime_now() in (STOPPED, PAUSED):
             return
         answer = await self._dashboard.ask("pause", deadline_s=PAUSE_S)
-        if answer != PAUSING and self._eyes.fresh_runtime() not in (STOPPED, PAUSED):
+        if answer != PAUSING and self._eyes.runtime_now() not in (STOPPED, PAUSED):
             raise CommandRefused(f"{self._name}: its program cannot be paused: the robot says {answer!r}")
 
     async def _check_stop(self) -> None:

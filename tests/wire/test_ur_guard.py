@@ -1,0 +1,188 @@
+"""Guard mode beside somebody's program and a ROS-like RTDE client: neither is disturbed but by an intended pause."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import sys
+from collections.abc import AsyncIterator
+from typing import Literal
+
+import pytest
+from ros_client import RosLikeClient
+from ur_scene import lifting, lost, rests, speed_of, until
+
+from slipguard.daemon.actuator import Actuator
+from slipguard.devices import ArmState
+from slipguard.errors import CommandRefused, DeviceLost
+from slipguard_drivers.ur5.emulator import UrEmulator
+from slipguard_drivers.ur5.pausing import PausingArm
+from slipguard_drivers.ur5.settings import Ur5Settings
+
+HOST = "127.0.0.32"
+
+
+@pytest.fixture(params=["e", "cb3"])
+async def controller(request: pytest.FixtureRequest) -> AsyncIterator[UrEmulator]:
+    series: Literal["e", "cb3"] = request.param
+    controller = UrEmulator(UrEmulator.Settings(host=HOST, series=series))
+    await controller.start()
+    controller.control("panel play")
+    yield controller
+    await controller.stop()
+
+
+@pytest.fixture
+async def ros(controller: UrEmulator) -> AsyncIterator[RosLikeClient]:
+    client = RosLikeClient(HOST)
+    await client.start()
+    yield client
+    assert client.ended is None, "the other client has lost its connection"
+    packets = client.packets
+    assert await until(lambda: client.packets > packets + 5), "the other client is told nothing any more"
+    await client.stop()
+
+
+def pausing(**settings: object) -> PausingArm:
+    return PausingArm("arm", Ur5Settings.model_validate({"host": HOST, **settings}))
+
+
+def disturbances(controller: UrEmulator) -> list[str]:
+    """What has happened to the program since it was started, and every script that was sent."""
+    return [str(event["event"]) for event in controller.log if event["event"] in ("paused", "ended", "script")]
+
+
+async def test_coming_watching_and_going_disturbs_nobody(controller: UrEmulator, ros: RosLikeClient) -> None:
+    for _ in range(5):
+        arm = pausing()
+        await arm.open()
+        for _ in range(20):
+            assert not (await arm.state()).protective_stop
+            with pytest.raises(CommandRefused):
+                await arm.lift(10.0, 50.0)
+            await asyncio.sleep(0.005)
+        await arm.close()
+    assert disturbances(controller) == []
+    assert speed_of(controller) > 0.0 or await until(lambda: speed_of(controller) > 0.0)
+
+
+async def test_only_a_stop_pauses_it_once_and_it_can_go_on(controller: UrEmulator, ros: RosLikeClient) -> None:
+    arm = pausing()
+    await arm.open()
+    assert await until(lambda: speed_of(controller) > 0.05)
+    for _ in range(4):
+        await arm.stop()
+    assert await rests(controller)
+    assert disturbances(controller) == ["paused"]
+    await asyncio.sleep(0.05)
+    assert not (await arm.state()).moving
+    controller.control("panel play")
+    assert await until(lambda: speed_of(controller) > 0.05)
+    await asyncio.sleep(0.1)
+    assert disturbances(controller) == ["paused"]
+    await arm.stop()
+    assert await rests(controller)
+    assert disturbances(controller) == ["paused", "paused"]
+    await arm.close()
+
+
+async def test_a_stop_where_nothing_runs_asks_for_nothing(controller: UrEmulator) -> None:
+    arm = pausing()
+    await arm.open()
+    controller.control("panel stop")
+    assert await rests(controller)
+    await asyncio.sleep(0.05)
+    await arm.stop()
+    assert "pause" not in [event["asked"] for event in controller.events("dashboard")]
+    await arm.close()
+
+
+@pytest.mark.parametrize("fault", ["drop 1", "freeze", "kill", "garbage 1", "half 1", "silence", "late"])
+async def test_no_fault_of_the_link_reaches_the_program(controller: UrEmulator, fault: str) -> None:
+    arm = pausing()
+    actuator: Actuator[ArmState] = Actuator("arm", arm, 0.02, 0.05, lambda: None, lambda event: None)
+    running = asyncio.create_task(actuator.run(), name="actuator")
+    assert await until(lambda: actuator.health.ready)
+    controller.control(f"fault {fault}")
+    await asyncio.sleep(0.4)
+    controller.control("clear")
+    if fault == "kill":  # with the controller its program is gone
+        controller.log.clear()
+        controller.control("panel play")
+    assert await until(lambda: actuator.health.ready, 4.0), actuator.health.why
+    assert disturbances(controller) == []
+    actuator.command(arm.stop)
+    assert await rests(controller)
+    assert disturbances(controller) == ["paused"]
+    running.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await running
+
+
+async def test_the_library_that_takes_robots_over_is_not_even_imported(controller: UrEmulator) -> None:
+    arm = pausing()
+    await arm.open()
+    await arm.stop()
+    await arm.close()
+    assert "rtde_control" not in sys.modules
+
+
+async def test_an_output_is_pulsed_and_left_to_others(controller: UrEmulator) -> None:
+    arm = pausing(stop_by="digital_output", digital_output=3, pulse_ms=100.0)
+    await arm.open()
+    ros = RosLikeClient(HOST)
+    await ros.start()  # nothing is kept from a program that comes later
+    await ros.stop()
+    await asyncio.sleep(0.05)
+    await arm.stop()
+    assert controller.controller.output_bits == 0b1000
+    await arm.stop()
+    assert await until(lambda: controller.controller.output_bits == 0)
+    assert [event["bits"] for event in controller.events("outputs")] == [0b1000, 0]
+    assert disturbances(controller) == [], "what the output means is the program's affair"
+    await arm.close()
+
+
+async def test_an_output_that_somebody_holds_is_refused_in_words(controller: UrEmulator, ros: RosLikeClient) -> None:
+    arm = pausing(stop_by="digital_output", digital_output=3)
+    with pytest.raises(
+        DeviceLost, match=r"another program holds standard_digital_output.* ROS driver.*dashboard_pause"
+    ):
+        await arm.open()
+    assert disturbances(controller) == []
+
+
+async def test_an_output_taken_meanwhile_is_replaced_by_a_pause_and_said(controller: UrEmulator) -> None:
+    arm = pausing(stop_by="digital_output", digital_output=3)
+    await arm.open()
+    ros = RosLikeClient(HOST)
+    await ros.start()
+    with pytest.raises(CommandRefused, match="paused by the dashboard instead"):
+        await arm.stop()
+    assert await rests(controller)
+    assert disturbances(controller) == ["paused"]
+    await ros.stop()
+    await arm.close()
+
+
+async def test_local_control_is_told_for_it_would_not_heed_a_pause() -> None:
+    controller = UrEmulator(UrEmulator.Settings(host=HOST))
+    await controller.start()
+    controller.control("panel play")
+    controller.control("fault local")
+    arm = pausing()
+    with pytest.raises(DeviceLost, match="local control"):
+        await arm.open()
+    controller.control("clear")
+    await arm.open()
+    controller.control("fault local")
+    assert "local control" in await lost(arm)
+    assert disturbances(controller) == []
+    await arm.close()
+    await controller.stop()
+
+
+async def test_lift_mode_beside_a_running_program_would_not_even_start(controller: UrEmulator) -> None:
+    with pytest.raises(DeviceLost, match="a program is on"):
+        await lifting(HOST).open()
+    assert disturbances(controller) == []
