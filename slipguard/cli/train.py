@@ -24,12 +24,9 @@ def train(
     validate: Annotated[
         Path | None, typer.Option(help="Folder of labelled real frames to report on after every epoch.")
     ] = None,
-    frames: Annotated[int, typer.Option(min=64, help="Rendered training frames.")] = 16000,
+    frames: Annotated[int, typer.Option(min=64, help="Rendered training frames.")] = 32000,
     validation_frames: Annotated[int, typer.Option(min=10, help="Rendered validation frames.")] = 400,
-    epochs: Annotated[int, typer.Option(min=0, help="Passes over the frames.")] = 8,
-    blind_epochs: Annotated[
-        int, typer.Option(min=0, help="Further passes with half of the no-contact images unknown.")
-    ] = 3,
+    epochs: Annotated[int, typer.Option(min=1, help="Passes over the frames.")] = 6,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all that is random.")] = 0,
     batch: Annotated[int, typer.Option(min=2, help="Frames a step.")] = 32,
     rate: Annotated[float, typer.Option(min=1e-6, max=1.0, help="Highest learning rate of Adam.")] = 3e-3,
@@ -37,6 +34,9 @@ def train(
         float, typer.Option(min=0.05, max=0.95, help="Probability from which a pixel counts as contact.")
     ] = 0.5,
     threads: Annotated[int, typer.Option(min=1, help="Threads torch may use.")] = 2,
+    bfloat16: Annotated[
+        bool, typer.Option(help="Half precision: half as long on a processor that has it, longer on others.")
+    ] = False,
     start: Annotated[
         Path | None, typer.Option(help="Begin with the weights.pt that an earlier training left in its work folder.")
     ] = None,
@@ -75,7 +75,7 @@ def train(
     no_contact = backgrounds_in(backgrounds) if backgrounds else None
     if start is not None and not start.is_file():
         raise InputError(f"{start}: no such file; name the weights.pt of an earlier training's work folder")
-    settings = TrainSettings(epochs, blind_epochs, batch, rate, seed, threads, threshold)
+    settings = TrainSettings(epochs, batch, rate, seed, threads, threshold, bfloat16=bfloat16)
     work.mkdir(parents=True, exist_ok=True)
     columns = (
         TextColumn("{task.description}"),
@@ -114,10 +114,9 @@ def train(
             no_contact,
             start,
         )
-    command = (
-        f"slipguard train --frames {frames} --epochs {epochs} --blind-epochs {blind_epochs} "
-        f"--seed {seed} --batch {batch} --rate {rate:g}"
-    )
+    command = f"slipguard train --frames {frames} --epochs {epochs} --seed {seed} --batch {batch} --rate {rate:g}"
+    if bfloat16:
+        command += " --bfloat16"
     if start:
         command += " --start weights.pt"
     if no_contact:

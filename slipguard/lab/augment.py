@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from slipguard.lab.disturbances import drift, patterns, structure
+from slipguard.lab.disturbances import drift, patterns, resized, structure
 from slipguard.perception.background import guess_background
 from slipguard.perception.segment import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
 
@@ -41,7 +41,8 @@ class Augment:
     Contrast of the imprint, gain and offset per channel, structure of the unit in both images (slightly moved in the
     frame), drift of many kinds in the frame alone, noise in the no-contact image, mirror images; and for a share
     `unknown` of the samples the no-contact image is replaced by the guess that use without one would make.
-    backgrounds: real no-contact images (320, 240, 3) on which half of the imprints are put.
+    backgrounds: real no-contact images (320, 240, 3) on which half of the imprints are put. size: (width, height) of
+    what the network sees.
     """
 
     def __init__(
@@ -52,20 +53,19 @@ class Augment:
         contrast_max: float = 1.5,
         backgrounds: list[NDArray[np.uint8]] | None = None,
         zoom_share: float = 0.0,
+        size: tuple[int, int] = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX),
     ) -> None:
         self._rng = torch.Generator().manual_seed(seed)
-        self._structure = torch.from_numpy(patterns(structure, pool, seed))
-        self._drift = torch.from_numpy(patterns(drift, pool, seed + 1))
-        noise = torch.randn((NOISE_POOL, INPUT_HEIGHT_PX, INPUT_WIDTH_PX, 3), generator=self._rng)
+        self._structure = torch.from_numpy(resized(patterns(structure, pool, seed), size))
+        self._drift = torch.from_numpy(resized(patterns(drift, pool, seed + 1), size))
+        width, height = self._size = size
+        noise = torch.randn((NOISE_POOL, height, width, 3), generator=self._rng)
         self._noise = noise.half()
         self._unknown = unknown
         self._contrast_max = contrast_max
         self._zoom_share = zoom_share
-        size = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX)
         self._backgrounds = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in backgrounds or []]
-        y, x = torch.meshgrid(
-            torch.linspace(-1, 1, INPUT_HEIGHT_PX), torch.linspace(-1, 1, INPUT_WIDTH_PX), indexing="ij"
-        )
+        y, x = torch.meshgrid(torch.linspace(-1, 1, height), torch.linspace(-1, 1, width), indexing="ij")
         third = torch.full_like(x, 1.0 / 3.0)
         self._light = torch.stack([torch.ones_like(x), x, y, x * y, x * x - third, y * y - third])
 
@@ -96,7 +96,6 @@ class Augment:
     def _zoomed(self, frame: Tensor, background: Tensor, label: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """A share of the samples enlarged by up to `ZOOM_MAX` about a point of the imprint: broad, smooth bulges."""
         images = [frame.numpy().copy(), background.numpy().copy(), label.numpy().copy()]
-        size = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX)
         for index in torch.nonzero(torch.rand(len(frame), generator=self._rng) < self._zoom_share).flatten().tolist():
             rows, columns = np.nonzero(images[2][index])
             if len(rows) == 0:
@@ -106,7 +105,7 @@ class Augment:
             about = ((columns[at] + columns.mean()) / 2.0, (rows[at] + rows.mean()) / 2.0)
             matrix = cv2.getRotationMatrix2D(about, 0.0, 1.0 + (ZOOM_MAX - 1.0) * zoom)
             for image in images:
-                image[index] = cv2.warpAffine(image[index], matrix, size, borderMode=cv2.BORDER_REPLICATE)
+                image[index] = cv2.warpAffine(image[index], matrix, self._size, borderMode=cv2.BORDER_REPLICATE)
         return torch.from_numpy(images[0]), torch.from_numpy(images[1]), torch.from_numpy(images[2])
 
     def _on_real(self, unit: Tensor) -> Tensor:
@@ -123,11 +122,10 @@ class Augment:
         """A real no-contact image turned by up to 15 degrees, enlarged, shifted, perhaps mirrored."""
         which, turn, scale, right, down, mirror = torch.rand(6, generator=self._rng).tolist()
         image = self._backgrounds[int(which * len(self._backgrounds))]
-        centre = (INPUT_WIDTH_PX / 2, INPUT_HEIGHT_PX / 2)
+        centre = (self._size[0] / 2, self._size[1] / 2)
         matrix = cv2.getRotationMatrix2D(centre, 30.0 * turn - 15.0, 1.0 + 0.4 * scale)
         matrix[:, 2] += (20.0 * right - 10.0, 20.0 * down - 10.0)
-        size = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX)
-        warped = cv2.warpAffine(image, matrix, size, borderMode=cv2.BORDER_REFLECT)
+        warped = cv2.warpAffine(image, matrix, self._size, borderMode=cv2.BORDER_REFLECT)
         return torch.from_numpy(warped[:, ::-1].copy() if mirror < 0.3 else warped).float()
 
     def _structured(self, seen: Tensor, unit: Tensor) -> tuple[Tensor, Tensor]:

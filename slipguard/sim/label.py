@@ -26,14 +26,17 @@ GAP_RADIUS_PX = 15
 LABEL_NAME = f"displaced>{PRESS_SHARE:g}*press,closed{GAP_RADIUS_PX}px"
 
 
-def label(truth: GelTruth) -> NDArray[np.uint8]:
-    """The region to learn, (320, 240) uint8, 0 or 1: gel moved by over 15 % of the press depth, gaps closed."""
+def label(truth: GelTruth, share: float = PRESS_SHARE) -> NDArray[np.uint8]:
+    """The region to learn, (320, 240) uint8, 0 or 1: gel moved by over `share` of the press depth, gaps closed."""
     seen_mm = float(truth.displacement_mm.max())
-    least_mm = max(PRESS_SHARE * seen_mm, HIDDEN_PRESS_SHARE * truth.press_mm, VISIBLE_MM)
-    pressed = np.asarray(truth.displacement_mm > least_mm, np.uint8)
-    if not pressed.any():
-        return pressed
-    return _filled(_closed(pressed))
+    least_mm = max(share * seen_mm, HIDDEN_PRESS_SHARE * truth.press_mm, VISIBLE_MM)
+    return outlined(truth.displacement_mm > least_mm)
+
+
+def outlined(pressed: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """A region without its gaps and holes, (H, W) uint8, 0 or 1."""
+    region = np.asarray(pressed, np.uint8)
+    return _filled(_closed(region)) if region.any() else region
 
 
 def _closed(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:

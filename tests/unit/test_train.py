@@ -35,7 +35,7 @@ def test_a_stopped_training_goes_on_and_its_export_keeps_the_contract(tmp_path: 
     label = np.zeros((8, 160, 120), np.uint8)
     label[:, 40:90, 30:80] = 255
     frames = RenderedFrames(background + (label[..., None] // 5), background, label)
-    settings = TrainSettings(epochs=2, blind_epochs=1, batch=4, threads=1, patterns=6)
+    settings = TrainSettings(epochs=3, batch=4, threads=1, patterns=6)
 
     class Stopped(Exception):
         pass
