@@ -6,22 +6,28 @@ import asyncio
 from abc import ABC, abstractmethod
 from pathlib import Path
 
-from robotiq_emulator import RobotiqEmulator
+import pytest
+from patience import eventually
 
 from slipguard.devices import DriverContext, Gripper
 from slipguard.sim.gripper_plant import GripperModel
 from slipguard.sim.objects import SimObject
 from slipguard.sim.scenario import Scenario
 from slipguard.sim.world import World, WorldSettings
+from slipguard_drivers.robotiq.emulated_jaws import PlainJaws
+from slipguard_drivers.robotiq.emulator import RobotiqEmulator
 from slipguard_drivers.robotiq.fake import FakeGripper
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
-from slipguard_drivers.robotiq.registers import MODEL_2F85, count_to_force
 
 
 class Rig(ABC):
     """A gripper, what lies between its fingers, and a way to break it. Built with open fingers, not yet opened."""
 
     gripper: Gripper
+
+    async def start(self) -> None:
+        """Make it ready to be opened."""
+        return
 
     @abstractmethod
     def put_object(self) -> None: ...
@@ -40,7 +46,7 @@ class Rig(ABC):
     def again(self) -> Gripper:
         """A new driver on the same gripper, as after a restart."""
 
-    def end(self) -> None:
+    async def end(self) -> None:
         """Put the double away."""
         return
 
@@ -73,42 +79,71 @@ class FakeRig(Rig):
 
 
 class WireRig(Rig):
-    """The real driver, a pseudo terminal, and an emulated 2F-85."""
+    """The real driver, a pseudo terminal, and an emulated 2F-85 that was activated before our time."""
 
     def __init__(self, folder: Path) -> None:
-        self.emulator = RobotiqEmulator(folder / "ttyGripper")
-        loop = asyncio.get_running_loop()
-        self.emulator.fingers.write([0x0100, 0, 0], loop.time() - 1.0)  # switched on and activated before our time
-        self.emulator.fingers.activations = 0
+        options = {"link": folder / "ttyGripper", "baud": 0, "response_ms": 0.0, "quick": 5.0, "activated": True}
+        self.emulator = RobotiqEmulator(RobotiqEmulator.Settings.model_validate(options))
         self.gripper = self.again()
 
+    async def start(self) -> None:
+        await self.emulator.start()
+
     def put_object(self) -> None:
-        self.emulator.fingers.object_at = 120.0
+        assert isinstance(self.emulator.jaws, PlainJaws)
+        self.emulator.jaws.object_mm = 41.2
 
     def pressed_with_n(self) -> float:
-        self.emulator.fingers.update(asyncio.get_running_loop().time())
-        return count_to_force(self.emulator.fingers.grip, MODEL_2F85) if self.emulator.fingers.grip else 0.0
+        view = self.emulator.registers.tick(asyncio.get_running_loop().time())
+        return view.force_n
 
     def fail(self, kind: str) -> None:
-        if kind == "disconnect":
-            self.emulator.unplug()
-        elif kind == "timeout":
-            self.emulator.mute = True
-        else:
-            self.emulator.fingers.fault = 0x0E
+        self.emulator.control({"disconnect": "fault unplug", "timeout": "fault silence"}.get(kind, "gflt 0x0E"))
 
     def mend(self, kind: str) -> None:
-        if kind == "disconnect":
-            self.emulator.plug()
-        elif kind == "timeout":
-            self.emulator.mute = False
-        else:
-            self.emulator.fingers.fault = 0
+        self.emulator.control({"disconnect": "clear unplug", "timeout": "clear silence"}.get(kind, "gflt 0"))
 
     def again(self) -> Gripper:
-        settings = RobotiqGripper.Settings(port=str(self.emulator.path), approach_speed=1.0)
+        settings = RobotiqGripper.Settings(
+            port=str(self.emulator.settings.link),
+            approach_speed=1.0,
+            timeout_ms=100.0,  # a busy machine takes its time
+        )
         return RobotiqGripper(settings, DriverContext("gripper"))
 
-    def end(self) -> None:
-        assert self.emulator.fingers.activations == 0, "activation moves the fingers: only a release may ask for it"
-        self.emulator.unplug()
+    async def end(self) -> None:
+        assert self.emulator.registers.activations == 0, "activation moves the fingers: only a release may ask for it"
+        assert self.emulator.events("rACT cleared") == []
+        await self.emulator.stop()
+
+
+class HardwareRig(Rig):
+    """A real gripper. with_object: something to grip lies between its jaws throughout; without, nothing does."""
+
+    def __init__(self, port: str, *, with_object: bool) -> None:
+        self._port = port
+        self._with_object = with_object
+        self.gripper = self.again()
+
+    async def start(self) -> None:
+        """Open it; the first time its fingers move all the way."""
+        await self.gripper.open()
+        await self.gripper.release(85.0)
+        await eventually(self.gripper.state, lambda state: not state.moving)
+        await self.gripper.close()
+
+    def put_object(self) -> None:
+        if not self._with_object:
+            pytest.skip("needs something to grip: --gripper-object")
+
+    def pressed_with_n(self) -> float:
+        pytest.skip("the force is known to a double only")
+
+    def fail(self, kind: str) -> None:
+        pytest.skip("needs a hand on the cable")
+
+    def mend(self, kind: str) -> None:
+        return
+
+    def again(self) -> Gripper:
+        return RobotiqGripper(RobotiqGripper.Settings(port=self._port), DriverContext("gripper"))

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from gripper_rigs import FakeRig, Rig, WireRig
+from gripper_rigs import FakeRig, HardwareRig, Rig, WireRig
 from patience import eventually
 
 from slipguard.devices import Gripper, GripperState
@@ -18,12 +18,24 @@ STEP_N = 0.85  # one force count
 STEP_MM = 0.38  # one position count
 
 
-@pytest.fixture(params=[FakeRig, WireRig], ids=["fake", "wire"])
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """A double of each kind; a real gripper only where one is named."""
+    if "rig" in metafunc.fixturenames:
+        real = ["real"] if metafunc.config.getoption("--gripper") else []
+        metafunc.parametrize("rig", ["fake", "wire", *real], indirect=True)
+
+
+@pytest.fixture
 async def rig(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[Rig]:
-    rig: Rig = request.param(tmp_path)
+    port, with_object = (request.config.getoption(name) for name in ("--gripper", "--gripper-object"))
+    if request.param == "real":
+        rig: Rig = HardwareRig(port, with_object=with_object)
+    else:
+        rig = {"fake": FakeRig, "wire": WireRig}[request.param](tmp_path)
+    await rig.start()
     yield rig
     await rig.gripper.close()
-    rig.end()
+    await rig.end()
 
 
 @pytest.fixture
@@ -124,6 +136,22 @@ async def test_move_is_refused_while_an_object_is_held(rig: Rig, held: Gripper) 
     await asyncio.sleep(0.1)
     assert (await held.state()).holding
     assert rig.pressed_with_n() == pytest.approx(before_n)
+
+
+async def test_a_move_outwards_is_refused_while_the_fingers_close(rig: Rig, gripper: Gripper) -> None:
+    """They may have met something a moment ago, and would let it go."""
+    rig.put_object()
+    await gripper.hold(60.0)
+    with pytest.raises(CommandRefused):
+        await gripper.move(80.0, 30.0)
+    await eventually(gripper.state, lambda state: state.holding and not state.moving)
+
+
+async def test_while_it_tightens_it_is_said_to_hold(rig: Rig, held: Gripper) -> None:
+    await held.hold(200.0)
+    while (state := await held.state()).moving:
+        assert state.holding
+    assert state.holding
 
 
 async def test_release_lets_go(rig: Rig, held: Gripper) -> None:

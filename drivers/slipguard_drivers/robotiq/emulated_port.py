@@ -6,11 +6,16 @@ import asyncio
 import contextlib
 import os
 import pty
+import select
+import termios
 import tty
 from collections.abc import Callable
 from pathlib import Path
 
 from slipguard.errors import InputError
+
+LOOK_S = 0.01
+"""How often to look whether a client has come; a hung-up terminal would wake the loop without end."""
 
 
 class EmulatedPort:
@@ -22,8 +27,9 @@ class EmulatedPort:
     def __init__(self, link: Path | None, on_bytes: Callable[[bytes], None]) -> None:
         self._link = link
         self._on_bytes = on_bytes
-        self._fds: tuple[int, int] | None = None
+        self._fd: int | None = None
         self._name = ""
+        self._look: asyncio.TimerHandle | None = None
 
     @property
     def path(self) -> str:
@@ -33,43 +39,44 @@ class EmulatedPort:
     @property
     def plugged(self) -> bool:
         """Whether it is there."""
-        return self._fds is not None
+        return self._fd is not None
 
     def plug(self) -> None:
         """Appear. Idempotent. Raises InputError where something else has the name."""
-        if self._fds is not None:
+        if self._fd is not None:
             return
         if self._link is not None and self._link.exists() and not self._link.is_symlink():
             raise InputError(f"{self._link} exists and is no link; name a path that is free")
-        ours, theirs = pty.openpty()
-        # The client's end stays open here as well: with nobody there the loop would be woken without end.
-        tty.setraw(ours)
+        self._fd, theirs = pty.openpty()
+        self._name = os.ttyname(theirs)
         tty.setraw(theirs)
-        os.set_blocking(ours, False)
-        self._fds, self._name = (ours, theirs), os.ttyname(theirs)
+        os.close(theirs)  # kept open it would keep what a client has set and left unread
+        os.set_blocking(self._fd, False)
         try:
             self._make_link()
         except OSError as error:
             self.unplug()
             raise InputError(f"{self._link} cannot be made: {error.strerror}") from None
-        asyncio.get_running_loop().add_reader(ours, self._read)
+        self._wait_for_a_client()
 
     def unplug(self) -> None:
         """Vanish, as an adapter pulled out does. Idempotent."""
-        if self._fds is None:
+        if self._fd is None:
             return
-        fds, self._fds = self._fds, None
-        asyncio.get_running_loop().remove_reader(fds[0])
+        if self._look is not None:
+            self._look.cancel()
+            self._look = None
+        fd, self._fd = self._fd, None
+        asyncio.get_running_loop().remove_reader(fd)
         if self._link is not None and self._link.is_symlink() and os.readlink(self._link) == self._name:
             self._link.unlink()
-        for fd in fds:
-            os.close(fd)
+        os.close(fd)
 
     def send(self, data: bytes) -> None:
         """Hand bytes to the client; lost where there is none, or one that does not read."""
-        if self._fds is not None:
+        if self._fd is not None and not self._is_hung_up():
             with contextlib.suppress(OSError):
-                os.write(self._fds[0], data)
+                os.write(self._fd, data)
 
     def _make_link(self) -> None:
         if self._link is not None:
@@ -77,7 +84,38 @@ class EmulatedPort:
             new.symlink_to(self._name)
             new.replace(self._link)
 
+    def _is_hung_up(self) -> bool:
+        poll = select.poll()
+        poll.register(self._fd or 0, 0)
+        return bool(poll.poll(0))
+
+    def _wait_for_a_client(self) -> None:
+        loop = asyncio.get_running_loop()
+        if self._fd is None:
+            return
+        if self._is_hung_up():
+            self._look = loop.call_later(LOOK_S, self._wait_for_a_client)
+        else:
+            self._look = None
+            loop.add_reader(self._fd, self._read)
+
+    def _forget_what_was_not_read(self) -> None:
+        """A real port does so at its last close."""
+        with contextlib.suppress(OSError):
+            theirs = os.open(self._name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            termios.tcflush(theirs, termios.TCIOFLUSH)
+            os.close(theirs)
+
     def _read(self) -> None:
-        if self._fds is not None:
-            with contextlib.suppress(OSError):
-                self._on_bytes(os.read(self._fds[0], 4096))
+        if self._fd is None:
+            return
+        try:
+            data = os.read(self._fd, 4096)
+        except BlockingIOError:
+            return
+        except OSError:  # the client has gone
+            asyncio.get_running_loop().remove_reader(self._fd)
+            self._forget_what_was_not_read()
+            self._wait_for_a_client()
+            return
+        self._on_bytes(data)

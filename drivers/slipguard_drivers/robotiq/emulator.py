@@ -22,6 +22,8 @@ from slipguard_drivers.robotiq.emulated_registers import FIGURES, RACT, Register
 BITS_PER_BYTE = 10
 FORGET_S = 0.02
 """Bytes that are no whole request are forgotten after a silence; the standard says 3.5 characters."""
+DOUBLE_S = 0.001
+"""How much later an answer comes a second time."""
 FAULTS = {
     "silence": "a request is obeyed, but not answered",
     "deaf": "a request is not heard at all",
@@ -233,7 +235,7 @@ class RobotiqEmulator(ControlledEmulator):
             due_s += 0.004
         self._at(due_s, lambda: self._port.send(frame))
         if self._strikes("double"):
-            self._at(due_s + self._rng.uniform(0.0, 0.01), lambda: self._port.send(frame))
+            self._at(due_s + DOUBLE_S, lambda: self._port.send(frame))
 
     def _spoilt(self, request: Request, plain: bytes) -> bytes:
         if self._strikes("wrong_function"):

@@ -37,6 +37,8 @@ class FakeGripper(Gripper):
         self._settings = settings
         self._wire = asyncio.Lock()
         self._open = False
+        self._goal_mm = MODEL_2F85.stroke_mm
+        """Where the fingers were last told to go."""
 
     @property
     def force_limits_n(self) -> tuple[float, float]:
@@ -60,6 +62,7 @@ class FakeGripper(Gripper):
 
         def order(now_s: float) -> float:
             self._check_fault()
+            self._goal_mm = 0.0
             return self._world.command_hold(now_s, force_n)
 
         return await self._round_trip(order, trips=2)  # stop, then go: the force register acts in motion only
@@ -71,10 +74,16 @@ class FakeGripper(Gripper):
 
         def order(now_s: float) -> float:
             self._check_fault()
-            if self._state(now_s).holding:
+            state = self._state(now_s)
+            if state.holding:
                 raise CommandRefused(
                     f"{self._name}: an object is held and a move would let it go; use release for that"
                 )
+            if state.moving and self._goal_mm < state.width_mm and width_mm > self._goal_mm:
+                raise CommandRefused(
+                    f"{self._name}: the fingers are closing and may have met something; ask again when they are at rest"
+                )
+            self._goal_mm = width_mm
             return self._world.command_move(now_s, width_mm, force_n)
 
         return await self._round_trip(order)
@@ -85,6 +94,7 @@ class FakeGripper(Gripper):
 
         def order(now_s: float) -> None:
             self._check_fault()
+            self._goal_mm = width_mm
             self._world.command_release(now_s, width_mm)
 
         await self._round_trip(order)

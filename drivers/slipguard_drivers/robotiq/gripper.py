@@ -2,27 +2,34 @@
 
 Two habits of the hardware decide everything here. Activating it (rACT from 0 to 1) moves the fingers all the way, so
 an object falls: that happens in `release` and nowhere else. And the force register acts only while the fingers move,
-so tightening is stop, then go; the screw holds the grip meanwhile. Force can rise, never fall, until the fingers open.
+so tightening is stop, then go, and the stop must have been seen: within one cycle of the gripper the two would cancel
+out. The screw holds the grip meanwhile. Force can rise, never fall, until the fingers open.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import AsyncIterator, Coroutine
 from typing import Annotated, Any, Literal, TypeVar
 
+import structlog
 from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import DriverContext, Gripper, GripperState
+from slipguard.diagnosis import Finding
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
-from slipguard_drivers.robotiq import registers
+from slipguard_drivers.robotiq import registers, serial_port
 from slipguard_drivers.robotiq.line import RegisterLine
+from slipguard_drivers.robotiq.look import look
 from slipguard_drivers.robotiq.registers import CLOSED_COUNT, MODELS, Motion, Status
 
 T = TypeVar("T")
+log = structlog.get_logger()
 
 ECHO_TRIES = 5
-"""Status reads until a command must be seen in the position echo: 5 x 5 ms, the gripper's cycle being 5 ms."""
+"""Status reads until a command must be seen in the status: 5 x 5 ms, the gripper's cycle being 5 ms."""
+GIVE_COUNTS = 3
+"""Fingers that press an object move by no more than this while the force rises (1.1 mm on a 2F-85)."""
 LETTING_GO_COUNTS = 15
 """A release opens at least this far (5.6 mm on a 2F-85), whatever width was asked for."""
 ACTIVATION_S = 10.0
@@ -47,13 +54,19 @@ class RobotiqGripper(Gripper):
 
     def __init__(self, settings: Settings, context: DriverContext) -> None:
         self._name = context.name
+        self._port = settings.port
         self._model = MODELS[settings.model]
         self._approach = round(settings.approach_speed * 255)
-        self._line = RegisterLine(context.name, settings.port, settings.slave_id, settings.timeout_ms / 1000.0)
+        self._line = RegisterLine(
+            context.name, settings.port, settings.slave_id, settings.timeout_ms / 1000.0, registers.INPUT_ADDRESS
+        )
         self._command = asyncio.Lock()
         self._under_way: set[asyncio.Task[Any]] = set()
+        self._closing_down = False
         self._applied: int | None = None
         """Force count of the grip; None while fingers are open, or where another program closed them."""
+        self._gripped_at: int | None = None
+        """Position at which they were seen to hold something; None when they no longer do."""
 
     @property
     def force_limits_n(self) -> tuple[float, float]:
@@ -62,9 +75,12 @@ class RobotiqGripper(Gripper):
 
     async def open(self) -> None:
         """Connect and look. A gripper that is not activated is left so: `release` activates it."""
+        self._closing_down = False
         if not self._line.connected:
-            self._applied = None  # whoever had the gripper meanwhile may have gripped anew
+            self._applied = self._gripped_at = None  # whoever had the gripper meanwhile may have gripped anew
             await self._line.connect()
+            if slow := serial_port.slow_adapter(self._port):
+                log.warning(f"{self._name}: {slow}")
         try:
             await self._finish(self._status())
         except DeviceError:
@@ -77,7 +93,7 @@ class RobotiqGripper(Gripper):
         return GripperState(
             active=status.ready,
             moving=status.going and status.motion is Motion.MOVING,
-            holding=status.may_hold,
+            holding=self._holds(status),
             closed_on_nothing=status.closed_on_nothing,
             width_mm=registers.count_to_width(status.position, self._model),
             force_n=self._force_n(status),
@@ -90,7 +106,10 @@ class RobotiqGripper(Gripper):
         return await self._finish(self._hold(registers.force_to_count(force_n, self._model)))
 
     async def move(self, width_mm: float, force_n: float) -> float:
-        """Move empty-handed; return the width commanded."""
+        """Move empty-handed; return the width commanded.
+
+        Refused while something is held, and outwards while the fingers are closing: they may just have met something.
+        """
         position = registers.width_to_count(width_mm, self._model)
         return await self._finish(self._move(position, registers.force_to_count(force_n, self._model)))
 
@@ -99,10 +118,16 @@ class RobotiqGripper(Gripper):
         await self._finish(self._release(registers.width_to_count(width_mm, self._model)))
 
     async def close(self) -> None:
-        """Disconnect; the grip stays."""
+        """Disconnect; the grip stays. A gripper that is being activated goes on by itself."""
+        self._closing_down = True
         if self._under_way:
             await asyncio.wait(self._under_way)
         self._line.close()
+
+    async def diagnose(self, *, owned: bool) -> AsyncIterator[Finding]:
+        """For the doctor: the port from outside."""
+        for finding in look(self._port):
+            yield finding
 
     async def _finish(self, work: Coroutine[Any, Any, T]) -> T:
         """Do `work` to its end even when the caller is cancelled: an answer nobody waits for confuses the line."""
@@ -119,27 +144,35 @@ class RobotiqGripper(Gripper):
     async def _hold(self, force: int) -> float:
         async with self._command:
             status = await self._ready_status()
-            gripping = status.may_hold or (status.motion is Motion.MOVING and status.position_echo == CLOSED_COUNT)
-            if gripping and self._applied is not None and force <= self._applied:
-                return registers.count_to_force(self._applied, self._model)
+            closing = status.going and status.position_echo == CLOSED_COUNT
+            gripping = status.may_hold or (closing and status.motion is Motion.MOVING)
+            if gripping and self._applied is not None:
+                if force <= self._applied and closing:
+                    return registers.count_to_force(self._applied, self._model)
+                force = max(force, self._applied)
             speed = registers.FULL_SPEED if status.may_hold else self._approach
-            if status.may_hold:
+            if status.may_hold or closing:
                 await self._write(go=False, position=CLOSED_COUNT, speed=speed, force=force)
+                await self._expect(CLOSED_COUNT, going=False)
             await self._write(go=True, position=CLOSED_COUNT, speed=speed, force=force)
-            await self._expect_echo(CLOSED_COUNT)
+            await self._expect(CLOSED_COUNT, going=True)
             self._applied = force
             return registers.count_to_force(force, self._model)
 
     async def _move(self, position: int, force: int) -> float:
         async with self._command:
             status = await self._ready_status()
-            if status.may_hold:
+            if self._holds(status):
                 raise CommandRefused(
                     f"{self._name}: an object is held and a move would let it go; use release for that"
                 )
+            if status.closing and position < status.position_echo:
+                raise CommandRefused(
+                    f"{self._name}: the fingers are closing and may have met something; ask again when they are at rest"
+                )
             await self._write(go=True, position=position, speed=self._approach, force=force)
-            await self._expect_echo(position)
-            self._applied = None
+            await self._expect(position, going=True)
+            self._applied = force
             return registers.count_to_width(position, self._model)
 
     async def _release(self, position: int) -> None:
@@ -148,28 +181,38 @@ class RobotiqGripper(Gripper):
             if not status.ready or status.fault is not None:
                 status = await self._activate()
             position = max(0, min(position, status.position - LETTING_GO_COUNTS))
-            self._applied = None
+            self._applied = self._gripped_at = None
             await self._write(go=True, position=position, speed=registers.FULL_SPEED, force=0)
-            await self._expect_echo(position)
+            await self._expect(position, going=True)
 
     async def _activate(self) -> Status:
         """Reset and activate: the fingers open and close fully. Only an explicit release may ask for that."""
         await self._line.write(registers.OUTPUT_ADDRESS, [0, 0, 0])
+        await self._expect(0, going=False)
         await self._write(go=False, position=0, speed=0, force=0)
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + ACTIVATION_S
-        while loop.time() < deadline_s:
+        while loop.time() < deadline_s and not self._closing_down:
             await asyncio.sleep(ACTIVATION_POLL_S)
             status = await self._status()
             if status.ready and status.fault is None:
                 return status
+        if self._closing_down:
+            raise DeviceLost(f"{self._name}: disconnected while the gripper was being activated; release again")
         raise DeviceTimeout(
             f"{self._name}: not activated after {ACTIVATION_S:.0f} s ({status.fault or 'no fault reported'}); "
             "check that nothing is in the fingers' way"
         )
 
     async def _status(self) -> Status:
-        return registers.decode(await self._line.read(registers.INPUT_ADDRESS, registers.REGISTERS))
+        status = registers.decode(await self._line.read(registers.INPUT_ADDRESS, registers.REGISTERS))
+        if not status.ready:
+            self._applied = self._gripped_at = None  # it has been without power, or another program has reset it
+        elif status.may_hold:
+            self._gripped_at = status.position
+        elif not self._holds(status):
+            self._gripped_at = None
+        return status
 
     async def _ready_status(self) -> Status:
         status = await self._status()
@@ -186,18 +229,27 @@ class RobotiqGripper(Gripper):
         values = registers.encode(activate=True, go=go, position=position, speed=speed, force=force)
         await self._line.write(registers.OUTPUT_ADDRESS, values)
 
-    async def _expect_echo(self, position: int) -> None:
+    async def _expect(self, position: int, *, going: bool) -> None:
+        """Wait until the gripper says that it has taken a command over."""
         for _ in range(ECHO_TRIES):
             status = await self._status()
-            if status.position_echo == position and status.going:
+            if status.position_echo == position and status.going == going:
                 return
-        raise DeviceLost(
-            f"{self._name}: the gripper does not take commands: its position echo is {status.position_echo} instead "
-            f"of {position}; is another program commanding it?"
+        raise DeviceTimeout(
+            f"{self._name}: the gripper does not take commands: it is {'going' if status.going else 'stopped'}, its "
+            f"position echo {status.position_echo} instead of {position}; is another program commanding it?"
         )
+
+    def _holds(self, status: Status) -> bool:
+        """Whether something is held; also while the force on it rises."""
+        if status.may_hold or self._gripped_at is None:
+            return status.may_hold
+        return status.closing and abs(status.position - self._gripped_at) <= GIVE_COUNTS
 
     def _force_n(self, status: Status) -> float:
         """The force applied; a grip found at the start has at least the lowest force there is."""
-        if self._applied is not None:
-            return registers.count_to_force(self._applied, self._model)
-        return self._model.force_min_n if status.may_hold else 0.0
+        if self._holds(status):
+            return registers.count_to_force(self._applied or 0, self._model)
+        if self._applied is None or status.position_echo != CLOSED_COUNT:
+            return 0.0
+        return registers.count_to_force(self._applied, self._model)

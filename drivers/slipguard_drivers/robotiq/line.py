@@ -1,17 +1,19 @@
 """Modbus RTU to the gripper's registers: the one user of pymodbus.
 
-Modbus RTU has no transaction number, and pymodbus does not compare function codes: after a time-out, a late answer
-would be taken for the answer to the next request, and stay one behind for as long as the other side is slow. So here
-one request is on the line at a time, its answer is checked for kind and size, and after anything but a good answer
-the line is kept silent until whatever is late must have come.
+Modbus RTU has no transaction number, and pymodbus compares neither function nor size: after a time-out, a late answer
+would be taken for the answer to the next request, and stay one behind for as long as the other side is slow. So one
+request is on the line at a time, only bytes that begin like its answer are handed on, and after anything but a good
+answer the line is in doubt: it is kept silent for a while, and then a question of another size than any before must be
+answered first. A slave answers in order, so whatever was late has come or never will.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
-import os
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from itertools import cycle
 
 from pymodbus.client import AsyncModbusSerialClient
 from pymodbus.exceptions import ConnectionException, ModbusException
@@ -19,28 +21,53 @@ from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.register_message import ReadInputRegistersResponse, WriteMultipleRegistersResponse
 
 from slipguard.errors import DeviceLost, DeviceTimeout
+from slipguard_drivers.robotiq import serial_port
 
 BAUD = 115200
 SPACING_S = 0.005
 """From one request to the next: the manual's minimum."""
+PAUSE_S = 0.00175
+"""From an answer to the next request: 3.5 characters, by the standard never less than this."""
 SILENCE_S = 0.1
 """After a time-out; the slowest adapter (16 ms latency timer) with the slowest gripper answers well within it."""
+SILENCE_MAX_S = 0.25
+"""A line that is never silent is somebody else's."""
+READ, WRITE = 4, 16
 
 # What goes wrong is told by our own errors; pymodbus would print it to the terminal as well.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 
-class RegisterLine:
-    """Reads and writes 16-bit registers of one slave. A call that was begun must not be cancelled."""
+@dataclass(frozen=True, slots=True)
+class Awaited:
+    """What an answer looks like: its first two bytes and its size, checksum included."""
 
-    def __init__(self, name: str, port: str, slave_id: int, timeout_s: float) -> None:
+    head: bytes
+    size: int
+
+
+class RegisterLine:
+    """Reads and writes 16-bit registers of one slave. A call that was begun must not be cancelled.
+
+    probe_address: two registers that may be read at any time, to find out whether the line is in order.
+    """
+
+    def __init__(self, name: str, port: str, slave_id: int, timeout_s: float, probe_address: int) -> None:
         self._name = name
         self._port = port
         self._slave_id = slave_id
         self._timeout_s = timeout_s
+        self._probe_address = probe_address
+        self._probe_sizes = cycle((1, 2))
         self._client: AsyncModbusSerialClient | None = None
         self._turn = asyncio.Lock()
-        self._quiet_until_s = 0.0
+        self._free_at_s = 0.0
+        self._in_doubt = False
+        self._silent_from_s = 0.0
+        """Where the silence after a doubt began: with the doubt, or with the last byte after it."""
+        self._awaited: Awaited | None = None
+        self._heard = b""
+        """What has come since the present request."""
 
     @property
     def connected(self) -> bool:
@@ -51,12 +78,17 @@ class RegisterLine:
         """Open the port for us alone. Raises DeviceLost with what is wrong with it."""
         self.close()
         client = AsyncModbusSerialClient(
-            self._port, baudrate=BAUD, timeout=self._timeout_s, retries=0, reconnect_delay=0
+            self._port, baudrate=BAUD, timeout=self._timeout_s, retries=0, reconnect_delay=0, trace_packet=self._pass
         )
         client.set_max_no_responses(1_000_000)  # a silent gripper is our caller's business, not pymodbus's
         if not await client.connect():
-            raise DeviceLost(f"{self._name}: {self._port} cannot be opened: {_what_is_wrong(self._port)}")
+            why = serial_port.what_is_wrong(self._port)
+            raise DeviceLost(f"{self._name}: {self._port} cannot be opened: {why}")
         self._client = client
+        fd = client.ctx.transport.sync_serial.fileno()  # type: ignore[attr-defined]
+        serial_port.claim(fd)
+        serial_port.hurry(fd)
+        self._in_doubt, self._silent_from_s = False, 0.0
         # Its reader is set up by callbacks of the next two turns of the loop; closing before them trips it.
         await asyncio.sleep(0)
         await asyncio.sleep(0)
@@ -69,61 +101,104 @@ class RegisterLine:
 
     async def read(self, address: int, count: int) -> list[int]:
         """Read input registers (FC 4). Raises DeviceTimeout, DeviceLost."""
-        answer = await self._ask(
-            lambda client: client.read_input_registers(address, count=count, device_id=self._slave_id)
-        )
-        if type(answer) is not ReadInputRegistersResponse or len(answer.registers) != count:
-            raise self._confused(answer)
-        return list(answer.registers)
+        async with self._turn:
+            await self._make_sure()
+            return await self._read(address, count)
 
     async def write(self, address: int, values: list[int]) -> None:
-        """Write holding registers (FC 16). Raises DeviceTimeout, DeviceLost."""
-        answer = await self._ask(lambda client: client.write_registers(address, values, device_id=self._slave_id))
-        if (
-            type(answer) is not WriteMultipleRegistersResponse
-            or answer.address != address
-            or answer.count != len(values)
-        ):
-            raise self._confused(answer)
-
-    async def _ask(self, request: Callable[[AsyncModbusSerialClient], Awaitable[ModbusPDU]]) -> ModbusPDU:
+        """Write holding registers (FC 16). Raises DeviceTimeout, DeviceLost; what was written is not known then."""
         async with self._turn:
-            loop = asyncio.get_running_loop()
-            await asyncio.sleep(self._quiet_until_s - loop.time())
-            client = self._client
-            if client is None or not client.connected:
-                raise self._gone()
-            self._quiet_until_s = loop.time() + SPACING_S
-            try:
-                return await request(client)
-            except ConnectionException:
-                raise self._gone() from None
-            except (ModbusException, OSError):
-                self._keep_silent()
-                if not client.connected:
-                    raise self._gone() from None
-                raise DeviceTimeout(
-                    f"{self._name}: no answer within {self._timeout_s * 1000:.0f} ms from slave {self._slave_id} on "
-                    f"{self._port}; check the gripper's power and the cable"
-                ) from None
+            await self._make_sure()
+            answer = await self._ask(
+                Awaited(bytes([self._slave_id, WRITE]), 8),
+                lambda client: client.write_registers(address, values, device_id=self._slave_id),
+            )
+            if type(answer) is not WriteMultipleRegistersResponse:
+                raise self._confused(f"{type(answer).__name__} answers a write")
+            if (answer.address, answer.count) != (address, len(values)):
+                raise self._confused(
+                    f"an answer for {answer.count} registers at 0x{answer.address:04X} instead of {len(values)} at "
+                    f"0x{address:04X}"
+                )
 
-    def _keep_silent(self) -> None:
-        self._quiet_until_s = asyncio.get_running_loop().time() + SILENCE_S
+    async def _read(self, address: int, count: int) -> list[int]:
+        answer = await self._ask(
+            Awaited(bytes([self._slave_id, READ]), 5 + 2 * count),
+            lambda client: client.read_input_registers(address, count=count, device_id=self._slave_id),
+        )
+        if type(answer) is not ReadInputRegistersResponse or len(answer.registers) != count:
+            raise self._confused(f"{type(answer).__name__} answers a read of {count} registers")
+        return list(answer.registers)
+
+    async def _make_sure(self) -> None:
+        """After a doubt: silence, then a question that only its own answer fits."""
+        if not self._in_doubt:
+            return
+        loop = asyncio.get_running_loop()
+        gives_up_s = loop.time() + SILENCE_MAX_S
+        while (left_s := self._silent_from_s + SILENCE_S - loop.time()) > 0.0:
+            if loop.time() + left_s > gives_up_s:
+                raise DeviceTimeout(
+                    f"{self._name}: {self._port} is never silent; another master is on the line, or it is disturbed"
+                )
+            await asyncio.sleep(left_s)
+        await self._read(self._probe_address, next(self._probe_sizes))
+        self._in_doubt = False
+
+    async def _ask(
+        self, awaited: Awaited, request: Callable[[AsyncModbusSerialClient], Awaitable[ModbusPDU]]
+    ) -> ModbusPDU:
+        loop = asyncio.get_running_loop()
+        await asyncio.sleep(self._free_at_s - loop.time())
+        client = self._client
+        if client is None or not client.connected:
+            raise self._gone()
+        self._free_at_s = loop.time() + SPACING_S
+        self._awaited, self._heard = awaited, b""
+        try:
+            return await request(client)
+        except ConnectionException:
+            raise self._gone() from None
+        except (ModbusException, OSError):
+            self._doubt()
+            if not client.connected:
+                raise self._gone() from None
+            if self._heard:
+                raise self._confused(f"{self._heard[:16].hex(' ')} is no whole answer to the request") from None
+            raise DeviceTimeout(
+                f"{self._name}: no answer within {self._timeout_s * 1000:.0f} ms from slave {self._slave_id} on "
+                f"{self._port}; check the gripper's power and the cable"
+            ) from None
+        finally:
+            self._awaited = None
+            self._free_at_s = max(self._free_at_s, loop.time() + PAUSE_S)
+
+    def _pass(self, sending: bool, data: bytes) -> bytes:
+        """Hand on what begins like the awaited answer, as soon as it is whole; all else casts doubt on the line.
+
+        data: everything since the request.
+        """
+        if sending:
+            return data
+        awaited = self._awaited
+        if awaited is None:
+            self._doubt()
+            return b""
+        self._heard = data
+        head = data[: len(awaited.head)]
+        if head != awaited.head[: len(head)] or len(data) > awaited.size:
+            self._doubt()
+        fits = head == awaited.head and len(data) >= awaited.size
+        return data[: awaited.size] if fits else b""
+
+    def _doubt(self) -> None:
+        self._in_doubt = True
+        self._silent_from_s = asyncio.get_running_loop().time()
 
     def _gone(self) -> DeviceLost:
         self.close()
         return DeviceLost(f"{self._name}: the connection on {self._port} is gone; open it again")
 
-    def _confused(self, answer: ModbusPDU) -> DeviceTimeout:
-        self._keep_silent()
-        return DeviceTimeout(
-            f"{self._name}: {type(answer).__name__} answers another request than the last one; ask again"
-        )
-
-
-def _what_is_wrong(port: str) -> str:
-    if not os.path.exists(port):
-        return "there is no such device; plug the adapter in, `ls /dev/serial/by-id` shows those there are"
-    if not os.access(port, os.R_OK | os.W_OK):
-        return "access is denied; the user must be in the group dialout"
-    return "it is no serial port, or another program has it open"
+    def _confused(self, what: str) -> DeviceTimeout:
+        self._doubt()
+        return DeviceTimeout(f"{self._name}: {what}; check the cable, ask again")

@@ -94,6 +94,12 @@ class Status:
         return self.ready and (self.motion is Motion.STOPPED_CLOSING or halted)
 
     @property
+    def closing(self) -> bool:
+        """On its way inwards, or pressing harder: it may just have met something."""
+        inwards = self.position_echo > self.position
+        return self.ready and self.going and self.motion is Motion.MOVING and inwards
+
+    @property
     def closed_on_nothing(self) -> bool:
         """Told to close, and arrived at the end without meeting anything."""
         return self.ready and self.motion is Motion.AT_POSITION and self.position_echo == CLOSED_COUNT
