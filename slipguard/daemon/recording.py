@@ -8,6 +8,7 @@ import json
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -43,7 +44,7 @@ def make_recorder(service: Service, folder: Path) -> Recorder:
         Ring(folder, limits),
         RecorderSettings(asked.image, asked.jpeg_quality, SEGMENT_S, asked.keep_before_s, asked.keep_after_s),
         Clock(time.time_ns(), loop.time()),
-        header=lambda: _header(service),
+        header=lambda: header(service),
         on_trouble=lambda text: _say_in(loop, service.journal.say, text),
     )
 
@@ -63,10 +64,19 @@ async def record(service: Service, recorder: Recorder) -> None:
         await asyncio.to_thread(recorder.stop, STOP_S)
 
 
+class Taker(Protocol):
+    """Who records: a `Recorder`, or whatever else takes what it is handed."""
+
+    @property
+    def takes_pictures(self) -> bool: ...
+
+    def hand(self, value: Seen | Turn | Said) -> None: ...
+
+
 class Watcher:
     """Hands over what the loop and the fingers tell; costs them some microseconds."""
 
-    def __init__(self, recorder: Recorder) -> None:
+    def __init__(self, recorder: Taker) -> None:
         self._recorder = recorder
         self._idle = True
         self._slipping = False
@@ -129,7 +139,7 @@ def _mask(patch: Patch) -> NDArray[np.uint8]:
     return np.asarray(cv2.resize(patch.full_mask(), size, interpolation=cv2.INTER_NEAREST), np.uint8)
 
 
-def _header(service: Service) -> Header:
+def header(service: Service) -> Header:
     """Versions, the whole configuration, and each finger's no-contact image."""
     model = service.config.perception.model or default_model_path()
     facts = {"slipguard": __version__, "model_sha256": hashlib.sha256(model.read_bytes()).hexdigest()}

@@ -119,7 +119,7 @@ class _Player:
 
     def __init__(self, recording: Recording, model: Path | None, done: Replay) -> None:
         self._recording, self._done = recording, done
-        settings = _settings(recording)
+        settings = settings_of(recording)
         self._params: GuardParams = settings.guard
         done.other_model = done.other_model or model is not None
         self._model, self._settings = model, settings
@@ -228,7 +228,7 @@ def _finger(item: Item) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class _Settings:
+class Settings:
     """What a recording says of the configuration it was made with."""
 
     guard: GuardParams
@@ -251,12 +251,13 @@ class _Settings:
         return None if text is None else [float(level) for level in json.loads(text)]
 
 
-def _settings(recording: Recording) -> _Settings:
+def settings_of(recording: Recording) -> Settings:
+    """Raises InputError where the recording has no configuration of this version."""
     where = f"{recording.path}: {m.CONFIG_ATTACHMENT}"
     try:
         config = json.loads(recording.attachments[m.CONFIG_ATTACHMENT])
         perception = {key: value for key, value in config["perception"].items() if key != "model"}
-        return _Settings(
+        return Settings(
             GuardParams.model_validate(config["guard"]),
             PerceptionSettings.model_validate(perception),
             {finger: float(config[finger]["px_per_mm"]) for finger in m.FINGERS},

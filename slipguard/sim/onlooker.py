@@ -138,7 +138,7 @@ class Studio:
         where = self._ideal[top:bottom, left:right]
         if where.size == 0:
             return np.zeros((*where.shape[:2], 3), np.uint8)
-        seen = cv2.remap(picture, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        seen = cv2.remap(picture, where[..., 0], where[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         if look.blur_px > 0.0:
             seen = cv2.GaussianBlur(seen, (0, 0), look.blur_px)
         height, width = seen.shape[:2]

@@ -39,7 +39,7 @@ class Detector:
 
     def look(self, image: NDArray[np.uint8], time_s: float) -> Sighting:
         """image: (h, w, 3) or (h, w) uint8. A marker seen twice is not seen: nobody can tell which it is."""
-        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        grey = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
         found = self._find(grey, _around(self._last, grey.shape)) if self._last else {}
         if len(found) < 2:
             found = self._find(grey, (0, 0, grey.shape[1], grey.shape[0]))
@@ -91,8 +91,8 @@ def _edge(
     outward = np.array([along[1], -along[0]]) / length
     places = np.linspace(0.12, 0.88, max(round(length), 8))
     offsets = np.arange(-reach, reach + 1e-9, STEP_PX)
-    points = start + places[:, None, None] * along + offsets[None, :, None] * outward
-    profile = cv2.remap(grey, points.astype(np.float32), None, cv2.INTER_LINEAR).astype(np.float64)
+    points = (start + places[:, None, None] * along + offsets[None, :, None] * outward).astype(np.float32)
+    profile = cv2.remap(grey, points[..., 0], points[..., 1], cv2.INTER_LINEAR).astype(np.float64)
     rise = np.clip(np.diff(profile, axis=1), 0.0, None)
     strength = rise.sum(1)
     seen = strength > 0.4 * np.median(strength)

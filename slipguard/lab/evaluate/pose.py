@@ -2,8 +2,8 @@
 
 One model for a whole lift: the camera stands still and the gripper does not turn, so one orientation of the gripper's
 marker holds for all frames; the object turns about the grasp axis alone, so one fixed rotation takes its marker there
-from the gripper's. Each frame adds two positions and one turn. Gauss-Newton over all of it, with the frames' own unknowns
-eliminated (Schur complement): what a single small marker cannot tell, its tilt, is known from all frames together.
+from the gripper's. Each frame adds two positions and one turn. Gauss-Newton over all of it, with the frames' own
+unknowns eliminated (Schur complement): a small marker's tilt, which one picture does not tell, all of them do.
 """
 
 from __future__ import annotations
@@ -51,9 +51,13 @@ def turns(sightings: list[Sighting], intrinsics: Intrinsics, side_mm: float) -> 
 
     Raises InputError where too few frames do, or where no rigid motion about one axis explains the corners.
     """
-    both = [one for one in sightings if one.gripper_px is not None and one.object_px is not None]
-    _check_seen(sightings, both)
-    corners = np.stack([np.stack([one.gripper_px, one.object_px]) for one in both]).astype(np.float64)  # (n, 2, 4, 2)
+    both = [
+        (one.time_s, np.stack([one.gripper_px, one.object_px]))
+        for one in sightings
+        if one.gripper_px is not None and one.object_px is not None
+    ]
+    _check_seen(sightings, len(both))
+    corners = np.stack([seen for _, seen in both]).astype(np.float64)  # (n, 2, 4, 2)
     rays = intrinsics.rays(corners.reshape(-1, 2)).reshape(corners.shape)
     model = _Model(rays, intrinsics.focal_px, _square(side_mm))
     fit = model.solve()
@@ -72,12 +76,12 @@ def turns(sightings: list[Sighting], intrinsics: Intrinsics, side_mm: float) -> 
     first = angle[: min(REFERENCE_FRAMES, len(angle))]
     sigma = np.degrees(fit.sigma_rad)
     start_sigma = float(np.sqrt((sigma[: len(first)] ** 2).mean() / len(first)))
-    time_s = np.array([one.time_s for one, keep in zip(both, good, strict=True) if keep])
+    time_s = np.array([time_s for (time_s, _), keep in zip(both, good, strict=True) if keep])
     return TurnTrace(time_s, angle - first.mean(), np.hypot(sigma, start_sigma), len(sightings) - len(time_s), rms_px)
 
 
-def _check_seen(sightings: list[Sighting], both: list[Sighting]) -> None:
-    if len(both) >= FRAMES_MIN:
+def _check_seen(sightings: list[Sighting], both: int) -> None:
+    if both >= FRAMES_MIN:
         return
     total = len(sightings)
     gripper = sum(one.gripper_px is not None for one in sightings)
@@ -89,9 +93,7 @@ def _check_seen(sightings: list[Sighting], both: list[Sighting]) -> None:
         raise InputError(
             f"the marker of the {missing} (id {number}) was never seen in {total} pictures; both are needed"
         )
-    raise InputError(
-        f"both markers were seen together in {len(both)} of {total} pictures; at least {FRAMES_MIN} are needed"
-    )
+    raise InputError(f"both markers were seen together in {both} of {total} pictures; at least {FRAMES_MIN} are needed")
 
 
 def _square(side_mm: float) -> Array:
@@ -121,7 +123,7 @@ class _Model:
         local = np.zeros((count, 7))
         local[:, 0] = self._first_turns(gripper, fixed)
         local[:, 1:4] = _positions(self.rays[:, 0], self.square @ gripper.T)
-        turned = np.einsum("nij,jk->nik", gripper @ _about_z(local[:, 0]) @ fixed, np.eye(3))
+        turned = gripper @ _about_z(local[:, 0]) @ fixed
         local[:, 4:7] = _positions(self.rays[:, 1], np.einsum("kj,nij->nki", self.square, turned))
         normal = np.zeros((count, 7, 7))
         residual = self._residual(gripper, fixed, np.zeros(6), local)
@@ -151,7 +153,7 @@ class _Model:
         on_thing = np.einsum("kj,nij->nki", self.square, thing) + local[:, None, 4:7]
         seen = np.stack([on_gripper, on_thing], 1)
         flat = seen[..., :2] / seen[..., 2:]
-        return self.focal_px * (flat - self.rays).reshape(len(local), -1)
+        return np.asarray(self.focal_px * (flat - self.rays).reshape(len(local), -1), np.float64)
 
     def _step(
         self, gripper: Array, fixed: Array, local: Array, residual: Array, damping: float
@@ -223,12 +225,13 @@ def _positions(rays: Array, points: Array) -> Array:
     rows = np.stack([np.stack([one, zero, -rays[..., 0]], -1), np.stack([zero, one, -rays[..., 1]], -1)], -2)
     right = rays * points[..., 2:] - points[..., :2]
     a, b = rows.reshape(len(rays), 8, 3), right.reshape(len(rays), 8)
-    return np.linalg.solve(np.swapaxes(a, 1, 2) @ a, np.einsum("nij,ni->nj", a, b)[..., None])[..., 0]
+    solved = np.linalg.solve(np.swapaxes(a, 1, 2) @ a, np.einsum("nij,ni->nj", a, b)[..., None])
+    return np.asarray(solved[..., 0], np.float64)
 
 
 def _about_z(angles: Array) -> Array:
     c, s, zero, one = np.cos(angles), np.sin(angles), np.zeros(len(angles)), np.ones(len(angles))
-    return np.stack([c, -s, zero, s, c, zero, zero, zero, one], -1).reshape(-1, 3, 3)
+    return np.asarray(np.stack([c, -s, zero, s, c, zero, zero, zero, one], -1).reshape(-1, 3, 3), np.float64)
 
 
 def _rotated(vector: Array) -> Array:

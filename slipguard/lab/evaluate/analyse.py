@@ -1,0 +1,250 @@
+"""From a lift's recording to its errors: what slipguard said beside what the markers say."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.devices import Frame
+from slipguard.errors import FrameCorrupt, InputError
+from slipguard.lab.evaluate.align import Lag, find_lag
+from slipguard.lab.evaluate.detect import Detector
+from slipguard.lab.evaluate.lift_data import LiftData, TimedPicture
+from slipguard.lab.evaluate.pose import TurnTrace, turns
+from slipguard.lab.lift_record import PICTURE_SIGN, Measured
+from slipguard.lab.other_estimators import PatchKeeper, SeenPatch, turns_by_estimator
+from slipguard.lab.replay import settings_of
+from slipguard.lab.scores import dice, iou
+from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.segment import Segmenter
+
+Array = NDArray[np.float64]
+MASK_GAP_S = 0.012
+STILL_S = 0.3
+"""The object lies still at least so long before the lift begins; both zeros are taken then."""
+CURVE_POINTS = 300
+
+
+@dataclass(slots=True)
+class Errors:
+    """Of one source against the markers. n: frames compared. The rest is None where n is 0."""
+
+    n: int = 0
+    mean_deg: float | None = None
+    rms_deg: float | None = None
+    worst_deg: float | None = None
+    final_deg: float | None = None
+    """At the end of the lift, signed."""
+
+
+@dataclass(slots=True)
+class LiftResult:
+    """Everything a report needs of one lift; plain numbers, so that it can be kept as JSON."""
+
+    stem: str
+    object: str
+    seen: bool
+    hard: str
+    repeat: int
+    number: int
+    final_turn_deg: float | None = None
+    """By the markers."""
+    lag_s: float = 0.0
+    lag_sigma_s: float = 0.0
+    lag_unknown: str | None = None
+    lag_error_frames: float | None = None
+    camera_frames: int = 0
+    camera_gaps: int = 0
+    camera_rms_px: float | None = None
+    marker_error_mean_deg: float | None = None
+    marker_error_worst_deg: float | None = None
+    declined_share: float = 0.0
+    errors: dict[str, Errors] = field(default_factory=dict)
+    unaligned_mean_deg: float | None = None
+    """The fused error with the lag left in."""
+    within_1_sigma: float | None = None
+    within_2_sigma: float | None = None
+    dice: list[float] = field(default_factory=list)
+    iou: list[float] = field(default_factory=list)
+    curves: dict[str, list[list[float]]] = field(default_factory=dict)
+    """Name -> [times, turns], seconds since the lift began."""
+    problem: str | None = None
+    """Why there is nothing to compare with."""
+
+    def as_json(self) -> dict[str, Any]:
+        """A plain dictionary."""
+        return asdict(self)
+
+
+def result_from_json(raw: dict[str, Any]) -> LiftResult:
+    """The way back; raises TypeError on what is none."""
+    return LiftResult(**raw | {"errors": {name: Errors(**one) for name, one in raw["errors"].items()}})
+
+
+def analyse(data: LiftData) -> LiftResult:
+    """Compare all sources of one lift with its markers."""
+    about = data.about
+    result = LiftResult(data.path.stem, about.object, about.seen, about.hard, about.repeat, about.number)
+    began_s = data.phase_began_s("lifting")
+    if began_s is None:
+        raise InputError(f"{data.path}: no lift is in it")
+    result.declined_share = data.declined / data.held if data.held else 1.0
+    _score_masks(data, result)
+    fused = np.array(data.fused).reshape(-1, 3)
+    try:
+        trace = _marker_turns(data, began_s)
+    except InputError as problem:
+        result.problem = str(problem)
+        return result
+    result.camera_frames, result.camera_gaps, result.camera_rms_px = len(trace.time_s), trace.gaps, trace.rms_px
+    lag = find_lag(trace.time_s, trace.turn_deg, fused[:, 0], fused[:, 1])
+    _tell_lag(data, result, lag, trace)
+    camera_s = trace.time_s - lag.lag_s
+    marker_deg = trace.turn_deg - float(np.interp(began_s, camera_s, trace.turn_deg))
+    result.final_turn_deg = float(marker_deg[-1])
+    _compare_truth(data, result, trace)
+    fused = fused[fused[:, 0] >= began_s - STILL_S]
+    _curve(result, "markers", camera_s - began_s, marker_deg)
+    sources = {"fused": [Measured(*row) for row in fused.tolist()], **_estimators(data, began_s)}
+    for name, stated in sources.items():
+        time_s = np.array([one.captured_at_s for one in stated])
+        turn_deg = np.array([one.turn_deg for one in stated])
+        error = _errors(time_s, turn_deg, camera_s, marker_deg, began_s)
+        result.errors[name] = _summed(error)
+        _curve(result, name, time_s - began_s, turn_deg)
+        if name == "fused" and error.size:
+            _judge_sigma(result, error, np.array([one.sigma_deg for one in stated])[-error.size :])
+            late = _errors(time_s, turn_deg, trace.time_s, marker_deg, began_s)
+            result.unaligned_mean_deg = float(np.abs(late).mean()) if late.size else None
+    return result
+
+
+def _marker_turns(data: LiftData, began_s: float) -> TurnTrace:
+    """The markers' turn in the left picture's sign, from when the object lay still."""
+    detector = Detector()
+    from_s = max(data.phase_began_s("holding") or began_s, began_s - 1.0)
+    shown = [one for one in data.camera if one.time_s >= from_s]
+    if not shown:
+        raise InputError("no picture of the external camera is in the recording")
+    first = shown[0].picture.pixels()
+    data.intrinsics.check_size(first.shape[1], first.shape[0], "the camera's picture")
+    sightings = [detector.look(one.picture.pixels(), one.time_s) for one in shown]
+    trace = turns(sightings, data.intrinsics, data.about.marker_side_mm)
+    sign = PICTURE_SIGN[data.about.camera_side]
+    return TurnTrace(trace.time_s, sign * trace.turn_deg, trace.sigma_deg, trace.gaps, trace.rms_px)
+
+
+def _tell_lag(data: LiftData, result: LiftResult, lag: Lag, trace: TurnTrace) -> None:
+    result.lag_s, result.lag_sigma_s, result.lag_unknown = lag.lag_s, lag.sigma_s, lag.why
+    if data.about.camera_lag_s is not None and lag.why is None and len(trace.time_s) > 1:
+        frame_s = float(np.median(np.diff(trace.time_s)))
+        result.lag_error_frames = abs(lag.lag_s - data.about.camera_lag_s) / frame_s
+
+
+def _compare_truth(data: LiftData, result: LiftResult, trace: TurnTrace) -> None:
+    """The markers themselves against a simulated world, without any lag to find."""
+    time_s, true_deg = data.true_turns()
+    if data.about.camera_lag_s is None or len(time_s) < 2:
+        return
+    error = trace.turn_deg - np.interp(trace.time_s - data.about.camera_lag_s, time_s, true_deg)
+    error -= error[:10].mean()  # both count from where the object lay still
+    result.marker_error_mean_deg = float(np.abs(error).mean())
+    result.marker_error_worst_deg = float(np.abs(error).max())
+    began_s = data.phase_began_s("lifting") or 0.0
+    _curve(result, "truth", time_s - began_s, true_deg - float(np.interp(began_s, time_s, true_deg)))
+
+
+def _errors(time_s: Array, turn_deg: Array, camera_s: Array, marker_deg: Array, began_s: float) -> Array:
+    """Stated minus marker turn, from the beginning of the lift on, where the camera saw both markers."""
+    inside = (time_s >= max(began_s, camera_s[0])) & (time_s <= camera_s[-1])
+    return np.asarray(turn_deg[inside] - np.interp(time_s[inside], camera_s, marker_deg), np.float64)
+
+
+def _summed(error: Array) -> Errors:
+    if not error.size:
+        return Errors()
+    size = np.abs(error)
+    return Errors(
+        error.size, float(size.mean()), float(np.sqrt((error**2).mean())), float(size.max()), float(error[-1])
+    )
+
+
+def _judge_sigma(result: LiftResult, error: Array, sigma_deg: Array) -> None:
+    scaled = np.abs(error) / sigma_deg
+    result.within_1_sigma, result.within_2_sigma = float((scaled <= 1.0).mean()), float((scaled <= 2.0).mean())
+
+
+def _estimators(data: LiftData, began_s: float) -> dict[str, list[Measured]]:
+    """What each plain estimator says of the recorded frames: the mean of both fingers, frame by frame of the left."""
+    kept: list[SeenPatch] = []
+    settings = settings_of(data.recording)
+    segmenter = Segmenter()
+    for finger, frames in data.fingers.items():
+        pipeline = Pipeline(
+            segmenter,
+            settings.perception,
+            settings.background(finger),
+            settings.noise_bgr(finger),
+            settings.px_per_mm[finger],
+            settings.rotation_deg[finger],
+        )
+        keeper = PatchKeeper(finger, pipeline, kept)
+        for one in frames:
+            if one.judged.new_reference:
+                keeper.reset_reference()
+            if one.picture is None:
+                continue
+            try:
+                keeper.process(Frame(one.picture.pixels(), one.judged.captured_at_s, one.judged.sequence))
+            except FrameCorrupt:
+                continue
+    by_estimator = turns_by_estimator(kept, began_s - STILL_S, float("inf"))
+    return {name: _together(fingers) for name, fingers in by_estimator.items()}
+
+
+def _together(fingers: list[list[Measured]]) -> list[Measured]:
+    """Both fingers' turns, weighted by their sigmas, at the times of the one that says more."""
+    told = sorted((one for one in fingers if one), key=len, reverse=True)
+    if len(told) < 2:
+        return told[0] if told else []
+    first, second = told
+    other_s = np.array([one.captured_at_s for one in second])
+    other_deg = np.array([one.turn_deg for one in second])
+    together = []
+    for one in first:
+        beside = int(np.argmin(np.abs(other_s - one.captured_at_s)))
+        if abs(other_s[beside] - one.captured_at_s) > 0.05:
+            together.append(one)
+            continue
+        a, b = one.sigma_deg**-2, second[beside].sigma_deg ** -2
+        at_deg = float(np.interp(one.captured_at_s, other_s, other_deg))
+        together.append(Measured(one.captured_at_s, (a * one.turn_deg + b * at_deg) / (a + b), (a + b) ** -0.5))
+    return together
+
+
+def _score_masks(data: LiftData, result: LiftResult) -> None:
+    """Dice and IoU of the masks found, against the true ones nearest in time."""
+    for finger, true_masks in data.true_masks.items():
+        found = data.masks[finger]
+        if not found:
+            continue
+        times = np.array([one.time_s for one in found])
+        for true in true_masks:
+            near = int(np.argmin(np.abs(times - true.time_s)))
+            if abs(times[near] - true.time_s) <= MASK_GAP_S:
+                ours, theirs = mask_of(found[near]), mask_of(true)
+                result.dice.append(dice(ours, theirs))
+                result.iou.append(iou(ours, theirs))
+
+
+def mask_of(one: TimedPicture) -> NDArray[np.bool_]:
+    """(320, 240) bool."""
+    return np.asarray(one.picture.pixels()[..., 0] > 127)
+
+
+def _curve(result: LiftResult, name: str, time_s: Array, turn_deg: Array) -> None:
+    step = max(len(time_s) // CURVE_POINTS, 1)
+    result.curves[name] = [np.round(time_s[::step], 4).tolist(), np.round(turn_deg[::step], 4).tolist()]
