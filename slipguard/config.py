@@ -61,7 +61,7 @@ class LoopSection(Section):
     poll_ms: Annotated[float, Field(ge=5.0, le=500.0)] = 25.0
     """How often gripper and arm are asked for their state."""
     retry_s: Annotated[float, Field(ge=0.05, le=60.0)] = 0.5
-    """First pause before a missing device is tried again; doubles up to ten times this."""
+    """Pause before a missing sensor is tried again, doubling up to ten times; gripper and arm: the longest pause."""
 
 
 class ApiSection(Section):

@@ -142,10 +142,13 @@ class UrEmulator(ControlledEmulator):
     async def _run(self) -> None:
         """The controller's cycles, by absolute deadlines; late ones are left out."""
         loop = asyncio.get_running_loop()
-        count, due_s = 0, loop.time()
+        count, due_s, moving = 0, loop.time(), False
         while True:
             count, due_s = count + 1, max(due_s + 1 / self._rate_hz, loop.time())
             await asyncio.sleep(due_s - loop.time())
+            if self.tool.under_way(loop.time()) != moving:
+                moving = not moving
+                self.note("moves" if moving else "stands", z_m=round(self.tool.pose(loop.time())[2], 4))
             if "kill" in self.faults.active:
                 if self._servers:
                     self._hang_up()

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from slipguard.errors import CommandRefused, DeviceLost
 
 PORT = 30004
-CONNECT_S = 1.0
+CONNECT_S = 0.5
 ANSWER_S = 1.0
 LARGEST_BYTES = 4096
 """No message that was asked for here is longer."""
