@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +14,7 @@ import torch
 
 from slipguard.errors import ModelError
 from slipguard.lab.frame_cache import RenderedFrames
+from slipguard.lab.half_storage import round_to_half, store_as_half
 from slipguard.lab.networks import Exported, SmallNet, example_inputs
 from slipguard.perception.segment import CONTRACT, INPUT_HEIGHT_PX, INPUT_WIDTH_PX
 from slipguard.sim.label import LABEL_NAME
@@ -37,10 +39,13 @@ def contract_metadata(command: str, seed: int, threshold: float) -> dict[str, st
 def export_onnx(net: SmallNet, path: Path, metadata: Mapping[str, str], frames: RenderedFrames) -> float:
     """Write `net` to `path`; return the largest difference of its probabilities to torch's on rendered frames.
 
+    Large weights are rounded to float16 and stored so; what computes is float32, and torch is asked with the rounded.
     Written beside the target first and moved there only when it agrees to 1e-4; otherwise raises `ModelError`
     and leaves the target as it was.
     """
-    shipped = Exported(net).eval()
+    placed = copy.deepcopy(net)
+    round_to_half(placed)
+    shipped = Exported(placed).eval()
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_suffix(".draft.onnx")
     with warnings.catch_warnings():
@@ -52,9 +57,11 @@ def export_onnx(net: SmallNet, path: Path, metadata: Mapping[str, str], frames: 
             input_names=["frame", "background", "background_known"],
             output_names=["probability"],
             opset_version=OPSET,
+            training=torch.onnx.TrainingMode.PRESERVE,  # or weights are multiplied out and no float16 any more
             dynamo=False,
         )
     model = onnx.load(str(draft))
+    store_as_half(model)
     for key, value in metadata.items():
         model.metadata_props.add(key=key, value=value)
     onnx.checker.check_model(model)
