@@ -95,7 +95,7 @@ class Pipeline:
 
     def reset_reference(self) -> None:
         """Forget the reference; the next stable contact makes a new one."""
-        self._meter = TurnMeter(self._settings, self._frame_px)
+        self._meter = TurnMeter(self._settings, self._frame_px, self._background)
         self._reference_unlike = 0.0
         self._forget()
 
@@ -122,9 +122,11 @@ class Pipeline:
 
     @property
     def last_skeleton(self) -> NDArray[np.uint8]:
-        """The thinned contact found last, (320, 240) uint8, 0 or 1; empty where thinning was not needed."""
-        if self._patch is None or self._skeleton is None:
+        """The thinned contact found last, (320, 240) uint8, 0 or 1; thinned now where the turn did not need it."""
+        if self._patch is None:
             return np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.uint8)
+        if self._skeleton is None:
+            self._skeleton = middle_line(self._patch).skeleton
         return _at_frame_size(replace(self._patch, mask=self._skeleton).full_mask())
 
     def process(self, frame: Frame) -> Estimate:
@@ -156,13 +158,18 @@ class Pipeline:
         unlike = self._gate.unlike_levels(blocks, near)
         if not math.isfinite(unlike):
             return self._unlike(frame, patch, clock)
-        axes = self._axes(patch, clock)
+        axes: dict[str, Orientation] = {}
+
+        def axes_of(every: bool) -> dict[str, Orientation]:
+            self._add_axes(axes, patch, every, clock)
+            return axes
+
         had_reference = self.has_reference
-        turn, shift_px = self._meter.measure(patch, axes, now_s, clock)
+        turn, shift_px = self._meter.measure(frame.image, patch, axes_of, now_s, clock)
         if not had_reference:
             self._reference_unlike = unlike
         turn = _in_other_light(turn, unlike - self._reference_unlike)
-        shown = fuse(list(axes.values())).angle_deg
+        shown = fuse(list(axes_of(False).values())).angle_deg
         answer = Estimate(
             sequence=frame.sequence,
             captured_at_s=now_s,
@@ -239,22 +246,36 @@ class Pipeline:
             answer, sequence=frame.sequence, captured_at_s=frame.captured_at_s, rate_deg_s=rate, skipped=UNCHANGED
         )
 
-    def _axes(self, patch: Patch, clock: StageClock) -> dict[str, Orientation]:
-        """The patch's axis by every estimator that the setting asks for; a patch without one is not thinned."""
+    def _add_axes(self, axes: dict[str, Orientation], patch: Patch, every: bool, clock: StageClock) -> None:
+        """The patch's axis by the plainest estimator, or by every one that the setting asks for.
+
+        What is there already is not measured again; a patch without an axis is not thinned.
+        """
         name, aspect = str(self._settings.estimator), self._settings.round_aspect
-        plain = "moments" if name in ("fused", "registration", "skeleton") else name
-        axes = {plain: estimate(patch, plain, aspect)}
-        readable = axes[plain].declined is None
-        if name == "fused" and readable:
-            axes["ellipse"] = estimate(patch, "ellipse", aspect)
-        clock.mark("angle")
-        if name == "skeleton" or (name == "fused" and (readable or not self._skips.round)):
-            line = middle_line(patch)
-            self._skeleton = line.skeleton
-            clock.mark("thin")
-            axes["skeleton"] = skeleton_orientation(patch, line, aspect)
+        if name == "skeleton":
+            if not axes:
+                axes["skeleton"] = self._skeleton_axis(patch, clock)
+            return
+        plain = "moments" if name in ("fused", "registration") else name
+        if plain not in axes:
+            axes[plain] = estimate(patch, plain, aspect)
             clock.mark("angle")
-        return {"skeleton": axes["skeleton"]} if name == "skeleton" else axes
+        readable = axes[plain].declined is None
+        if name != "fused" or not every or "skeleton" in axes:
+            return
+        if readable:
+            axes["ellipse"] = estimate(patch, "ellipse", aspect)
+            clock.mark("angle")
+        if readable or not self._skips.round:
+            axes["skeleton"] = self._skeleton_axis(patch, clock)
+
+    def _skeleton_axis(self, patch: Patch, clock: StageClock) -> Orientation:
+        line = middle_line(patch)
+        self._skeleton = line.skeleton
+        clock.mark("thin")
+        axis = skeleton_orientation(patch, line, self._settings.round_aspect)
+        clock.mark("angle")
+        return axis
 
     def _shift_mm(self, shift_px: tuple[float, float]) -> tuple[float, float]:
         """Frame pixels right and down to millimetres right and up, as the mounting turns them."""

@@ -67,6 +67,27 @@ def checked(laid: Turn, axial: Turn) -> Turn:
     return Turn(surer.turn_deg, max(surer.sigma_deg or 0.0, 0.5 * apart))
 
 
+def combined(relief: Turn, outline: Turn) -> Turn:
+    """One turn from the relief inside a contact and from its outline, which err apart: the mean by 1 / sigma^2.
+
+    One alone is taken as it is; where both are declined, the relief's reason counts. Where they differ by more than
+    both sigmas allow the surer is taken, with a sigma that covers both; far apart, there is no turn.
+    """
+    if relief.turn_deg is None or relief.sigma_deg is None:
+        return outline if outline.turn_deg is not None else relief
+    if outline.turn_deg is None or outline.sigma_deg is None:
+        return relief
+    apart = abs(relief.turn_deg - outline.turn_deg)
+    if apart > AGREE_SIGMA * math.hypot(relief.sigma_deg, outline.sigma_deg):
+        if apart > DISAGREE_DEG:
+            return Turn(None, None, DISAGREE)
+        surer = relief if relief.sigma_deg <= outline.sigma_deg else outline
+        return Turn(surer.turn_deg, max(surer.sigma_deg or 0.0, 0.5 * apart))
+    trust, other = relief.sigma_deg**-2, outline.sigma_deg**-2
+    mean = (trust * relief.turn_deg + other * outline.turn_deg) / (trust + other)
+    return Turn(mean, (trust + other) ** -0.5)
+
+
 def pooled(turns: Sequence[Turn]) -> Turn:
     """One turn from those of several estimators of axes: the surest, averaged with all that agree with it.
 
@@ -94,6 +115,11 @@ class Tracker:
     def __init__(self) -> None:
         self._history: deque[tuple[float, float]] = deque(maxlen=64)
         self._last: tuple[float, float] = (-math.inf, 0.0)
+
+    @property
+    def known_at_s(self) -> float:
+        """When the turn was last measured or seen unchanged; -infinity before the reference."""
+        return self._history[-1][0] if self._history else -math.inf
 
     @property
     def last_turn_deg(self) -> float:

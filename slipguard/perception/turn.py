@@ -4,47 +4,69 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from slipguard.perception.estimate import Orientation
 from slipguard.perception.regions import Patch
 from slipguard.perception.register import NOT_SAME, Pose, Registrar, Registration
+from slipguard.perception.relief import REDUCTION, ReliefReader
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stages import StageClock
 from slipguard.perception.template import Template, make_template
-from slipguard.perception.track import Tracker, Turn, axis_turn, checked, pooled
+from slipguard.perception.texture import Texture, TexturePose, fit, make_texture, sigma_deg
+from slipguard.perception.track import AGREE_SIGMA, Tracker, Turn, axis_turn, checked, combined, pooled
 
 STABLE_FRAMES = 5
 STABLE_SHARE = 0.05
 """The contact area is stable when the last five frames differ by less than this share of it."""
 MISFIT_SIGMAS = 1.5
 """An axis whose outline is not the reference's any more is off by so many times the turn that fits the misfit."""
+SURE_DEG = 0.6
+"""A turn told by the relief this surely, and not contradicted by the patch's axis, needs no outline."""
+LOST_COUNT_S = 0.12
+"""After a longer gap a relief that repeats itself (teeth, rays) may have turned by one of its steps unseen."""
+LOST_COUNT = "lost count of a relief that repeats itself"
+NO_RELIEF = "no relief without a no-contact image"
 NO_REFERENCE = "no reference yet"
 UNSURE = "too uncertain"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """What turns are measured against. axes: by estimator. Centre and area in frame pixels."""
+    """What turns are measured against. axes: by estimator. Centre and area in frame pixels.
+
+    texture: the relief in the contact; None without a no-contact image.
+    """
 
     axes: Mapping[str, Orientation]
     template: Template
+    texture: Texture | None
     centre_px: tuple[float, float]
     area_px: int
 
 
 class TurnMeter:
-    """Takes the reference and measures every patch against it. frame_px: frame pixels per network pixel."""
+    """Takes the reference and measures every patch against it.
 
-    def __init__(self, settings: PerceptionSettings, frame_px: float) -> None:
+    frame_px: frame pixels per network pixel. background: the unit's no-contact image, (320, 240, 3) uint8, or None.
+    """
+
+    def __init__(
+        self, settings: PerceptionSettings, frame_px: float, background: NDArray[np.uint8] | None = None
+    ) -> None:
         self._settings = settings
         self._frame_px = frame_px
+        self._reader = None if background is None else ReliefReader(background)
         self.reference: Reference | None = None
         self.tracker = Tracker()
         self._pose = Pose()
+        self._relief_pose = TexturePose()
+        self._lost_count = False
         self._areas: deque[int] = deque(maxlen=STABLE_FRAMES)
 
     def lost(self) -> None:
@@ -52,38 +74,53 @@ class TurnMeter:
         self._areas.clear()
 
     def measure(
-        self, patch: Patch, axes: Mapping[str, Orientation], now_s: float, clock: StageClock
+        self,
+        image: NDArray[np.uint8],
+        patch: Patch,
+        axes_of: Callable[[bool], Mapping[str, Orientation]],
+        now_s: float,
+        clock: StageClock,
     ) -> tuple[Turn, tuple[float, float] | None]:
         """Turn and shift (frame pixels right and down) since the reference, which this patch may become.
 
-        axes: the patch's axis by each estimator used; each is compared with its own answer for the reference.
+        image: the frame, (320, 240, 3) uint8 BGR. axes_of: the patch's axes; called with False for the plainest one
+        alone, with True for those of every estimator asked for; each is compared with its own answer for the reference.
         """
-        self._take_reference(patch, axes, now_s)
+        self._take_reference(image, patch, axes_of, now_s, clock)
         reference = self.reference
         if reference is None:
             return Turn(None, None, NO_REFERENCE), None
         predicted = self.tracker.predicted_deg(now_s)
-        known = reference.axes
-        turn = pooled([_between(known[name], axis, predicted) for name, axis in axes.items() if name in known])
-        shift_px = _difference(_centre_px(patch), reference.centre_px)
+        by_relief = Turn(None, None, NO_RELIEF)
         if self._settings.estimator in ("fused", "registration"):
-            laid = self._laid_over(reference, patch, turn, predicted)
-            registered = Turn(None, None, laid.declined)
-            if laid.declined == NOT_SAME and turn.turn_deg is not None and turn.sigma_deg is not None:
-                # An outline that has become another one has moved its axis too.
-                turn = Turn(turn.turn_deg, math.hypot(turn.sigma_deg, MISFIT_SIGMAS * laid.misfit_deg))
-            if laid.declined is None:
-                self._pose = laid.pose
-                registered = Turn(laid.pose.turn_deg, laid.sigma_deg)
-                shift_px = (laid.pose.dx_px * self._frame_px, laid.pose.dy_px * self._frame_px)
-            turn = registered if self._settings.estimator == "registration" else checked(registered, turn)
-            clock.mark("register")
+            by_relief = self._by_relief(reference, image, patch, predicted, now_s)
+            clock.mark("relief")
+        turn = self._axial(reference, axes_of(False), predicted)
+        shift_px = _difference(_centre_px(patch), reference.centre_px)
+        if by_relief.turn_deg is not None:
+            shift_px = (self._relief_pose.dx_px * REDUCTION, self._relief_pose.dy_px * REDUCTION)
+        if _settled(by_relief, turn):
+            turn = combined(by_relief, turn) if self._settings.estimator == "fused" else by_relief
+        else:
+            turn = self._axial(reference, axes_of(True), predicted)
+            by_outline = turn
+            if self._settings.estimator in ("fused", "registration"):
+                by_outline, outline_shift_px = self._by_outline(reference, patch, turn, predicted)
+                clock.mark("register")
+                shift_px = outline_shift_px if by_relief.turn_deg is None else shift_px
+            turn = combined(by_relief, by_outline)
         if turn.sigma_deg is not None and turn.sigma_deg > self._settings.sigma_max_deg:
             turn = Turn(None, None, UNSURE)
-        turn = self.tracker.accept(now_s, turn)
-        return turn, shift_px
+        return self.tracker.accept(now_s, turn), shift_px
 
-    def _take_reference(self, patch: Patch, axes: Mapping[str, Orientation], now_s: float) -> None:
+    def _take_reference(
+        self,
+        image: NDArray[np.uint8],
+        patch: Patch,
+        axes_of: Callable[[bool], Mapping[str, Orientation]],
+        now_s: float,
+        clock: StageClock,
+    ) -> None:
         if self.reference is not None:
             return
         self._areas.append(patch.area_px)
@@ -91,9 +128,52 @@ class TurnMeter:
             largest, smallest = max(self._areas), min(self._areas)
             if len(self._areas) < STABLE_FRAMES or largest - smallest >= STABLE_SHARE * largest:
                 return
-        self.reference = Reference(dict(axes), make_template(patch), _centre_px(patch), patch.area_px)
+        texture = None
+        if self._reader is not None:
+            self._reader.learn(image, patch)
+            texture = make_texture(self._reader.read(image, patch), patch)
+        self.reference = Reference(dict(axes_of(True)), make_template(patch), texture, _centre_px(patch), patch.area_px)
+        clock.mark("reference")
         self.tracker.start(now_s)
-        self._pose = Pose()
+        self._pose, self._relief_pose, self._lost_count = Pose(), TexturePose(), False
+
+    def _axial(self, reference: Reference, axes: Mapping[str, Orientation], predicted_deg: float) -> Turn:
+        known = reference.axes
+        return pooled([_between(known[name], axis, predicted_deg) for name, axis in axes.items() if name in known])
+
+    def _by_relief(
+        self, reference: Reference, image: NDArray[np.uint8], patch: Patch, predicted_deg: float, now_s: float
+    ) -> Turn:
+        """The turn by the relief in the contact, from where the track leads."""
+        texture = reference.texture
+        if self._reader is None or texture is None:
+            return Turn(None, None, NO_RELIEF)
+        if texture.repeats and now_s - self.tracker.known_at_s > LOST_COUNT_S:
+            self._lost_count = True
+        if self._lost_count:
+            return Turn(None, None, LOST_COUNT)
+        answer = fit(texture, self._reader.read(image, patch), replace(self._relief_pose, turn_deg=predicted_deg))
+        if answer.declined is not None:
+            return Turn(None, None, answer.declined)
+        self._relief_pose = answer.pose
+        return Turn(answer.pose.turn_deg, sigma_deg(answer))
+
+    def _by_outline(
+        self, reference: Reference, patch: Patch, turn: Turn, predicted_deg: float
+    ) -> tuple[Turn, tuple[float, float]]:
+        """The turn and shift by the outline, checked by the one that the axes show."""
+        shift_px = _difference(_centre_px(patch), reference.centre_px)
+        laid = self._laid_over(reference, patch, turn, predicted_deg)
+        registered = Turn(None, None, laid.declined)
+        if laid.declined == NOT_SAME and turn.turn_deg is not None and turn.sigma_deg is not None:
+            # An outline that has become another one has moved its axis too.
+            turn = Turn(turn.turn_deg, math.hypot(turn.sigma_deg, MISFIT_SIGMAS * laid.misfit_deg))
+        if laid.declined is None:
+            self._pose = laid.pose
+            registered = Turn(laid.pose.turn_deg, laid.sigma_deg)
+            shift_px = (laid.pose.dx_px * self._frame_px, laid.pose.dy_px * self._frame_px)
+        only = self._settings.estimator == "registration"
+        return registered if only else checked(registered, turn), shift_px
 
     def _laid_over(self, reference: Reference, patch: Patch, turn: Turn, predicted_deg: float) -> Registration:
         """The patch laid over the reference, from where the track leads or from where its axis points."""
@@ -105,6 +185,15 @@ class TurnMeter:
         other = registrar.fit(Pose(turn.turn_deg, dx / self._frame_px, dy / self._frame_px))
         better = other.declined is None and (best.declined is not None or other.residual < best.residual)
         return other if better else best
+
+
+def _settled(by_relief: Turn, axial: Turn) -> bool:
+    """Whether the relief tells the turn so surely that the outline could add nothing, and the axis does not object."""
+    if by_relief.turn_deg is None or by_relief.sigma_deg is None or by_relief.sigma_deg > SURE_DEG:
+        return False
+    if axial.turn_deg is None or axial.sigma_deg is None:
+        return True
+    return abs(by_relief.turn_deg - axial.turn_deg) <= AGREE_SIGMA * math.hypot(by_relief.sigma_deg, axial.sigma_deg)
 
 
 def _between(reference: Orientation, now: Orientation, near_deg: float) -> Turn:

@@ -218,7 +218,7 @@ def test_stage_times_come_from_the_injected_timer() -> None:
     ticks = itertools.count()
     pipe = Pipeline(ReadsBlue(), PerceptionSettings(), BACKGROUND, None, 18.5, timer=lambda: 0.001 * next(ticks))
     answers = [pipe.process(frame(drawn("bar", 20 + k), k)) for k in range(8)]
-    assert set(answers[-1].stage_ms) == {"gate", "segment", "regions", "thin", "angle", "register", "track"}
+    assert set(answers[-1].stage_ms) == {"gate", "segment", "regions", "relief", "angle", "track"}
     assert all(value == pytest.approx(round(value)) and value > 0.9 for value in answers[-1].stage_ms.values())
     assert pipeline().process(frame(drawn("bar", 20), 0)).stage_ms == {}
 
