@@ -8,7 +8,20 @@ from typing import Annotated, Any
 
 import typer
 
-from slipguard.cli import bench, ctl, dataset, doctor, emulate, guard, measure, replay, simulate, stress, train
+from slipguard.cli import (
+    bench,
+    ctl,
+    dataset,
+    doctor,
+    emulate,
+    evaluate,
+    guard,
+    measure,
+    replay,
+    simulate,
+    stress,
+    train,
+)
 from slipguard.errors import CommandRefused, ConfigError, InputError, ModelError, SlipguardError
 
 SIM_PANEL = "With --sim"
@@ -28,6 +41,7 @@ app.command()(replay.replay)
 app.command()(bench.bench)
 app.command()(stress.stress)
 app.command()(train.train)
+app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(dataset.app, name="dataset")
 app.add_typer(emulate.app, name="emulate")
 app.command()(guard.version)

@@ -1,0 +1,238 @@
+"""`slipguard evaluate`: the grasp-and-lift experiment against markers, its report, and what it needs."""
+
+from __future__ import annotations
+
+import json as jsonlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from slipguard.errors import InputError
+
+if TYPE_CHECKING:
+    from slipguard.lab.evaluate.protocol import Protocol
+
+app = typer.Typer(help="The paper's experiment: lifts against two markers that an external camera sees.")
+Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")]
+Cluster = Annotated[str | None, typer.Option(help="A Dask scheduler, tcp://HOST:8786, instead of this machine.")]
+Json = Annotated[bool, typer.Option("--json", help="One JSON object.")]
+
+
+@app.command()
+def markers(
+    out: Annotated[Path, typer.Option(help="Where to write the sheet: .pdf or .png (300 dpi), A4.")],
+    charuco: Annotated[
+        bool, typer.Option("--charuco", help="The calibration board instead of the two markers.")
+    ] = False,
+) -> None:
+    """Write the sheet of markers to print, at true scale, with a ruler to check the printer by.
+
+    Example: `slipguard evaluate markers --out markers.pdf`
+    """
+    from slipguard.lab.evaluate.markers import charuco_sheet, marker_sheet, write_sheet
+
+    write_sheet(charuco_sheet() if charuco else marker_sheet(), out)
+    print(f"{out}: print at 100 % and check the ruler")
+
+
+@app.command("calibrate-camera")
+def calibrate_camera(
+    source: Annotated[Path, typer.Argument(help="A film, or a folder of images, of the printed ChArUco board.")],
+    out: Annotated[Path, typer.Option(help="Where to write the intrinsics (JSON).")],
+    json: Json = False,
+) -> None:
+    """Find a camera's intrinsics from pictures of the printed board, held at different tilts all over the picture.
+
+    Example: `slipguard evaluate calibrate-camera board.mp4 --out camera.json`
+    """
+    from slipguard.lab.evaluate.calibrate import calibrate
+    from slipguard.lab.evaluate.film import shots
+
+    found = calibrate(picture for _, picture in shots(source))
+    try:
+        out.write_text(found.model_dump_json(indent=1) + "\n")
+    except OSError as error:
+        raise InputError(f"--out {out}: cannot be written ({error.strerror})") from None
+    if json:
+        print(found.model_dump_json())
+        return
+    print(f"{out}: {found.width_px}x{found.height_px}, focal length {found.focal_px:.1f} px, off by {found.rms_px} px")
+
+
+@app.command()
+def turn(
+    source: Annotated[Path, typer.Argument(help="A film, a folder of images, or a lift's recording (.mcap).")],
+    intrinsics: Annotated[Path, typer.Option(help="The camera's intrinsics, of `calibrate-camera`.")],
+    side_mm: Annotated[float, typer.Option(min=5.0, max=300.0, help="Side of the markers' black squares.")] = 40.0,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object a line for each picture.")] = False,
+    plot: Annotated[Path | None, typer.Option(help="Picture of the turn over time.")] = None,
+) -> None:
+    """Tell the object's turn in the gripper from the two markers alone.
+
+    Example: `slipguard evaluate turn lift.mp4 --intrinsics camera.json --plot turn.png`
+    """
+    from slipguard.lab.evaluate.film import sightings
+    from slipguard.lab.evaluate.intrinsics import read_intrinsics
+    from slipguard.lab.evaluate.pictures import draw_trace
+    from slipguard.lab.evaluate.pose import turns
+
+    lens = read_intrinsics(intrinsics)
+    seen = list(sightings(source, lens))
+    try:
+        trace = turns(seen, lens, side_mm)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from None
+    if json:
+        for time_s, turn_deg, sigma_deg in zip(trace.time_s, trace.turn_deg, trace.sigma_deg, strict=True):
+            print(
+                jsonlib.dumps(
+                    {"time_s": round(time_s, 4), "turn_deg": round(turn_deg, 3), "sigma_deg": round(sigma_deg, 3)}
+                )
+            )
+    else:
+        largest = max(trace.turn_deg, key=abs)
+        print(
+            f"{len(trace.time_s)} of {len(seen)} pictures show both markers; turn from {trace.turn_deg.min():+.2f}° to "
+            f"{trace.turn_deg.max():+.2f}°, largest {largest:+.2f}°, sigma {trace.sigma_deg.mean():.2f}°, corners off by "
+            f"{trace.rms_px:.2f} px"
+        )
+    if plot is not None:
+        draw_trace(trace, plot)
+
+
+@app.command()
+def run(
+    out: Annotated[Path, typer.Option(help="Folder of the experiment; a run that was stopped goes on in it.")],
+    sim: Annotated[bool, typer.Option("--sim", help="In the simulated world, its camera included.")] = False,
+    config: Annotated[Path | None, typer.Option(help="The cell's configuration.")] = None,
+    protocol: Annotated[Path | None, typer.Option(help="What to lift (TOML); default with --sim: 45 lifts.")] = None,
+    camera: Annotated[str | None, typer.Option(help="External camera: its number, /dev/videoN, or a URL.")] = None,
+    intrinsics: Annotated[Path | None, typer.Option(help="That camera's intrinsics, of `calibrate-camera`.")] = None,
+    jobs: Jobs = 0,
+    cluster: Cluster = None,
+    json: Json = False,
+) -> None:
+    """Do the experiment, one recording a lift, and write the report; on a cell a person places each object.
+
+    Example: `slipguard evaluate run --sim --out eval/`,
+    `slipguard evaluate run --config config.toml --protocol p.toml --camera 4 --intrinsics camera.json --out eval/`
+    """
+    from slipguard.lab.evaluate.protocol import SIMULATED, read_protocol
+    from slipguard.lab.evaluate.runner import prepare, run_simulated
+    from slipguard.lab.parallel import Workers
+
+    plan = SIMULATED if protocol is None else read_protocol(protocol)
+    workers = Workers(jobs, cluster)
+    if sim:
+        if config is not None or camera is not None or intrinsics is not None:
+            raise InputError("--sim brings a cell and a camera of its own; leave out --config, --camera, --intrinsics")
+        _check_simulated(plan)
+        todo = len(prepare(out, plan))
+        with _bar("lifts", todo) as progress:
+            run_simulated(out, plan, workers, progress)
+    else:
+        _on_cell(out, plan if protocol is not None else None, config, camera, intrinsics)
+    _report(out, None, workers, json)
+
+
+@app.command()
+def report(
+    folder: Annotated[Path, typer.Argument(help="Folder of an experiment.")],
+    networks: Annotated[
+        Path | None, typer.Option(help="Also compare the networks (.onnx) of this folder on the recorded frames.")
+    ] = None,
+    jobs: Jobs = 0,
+    cluster: Cluster = None,
+    json: Json = False,
+) -> None:
+    """Write the report of an experiment again: report.html, report.json and pictures.
+
+    Example: `slipguard evaluate report eval/ --networks models/`
+    """
+    from slipguard.lab.parallel import Workers
+
+    _report(folder, networks, Workers(jobs, cluster), json)
+
+
+def _report(folder: Path, networks: Path | None, workers: Any, json: bool) -> None:
+    from slipguard.lab.evaluate.lift_data import lift_paths
+    from slipguard.lab.evaluate.report import PAGE, write_report
+
+    count = len(list(lift_paths(folder)))
+    with _bar("results", count) as progress:
+        figures = write_report(folder, workers, networks, progress)
+    if json:
+        print(jsonlib.dumps(figures))
+        return
+    _show(figures)
+    print(f"report: {folder / PAGE}")
+
+
+def _show(figures: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("object", "lifts", "error ° mean ± sd", "worst lift", "not told")
+    for name, one in figures["per_object"].items():
+        fused = one["fused"]
+        told = "–" if fused["mean"] is None else f"{fused['mean']:.2f} ± {fused['sd']:.2f}"
+        worst = "–" if fused["worst"] is None else f"{fused['worst']:.2f}"
+        hard = f" ({one['hard']})" if one["hard"] else ""
+        table.add_row(name + hard, str(fused["n"]), told, worst, f"{100 * one['declined_share']:.0f} %")
+    console = Console(highlight=False)
+    console.print(table)
+    if figures["turn_error_mean_deg"] is None:
+        console.print("no lift could be compared; see problems in report.json")
+        return
+    paper = figures["paper_real_cell_as_published"]
+    mean_deg, sd_deg = figures["turn_error_mean_deg"], figures["turn_error_sd_deg"]
+    console.print(
+        f"{figures['lifts_compared']} lifts: {mean_deg:.2f}° ± {sd_deg:.2f}°, worst object "
+        f"{figures['turn_error_worst_object_deg']:.2f}°; real cell, as published: "
+        f"{paper['turn_error_mean_deg']}° ± {paper['turn_error_sd_deg']}°"
+    )
+
+
+def _check_simulated(plan: Protocol) -> None:
+    from slipguard.sim.objects import names
+
+    known = {*names("test"), *names("train")}
+    for thing in plan.objects:
+        if thing.name not in known:
+            raise InputError(f"no simulated object {thing.name!r}; there are: {', '.join(sorted(known))}")
+
+
+def _on_cell(
+    out: Path, plan: Protocol | None, config: Path | None, camera: str | None, intrinsics: Path | None
+) -> None:
+    import asyncio
+
+    from slipguard.cli.interrupt import left_to_the_loop
+    from slipguard.config import read_config
+    from slipguard.lab.evaluate.intrinsics import read_intrinsics
+    from slipguard.lab.evaluate.on_cell import Camera, run_on_cell
+
+    if config is None or plan is None or camera is None or intrinsics is None:
+        raise InputError("on a cell --config, --protocol, --camera and --intrinsics are needed; or try --sim")
+    cell, lens = read_config(config), read_intrinsics(intrinsics)
+    with Camera(camera, lens) as eye, left_to_the_loop():
+        asyncio.run(run_on_cell(out, plan, cell, eye, lens, ask=_ask))
+
+
+def _ask(text: str) -> bool:
+    """Enter goes on, anything that begins with q ends the experiment."""
+    return not input(f"{text} [Enter, or q to stop] ").strip().lower().startswith("q")
+
+
+@contextmanager
+def _bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(what, total=total)
+        yield lambda done: progress.update(task, completed=done)
