@@ -1,12 +1,15 @@
-"""`slipguard dataset render`: training and test images from the renderer."""
+"""`slipguard dataset`: images with masks, rendered or somebody's own, and a picture to look at them."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown")
 
@@ -20,7 +23,7 @@ class Split(StrEnum):
 
 @app.callback()
 def dataset() -> None:
-    """Rendered images with masks, to train on or to look at.
+    """Images with masks, rendered or your own: to train on, to look at.
 
     Example: `slipguard dataset render --out frames --count 200 --show sheet.png`
     """
@@ -38,23 +41,96 @@ def render(
         Path | None, typer.Option(help="Folder of real no-contact images, 240 wide x 320 high; half the units use one.")
     ] = None,
     show: Annotated[Path | None, typer.Option(help="Write a sheet of some frames to this PNG.")] = None,
+    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: one for each core.")] = 0,
+    cluster: Annotated[
+        str | None, typer.Option(help="Render on a Dask cluster instead: its scheduler, tcp://HOST:8786.")
+    ] = None,
 ) -> None:
     """Render frames with their no-contact images and masks, and a manifest.
 
     Example: `slipguard dataset render --out frames --count 200 --split test --show sheet.png`
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    from slipguard.lab.dataset_files import check_request, contact_sheet, read_backgrounds, render_dataset
+    from slipguard.lab.dataset_files import check_request, read_backgrounds, render_dataset
+    from slipguard.lab.dataset_sheet import contact_sheet
+    from slipguard.lab.parallel import Workers
 
     check_request(out, count, seed, split.value)
+    workers = Workers(jobs, cluster)
     real = read_backgrounds(backgrounds) if backgrounds is not None else None
-    console = Console(stderr=True)
-    columns = (TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as bar:
+    with _progress("rendering") as bar:
         task = bar.add_task("frames", total=count)
-        render_dataset(out, count, seed, split.value, real, lambda done: bar.update(task, completed=done))
+        render_dataset(out, count, seed, split.value, real, lambda done: bar.update(task, completed=done), workers)
     if show is not None:
         contact_sheet(out, show)
     print(f"{count} frames in {out}" + (f", a sheet in {show}" if show is not None else ""))
+
+
+@app.command(name="import")
+def import_(
+    source: Annotated[Path, typer.Argument(help="Folder of images and masks.")],
+    out: Annotated[Path, typer.Option(help="Folder to write to: new or empty.")],
+    background: Annotated[
+        Path | None, typer.Option(help="The sensor's no-contact image, 240 wide x 320 high, if there is one.")
+    ] = None,
+    skip: Annotated[bool, typer.Option("--skip", help="Leave out what has no partner or cannot be read.")] = False,
+    show: Annotated[Path | None, typer.Option(help="Write a sheet of some frames to this PNG.")] = None,
+    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: one for each core.")] = 0,
+    cluster: Annotated[
+        str | None, typer.Option(help="A Dask cluster that sees the same files: its scheduler, tcp://HOST:8786.")
+    ] = None,
+) -> None:
+    """Turn a folder of images and masks into a data set to train on.
+
+    Two layouts are known, also below train/ or val/: images/ and masks/ with the same names, or NAME.png beside
+    NAME_mask.png. Masks are 0 and 1, or 0 and 255. Pictures become 240 wide x 320 high.
+
+    Example: `slipguard dataset import recordings --out frames --show sheet.png`
+    """
+    from slipguard.lab.dataset_files import check_new, read_background
+    from slipguard.lab.dataset_import import found_pairs, import_dataset
+    from slipguard.lab.dataset_sheet import contact_sheet
+    from slipguard.lab.parallel import Workers
+
+    no_contact = read_background(background) if background is not None else None
+    check_new(out)
+    found_pairs(source)
+    with _progress("importing") as bar:
+        task = bar.add_task("frames", total=None)
+        done = import_dataset(
+            source,
+            out,
+            no_contact,
+            skip,
+            lambda count, total: bar.update(task, completed=count, total=total),
+            Workers(jobs, cluster),
+        )
+    if show is not None:
+        contact_sheet(out, show)
+    notes = [f"{done.frames} frames in {out}"]
+    notes += [f"{done.turned} turned upright"] if done.turned else []
+    notes += [f"{done.stretched} stretched to 3:4"] if done.stretched else []
+    notes += [f"{len(done.left_out)} left out, the first: {done.left_out[0]}"] if done.left_out else []
+    print("; ".join(notes) + (f"; a sheet in {show}" if show is not None else ""))
+
+
+@app.command()
+def show(
+    folder: Annotated[Path, typer.Argument(help="A data set: rendered, imported or recorded.")],
+    out: Annotated[Path, typer.Option(help="The PNG to write.")],
+) -> None:
+    """Draw a sheet of a data set's frames: each image, and below it with its label laid over it.
+
+    Example: `slipguard dataset show frames --out sheet.png`
+    """
+    from slipguard.lab.dataset_sheet import contact_sheet
+
+    contact_sheet(folder, out)
+    print(f"a sheet in {out}")
+
+
+def _progress(what: str) -> Progress:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True))

@@ -1,10 +1,13 @@
-"""A rendered data set on disk: images, no-contact images, masks and a manifest; and a sheet to look at it."""
+"""A data set on disk: images, masks, no-contact images where they are known, and a manifest of one line a frame."""
 
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.errors import InputError
-from slipguard.lab.dataset import Sample, sample
+from slipguard.lab.dataset import UNIT_FRAMES, Sample, sample
+from slipguard.lab.parallel import Workers, each
 from slipguard.sim.label import LABEL_NAME, label
 from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 
 Image = NDArray[np.uint8]
+Files = dict[str, bytes]
+"""One frame's PNG files by the folder they belong to."""
+IMAGES, BACKGROUNDS, MASKS = "images", "backgrounds", "masks"
 MANIFEST_NAME = "manifest.jsonl"
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp"})
-_SHEET_COLUMNS = 10
-_SHEET_ROWS = 3
+
+
+def check_new(out_dir: Path) -> None:
+    """Raise InputError where `out_dir` is neither new nor an empty folder."""
+    if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
+        raise InputError(f"{out_dir} exists and is not an empty folder; name a new one")
 
 
 def check_request(out_dir: Path, count: int, seed: int, split: str) -> None:
@@ -32,8 +43,7 @@ def check_request(out_dir: Path, count: int, seed: int, split: str) -> None:
         raise InputError(f"seed {seed} is negative; give 0 or more")
     if split not in ("train", "test"):
         raise InputError(f"no split {split!r}; there are: train, test")
-    if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
-        raise InputError(f"{out_dir} exists and is not an empty folder; name a new one")
+    check_new(out_dir)
 
 
 def render_dataset(
@@ -43,8 +53,9 @@ def render_dataset(
     split: str = "train",
     backgrounds: Sequence[Image] | None = None,
     progress: Callable[[int], None] = lambda done: None,
+    workers: Workers | None = None,
 ) -> None:
-    """Write `count` frames, seeds `seed` onwards, into a new or empty folder.
+    """Write `count` frames, seeds `seed` onwards, into a new or empty folder; the same whoever computes them.
 
     images/, backgrounds/ and masks/ hold PNGs of one name, 240 wide x 320 high; masks are 0 or 255. manifest.jsonl has
     one line a frame: file, seed, split, object, has_contact, pose, share of the frame that is contact, name of the
@@ -52,21 +63,67 @@ def render_dataset(
     negative seed, an unknown split, a folder with something in it, or one that cannot be written.
     """
     check_request(out_dir, count, seed, split)
-    folders = {name: out_dir / name for name in ("images", "backgrounds", "masks")}
-    try:
-        for folder in folders.values():
-            folder.mkdir(parents=True)
-        with (out_dir / MANIFEST_NAME).open("w", encoding="utf-8") as manifest:
-            for index in range(count):
-                drawn = sample(seed + index, backgrounds, split)
-                mask = label(drawn.truth)
-                name = f"{index:06d}.png"
-                for key, image in (("images", drawn.image), ("backgrounds", drawn.background), ("masks", mask * 255)):
-                    _write(folders[key] / name, np.asarray(image, np.uint8))
-                manifest.write(json.dumps(_line(name, seed + index, split, drawn, mask)) + "\n")
-                progress(index + 1)
-    except OSError as error:
-        raise InputError(f"{out_dir} cannot be written: {error.strerror or error}; name another folder") from error
+    seeds = range(seed, seed + count)
+    edges = [seed, *range((seed // UNIT_FRAMES + 1) * UNIT_FRAMES, seed + count, UNIT_FRAMES), seed + count]
+    blocks = [seeds[a - seed : b - seed] for a, b in pairwise(edges)]
+    draw = partial(_drawn, first_seed=seed, split=split, backgrounds=backgrounds)
+    with DataSetWriter(out_dir) as writer:
+        for frames in each(draw, blocks, workers, named=_named):
+            for line, files in frames:
+                writer.add(line, files)
+                progress(writer.written)
+
+
+class DataSetWriter:
+    """Writes frame after frame into a new folder; a context, which closes the manifest at its end.
+
+    An InputError passing through it takes the folder's contents with it; an interruption leaves what is written, which
+    is a whole data set of fewer frames. Raises InputError where the folder cannot be written.
+    """
+
+    def __init__(self, out_dir: Path) -> None:
+        self._out_dir = out_dir
+        self.written = 0
+        try:
+            out_dir.mkdir(parents=True, exist_ok=True)
+            self._manifest = (out_dir / MANIFEST_NAME).open("w", encoding="utf-8")
+        except OSError as error:
+            raise _unwritable(out_dir, error) from error
+
+    def __enter__(self) -> DataSetWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *failure: object) -> None:
+        self._manifest.close()
+        if kind is not None and issubclass(kind, InputError):
+            for folder in (IMAGES, BACKGROUNDS, MASKS):
+                shutil.rmtree(self._out_dir / folder, ignore_errors=True)
+            (self._out_dir / MANIFEST_NAME).unlink(missing_ok=True)
+
+    def add(self, line: dict[str, Any], files: Files) -> None:
+        """Write one frame's files under the name in line["file"], and its line of the manifest."""
+        try:
+            for kind, data in files.items():
+                (self._out_dir / kind).mkdir(exist_ok=True)
+                (self._out_dir / kind / line["file"]).write_bytes(data)
+            self._manifest.write(json.dumps(line) + "\n")
+        except OSError as error:
+            raise _unwritable(self._out_dir, error) from error
+        self.written += 1
+
+
+def data_set_pairs(folder: Path) -> list[tuple[Path, Path]]:
+    """(image, mask) of every frame, by name. Raises InputError where there is no data set, or a mask is missing."""
+    images = sorted((folder / IMAGES).glob("*.png"))
+    if not images:
+        raise InputError(
+            f"{folder} holds no data set (images/*.png); render one, or import one, with slipguard dataset"
+        )
+    pairs = [(image, folder / MASKS / image.name) for image in images]
+    missing = [mask for _, mask in pairs if not mask.is_file()]
+    if missing:
+        raise InputError(f"{missing[0]} is missing ({len(missing)} of {len(pairs)} masks are); import the images again")
+    return pairs
 
 
 def read_backgrounds(folder: Path) -> list[Image]:
@@ -82,24 +139,51 @@ def read_backgrounds(folder: Path) -> list[Image]:
         raise InputError(
             f"{folder} holds no image ({', '.join(sorted(IMAGE_SUFFIXES))}); name one with no-contact images"
         )
-    return [_background(path) for path in paths]
+    return [read_background(path) for path in paths]
 
 
-def contact_sheet(folder: Path, target: Path) -> None:
-    """Write one picture of a rendered data set: evenly chosen frames with their mask's outline, difference below.
+def read_background(path: Path) -> Image:
+    """A no-contact image, (320, 240, 3) uint8 BGR. Raises InputError for what cannot be read or has another size."""
+    image = read_colour(path)
+    height, width = image.shape[:2]
+    if (height, width) != (FRAME_HEIGHT_PX, FRAME_WIDTH_PX):
+        allowed = f"{FRAME_WIDTH_PX} wide x {FRAME_HEIGHT_PX} high"
+        raise InputError(f"{path}: {width} wide x {height} high; a no-contact image is {allowed}")
+    return image
 
-    Raises InputError where `folder` has no data set or `target` cannot be written.
-    """
-    images = sorted((folder / "images").glob("*.png"))
-    if not images:
-        raise InputError(f"{folder} holds no rendered data set (images/*.png); render one first")
-    count = min(len(images), _SHEET_COLUMNS * _SHEET_ROWS)
-    chosen = [images[k * len(images) // count] for k in range(count)]
-    tiles = [_tile(folder, path.name) for path in chosen]
-    columns = min(_SHEET_COLUMNS, count)
-    tiles += [np.zeros_like(tiles[0])] * (-count % columns)
-    rows = [np.hstack(tiles[k : k + columns]) for k in range(0, len(tiles), columns)]
-    _write(target, np.vstack(rows))
+
+def read_colour(path: Path) -> Image:
+    """The picture of a file, (H, W, 3) uint8 BGR. Raises InputError for what cannot be read."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
+    image = cv2.imdecode(np.frombuffer(data or b"\0", np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise InputError(f"{path}: not an image that can be read; remove it or replace it")
+    return np.asarray(image, np.uint8)
+
+
+def png(image: Image) -> bytes:
+    """The picture as the bytes of a PNG file."""
+    _, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 3])
+    return data.tobytes()
+
+
+def _drawn(
+    block: range, first_seed: int, split: str, backgrounds: Sequence[Image] | None
+) -> list[tuple[dict[str, Any], Files]]:
+    out = []
+    for seed in block:
+        drawn = sample(seed, backgrounds, split)
+        mask = label(drawn.truth)
+        files = {IMAGES: png(drawn.image), BACKGROUNDS: png(drawn.background), MASKS: png(mask * np.uint8(255))}
+        out.append((_line(f"{seed - first_seed:06d}.png", seed, split, drawn, mask), files))
+    return out
+
+
+def _named(block: range) -> str:
+    return f"seeds {block.start} to {block.stop - 1}"
 
 
 def _line(name: str, seed: int, split: str, drawn: Sample, mask: Image) -> dict[str, Any]:
@@ -116,38 +200,5 @@ def _line(name: str, seed: int, split: str, drawn: Sample, mask: Image) -> dict[
     }
 
 
-def _tile(folder: Path, name: str) -> Image:
-    image, background, mask = (_read(folder / kind / name) for kind in ("images", "backgrounds", "masks"))
-    outlines, _ = cv2.findContours(mask[..., 0], cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    difference = np.clip(image.astype(np.int16) - background + 128, 0, 255).astype(np.uint8)
-    outlined = cv2.drawContours(image.copy(), outlines, -1, (255, 255, 255), 1)
-    half = cv2.resize(np.vstack([outlined, difference]), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    return np.asarray(half, np.uint8)
-
-
-def _background(path: Path) -> Image:
-    image = _read(path)
-    height, width = image.shape[:2]
-    if (height, width) != (FRAME_HEIGHT_PX, FRAME_WIDTH_PX):
-        allowed = f"{FRAME_WIDTH_PX} wide x {FRAME_HEIGHT_PX} high"
-        raise InputError(f"{path}: {width} wide x {height} high; a no-contact image is {allowed}")
-    return image
-
-
-def _read(path: Path) -> Image:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
-    image = cv2.imdecode(np.frombuffer(data or b"\0", np.uint8), cv2.IMREAD_COLOR)
-    if image is None:
-        raise InputError(f"{path}: not an image that can be read; remove it or replace it")
-    return np.asarray(image, np.uint8)
-
-
-def _write(path: Path, image: Image) -> None:
-    _, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 3])
-    try:
-        path.write_bytes(data.tobytes())
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror or error}; name another place") from error
+def _unwritable(folder: Path, error: OSError) -> InputError:
+    return InputError(f"{folder} cannot be written: {error.strerror or error}; name another folder")

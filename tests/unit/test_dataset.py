@@ -14,7 +14,9 @@ from slipguard.cli.app import run
 from slipguard.errors import InputError
 from slipguard.lab.compositions import beside, composition, resized, roughened
 from slipguard.lab.dataset import BROAD_NAME, COMPOSITION_NAME, UNIT_FRAMES, Sample, sample
-from slipguard.lab.dataset_files import contact_sheet, read_backgrounds, render_dataset
+from slipguard.lab.dataset_files import read_backgrounds, render_dataset
+from slipguard.lab.dataset_sheet import contact_sheet
+from slipguard.lab.parallel import Workers
 from slipguard.sim import objects
 from slipguard.sim.label import label
 from slipguard.sim.relief import FLOOR_MM, relief_of
@@ -134,7 +136,7 @@ def test_the_command_writes_a_data_set(tmp_path: Path, capsys: pytest.CaptureFix
         assert np.array_equal(image, sample(index, None, "test").image)
     picture = cv2.imread(str(sheet))
     assert picture is not None
-    assert picture.shape == (320, 720, 3)
+    assert picture.shape == (480, 720, 3)
 
 
 @pytest.mark.parametrize(
@@ -171,6 +173,15 @@ def test_a_folder_that_cannot_be_written_is_an_input_error(tmp_path: Path) -> No
         render_dataset(tmp_path / "file" / "below", 1)
 
 
+def test_two_processes_write_what_one_writes(tmp_path: Path) -> None:
+    for jobs in (1, 2):
+        render_dataset(tmp_path / str(jobs), 4, seed=48, workers=Workers(jobs))  # the unit changes after two
+    files = sorted(path.relative_to(tmp_path / "1") for path in (tmp_path / "1").rglob("*.*"))
+    assert len(files) == 13
+    for file in files:
+        assert (tmp_path / "1" / file).read_bytes() == (tmp_path / "2" / file).read_bytes()
+
+
 def test_backgrounds_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no image"):
         read_backgrounds(tmp_path)
@@ -188,5 +199,5 @@ def test_backgrounds_that_cannot_be_used_are_named(tmp_path: Path) -> None:
 
 
 def test_a_sheet_needs_a_data_set(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="render one first"):
+    with pytest.raises(InputError, match="holds no data set"):
         contact_sheet(tmp_path, tmp_path / "sheet.png")

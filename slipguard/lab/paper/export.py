@@ -19,12 +19,27 @@ from torch import Tensor, nn
 from slipguard.errors import ModelError
 from slipguard.lab.paper.frames import MaskedFrames
 from slipguard.lab.paper.networks import FrameNet
+from slipguard.perception.segment import CONTRACT_ANY_INPUT
 
 LARGEST_DIFFERENCE = 1e-4
 OPSET = 17
 CHECKED_FRAMES = 32
 HALVED_FROM = 1024
 """Arrays of at least this many weights are stored as float16: the convolutions, where the size is."""
+
+
+def contract_metadata(
+    command: str, seed: int, threshold: float, label: str, size_px: tuple[int, int]
+) -> dict[str, str]:
+    """What the model contract wants in the file beside the graph. label: what was learnt, in words."""
+    return {
+        "slipguard_contract": CONTRACT_ANY_INPUT,
+        "threshold": f"{threshold:g}",
+        "label": label,
+        "command": command,
+        "seed": str(seed),
+        "input_size": f"{size_px[0]}x{size_px[1]}",
+    }
 
 
 class _Shipped(nn.Module):
@@ -38,17 +53,16 @@ class _Shipped(nn.Module):
         return torch.sigmoid(self.net(frame))
 
 
-def export_onnx(net: FrameNet, path: Path, metadata: Mapping[str, str], frames: MaskedFrames, half: bool) -> float:
+def export_onnx(net: FrameNet, path: Path, metadata: Mapping[str, str], frames: MaskedFrames) -> float:
     """Write `net` to `path`; return the largest difference of onnxruntime's probabilities to torch's.
 
-    half: the weights of the convolutions are rounded to float16 and stored so; what computes is float32 still, and
-    torch is asked with the rounded weights. frames: what the check is made on, of the network's size. Written beside
-    the target and moved there only when both agree to 1e-4; otherwise raises `ModelError` and leaves the target alone.
+    The weights of the convolutions are rounded to float16 and stored so; what computes is float32 still, and torch is
+    asked with the rounded weights. frames: what the check is made on, of the network's size. Written beside the target
+    and moved there only when both agree to 1e-4; otherwise raises `ModelError` and leaves the target alone.
     """
     placed: Any = copy.deepcopy(net).to("cpu")
     placed.to(memory_format=torch.contiguous_format)
-    if half:
-        _round_to_half(placed)
+    _round_to_half(placed)
     shipped = _Shipped(placed).eval()
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_suffix(".draft.onnx")
@@ -66,8 +80,7 @@ def export_onnx(net: FrameNet, path: Path, metadata: Mapping[str, str], frames: 
                 dynamo=False,
             )
         model = onnx.load(str(draft))
-        if half:
-            _store_as_half(model)
+        _store_as_half(model)
         for key, value in metadata.items():
             model.metadata_props.add(key=key, value=value)
         onnx.checker.check_model(model)

@@ -14,7 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.errors import InputError
 from slipguard.lab.dataset import UNIT_FRAMES, press_of
+from slipguard.lab.dataset_files import data_set_pairs, read_colour
 from slipguard.lab.frame_cache import VALIDATION_SEED
 from slipguard.lab.parallel import Workers, each
 from slipguard.sim.label import LABEL_NAME, label
@@ -70,6 +72,21 @@ def rendered(
         note.write_text(json.dumps({"ready": block.stop}))
         progress(block.stop)
     return MaskedFrames(frame, mask)
+
+
+def from_folder(folder: Path, size_px: tuple[int, int]) -> tuple[MaskedFrames, MaskedFrames]:
+    """The frames and masks of a data set (images/, masks/), to train on and to hold out, at (width, height) `size_px`.
+
+    Held out is the last tenth by name, at least one: the neighbours of a frame in a recording stay on its side. Raises
+    `InputError` for a folder without a data set, or with fewer than two frames.
+    """
+    pairs = data_set_pairs(folder)
+    if len(pairs) < 2:
+        raise InputError(f"{folder} holds one frame; at least two are needed, one of them to hold out")
+    images = np.stack([resized(read_colour(image), size_px) for image, _ in pairs])
+    masks = np.stack([resized(read_colour(mask)[..., 0], size_px) for _, mask in pairs])
+    split = len(pairs) - max(len(pairs) // 10, 1)
+    return MaskedFrames(images[:split], masks[:split]), MaskedFrames(images[split:], masks[split:])
 
 
 def resized(image: Image, size_px: tuple[int, int]) -> Image:
