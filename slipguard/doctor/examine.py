@@ -76,7 +76,7 @@ async def _device(name: str, config: Config, looks: Looks | None) -> list[Findin
     try:
         async with asyncio.timeout(DEVICE_S):
             driver = load_driver(GROUP_OF[name], section.driver)
-            device = driver(section.settings, DriverContext(name))
+            device = driver(section.settings, DriverContext(name, mode=config.guard.mode))
             async for finding in _looks_at(name, device, section, config, looks):
                 keep(finding)
     except TimeoutError:
@@ -93,17 +93,18 @@ async def _looks_at(
     name: str, device: Any, section: Any, config: Config, looks: Looks | None
 ) -> AsyncIterator[Finding]:
     """First what the driver's own look finds; then the port's, unless that has already found it out of order."""
-    fit = True
+    told: dict[str, Verdict] = {}
     if isinstance(device, Diagnosable):
         async for finding in device.diagnose(owned=looks is not None):
-            fit = fit and finding.verdict is not Verdict.WRONG
+            told[finding.what] = finding.verdict
             yield finding
     store = StateDir(config.state.directory)
     if looks is not None:
         about = through_daemon.finger(name, looks, section.settings, store) if name in FINGERS else None
         for finding in about or through_daemon.actuator(name, looks):
-            yield finding
-    elif not fit:
+            if finding.what not in told:
+                yield finding
+    elif Verdict.WRONG in told.values():
         return
     elif name in FINGERS:
         async for finding in sensor.look(name, device, section.settings, store):

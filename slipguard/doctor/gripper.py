@@ -13,7 +13,7 @@ from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout
 QUESTIONS = 100
 SLOW_MS = 12.0
 """A round trip takes 4-8 ms; an FTDI adapter left at its default takes 16 ms."""
-SLOW_DO = "slow: set the adapter's latency timer to 1 ms (systemd/60-slipguard.rules)"
+SLOW_DO = "slow: a busy processor, or an adapter whose latency timer is not 1 ms (systemd/60-slipguard.rules)"
 
 
 async def look(name: str, gripper: Gripper) -> AsyncIterator[Finding]:

@@ -22,7 +22,10 @@ LOST_NOTE, LOST_WRONG = 0.02, 0.05
 """Shares of frames. A healthy USB camera loses 0.1-1 %; at 5 % slip is seen frames later."""
 OLD_DAYS = 30
 """Gels wear and lights age; a no-contact image older than this is worth taking anew."""
-MORE_BANDWIDTH = "plug the two sensors into ports of different USB controllers, without a hub, or ask for 30 fps"
+MORE_BANDWIDTH = (
+    "plug the two sensors into ports of different USB controllers, without a hub, or ask for 30 fps; "
+    "a busy processor loses frames as well"
+)
 
 
 @dataclass(slots=True)

@@ -77,7 +77,7 @@ class CellEmulator(ControlledEmulator):
             Literal["lift", "guard"], Field(description="Who moves the arm: slipguard, or the robot's own program.")
         ] = "lift"
         host: Annotated[str, Field(description="Address of this machine for the robot.")] = "127.0.0.1"
-        series: Annotated[Literal["e", "cb3"], Field(description="Robot: e 500 Hz, cb3 125 Hz.")] = "e"
+        series: Annotated[Literal["e", "cb3"], Field(description="Robot: cb3 125 Hz, e 500 Hz.")] = "cb3"
         fps: Annotated[Literal["60", "30"], Field(description="Rate of the cameras; drawing 60 costs half a core.")] = (
             "60"
         )

@@ -111,8 +111,8 @@ class FrameServer:
 
     async def _send(self, writer: asyncio.StreamWriter) -> None:
         with contextlib.suppress(DeviceLost):
-            await self._sensor.open()
             writer.write(greet(self._sensor.serial, self._fps))
+            await self._sensor.open()
             last: Frame | None = None
             sequence = 0
             while True:

@@ -31,8 +31,10 @@ URCAP_S = 0.3
 POWER_UP = "power the robot on and release its brakes at the panel"
 
 
-async def look(name: str, settings: Ur5Settings, mode: Literal["lift", "guard"]) -> AsyncIterator[Finding]:
-    """All of it; ends early where nothing answers."""
+async def look(
+    name: str, settings: Ur5Settings, mode: Literal["lift", "guard"], *, owned: bool
+) -> AsyncIterator[Finding]:
+    """All of it; ends early where nothing answers. owned: a program that runs in lift mode is slipguard's own."""
     dashboard, eyes = Dashboard(name, settings.host), Eyes(name, settings.host)
     try:
         try:
@@ -42,7 +44,7 @@ async def look(name: str, settings: Ur5Settings, mode: Literal["lift", "guard"])
             return
         yield fine("controller", f"{settings.host}, software {'.'.join(map(str, eyes.version))}")
         begun_s, packets = asyncio.get_running_loop().time(), eyes.packets
-        async for finding in ask(name, dashboard, settings, mode):
+        async for finding in ask(name, dashboard, settings, mode, owned=owned):
             yield finding
         await asyncio.sleep(max(0.0, begun_s + LOOK_S - asyncio.get_running_loop().time()))
         rate_hz = (eyes.packets - packets) / (asyncio.get_running_loop().time() - begun_s)
@@ -64,7 +66,7 @@ async def look(name: str, settings: Ur5Settings, mode: Literal["lift", "guard"])
 
 
 async def ask(
-    name: str, dashboard: Dashboard, settings: Ur5Settings, mode: Literal["lift", "guard"]
+    name: str, dashboard: Dashboard, settings: Ur5Settings, mode: Literal["lift", "guard"], *, owned: bool
 ) -> AsyncIterator[Finding]:
     """Questions only: serial number, remote control, the program."""
     try:
@@ -83,7 +85,7 @@ async def ask(
         what = "take scripts" if mode == "lift" else "let itself be paused"
         yield wrong("control", f"local: the robot will not {what}", "switch it to remote control at the panel")
     running = program.upper().startswith("PLAYING")
-    if mode == "lift" and running:
+    if mode == "lift" and running and not owned:
         yield note(
             "program",
             f"{program}: slipguard in mode 'lift' would end it",

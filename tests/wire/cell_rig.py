@@ -1,0 +1,141 @@
+"""An emulated cell and the daemon that guards it, each a process of its own, as a user starts them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from slipguard.daemon.client import Client
+from slipguard.errors import SlipguardError
+
+PATIENCE_S = 40.0
+pause = threading.Event().wait
+
+
+class Process:
+    """`slipguard WORDS...` with its output in a file."""
+
+    def __init__(self, folder: Path, name: str, *words: object) -> None:
+        self.output = folder / f"{name}.txt"
+        with self.output.open("w") as out:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "slipguard", *(str(word) for word in words)],
+                stdin=subprocess.PIPE,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                text=True,
+                env={**os.environ, "HOME": str(folder), "OMP_NUM_THREADS": "1", "COLUMNS": "200"},
+            )
+
+    @property
+    def said(self) -> str:
+        """All it has printed."""
+        return self.output.read_text()
+
+    def tell(self, line: str) -> None:
+        """A line to its stdin."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(line + "\n")
+        self._process.stdin.flush()
+
+    def stop(self) -> int:
+        """SIGTERM, and its exit code; one that does not end is killed."""
+        self._process.send_signal(signal.SIGTERM)
+        try:
+            return self._process.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+            raise
+        finally:
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+
+    @property
+    def running(self) -> bool:
+        """Whether it still does."""
+        return self._process.poll() is None
+
+
+class Cell:
+    """The double of a cell. folder: its configuration, sockets and log."""
+
+    def __init__(self, folder: Path, process: Process) -> None:
+        self.folder = folder
+        self.process = process
+
+    @property
+    def config(self) -> Path:
+        """For `slipguard run`."""
+        return self.folder / "config.toml"
+
+    def truth(self) -> list[dict[str, Any]]:
+        """What really happened, oldest first."""
+        lines = (self.folder / "truth.jsonl").read_text().splitlines()
+        return [json.loads(line) for line in lines if line.endswith("}")]
+
+    def events(self, name: str) -> list[dict[str, Any]]:
+        """What the doubles told as it happened."""
+        lines = [json.loads(line) for line in self.process.said.splitlines() if line.startswith("{")]
+        return [line for line in lines if line.get("event") == name]
+
+
+@contextmanager
+def cell(folder: Path, host: str, *options: object) -> Iterator[Cell]:
+    """A cell that is ready; ended at the end."""
+    place = folder / "cell"
+    words = ("emulate", "cell", "--json", "--folder", place, "--host", host, *options)
+    process = Process(folder, "emulate", *words)
+    try:
+        until(lambda: '"ready"' in process.said, "the cell is not ready", lambda: process.said)
+        yield Cell(place, process)
+    finally:
+        assert process.stop() == 0, process.said
+
+
+@contextmanager
+def daemon(cell: Cell) -> Iterator[Client]:
+    """The daemon of a cell, all its devices ready; ended at the end."""
+    process = Process(cell.folder, "run", "run", "--config", cell.config, "--log-json")
+    try:
+        with Client(cell.folder / "slipguard.sock") as client:
+            wait_for(client, lambda state: not state["waiting_for"], "the devices are not ready")
+            yield client
+    finally:
+        code = process.stop()
+        assert "Traceback" not in process.said, process.said
+        assert code == 0, process.said
+
+
+def wait_for(client: Client, good: Callable[[dict[str, Any]], object], otherwise: str) -> dict[str, Any]:
+    """The first state that is as it should be; a fault of the guard fails at once."""
+    newest: dict[str, Any] = {}
+
+    def reached() -> object:
+        nonlocal newest
+        try:
+            newest = client.state()
+        except SlipguardError:
+            return False
+        assert newest["fault"] is None, newest["fault"]
+        return good(newest)
+
+    until(reached, otherwise, lambda: {key: newest.get(key) for key in ("phase", "waiting_for", "said")})
+    return newest
+
+
+def until(reached: Callable[[], object], otherwise: str, what: Callable[[], object]) -> None:
+    """Wait for a condition."""
+    ends_s = time.monotonic() + PATIENCE_S
+    while not reached():
+        assert time.monotonic() < ends_s, f"{otherwise}: {what()}"
+        pause(0.05)

@@ -1,0 +1,71 @@
+"""A whole guarded lift on the wire: the daemon, the emulated cell, the real drivers between them, in both modes.
+
+Without the guard this object turns and falls: it needs more force than the first grip gives.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from cell_rig import Cell, cell, daemon, pause, wait_for
+
+from slipguard.daemon.client import Client
+
+OPTIONS = ("--object", "wrench", "--seed", 0, "--fps", 30, "--height-mm", 80)
+TURN_MAX_DEG = 25.0
+
+
+def grasp(client: Client) -> None:
+    client.calibrate()
+    client.grasp()
+    wait_for(client, lambda state: state["phase"] == "holding" and not state["gripper"]["moving"], "no grip")
+
+
+def put_down(client: Client) -> None:
+    client.release()
+    wait_for(client, lambda state: state["phase"] == "idle" and state["gripper"]["width_mm"] > 80.0, "no release")
+
+
+def check(cell: Cell) -> list[dict[str, Any]]:
+    """Held, the turn arrested, and the grip only ever risen while it was up."""
+    truth = cell.truth()
+    assert not [line for line in truth if line["dropped"]], "it fell"
+    up = [line for line in truth if line["height"] > 1.0]
+    assert max(line["height"] for line in up) > 70.0
+    assert 2.0 < max(abs(line["turn"]) for line in up) < TURN_MAX_DEG
+    assert up[0]["force"] < up[0]["needed"] < up[-1]["force"], "the first grip was too weak, the last is enough"
+    for before, after in pairwise(up):
+        assert after["force"] >= before["force"] - 0.01
+    return up
+
+
+def test_a_lift_by_slipguard(tmp_path: Path) -> None:
+    with cell(tmp_path, "127.0.0.62", *OPTIONS) as there, daemon(there) as client:
+        grasp(client)
+        client.lift()
+        wait_for(client, lambda state: state["phase"] == "lifting", "no lift")
+        wait_for(client, lambda state: state["phase"] == "holding", "the lift does not end")
+        check(there)
+        client.lower()
+        wait_for(client, lambda state: state["phase"] == "holding" and state["arm"]["height_mm"] < 1.0, "still up")
+        assert not there.events("let go"), "nobody had asked to open"
+        put_down(client)
+        assert len(there.events("let go")) == 1
+        assert not [line for line in there.truth() if line["dropped"]]
+
+
+def test_a_lift_by_the_robots_own_program(tmp_path: Path) -> None:
+    with cell(tmp_path, "127.0.0.63", *OPTIONS, "--mode", "guard", "--play-again-s", 1.0) as there:
+        with daemon(there) as client:
+            grasp(client)
+            wait_for(client, lambda state: state["arm"]["height_mm"] > 75.0, "the program does not lift")
+            pause(0.3)
+            check(there)
+            assert there.events("paused"), "the arm was never stopped, although the object turned"
+            wait_for(client, lambda state: state["arm"]["height_mm"] < 1.0, "the program does not come down")
+            assert not there.events("let go")
+            put_down(client)
+        ended = [event["why"] for event in there.events("ended")]
+        assert not ended, f"somebody's program was ended: {ended}"
