@@ -36,7 +36,8 @@ class DigitSensor(TactileSensor):
         self._capture: Capture | None = None
         self._stream: FrameStream | None = None
         self._decoder: JpegDecoder | None = None
-        self._rate: RateWatch | None = None
+        self.rate: RateWatch | None = None
+        """How many frames came and how many were lost since it was opened."""
         self._opening_remarks: tuple[str, ...] = ()
         self._empty_wake_ups = 0
         self.found: Found | None = None
@@ -52,7 +53,7 @@ class DigitSensor(TactileSensor):
     @property
     def remarks(self) -> tuple[str, ...]:
         """What is not as asked, in words: another rate, LEDs that cannot be set, frames that stay away."""
-        late = self._rate.remark if self._rate is not None else None
+        late = self.rate.remark if self.rate is not None else None
         return (*self._opening_remarks, late) if late else self._opening_remarks
 
     async def open(self) -> None:
@@ -71,7 +72,7 @@ class DigitSensor(TactileSensor):
         self._capture = capture
         self._stream = FrameStream(self._name, self._settings.stall_ms / 1000.0)
         self._decoder = JpegDecoder(self._stream) if mode.pixels == "MJPG" else None
-        self._rate = RateWatch(mode.fps or self._settings.fps)
+        self.rate = RateWatch(mode.fps or self._settings.fps)
         self._empty_wake_ups = 0
         loop.add_reader(capture.fileno(), self._on_readable)
 
@@ -89,7 +90,7 @@ class DigitSensor(TactileSensor):
     async def close(self) -> None:
         """Stop the stream and let go of the device."""
         capture, self._capture = self._capture, None
-        self._stream = self._decoder = self._rate = None
+        self._stream = self._decoder = self.rate = None
         self._opening_remarks = ()
         if capture is not None:
             loop = asyncio.get_running_loop()
@@ -106,12 +107,12 @@ class DigitSensor(TactileSensor):
     def _on_readable(self) -> None:
         """Drain what waits in the driver and keep the newest."""
         assert self._capture is not None
-        assert self._rate is not None
+        assert self.rate is not None
         newest: Delivery | None = None
         try:
             while (delivery := self._capture.take()) is not None:
                 newest = delivery
-                self._rate.note(self._time_of(delivery), delivery.sequence)
+                self.rate.note(self._time_of(delivery), delivery.sequence)
         except OSError as error:
             self._lose(f"the sensor is gone: {reason(error)}")
             return

@@ -18,21 +18,30 @@ class RateWatch:
         self.remark: str | None = None
         self.fps: float | None = None
         """Frames a second taken in the last whole window; None before the first."""
+        self.taken = 0
+        """All frames."""
+        self.lost = 0
+        """Those that the camera driver counted and nobody took."""
         self._asked_fps = asked_fps
+        self._sequence: int | None = None
         self._begin: tuple[float, int] | None = None
-        self._taken = 0
+        self._in_window = 0
 
     def note(self, captured_at_s: float, sequence: int) -> None:
         """Another frame has been taken, damaged or not."""
+        self.taken += 1
+        if self._sequence is not None:
+            self.lost += max(0, sequence - self._sequence - 1)
+        self._sequence = sequence
         if self._begin is None or sequence < self._begin[1] or captured_at_s < self._begin[0]:
-            self._begin, self._taken = (captured_at_s, sequence), 0
+            self._begin, self._in_window = (captured_at_s, sequence), 0
             return
-        self._taken += 1
+        self._in_window += 1
         elapsed_s = captured_at_s - self._begin[0]
         if elapsed_s < WINDOW_S:
             return
-        made, taken = (sequence - self._begin[1]) / elapsed_s, self._taken / elapsed_s
-        self._begin, self._taken = (captured_at_s, sequence), 0
+        made, taken = (sequence - self._begin[1]) / elapsed_s, self._in_window / elapsed_s
+        self._begin, self._in_window = (captured_at_s, sequence), 0
         self.fps = taken
         self.remark = self._judge(made, taken)
 
