@@ -3,45 +3,64 @@
 from __future__ import annotations
 
 import json as jsonlib
+import shlex
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+WIDE = 190
+
 
 def bench(
-    quick: Annotated[bool, typer.Option("--quick", help="One grasp of each object: under a minute.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object instead of the table.")] = False,
+    quick: Annotated[bool, typer.Option("--quick/--full", help="One grasp of each object: under a minute.")] = True,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object instead of the tables.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for bench.json and bench.png.")] = None,
-    model: Annotated[Path | None, typer.Option(help="Another segmentation network (.onnx).")] = None,
+    model: Annotated[Path | None, typer.Option(help="Another network (.onnx) in place of the shipped one.")] = None,
+    models: Annotated[Path | None, typer.Option(help="Folder of further networks, such as the paper's.")] = None,
+    table: Annotated[
+        Path | None, typer.Option(help="Markdown file whose table between the markers is renewed.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(help="Processes for what is not timed; 0: one per core.")] = 0,
+    cluster: Annotated[str | None, typer.Option(help="Dask scheduler for what is not timed: tcp://HOST:8786.")] = None,
 ) -> None:
-    """Time the perception pipeline and measure its error, beside the paper's pipeline, on one core.
+    """Time the perception pipeline and measure its error, beside the paper's pipeline and others.
 
-    Example: `slipguard bench --quick --out bench/`
+    Example: `slipguard bench --quick --out bench/`; all of it: `slipguard bench --full --models models`
     """
     from rich.console import Console
     from rich.progress import Progress
 
     from slipguard.errors import InputError
-    from slipguard.lab import bench as lab
-    from slipguard.lab import bench_report
+    from slipguard.lab.bench import run
+    from slipguard.lab.bench import table as tables
+    from slipguard.lab.bench.picture import picture
+    from slipguard.lab.parallel import Workers
 
     if out is not None:
         try:
             out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"--out {out}: the folder cannot be made: {error.strerror}") from error
+    options = run.Options(quick, model, models, Workers(jobs, cluster))
+    if table is not None:
+        tables.check(table)
     progress = Console(stderr=True)
     with Progress(console=progress, transient=True, disable=not progress.is_terminal) as bar:
         task = bar.add_task("bench", total=1.0)
-        found = lab.bench(quick, model, lambda what, share: bar.update(task, description=what, completed=share))
+        found = run.bench(options, lambda what, share: bar.update(task, description=what, completed=share))
     if out is not None:
-        bench_report.picture(found, out / "bench.png")
+        picture(found, out / "bench.png")
         (out / "bench.json").write_text(jsonlib.dumps(found.as_json(), indent=2) + "\n", encoding="utf-8")
+    if table is not None:
+        command = shlex.join(["slipguard", *sys.argv[1:]])
+        tables.write_into(table, tables.markdown(found, command))
     if json:
         print(jsonlib.dumps(found.as_json()))
         return
     console = Console()
-    console.print(bench_report.table(found))
-    for line in bench_report.notes(found):
+    for shown in tables.tables(found, brief=console.width < WIDE):
+        console.print(shown)
+    for line in tables.notes(found):
         console.print(line, style="dim")

@@ -1,0 +1,116 @@
+"""What each skip is worth: time saved, error added, and how much later a slip is seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slipguard.lab.bench.holding import Held, hold
+from slipguard.lab.bench.rows import Skip
+from slipguard.lab.bench.subjects import Subject
+from slipguard.lab.bench.tally import Tally
+from slipguard.lab.minute import Minute
+from slipguard.lab.onset import SLIDE_RATES_MM_S, TURN_RATES_DEG_S, Onset, frames_later
+from slipguard.lab.parallel import Workers, each
+from slipguard.lab.sequences import ROUND_PLAIN, sequence
+from slipguard.perception.settings import EVERY_SKIP, Skips
+from slipguard.sim.objects import get, names
+
+SEED = 7000
+QUICK_ONSETS = (Onset("key", SEED, 8.0), Onset("wrench", SEED + 1, 30.0), Onset("ring", SEED + 2, 5.0, slides=True))
+FULL_SEEDS = 2
+TIMED_REPEATS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class _Tried:
+    onset: Onset
+    subject: Subject
+
+
+def onsets(quick: bool) -> list[Onset]:
+    """Slips after rest: quick ones and slow, turning and sliding, of every test object."""
+    if quick:
+        return list(QUICK_ONSETS)
+    found = []
+    for name in names("test"):
+        for k in range(FULL_SEEDS):
+            if get(name).axial:
+                found += [Onset(name, SEED + k, rate) for rate in TURN_RATES_DEG_S]
+            found += [Onset(name, SEED + k, rate, slides=True) for rate in SLIDE_RATES_MM_S]
+    return found
+
+
+def skips(quick: bool, default: Subject, held: dict[str, Held], workers: Workers) -> tuple[Skip, ...]:
+    """Every skip of the default pipeline, measured."""
+    return (
+        _no_contact(default, 1 if quick else 6),
+        _unchanged(quick, default, held, workers),
+        _round(default, ROUND_PLAIN[:1] if quick else ROUND_PLAIN),
+    )
+
+
+def _no_contact(default: Subject, objects: int) -> Skip:
+    """Frames without contact, with the gate's answer and with the network's."""
+    gated, plain = Tally(), Tally()
+    missed = frames = 0
+    for name in names("test")[:objects]:
+        grasp = sequence(name, SEED)
+        empty = [shot for shot in grasp.shots if not shot.contact]
+        asked = replace(default, skips=Skips(no_contact=False, unchanged=False))
+        for subject, tally in ((default, gated), (asked, plain)):
+            for shot in empty * TIMED_REPEATS:
+                tally.take(subject.open(grasp), grasp, [shot])
+        quick, slow = default.open(grasp), asked.open(grasp)
+        for shot in grasp.shots:
+            skipped, contact = quick.process(shot.frame).skipped == "no contact", slow.process(shot.frame).contact
+            missed += skipped and contact
+            frames += 1
+    # Without the gate a frame without contact costs what it takes to find nothing.
+    saved = float(np.median(plain.busy_ms + plain.empty_ms + plain.other_ms)) - float(np.median(gated.empty_ms))
+    how = f"{len(gated.empty_ms)} frames without contact; {missed} of {frames} frames that the network finds contact in"
+    return Skip("no contact: no network", True, saved, None, None, 0, how)
+
+
+def _unchanged(quick: bool, default: Subject, held: dict[str, Held], workers: Workers) -> Skip:
+    """A minute of holding with and without, and slips after rest."""
+    without = replace(default, skips=replace(EVERY_SKIP, unchanged=False))
+    other = hold([without], Minute(), {without.name: 10} if quick else {without.name: 1})[without.name]
+    own = held[default.name]
+    left_out = own.skipped.get("unchanged", 0)
+    saved_a_frame = other.mean_ms - own.mean_ms
+    tried = [_Tried(onset, default) for onset in onsets(quick)]
+    later = [found for found in each(_later, tried, Workers(jobs=1) if quick else workers) if found is not None]
+    error = float(np.mean(own.errors_deg) - np.mean(other.errors_deg))
+    how = (
+        f"{left_out} of {own.frames} frames of a minute of holding; {len(later)} slips after rest "
+        f"({len(tried) - len(later)} that nobody sees aside)"
+    )
+    saved = saved_a_frame * own.frames / max(left_out, 1)
+    return Skip("unchanged: the last answer", True, saved, saved_a_frame, error, max(later, default=None), how)
+
+
+def _later(tried: _Tried) -> int | None:
+    grasp = tried.onset.grasp()
+    without = replace(tried.subject, skips=replace(EVERY_SKIP, unchanged=False))
+    frames = [shot.frame for shot in grasp.shots]
+    return frames_later(tried.subject.open(grasp).process, without.open(grasp).process, frames)
+
+
+def _round(default: Subject, objects: tuple[str, ...]) -> Skip:
+    """Plain round contacts with and without thinning."""
+    spent: dict[bool, Tally] = {True: Tally(), False: Tally()}
+    differ = 0
+    for name in objects:
+        grasp = sequence(name, SEED)
+        answers: dict[bool, list[float | None]] = {}
+        for kept in (True, False):
+            subject = replace(default, skips=replace(EVERY_SKIP, round=kept))
+            spent[kept].take(subject.open(grasp), grasp, grasp.shots)
+            processor = subject.open(grasp)
+            answers[kept] = [processor.process(shot.frame).angle_deg for shot in grasp.shots]
+        differ += sum(one != other for one, other in zip(answers[True], answers[False], strict=True))
+    saved = float(np.median(spent[False].busy_ms) - np.median(spent[True].busy_ms))
+    how = f"{len(spent[True].busy_ms)} frames of plain round contacts; {differ} answers differ"
+    return Skip("round: no thinning", True, saved, None, None, None, how)
