@@ -115,7 +115,7 @@ class Finger:
         """Set by a calibration: a copy of every good frame goes here."""
         self._worker = worker
         self._make_pipeline = make_pipeline
-        self._backoff = Backoff(retry_s)
+        self._backoff = Backoff(retry_s, longest_s=2 * retry_s)  # a cable pushed in again is noticed within a second
         self._on_news = on_news
         self._waiting: Latest[tuple[Frame, float]] = Latest()
         self._wants_reset = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import sys
 from collections.abc import AsyncIterator, Callable
 
 import cv2
@@ -13,9 +14,11 @@ from pipe_capture import PipeCapture, delivery, found
 
 from slipguard.devices import DriverContext
 from slipguard.errors import DeviceLost, DeviceTimeout, FrameCorrupt
-from slipguard_drivers.digit import decoder, start
+from slipguard_drivers.digit import decoder
 from slipguard_drivers.digit.camera import DigitSensor
 from slipguard_drivers.digit.capture import Delivery, Mode
+
+Camera: type[PipeCapture] = PipeCapture
 
 
 def jpeg(sequence: int, *, cut: int = 0) -> Delivery:
@@ -26,16 +29,18 @@ def jpeg(sequence: int, *, cut: int = 0) -> Delivery:
 
 def digit(**settings: object) -> DigitSensor:
     wanted = {"serial": "D20001", "stall_ms": 100} | settings
-    return DigitSensor(DigitSensor.Settings.model_validate(wanted), DriverContext("left"), found)
+    return DigitSensor(DigitSensor.Settings.model_validate(wanted), DriverContext("left"), found, Camera)
 
 
 @pytest.fixture(autouse=True)
 def camera(monkeypatch: pytest.MonkeyPatch) -> type[PipeCapture]:
-    class Camera(PipeCapture):
+    """The device that the next sensor finds: a class of its own for each test to set up."""
+
+    class Fresh(PipeCapture):
         pass
 
-    monkeypatch.setattr(start, "Capture", Camera)
-    return Camera
+    monkeypatch.setattr(sys.modules[__name__], "Camera", Fresh)
+    return Fresh
 
 
 @pytest.fixture
@@ -191,7 +196,7 @@ async def test_old_firmware_has_one_brightness(
     levels: tuple[int, int, int], firmware: int, zoom: int, remarks: int
 ) -> None:
     settings = DigitSensor.Settings(serial="D20001", led_rgb=levels)
-    sensor = DigitSensor(settings, DriverContext("left"), lambda serial, name: found(serial, name, firmware))
+    sensor = DigitSensor(settings, DriverContext("left"), lambda serial, name: found(serial, name, firmware), Camera)
     await sensor.open()
     assert PipeCapture.last.zoom == zoom
     assert len(sensor.remarks) == remarks

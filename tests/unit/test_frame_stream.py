@@ -60,6 +60,14 @@ def test_a_duplicate_is_left_out_in_silence(stream: FrameStream) -> None:
     assert outcomes(stream, 1) == [3]
 
 
+def test_what_was_handed_out_does_not_come_again_behind_one_that_was_left_out(stream: FrameStream) -> None:
+    stream.put(image(1), 0.1, 1)
+    assert outcomes(stream, 1) == [1]
+    stream.put(image(2), 0.2, 2)
+    stream.put(image(1), 0.3, 3)
+    assert outcomes(stream, 2) == [2, DeviceTimeout]
+
+
 @pytest.mark.parametrize("fresh_sequence", [True, False], ids=["same pixels", "same sequence number"])
 def test_repetition_is_a_frozen_camera_until_something_changes(stream: FrameStream, fresh_sequence: bool) -> None:
     stream.put(image(1), 0.1, 1)

@@ -28,11 +28,17 @@ class DigitSensor(TactileSensor):
     Settings = DigitSettings
 
     def __init__(
-        self, settings: DigitSettings, context: DriverContext, find: Callable[[str, str], Found] = find_digit
+        self,
+        settings: DigitSettings,
+        context: DriverContext,
+        find: Callable[[str, str], Found] = find_digit,
+        capture: Callable[[str], Capture] = Capture,
     ) -> None:
+        """find, capture: how a serial becomes a device and a device an open one; for cameras without a kernel."""
         self._name = context.name
         self._settings = settings
         self._find = find
+        self._open_capture = capture
         self._capture: Capture | None = None
         self._stream: FrameStream | None = None
         self._decoder: JpegDecoder | None = None
@@ -62,7 +68,7 @@ class DigitSensor(TactileSensor):
             return
         await self.close()
         loop = asyncio.get_running_loop()
-        starting = loop.run_in_executor(None, start_digit, self._settings, self._name, self._find)
+        starting = loop.run_in_executor(None, start_digit, self._settings, self._name, self._find, self._open_capture)
         try:
             found, capture, mode, remarks = await asyncio.shield(starting)
         except asyncio.CancelledError:

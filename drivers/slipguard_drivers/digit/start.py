@@ -15,11 +15,13 @@ from slipguard_drivers.digit.v4l2 import ZOOM_ABSOLUTE
 Started = tuple[Found, Capture, Mode, tuple[str, ...]]
 
 
-def start_digit(settings: DigitSettings, name: str, find: Callable[[str, str], Found]) -> Started:
+def start_digit(
+    settings: DigitSettings, name: str, find: Callable[[str, str], Found], open_capture: Callable[[str], Capture]
+) -> Started:
     """Find a sensor and make it stream; what is not as asked comes last, in words. Blocks. Raises DeviceLost."""
     found = find(settings.serial, name)
     try:
-        capture = Capture(str(found.path))
+        capture = open_capture(str(found.path))
     except OSError as error:
         raise DeviceLost(f"{name}: {found.path} cannot be used: {reason(error)}") from error
     try:

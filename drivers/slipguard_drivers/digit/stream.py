@@ -29,6 +29,7 @@ class FrameStream:
         self._newest: Frame | DeviceError | None = None
         self._lost: str | None = None
         self._last: Frame | None = None
+        self._handed: Frame | None = None
         self._repeats = 0
 
     @property
@@ -44,7 +45,7 @@ class FrameStream:
         last = self._last
         if last is not None and sequence < last.sequence:
             return  # overtaken by a newer one
-        if last is not None and (sequence == last.sequence or _same(image, last.image)):
+        if last is not None and (sequence == last.sequence or self._is_old(image)):
             self._repeats += 1
             if self._repeats >= FROZEN_AFTER:
                 what = "sequence number" if sequence == last.sequence else "pixels"
@@ -59,6 +60,10 @@ class FrameStream:
         image.flags.writeable = False
         self._last = Frame(image=image, captured_at_s=captured_at_s, sequence=sequence)
         self._tell(self._last)
+
+    def _is_old(self, image: NDArray[np.uint8]) -> bool:
+        """Whether it is the last picture again, or the last that was handed out, with others left out in between."""
+        return any(one is not None and _same(image, one.image) for one in (self._last, self._handed))
 
     def damaged(self, why: str) -> None:
         """Take note of a frame that arrived but cannot be used."""
@@ -87,6 +92,7 @@ class FrameStream:
             if isinstance(newest, DeviceError):
                 raise newest
             if newest is not None:
+                self._handed = newest
                 return newest
             try:
                 async with asyncio.timeout(self._stall_s):

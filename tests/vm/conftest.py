@@ -1,0 +1,48 @@
+"""The test machine: booted once for all tests here, left out with a word where it has not been built."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).parent))
+
+from build import image_folder
+from machine import Machine
+
+VARIABLE = "SLIPGUARD_VM"
+_LEFT_OUT = pytest.StashKey[int]()
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Without an image, and where nobody asks for it, the tests of the machine are deselected."""
+    if os.environ.get(VARIABLE) or (image_folder() / "root.ext4").exists():
+        return
+    left_out = [item for item in items if item.get_closest_marker("vm")]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in left_out]
+        config.stash[_LEFT_OUT] = len(left_out)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    count = config.stash.get(_LEFT_OUT, 0)
+    if count:
+        terminalreporter.write_line(
+            f"{count} tests of the DIGIT driver on a real kernel were left out: no test machine has been built; "
+            "`python tests/vm/build.py --install` builds it (root, apt and two minutes)"
+        )
+
+
+@pytest.fixture(scope="session")
+def machine() -> Iterator[Machine]:
+    """Booted; SLIPGUARD_VM names another image than the usual one, and one that is missing is a failure."""
+    image = Path(os.environ.get(VARIABLE) or image_folder())
+    assert (image / "root.ext4").exists(), f"no image in {image}; build it with `python tests/vm/build.py`"
+    machine = Machine(image)
+    yield machine
+    machine.stop()

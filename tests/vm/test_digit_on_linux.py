@@ -1,0 +1,91 @@
+"""The DIGIT driver on a real kernel: rates on the kernel's test camera, behaviour on emulated DIGITs over USB/IP."""
+
+from __future__ import annotations
+
+import pytest
+from machine import Machine
+
+pytestmark = pytest.mark.vm
+
+LOOKS = 4
+"""The kernel and the driver are measured, not what else this host is doing: the best of so many looks counts."""
+TURNED_GREY_LEVELS = 4.0
+"""Colours survive YUYV within a grey level or two; a picture turned or mirrored is off by tens."""
+
+
+def test_sixty_frames_a_second_of_which_none_is_lost(machine: Machine) -> None:
+    for look in range(LOOKS):
+        seen = machine.play("scenes:rates", seconds=5.0)
+        print(f"look {look}: {seen}")
+        if seen["lost"] <= 0.005 * seen["taken"] and seen["fps"] == pytest.approx(60.0, abs=0.6):
+            break
+    else:
+        pytest.fail(f"vivid at 60 frames a second: {seen}")
+    assert seen["mode"] == "320x240 YUYV at 60 frames a second"
+    assert seen["remarks"] == ["the LEDs cannot be set (Invalid argument): led_rgb has no effect"], "vivid has none"
+
+
+def test_two_sensors_found_by_serial_with_leds_rights_and_their_own_pictures(machine: Machine) -> None:
+    seen = machine.play("scenes:two_sensors")
+    assert seen["serials"] == ["D20001", "D20002"]
+    assert seen["firmware"] == [212, 212]
+    assert (seen["groups"], seen["modes"]) == (["video"] * 2, ["0o660"] * 2), "what systemd/60-slipguard.rules says"
+    for serial in seen["serials"]:
+        assert f"usb-Facebook_DIGIT_{serial}-video-index0" in seen["by_id"]
+    assert seen["zoom"] == [0xF73, 0x124]
+    assert seen["modes_given"] == ["320x240 YUYV at 30 frames a second"] * 2
+    assert seen["in_order"]
+    assert max(seen["own"]) < TURNED_GREY_LEVELS < min(seen["other"])
+
+
+@pytest.mark.parametrize(
+    ("pixels", "settings", "zoom", "remarks"),
+    [("YUYV", {"firmware": 199}, 255, 0), ("both", {}, 0xFFF, 0), ("MJPG", {}, 0xFFF, 0)],
+)
+def test_old_firmware_and_other_formats(
+    machine: Machine, pixels: str, settings: dict[str, int], zoom: int, remarks: int
+) -> None:
+    seen = machine.play("scenes:opened", pixels=pixels, **settings)
+    assert seen["zoom"] == zoom
+    assert seen["mode"] == f"320x240 {'MJPG' if pixels == 'MJPG' else 'YUYV'} at 60 frames a second"
+    assert len(seen["remarks"]) == remarks
+    assert seen["off_by"] < TURNED_GREY_LEVELS
+
+
+def test_every_fault_is_told_by_its_name(machine: Machine) -> None:
+    seen = machine.play("scenes:faults", pixels="YUYV")
+    told = {fault: seen[fault]["as"] for fault in ("stall", "freeze", "corrupt", "short")}
+    assert told == {
+        "stall": "DeviceTimeout",
+        "freeze": "FrameFrozen",
+        "corrupt": "FrameCorrupt",
+        "short": "FrameCorrupt",
+    }
+    assert seen["stall"]["after_s"] <= 0.5
+    assert machine.play("scenes:faults", pixels="MJPG")["short"]["as"] == "FrameCorrupt"
+
+
+def test_a_kernel_that_drops_what_is_damaged_leaves_a_stalled_stream(machine: Machine) -> None:
+    seen = machine.play("scenes:faults", pixels="YUYV", nodrop=0)
+    assert {seen["corrupt"]["as"], seen["short"]["as"]} == {"DeviceTimeout"}
+
+
+def test_an_unplugged_sensor_is_told_at_once(machine: Machine) -> None:
+    seen = [machine.play("scenes:unplug") for _ in range(3)]
+    print(seen)
+    assert {one["as"] for one in seen} == {"DeviceLost"}
+    assert min(one["after_s"] for one in seen) <= 0.05
+
+
+@pytest.mark.parametrize("unplugged_s", [0.5, 4.0])
+def test_a_sensor_that_is_plugged_in_again_goes_on_by_itself(machine: Machine, unplugged_s: float) -> None:
+    seen = machine.play("scenes:replug", unplugged_s=unplugged_s)
+    print(seen)
+    assert seen["gone"]
+    assert seen["again_s"] <= 2.0
+
+
+def test_the_sensor_contract_holds_on_a_real_kernel(machine: Machine) -> None:
+    seen = machine.play("scenes:contract", limit_s=120.0)
+    assert seen["failed"] == 0, seen["says"]
+    assert seen["passed"] >= 5
