@@ -83,6 +83,9 @@ async def _device(name: str, config: Config, looks: Looks | None) -> list[Findin
         found.append(wrong("look", f"did not end in {DEVICE_S:g} s", "unplug the device, plug it in and try again"))
     except SlipguardError as error:
         found.append(from_error("driver", error, name, "check its section in the configuration"))
+    except OSError as error:
+        what = f"{error.filename or section.driver}: {error.strerror or error}"
+        found.append(wrong("driver", what, "check that path in the configuration, and who may read it"))
     except Exception as error:
         what = f"driver {section.driver!r} failed: {type(error).__name__}: {error}"
         found.append(wrong("driver", " ".join(what.split()), "tell the maker of the driver"))

@@ -11,6 +11,7 @@ from slipguard.doctor.figures import percentiles_ms, spread
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout
 
 QUESTIONS = 100
+UNANSWERED_SHARE = 0.01
 SLOW_MS = 12.0
 """A round trip takes 4-8 ms; an FTDI adapter left at its default takes 16 ms."""
 SLOW_DO = "slow: a busy processor, or an adapter whose latency timer is not 1 ms (systemd/60-slipguard.rules)"
@@ -57,7 +58,7 @@ def round_trip(trips_s: list[float], unanswered: int) -> Finding:
         return wrong("round trip", f"none of {unanswered} questions answered", "check the gripper's power and cable")
     total = len(trips_s) + unanswered
     seen = f"{spread(trips_s)} of {total}, {unanswered} unanswered"
-    if unanswered > total // 100:
+    if unanswered > UNANSWERED_SHARE * total:
         return wrong("round trip", seen, "check the RS-485 cable, its shield and its connectors")
     if percentiles_ms(trips_s)[0] > SLOW_MS:
         return note("round trip", seen, SLOW_DO)

@@ -50,9 +50,9 @@ def network(config: Config) -> Finding:
 def state_folder(path: Path) -> Finding:
     """Where no-contact images are kept. It is made when first needed, so its parent counts as well."""
     there = path
-    while not there.exists() and there != there.parent:
+    while not os.path.lexists(there) and there != there.parent:
         there = there.parent
-    if not there.is_dir():
+    if not os.path.isdir(there):
         return wrong("state folder", f"{there} is no folder", f"move it away, or set state.directory instead of {path}")
     if not os.access(there, os.W_OK | os.X_OK):
         return wrong(

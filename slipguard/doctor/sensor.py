@@ -15,6 +15,8 @@ from slipguard.doctor.figures import spread
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout, FrameCorrupt, FrameFrozen, InputError
 
 LOOK_S = 2.0
+FIRST_S = 4.0
+"""A stream that has begun by then has begun."""
 SETTLE_S = 0.5
 """What a camera delivers first is no measure of its rate."""
 RATE_SHARE = 0.95
@@ -74,21 +76,26 @@ async def look(name: str, sensor: TactileSensor, settings: Any, store: StateDir)
 
 
 async def watch(sensor: TactileSensor, for_s: float) -> Watched:
-    """Take frames for a while; what goes wrong is counted."""
+    """Take frames for a while after the first; what goes wrong is counted."""
     seen = Watched()
     loop = asyncio.get_running_loop()
-    begins_s = loop.time() + SETTLE_S
-    while (now_s := loop.time()) < begins_s + for_s:
+    begins_s: float | None = None
+    ends_s = loop.time() + FIRST_S
+    while (now_s := loop.time()) < ends_s:
         try:
             frame = await sensor.next_frame()
         except DeviceLost as error:
             seen.lost_why = str(error)
             return seen
         except DeviceError as error:
+            if begins_s is None and isinstance(error, DeviceTimeout):
+                continue
             seen.corrupt += isinstance(error, FrameCorrupt)
             seen.frozen += isinstance(error, FrameFrozen)
             seen.stalled += isinstance(error, DeviceTimeout)
             continue
+        if begins_s is None:
+            begins_s, ends_s = now_s + SETTLE_S, now_s + SETTLE_S + for_s
         if now_s >= begins_s:
             seen.captured_s.append(frame.captured_at_s)
             seen.ages_s.append(loop.time() - frame.captured_at_s)
@@ -108,7 +115,7 @@ def frames(seen: Watched, asked_hz: float | None) -> Iterator[Finding]:
         yield wrong("frames", f"all {seen.corrupt} frames damaged", "try another cable or port, without a hub")
         return
     if not seen.captured_s:
-        yield wrong("frames", f"none came in {LOOK_S:g} s", "unplug the sensor and plug it in again")
+        yield wrong("frames", f"none came in {FIRST_S:g} s", "unplug the sensor and plug it in again")
         return
     yield rate(seen.rate_hz, asked_hz)
     yield losses(len(seen.sequences), seen.lost, seen.corrupt, seen.frozen + seen.stalled)

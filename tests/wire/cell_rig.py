@@ -83,6 +83,14 @@ class Cell:
         lines = (self.folder / "truth.jsonl").read_text().splitlines()
         return [json.loads(line) for line in lines if line.endswith("}")]
 
+    def order(self, line: str) -> None:
+        """A control word, obeyed when this returns."""
+        before = self.process.said.count('"answer"')
+        self.process.tell(line)
+        until(
+            lambda: self.process.said.count('"answer"') > before, f"{line!r} is not obeyed", lambda: self.process.said
+        )
+
     def events(self, name: str) -> list[dict[str, Any]]:
         """What the doubles told as it happened."""
         lines = [json.loads(line) for line in self.process.said.splitlines() if line.startswith("{")]

@@ -11,16 +11,22 @@ from slipguard_drivers.robotiq import serial_port
 
 LASTING = ("/dev/serial/by-id/", "/dev/serial/by-path/")
 """Names that stay with the adapter, or with the socket it is plugged into."""
+TTYS = Path("/sys/class/tty")
+PSEUDO = "/dev/pts/"
+"""Emulated grippers are there; the kernel does not list them."""
 
 
 def look(port: str) -> Iterator[Finding]:
     """The port; nothing is opened."""
     path = Path(port)
-    if not path.is_char_device() or not os.access(port, os.R_OK | os.W_OK):
+    if not _is_device(path) or not os.access(port, os.R_OK | os.W_OK):
         why, _, do = serial_port.what_is_wrong(port).partition("; ")
         yield wrong("port", f"{port}: {why}", do or "log out and in again after `usermod -aG dialout USER`")
         return
     target = os.path.realpath(port)
+    if not target.startswith(PSEUDO) and not (TTYS / Path(target).name).exists():
+        yield wrong("port", f"{port}: it is no serial port", "name one of `ls /dev/serial/by-id`")
+        return
     if path.is_symlink():
         yield fine("port", f"{port} is {target}, readable and writable")
     elif port.startswith("/dev/tty") and not port.startswith(LASTING):
@@ -28,6 +34,13 @@ def look(port: str) -> Iterator[Finding]:
     else:
         yield fine("port", f"{port}, readable and writable")
     yield adapter(serial_port.latency_timer_ms(port))
+
+
+def _is_device(path: Path) -> bool:
+    try:
+        return path.is_char_device()
+    except OSError:  # a folder on the way that is not for this user
+        return False
 
 
 def adapter(timer_ms: int | None) -> Finding:

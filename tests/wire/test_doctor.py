@@ -1,0 +1,256 @@
+"""The doctor beside an emulated cell, in the states that a user brings it: each line must say what to do next."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import structlog
+from cell_rig import Cell, cell
+
+from slipguard.cli.app import run
+from slipguard.doctor import gripper, sensor
+from slipguard_drivers.ur5 import look as arm_look
+
+HOST = "127.0.0.65"
+NOBODY = 65534
+TIMING = {"frame rate", "lost frames", "round trip", "RTDE rate"}
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the doctor said: exit code, and by subject and thing the verdict, what was seen and what to do."""
+
+    code: int
+    lines: dict[tuple[str, str], tuple[str, str, str]]
+
+    @property
+    def wrong(self) -> set[str]:
+        """What is wrong with something, whatever the machine that runs the tests has time for."""
+        return {key[0] for key, line in self.lines.items() if line[0] == "wrong" and key[1] not in TIMING}
+
+    def line(self, subject: str, what: str) -> str:
+        """The line as people read it."""
+        verdict, seen, do = self.lines[subject, what]
+        return f"{verdict}: {seen} -> {do}"
+
+
+@pytest.fixture(scope="module")
+def there() -> Iterator[Cell]:
+    """A cell in a folder that other users may enter, its no-contact images stored."""
+    with tempfile.TemporaryDirectory(prefix="slipguard-test-") as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        with cell(folder, HOST, "--object", "none", "--fps", 30, "--series", "e") as made:
+            assert run(["calibrate", "--config", str(made.config)]) == 0
+            yield made
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Short looks."""
+    monkeypatch.setattr(sensor, "LOOK_S", 0.5)
+    monkeypatch.setattr(sensor, "FIRST_S", 3.0)
+    monkeypatch.setattr(sensor, "SETTLE_S", 0.2)
+    monkeypatch.setattr(gripper, "QUESTIONS", 20)
+    monkeypatch.setattr(arm_look, "LOOK_S", 0.3)
+    yield
+    structlog.reset_defaults()
+
+
+def ask(capfd: pytest.CaptureFixture[str], config: Path) -> Told:
+    """`slipguard doctor --json`, and nothing but JSON on stdout."""
+    capfd.readouterr()
+    code = run(["doctor", "--config", str(config), "--json"])
+    said = capfd.readouterr()
+    assert "Traceback" not in said.out + said.err
+    answer = json.loads(said.out)
+    lines = {(one["subject"], one["what"]): (one["verdict"], one["seen"], one["do"]) for one in answer["findings"]}
+    for verdict, seen, do in lines.values():
+        assert seen
+        assert "\n" not in seen + do
+        assert do or verdict != "wrong", f"nothing to do about: {seen}"
+    assert answer["wrong"] == [verdict for verdict, _, _ in lines.values()].count("wrong")
+    assert code == (1 if answer["wrong"] else 0)
+    return Told(code, lines)
+
+
+def with_change(there: Cell, old: str, new: str) -> Path:
+    """The cell's configuration with something else in one place."""
+    text = there.config.read_text()
+    assert old in text
+    changed = there.folder / "changed.toml"
+    changed.write_text(text.replace(old, new))
+    return changed
+
+
+@contextmanager
+def failing(there: Cell, fault: str) -> Iterator[None]:
+    there.order(f"fault {fault}")
+    try:
+        yield
+    finally:
+        there.order("clear")
+
+
+@contextmanager
+def as_nobody() -> Iterator[None]:
+    """Root may do everything; another user is needed to be denied something."""
+    if os.getuid() != 0:
+        pytest.skip("only root can become somebody else")
+    group, groups = os.getgid(), os.getgroups()
+    os.setgroups([])
+    os.setresgid(NOBODY, NOBODY, group)
+    os.setresuid(NOBODY, NOBODY, 0)
+    try:
+        yield
+    finally:
+        os.setresuid(0, 0, 0)
+        os.setresgid(group, group, group)
+        os.setgroups(groups)
+
+
+def test_all_present(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
+    told = ask(capfd, there.config)
+    assert told.wrong == set()
+    assert told.line("left", "sensor") == "fine: found, serial SIM-L -> "
+    assert "fps of 30 asked for" in told.line("right", "frame rate")
+    assert "of" in told.line("right", "lost frames")
+    assert told.line("left", "no-contact image").startswith("fine: 0 min old")
+    assert "p50" in told.line("gripper", "round trip")
+    assert "p99" in told.line("gripper", "round trip")
+    assert "FTDI" in told.line("gripper", "adapter")
+    assert told.line("gripper", "condition") == "fine: activated, at rest, 85 mm open -> "
+    assert "of 125 asked for" in told.line("arm", "RTDE rate")
+    assert told.line("arm", "stops") == "fine: none active -> "
+    assert "none runs" in told.line("daemon", "daemon")
+    assert not there.events("let go")
+    assert not there.events("started"), "no script may have been sent to the robot"
+
+
+def test_people_see_a_table_that_fits(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
+    run(["doctor", "--config", str(there.config)])
+    said = capfd.readouterr()
+    assert said.err == ""
+    assert all(len(line) <= 80 for line in said.out.splitlines()[:-1])
+    assert ("nothing wrong" in said.out) == ("✗" not in said.out)
+    assert said.out.count("✓") > 15
+
+
+def test_none_present(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
+    told = ask(capfd, with_change(there, str(there.folder), str(there.folder / "nowhere")))
+    assert told.wrong == {"left", "right", "gripper"}
+    assert "start whatever serves the frames" in told.line("left", "sensor")
+    assert "no such device -> plug the adapter in" in told.line("gripper", "port")
+
+
+def test_none_present_of_the_usual_kind(capfd: pytest.CaptureFixture[str]) -> None:
+    config = Path(__file__).parents[2] / "config.toml"
+    told = ask(capfd, config)
+    assert {"left", "right", "gripper", "arm"} <= told.wrong
+    assert told.line("left", "USB").endswith("-> check the USB cable")
+    assert "ls /dev/serial/by-id" in told.line("gripper", "port")
+
+
+def test_one_unplugged(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
+    with failing(there, "left.disconnect"):
+        told = ask(capfd, there.config)
+    assert told.wrong == {"left"}
+    assert "no such socket" in told.line("left", "sensor")
+    with failing(there, "gripper.unplug"):
+        told = ask(capfd, there.config)
+    assert told.wrong == {"gripper"}
+    assert "plug" in told.line("gripper", "port")
+
+
+def test_no_permission(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
+    ask(capfd, there.config)  # whatever it imports, it has imported as root
+    with as_nobody():
+        told = ask(capfd, there.config)
+    assert {"left", "right", "gripper"} <= told.wrong
+    assert "arm" not in told.wrong
+    assert "access is denied" in told.line("left", "sensor")
+    assert "access is denied" in told.line("gripper", "port")
+    assert "group" in told.line("gripper", "port")
+    assert told.line("machine", "state folder").startswith("wrong")
+
+
+@pytest.mark.parametrize(
+    ("name", "seen"),
+    [("/dev/null", "no serial port"), ("/etc/hostname", "no serial port"), ("/dev/ttyNONE", "no such device")],
+)
+def test_wrong_port(there: Cell, capfd: pytest.CaptureFixture[str], name: str, seen: str) -> None:
+    told = ask(capfd, with_change(there, str(there.folder / "ttyGripper"), name))
+    assert told.wrong == {"gripper"}
+    about = [line[1] for (subject, _), line in told.lines.items() if subject == "gripper"]
+    assert any(seen in line for line in about), about
+
+
+def test_wrong_address(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
+    told = ask(capfd, with_change(there, f'"{HOST}"', '"127.0.0.66"'))
+    assert told.wrong == {"arm"}
+    assert "address" in told.line("arm", "controller")
+
+
+def test_gripper_without_power(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
+    with failing(there, "gripper.deaf"):
+        told = ask(capfd, there.config)
+    assert told.wrong == {"gripper"}
+    assert "check the gripper's power and the cable" in told.line("gripper", "gripper")
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        {
+            ("left.stall", "frames"): "none came",
+            ("right.corrupt", "frames"): "damaged",
+            ("arm.protective_stop", "stops"): "protective",
+        },
+        {("left.frozen", "frames"): "same picture", ("arm.emergency_stop", "stops"): "emergency"},
+        {("arm.local", "control"): "local: the robot will not take scripts"},
+        {("arm.freeze", "controller"): "sends no RTDE data"},
+        {("arm.silence", "controller"): "does not answer"},
+    ],
+    ids=lambda faults: " ".join(name for name, _ in faults),
+)
+def test_what_else_goes_wrong(
+    there: Cell, capfd: pytest.CaptureFixture[str], faults: dict[tuple[str, str], str]
+) -> None:
+    with ExitStack() as failures:
+        for name, _ in faults:
+            failures.enter_context(failing(there, name))
+        told = ask(capfd, there.config)
+    subjects = {name.split(".")[0] for name, _ in faults}
+    assert told.wrong == subjects, {key: line for key, line in told.lines.items() if line[0] == "wrong"}
+    for (name, what), seen in faults.items():
+        assert seen in told.line(name.split(".")[0], what)
+
+
+def test_a_urcap_is_hinted_at(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
+    ready, done = threading.Event(), threading.Event()
+
+    async def urcap() -> None:
+        server = await asyncio.start_server(lambda reader, writer: writer.close(), HOST, 63352)
+        ready.set()
+        await asyncio.to_thread(done.wait)
+        server.close()
+
+    thread = threading.Thread(target=lambda: asyncio.run(urcap()))
+    thread.start()
+    try:
+        assert ready.wait(10.0)
+        told = ask(capfd, there.config)
+    finally:
+        done.set()
+        thread.join()
+    assert told.wrong == set()
+    assert told.line("arm", "URCap").startswith("note: Robotiq's gripper URCap runs on the controller (port 63352)")
