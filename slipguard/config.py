@@ -61,7 +61,7 @@ class LoopSection(Section):
     poll_ms: Annotated[float, Field(ge=5.0, le=500.0)] = 25.0
     """How often gripper and arm are asked for their state."""
     retry_s: Annotated[float, Field(ge=0.05, le=60.0)] = 0.5
-    """Pause before a missing sensor is tried again, doubling up to ten times; gripper and arm: the longest pause."""
+    """Pause before a missing sensor is tried again, doubling up to ten times; gripper and arm: half of it at most."""
 
 
 class ApiSection(Section):

@@ -54,7 +54,7 @@ class Actuator(Generic[S]):
         """How long the newest answers to a question for the state took."""
         self._device = device
         self._poll_s = poll_s
-        self._backoff = Backoff(retry_s / 5, longest_s=retry_s)  # what is held or moved waits for it
+        self._backoff = Backoff(retry_s / 5, longest_s=retry_s / 2)  # what is held or moved waits for it
         self._commands: Latest[Action] = Latest()
         self._wake = asyncio.Event()
         self._on_news = on_news

@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 
 from slipguard.errors import DeviceLost
-from slipguard_drivers.ur5.rtde import ANSWER_S, reach
+from slipguard_drivers.ur5.rtde import reach
 
 PORT = 29999
+ANSWER_S = 1.0
 STALE = "reconnect to port"
 """A connection made in local control stays refused when the robot is switched to remote control."""
 

@@ -24,6 +24,7 @@ class WorkerLink:
         self._name = name
         self._host = host
         self._child: Child | None = None
+        self._asking: Child | None = None
         self._turn = asyncio.Lock()
         self.connected = False
         """Whether it has the arm in hand."""
@@ -66,7 +67,7 @@ class WorkerLink:
         child, self._child, self.connected = self._child, None, False
         if child is None:
             return
-        if self._turn.locked():  # the call that is under way sees the end, and puts the rest away
+        if self._asking is child:  # the call that is under way sees the end, and puts the rest away
             with contextlib.suppress(ProcessLookupError):
                 os.kill(child.pid, signal.SIGKILL)
         else:
@@ -75,7 +76,11 @@ class WorkerLink:
     async def _exchange(self, packet: bytes, deadline_s: float) -> Any:
         child = self._child
         assert child is not None
-        reply, why = await self._ask(child, packet, deadline_s)
+        self._asking = child
+        try:
+            reply, why = await self._ask(child, packet, deadline_s)
+        finally:
+            self._asking = None
         if self._child is not child:  # killed meanwhile: what is left of it is put away here
             child.kill()
             raise DeviceLost(f"{self._name}: the connection was given up; open the arm again")
