@@ -1,8 +1,9 @@
-"""`slipguard train`: the segmentation network from rendered frames, in one command."""
+"""`slipguard train`: a segmentation network from rendered frames or a data set, in one command."""
 
 from __future__ import annotations
 
 import importlib.util
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,21 +16,58 @@ if TYPE_CHECKING:
     from slipguard.lab.train import EpochFigures
 
 
+class Network(StrEnum):
+    """What can be trained: the shipped network, and the three of the paper."""
+
+    small = "small"
+    deeplabv3plus = "deeplabv3plus"
+    pspnet = "pspnet"
+    unetplusplus = "unetplusplus"
+
+
+class RecipeName(StrEnum):
+    """How the paper's networks are trained: as published, or shorter, at 120x160, for a CPU."""
+
+    paper = "paper"
+    short = "short"
+
+
+VALIDATION_FRAMES = 400
+SMALL, PAPER = "The small network", "The paper's networks"
+"""Panels of the help."""
+
+
 def train(
-    out: Annotated[Path, typer.Option(help="The ONNX file to write.")] = Path("models/tsnn-small.onnx"),
+    arch: Annotated[Network, typer.Option(help="Which network.")] = Network.small,
+    out: Annotated[
+        Path | None, typer.Option(help="The ONNX file to write; default: models/, named after the network.")
+    ] = None,
     backgrounds: Annotated[
         Path | None,
-        typer.Option(help="Folder of real no-contact images (240x320); half of the imprints are put on them."),
+        typer.Option(
+            help="Folder of real no-contact images (240x320); half of the imprints are put on them.",
+            rich_help_panel=SMALL,
+        ),
     ] = None,
     validate: Annotated[
-        Path | None, typer.Option(help="Folder of labelled real frames to report on after every epoch.")
+        Path | None,
+        typer.Option(help="Folder of labelled real frames to report on after every epoch.", rich_help_panel=SMALL),
     ] = None,
-    frames: Annotated[int, typer.Option(min=64, help="Rendered training frames.")] = 32000,
-    validation_frames: Annotated[int, typer.Option(min=10, help="Rendered validation frames.")] = 400,
-    epochs: Annotated[int, typer.Option(min=1, help="Passes over the frames.")] = 6,
+    frames: Annotated[
+        int | None, typer.Option(min=64, help="Rendered training frames; default: 32000, the paper's networks 3675.")
+    ] = None,
+    validation_frames: Annotated[
+        int, typer.Option(min=10, help="Rendered validation frames.", rich_help_panel=SMALL)
+    ] = VALIDATION_FRAMES,
+    epochs: Annotated[
+        int | None, typer.Option(min=1, help="Passes over the frames; default: 6, or the recipe's.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all that is random.")] = 0,
-    batch: Annotated[int, typer.Option(min=2, help="Frames a step.")] = 32,
-    rate: Annotated[float, typer.Option(min=1e-6, max=1.0, help="Highest learning rate of Adam.")] = 3e-3,
+    batch: Annotated[int | None, typer.Option(min=2, help="Frames a step; default: 32, or the recipe's.")] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(min=1e-6, max=1.0, help="Highest learning rate of Adam; default: 0.003, or the recipe's."),
+    ] = None,
     threshold: Annotated[
         float, typer.Option(min=0.05, max=0.95, help="Probability from which a pixel counts as contact.")
     ] = 0.5,
@@ -38,15 +76,35 @@ def train(
         bool, typer.Option(help="Half precision: half as long on a processor that has it, longer on others.")
     ] = False,
     start: Annotated[
-        Path | None, typer.Option(help="Begin with the weights.pt that an earlier training left in its work folder.")
+        Path | None,
+        typer.Option(
+            help="Begin with the weights.pt that an earlier training left in its work folder.", rich_help_panel=SMALL
+        ),
     ] = None,
     work: Annotated[
         Path, typer.Option(help="Folder for rendered frames and the checkpoint; a stopped run goes on from there.")
     ] = Path("build/train"),
+    recipe: Annotated[
+        RecipeName | None, typer.Option(help="How to train; default: as in the paper.", rich_help_panel=PAPER)
+    ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="A data set to train on in place of rendered frames; see `dataset`.", rich_help_panel=PAPER),
+    ] = None,
+    encoder_weights: Annotated[
+        Path | None, typer.Option(help="A ResNet18's weights to start from; default: random.", rich_help_panel=PAPER)
+    ] = None,
+    int8: Annotated[
+        bool, typer.Option("--int8", help="Write a second file in int8, and measure both.", rich_help_panel=PAPER)
+    ] = False,
+    cluster: Annotated[
+        str | None, typer.Option(help="Render on a Dask cluster: tcp://HOST:8786.", rich_help_panel=PAPER)
+    ] = None,
 ) -> None:
-    """Train the segmentation network on rendered frames and export it as ONNX.
+    """Train a segmentation network on rendered frames or a data set and export it as ONNX.
 
-    Example: `slipguard train --out models/tsnn-small.onnx --work /tmp/train`
+    Example: `slipguard train --out models/tsnn-small.onnx --work /tmp/train`,
+    `slipguard train --arch deeplabv3plus --recipe short --bfloat16`
     """
     missing = [name for name in ("torch", "onnx") if importlib.util.find_spec(name) is None]
     if missing:
@@ -54,16 +112,45 @@ def train(
             f"training needs {' and '.join(missing)}; install with: pip install 'slipguard[train]' "
             "--extra-index-url https://download.pytorch.org/whl/cpu"
         )
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    of_small = (backgrounds, validate, start, validation_frames != VALIDATION_FRAMES)
+    of_paper = (recipe, data, encoder_weights, int8, cluster)
+    if arch is Network.small and any(of_paper):
+        raise InputError(
+            "--recipe, --data, --encoder-weights, --int8 and --cluster are for the paper's networks; "
+            "name one with --arch, such as deeplabv3plus"
+        )
+    if arch is not Network.small and any(of_small):
+        raise InputError(
+            f"--backgrounds, --validate, --start and --validation-frames are for --arch small, not {arch.value}"
+        )
+    if arch is not Network.small:
+        from slipguard.cli.train_paper import Request, train_paper
 
+        changed = {key: value for key, value in (("epochs", epochs), ("batch", batch), ("rate", rate)) if value}
+        train_paper(
+            Request(
+                arch=arch.value,
+                recipe=(recipe or RecipeName.paper).value,
+                changed=changed,
+                out=out or Path(f"models/{arch.value}-resnet18.onnx"),
+                work=work,
+                frames=frames,
+                data=data,
+                encoder_weights=encoder_weights,
+                int8=int8,
+                bfloat16=bfloat16,
+                seed=seed,
+                threads=threads,
+                threshold=threshold,
+                cluster=cluster,
+            )
+        )
+        return
+    out = out or Path("models/tsnn-small.onnx")
+    frames, epochs, batch, rate = frames or 32000, epochs or 6, batch or 32, rate or 3e-3
+    from rich.console import Console
+
+    from slipguard.cli.train_paper import training_progress
     from slipguard.lab.export import contract_metadata, export_onnx
     from slipguard.lab.frame_cache import VALIDATION_SEED, rendered_frames
     from slipguard.lab.scores import backgrounds_in, real_frames
@@ -77,14 +164,7 @@ def train(
         raise InputError(f"{start}: no such file; name the weights.pt of an earlier training's work folder")
     settings = TrainSettings(epochs, batch, rate, seed, threads, threshold, bfloat16=bfloat16)
     work.mkdir(parents=True, exist_ok=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
+    with training_progress(console) as progress:
         drawing = progress.add_task("rendering", total=frames)
         checking = progress.add_task("rendering for validation", total=validation_frames)
         training = progress.add_task("training", total=None)

@@ -80,7 +80,6 @@ def train(
         raise InputError(
             f"{len(shown)} frames are fewer than a batch of {recipe.batch}; give more, or a smaller --batch"
         )
-    torch.manual_seed(settings.seed)
     placed: Any = net.to(precision.device)
     placed.to(memory_format=torch.channels_last)
     total = recipe.epochs * steps
@@ -92,6 +91,7 @@ def train(
     for number in range(len(history) + 1, recipe.epochs + 1):
         began_s = time.monotonic()
         rng = np.random.default_rng([settings.seed, number])
+        torch.manual_seed(int(rng.integers(2**31)))  # dropout: a resumed epoch is the one it would have been
         order = rng.permutation(len(shown))
         net.train()
         losses = 0.0
@@ -133,8 +133,9 @@ def overlaps(net: FrameNet, precision: Precision, frames: MaskedFrames, threshol
 def _schedule(optimiser: torch.optim.Optimizer, recipe: Recipe, total: int) -> Any:
     if recipe.schedule is Schedule.constant:
         return torch.optim.lr_scheduler.ConstantLR(optimiser, 1.0, 0)
+    steps = max(total + 1, 10)  # fewer leave no step for the way up
     return torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, recipe.rate, total_steps=total + 1, pct_start=WARM_UP_SHARE, cycle_momentum=False
+        optimiser, recipe.rate, total_steps=steps, pct_start=WARM_UP_SHARE, cycle_momentum=False
     )
 
 
