@@ -96,8 +96,8 @@ def turn(
         largest = max(trace.turn_deg, key=abs)
         print(
             f"{len(trace.time_s)} of {len(seen)} pictures show both markers; turn from {trace.turn_deg.min():+.2f}° to "
-            f"{trace.turn_deg.max():+.2f}°, largest {largest:+.2f}°, sigma {trace.sigma_deg.mean():.2f}°, corners off by "
-            f"{trace.rms_px:.2f} px"
+            f"{trace.turn_deg.max():+.2f}°, largest {largest:+.2f}°, sigma {trace.sigma_deg.mean():.2f}°, corners off "
+            f"by {trace.rms_px:.2f} px"
         )
     if plot is not None:
         draw_trace(trace, plot)
@@ -232,7 +232,11 @@ def _bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda done: None
+        return
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task(what, total=total)
         yield lambda done: progress.update(task, completed=done)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,8 +20,8 @@ TILT_MIN_DEG = 10.0
 """Boards all facing the camera the same way do not tell the focal length."""
 
 
-def calibrate(pictures: Iterable[NDArray[np.uint8]], square_mm: float | None = None) -> Intrinsics:
-    """Intrinsics from (h, w, 3) uint8 pictures of one size. square_mm changes nothing but the board's distance.
+def calibrate(pictures: Iterable[NDArray[np.uint8]]) -> Intrinsics:
+    """Intrinsics from (h, w, 3) uint8 pictures of one size; the board's true scale does not matter.
 
     Raises InputError where too few pictures show the board, all show it alike, or nothing fits.
     """
@@ -46,7 +47,8 @@ def calibrate(pictures: Iterable[NDArray[np.uint8]], square_mm: float | None = N
         )
     chosen = [seen[int(k)] for k in np.linspace(0, len(seen) - 1, min(len(seen), PICTURES_MAX))]
     points_all, pixels_all = [one[0] for one in chosen], [one[1] for one in chosen]
-    rms, matrix, distortion, turns, _ = cv2.calibrateCamera(points_all, pixels_all, size, None, None)  # type: ignore[call-overload]
+    answer: Any = cv2.calibrateCamera(points_all, pixels_all, size, None, None)
+    rms, matrix, distortion, turns = answer[:4]
     if not np.isfinite(rms) or rms > RMS_MAX_PX:
         raise InputError(f"no lens explains these pictures (off by {rms:.1f} px); is the board flat, and in focus?")
     normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])

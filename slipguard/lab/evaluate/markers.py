@@ -18,7 +18,7 @@ NAMES = {GRIPPER_ID: "gripper", OBJECT_ID: "object"}
 SIDE_MM = 40.0
 """Of the black square. At 1 m and 1000 px focal length it is 40 pixels wide."""
 CHARUCO_SQUARES = (7, 5)
-CHARUCO_SQUARE_MM, CHARUCO_MARKER_MM = 35.0, 26.0
+CHARUCO_SQUARE_MM, CHARUCO_MARKER_MM = 35.0, 28.0
 A4_MM = (297.0, 210.0)
 MM_PER_INCH = 25.4
 

@@ -181,10 +181,10 @@ def _method(protocol: Protocol | None) -> str:
         )
     return (
         f"<p>{lifted}One marker is on the gripper, one on the object; the turn about the grasp axis is fitted to the "
-        "corners of all pictures of a lift at once. Both turns are zero just before the lift. An error is what slipguard "
-        "said at a tactile frame's capture time minus what the markers say then; a lift's error is the mean of its "
-        "magnitudes. Intervals are bootstrapped over lifts. Column and band “as published”: Castaño-Amorós &amp; Gil, a "
-        "real cell; figures of a simulated cell are not comparable with them one to one.</p>"
+        "corners of all pictures of a lift at once. Both turns are zero just before the lift. An error is what "
+        "slipguard said at a tactile frame's capture time minus what the markers say then; a lift's error is the mean "
+        "of its magnitudes. Intervals are bootstrapped over lifts. “As published”: Castaño-Amorós &amp; Gil, a real "
+        "cell; figures of a simulated cell are not comparable with them one to one.</p>"
     )
 
 

@@ -22,18 +22,21 @@ Array = NDArray[np.float64]
 FRAMES_MIN = 5
 """Fewer frames with both markers do not make a turn."""
 REFERENCE_FRAMES = 10
+STILL_S = 0.3
+"""The object lies still at first; all turns count from the mean of this time."""
 CANDIDATES = 24
 ITERATIONS = 12
 STEP = 1e-6
-RMS_MAX_PX = 1.5
-"""Corners are found to 0.1-0.3 px; a model that misses them by more does not hold."""
+RMS_MAX_PX = 1.0
+"""Corners are found to 0.03-0.3 px; a model that misses them by more does not hold. Intrinsics that are wrong and still
+pass (a focal length off by half, say) cost some tenths of a degree."""
 OUTLIER_RMS = 4.0
 CORNER_SIGMA_MIN_PX = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class TurnTrace:
-    """Turns in degrees, counter-clockwise for the camera, zero at the start (mean of the first frames).
+    """Turns in degrees, counter-clockwise for the camera, zero at the start (mean of the first 0.3 s).
 
     time_s, turn_deg, sigma_deg: (n,), frames in which both markers were seen well. gaps: how many were not.
     rms_px: mean distance of model and corners.
@@ -73,11 +76,13 @@ def turns(sightings: list[Sighting], intrinsics: Intrinsics, side_mm: float) -> 
             "both markers are flat"
         )
     angle = np.degrees(np.unwrap(fit.turn_rad))
-    first = angle[: min(REFERENCE_FRAMES, len(angle))]
     sigma = np.degrees(fit.sigma_rad)
-    start_sigma = float(np.sqrt((sigma[: len(first)] ** 2).mean() / len(first)))
     time_s = np.array([time_s for (time_s, _), keep in zip(both, good, strict=True) if keep])
-    return TurnTrace(time_s, angle - first.mean(), np.hypot(sigma, start_sigma), len(sightings) - len(time_s), rms_px)
+    still = time_s <= time_s[0] + STILL_S
+    start_sigma = float(np.sqrt((sigma[still] ** 2).mean() / still.sum()))
+    return TurnTrace(
+        time_s, angle - angle[still].mean(), np.hypot(sigma, start_sigma), len(sightings) - len(time_s), rms_px
+    )
 
 
 def _check_seen(sightings: list[Sighting], both: int) -> None:
