@@ -21,6 +21,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--arm-campaign", type=int, default=5, metavar="N", help="faults of the arm's link (usually 5)")
     group.addoption("--commands", type=int, default=300, help="length of the gripper's campaign of faults")
     group.addoption("--seed", type=int, default=0, help="seed of the gripper's campaign of faults")
+    group.addoption("--sensor-driver", metavar="NAME", help="a sensor's driver registered by another package")
+    group.addoption("--sensor-settings", metavar="JSON", default="{}", help="its table in config.toml")
     group.addoption("--digit", metavar="SERIAL", help="a real sensor's serial number, such as D20479")
 
 

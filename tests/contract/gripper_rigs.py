@@ -107,7 +107,7 @@ class WireRig(Rig):
         settings = RobotiqGripper.Settings(
             port=str(self.emulator.settings.link),
             approach_speed=1.0,
-            timeout_ms=100.0,  # a busy machine takes its time
+            timeout_ms=200.0,  # a busy machine takes its time
         )
         return RobotiqGripper(settings, DriverContext("gripper"))
 

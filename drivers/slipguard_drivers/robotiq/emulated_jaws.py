@@ -109,10 +109,11 @@ class PlainJaws(Jaws):
     def _close(self, step_s: float, goal_mm: float) -> None:
         in_the_way = self.object_mm is not None and goal_mm < self.object_mm <= self._width_mm
         stop_mm = self.object_mm if in_the_way and self.object_mm is not None else goal_mm
-        way_mm = min(self._width_mm - stop_mm, self._speed_mm_s * step_s)
-        self._width_mm -= way_mm
-        if self._width_mm > stop_mm:
+        way_mm = self._speed_mm_s * step_s
+        if self._width_mm - way_mm > stop_mm:
+            self._width_mm -= way_mm
             return
+        way_mm, self._width_mm = self._width_mm - stop_mm, stop_mm
         if not in_the_way:
             self._goal_mm, self._met_closing = None, False
             return

@@ -22,8 +22,6 @@ from slipguard_drivers.robotiq.emulated_registers import FIGURES, RACT, Register
 BITS_PER_BYTE = 10
 FORGET_S = 0.02
 """Bytes that are no whole request are forgotten after a silence; the standard says 3.5 characters."""
-DOUBLE_S = 0.001
-"""How much later an answer comes a second time."""
 FAULTS = {
     "silence": "a request is obeyed, but not answered",
     "deaf": "a request is not heard at all",
@@ -33,7 +31,7 @@ FAULTS = {
     "garbage": "noise comes before an answer",
     "noise": "noise comes instead of an answer",
     "split": "an answer comes in two pieces",
-    "double": "an answer comes twice",
+    "double": "an answer comes twice, back to back",
     "wrong_function": "an answer has another function code; its checksum is right",
     "wrong_length": "an answer has a register less or more; its checksum is right",
     "wrong_echo": "an answer to a write tells another address; its checksum is right",
@@ -234,8 +232,6 @@ class RobotiqEmulator(ControlledEmulator):
             self._at(due_s, lambda: self._port.send(first))
             due_s += 0.004
         self._at(due_s, lambda: self._port.send(frame))
-        if self._strikes("double"):
-            self._at(due_s + DOUBLE_S, lambda: self._port.send(frame))
 
     def _spoilt(self, request: Request, plain: bytes) -> bytes:
         if self._strikes("wrong_function"):
@@ -255,6 +251,8 @@ class RobotiqEmulator(ControlledEmulator):
             frame = self._rng.randbytes(len(frame))
         if self._strikes("half"):
             frame = frame[: len(frame) // 2]
+        if self._strikes("double"):
+            frame += frame
         return frame
 
     def _plug_again(self) -> None:

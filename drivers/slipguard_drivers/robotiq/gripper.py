@@ -9,6 +9,7 @@ out. The screw holds the grip meanwhile. Force can rise, never fall, until the f
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import AsyncIterator, Coroutine
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -26,6 +27,8 @@ from slipguard_drivers.robotiq.registers import CLOSED_COUNT, MODELS, Motion, St
 T = TypeVar("T")
 log = structlog.get_logger()
 
+CALL_TIMEOUTS = 8
+"""No call takes longer than so many time-outs of one answer (0.4 s), but one that activates."""
 ECHO_TRIES = 5
 """Status reads until a command must be seen in the status: 5 x 5 ms, the gripper's cycle being 5 ms."""
 GIVE_COUNTS = 3
@@ -60,6 +63,7 @@ class RobotiqGripper(Gripper):
         self._line = RegisterLine(
             context.name, settings.port, settings.slave_id, settings.timeout_ms / 1000.0, registers.INPUT_ADDRESS
         )
+        self._call_s = CALL_TIMEOUTS * settings.timeout_ms / 1000.0
         self._command = asyncio.Lock()
         self._under_way: set[asyncio.Task[Any]] = set()
         self._closing_down = False
@@ -82,14 +86,14 @@ class RobotiqGripper(Gripper):
             if slow := serial_port.slow_adapter(self._port):
                 log.warning(f"{self._name}: {slow}")
         try:
-            await self._finish(self._status())
+            await self._finish(self._status(self._by_s()))
         except DeviceError:
             self._line.close()
             raise
 
     async def state(self) -> GripperState:
         """Ask the gripper now."""
-        status = await self._finish(self._status())
+        status = await self._finish(self._status(self._by_s()))
         return GripperState(
             active=status.ready,
             moving=status.going and status.motion is Motion.MOVING,
@@ -103,7 +107,7 @@ class RobotiqGripper(Gripper):
 
     async def hold(self, force_n: float) -> float:
         """Close with `force_n` or tighten to it; return the force applied."""
-        return await self._finish(self._hold(registers.force_to_count(force_n, self._model)))
+        return await self._finish(self._hold(registers.force_to_count(force_n, self._model), self._by_s()))
 
     async def move(self, width_mm: float, force_n: float) -> float:
         """Move empty-handed; return the width commanded.
@@ -111,11 +115,11 @@ class RobotiqGripper(Gripper):
         Refused while something is held, and outwards while the fingers are closing: they may just have met something.
         """
         position = registers.width_to_count(width_mm, self._model)
-        return await self._finish(self._move(position, registers.force_to_count(force_n, self._model)))
+        return await self._finish(self._move(position, registers.force_to_count(force_n, self._model), self._by_s()))
 
     async def release(self, width_mm: float) -> None:
         """Open, activating the gripper first where it needs that; the fingers then move all the way."""
-        await self._finish(self._release(registers.width_to_count(width_mm, self._model)))
+        await self._finish(self._release(registers.width_to_count(width_mm, self._model), self._by_s()))
 
     async def close(self) -> None:
         """Disconnect; the grip stays. A gripper that is being activated goes on by itself."""
@@ -129,6 +133,23 @@ class RobotiqGripper(Gripper):
         for finding in look(self._port):
             yield finding
 
+    def _by_s(self) -> float:
+        """When a call that begins now must have ended."""
+        return asyncio.get_running_loop().time() + self._call_s
+
+    @contextlib.asynccontextmanager
+    async def _in_turn(self, by_s: float) -> AsyncIterator[None]:
+        """One command at a time."""
+        try:
+            async with asyncio.timeout_at(by_s):
+                await self._command.acquire()
+        except TimeoutError:
+            raise DeviceTimeout(f"{self._name}: busy with an earlier command; ask again") from None
+        try:
+            yield
+        finally:
+            self._command.release()
+
     async def _finish(self, work: Coroutine[Any, Any, T]) -> T:
         """Do `work` to its end even when the caller is cancelled: an answer nobody waits for confuses the line."""
         task = asyncio.create_task(work, name=f"{self._name}: command")
@@ -141,27 +162,29 @@ class RobotiqGripper(Gripper):
         if not task.cancelled():
             task.exception()  # the caller may have been cancelled; then nobody else asks
 
-    async def _hold(self, force: int) -> float:
-        async with self._command:
-            status = await self._ready_status()
+    async def _hold(self, force: int, by_s: float) -> float:
+        async with self._in_turn(by_s):
+            status = await self._ready_status(by_s)
             closing = status.going and status.position_echo == CLOSED_COUNT
             gripping = status.may_hold or (closing and status.motion is Motion.MOVING)
             if gripping and self._applied is not None:
                 if force <= self._applied and closing:
                     return registers.count_to_force(self._applied, self._model)
                 force = max(force, self._applied)
+            if not status.may_hold or status.motion is Motion.MOVING:
+                self._applied = None  # there was no grip, or it is stopped half-way
             speed = registers.FULL_SPEED if status.may_hold else self._approach
             if status.may_hold or closing:
-                await self._write(go=False, position=CLOSED_COUNT, speed=speed, force=force)
-                await self._expect(CLOSED_COUNT, going=False)
-            await self._write(go=True, position=CLOSED_COUNT, speed=speed, force=force)
-            await self._expect(CLOSED_COUNT, going=True)
+                await self._write(by_s, go=False, position=CLOSED_COUNT, speed=speed, force=force)
+                await self._expect(by_s, CLOSED_COUNT, going=False)
+            await self._write(by_s, go=True, position=CLOSED_COUNT, speed=speed, force=force)
+            await self._expect(by_s, CLOSED_COUNT, going=True)
             self._applied = force
             return registers.count_to_force(force, self._model)
 
-    async def _move(self, position: int, force: int) -> float:
-        async with self._command:
-            status = await self._ready_status()
+    async def _move(self, position: int, force: int, by_s: float) -> float:
+        async with self._in_turn(by_s):
+            status = await self._ready_status(by_s)
             if self._holds(status):
                 raise CommandRefused(
                     f"{self._name}: an object is held and a move would let it go; use release for that"
@@ -170,52 +193,56 @@ class RobotiqGripper(Gripper):
                 raise CommandRefused(
                     f"{self._name}: the fingers are closing and may have met something; ask again when they are at rest"
                 )
-            await self._write(go=True, position=position, speed=self._approach, force=force)
-            await self._expect(position, going=True)
+            self._applied = None
+            await self._write(by_s, go=True, position=position, speed=self._approach, force=force)
+            await self._expect(by_s, position, going=True)
             self._applied = force
             return registers.count_to_width(position, self._model)
 
-    async def _release(self, position: int) -> None:
-        async with self._command:
-            status = await self._status()
+    async def _release(self, position: int, by_s: float) -> None:
+        async with self._in_turn(by_s):
+            status = await self._status(by_s)
             if not status.ready or status.fault is not None:
-                status = await self._activate()
+                status = await self._activate(by_s)
+                by_s = self._by_s()
             position = max(0, min(position, status.position - LETTING_GO_COUNTS))
             self._applied = self._gripped_at = None
-            await self._write(go=True, position=position, speed=registers.FULL_SPEED, force=0)
-            await self._expect(position, going=True)
+            await self._write(by_s, go=True, position=position, speed=registers.FULL_SPEED, force=0)
+            await self._expect(by_s, position, going=True)
 
-    async def _activate(self) -> Status:
+    async def _activate(self, by_s: float) -> Status:
         """Reset and activate: the fingers open and close fully. Only an explicit release may ask for that."""
-        await self._line.write(registers.OUTPUT_ADDRESS, [0, 0, 0])
-        await self._expect(0, going=False)
-        await self._write(go=False, position=0, speed=0, force=0)
+        await self._line.write(registers.OUTPUT_ADDRESS, [0, 0, 0], by_s)
+        await self._expect(by_s, 0, going=False)
+        await self._write(by_s, go=False, position=0, speed=0, force=0)
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + ACTIVATION_S
+        status = None
         while loop.time() < deadline_s and not self._closing_down:
             await asyncio.sleep(ACTIVATION_POLL_S)
-            status = await self._status()
-            if status.ready and status.fault is None:
-                return status
+            with contextlib.suppress(DeviceTimeout):  # it goes on activating, whether it is heard or not
+                status = await self._status(self._by_s())
+                if status.ready and status.fault is None:
+                    return status
         if self._closing_down:
             raise DeviceLost(f"{self._name}: disconnected while the gripper was being activated; release again")
+        told = (status.fault or "no fault reported") if status is not None else "no answer"
         raise DeviceTimeout(
-            f"{self._name}: not activated after {ACTIVATION_S:.0f} s ({status.fault or 'no fault reported'}); "
-            "check that nothing is in the fingers' way"
+            f"{self._name}: not activated after {ACTIVATION_S:.0f} s ({told}); check what is in the fingers' way"
         )
 
-    async def _status(self) -> Status:
-        status = registers.decode(await self._line.read(registers.INPUT_ADDRESS, registers.REGISTERS))
+    async def _status(self, by_s: float) -> Status:
+        status = registers.decode(await self._line.read(registers.INPUT_ADDRESS, registers.REGISTERS, by_s))
         if not status.ready:
             self._applied = self._gripped_at = None  # it has been without power, or another program has reset it
-        elif status.may_hold:
+        elif status.motion is Motion.STOPPED_CLOSING:
             self._gripped_at = status.position
         elif not self._holds(status):
             self._gripped_at = None
         return status
 
-    async def _ready_status(self) -> Status:
-        status = await self._status()
+    async def _ready_status(self, by_s: float) -> Status:
+        status = await self._status(by_s)
         if status.fault is not None:
             raise DeviceError(f"{self._name}: the gripper reports a fault: {status.fault}; release clears it")
         if not status.ready:
@@ -225,14 +252,14 @@ class RobotiqGripper(Gripper):
             )
         return status
 
-    async def _write(self, *, go: bool, position: int, speed: int, force: int) -> None:
+    async def _write(self, by_s: float, *, go: bool, position: int, speed: int, force: int) -> None:
         values = registers.encode(activate=True, go=go, position=position, speed=speed, force=force)
-        await self._line.write(registers.OUTPUT_ADDRESS, values)
+        await self._line.write(registers.OUTPUT_ADDRESS, values, by_s)
 
-    async def _expect(self, position: int, *, going: bool) -> None:
+    async def _expect(self, by_s: float, position: int, *, going: bool) -> None:
         """Wait until the gripper says that it has taken a command over."""
         for _ in range(ECHO_TRIES):
-            status = await self._status()
+            status = await self._status(by_s)
             if status.position_echo == position and status.going == going:
                 return
         raise DeviceTimeout(
@@ -247,9 +274,7 @@ class RobotiqGripper(Gripper):
         return status.closing and abs(status.position - self._gripped_at) <= GIVE_COUNTS
 
     def _force_n(self, status: Status) -> float:
-        """The force applied; a grip found at the start has at least the lowest force there is."""
-        if self._holds(status):
-            return registers.count_to_force(self._applied or 0, self._model)
-        if self._applied is None or status.position_echo != CLOSED_COUNT:
-            return 0.0
-        return registers.count_to_force(self._applied, self._model)
+        """The force applied. A finished grip has at least the lowest force there is, one stopped half-way has not."""
+        if self._applied is not None and (self._holds(status) or status.position_echo == CLOSED_COUNT):
+            return registers.count_to_force(self._applied, self._model)
+        return self._model.force_min_n if status.motion is Motion.STOPPED_CLOSING and status.ready else 0.0

@@ -14,6 +14,7 @@ import logging
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from itertools import cycle
+from typing import Any
 
 from pymodbus.client import AsyncModbusSerialClient
 from pymodbus.exceptions import ConnectionException, ModbusException
@@ -30,8 +31,6 @@ PAUSE_S = 0.00175
 """From an answer to the next request: 3.5 characters, by the standard never less than this."""
 SILENCE_S = 0.1
 """After a time-out; the slowest adapter (16 ms latency timer) with the slowest gripper answers well within it."""
-SILENCE_MAX_S = 0.25
-"""A line that is never silent is somebody else's."""
 READ, WRITE = 4, 16
 
 # What goes wrong is told by our own errors; pymodbus would print it to the terminal as well.
@@ -49,7 +48,8 @@ class Awaited:
 class RegisterLine:
     """Reads and writes 16-bit registers of one slave. A call that was begun must not be cancelled.
 
-    probe_address: two registers that may be read at any time, to find out whether the line is in order.
+    probe_address: two registers that may be read at any time, to find out whether the line is in order. by_s, of every
+    call: when it must have ended, on the loop's clock; what would take longer is not begun, and raises DeviceTimeout.
     """
 
     def __init__(self, name: str, port: str, slave_id: int, timeout_s: float, probe_address: int) -> None:
@@ -85,7 +85,7 @@ class RegisterLine:
             why = serial_port.what_is_wrong(self._port)
             raise DeviceLost(f"{self._name}: {self._port} cannot be opened: {why}")
         self._client = client
-        fd = client.ctx.transport.sync_serial.fileno()  # type: ignore[attr-defined]
+        fd = self._serial().fileno()
         serial_port.claim(fd)
         serial_port.hurry(fd)
         self._in_doubt, self._silent_from_s = False, 0.0
@@ -99,16 +99,16 @@ class RegisterLine:
             self._client.close()
             self._client = None
 
-    async def read(self, address: int, count: int) -> list[int]:
+    async def read(self, address: int, count: int, by_s: float) -> list[int]:
         """Read input registers (FC 4). Raises DeviceTimeout, DeviceLost."""
         async with self._turn:
-            await self._make_sure()
+            await self._make_sure(by_s)
             return await self._read(address, count)
 
-    async def write(self, address: int, values: list[int]) -> None:
+    async def write(self, address: int, values: list[int], by_s: float) -> None:
         """Write holding registers (FC 16). Raises DeviceTimeout, DeviceLost; what was written is not known then."""
         async with self._turn:
-            await self._make_sure()
+            await self._make_sure(by_s)
             answer = await self._ask(
                 Awaited(bytes([self._slave_id, WRITE]), 8),
                 lambda client: client.write_registers(address, values, device_id=self._slave_id),
@@ -130,26 +130,48 @@ class RegisterLine:
             raise self._confused(f"{type(answer).__name__} answers a read of {count} registers")
         return list(answer.registers)
 
-    async def _make_sure(self) -> None:
-        """After a doubt: silence, then a question that only its own answer fits."""
-        if not self._in_doubt:
-            return
-        loop = asyncio.get_running_loop()
-        gives_up_s = loop.time() + SILENCE_MAX_S
-        while (left_s := self._silent_from_s + SILENCE_S - loop.time()) > 0.0:
-            if loop.time() + left_s > gives_up_s:
-                raise DeviceTimeout(
-                    f"{self._name}: {self._port} is never silent; another master is on the line, or it is disturbed"
-                )
-            await asyncio.sleep(left_s)
-        await self._read(self._probe_address, next(self._probe_sizes))
-        self._in_doubt = False
+    async def _make_sure(self, by_s: float) -> None:
+        """Before each request: its distance to the last; after a doubt a question that only its own answer fits."""
+        await self._keep_distance()
+        if self._has_unread():
+            self._doubt()
+        if self._in_doubt:
+            loop = asyncio.get_running_loop()
+            while (left_s := self._silent_from_s + SILENCE_S - loop.time()) > 0.0:
+                self._check_time(left_s + 2.0 * self._timeout_s, by_s)
+                await asyncio.sleep(left_s)
+            self._in_doubt = False
+            await self._read(self._probe_address, next(self._probe_sizes))
+            await self._keep_distance()
+            if self._in_doubt or self._has_unread():
+                raise self._confused("more came than was asked for")
+        self._check_time(self._timeout_s, by_s)
+
+    def _check_time(self, needed_s: float, by_s: float) -> None:
+        if asyncio.get_running_loop().time() + needed_s > by_s:
+            raise DeviceTimeout(
+                f"{self._name}: {self._port} is too slow or never silent; see whether another master is on the line"
+            )
+
+    async def _keep_distance(self) -> None:
+        await asyncio.sleep(self._free_at_s - asyncio.get_running_loop().time())
+
+    def _has_unread(self) -> bool:
+        """Whether bytes that nobody has asked for are waiting in the port."""
+        try:
+            return self.connected and bool(self._serial().in_waiting)
+        except OSError:  # just unplugged; the next request says so
+            return False
+
+    def _serial(self) -> Any:
+        """The pyserial port inside."""
+        assert self._client is not None
+        return self._client.ctx.transport.sync_serial  # type: ignore[attr-defined]
 
     async def _ask(
         self, awaited: Awaited, request: Callable[[AsyncModbusSerialClient], Awaitable[ModbusPDU]]
     ) -> ModbusPDU:
         loop = asyncio.get_running_loop()
-        await asyncio.sleep(self._free_at_s - loop.time())
         client = self._client
         if client is None or not client.connected:
             raise self._gone()

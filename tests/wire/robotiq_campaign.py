@@ -1,0 +1,246 @@
+"""Random commands on a line on which everything goes wrong now and then, and what must never come of it.
+
+The emulator knows the truth: what each of its answers said at the moment it was made, every grip, every opening. A
+state is believed wrongly if no answer made during the call says the same. A grip is opened wrongly if the jaws let go,
+or the gripper is reset or activated, while no release is under way; an activation that one has begun goes on by itself.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from slipguard.devices import DriverContext, GripperState
+from slipguard.emulator import Event
+from slipguard.errors import CommandRefused, DeviceError, DeviceLost
+from slipguard_drivers.robotiq.emulated_jaws import JawsView, PlainJaws
+from slipguard_drivers.robotiq.emulated_registers import Stage
+from slipguard_drivers.robotiq.emulator import FAULTS, RobotiqEmulator
+from slipguard_drivers.robotiq.gripper import RobotiqGripper
+
+PROBABILITY = 0.01
+"""Of each kind of fault, at each request."""
+STEP_MM, STEP_N = 0.38, 0.85
+"""One count of the position and of the force register."""
+OPENINGS = ("let go", "activating", "rACT cleared")
+MIX = {"state": 35, "hold": 25, "move": 12, "give up": 10, "release": 6, "restart": 6, "object": 6}
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The gripper as it was when an answer was made."""
+
+    at_s: float
+    ready: bool
+    going: bool
+    view: JawsView
+
+
+@dataclass
+class Outcome:
+    """What the campaign came to. longest_s: of a call that activates nothing."""
+
+    commands: int = 0
+    states: int = 0
+    refused: int = 0
+    failed: int = 0
+    restarts_holding: int = 0
+    longest_s: float = 0.0
+    wrong: list[str] = field(default_factory=list)
+    opened: list[str] = field(default_factory=list)
+    loosened: list[str] = field(default_factory=list)
+    struck: Counter[str] = field(default_factory=Counter)
+
+
+class Lane:
+    """One gripper on one line, with its own driver and its own chance."""
+
+    def __init__(self, folder: Path, seed: int, outcome: Outcome) -> None:
+        self.outcome = outcome
+        self.rng = random.Random(seed)
+        options = {"link": folder / f"tty{seed}", "seed": seed, "quick": 5.0, "outage_ms": 200.0, "activated": True}
+        self.emulator = RobotiqEmulator(RobotiqEmulator.Settings.model_validate(options), self._on_event)
+        self.gripper = self._driver()
+        self.truths: list[Truth] = []
+        self.releasing = False
+        self._watch_answers()
+
+    def _driver(self) -> RobotiqGripper:
+        settings = RobotiqGripper.Settings(port=str(self.emulator.settings.link), approach_speed=1.0)
+        return RobotiqGripper(settings, DriverContext("gripper"))
+
+    def _watch_answers(self) -> None:
+        registers = self.emulator.registers
+        read = registers.read
+
+        def watched(now_s: float) -> list[int]:
+            view = registers.tick(now_s)
+            going = bool(registers.outputs[0] >> 8 & 0x08)
+            at_s = asyncio.get_running_loop().time()
+            self.truths.append(Truth(at_s, registers.stage is Stage.READY, going, view))
+            return read(now_s)
+
+        registers.read = watched  # type: ignore[method-assign]
+
+    def _on_event(self, event: Event) -> None:
+        if event["event"] == "fault":
+            self.outcome.struck[str(event["kind"])] += 1
+        opens = event["event"] in OPENINGS and event.get("held", True)
+        activating = event["event"] == "let go" and self.emulator.registers.stage is not Stage.READY
+        if opens and not self.releasing and not activating:
+            self.outcome.opened.append(str(event))
+
+    async def run(self, commands: int) -> None:
+        """Do so many commands; the line is quiet again afterwards."""
+        await self.emulator.start()
+        self._jaws.object_mm = 41.2
+        await self._open_again()
+        for name in FAULTS:
+            self.emulator.faults.set(name, PROBABILITY)
+        for _ in range(commands):
+            self.outcome.commands += 1
+            (name,) = self.rng.choices(list(MIX), list(MIX.values()))
+            await getattr(self, f"_{name.replace(' ', '_')}")()
+            await asyncio.sleep(self.rng.uniform(0.0, 0.02))
+        self.emulator.control("clear")
+        await self.gripper.close()
+        await self.emulator.stop()
+
+    @property
+    def _jaws(self) -> PlainJaws:
+        assert isinstance(self.emulator.jaws, PlainJaws)
+        return self.emulator.jaws
+
+    def _look(self) -> JawsView:
+        return self.emulator.registers.tick(asyncio.get_running_loop().time())
+
+    async def _call(self, ask: Callable[[], Awaitable[object]]) -> object:
+        """One call as the daemon makes it: what is lost is opened again; None where it failed."""
+        try:
+            return await self._timed(ask)
+        except CommandRefused:
+            self.outcome.refused += 1
+        except DeviceLost:
+            self.outcome.failed += 1
+            await self._open_again()
+        except DeviceError:
+            self.outcome.failed += 1
+        return None
+
+    async def _timed(self, ask: Callable[[], Awaitable[object]]) -> object:
+        """How long a call took is noted, but where it activated the gripper."""
+        loop = asyncio.get_running_loop()
+        began_s, activations = loop.time(), self.emulator.registers.activations
+        try:
+            return await ask()
+        finally:
+            if self.emulator.registers.activations == activations:
+                self.outcome.longest_s = max(self.outcome.longest_s, loop.time() - began_s)
+
+    async def _open_again(self) -> None:
+        await self.gripper.close()
+        for _ in range(100):
+            try:
+                await self._timed(self.gripper.open)
+            except DeviceError:
+                await self.gripper.close()
+                await asyncio.sleep(0.05)
+            else:
+                return
+        raise AssertionError("the gripper does not come back")
+
+    async def _state(self) -> None:
+        began_s = asyncio.get_running_loop().time()
+        self.truths.clear()
+        state = await self._call(self.gripper.state)
+        if isinstance(state, GripperState):
+            self.outcome.states += 1
+            said = [truth for truth in self.truths if truth.at_s >= began_s]
+            if not any(agree(state, truth) for truth in said):
+                self.outcome.wrong.append(f"{state} but {said}")
+
+    async def _hold(self) -> None:
+        force_n = self.rng.uniform(20.0, 235.0)
+        applied_n = await self._call(lambda: self.gripper.hold(force_n))
+        if isinstance(applied_n, float) and applied_n < force_n - 1e-6:
+            self.outcome.wrong.append(f"asked for {force_n} N, believes {applied_n} N")
+
+    async def _move(self) -> None:
+        width_mm, force_n = self.rng.uniform(0.0, 85.0), self.rng.uniform(20.0, 235.0)
+        await self._call(lambda: self.gripper.move(width_mm, force_n))
+
+    async def _release(self) -> None:
+        self.releasing = True
+        await self._call(lambda: self.gripper.release(self.rng.uniform(45.0, 85.0)))
+        self.releasing = False
+
+    async def _give_up(self) -> None:
+        """A caller that is cancelled in the middle of its call."""
+
+        async def impatient() -> object:
+            force_n = self.rng.uniform(20.0, 235.0)
+            call = self.gripper.hold(force_n) if self.rng.random() < 0.5 else self.gripper.state()
+            try:
+                return await asyncio.wait_for(call, self.rng.uniform(0.0, 0.03))
+            except TimeoutError:
+                return None
+
+        await self._call(impatient)
+
+    async def _restart(self) -> None:
+        """The daemon dies and another comes: what is held stays held, as firmly as before."""
+        await self.gripper.close()
+        before = await self._rest()
+        holding = before.holds and self.emulator.registers.stage in (Stage.READY, Stage.OFF)
+        self.outcome.restarts_holding += holding
+        self.gripper = self._driver()
+        await self._open_again()
+        await self._state()
+        if holding and self._look().force_n < before.force_n:
+            self.outcome.loosened.append(f"{before} became {self._look()}")
+
+    async def _rest(self) -> JawsView:
+        """The jaws when they have come to rest; seen from outside, the line is not asked."""
+        for _ in range(1000):
+            if not (view := self._look()).moving:
+                return view
+            await asyncio.sleep(0.01)
+        raise AssertionError("the jaws do not come to rest")
+
+    async def _object(self) -> None:
+        """Somebody puts another object between open jaws."""
+        view = self._look()
+        if not view.holds and not view.moving and view.width_mm > 10.0:
+            self._jaws.object_mm = self.rng.uniform(5.0, view.width_mm - 1.0)
+        await asyncio.sleep(0)
+
+
+def agree(state: GripperState, truth: Truth) -> bool:
+    """Whether a state is what the gripper was like; `holding` may be said of jaws halted on their way, never denied."""
+    view = truth.view
+    if state.active != truth.ready or abs(state.width_mm - view.width_mm) > STEP_MM:
+        return False
+    if truth.ready and state.moving != (truth.going and view.moving):
+        return False
+    if truth.ready and not view.moving and view.holds and not state.holding:
+        return False
+    if state.holding and not view.holds and truth.going:
+        return False
+    if state.closed_on_nothing and view.holds:
+        return False
+    resting = not view.moving and view.holds and state.holding
+    return not resting or state.force_n <= view.force_n + STEP_N
+
+
+async def campaign(folder: Path, commands: int, seed: int, lanes: int = 4) -> Outcome:
+    """So many commands in all, on several lines at once."""
+    outcome = Outcome()
+    each = -(-commands // lanes)
+    async with asyncio.TaskGroup() as group:
+        for lane in range(lanes):
+            group.create_task(Lane(folder, seed * 100 + lane, outcome).run(each), name=f"lane {lane}")
+    return outcome

@@ -1,0 +1,51 @@
+"""The gripper under every fault of the line at once.
+
+The whole of it: `python -m pytest tests/wire/test_robotiq_campaign.py --commands 10000 --seed 0` takes some minutes.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from robotiq_campaign import MIX, Truth, agree, campaign
+
+from slipguard.devices import GripperState
+from slipguard_drivers.robotiq.emulated_jaws import JawsView
+from slipguard_drivers.robotiq.emulator import FAULTS
+
+HANG_S = 0.5
+
+
+async def test_no_state_is_wrong_no_grip_opens_and_nothing_hangs(
+    request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    commands = request.config.getoption("--commands")
+    outcome = await campaign(tmp_path, commands, request.config.getoption("--seed"))
+    with capsys.disabled():
+        print(
+            f"\n{outcome.commands} commands, {outcome.states} states, {outcome.failed} failed, {outcome.refused} "
+            f"refused, {outcome.restarts_holding} restarts while holding, longest call {outcome.longest_s:.3f} s; "
+            f"faults: {dict(sorted(outcome.struck.items()))}"
+        )
+    assert outcome.wrong == []
+    assert outcome.opened == []
+    assert outcome.loosened == []
+    assert outcome.longest_s <= HANG_S
+    assert outcome.commands >= commands
+    assert outcome.states > commands / 10
+    assert outcome.restarts_holding > 0
+    assert set(outcome.struck) == set(FAULTS) or commands < 1000
+
+
+def test_a_wrong_state_would_be_noticed() -> None:
+    state = GripperState(True, False, True, False, 41.0, 40.0, None, 0.0)
+    held = JawsView(41.2, 40.2, False, met_closing=True)
+    assert agree(state, Truth(0.0, True, True, held))
+    for view in (JawsView(45.0, 40.2), JawsView(41.2, 40.2, moving=True), JawsView(41.2), JawsView(41.2, 30.0)):
+        assert not agree(state, Truth(0.0, True, True, view))
+    assert not agree(state, Truth(0.0, False, True, held))
+
+
+def test_the_mix_has_everything() -> None:
+    assert sum(MIX.values()) == 100
