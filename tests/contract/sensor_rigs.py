@@ -11,6 +11,7 @@ from usb_host import UsbCapture, listed
 
 from slipguard.devices import DriverContext, TactileSensor
 from slipguard.errors import DeviceLost
+from slipguard.registry import load_driver
 from slipguard.sim.world import World
 from slipguard_drivers.cell.frame_server import FrameServer
 from slipguard_drivers.cell.socket_sensor import SocketSensor
@@ -127,6 +128,14 @@ class RealRig(Rig):
         self.sensor = DigitSensor(DigitSensor.Settings(serial=serial, stall_ms=STALL_MS), DriverContext("left"))
 
 
+class DriverRig(Rig):
+    """A sensor whose driver another package has registered."""
+
+    def __init__(self, name: str, settings: str) -> None:
+        driver = load_driver("slipguard.tactile", name)
+        self.sensor = driver(driver.Settings.model_validate_json(settings), DriverContext("left"))
+
+
 def noise_pictures(folder: Path) -> None:
     """Seven of them."""
     rng = np.random.default_rng(5)
@@ -135,9 +144,10 @@ def noise_pictures(folder: Path) -> None:
 
 
 def kinds(config: pytest.Config, *, with_faults: bool) -> list[str]:
-    """Those there are; `real` only where a serial number is named."""
+    """Those there are; `real` only where a serial number is named, `driver` only where one is."""
     all_fail = ["inline", "process", "socket", "usb", "usb-mjpg"]
-    return all_fail if with_faults else [*all_fail, "replay", *(["real"] if config.getoption("--digit") else [])]
+    named = {"real": config.getoption("--digit"), "driver": config.getoption("--sensor-driver")}
+    return all_fail if with_faults else [*all_fail, "replay", *(kind for kind, name in named.items() if name)]
 
 
 def rig_of(kind: str, folder: Path, config: pytest.Config) -> Rig:
@@ -146,6 +156,8 @@ def rig_of(kind: str, folder: Path, config: pytest.Config) -> Rig:
         return SocketRig(folder)
     if kind == "replay":
         return ReplayRig(folder)
+    if kind == "driver":
+        return DriverRig(config.getoption("--sensor-driver"), config.getoption("--sensor-settings"))
     if kind == "real":
         return RealRig(config.getoption("--digit"))
     return UsbRig("MJPG" if kind == "usb-mjpg" else "YUYV") if kind.startswith("usb") else FakeRig(kind)
