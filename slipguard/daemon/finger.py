@@ -18,6 +18,7 @@ from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen, SlipguardError
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.regions import Patch
+from slipguard.perception.spare import adds_nothing, again
 
 REOPEN_S = 2.0
 """A sensor that is there but has given nothing good for so long is closed and opened again."""
@@ -113,6 +114,10 @@ class Finger:
         self.observers: list[Callable[[Judgement], None]] = []
         self.tap: asyncio.Queue[Frame] | None = None
         """Set by a calibration: a copy of every good frame goes here."""
+        self.other: Finger | None = None
+        """Whose better sight may spare this finger's frames; None: every frame is looked at."""
+        self.refresh_s = 0.0
+        """A spared finger is looked at again after this time."""
         self._worker = worker
         self._make_pipeline = make_pipeline
         self._backoff = Backoff(retry_s, longest_s=2 * retry_s)  # a cable pushed in again is noticed within a second
@@ -205,7 +210,9 @@ class Finger:
             if new_reference:
                 pipeline.reset_reference()
             try:
-                estimate = await self._worker.run(pipeline.process, frame)
+                estimate = self._spared(frame)
+                if estimate is None:
+                    estimate = await self._worker.run(pipeline.process, frame)
             except SlipguardError as error:
                 self.counts.corrupt += 1
                 self._trouble(str(error))
@@ -224,6 +231,14 @@ class Finger:
             self.newest = Seen(estimate, handed_at_s, loop.time())
             self.answered.set()
             self._on_news()
+
+    def _spared(self, frame: Frame) -> Estimate | None:
+        """The last answer, where the other finger makes this look needless."""
+        own = None if self.newest is None else self.newest.estimate
+        seen = None if self.other is None or self.other.newest is None else self.other.newest.estimate
+        if own is None or not adds_nothing(own, seen, frame.captured_at_s, self.refresh_s):
+            return None
+        return again(own, frame.captured_at_s, frame.sequence)
 
     def _observe(self, judgement: Judgement) -> None:
         for observer in self.observers:

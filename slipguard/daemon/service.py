@@ -99,6 +99,10 @@ class Service:
             name: Finger(name, sensors[name], self._workers[name], make_pipeline[name], retry_s, self._wake.set)
             for name in FINGERS
         }
+        if config.perception.skip_second_finger:
+            left, right = (self.fingers[name] for name in FINGERS)
+            left.other, right.other = right, left
+            left.refresh_s = right.refresh_s = config.perception.refresh_s
         self.gripper: Actuator[GripperState] = Actuator(
             "gripper", gripper, poll_s, retry_s, self._wake.set, self.journal.say
         )

@@ -28,6 +28,7 @@ from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.segment import Segmenter
 from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.spare import OTHER_FINGER, again
 from slipguard.recording import messages as m
 from slipguard.recording.reader import Item, Picture, Recording, open_recording
 from slipguard.recording.ring import SUFFIX
@@ -166,6 +167,10 @@ class _Player:
                 del known[next(iter(known))]
 
     def _process(self, finger: str, picture: Picture, judged: m.Judged) -> Estimate | None:
+        spared = judged.estimate is not None and judged.estimate.skipped == OTHER_FINGER
+        last = next(reversed(self._now[finger].values()), None)
+        if spared and last is not None:
+            return again(last, judged.captured_at_s, judged.sequence)
         try:
             frame = Frame(picture.pixels(), judged.captured_at_s, judged.sequence)
             return self._pipeline(finger).process(frame)

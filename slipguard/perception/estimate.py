@@ -34,7 +34,7 @@ class Estimate:
     shift_mm: (right, up) of the patch centre since the reference; None before it.
     contact_area_px: in frame pixels (240 x 320).
     measured_at_s: capture time of the frame the answer was measured on; older than `captured_at_s` after a skip.
-    skipped: None, or which skip was taken ("no contact", "unchanged").
+    skipped: None, or which skip was taken ("no contact", "unchanged", "other finger").
     declined: None, or why there is no angle.
     """
 

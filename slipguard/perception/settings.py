@@ -34,8 +34,10 @@ class PerceptionSettings(BaseModel):
     """How many standard deviations of noise one block of the picture may differ without contact."""
     skip_unchanged: bool = True
     """Reuse the last answer while the picture differs from the measured one by no more than noise."""
+    skip_second_finger: bool = True
+    """Do not look at the finger that sees less while the surer one sees no change."""
     refresh_s: Annotated[float, Field(ge=0.0, le=0.25)] = 0.25
-    """An unchanged picture is measured again after this time at the latest."""
+    """An unchanged picture, or a finger not looked at, is measured again after this time at the latest."""
 
 
 @dataclass(frozen=True, slots=True)
