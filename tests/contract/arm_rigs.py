@@ -113,6 +113,6 @@ def rig_of(kind: str, mode: Mode, config: pytest.Config) -> Rig:
     return WireRig(mode, "cb3" if kind == "wire-cb3" else "e")
 
 
-def kinds(config: pytest.Config) -> list[str]:
-    """All parameters there are; `real` only where an address is named."""
-    return ["fake", "wire-e", "wire-cb3", *(["real"] if config.getoption("--arm") else [])]
+def kinds(config: pytest.Config, *, both_series: bool) -> list[str]:
+    """The parameters there are; `real` only where an address is named."""
+    return ["fake", "wire-cb3", *(["wire-e"] if both_series else []), *(["real"] if config.getoption("--arm") else [])]

@@ -14,11 +14,21 @@ from patience import eventually
 from slipguard.devices import Arm, ArmState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 
+BOTH_SERIES = {
+    "test_a_lift_starts_and_does_not_wait",
+    "test_a_motion_under_way_is_slowed_and_turned_round_by_another",
+    "test_stop_ends_a_motion_and_may_come_at_any_time",
+    "test_a_safety_stop_is_seen_and_refuses_motion",
+    "test_in_guard_mode_it_is_watched_and_paused_and_never_moved",
+}
+"""Asked of the faster controllers too; the rest does not depend on the rate."""
+
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    both = metafunc.function.__name__ in BOTH_SERIES
     for fixture in ("rig", "guard_rig"):
         if fixture in metafunc.fixturenames:
-            metafunc.parametrize(fixture, kinds(metafunc.config), indirect=True)
+            metafunc.parametrize(fixture, kinds(metafunc.config, both_series=both), indirect=True)
 
 
 @pytest.fixture

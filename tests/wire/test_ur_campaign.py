@@ -38,6 +38,7 @@ STOPPED_S, RECOVERED_S = 1.0, 1.0
 class Round:
     """One fault. Seconds from its beginning: until it was seen, and until the arm stood.
 
+    A damaged packet that is not seen changes nothing: then from the stop that is commanded in its place.
     recovered_s: until the driver was ready again, from when the fault was over and seen.
     """
 
@@ -127,9 +128,9 @@ async def one_round(
     if not await until(lambda: not actuator.health.ready, 1.0):
         # One damaged packet to ur-rtde may go unnoticed, but a stop must still be obeyed.
         assert kind in ("half 1", "garbage 1"), "the fault was not seen"
+        begun_s = over_s = loop.time()
         actuator.command(arm.stop)
         assert await until(controller.stands), "a stop was not obeyed"
-        await asyncio.sleep(0.5)
     seen_s = loop.time()
     if over_s > begun_s:
         await asyncio.sleep(over_s - loop.time())

@@ -22,9 +22,12 @@ from slipguard_drivers.ur5.settings import Ur5Settings
 HOST = "127.0.0.32"
 
 
-@pytest.fixture(params=["e", "cb3"])
+both_series = pytest.mark.parametrize("controller", ["e", "cb3"], indirect=True)
+
+
+@pytest.fixture
 async def controller(request: pytest.FixtureRequest) -> AsyncIterator[UrEmulator]:
-    series: Literal["e", "cb3"] = request.param
+    series: Literal["e", "cb3"] = getattr(request, "param", "cb3")
     controller = UrEmulator(UrEmulator.Settings(host=HOST, series=series))
     await controller.start()
     controller.control("panel play")
@@ -52,6 +55,7 @@ def disturbances(controller: UrEmulator) -> list[str]:
     return [str(event["event"]) for event in controller.log if event["event"] in ("paused", "ended", "script")]
 
 
+@both_series
 async def test_coming_watching_and_going_disturbs_nobody(controller: UrEmulator, ros: RosLikeClient) -> None:
     for _ in range(5):
         arm = pausing()
@@ -66,6 +70,7 @@ async def test_coming_watching_and_going_disturbs_nobody(controller: UrEmulator,
     assert speed_of(controller) > 0.0 or await until(lambda: speed_of(controller) > 0.0)
 
 
+@both_series
 async def test_only_a_stop_pauses_it_once_and_it_can_go_on(controller: UrEmulator, ros: RosLikeClient) -> None:
     arm = pausing()
     await arm.open()
