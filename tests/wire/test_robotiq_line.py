@@ -84,6 +84,19 @@ async def until_it_rests(gripper: RobotiqGripper) -> None:
     pytest.fail("it does not come to rest")
 
 
+async def test_the_bytes_on_the_line_are_the_manuals(emulator: RobotiqEmulator) -> None:
+    said: list[bytes] = []
+    emulator._port._on_bytes = said.append
+    line = RegisterLine("gripper", emulator.address, 9, 0.05, 0x07D0)
+    await line.connect()
+    for ask in (line.write(0x03E8, [0x0900, 0x00FF, 0xFFFF], soon_s()), line.read(0x07D0, 3, soon_s())):
+        with pytest.raises(DeviceTimeout):
+            await ask
+        line._in_doubt = False
+    assert b"".join(said) == bytes.fromhex("09 10 03E8 0003 06 0900 00FF FFFF 4229 09 04 07D0 0003 B1CE")
+    line.close()
+
+
 async def test_only_a_release_activates(tmp_path: Path) -> None:
     emulator = quick(tmp_path)
     await emulator.start()
