@@ -1,19 +1,24 @@
 """The local API: HTTP over a Unix socket. It answers from snapshots and hands wishes on; it decides nothing itself.
 
-    GET  /state /healthz
+    GET  /state /healthz /frame/left /frame/right
     POST /grasp /lift /lower /guard /gripper /release /clear /calibrate
 
-Bodies and answers are JSON objects. Whatever cannot be done is answered with {"error": one line}: 400 no JSON,
-409 refused, 413 too large, 422 not what is allowed, 503 a device or the daemon is not well.
+Bodies and answers are JSON objects; a frame is a PNG, with its sensor, number and time in the headers. Whatever cannot
+be done is answered with {"error": one line}: 400 no JSON, 409 refused, 413 too large, 422 not what is allowed, 503 a
+device or the daemon is not well.
 """
 
 from __future__ import annotations
 
+import asyncio
 from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Annotated, Any, Protocol, TypeVar
 
+import cv2
+import numpy as np
 import structlog
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
@@ -24,6 +29,7 @@ from starlette.routing import Route
 from slipguard.complaints import first_complaint
 from slipguard.daemon.calibration import NoContact
 from slipguard.daemon.serve import serve
+from slipguard.devices import Frame
 from slipguard.errors import CommandRefused, SlipguardError
 
 BODY_MAX_BYTES = 4096
@@ -44,6 +50,10 @@ class Control(Protocol):
     @abstractmethod
     def trouble(self) -> str | None:
         """Why the daemon is not well, in one line; None if it is."""
+
+    @abstractmethod
+    def frame(self, finger: str) -> tuple[str, Frame]:
+        """Serial number and newest frame of a finger; raises CommandRefused where there is none."""
 
     @abstractmethod
     async def grasp(self, force_n: float | None = None) -> str: ...
@@ -159,6 +169,19 @@ def make_app(control: Control) -> Starlette:
         why = control.trouble()
         return JSONResponse({"status": "ok"}) if why is None else _error(503, why)
 
+    async def frame(request: Request) -> Response:
+        try:
+            serial, newest = control.frame(request.path_params["finger"])
+        except CommandRefused as error:
+            return _error(409, str(error))
+        png = await asyncio.to_thread(_png, newest.image)
+        told = {
+            "x-serial": serial,
+            "x-sequence": str(newest.sequence),
+            "x-captured-at-s": f"{newest.captured_at_s:.6f}",
+        }
+        return Response(png, media_type="image/png", headers=told)
+
     async def calibrate(body: Calibrate) -> dict[str, object]:
         return calibration_answer(await control.calibrate(force=body.force))
 
@@ -166,6 +189,7 @@ def make_app(control: Control) -> Starlette:
         routes=[
             Route("/state", state, methods=["GET"]),
             Route("/healthz", healthz, methods=["GET"]),
+            Route("/frame/{finger}", frame, methods=["GET"]),
             _command("/grasp", Grasp, lambda body: _said(control.grasp(body.force_n))),
             _command("/lift", Move, lambda body: _said(control.lift(body.height_mm, body.speed_mm_s))),
             _command("/lower", Move, lambda body: _said(control.lower(body.height_mm, body.speed_mm_s))),
@@ -216,6 +240,10 @@ async def _said(answer: Awaitable[str]) -> dict[str, object]:
     return {"said": await answer}
 
 
+def _png(image: NDArray[np.uint8]) -> bytes:
+    return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
+
+
 def _error(status: int, text: str) -> JSONResponse:
     return JSONResponse({"error": " ".join(text.split())}, status_code=status)
 
@@ -225,7 +253,9 @@ async def _http_error(request: Request, error: Exception) -> Response:
     status: Any = getattr(error, "status_code", 500)
     detail = getattr(error, "detail", "")
     if status == 404:
-        detail = f"no such path {request.url.path}; there are /state, /healthz and one for each command"
+        detail = f"no such path {request.url.path}; there are /state, /healthz, /frame/FINGER and one for each command"
     elif status == 405:
-        detail = f"{request.method} {request.url.path} is not possible; /state and /healthz take GET, commands POST"
+        detail = (
+            f"{request.method} {request.url.path} is not possible; /state, /healthz and /frame take GET, commands POST"
+        )
     return _error(status, str(detail))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -17,6 +18,16 @@ from slipguard.errors import CommandRefused, SlipguardError
 TIMEOUT_S = 5.0
 CALIBRATE_TIMEOUT_S = 30.0
 SYSTEM_SOCKET = Path("/run/slipguard") / SOCKET_NAME
+
+
+@dataclass(frozen=True, slots=True)
+class SensorFrame:
+    """A finger's picture as the daemon has it. captured_at_s: of this machine's monotonic clock."""
+
+    png: bytes
+    serial: str
+    sequence: int
+    captured_at_s: float
 
 
 class NoDaemon(SlipguardError):
@@ -59,6 +70,15 @@ class Client:
     def healthz(self) -> dict[str, Any]:
         """{"status": "ok"}; raises SlipguardError with the reason where the daemon is not well."""
         return self._ask("GET", "/healthz")
+
+    def frame(self, finger: str) -> SensorFrame:
+        """The newest frame of `left` or `right`; the sensor stays the daemon's."""
+        response = self._respond("GET", f"/frame/{finger}")
+        if response.is_error or response.headers.get("content-type") != "image/png":
+            _answer(response, self.socket_path)
+            raise SlipguardError(f"what listens at {self.socket_path} does not know /frame; is it an older slipguard?")
+        told = response.headers
+        return SensorFrame(response.content, told["x-serial"], int(told["x-sequence"]), float(told["x-captured-at-s"]))
 
     def grasp(self, force_n: float | None = None) -> dict[str, Any]:
         """Close on what is between the jaws."""
@@ -111,15 +131,19 @@ class Client:
     def _ask(
         self, method: str, path: str, body: dict[str, object] | None = None, timeout_s: float | None = None
     ) -> dict[str, Any]:
+        return _answer(self._respond(method, path, body, timeout_s), self.socket_path)
+
+    def _respond(
+        self, method: str, path: str, body: dict[str, object] | None = None, timeout_s: float | None = None
+    ) -> httpx.Response:
         self._knock()
         timeout: Any = httpx.USE_CLIENT_DEFAULT if timeout_s is None else timeout_s
         try:
-            response = self._http.request(method, path, json=body, timeout=timeout)
+            return self._http.request(method, path, json=body, timeout=timeout)
         except httpx.TimeoutException:
             raise SlipguardError(f"the daemon at {self.socket_path} did not answer {path} in time") from None
         except httpx.TransportError as error:
             raise SlipguardError(f"the daemon at {self.socket_path} broke off: {error}") from None
-        return _answer(response, self.socket_path)
 
 
 def _answer(response: httpx.Response, socket_path: Path) -> dict[str, Any]:

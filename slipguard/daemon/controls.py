@@ -30,6 +30,16 @@ class Controls(Control):
         """Why the service is not well, in one line; None if it is."""
         return trouble(self._service)
 
+    def frame(self, finger: str) -> tuple[str, Frame]:
+        """Serial number and newest frame of a finger."""
+        fingers = self._service.fingers
+        if finger not in fingers:
+            raise CommandRefused(f"no finger {finger!r}; there are: {', '.join(fingers)}")
+        one = fingers[finger]
+        if one.newest_frame is None or one.serial is None:
+            raise CommandRefused(f"no frame of the {finger} finger: {one.health.why}")
+        return one.serial, one.newest_frame
+
     async def grasp(self, force_n: float | None = None) -> str:
         """Close on what is between the jaws. Needs all devices and both no-contact images."""
         waiting = self._service.waiting_for

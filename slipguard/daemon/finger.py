@@ -7,9 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from slipguard.daemon.backoff import Backoff
 from slipguard.daemon.health import Health
 from slipguard.daemon.latest import Latest
@@ -110,7 +107,8 @@ class Finger:
         """Set while there is a `newest`."""
         self.captured_at_s: float | None = None
         """Of the newest frame that was judged."""
-        self.newest_image: NDArray[np.uint8] | None = None
+        self.newest_frame: Frame | None = None
+        """The last good one; None while the sensor is gone."""
         self.observers: list[Callable[[Judgement], None]] = []
         self.tap: asyncio.Queue[Frame] | None = None
         """Set by a calibration: a copy of every good frame goes here."""
@@ -157,6 +155,7 @@ class Finger:
                 await self._stream()
             except SlipguardError as error:
                 self._streaming = False
+                self.newest_frame = None
                 self.health.lost(str(error))
                 self._on_news()
                 await self.sensor.close()
@@ -187,7 +186,7 @@ class Finger:
             self.counts.frames += 1
             self.counts.missed += max(0, frame.sequence - sequence - 1) if sequence is not None else 0
             sequence = frame.sequence
-            self.newest_image = frame.image
+            self.newest_frame = frame
             if self.tap is not None and not self.tap.full():
                 self.tap.put_nowait(frame)
             self._waiting.put((frame, good_at_s))

@@ -11,6 +11,7 @@ import numpy as np
 
 from slipguard.daemon.api import Control, make_app, serve
 from slipguard.daemon.calibration import NoContact
+from slipguard.devices import Frame
 
 
 class FakeControl(Control):
@@ -19,6 +20,7 @@ class FakeControl(Control):
         self.failure: Exception | None = None
         self.why: str | None = None
         self.delay_s = 0.0
+        self.frames = 0
         self.began = asyncio.Event()
 
     async def _note(self, *what: object) -> str:
@@ -34,6 +36,13 @@ class FakeControl(Control):
 
     def trouble(self) -> str | None:
         return self.why
+
+    def frame(self, finger: str) -> tuple[str, Frame]:
+        if self.failure is not None:
+            raise self.failure
+        image = np.random.default_rng(self.frames).integers(0, 256, (320, 240, 3), np.uint8)
+        self.frames += 1
+        return f"D2000{1 + (finger == 'right')}", Frame(image, 12.25, self.frames)
 
     async def grasp(self, force_n: float | None = None) -> str:
         return await self._note("grasp", force_n)

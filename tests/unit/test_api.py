@@ -10,7 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import httpx
+import numpy as np
 import pytest
 from fake_control import FakeControl, served
 
@@ -75,6 +77,16 @@ async def test_state_and_health(control: FakeControl, tmp_path: Path) -> None:
     control.why = "left: no frames"
     with pytest.raises(SlipguardError, match=r"^left: no frames$"):
         await on_socket(control, tmp_path, Client.healthz)
+
+
+async def test_a_frame_comes_as_a_png_with_its_sensor_number_and_time(control: FakeControl, tmp_path: Path) -> None:
+    seen = await on_socket(control, tmp_path, lambda client: client.frame("right"))
+    assert (seen.serial, seen.sequence, seen.captured_at_s) == ("D20002", 1, 12.25)
+    image = cv2.imdecode(np.frombuffer(seen.png, np.uint8), cv2.IMREAD_COLOR)
+    assert np.array_equal(image, np.random.default_rng(0).integers(0, 256, (320, 240, 3), np.uint8))
+    control.failure = CommandRefused("no frame of the right finger: it was unplugged")
+    with pytest.raises(CommandRefused, match="unplugged"):
+        await on_socket(control, tmp_path, lambda client: client.frame("right"))
 
 
 async def test_a_refusal_and_a_device_error_come_through_in_words(control: FakeControl, tmp_path: Path) -> None:
