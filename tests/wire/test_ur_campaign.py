@@ -105,7 +105,12 @@ def stopped_by(events: list[dict[str, object]]) -> str:
 
 
 async def one_round(
-    controller: Controller, arm: LiftingArm, actuator: Actuator[ArmState], kind: str, rng: random.Random
+    controller: Controller,
+    arm: LiftingArm,
+    actuator: Actuator[ArmState],
+    kind: str,
+    rng: random.Random,
+    said: list[str],
 ) -> Round:
     loop = asyncio.get_running_loop()
     direction = rng.choice((-1.0, 1.0))
@@ -114,7 +119,7 @@ async def one_round(
         actuator.command(lambda: arm.lift(direction * 2000.0, speed_mm_s))
         if await until(lambda: not controller.stands(), 1.0):
             break
-    assert not controller.stands(), f"it does not move: {actuator.health.why}"
+    assert not controller.stands(), f"it does not move: {actuator.health.why} {said[-3:]}"
     await asyncio.sleep(rng.uniform(0.0, 0.5))
     controller.events.clear()
     begun_s = loop.time()
@@ -171,13 +176,14 @@ async def test_the_driver_lives_through_every_fault_and_the_arm_stops(
     kinds = (*LINK[:3], *WORKER, *LINK[3:])
     rng = random.Random(SEED)
     arm = LiftingArm("arm", Ur5Settings(host=HOST))
-    actuator: Actuator[ArmState] = Actuator("arm", arm, POLL_S, RETRY_S, lambda: None, lambda event: None)
+    said: list[str] = []
+    actuator: Actuator[ArmState] = Actuator("arm", arm, POLL_S, RETRY_S, lambda: None, said.append)
     running = asyncio.create_task(actuator.run(), name="actuator")
     rounds: list[Round] = []
     try:
         assert await until(lambda: actuator.health.ready, 10.0), actuator.health.why
         for number in range(count):
-            rounds.append(await one_round(controller, arm, actuator, kinds[number % len(kinds)], rng))
+            rounds.append(await one_round(controller, arm, actuator, kinds[number % len(kinds)], rng, said))
             assert not running.done()
     finally:
         running.cancel()

@@ -120,6 +120,21 @@ async def test_a_controller_that_goes_blind_on_us_is_told_to_stop(controller: Ur
     assert arm._hands.pid is None
 
 
+async def test_what_ur_rtde_tells_is_held_against_what_is_seen(
+    controller: UrEmulator, arm: LiftingArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    call = arm._hands.call
+
+    async def blind(request: str, *arguments: object, deadline_s: float) -> object:
+        answer = await call(request, *arguments, deadline_s=deadline_s)
+        return answer | {"travelling": False} if request == "beat" else answer
+
+    monkeypatch.setattr(arm._hands, "call", blind)
+    await under_way(arm, controller)
+    assert "ur-rtde has not seen it" in await lost(arm)
+    assert await rests(controller)
+
+
 async def test_late_packets_are_no_loss(controller: UrEmulator, arm: LiftingArm) -> None:
     controller.control("fault late 0.05")
     await under_way(arm, controller)

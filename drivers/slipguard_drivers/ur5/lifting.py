@@ -24,6 +24,10 @@ BEAT_S = 0.05
 GIVE_UP_S = 0.5
 """The controller's clock standing still for this long: the worker is killed and the arm must be opened again."""
 STOP_S, MOVE_S, HALT_S = 0.3, 0.5, 0.3
+DISAGREE_S = 1.0
+"""ur-rtde's own reading may die unnoticed; what it tells of a motion is held against what is seen."""
+SLOWEST_MM_S = 1.0
+"""Slower is not told from standing."""
 REST_S = 1.0
 """250 mm/s at the weakest stop there may be, 500 mm/s2, ends in 0.5 s."""
 POLL_S = 0.01
@@ -46,6 +50,7 @@ class LiftingArm(Arm):
         self._travelling = False
         self._stops = 0
         self._taken_at_s = math.inf
+        self._agreed_at_s = math.inf
         self._ours_until_s = -math.inf  # until then, a program that runs may be our own, left behind
 
     async def open(self) -> None:
@@ -68,7 +73,8 @@ class LiftingArm(Arm):
             self._dashboard.close()
             await self._eyes.close()
             raise
-        self._lost, self._travelling, self._taken_at_s = None, False, asyncio.get_running_loop().time()
+        now_s = asyncio.get_running_loop().time()
+        self._lost, self._travelling, self._taken_at_s, self._agreed_at_s = None, False, now_s, now_s
         self._heart = asyncio.create_task(self._keep_beating(), name=f"{self._name}: heartbeat")
 
     async def state(self) -> ArmState:
@@ -77,7 +83,7 @@ class LiftingArm(Arm):
         return self._eyes.state(travelling=self._travelling)
 
     async def lift(self, height_mm: float, speed_mm_s: float) -> float:
-        """Start moving; return the speed applied, at most the configured one. A motion under way is stopped first."""
+        """Start moving; return the speed applied, within the limits. A motion under way is stopped first."""
         check_lift(self._name, height_mm, speed_mm_s)
         self._check_alive()
         sight = self._eyes.fresh()
@@ -92,7 +98,7 @@ class LiftingArm(Arm):
             raise CommandRefused(f"{self._name}: it was stopped meanwhile")
         pose = list(self._eyes.fresh().pose)
         pose[2] += height_mm / 1000.0
-        speed_mm_s = min(speed_mm_s, self._settings.speed_max_mm_s)
+        speed_mm_s = min(max(speed_mm_s, SLOWEST_MM_S), self._settings.speed_max_mm_s)
         acceleration_m_s2 = self._settings.acceleration_mm_s2 / 1000.0
         await self._call("move", pose, speed_mm_s / 1000.0, acceleration_m_s2, deadline_s=MOVE_S)
         self._travelling = True
@@ -206,6 +212,14 @@ class LiftingArm(Arm):
         self._travelling = reply["travelling"]
         if not reply["running"]:
             await self._without_script()
+        now_s, moving = asyncio.get_running_loop().time(), self._eyes.newest.moving
+        if self._travelling is moving:
+            self._agreed_at_s = now_s
+        elif now_s - self._agreed_at_s > DISAGREE_S:
+            raise DeviceLost(
+                f"{self._name}: the arm {'moves' if moving else 'stands'}, and ur-rtde has not seen it for "
+                f"{DISAGREE_S:g} s; open it again"
+            )
 
     @property
     def _script_ended(self) -> bool:
