@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from slipguard.cli.record import record
+
 if TYPE_CHECKING:
     from rich.progress import Progress
 
@@ -126,6 +128,9 @@ def show(
 
     contact_sheet(folder, out)
     print(f"a sheet in {out}")
+
+
+app.command()(record)
 
 
 def _progress(what: str) -> Progress:

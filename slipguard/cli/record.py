@@ -1,0 +1,140 @@
+"""`slipguard dataset record`: a data set from a sensor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+
+    from slipguard.config import Config
+    from slipguard.daemon.client import Client
+    from slipguard.lab.dataset_record import Shot
+
+
+def record(
+    out: Annotated[Path, typer.Option(help="Folder to write to: new or empty.")],
+    config: Annotated[Path | None, typer.Option(help="The configuration: both fingers are recorded.")] = None,
+    serial: Annotated[str | None, typer.Option(help="One DIGIT instead, by its serial number.")] = None,
+    count: Annotated[int, typer.Option(min=1, help="How many frames.")] = 100,
+    every_s: Annotated[float, typer.Option(min=0.0, max=60.0, help="Seconds between them.")] = 0.2,
+    background: Annotated[
+        Path | None, typer.Option(help="No-contact image in place of the stored one, 240 wide x 320 high.")
+    ] = None,
+    show: Annotated[Path | None, typer.Option(help="Write a sheet of some frames to this PNG.")] = None,
+    socket: Annotated[Path | None, typer.Option(help="Unix socket of the daemon.")] = None,
+) -> None:
+    """Record frames with proposed labels: what differs from the no-contact image. Correct them before you train.
+
+    A running daemon is asked for its frames; the sensors are opened only where none runs.
+
+    Example: `slipguard dataset record --serial D20479 --out presses --count 50 --show sheet.png`
+    """
+    import asyncio
+
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from slipguard.cli.interrupt import left_to_the_loop
+    from slipguard.config import read_config
+    from slipguard.daemon.client import Client, NoDaemon
+    from slipguard.daemon.root import socket_path
+    from slipguard.errors import InputError
+    from slipguard.lab.dataset_files import check_new
+    from slipguard.lab.dataset_record import record_dataset
+    from slipguard.lab.dataset_sheet import contact_sheet
+
+    if (config is None) == (serial is None):
+        raise InputError("name what to record: either --config config.toml or --serial D20479")
+    check_new(out)
+    settings = read_config(config) if config is not None else None
+    columns = (TextColumn("recording"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+
+    async def all_of_it(client: Client | None) -> int:
+        shots, serials = _daemons(client, serial, every_s) if client else _own(settings, serial, every_s)
+        backgrounds = _backgrounds(serials, background, settings)
+        with Progress(*columns, console=Console(stderr=True)) as bar:
+            task = bar.add_task("frames", total=count)
+            try:
+                return await record_dataset(
+                    out, shots, count, backgrounds, lambda done: bar.update(task, completed=done)
+                )
+            finally:
+                await shots.aclose()  # type: ignore[attr-defined]
+
+    with Client(socket or (socket_path(settings) if settings is not None else None)) as client:
+        try:
+            client.state()
+            asked: Client | None = client
+        except NoDaemon:
+            asked = None
+        with left_to_the_loop():
+            touched = asyncio.run(all_of_it(asked))
+    if show is not None:
+        contact_sheet(out, show)
+    print(f"{count} frames in {out}, {touched} with contact; look at the labels before you train on them")
+
+
+def _daemons(client: Client, serial: str | None, every_s: float) -> tuple[AsyncIterator[Shot], list[str]]:
+    """What a daemon sees; raises InputError where it has no such sensor."""
+    from slipguard.errors import InputError
+    from slipguard.lab.dataset_record import from_daemon
+
+    serials = {name: finger["serial"] for name, finger in client.state()["fingers"].items()}
+    fingers = [name for name, its in serials.items() if its is not None and serial in (None, its)]
+    if not fingers:
+        there = ", ".join(its for its in serials.values() if its) or "none yet"
+        raise InputError(
+            f"a daemon runs and has no {serial or 'sensor'} (it has {there}); stop it or record one of those"
+        )
+    return from_daemon(client, fingers, every_s), [serials[name] for name in fingers]
+
+
+def _own(settings: Config | None, serial: str | None, every_s: float) -> tuple[AsyncIterator[Shot], list[str]]:
+    """The configured sensors, or one DIGIT."""
+    from pydantic import ValidationError
+
+    from slipguard.complaints import first_complaint
+    from slipguard.devices import DriverContext
+    from slipguard.errors import InputError
+    from slipguard.lab.dataset_record import from_sensors
+    from slipguard.registry import load_driver
+
+    group = "slipguard.tactile"
+    sensors: list[Any] = []
+    if settings is None:
+        driver = load_driver(group, "digit")
+        try:
+            alone = driver.Settings.model_validate({"serial": serial})
+        except ValidationError as error:
+            raise InputError(f"--{first_complaint(error, driver.Settings)}") from None
+        sensors.append(driver(alone, DriverContext("sensor")))
+    else:
+        for name in ("left", "right"):
+            section = getattr(settings, name)
+            sensors.append(load_driver(group, section.driver)(section.settings, DriverContext(name)))
+    return from_sensors(sensors, every_s), [sensor.serial for sensor in sensors]
+
+
+def _backgrounds(serials: list[str], given: Path | None, settings: Config | None) -> dict[str, Any]:
+    """The no-contact image of every sensor; raises InputError where one is missing."""
+    from slipguard.daemon.state_dir import StateDir
+    from slipguard.errors import InputError
+    from slipguard.lab.dataset_files import read_background
+
+    if given is not None:
+        return dict.fromkeys(serials, read_background(given))
+    store = StateDir(settings.state.directory if settings is not None else None)
+    found = {}
+    for serial in serials:
+        known = store.load_no_contact(serial)
+        if known is None:
+            raise InputError(
+                f"{store.path} holds no no-contact image of {serial}; jaws open and empty: `slipguard calibrate`, "
+                "or name one with --background"
+            )
+        found[serial] = known.image
+    return found
