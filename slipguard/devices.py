@@ -122,14 +122,15 @@ class Gripper(Protocol):
 
     @abstractmethod
     async def move(self, width_mm: float, force_n: float) -> float:
-        """Move the fingers to a width, empty-handed; return the width commanded (quantised).
+        """Move the fingers to a width, empty-handed; return the width commanded (quantised, within the stroke).
 
-        Raises `CommandRefused` while an object is held: only `release` opens then.
+        Raises `CommandRefused` while an object is held, and outwards while the fingers are closing, for they may just
+        have met something: only `release` opens then.
         """
 
     @abstractmethod
     async def release(self, width_mm: float) -> None:
-        """Open to `width_mm`. The one command that lets go."""
+        """Open to `width_mm`, or as far as the stroke goes. The one command that lets go."""
 
     @abstractmethod
     async def close(self) -> None:

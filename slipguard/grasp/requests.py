@@ -149,6 +149,8 @@ def _gripper(state: GuardState, command: Command, seen: Seen, params: GuardParam
     within = limits.budget(params.force_max_n, seen.gripper_limits_n)
     if gripper is None:
         return _refuse(state, command, "the gripper is not there; see its health in `slipguard ctl state`")
+    if gripper.fault is not None or not gripper.active:
+        return _refuse(state, command, f"the gripper is not ready ({gripper.fault or 'not activated'})")
     if within is None or force_n > params.force_max_n:
         return _refuse(state, command, f"{force_n:g} N is not within force_max_n = {params.force_max_n:g} N")
     if state.person_near:

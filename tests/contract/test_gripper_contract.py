@@ -121,12 +121,18 @@ async def test_hold_closes_after_a_move_with_more_force(rig: Rig, gripper: Gripp
     await eventually(gripper.state, lambda state: state.holding)
 
 
-@pytest.mark.parametrize("width_mm", [-1.0, 300.0, math.nan])
-async def test_a_width_it_does_not_have_is_refused(gripper: Gripper, width_mm: float) -> None:
+@pytest.mark.parametrize("width_mm", [-1.0, math.inf, math.nan])
+async def test_a_width_that_makes_no_sense_is_refused(gripper: Gripper, width_mm: float) -> None:
     with pytest.raises(CommandRefused):
         await gripper.move(width_mm, 30.0)
     with pytest.raises(CommandRefused):
         await gripper.release(width_mm)
+
+
+async def test_a_release_beyond_the_stroke_opens_as_far_as_it_goes(rig: Rig, held: Gripper) -> None:
+    await held.release(300.0)
+    state = await eventually(held.state, lambda state: not state.holding and not state.moving)
+    assert state.width_mm > 84.0
 
 
 async def test_move_is_refused_while_an_object_is_held(rig: Rig, held: Gripper) -> None:

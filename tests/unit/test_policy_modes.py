@@ -9,6 +9,7 @@ import pytest
 from play import GUARD_MODE, NOW_S, PARAMS, Play, seen_in, state_in
 from seen import arm, ask, fused, gripper
 
+from slipguard.devices import GripperState
 from slipguard.grasp.messages import ArmLift, RequestKind
 from slipguard.grasp.policy import step
 from slipguard.grasp.state import Phase
@@ -86,6 +87,16 @@ def test_another_program_moves_the_empty_jaws() -> None:
     gone = Play(GUARD_MODE)
     gone.jaws = None  # type: ignore[assignment]
     assert "not there" in (gone.tick(RequestKind.GRIPPER, width_mm=50.0).refused or "")
+
+
+@pytest.mark.parametrize("jaws", [gripper(0.0, holding=False, active=False), gripper(55.0, fault="overcurrent")])
+def test_jaws_that_are_not_ready_are_not_moved(jaws: GripperState) -> None:
+    play = Play(GUARD_MODE)
+    play.jaws = jaws
+    command = play.tick(RequestKind.GRIPPER, width_mm=50.0, force_n=60.0)
+    assert "not ready" in (command.refused or "")
+    assert command.move_width_mm is None
+    assert command.hold_force_n is None
 
 
 def test_an_object_held_unguarded_can_be_gripped_tighter_too() -> None:

@@ -139,7 +139,8 @@ def test_what_is_no_number_is_refused(value: float) -> None:
         width_to_count(value, MODEL_2F85)
 
 
-@pytest.mark.parametrize("width_mm", [-0.1, 85.1])
-def test_a_width_outside_the_stroke_is_refused(width_mm: float) -> None:
-    with pytest.raises(CommandRefused, match="0 to 85"):
-        width_to_count(width_mm, MODEL_2F85)
+def test_a_width_beyond_the_stroke_is_fully_open() -> None:
+    assert width_to_count(100.0, MODEL_2F85) == 3
+    assert width_to_count(100.0, MODEL_2F140) > 3
+    with pytest.raises(CommandRefused, match="0 to 140"):
+        width_to_count(-0.1, MODEL_2F140)

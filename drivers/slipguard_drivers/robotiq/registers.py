@@ -155,10 +155,15 @@ def count_to_force(count: int, model: GripperModel) -> float:
 
 
 def width_to_count(width_mm: float, model: GripperModel) -> int:
-    """The position count nearest to an opening. Raises CommandRefused outside 0 ... stroke."""
-    if not 0 <= width_mm <= model.stroke_mm:
-        raise CommandRefused(f"a width of {width_mm} mm is outside the {model.name}'s 0 to {model.stroke_mm:g} mm")
-    return model.open_count + round((model.stroke_mm - width_mm) / model.mm_per_count)
+    """The position count nearest to an opening; beyond the stroke, fully open.
+
+    Raises CommandRefused for a width that is negative or not a number.
+    """
+    if not (math.isfinite(width_mm) and width_mm >= 0):
+        raise CommandRefused(
+            f"a width of {width_mm} mm makes no sense; a {model.name} opens 0 to {model.stroke_mm:g} mm"
+        )
+    return model.open_count + round((model.stroke_mm - min(width_mm, model.stroke_mm)) / model.mm_per_count)
 
 
 def count_to_width(count: int, model: GripperModel) -> float:
