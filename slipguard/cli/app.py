@@ -16,6 +16,7 @@ from slipguard.cli import (
     emulate,
     evaluate,
     guard,
+    latency,
     measure,
     replay,
     simulate,
@@ -39,6 +40,7 @@ app.add_typer(ctl.app, name="ctl")
 app.command()(measure.measure)
 app.command()(replay.replay)
 app.command()(bench.bench)
+app.command()(latency.latency)
 app.command()(stress.stress)
 app.command()(train.train)
 app.add_typer(evaluate.app, name="evaluate")

@@ -1,0 +1,71 @@
+"""`slipguard latency`: from a frame's time stamp to the command's last byte on the wire, against an emulated cell."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from slipguard.cli.interrupt import left_to_the_loop
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from slipguard.lab.wire_latency import Latency
+
+
+def latency(
+    commands: Annotated[int, typer.Option(min=2, max=220, help="How many commands are measured.")] = 200,
+    fps: Annotated[Literal["60", "30"], typer.Option(help="Rate of the emulated cameras.")] = "60",
+    baud: Annotated[int, typer.Option(min=0, help="Pace of the serial line; 0: as fast as it goes.")] = 115200,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+) -> None:
+    """Measure from a frame's time stamp to the command's last byte on the serial line, stage by stage.
+
+    Runs the daemon and the real gripper driver against an emulated cell: about a minute. Every frame is looked at in
+    full, and drawing the emulated cameras' pictures takes its share of this machine.
+    Example: `slipguard latency --commands 100`
+    """
+    import json as jsonlib
+    import logging
+    from dataclasses import asdict
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from slipguard.daemon import log
+    from slipguard.lab.wire_latency import Options, measure
+
+    log.configure(level=logging.CRITICAL)
+    progress = Console(stderr=True)
+    with Progress(console=progress, transient=True, disable=not progress.is_terminal) as bar, left_to_the_loop():
+        task = bar.add_task("latency", total=1.0)
+        found = asyncio.run(
+            measure(
+                Options(commands=commands, baud=baud, fps=int(fps)),
+                lambda what, share: bar.update(task, description=what, completed=share),
+            )
+        )
+    if json:
+        print(jsonlib.dumps(asdict(found)))
+    else:
+        _show(Console(highlight=False), found)
+
+
+def _show(console: Console, found: Latency) -> None:
+    from rich.table import Table
+
+    from slipguard.lab.wire_latency import OWN, TOTAL
+
+    options = found.options
+    pace = f"{options.baud} Bd" if options.baud else "without pacing"
+    table = Table("stage, ms", title=f"{found.commands} commands, {options.fps} fps, {pace}", title_justify="left")
+    for name in ("p50", "p99", "largest"):
+        table.add_column(name, justify="right")
+    for stage, spread in found.stages.items():
+        if stage == TOTAL:
+            table.add_section()
+        style = "bold" if stage in (TOTAL, OWN) else ""
+        table.add_row(stage, f"{spread.p50_ms:.1f}", f"{spread.p99_ms:.1f}", f"{spread.largest_ms:.1f}", style=style)
+    console.print(table)
