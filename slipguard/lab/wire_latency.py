@@ -133,10 +133,8 @@ async def _probe(
 
     def decided(decision: Decision) -> None:
         if len(law.probes) > len(seen) and decision.command.hold_force_n is not None:
-            newest = max(
-                (finger.newest for name, finger in service.fingers.items() if finger.newest is not None),
-                key=lambda one: one.ready_at_s,
-            )
+            answers = [finger.newest for finger in service.fingers.values() if finger.newest is not None]
+            newest = max(answers, key=lambda one: one.ready_at_s)
             now_s = asyncio.get_running_loop().time()
             seen.append(_Seen(law.probes[-1], newest.handed_at_s, newest.ready_at_s, now_s))
 
