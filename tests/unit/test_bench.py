@@ -120,7 +120,7 @@ def test_a_tally_of_one_grasp_fills_a_row() -> None:
     grasp = short(sequence("key", 2, with_masks=True))
     subject = next(one for one in ours(None, every=False) if one.estimator == "fused")
     tally = Tally()
-    tally.take(subject.open(grasp), grasp, grasp.shots)
+    tally.run(subject.open(grasp), grasp, grasp.shots)
     row = tally.row(subject, tally, 1.0, 3.6)
     assert row.sequences == 1
     assert row.frames == sum(shot.compared for shot in grasp.shots)

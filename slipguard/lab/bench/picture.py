@@ -27,7 +27,7 @@ def _front(axes: Any, found: Bench) -> None:
     rows = [*found.pipelines, *found.peers]
     networks = list(dict.fromkeys(row.network for row in rows))
     colours = {network: f"C{index}" for index, network in enumerate(networks)}
-    front = []
+    front, labelled = [], []
     for row in rows:
         if row.mean_ms_per_frame_grasp is None:
             continue
@@ -48,7 +48,13 @@ def _front(axes: Any, found: Bench) -> None:
         if row.pareto:
             front.append((x, y))
         if row.pareto or row in found.peers:
-            axes.annotate(_short(row), (x, y), xytext=(7, 5), textcoords="offset points", fontsize=8)
+            labelled.append((x, y, _short(row)))
+    for index, (x, y, text) in enumerate(sorted(labelled)):
+        # In steps, for on the front names lie close together.
+        axes.annotate(
+            text, (x, y), xytext=(12, 14 + 13 * (index % 3)), textcoords="offset points", fontsize=8,
+            arrowprops={"arrowstyle": "-", "color": "0.6", "linewidth": 0.6},
+        )  # fmt: skip
     if front:
         axes.step(*zip(*sorted(front), strict=True), where="post", color="0.5", linewidth=1, zorder=0, label="front")
     for name, marker in MARKERS.items():
@@ -59,16 +65,18 @@ def _front(axes: Any, found: Bench) -> None:
     published_deg = PUBLISHED["turn_error_mean_deg"]
     axes.axhline(published_deg, color="0.7", linestyle=":")
     axes.annotate(
-        f"{published_deg:.2f}°: the paper's own figure, real cell, as published", (0.01, published_deg),
+        f"{published_deg:.2f}°: the paper's own figure, real cell, as published", (0.45, published_deg),
         xycoords=("axes fraction", "data"), xytext=(0, 3), textcoords="offset points", fontsize=8, color="0.4",
     )  # fmt: skip
     axes.set_xscale("log")
-    axes.set_ylim(bottom=0.0)
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    axes.set_ylim(low / 1.3, high * 2.5)
     axes.set_xlabel("mean time of a frame over a minute of holding, ms (one core unless said)")
     axes.set_ylabel("mean turn error, degrees")
     axes.set_title("Rendered grasps of objects that no training image shows")
     axes.grid(alpha=0.3, which="both")
-    axes.legend(fontsize=7, ncols=2, loc="upper center")
+    axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def _stages(axes: Any, found: Bench) -> None:
@@ -84,7 +92,7 @@ def _stages(axes: Any, found: Bench) -> None:
             left = [start + width for start, width in zip(left, widths, strict=True)]
     axes.invert_yaxis()
     axes.set_xlabel("a frame in contact, median ms by stage")
-    axes.legend(fontsize=7, ncols=4, loc="lower right")
+    axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
     axes.set_title(f"Where the time goes: {network}")
 
 
@@ -101,10 +109,10 @@ def _quarters(axes: Any, found: Bench) -> None:
     axes.set_yscale("log")
     axes.set_ylabel("mean turn error, degrees")
     axes.grid(alpha=0.3, which="both")
-    axes.legend(fontsize=6, ncols=2)
+    axes.legend(fontsize=6, loc="center left", bbox_to_anchor=(1.0, 0.5))
     axes.set_title("By difficulty: roundness, cut by the frame, speed, growth")
 
 
 def _short(row: Row) -> str:
     plain = row.name.replace("the paper's pipeline: ", "paper: ").replace(" + OpenCV thinning + line", "")
-    return plain.replace("background subtraction", "subtraction")
+    return plain.replace("background subtraction", "subtraction").replace(", no skipping", "")

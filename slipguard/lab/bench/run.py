@@ -140,21 +140,19 @@ def _named(item: _Item) -> str:
 
 
 def _measure(item: _Item) -> dict[str, Tally]:
-    """One grasp through all pipelines of an item."""
+    """One grasp through all pipelines of an item, frame by frame in turn: a busy machine slows all alike."""
     grasp = sequence(item.object_name, item.seed, with_masks=True, mask_every=item.mask_every)
     if item.warm:
         _warm(item.subjects, grasp)
-    found = {}
-    for subject in item.subjects:
-        tally = found[subject.name] = Tally()
-        step = 1 if subject.kind == "ours" else item.every
-        shots = grasp.shots
-        if subject.kind != "ours":
-            # Without skipping or a reference of its own, a plain pipeline begins at the last still frame.
-            first = next(index for index, shot in enumerate(shots) if shot.compared) - 1
-            shots = shots[first:-1:step]
-        tally.take(subject.open(grasp), grasp, shots, item.timed)
-    return found
+    # Without skipping or a reference of its own, a plain pipeline begins at the last still frame.
+    begin = next(index for index, shot in enumerate(grasp.shots) if shot.compared) - 1
+    running = [(subject, subject.open(grasp), Tally()) for subject in item.subjects]
+    errors = {subject.name: tally.begin(grasp) for subject, _, tally in running}
+    for index, shot in enumerate(grasp.shots):
+        for subject, processor, tally in running:
+            if subject.kind == "ours" or (index >= begin and shot.contact and (index - begin) % item.every == 0):
+                tally.take(processor, shot, errors[subject.name], item.timed)
+    return {subject.name: tally for subject, _, tally in running}
 
 
 def _warm(subjects: tuple[Subject, ...], grasp: Sequence) -> None:
@@ -248,7 +246,7 @@ def _few(subject: Subject, samples: list[Sequence]) -> Tally:
             warm = subject.open(grasp, masks)
             for shot in grasp.shots[:3]:
                 warm.process(shot.frame)
-        tally.take(subject.open(grasp, masks), grasp, grasp.shots)
+        tally.run(subject.open(grasp, masks), grasp, grasp.shots)
     return tally
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slipguard.lab.bench.cropping import known_patch
 from slipguard.lab.bench.holding import Held, hold
 from slipguard.lab.bench.rows import Skip
 from slipguard.lab.bench.subjects import Subject
@@ -44,11 +45,13 @@ def onsets(quick: bool) -> list[Onset]:
 
 def skips(quick: bool, default: Subject, held: dict[str, Held], workers: Workers) -> tuple[Skip, ...]:
     """Every skip of the default pipeline, measured."""
-    return (
+    found = [
         _no_contact(default, 1 if quick else 6),
         _unchanged(quick, default, held, workers),
         _round(default, ROUND_PLAIN[:1] if quick else ROUND_PLAIN),
-    )
+    ]
+    cropped = None if quick else known_patch(default)
+    return tuple(found if cropped is None else [*found, cropped])
 
 
 def _no_contact(default: Subject, objects: int) -> Skip:
@@ -61,7 +64,7 @@ def _no_contact(default: Subject, objects: int) -> Skip:
         asked = replace(default, skips=Skips(no_contact=False, unchanged=False))
         for subject, tally in ((default, gated), (asked, plain)):
             for shot in empty * TIMED_REPEATS:
-                tally.take(subject.open(grasp), grasp, [shot])
+                tally.run(subject.open(grasp), grasp, [shot])
         quick, slow = default.open(grasp), asked.open(grasp)
         for shot in grasp.shots:
             skipped, contact = quick.process(shot.frame).skipped == "no contact", slow.process(shot.frame).contact
@@ -107,7 +110,7 @@ def _round(default: Subject, objects: tuple[str, ...]) -> Skip:
         answers: dict[bool, list[float | None]] = {}
         for kept in (True, False):
             subject = replace(default, skips=replace(EVERY_SKIP, round=kept))
-            spent[kept].take(subject.open(grasp), grasp, grasp.shots)
+            spent[kept].run(subject.open(grasp), grasp, grasp.shots)
             processor = subject.open(grasp)
             answers[kept] = [processor.process(shot.frame).angle_deg for shot in grasp.shots]
         differ += sum(one != other for one, other in zip(answers[True], answers[False], strict=True))

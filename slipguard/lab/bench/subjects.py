@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from slipguard.devices import Frame
 from slipguard.errors import ModelError
 from slipguard.lab.bench.classical import BackgroundSubtraction
+from slipguard.lab.bench.clock import CLOCK
 from slipguard.lab.bench.paper import FrameNetwork, PaperPipeline
 from slipguard.lab.peer import PEER_MODEL
 from slipguard.lab.sequences import Sequence
@@ -55,7 +55,8 @@ class Subject:
         if self.kind == "paper":
             cores = "" if self.threads == 1 else f", {self.threads} threads"
             return f"the paper's pipeline: {self.network} {self.resolution} + OpenCV thinning + line{cores}"
-        return f"{self.network} + {self.estimator}{'' if self.skips == EVERY_SKIP else ', no skipping'}"
+        plain = f"{self.network} + {self.estimator}"
+        return plain if self.skips == EVERY_SKIP or self.kind == "subtraction" else f"{plain}, no skipping"
 
     @property
     def large(self) -> bool:
@@ -81,7 +82,7 @@ class Subject:
             grasp.background,
             grasp.noise_bgr,
             grasp.px_per_mm,
-            timer=time.perf_counter,
+            timer=CLOCK,
             skips=self.skips,
         )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -10,10 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.lab.bench.clock import CLOCK
 from slipguard.lab.bench.rows import Row, mean, quantile
 from slipguard.lab.bench.subjects import Processor, Subject
 from slipguard.lab.scores import dice, iou
 from slipguard.lab.sequences import EXTRA_PLAIN, ROUND_PLAIN, ROUND_TEXTURED, Sequence, Shot
+from slipguard.perception.estimate import Estimate
 
 CONFIDENT_SIGMAS = 3.0
 QUARTERS = 4
@@ -46,33 +47,44 @@ class Tally:
     overlaps: list[tuple[float, float]] = field(default_factory=list)
     grasps: list[Errors] = field(default_factory=list)
 
-    def take(self, processor: Processor, grasp: Sequence, shots: Iterable[Shot], timed: bool = True) -> Errors:
-        """Run a processor over shots of a grasp, in order; returns this grasp's errors."""
+    def begin(self, grasp: Sequence) -> Errors:
+        """A new grasp; its errors go into what is returned."""
         errors = Errors(grasp.object_name, grasp.readable, difficulty(grasp))
         self.grasps.append(errors)
-        for shot in shots:
-            start_s = time.perf_counter()
-            seen = processor.process(shot.frame)
-            spent_ms = 1e3 * (time.perf_counter() - start_s)
-            if timed:
-                if seen.skipped == "no contact":
-                    self.empty_ms.append(spent_ms)
-                elif seen.skipped is not None:
-                    self.unchanged_ms.append(spent_ms)
-                elif seen.contact:
-                    self.busy_ms.append(spent_ms)
-                    for stage, ms in seen.stage_ms.items():
-                        self.stage_ms.setdefault(stage, []).append(ms)
-                else:
-                    self.other_ms.append(spent_ms)
-            if shot.contact and shot.mask is not None and seen.skipped is None:
-                found, label = processor.last_mask > 0, shot.mask > 0
-                self.overlaps.append((dice(found, label), iou(found, label)))
-            if shot.compared:
-                errors.compared += 1
-                if seen.angle_deg is not None:
-                    errors.found.append((abs(seen.angle_deg - shot.turn_deg), seen.angle_deg, seen.sigma_deg))
         return errors
+
+    def take(self, processor: Processor, shot: Shot, errors: Errors, timed: bool = True) -> Estimate:
+        """Run a processor over the next shot of a grasp."""
+        start_s = CLOCK()
+        seen = processor.process(shot.frame)
+        if timed:
+            self._time(seen, 1e3 * (CLOCK() - start_s))
+        if shot.contact and shot.mask is not None and seen.skipped is None:
+            found, label = processor.last_mask > 0, shot.mask > 0
+            self.overlaps.append((dice(found, label), iou(found, label)))
+        if shot.compared:
+            errors.compared += 1
+            if seen.angle_deg is not None:
+                errors.found.append((abs(seen.angle_deg - shot.turn_deg), seen.angle_deg, seen.sigma_deg))
+        return seen
+
+    def run(self, processor: Processor, grasp: Sequence, shots: Iterable[Shot]) -> None:
+        """All shots of a grasp."""
+        errors = self.begin(grasp)
+        for shot in shots:
+            self.take(processor, shot, errors)
+
+    def _time(self, seen: Estimate, spent_ms: float) -> None:
+        if seen.skipped == "no contact":
+            self.empty_ms.append(spent_ms)
+        elif seen.skipped is not None:
+            self.unchanged_ms.append(spent_ms)
+        elif seen.contact:
+            self.busy_ms.append(spent_ms)
+            for stage, ms in seen.stage_ms.items():
+                self.stage_ms.setdefault(stage, []).append(ms)
+        else:
+            self.other_ms.append(spent_ms)
 
     def add(self, other: Tally) -> None:
         """All that another one holds."""
