@@ -71,10 +71,13 @@ def test_a_kernel_that_drops_what_is_damaged_leaves_a_stalled_stream(machine: Ma
 
 
 def test_an_unplugged_sensor_is_told_at_once(machine: Machine) -> None:
-    seen = [machine.play("scenes:unplug") for _ in range(3)]
-    print(seen)
-    assert {one["as"] for one in seen} == {"DeviceLost"}
-    assert min(one["after_s"] for one in seen) <= 0.05
+    for look in range(LOOKS):
+        seen = machine.play("scenes:unplug")
+        print(f"look {look}: {seen}")
+        assert seen["as"] == "DeviceLost"
+        if seen["after_s"] <= 0.05:
+            return
+    pytest.fail(f"unplugged, and told only after {seen['after_s']:.3f} s")
 
 
 @pytest.mark.parametrize("unplugged_s", [0.5, 4.0])

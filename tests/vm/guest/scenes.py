@@ -248,7 +248,7 @@ async def replug(unplugged_s: float) -> dict[str, float]:
         finger = Finger("left", digit(fps=30), ThreadWorker("left"), lambda serial: Perceiving(), RETRY_S, lambda: None)
         running = asyncio.create_task(finger.run())
         try:
-            await until(lambda: finger.counts.frames > 10)
+            await until(lambda: finger.counts.frames > 10 and finger.health.ready)
             emulator.control("fault unplug")
             seen_s = await until(lambda: not finger.health.ready)
             await asyncio.sleep(unplugged_s)

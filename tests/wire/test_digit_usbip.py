@@ -1,0 +1,166 @@
+"""The emulated DIGIT as a USB host sees it: plugged in, asked, streamed from, cut off."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import TypeVar
+
+import cv2
+import numpy as np
+import pytest
+from usb_host import UsbCapture, UsbDevice, listed
+
+from slipguard.errors import CommandRefused, InputError
+from slipguard_drivers.digit.capture import Delivery, Mode
+from slipguard_drivers.digit.emulator import DigitEmulator
+from slipguard_drivers.digit.picture import upright_yuyv
+from slipguard_drivers.digit.v4l2 import ZOOM_ABSOLUTE
+
+T = TypeVar("T")
+QVGA = Mode("YUYV", 320, 240, 60.0)
+
+
+@pytest.fixture(scope="session")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two folders by serial: one dark, one bright."""
+    folder = tmp_path_factory.mktemp("pictures")
+    for level, serial in ((40, "D20001"), (160, "D20002")):
+        (folder / serial).mkdir()
+        for number in range(3):
+            image = np.full((320, 240, 3), level + number, np.uint8)
+            image[:20, :20] = 250
+            cv2.imwrite(str(folder / serial / f"{number}.png"), image)
+    return folder
+
+
+@pytest.fixture
+async def emulator(pictures: Path) -> AsyncIterator[DigitEmulator]:
+    settings = DigitEmulator.Settings(serial=["D20001", "D20002"], port=0, pictures=pictures)
+    emulator = DigitEmulator(settings)
+    await emulator.start()
+    yield emulator
+    await emulator.stop()
+
+
+async def beside(work: Callable[[], T]) -> T:
+    """A host blocks, so it works on another thread than the emulator."""
+    return await asyncio.to_thread(work)
+
+
+async def frames(capture: UsbCapture, count: int) -> list[Delivery]:
+    taken: list[Delivery] = []
+    for _ in range(1000):
+        while len(taken) < count and (one := capture.take()) is not None:
+            taken.append(one)
+        if len(taken) == count:
+            return taken
+        await asyncio.sleep(0.005)
+    pytest.fail(f"only {len(taken)} of {count} frames came")
+
+
+async def test_two_sensors_are_listed_and_each_is_one_hosts(emulator: DigitEmulator) -> None:
+    assert await beside(lambda: listed(emulator.address)) == ["1-1", "1-2"]
+    device = await beside(lambda: UsbDevice(emulator.address, "1-1"))
+    with pytest.raises(OSError, match="busy"):
+        await beside(lambda: UsbDevice(emulator.address, "1-1"))
+    serial = await beside(lambda: device.control(0x80, 6, 0x0303, 0x0409, 255))
+    assert serial[2:].decode("utf-16-le") == "D20001"
+    await beside(device.close)
+    again = await beside(lambda: UsbDevice(emulator.address, "1-1"))
+    await beside(again.close)
+
+
+async def test_its_modes_are_a_digits(emulator: DigitEmulator) -> None:
+    capture = await beside(lambda: UsbCapture(f"{emulator.address}/1-1"))
+    offered = {(mode.pixels, mode.width_px, mode.height_px, mode.fps) for mode in capture.modes()}
+    assert offered == {("YUYV", 640, 480, fps) for fps in (30, 15)} | {("YUYV", 320, 240, fps) for fps in (60, 30)}
+    await beside(capture.close)
+
+
+async def test_each_sends_its_own_pictures_turned_as_a_digit_does(emulator: DigitEmulator) -> None:
+    for bus_id, level in (("1-1", 40), ("1-2", 160)):
+        capture = await beside(lambda bus_id=bus_id: UsbCapture(f"{emulator.address}/{bus_id}"))
+        await beside(lambda capture=capture: capture.configure(QVGA))
+        await beside(capture.start)
+        (frame, *_) = await frames(capture, 3)
+        portrait = upright_yuyv(frame.data)
+        assert portrait[5:15, 5:15].min() > 240, "the bright corner is at the top left again"
+        assert abs(int(portrait[200, 120, 1]) - level) <= 4
+        await beside(capture.close)
+
+
+async def test_leds_are_logged_and_a_value_beyond_them_refused(emulator: DigitEmulator) -> None:
+    capture = await beside(lambda: UsbCapture(f"{emulator.address}/1-2"))
+    assert await beside(lambda: capture.set_control(ZOOM_ABSOLUTE, 0xF73)) == 0xF73
+    (event,) = emulator.events("leds")
+    assert (event["serial"], event["rgb"]) == ("D20002", [15, 7, 3])
+    with pytest.raises(OSError, match="Broken pipe"):
+        await beside(lambda: capture.set_control(ZOOM_ABSOLUTE, 0x1000))
+    await beside(capture.close)
+
+
+async def test_a_fault_strikes_one_sensor_or_all(emulator: DigitEmulator) -> None:
+    captures = []
+    for bus_id in ("1-1", "1-2"):
+        capture = await beside(lambda bus_id=bus_id: UsbCapture(f"{emulator.address}/{bus_id}"))
+        await beside(lambda capture=capture: capture.configure(QVGA))
+        await beside(capture.start)
+        captures.append(capture)
+    for capture in captures:
+        await frames(capture, 2)
+    emulator.control("fault D20002.corrupt 3")
+    assert {one.damage for one in await frames(captures[0], 6)} == {None}
+    assert [one.damage for one in await frames(captures[1], 8)].count("the payload's error flag") == 3
+    emulator.control("fault short 1")
+    damages = [one.damage for capture in captures for one in await frames(capture, 8)]
+    assert damages.count("76800 bytes instead of 153600") == 1
+    emulator.control("fault D20001.unplug")
+    with pytest.raises(OSError, match="No such device"):
+        await frames(captures[0], 1000)
+    assert await beside(lambda: listed(emulator.address)) == ["1-2"]
+    assert len(await frames(captures[1], 3)) == 3
+    emulator.control("clear")
+    assert await beside(lambda: listed(emulator.address)) == ["1-1", "1-2"]
+    for capture in captures:
+        await beside(capture.close)
+
+
+async def test_a_stream_can_be_stopped_in_the_middle_of_a_picture_and_started_again(emulator: DigitEmulator) -> None:
+    for _ in range(3):
+        capture = await beside(lambda: UsbCapture(f"{emulator.address}/1-1"))
+        await beside(lambda capture=capture: capture.configure(Mode("YUYV", 640, 480, 30.0)))
+        await beside(capture.start)
+        assert {one.damage for one in await frames(capture, 2)} == {None}
+        await beside(capture.close)
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"serial": ["D1", "D1"]}, "every sensor needs its own"),
+        ({"pictures": "/nowhere"}, "is not a folder"),
+        ({"object": "unicorn"}, "no object 'unicorn'"),
+        ({"host": "203.0.113.1"}, "cannot be listened at"),
+    ],
+)
+async def test_what_cannot_be_emulated_is_told(settings: dict[str, object], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        await DigitEmulator(DigitEmulator.Settings.model_validate({"port": 0} | settings)).start()
+
+
+async def test_an_unknown_fault_is_refused(emulator: DigitEmulator) -> None:
+    with pytest.raises(CommandRefused, match=r"D20001\.stall"):
+        emulator.control("fault D20009.stall")
+
+
+async def test_garbage_on_the_wire_ends_that_connection_alone(emulator: DigitEmulator) -> None:
+    host, port = emulator.address.split(":")
+    for garbage in (b"", b"GET / HTTP/1.1\r\n\r\n", bytes(200), b"\x01\x11\x80\x03\0\0\0\0" + b"9-9".ljust(32, b"\0")):
+        reader, writer = await asyncio.open_connection(host, int(port))
+        writer.write(garbage)
+        writer.write_eof()
+        await asyncio.wait_for(reader.read(), 2.0)
+        writer.close()
+    assert await beside(lambda: listed(emulator.address)) == ["1-1", "1-2"]
