@@ -110,8 +110,13 @@ async def test_before_open_and_after_close_it_is_lost(rig: Rig) -> None:
 
 async def test_a_caller_that_gives_up_upsets_nobody(rig: Rig) -> None:
     await rig.sensor.open()
-    with pytest.raises(TimeoutError):
-        await asyncio.wait_for(rig.sensor.next_frame(), 0.002)
+    given_up = 0
+    for _ in range(20):
+        try:
+            await asyncio.wait_for(rig.sensor.next_frame(), 0.002)
+        except TimeoutError:
+            given_up += 1
+    assert given_up, "a frame every 2 ms is none of a camera"
     assert (await good_frame(rig.sensor)).image.shape == (320, 240, 3)
 
 
