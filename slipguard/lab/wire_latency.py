@@ -125,8 +125,13 @@ async def _probe(
 ) -> list[_Seen]:
     controls = Controls(service)
     tell("waiting for the devices", 0.0)
-    await _until(running, lambda: not service.waiting_for, READY_S, lambda: "; ".join(service.waiting_for))
+
+    def ready() -> bool:
+        return not service.waiting_for
+
+    await _until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
     await controls.calibrate()
+    await _until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
     await controls.grasp()
     await _until(running, lambda: service.firm, GRIP_S, lambda: f"no firm grip, {service.phase}")
     seen: list[_Seen] = []

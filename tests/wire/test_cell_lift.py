@@ -5,13 +5,17 @@ Without the guard this object turns and falls: it needs more force than the firs
 
 from __future__ import annotations
 
+import json
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import pytest
 from cell_rig import Cell, cell, daemon, pause, wait_for
 
+from slipguard.cli.app import run
 from slipguard.daemon.client import Client
+from slipguard.doctor import examine
 
 OPTIONS = ("--object", "wrench", "--seed", 0, "--fps", 30, "--height-mm", 80)
 TURN_MAX_DEG = 25.0
@@ -41,9 +45,26 @@ def check(cell: Cell) -> list[dict[str, Any]]:
     return up
 
 
-def test_a_lift_by_slipguard(tmp_path: Path) -> None:
+def ask_the_doctor(there: Cell, capfd: pytest.CaptureFixture[str]) -> dict[tuple[str, str], dict[str, str]]:
+    """While the daemon has the devices."""
+    run(["doctor", "--config", str(there.config), "--json"])
+    return {(one["subject"], one["what"]): one for one in json.loads(capfd.readouterr().out)["findings"]}
+
+
+def test_a_lift_by_slipguard(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(examine, "LOOK_S", 0.5)
     with cell(tmp_path, "127.0.0.62", *OPTIONS) as there, daemon(there) as client:
         grasp(client)
+        said = ask_the_doctor(there, capfd)
+        assert "it was asked" in said["daemon", "daemon"]["seen"]
+        for name in ("left", "right", "gripper", "arm"):
+            (known,) = (one for key, one in said.items() if key[0] == name and "in use by the daemon" in one["seen"])
+            assert known["verdict"] == "fine"
+        assert "p50" in said["gripper", "round trip"]["seen"]
+        assert "holding something" in said["gripper", "condition"]["seen"]
+        assert said["arm", "program"]["verdict"] == "fine", "the script that runs is slipguard's own"
         client.lift()
         wait_for(client, lambda state: state["phase"] == "lifting", "no lift")
         wait_for(client, lambda state: state["phase"] == "holding", "the lift does not end")

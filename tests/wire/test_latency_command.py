@@ -1,0 +1,20 @@
+"""`slipguard latency` on the wire, with a handful of commands."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from slipguard.cli.app import run
+from slipguard.lab.wire_latency import OWN, STAGES, TOTAL
+
+
+def test_a_short_one(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["latency", "--commands", "4", "--fps", "30", "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    assert found["commands"] >= 3
+    assert set(found["stages"]) == {*STAGES, OWN, TOTAL}
+    total, own = found["stages"][TOTAL], found["stages"][OWN]
+    assert 0.0 < own["p50_ms"] < total["p50_ms"]
+    assert found["stages"][STAGES[-1]]["p50_ms"] == pytest.approx(15 * 10 / 115200 * 1e3, abs=0.01)
