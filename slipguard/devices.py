@@ -80,6 +80,11 @@ class TactileSensor(Protocol):
     def serial(self) -> str:
         """Serial number; the no-contact image is stored under it. Known after `open()`."""
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What works, but not as asked, in words: another rate, too little bandwidth."""
+        return ()
+
     @abstractmethod
     async def open(self) -> None:
         """Find the sensor and start its stream. Idempotent."""

@@ -108,6 +108,7 @@ def _device(answer: Mapping[str, Any], name: str, health: Mapping[str, Any]) -> 
     counts = finger.get("counts", {})
     words.append(f"{counts.get('frames', 0)} frames")
     words += [f"{counts[kind]} {kind}" for kind in ("corrupt", "frozen", "stalled", "late") if counts.get(kind)]
+    words += finger.get("remarks", [])
     return ", ".join(words)
 
 

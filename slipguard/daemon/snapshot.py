@@ -34,6 +34,7 @@ def snapshot(service: Service) -> dict[str, object]:
                 "serial": finger.serial,
                 "estimate": _plain(finger.newest.estimate) if finger.newest is not None else None,
                 "counts": _plain(finger.counts),
+                "remarks": list(finger.sensor.remarks),
             }
             for name, finger in service.fingers.items()
         },

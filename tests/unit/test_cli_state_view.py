@@ -123,3 +123,8 @@ def test_a_service_that_has_just_started_can_be_shown() -> None:
     text = shown(asyncio.run(main()))
     assert "idle (mode lift, guarding)" in text
     assert text.count("waiting not tried yet") == 4
+
+
+def test_what_a_sensor_does_not_give_as_asked_is_shown() -> None:
+    left = HELD["fingers"]["left"] | {"remarks": ["only 45 of 60 frames a second come from the camera"]}
+    assert "only 45 of 60 frames a second come from the camera" in shown(HELD | {"fingers": {"left": left}})
