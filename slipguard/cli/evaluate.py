@@ -212,14 +212,15 @@ def _on_cell(
 
     from slipguard.cli.interrupt import left_to_the_loop
     from slipguard.config import read_config
+    from slipguard.daemon.root import build_service
     from slipguard.lab.evaluate.intrinsics import read_intrinsics
     from slipguard.lab.evaluate.on_cell import Camera, run_on_cell
 
     if config is None or plan is None or camera is None or intrinsics is None:
         raise InputError("on a cell --config, --protocol, --camera and --intrinsics are needed; or try --sim")
-    cell, lens = read_config(config), read_intrinsics(intrinsics)
+    service, lens = build_service(read_config(config)), read_intrinsics(intrinsics)
     with Camera(camera, lens) as eye, left_to_the_loop():
-        asyncio.run(run_on_cell(out, plan, cell, eye, lens, ask=_ask))
+        asyncio.run(run_on_cell(out, plan, service, eye, lens, _ask))
 
 
 def _ask(text: str) -> bool:

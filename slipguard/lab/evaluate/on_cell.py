@@ -13,9 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.config import Config
 from slipguard.daemon.controls import Controls
-from slipguard.daemon.root import build_service
 from slipguard.daemon.service import Service
 from slipguard.errors import DeviceLost, InputError, SlipguardError
 from slipguard.grasp.state import Phase
@@ -74,20 +72,13 @@ class Camera:
 
 
 async def run_on_cell(
-    out: Path,
-    protocol: Protocol,
-    config: Config,
-    camera: Camera,
-    intrinsics: Intrinsics,
-    ask: Ask,
-    world: object = None,
+    out: Path, protocol: Protocol, service: Service, camera: Camera, intrinsics: Intrinsics, ask: Ask
 ) -> None:
-    """Do what is still missing; `ask` shows a line and returns whether to go on. world: of the fakes, for trials.
+    """Do what is still missing with a service that is not yet running.
 
-    Raises SlipguardError where a lift fails; what was done is kept.
+    ask: shows a line and returns whether to go on. Raises SlipguardError where a lift fails; what was done is kept.
     """
     todo = prepare(out, protocol)
-    service = build_service(config, world=world)
     running = asyncio.create_task(service.run())
     try:
         await _until(running, lambda: not service.waiting_for, READY_S, lambda: "; ".join(service.waiting_for))
@@ -127,7 +118,14 @@ async def _lift(
         camera.give_to(take)
         try:
             await controls.grasp(lift.thing.grip_force_n or protocol.grip_force_n)
-            await _until(running, lambda: service.firm, PHASE_S, lambda: f"{lift.stem}: not gripped ({service.phase})")
+            await _until(
+                running,
+                lambda: service.firm or service.phase is Phase.FAULT,
+                PHASE_S,
+                lambda: f"{lift.stem}: not gripped ({service.phase})",
+            )
+            if service.state.fault is not None:
+                raise SlipguardError(f"{lift.stem}: {service.state.fault}")
             await asyncio.sleep(STILL_S)
             await controls.lift(protocol.lift_height_mm, protocol.lift_speed_mm_s)
             await _until(running, lambda: service.phase is not Phase.LIFTING, PHASE_S, lambda: f"{lift.stem}: no end")

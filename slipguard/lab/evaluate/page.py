@@ -100,12 +100,12 @@ def _object_table(report: dict[str, Any]) -> str:
         span = f"{min(turns, key=abs):.0f} … {max(turns, key=abs):.0f}" if turns else "–"
         rows.append(
             [name.replace("_", " "), about, fused["n"], span, _pm(fused), _n(fused["worst"]),
-             f"{_n(fused['low'])} – {_n(fused['high'])}", _percent(one["declined_share"])]
+             _interval(fused), _percent(one["declined_share"])]
         )  # fmt: skip
     for label, key in (("all unseen", "unseen"), ("all seen", "seen"), ("without the hard ones", "without_hard")):
         one = report[key]
         rows.append([f"<i>{label}</i>", "", one["n"], "", _pm(one), _n(one["worst"]),
-                     f"{_n(one['low'])} – {_n(one['high'])}", ""])  # fmt: skip
+                     _interval(one), ""])  # fmt: skip
     head = ["object", "", "lifts", "turns, °", "error, ° (mean ± sd)", "worst lift", "95 % interval of the mean",
             "not told"]  # fmt: skip
     return _table(head, rows, "Mean over the frames of a lift, then over lifts.")
@@ -116,7 +116,7 @@ def _estimator_table(report: dict[str, Any]) -> str:
     for name in ESTIMATORS:
         one = report["per_estimator"][name]
         told = "fused (what the guard goes by)" if name == "fused" else name
-        rows.append([told, one["n"], _pm(one), _n(one["worst"]), f"{_n(one['low'])} – {_n(one['high'])}"])
+        rows.append([told, one["n"], _pm(one), _n(one["worst"]), _interval(one)])
     rows.append(["<i>skeleton, real cell, as published</i>", 45,
                  f"{PAPER['turn_error_mean_deg']} ± {PAPER['turn_error_sd_deg']}", "", ""])  # fmt: skip
     head = ["estimator", "lifts told", "error, ° (mean ± sd)", "worst lift", "95 % interval of the mean"]
@@ -205,6 +205,10 @@ def _table(head: list[str], rows: list[list[Any]], caption: str) -> str:
 
 def _n(value: float | None, digits: int = 2) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
+
+
+def _interval(one: dict[str, Any]) -> str:
+    return "–" if one["low"] is None else f"{one['low']:.2f} – {one['high']:.2f}"
 
 
 def _pm(one: dict[str, Any], digits: int = 2) -> str:
