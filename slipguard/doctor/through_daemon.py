@@ -52,6 +52,8 @@ def finger(name: str, looks: Looks, settings: Any, store: StateDir) -> Iterator[
     """One fingertip camera, as the daemon has seen it."""
     serial = looks.after["fingers"][name]["serial"]
     yield found("sensor", name, looks, f"in use by the daemon, serial {serial}")
+    for remark in looks.after["fingers"][name].get("remarks", ()):
+        yield note("remark", remark)
     came = looks.counted(name, "frames")
     if not came:
         return
