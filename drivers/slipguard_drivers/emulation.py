@@ -153,8 +153,9 @@ class ControlledEmulator(Emulator):
     def _log(self, rest: list[str]) -> str:
         if rest and not rest[0].isdecimal():
             raise CommandRefused(f"{rest[0]!r} is no number of lines")
-        lines = [json.dumps(dict(entry)) for entry in self.log]
-        return "\n".join(lines[-int(rest[0] if rest else 10) :]) or "nothing has happened yet"
+        count = int(rest[0]) if rest else 10
+        newest = list(self.log)[max(0, len(self.log) - count) :]
+        return "\n".join(json.dumps(dict(entry)) for entry in newest) or "nothing has happened yet"
 
 
 def _amount(text: str) -> float | int:

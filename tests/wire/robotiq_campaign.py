@@ -2,7 +2,7 @@
 
 The emulator knows the truth: what each of its answers said at the moment it was made, every grip, every opening. A
 state is believed wrongly if no answer made during the call says the same. A grip is opened wrongly if the jaws let go,
-or the gripper is reset or activated, while no release is under way; an activation that one has begun goes on by itself.
+or the gripper is reset or activated, by what no release has written; an activation that one has begun goes on alone.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ PROBABILITY = 0.01
 """Of each kind of fault, at each request."""
 STEP_MM, STEP_N = 0.38, 0.85
 """One count of the position and of the force register."""
+TICK_S, STALL_S = 0.005, 0.02
+"""A loop that comes later than this was kept from running by the machine."""
 OPENINGS = ("let go", "activating", "rACT cleared")
 MIX = {"state": 35, "hold": 25, "move": 12, "give up": 10, "release": 6, "restart": 6, "object": 6}
 
@@ -42,7 +44,11 @@ class Truth:
 
 @dataclass
 class Outcome:
-    """What the campaign came to. longest_s: of a call that activates nothing."""
+    """What the campaign came to.
+
+    longest_s: of a call that activates nothing, less what this process was kept from running meanwhile (stalled_s in
+    all).
+    """
 
     commands: int = 0
     states: int = 0
@@ -50,6 +56,7 @@ class Outcome:
     failed: int = 0
     restarts_holding: int = 0
     longest_s: float = 0.0
+    stalled_s: float = 0.0
     wrong: list[str] = field(default_factory=list)
     opened: list[str] = field(default_factory=list)
     loosened: list[str] = field(default_factory=list)
@@ -67,6 +74,8 @@ class Lane:
         self.gripper = self._driver()
         self.truths: list[Truth] = []
         self.releasing = False
+        self.by_release = False
+        """Whether what was written last was written while a release was under way."""
         self._watch_answers()
 
     def _driver(self) -> RobotiqGripper:
@@ -89,9 +98,11 @@ class Lane:
     def _on_event(self, event: Event) -> None:
         if event["event"] == "fault":
             self.outcome.struck[str(event["kind"])] += 1
+        if event["event"] == "write":
+            self.by_release = self.releasing
         opens = event["event"] in OPENINGS and event.get("held", True)
         activating = event["event"] == "let go" and self.emulator.registers.stage is not Stage.READY
-        if opens and not self.releasing and not activating:
+        if opens and not self.by_release and not activating:
             self.outcome.opened.append(str(event))
 
     async def run(self, commands: int) -> None:
@@ -135,11 +146,13 @@ class Lane:
         """How long a call took is noted, but where it activated the gripper."""
         loop = asyncio.get_running_loop()
         began_s, activations = loop.time(), self.emulator.registers.activations
+        stalled_s = self.outcome.stalled_s
         try:
             return await ask()
         finally:
             if self.emulator.registers.activations == activations:
-                self.outcome.longest_s = max(self.outcome.longest_s, loop.time() - began_s)
+                took_s = loop.time() - began_s - (self.outcome.stalled_s - stalled_s)
+                self.outcome.longest_s = max(self.outcome.longest_s, took_s)
 
     async def _open_again(self) -> None:
         await self.gripper.close()
@@ -236,11 +249,24 @@ def agree(state: GripperState, truth: Truth) -> bool:
     return not resting or state.force_n <= view.force_n + STEP_N
 
 
+async def watch_stalls(outcome: Outcome) -> None:
+    """Add up by how much the loop comes too late."""
+    loop = asyncio.get_running_loop()
+    while True:
+        due_s = loop.time() + TICK_S
+        await asyncio.sleep(TICK_S)
+        late_s = loop.time() - due_s
+        outcome.stalled_s += late_s if late_s > STALL_S else 0.0
+
+
 async def campaign(folder: Path, commands: int, seed: int, lanes: int = 4) -> Outcome:
     """So many commands in all, on several lines at once."""
     outcome = Outcome()
     each = -(-commands // lanes)
+    stalls = asyncio.create_task(watch_stalls(outcome), name="stalls")
     async with asyncio.TaskGroup() as group:
         for lane in range(lanes):
             group.create_task(Lane(folder, seed * 100 + lane, outcome).run(each), name=f"lane {lane}")
+    stalls.cancel()
+    await asyncio.wait([stalls])
     return outcome

@@ -25,7 +25,8 @@ async def test_no_state_is_wrong_no_grip_opens_and_nothing_hangs(
     with capsys.disabled():
         print(
             f"\n{outcome.commands} commands, {outcome.states} states, {outcome.failed} failed, {outcome.refused} "
-            f"refused, {outcome.restarts_holding} restarts while holding, longest call {outcome.longest_s:.3f} s; "
+            f"refused, {outcome.restarts_holding} restarts while holding, longest call {outcome.longest_s:.3f} s "
+            f"(stalled {outcome.stalled_s:.1f} s in all); "
             f"faults: {dict(sorted(outcome.struck.items()))}"
         )
     assert outcome.wrong == []

@@ -27,14 +27,14 @@ def quick(folder: Path, **options: object) -> RobotiqEmulator:
     """A 2F-85 with quick jaws on a wire that takes no time."""
     return RobotiqEmulator(
         RobotiqEmulator.Settings.model_validate(
-            {"link": folder / "ttyGripper", "baud": 0, "response_ms": 0.0, "quick": 5.0, "late_ms": 250.0, **options}
+            {"link": folder / "ttyGripper", "baud": 0, "response_ms": 0.0, "quick": 5.0, "late_ms": 150.0, **options}
         )
     )
 
 
 def settings(emulator: RobotiqEmulator) -> RobotiqGripper.Settings:
     """The usual ones, but for a machine that is busy with other things."""
-    return RobotiqGripper.Settings(port=emulator.address, approach_speed=1.0, timeout_ms=200.0)
+    return RobotiqGripper.Settings(port=emulator.address, approach_speed=1.0, timeout_ms=100.0)
 
 
 @pytest.fixture
@@ -203,7 +203,7 @@ async def test_a_late_answer_is_never_taken_for_the_next(emulator: RobotiqEmulat
 
 
 async def test_nor_is_one_that_is_later_than_the_silence_is_long(tmp_path: Path) -> None:
-    emulator = quick(tmp_path, activated=True, late_ms=350.0)
+    emulator = quick(tmp_path, activated=True, late_ms=250.0)
     await emulator.start()
     gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
     await gripper.open()
@@ -292,7 +292,7 @@ async def test_what_is_no_good_answer_to_a_read_is_a_time_out_and_the_next_is_fi
     "fault", ["bad_crc", "half", "noise", "wrong_function", "wrong_echo", "wrong_slave", "silence"]
 )
 async def test_what_is_no_good_answer_to_a_write_is_a_time_out_too(emulator: RobotiqEmulator, fault: str) -> None:
-    line = RegisterLine("gripper", emulator.address, 9, 0.2, 0x07D0)
+    line = RegisterLine("gripper", emulator.address, 9, 0.1, 0x07D0)
     await line.connect()
     emulator.control(f"fault {fault} 1")
     with pytest.raises(DeviceTimeout):
@@ -306,7 +306,7 @@ async def test_no_answer_however_strange_trips_the_driver(emulator: RobotiqEmula
     raised: list[object] = []
     asyncio.get_running_loop().set_exception_handler(lambda loop, context: raised.append(context))
     send = emulator._port.send
-    for function in range(0, 256, 5):
+    for function in range(1, 256, 15):
         answer = bytes([9, function, 4, 0, 1, 2, 3])
         emulator._port.send = lambda data, answer=answer: send(answer + crc16(answer))  # type: ignore[method-assign]
         gripper._line._in_doubt = False

@@ -213,22 +213,24 @@ class RobotiqGripper(Gripper):
     async def _activate(self, by_s: float) -> Status:
         """Reset and activate: the fingers open and close fully. Only an explicit release may ask for that."""
         await self._line.write(registers.OUTPUT_ADDRESS, [0, 0, 0], by_s)
-        await self._expect(by_s, 0, going=False)
+        await self._expect(by_s, 0, going=False, activated=False)
         await self._write(by_s, go=False, position=0, speed=0, force=0)
+        status = await self._expect(by_s, 0, going=False)
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + ACTIVATION_S
-        status = None
-        while loop.time() < deadline_s and not self._closing_down:
+        while status.activated and loop.time() < deadline_s and not self._closing_down:
+            if status.ready and status.fault is None:
+                return status
             await asyncio.sleep(ACTIVATION_POLL_S)
             with contextlib.suppress(DeviceTimeout):  # it goes on activating, whether it is heard or not
                 status = await self._status(self._by_s())
-                if status.ready and status.fault is None:
-                    return status
         if self._closing_down:
             raise DeviceLost(f"{self._name}: disconnected while the gripper was being activated; release again")
-        told = (status.fault or "no fault reported") if status is not None else "no answer"
+        if not status.activated:
+            raise DeviceTimeout(f"{self._name}: the gripper was reset while it was being activated; release again")
         raise DeviceTimeout(
-            f"{self._name}: not activated after {ACTIVATION_S:.0f} s ({told}); check what is in the fingers' way"
+            f"{self._name}: not activated after {ACTIVATION_S:.0f} s ({status.fault or 'no fault reported'}); "
+            "check what is in the fingers' way"
         )
 
     async def _status(self, by_s: float) -> Status:
@@ -256,12 +258,12 @@ class RobotiqGripper(Gripper):
         values = registers.encode(activate=True, go=go, position=position, speed=speed, force=force)
         await self._line.write(registers.OUTPUT_ADDRESS, values, by_s)
 
-    async def _expect(self, by_s: float, position: int, *, going: bool) -> None:
+    async def _expect(self, by_s: float, position: int, *, going: bool, activated: bool = True) -> Status:
         """Wait until the gripper says that it has taken a command over."""
         for _ in range(ECHO_TRIES):
             status = await self._status(by_s)
-            if status.position_echo == position and status.going == going:
-                return
+            if (status.position_echo, status.going, status.activated) == (position, going, activated):
+                return status
         raise DeviceTimeout(
             f"{self._name}: the gripper does not take commands: it is {'going' if status.going else 'stopped'}, its "
             f"position echo {status.position_echo} instead of {position}; is another program commanding it?"

@@ -1,0 +1,234 @@
+"""The emulated gripper itself: its habits, its pace, its truth."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+import serial
+
+from slipguard.errors import CommandRefused, InputError
+from slipguard_drivers.robotiq.emulated_frames import crc16
+from slipguard_drivers.robotiq.emulated_jaws import PlainJaws
+from slipguard_drivers.robotiq.emulated_registers import FIGURES, Registers, Stage
+from slipguard_drivers.robotiq.emulator import RobotiqEmulator
+
+
+class Bench:
+    """Registers with plain jaws, and a clock that is set by hand."""
+
+    def __init__(self) -> None:
+        self.jaws = PlainJaws()
+        self.told: list[str] = []
+        self.registers = Registers(self.jaws, FIGURES["2F-85"], lambda event, **details: self.told.append(event))
+        self.now_s = 100.0
+
+    def wait(self, seconds: float) -> None:
+        for _ in range(round(seconds / 0.005)):
+            self.now_s += 0.005
+            self.registers.tick(self.now_s)
+
+    def write(self, *words: int, after_s: float = 0.05) -> None:
+        self.registers.write(self.now_s, 0x03E8, words)
+        self.wait(after_s)
+
+    @property
+    def flags(self) -> int:
+        return self.registers.read(self.now_s)[0] >> 8
+
+    @property
+    def force_n(self) -> float:
+        return self.jaws.look(self.now_s).force_n
+
+
+@pytest.fixture
+def bench() -> Bench:
+    bench = Bench()
+    bench.write(0x0100, 0, 0, after_s=4.0)
+    return bench
+
+
+def test_activation_takes_seconds_and_moves_the_jaws_all_the_way() -> None:
+    bench = Bench()
+    assert bench.flags == 0x00
+    bench.write(0x0100, 0, 0)
+    assert bench.flags == 0x11
+    bench.wait(0.7)
+    assert bench.jaws.look(bench.now_s).width_mm < 30.0
+    bench.wait(3.0)
+    assert bench.flags & 0x3F == 0x31
+    assert bench.told[-1] == "activated"
+
+
+def test_a_new_force_at_rest_does_nothing_and_stop_then_go_tightens(bench: Bench) -> None:
+    bench.jaws.object_mm = 40.0
+    bench.write(0x0900, 0xFF, 0xFF00, after_s=2.0)
+    assert bench.flags == 0xB9
+    assert bench.force_n == pytest.approx(20.0)
+    bench.write(0x0900, 0xFF, 0xFFFF, after_s=2.0)
+    assert bench.force_n == pytest.approx(20.0)
+    bench.write(0x0100, 0xFF, 0xFFFF)
+    assert bench.flags == 0xB1
+    bench.write(0x0900, 0xFF, 0xFFFF, after_s=2.0)
+    assert bench.force_n == pytest.approx(235.0)
+    assert "let go" not in bench.told
+
+
+def test_a_stop_and_a_go_within_one_cycle_are_no_stop(bench: Bench) -> None:
+    bench.jaws.object_mm = 40.0
+    bench.write(0x0900, 0xFF, 0xFF00, after_s=2.0)
+    bench.now_s += 0.001
+    bench.write(0x0100, 0xFF, 0xFFFF, after_s=0.0)
+    bench.write(0x0900, 0xFF, 0xFFFF, after_s=2.0)
+    assert bench.force_n == pytest.approx(20.0)
+
+
+def test_force_never_falls_until_the_jaws_open(bench: Bench) -> None:
+    bench.jaws.object_mm = 40.0
+    bench.write(0x0900, 0xFF, 0xFF80, after_s=2.0)
+    before_n = bench.force_n
+    bench.write(0x0100, 0xFF, 0xFF00)
+    bench.write(0x0900, 0xFF, 0xFF00, after_s=2.0)
+    assert bench.force_n == before_n > 100.0
+    bench.write(0x0900, 0x00, 0xFF00, after_s=2.0)
+    assert bench.force_n == 0.0
+    assert "let go" in bench.told
+
+
+def test_clearing_ract_keeps_the_grip_and_activating_drops_it(bench: Bench) -> None:
+    bench.jaws.object_mm = 40.0
+    bench.write(0x0900, 0xFF, 0xFF80, after_s=2.0)
+    bench.write(0, 0, 0)
+    assert bench.flags == 0x00
+    assert bench.force_n > 100.0
+    assert "let go" not in bench.told
+    bench.write(0x0100, 0, 0, after_s=0.5)
+    assert "let go" in bench.told
+
+
+def test_going_before_it_is_active_is_a_fault() -> None:
+    bench = Bench()
+    bench.write(0x0800, 0, 0)
+    assert bench.registers.read(bench.now_s)[1] >> 8 == 0x07
+    bench.write(0x0900, 0, 0)
+    assert bench.registers.read(bench.now_s)[1] >> 8 == 0x05
+
+
+def test_a_silence_is_told_and_an_automatic_release_too(bench: Bench) -> None:
+    bench.registers.heard(bench.now_s)
+    bench.wait(1.5)
+    assert bench.registers.read(bench.now_s)[1] >> 8 == 0x09
+    bench.registers.heard(bench.now_s)
+    bench.write(0x1100, 0, 0)
+    assert bench.registers.read(bench.now_s)[1] >> 8 == 0x0B
+    bench.wait(10.0)
+    assert bench.registers.read(bench.now_s)[1] >> 8 == 0x0F
+
+
+def test_without_power_it_is_reset_and_the_screw_holds(bench: Bench) -> None:
+    bench.jaws.object_mm = 40.0
+    bench.write(0x0900, 0xFF, 0xFF80, after_s=2.0)
+    before_n = bench.force_n
+    bench.registers.lose_power(bench.now_s)
+    bench.wait(1.0)
+    assert bench.registers.stage is Stage.OFF
+    assert bench.force_n == before_n
+
+
+def test_an_object_that_is_taken_away_is_missed(bench: Bench) -> None:
+    bench.jaws.object_mm = 40.0
+    bench.write(0x0900, 0xFF, 0xFF80, after_s=2.0)
+    bench.jaws.object_mm = None
+    bench.wait(0.1)
+    assert bench.force_n == 0.0
+    assert "empty" in bench.told
+
+
+@pytest.fixture
+async def emulator(tmp_path: Path) -> AsyncIterator[RobotiqEmulator]:
+    emulator = RobotiqEmulator(RobotiqEmulator.Settings(link=tmp_path / "tty", activated=True, latency_timer_ms=16.0))
+    await emulator.start()
+    yield emulator
+    await emulator.stop()
+
+
+def framed(text: str) -> bytes:
+    raw = bytes.fromhex(text)
+    return raw + crc16(raw)
+
+
+async def exchange(emulator: RobotiqEmulator, request: bytes, size: int) -> tuple[bytes, float]:
+    """What comes back within half a second, and after how long."""
+
+    def talk() -> bytes:
+        with serial.Serial(emulator.address, 115200, timeout=0.5) as port:
+            port.write(request)
+            return bytes(port.read(size))
+
+    loop = asyncio.get_running_loop()
+    began_s = loop.time()
+    return await loop.run_in_executor(None, talk), loop.time() - began_s
+
+
+async def test_an_answer_takes_the_time_of_the_wire(emulator: RobotiqEmulator) -> None:
+    answer, took_s = await exchange(emulator, framed("09 04 07D0 0003"), 11)
+    assert len(answer) == 11
+    assert took_s >= (8 + 11) * 10 / 115200 + 0.001 + 0.016
+
+
+async def test_the_log_tells_when_the_last_byte_of_a_command_was_on_the_wire(emulator: RobotiqEmulator) -> None:
+    began_s = asyncio.get_running_loop().time()
+    answer, _ = await exchange(emulator, framed("09 10 03E8 0003 06 0900 00FF FFFF"), 8)
+    assert answer == framed("09 10 03E8 0003")
+    (event,) = emulator.events("write")
+    last_byte_s = event["last_byte_s"]
+    assert isinstance(last_byte_s, float)
+    assert last_byte_s >= began_s + 15 * 10 / 115200
+    assert event["registers"] == ["0900", "00FF", "FFFF"]
+
+
+@pytest.mark.parametrize("request_", ["07 04 07D0 0003", "09 04 07D0 0009", "09 2B 0E01", "09 04 07D0"])
+async def test_what_it_does_not_understand_is_met_with_silence(emulator: RobotiqEmulator, request_: str) -> None:
+    assert await exchange(emulator, framed(request_), 1) == (b"", pytest.approx(0.5, abs=0.5))
+    await asyncio.sleep(0.03)
+    assert len((await exchange(emulator, framed("09 04 07D0 0003"), 11))[0]) == 11
+
+
+async def test_the_port_goes_and_comes_back_under_its_name(emulator: RobotiqEmulator) -> None:
+    def there() -> bool:
+        return Path(emulator.address).is_symlink()
+
+    assert there()
+    emulator.control("fault unplug")
+    assert not there()
+    emulator.control("clear unplug")
+    assert (await exchange(emulator, framed("09 04 07D0 0003"), 11))[0]
+    await emulator.stop()
+    await emulator.stop()
+    assert not there()
+
+
+async def test_the_object_and_the_fault_are_put_there_by_words(emulator: RobotiqEmulator) -> None:
+    assert isinstance(emulator.jaws, PlainJaws)
+    emulator.control("object 40")
+    assert emulator.jaws.object_mm == 40.0
+    emulator.control("object none")
+    assert emulator.jaws.object_mm is None
+    emulator.control("gflt 0x0E")
+    assert emulator.registers.fault == 0x0E
+    for words in ("object", "object 900", "object wide", "gflt", "gflt 99", "gflt x"):
+        with pytest.raises(CommandRefused):
+            emulator.control(words)
+
+
+async def test_a_name_that_is_taken_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    emulator = RobotiqEmulator(RobotiqEmulator.Settings(link=tmp_path / "file"))
+    with pytest.raises(InputError, match="is no link"):
+        await emulator.start()
+    nowhere = RobotiqEmulator(RobotiqEmulator.Settings(link=tmp_path / "no" / "tty"))
+    with pytest.raises(InputError, match="cannot be made"):
+        await nowhere.start()
+    assert (tmp_path / "file").read_text() == "mine"
