@@ -26,7 +26,7 @@ LIGHTS_DEG = (270.0, 150.0, 30.0)
 MIRRORED_MARGIN = 0.1
 """Lights are taken in the other sense of rotation only where that makes the slopes a surface's by this much more."""
 BLUR_PX = 1.0
-NOMINAL_WEIGHT = 0.15
+NOMINAL_WEIGHT = 1.0
 """How strongly the learnt mix of colours is held to that of three equal lights, as a share of the relief's energy."""
 
 Field = NDArray[np.float32]

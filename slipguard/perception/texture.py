@@ -36,7 +36,7 @@ ball makes fine differences that do not turn with it."""
 ROUND_LEVER = 1.35
 """Change of the blurred relief by a turn of one radian (what shift, scale and gain cannot explain) over the relief
 itself, r.m.s.: 0.4-0.9 for plain balls and rings, rendered and real, 1.2 at most; 1.45 and more for what has a face."""
-ALIKE_MIN = 0.6
+ALIKE_MIN = 0.7
 """Correlation of the reference's relief with what now lies there."""
 SIGHT_MIN = 0.45
 """Share of the reference's relief that must be in the picture."""
@@ -46,10 +46,14 @@ REPEATS_SHARE = 0.7
 _PRIOR_STD = np.array([10.0, 6.0, 6.0, 0.1, 0.5])
 """Turn (rad), shift from the start (relief pixels), scale and gain (shares): weak, for what it does not tell."""
 SIGMA_FLOOR_DEG = 0.03
-SPREAD_SIGMA, GROWTH_SIGMA, MISFIT_SIGMA = 0.7, 0.55, 0.052
+SPREAD_SIGMA, GROWTH_SIGMA, MISFIT_SIGMA = 0.7, 0.55, 0.045
+UNLIKE = 0.1
+FAINT_LEVELS = 1.2
 """Parts of sigma: of what parts of the contact disagree by, of the turn that would change the relief as much as its
-growth has, and of the turn that would change it by what the fit leaves. Fitted by `slipguard.lab.sigma_fit` to turns
-of the training objects."""
+growth has, and of the turn that would change it by what the fit leaves; the last counts twice where the correlation
+is `UNLIKE` below 1: real contacts that are sheared deform. All of it is twice as large where the relief
+is no stronger than `FAINT_LEVELS` (grey levels a pixel, r.m.s.): what the light does to a place does not turn. Chosen
+by `slipguard.lab.sigma_fit` on rendered turns of the training objects, `UNLIKE` on real shear without turning."""
 _CORRELATED = 30.0
 """How many of the template's points carry the same error."""
 OTHER = "contact changed too much since the reference"
@@ -75,6 +79,7 @@ class TextureFit:
     """The best pose. spread_deg: one standard deviation of the turn as parts of the contact disagree about it.
 
     lever: change of the relief by a turn of a radian over the relief itself. alike: correlation with the reference.
+    strength: of the reference's relief, grey levels a pixel, r.m.s.
     declined: None, or why there is no turn.
     """
 
@@ -83,7 +88,13 @@ class TextureFit:
     misfit_deg: float
     lever: float
     alike: float
+    strength: float
     declined: str | None = None
+
+    @property
+    def unlike(self) -> float:
+        """By how much a contact that has deformed makes sigmas larger; 1 where it is as it was."""
+        return 1.0 + (1.0 - min(self.alike, 1.0)) / UNLIKE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +155,7 @@ def make_texture(relief: Relief, patch: Patch) -> Texture | None:
 def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:
     """Lay the reference's relief over another, from a start within some degrees and pixels."""
     if texture.coarse_lever < ROUND_LEVER:
-        return TextureFit(start, 180.0, 180.0, 0.0, 0.0, ROUND)
+        return TextureFit(start, 180.0, 180.0, 0.0, 0.0, 0.0, ROUND)
     turn, dx, dy, scale, gain = math.radians(start.turn_deg), start.dx_px, start.dy_px, start.scale, start.gain
     motion = texture.motion
     for _ in range(MAX_ROUNDS):
@@ -184,11 +195,12 @@ def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:
 def sigma_deg(answer: TextureFit) -> float:
     """One standard deviation of the turn: what the contact's parts, its growth and the misfit leave open."""
     grown_deg = math.degrees(abs(math.log(answer.pose.scale)) / max(answer.lever, 1e-3))
-    return math.hypot(
+    faint = 1.0 + (FAINT_LEVELS / max(answer.strength, 1e-3)) ** 2
+    return faint * math.hypot(
         SIGMA_FLOOR_DEG,
         SPREAD_SIGMA * answer.spread_deg,
         GROWTH_SIGMA * grown_deg,
-        MISFIT_SIGMA * answer.misfit_deg,
+        MISFIT_SIGMA * answer.unlike * answer.misfit_deg,
     )
 
 
@@ -214,7 +226,9 @@ def _judged(
         declined = CLIPPED
     elif not alike >= ALIKE_MIN:
         declined = OTHER
-    return TextureFit(pose, min(max(spread_deg, 1e-3), 180.0), misfit_deg, lever, alike, declined)
+    return TextureFit(
+        pose, min(max(spread_deg, 1e-3), 180.0), misfit_deg, lever, alike, math.sqrt(own2 / mass), declined
+    )
 
 
 def _laid(texture: Texture, relief: Relief, turn: float, dx: float, dy: float, scale: float) -> tuple[Field, Field]:

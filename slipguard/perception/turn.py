@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from slipguard.perception.estimate import Orientation
 from slipguard.perception.regions import Patch
 from slipguard.perception.register import NOT_SAME, Pose, Registrar, Registration
-from slipguard.perception.relief import REDUCTION, ReliefReader
+from slipguard.perception.relief import ReliefReader
+from slipguard.perception.relief_track import Followed, ReliefTrack
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stages import StageClock
 from slipguard.perception.template import Template, make_template
-from slipguard.perception.texture import Texture, TexturePose, fit, make_texture, sigma_deg
+from slipguard.perception.texture import make_texture
 from slipguard.perception.track import AGREE_SIGMA, Tracker, Turn, axis_turn, checked, combined, pooled
 
 STABLE_FRAMES = 5
@@ -40,12 +41,12 @@ UNSURE = "too uncertain"
 class Reference:
     """What turns are measured against. axes: by estimator. Centre and area in frame pixels.
 
-    texture: the relief in the contact; None without a no-contact image.
+    relief: follows the relief in the contact; None without a no-contact image.
     """
 
     axes: Mapping[str, Orientation]
     template: Template
-    texture: Texture | None
+    relief: ReliefTrack | None
     centre_px: tuple[float, float]
     area_px: int
 
@@ -65,7 +66,6 @@ class TurnMeter:
         self.reference: Reference | None = None
         self.tracker = Tracker()
         self._pose = Pose()
-        self._relief_pose = TexturePose()
         self._lost_count = False
         self._areas: deque[int] = deque(maxlen=STABLE_FRAMES)
 
@@ -91,14 +91,13 @@ class TurnMeter:
         if reference is None:
             return Turn(None, None, NO_REFERENCE), None
         predicted = self.tracker.predicted_deg(now_s)
-        by_relief = Turn(None, None, NO_RELIEF)
+        followed = Followed(None, None, None, 1.0, NO_RELIEF)
         if self._settings.estimator in ("fused", "registration"):
-            by_relief = self._by_relief(reference, image, patch, predicted, now_s)
+            followed = self._by_relief(reference, image, patch, predicted, now_s)
             clock.mark("relief")
+        by_relief = Turn(followed.turn_deg, followed.sigma_deg, followed.declined)
         turn = self._axial(reference, axes_of(False), predicted)
-        shift_px = _difference(_centre_px(patch), reference.centre_px)
-        if by_relief.turn_deg is not None:
-            shift_px = (self._relief_pose.dx_px * REDUCTION, self._relief_pose.dy_px * REDUCTION)
+        shift_px = followed.shift_px or _difference(_centre_px(patch), reference.centre_px)
         if _settled(by_relief, turn):
             turn = combined(by_relief, turn) if self._settings.estimator == "fused" else by_relief
         else:
@@ -108,7 +107,7 @@ class TurnMeter:
                 by_outline, outline_shift_px = self._by_outline(reference, patch, turn, predicted)
                 clock.mark("register")
                 shift_px = outline_shift_px if by_relief.turn_deg is None else shift_px
-            turn = combined(by_relief, by_outline)
+            turn = combined(by_relief, _less_sure(by_outline, followed.unlike))
         if turn.sigma_deg is not None and turn.sigma_deg > self._settings.sigma_max_deg:
             turn = Turn(None, None, UNSURE)
         return self.tracker.accept(now_s, turn), shift_px
@@ -128,14 +127,15 @@ class TurnMeter:
             largest, smallest = max(self._areas), min(self._areas)
             if len(self._areas) < STABLE_FRAMES or largest - smallest >= STABLE_SHARE * largest:
                 return
-        texture = None
+        relief = None
         if self._reader is not None:
             self._reader.learn(image, patch)
             texture = make_texture(self._reader.read(image, patch), patch)
-        self.reference = Reference(dict(axes_of(True)), make_template(patch), texture, _centre_px(patch), patch.area_px)
+            relief = None if texture is None else ReliefTrack(texture)
+        self.reference = Reference(dict(axes_of(True)), make_template(patch), relief, _centre_px(patch), patch.area_px)
         clock.mark("reference")
         self.tracker.start(now_s)
-        self._pose, self._relief_pose, self._lost_count = Pose(), TexturePose(), False
+        self._pose, self._lost_count = Pose(), False
 
     def _axial(self, reference: Reference, axes: Mapping[str, Orientation], predicted_deg: float) -> Turn:
         known = reference.axes
@@ -143,20 +143,16 @@ class TurnMeter:
 
     def _by_relief(
         self, reference: Reference, image: NDArray[np.uint8], patch: Patch, predicted_deg: float, now_s: float
-    ) -> Turn:
+    ) -> Followed:
         """The turn by the relief in the contact, from where the track leads."""
-        texture = reference.texture
-        if self._reader is None or texture is None:
-            return Turn(None, None, NO_RELIEF)
-        if texture.repeats and now_s - self.tracker.known_at_s > LOST_COUNT_S:
+        relief = reference.relief
+        if self._reader is None or relief is None:
+            return Followed(None, None, None, 1.0, NO_RELIEF)
+        if relief.repeats and now_s - self.tracker.known_at_s > LOST_COUNT_S:
             self._lost_count = True
         if self._lost_count:
-            return Turn(None, None, LOST_COUNT)
-        answer = fit(texture, self._reader.read(image, patch), replace(self._relief_pose, turn_deg=predicted_deg))
-        if answer.declined is not None:
-            return Turn(None, None, answer.declined)
-        self._relief_pose = answer.pose
-        return Turn(answer.pose.turn_deg, sigma_deg(answer))
+            return Followed(None, None, None, 1.0, LOST_COUNT)
+        return relief.follow(self._reader.read(image, patch), patch, predicted_deg)
 
     def _by_outline(
         self, reference: Reference, patch: Patch, turn: Turn, predicted_deg: float
@@ -185,6 +181,13 @@ class TurnMeter:
         other = registrar.fit(Pose(turn.turn_deg, dx / self._frame_px, dy / self._frame_px))
         better = other.declined is None and (best.declined is not None or other.residual < best.residual)
         return other if better else best
+
+
+def _less_sure(by_outline: Turn, unlike: float) -> Turn:
+    """The outline of a contact that has deformed is off by more than it shows."""
+    if by_outline.sigma_deg is None:
+        return by_outline
+    return Turn(by_outline.turn_deg, unlike * by_outline.sigma_deg)
 
 
 def _settled(by_relief: Turn, axial: Turn) -> bool:
