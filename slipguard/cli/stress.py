@@ -29,7 +29,7 @@ def stress(
     json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
     out: Annotated[Path | None, typer.Option(help=f"Folder for {PICTURE} and stress.json.")] = None,
 ) -> None:
-    """Try what breaks estimators: degenerate masks, noise, seams, near-circles, bad numbers, odd clocks, bad light.
+    """Try what breaks estimators: degenerate masks, noise, seams, circles, reliefs, bad numbers, odd clocks, light.
 
     Exit code 1 where anything crashed, gave NaN, was confidently wrong (more than 5 sigma and 3 degrees) or broke a
     promise.
@@ -38,7 +38,7 @@ def stress(
     """
     from rich.console import Console
 
-    from slipguard.lab.stress.report import as_json, draw, print_table
+    from slipguard.lab.stress.report import as_json, draw, print_table, summary
     from slipguard.lab.stress.run import chosen, full_hours, run
 
     families = chosen(only or [])
@@ -51,7 +51,7 @@ def stress(
         outcome = run(families, seed, seconds, progress=show)
     found = as_json(outcome)
     if json:
-        print(jsonlib.dumps(found))
+        print(jsonlib.dumps(summary(outcome)))
     else:
         print_table(Console(), outcome)
     if out is not None:

@@ -19,8 +19,18 @@ from slipguard.lab.stress.run import Outcome, full_hours
 SHOWN_FAILURES = 10
 
 
+SUMMARY = ("tried", "share", "crashes", "nan", "confident_wrong", "worst", "drift_deg")
+"""What `--json` prints of `as_json`; `stress.json` in the --out folder holds all of it."""
+
+
+def summary(outcome: Outcome) -> dict[str, Any]:
+    """The one object that `--json` prints: the keys of `SUMMARY`."""
+    whole = as_json(outcome)
+    return {key: whole[key] for key in SUMMARY}
+
+
 def as_json(outcome: Outcome) -> dict[str, Any]:
-    """The one object that `--json` prints. Errors in degrees; share: of the full list's work, by reckoned time.
+    """All that was found. Errors in degrees; share: of the full list's work, by reckoned time.
 
     worst: largest error of any answer, by family, however large its sigma. A figure that was not tried is null.
     """
@@ -101,7 +111,7 @@ def print_table(console: Console, outcome: Outcome) -> None:
         console.print(f"[red]{one.kind}[/] in {one.family}: {one.what}", highlight=False)
         console.print(f"    again: {again(one)}", highlight=False)
     if len(firsts) > SHOWN_FAILURES:
-        console.print(f"… and {len(firsts) - SHOWN_FAILURES} more; --json lists them")
+        console.print(f"… and {len(firsts) - SHOWN_FAILURES} more; --out lists them")
 
 
 def draw(outcome: Outcome, path: Path) -> None:
@@ -111,14 +121,15 @@ def draw(outcome: Outcome, path: Path) -> None:
         ("outline", "outline off by (network pixels, 1 sd)"),
         ("grey", "white noise on the probability (1 sd)"),
         ("frame noise", "noise of the camera (grey levels, 1 sd), through the network"),
+        ("relief noise", "noise of the camera (grey levels, 1 sd), relief alone"),
         ("aspect, outline 0 px", "aspect of a near-circle, clean outline"),
         ("aspect, outline 0.2 px", "aspect of a near-circle, outline off by 0.2 px"),
         ("aspect, outline 0.4 px", "aspect of a near-circle, outline off by 0.4 px"),
     )
-    drawing = figures.figure(14.0, 9.0)
-    grid = drawing.subplots(2, 3)
+    drawing = figures.figure(18.0, 9.0)
+    grid = drawing.subplots(2, 4)
     colours = {"moments": "C0", "ellipse": "C1", "pca": "C2", "skeleton": "C3", "fused": "C4", "pipeline": "black"}
-    for axes, (sweep, label) in zip(grid.flat, panels, strict=True):
+    for axes, (sweep, label) in zip(grid.flat, panels, strict=False):
         told = axes.twinx()
         for reader, colour in colours.items():
             levels = curves.get(f"{sweep}/{reader}", {})
@@ -141,6 +152,8 @@ def draw(outcome: Outcome, path: Path) -> None:
         axes.grid(alpha=0.3)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="upper left", fontsize=8)
+    for unused in grid.flat[len(panels) :]:
+        unused.set_visible(False)
     count = sum(len(level.errors_deg) for levels in curves.values() for level in levels.values())
     drawing.suptitle(
         f"Error against noise: mean (lines), 95th percentile (dashed); {count:,} answers, seed {outcome.seed}"

@@ -21,10 +21,11 @@ from slipguard.lab.stress.pictures import PICTURES
 from slipguard.lab.stress.rounds import ROUNDS
 from slipguard.lab.stress.seams import SEAMS
 from slipguard.lab.stress.subject import Subject
+from slipguard.lab.stress.textures import TEXTURES
 from slipguard.lab.stress.times import TIMES
 
 FAMILIES: tuple[Family, ...] = (
-    DEGENERATE, RANDOM, EQUIVARIANCE, NOISE, SEAMS, ROUNDS, FLOATS, FUSION, TIMES, TRACKING, HOLD, PICTURES,
+    DEGENERATE, RANDOM, EQUIVARIANCE, NOISE, SEAMS, ROUNDS, FLOATS, FUSION, TIMES, TRACKING, HOLD, TEXTURES, PICTURES,
 )  # fmt: skip
 
 

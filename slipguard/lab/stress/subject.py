@@ -74,3 +74,20 @@ class Finger:
         when_s = self._frames * FRAME_S if at_s is None else at_s
         answer: Estimate = self._pipeline.process(Frame(self._image, when_s, self._frames))
         return answer
+
+
+class SeeingFinger:
+    """The same with a no-contact image, and pictures in which the relief of the contact can be seen."""
+
+    def __init__(self, subject: Subject, background: NDArray[np.uint8]) -> None:
+        self._segmenter = Scripted()
+        settings = PerceptionSettings(reference="first", skip_unchanged=False)
+        self._pipeline = subject.pipeline(self._segmenter, settings, background, None, PX_PER_MM)
+        self._frames = 0
+
+    def see(self, image: NDArray[np.uint8], probability: NDArray[np.float32]) -> Estimate:
+        """The estimate of the next frame, 1/60 s after the last one. Errors are the pipeline's."""
+        self._frames += 1
+        self._segmenter.map = probability
+        answer: Estimate = self._pipeline.process(Frame(image, self._frames * FRAME_S, self._frames))
+        return answer
