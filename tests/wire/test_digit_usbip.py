@@ -10,6 +10,7 @@ from typing import TypeVar
 import cv2
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from usb_host import UsbCapture, UsbDevice, listed
 
 from slipguard.errors import CommandRefused, InputError
@@ -139,7 +140,6 @@ async def test_a_stream_can_be_stopped_in_the_middle_of_a_picture_and_started_ag
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
-        ({"serial": ["D1", "D1"]}, "every sensor needs its own"),
         ({"pictures": "/nowhere"}, "is not a folder"),
         ({"object": "unicorn"}, "no object 'unicorn'"),
         ({"host": "203.0.113.1"}, "cannot be listened at"),
@@ -148,6 +148,12 @@ async def test_a_stream_can_be_stopped_in_the_middle_of_a_picture_and_started_ag
 async def test_what_cannot_be_emulated_is_told(settings: dict[str, object], told: str) -> None:
     with pytest.raises(InputError, match=told):
         await DigitEmulator(DigitEmulator.Settings.model_validate({"port": 0} | settings)).start()
+
+
+@pytest.mark.parametrize("serials", [["D1", "D1"], ["D 1"], [""], []])
+def test_serial_numbers_that_cannot_be(serials: list[str]) -> None:
+    with pytest.raises(ValidationError):
+        DigitEmulator.Settings(serial=serials)
 
 
 async def test_an_unknown_fault_is_refused(emulator: DigitEmulator) -> None:

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from slipguard.emulator import Report
 from slipguard.errors import InputError
@@ -46,7 +46,7 @@ class DigitEmulator(ControlledEmulator):
         model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
         serial: Annotated[
-            list[Annotated[str, Field(pattern=r"^[A-Za-z0-9]+$")]],
+            list[str],
             Field(min_length=1, max_length=8, description="Serial number of a sensor; repeat it for more sensors."),
         ] = ["D20001"]
         host: Annotated[str, Field(description="Address to listen at.")] = "127.0.0.1"
@@ -62,12 +62,20 @@ class DigitEmulator(ControlledEmulator):
         object: Annotated[str, Field(description="What presses into the gel in the drawn pictures.")] = "bar"
         seed: Annotated[int, Field(ge=0, description="Seed of all that is random.")] = 0
 
+        @field_validator("serial")
+        @classmethod
+        def _distinct(cls, serials: list[str]) -> list[str]:
+            odd = [serial for serial in serials if not (serial.isascii() and serial.isalnum())]
+            if odd:
+                raise ValueError(f"{odd[0]!r}: letters and digits are allowed")
+            if len(set(serials)) < len(serials):
+                raise ValueError("every sensor needs a serial number of its own")
+            return serials
+
     def __init__(self, settings: Settings, report: Report | None = None) -> None:
         several = len(settings.serial) > 1
         of_one = {f"{serial}.{name}": text for serial in settings.serial for name, text in FAULTS.items()}
         super().__init__(FAULTS | (of_one if several else {}), settings.seed, report)
-        if len(set(settings.serial)) < len(settings.serial):
-            raise InputError(f"serial = {', '.join(settings.serial)}: every sensor needs its own")
         self.settings = settings
         self.cameras = {f"1-{number}": Camera(self, serial, number) for number, serial in enumerate(settings.serial, 1)}
         self._usbip = UsbIpServer(self.cameras)
