@@ -11,7 +11,7 @@ import pytest
 
 sys.path.append(str(Path(__file__).parent))
 
-from build import image_folder
+from build_image import image_folder
 from machine import Machine
 
 VARIABLE = "SLIPGUARD_VM"
@@ -34,7 +34,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
     if count:
         terminalreporter.write_line(
             f"{count} tests of the DIGIT driver on a real kernel were left out: no test machine has been built; "
-            "`python tests/vm/build.py --install` builds it (root, apt and two minutes)"
+            "`python tests/vm/build_image.py --install` builds it (root, apt and two minutes)"
         )
 
 
@@ -42,7 +42,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
 def machine() -> Iterator[Machine]:
     """Booted; SLIPGUARD_VM names another image than the usual one, and one that is missing is a failure."""
     image = Path(os.environ.get(VARIABLE) or image_folder())
-    assert (image / "root.ext4").exists(), f"no image in {image}; build it with `python tests/vm/build.py`"
+    assert (image / "root.ext4").exists(), f"no image in {image}; build it with `python tests/vm/build_image.py`"
     machine = Machine(image)
     yield machine
     machine.stop()

@@ -1,4 +1,4 @@
-"""Builds the virtual machine in which the DIGIT driver meets a real kernel: `python tests/vm/build.py`.
+"""Builds the virtual machine in which the DIGIT driver meets a real kernel: `python tests/vm/build_image.py`.
 
 Debian 12 with its own kernel, udev and Python, and the wheels that the driver and its tests need, from apt and pip.
 The image lies in a cache folder named by everything it is made of; a second call finds it and is done. The last line
