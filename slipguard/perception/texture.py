@@ -194,14 +194,22 @@ def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:
 
 def sigma_deg(answer: TextureFit) -> float:
     """One standard deviation of the turn: what the contact's parts, its growth and the misfit leave open."""
-    grown_deg = math.degrees(abs(math.log(answer.pose.scale)) / max(answer.lever, 1e-3))
-    faint = 1.0 + (FAINT_LEVELS / max(answer.strength, 1e-3)) ** 2
-    return faint * math.hypot(
+    return faintness(answer) * math.hypot(
         SIGMA_FLOOR_DEG,
         SPREAD_SIGMA * answer.spread_deg,
-        GROWTH_SIGMA * grown_deg,
+        GROWTH_SIGMA * grown_deg(answer),
         MISFIT_SIGMA * answer.unlike * answer.misfit_deg,
     )
+
+
+def faintness(answer: TextureFit) -> float:
+    """By how much a faint relief makes sigmas larger; 1 for a strong one."""
+    return 1.0 + (FAINT_LEVELS / max(answer.strength, 1e-3)) ** 2
+
+
+def grown_deg(answer: TextureFit) -> float:
+    """The turn that would change the relief as much as its growth since the reference has."""
+    return math.degrees(abs(math.log(answer.pose.scale)) / max(answer.lever, 1e-3))
 
 
 def _judged(
