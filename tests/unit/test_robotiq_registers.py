@@ -76,7 +76,21 @@ def test_what_may_be_held(flags: int, echo: int, position: int, holds: bool, not
 
 
 @pytest.mark.parametrize(
-    ("code", "told"), [(0x00, None), (0x05, None), (0x07, None), (0x09, None), (0x0E, "overcurrent"), (0x06, "0x06")]
+    ("code", "told"),
+    [
+        (0x00, None),
+        (0x05, None),  # passes: it moves as soon as it is activated
+        (0x07, None),  # passes: not activated, which is told anyway
+        (0x08, "too hot"),
+        (0x09, None),  # passes: the line was silent for a second
+        (0x0A, "voltage"),
+        (0x0B, "automatic release in progress"),
+        (0x0C, "internal fault"),
+        (0x0D, "activation fault"),
+        (0x0E, "overcurrent"),
+        (0x0F, "automatic release completed"),
+        (0x06, "0x06"),
+    ],
 )
 def test_faults_are_words(code: int, told: str | None) -> None:
     fault = decode([0xB900, code << 8 | 255, 0xBD00]).fault

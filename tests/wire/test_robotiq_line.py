@@ -315,6 +315,24 @@ async def test_no_answer_however_strange_trips_the_driver(emulator: RobotiqEmula
     assert raised == []
 
 
+async def test_a_2f140_has_its_own_newtons_and_millimetres(tmp_path: Path) -> None:
+    emulator = quick(tmp_path, model="2F-140", activated=True, object_width_mm=100.0)
+    await emulator.start()
+    gripper = RobotiqGripper(settings(emulator).model_copy(update={"model": "2F-140"}), DriverContext("gripper"))
+    await gripper.open()
+    assert await gripper.move(120.0, 30.0) == pytest.approx(120.0, abs=0.4)
+    await until_it_rests(gripper)
+    assert emulator.state()["width_mm"] == pytest.approx(120.0, abs=0.4)
+    assert await gripper.hold(200.0) == 125.0
+    await until_it_rests(gripper)
+    truth, state = emulator.state(), await gripper.state()
+    assert (truth["force_n"], truth["width_mm"]) == (125.0, 100.0)
+    assert state.holding
+    assert state.width_mm == pytest.approx(100.0, abs=0.7)
+    await gripper.close()
+    await emulator.stop()
+
+
 async def test_a_gripper_that_takes_no_commands_is_told(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
     emulator.control("fault ignore")
     with pytest.raises(DeviceTimeout, match="another program"):
