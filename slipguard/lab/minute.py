@@ -1,4 +1,4 @@
-"""A minute of holding, frame by frame: an object is gripped, slips, is held, creeps, slips again, is held and let go."""
+"""A minute of holding: an object is gripped, slips, is held, creeps, slips again, is held on and let go."""
 
 from __future__ import annotations
 
@@ -28,10 +28,15 @@ DRIFT_LEVELS = 1.5
 
 @dataclass(frozen=True, slots=True)
 class Minute:
-    """One grasp of 60 s at 60 frames a second; `shots` draws it anew each time, the same for the same seed."""
+    """One grasp of 60 s at 60 frames a second; `shots` draws it anew each time, the same for the same seed.
+
+    press: depth as a share of the object's at 40 N. sign: -1 for the finger opposite, which sees turns the other way.
+    """
 
     object_name: str = "wrench"
     seed: int = 6000
+    press: float = 0.6
+    sign: float = 1.0
 
     def scene(self) -> Sequence:
         """What a pipeline must know of the sensor; without shots."""
@@ -44,7 +49,7 @@ class Minute:
         rng = np.random.default_rng(self.seed)
         camera = GelCamera(random_unit(rng), seed=self.seed)
         x_mm, y_mm, start_deg = float(rng.uniform(-1, 1)), float(rng.uniform(-1, 1)), float(rng.uniform(-180, 180))
-        press_mm = 0.6 * get(self.object_name).press_mm
+        press_mm = self.press * get(self.object_name).press_mm
         offset = rng.uniform(-3.0, 3.0, 3)
         drift = rng.choice([-1.0, 1.0], 3) * DRIFT_LEVELS / MINUTE_S
         for index in range(round(MINUTE_S / FRAME_S)):
@@ -53,6 +58,7 @@ class Minute:
                 b, g, r = offset + drift * now_s
                 camera.set_light(Light(1.0, (float(b), float(g), float(r))))
             turn_deg, rate_deg_s, grown = _motion(now_s)
+            turn_deg, rate_deg_s = self.sign * turn_deg, self.sign * rate_deg_s
             view = GelView(self.object_name, x_mm, y_mm, start_deg + turn_deg, press_mm * grown, rate_deg_s=rate_deg_s)
             if STILL_S <= now_s < LIFTED_S:
                 view = replace(view, y_mm=y_mm + SHAKE_MM * float(np.sin(2.0 * np.pi * SHAKE_HZ * now_s)))

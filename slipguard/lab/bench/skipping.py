@@ -9,6 +9,7 @@ import numpy as np
 from slipguard.lab.bench.cropping import known_patch
 from slipguard.lab.bench.holding import Held, hold
 from slipguard.lab.bench.rows import Skip
+from slipguard.lab.bench.second_finger import second_finger
 from slipguard.lab.bench.subjects import Subject
 from slipguard.lab.bench.tally import Tally
 from slipguard.lab.minute import Minute
@@ -50,8 +51,11 @@ def skips(quick: bool, default: Subject, held: dict[str, Held], workers: Workers
         _unchanged(quick, default, held, workers),
         _round(default, ROUND_PLAIN[:1] if quick else ROUND_PLAIN),
     ]
-    cropped = None if quick else known_patch(default)
-    return tuple(found if cropped is None else [*found, cropped])
+    if not quick:
+        found.append(second_finger(default))
+        cropped = known_patch(default)
+        found += [cropped] if cropped is not None else []
+    return tuple(found)
 
 
 def _no_contact(default: Subject, objects: int) -> Skip:
