@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import struct
 from collections.abc import Sequence
 
@@ -128,7 +129,7 @@ async def reach(name: str, host: str, port: int, what: str) -> tuple[asyncio.Str
     except TimeoutError:
         why = f"no answer within {CONNECT_S:g} s"
     except OSError as error:
-        why = error.strerror or str(error)
+        why = os.strerror(error.errno) if error.errno else str(error)  # asyncio's own words are for programmers
     raise DeviceLost(
         f"{name}: no answer from {host}:{port} ({what}): {why}; check the robot's power, network cable and address, "
         f"and that {what} is enabled in its security settings"
