@@ -7,6 +7,7 @@ import struct
 import pytest
 
 from slipguard_drivers.digit import v4l2
+from slipguard_drivers.digit.capture import buffer
 
 
 @pytest.mark.parametrize(
@@ -71,3 +72,8 @@ def test_request_codes() -> None:
     assert {name: getattr(v4l2, name) for name in codes} == codes
     assert v4l2.fourcc("YUYV") == 0x56595559
     assert v4l2.fourcc_name(0x56595559) == "YUYV"
+
+
+def test_a_request_about_a_buffer() -> None:
+    asked = bytes(buffer(3))
+    assert asked == struct.pack("<II52xI24x", 3, 1, 1), "index 3, capture, memory-mapped"

@@ -107,12 +107,12 @@ class Capture:
     def start(self) -> None:
         """Queue every buffer and let the frames come. OSError ENOSPC where the bus has no bandwidth for them."""
         for index in range(len(self._maps)):
-            fcntl.ioctl(self._fd, v4l2.QBUF, _buffer(index))
+            fcntl.ioctl(self._fd, v4l2.QBUF, buffer(index))
         fcntl.ioctl(self._fd, v4l2.STREAMON, struct.pack("=I", v4l2.CAPTURE))
 
     def take(self) -> Delivery | None:
         """The oldest frame that waits, copied, or None. Its buffer is queued again at once."""
-        raw = _buffer(0)
+        raw = buffer(0)
         try:
             fcntl.ioctl(self._fd, v4l2.DQBUF, raw)
         except BlockingIOError:
@@ -170,14 +170,15 @@ class Capture:
         raw = bytearray(v4l2.BUFFER_REQUEST.pack(BUFFERS, v4l2.CAPTURE, v4l2.MEMORY_MMAP, 0))
         fcntl.ioctl(self._fd, v4l2.REQBUFS, raw)
         for index in range(v4l2.BUFFER_REQUEST.unpack(raw)[0]):
-            description = _buffer(index)
-            fcntl.ioctl(self._fd, v4l2.QUERYBUF, description)
-            unpacked = v4l2.BUFFER.unpack(description)
+            about = buffer(index)
+            fcntl.ioctl(self._fd, v4l2.QUERYBUF, about)
+            unpacked = v4l2.BUFFER.unpack(about)
             offset, length = unpacked[10] & 0xFFFFFFFF, unpacked[11]
             self._maps.append(
                 mmap.mmap(self._fd, length, mmap.MAP_SHARED, mmap.PROT_READ | mmap.PROT_WRITE, offset=offset)
             )
 
 
-def _buffer(index: int) -> bytearray:
+def buffer(index: int) -> bytearray:
+    """A request about one buffer, for the kernel to fill in."""
     return bytearray(v4l2.BUFFER.pack(index, v4l2.CAPTURE, 0, 0, 0, 0, 0, b"", 0, v4l2.MEMORY_MMAP, 0, 0, 0))
