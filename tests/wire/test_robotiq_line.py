@@ -145,6 +145,22 @@ async def test_tightening_is_stop_then_go_and_never_lets_go(emulator: RobotiqEmu
     assert emulator.events("let go") == []
 
 
+async def test_a_stop_that_was_not_taken_is_no_tightening(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
+    emulator.control("fault ignore 1")
+    with pytest.raises(DeviceTimeout, match="does not take commands"):
+        await held.hold(80.0)
+    assert (await held.state()).force_n == pytest.approx(40.2, abs=0.1)
+    assert await held.hold(80.0) == pytest.approx(80.7, abs=0.1)
+
+
+async def test_a_go_that_was_not_taken_is_not_believed(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
+    strikes = iter([False, True])
+    emulator._strikes = lambda fault: fault == "ignore" and next(strikes, False)  # type: ignore[method-assign]
+    with pytest.raises(DeviceTimeout, match="does not take commands"):
+        await held.hold(80.0)
+    assert (await held.state()).force_n == pytest.approx(40.2, abs=0.1)
+
+
 async def test_while_the_force_rises_it_is_still_said_to_hold(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
     await held.hold(200.0)
     seen = [await held.state() for _ in range(10)]
