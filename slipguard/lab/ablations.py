@@ -32,7 +32,7 @@ from slipguard.lab.scores import RealFrame, backgrounds_in, dice, iou, no_contac
 from slipguard.lab.train import TrainSettings, probabilities, real_scores, train
 from slipguard.sim.label import PRESS_SHARE
 
-FRAMES, HELD_OUT_FRAMES, CALIBRATION_FRAMES = 4000, 240, 64
+FRAMES, HELD_OUT_FRAMES, CALIBRATION_FRAMES = 3000, 240, 64
 CROP_MARGIN_PX, CROP_STEP_PX = 12, 16
 """Round the patch that is known, at network resolution; crops are a multiple of the network's strides."""
 TIMED_ROUNDS = 150

@@ -15,7 +15,7 @@ from slipguard.perception.background import guess_background
 from slipguard.perception.segment import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
 
 STRUCTURE_LEVELS = 28.0
-DRIFT_LEVELS = 12.0
+DRIFT_LEVELS = 16.0
 LIGHT_LEVELS = (5.0, 2.5, 2.5, 1.5, 1.5, 1.5)
 """Largest drift of the lamps in grey levels: constant, x, y, xy, x^2, y^2."""
 BACKGROUND_NOISE_LEVELS = 1.2

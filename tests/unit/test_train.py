@@ -63,6 +63,8 @@ def test_a_stopped_training_goes_on_and_its_export_keeps_the_contract(tmp_path: 
     path = tmp_path / "small.onnx"
     assert export_onnx(resumed, path, contract_metadata("slipguard train", 0, 0.4), frames) <= 1e-4
     assert Segmenter(path).threshold == 0.4
+    weights = sum(part.numel() for part in resumed.parameters())
+    assert path.stat().st_size < 2.2 * weights, "large weights take two bytes in the file"
     assert not list(tmp_path.glob("*.draft.onnx"))
 
 
