@@ -22,6 +22,7 @@ from slipguard.cli import (
     simulate,
     stress,
     train,
+    turned,
 )
 from slipguard.errors import CommandRefused, ConfigError, InputError, ModelError, SlipguardError
 
@@ -42,6 +43,7 @@ app.command()(replay.replay)
 app.command()(bench.bench)
 app.command()(latency.latency)
 app.command()(stress.stress)
+app.command()(turned.turned)
 app.command()(train.train)
 app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(dataset.app, name="dataset")

@@ -27,6 +27,7 @@ from slipguard.sim.raster import Field, f32
 from slipguard.sim.unit import NOISE_STD_BGR, STRIPE_STD_BGR
 
 Way = Literal["relit", "rigid"]
+WAYS: tuple[Way, ...] = ("relit", "rigid")
 Image = NDArray[np.uint8]
 LIGHTS_DEG = (270.0, 150.0, 30.0)
 """Azimuths of the blue, green and red light, counter-clockwise from the picture's right."""
