@@ -46,7 +46,7 @@ REPEATS_SHARE = 0.7
 _PRIOR_STD = np.array([10.0, 6.0, 6.0, 0.1, 0.5])
 """Turn (rad), shift from the start (relief pixels), scale and gain (shares): weak, for what it does not tell."""
 SIGMA_FLOOR_DEG = 0.03
-SPREAD_SIGMA, GROWTH_SIGMA, MISFIT_SIGMA = 0.7, 0.55, 0.045
+SPREAD_SIGMA, GROWTH_SIGMA, MISFIT_SIGMA = 0.75, 0.6, 0.048
 UNLIKE = 0.1
 FAINT_LEVELS = 1.2
 """Parts of sigma: of what parts of the contact disagree by, of the turn that would change the relief as much as its
