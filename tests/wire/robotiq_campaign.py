@@ -8,6 +8,7 @@ or the gripper is reset or activated, by what no release has written; an activat
 from __future__ import annotations
 
 import asyncio
+import math
 import random
 from collections import Counter
 from collections.abc import Awaitable, Callable
@@ -28,6 +29,10 @@ STEP_MM, STEP_N = 0.38, 0.85
 """One count of the position and of the force register."""
 TICK_S, STALL_S = 0.005, 0.02
 """A loop that comes later than this was kept from running by the machine."""
+APPROACH = 0.9
+"""Share of the full speed at which the driver moves; a release opens at full speed, and so can be told from a move."""
+ASKED_S = 1.0
+"""What a release has written is carried out so long after it has ended at the latest."""
 OPENINGS = ("let go", "activating", "rACT cleared")
 MIX = {"state": 35, "hold": 25, "move": 12, "give up": 10, "release": 6, "restart": 6, "object": 6}
 
@@ -73,13 +78,14 @@ class Lane:
         self.emulator = RobotiqEmulator(RobotiqEmulator.Settings.model_validate(options), self._on_event)
         self.gripper = self._driver()
         self.truths: list[Truth] = []
-        self.releasing = False
+        self.released_s = -math.inf
+        """When a release was last asked for, or ended."""
         self.by_release = False
-        """Whether what was written last was written while a release was under way."""
+        """Whether what was written last was a release's."""
         self._watch_answers()
 
     def _driver(self) -> RobotiqGripper:
-        settings = RobotiqGripper.Settings(port=str(self.emulator.settings.link), approach_speed=1.0)
+        settings = RobotiqGripper.Settings(port=str(self.emulator.settings.link), approach_speed=APPROACH)
         return RobotiqGripper(settings, DriverContext("gripper"))
 
     def _watch_answers(self) -> None:
@@ -99,11 +105,12 @@ class Lane:
         if event["event"] == "fault":
             self.outcome.struck[str(event["kind"])] += 1
         if event["event"] == "write":
-            self.by_release = self.releasing
+            asked = asyncio.get_running_loop().time() - self.released_s < ASKED_S
+            self.by_release = asked and is_a_releases(event["registers"])
         opens = event["event"] in OPENINGS and event.get("held", True)
         activating = event["event"] == "let go" and self.emulator.registers.stage is not Stage.READY
         if opens and not self.by_release and not activating:
-            self.outcome.opened.append(str(event))
+            self.outcome.opened.append("; ".join(str(entry) for entry in list(self.emulator.log)[-8:]))
 
     async def run(self, commands: int) -> None:
         """Do so many commands; the line is quiet again afterwards."""
@@ -187,9 +194,9 @@ class Lane:
         await self._call(lambda: self.gripper.move(width_mm, force_n))
 
     async def _release(self) -> None:
-        self.releasing = True
+        self.released_s = asyncio.get_running_loop().time()
         await self._call(lambda: self.gripper.release(self.rng.uniform(45.0, 85.0)))
-        self.releasing = False
+        self.released_s = asyncio.get_running_loop().time()
 
     async def _give_up(self) -> None:
         """A caller that is cancelled in the middle of its call."""
@@ -232,6 +239,15 @@ class Lane:
         await asyncio.sleep(0)
 
 
+def is_a_releases(words: object) -> bool:
+    """Whether only a release writes these registers: a reset, an activation, or opening at full speed."""
+    assert isinstance(words, list)
+    action, position, speed_and_force = (int(word, 16) for word in words)
+    if not action & 0x0100 or (action, position, speed_and_force) == (0x0100, 0, 0):
+        return True
+    return speed_and_force == 0xFF00 and position < 0xFF
+
+
 def agree(state: GripperState, truth: Truth) -> bool:
     """Whether a state is what the gripper was like; `holding` may be said of jaws halted on their way, never denied."""
     view = truth.view
@@ -259,7 +275,7 @@ async def watch_stalls(outcome: Outcome) -> None:
         outcome.stalled_s += late_s if late_s > STALL_S else 0.0
 
 
-async def campaign(folder: Path, commands: int, seed: int, lanes: int = 4) -> Outcome:
+async def campaign(folder: Path, commands: int, seed: int, lanes: int = 6) -> Outcome:
     """So many commands in all, on several lines at once."""
     outcome = Outcome()
     each = -(-commands // lanes)
