@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as jsonlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -109,7 +109,9 @@ def run(
     sim: Annotated[bool, typer.Option("--sim", help="In the simulated world, its camera included.")] = False,
     config: Annotated[Path | None, typer.Option(help="The cell's configuration.")] = None,
     protocol: Annotated[Path | None, typer.Option(help="What to lift (TOML); default with --sim: 45 lifts.")] = None,
-    camera: Annotated[str | None, typer.Option(help="External camera: its number, /dev/videoN, or a URL.")] = None,
+    camera: Annotated[
+        str | None, typer.Option(help="External camera: number, /dev/videoN or URL; none: films put beside.")
+    ] = None,
     intrinsics: Annotated[Path | None, typer.Option(help="That camera's intrinsics, of `calibrate-camera`.")] = None,
     jobs: Jobs = 0,
     cluster: Cluster = None,
@@ -216,10 +218,11 @@ def _on_cell(
     from slipguard.lab.evaluate.intrinsics import read_intrinsics
     from slipguard.lab.evaluate.on_cell import Camera, run_on_cell
 
-    if config is None or plan is None or camera is None or intrinsics is None:
-        raise InputError("on a cell --config, --protocol, --camera and --intrinsics are needed; or try --sim")
+    if config is None or plan is None or intrinsics is None:
+        raise InputError("on a cell --config, --protocol and --intrinsics are needed; or try --sim")
     service, lens = build_service(read_config(config)), read_intrinsics(intrinsics)
-    with Camera(camera, lens) as eye, left_to_the_loop():
+    external = nullcontext() if camera is None else Camera(camera, lens)
+    with external as eye, left_to_the_loop():
         asyncio.run(run_on_cell(out, plan, service, eye, lens, _ask))
 
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt, InputError
-from slipguard.lab.evaluate.align import Lag, find_lag
+from slipguard.lab.evaluate.align import LAG_MAX_S, Lag, find_lag
 from slipguard.lab.evaluate.detect import Detector
+from slipguard.lab.evaluate.film import FILMS, sightings
 from slipguard.lab.evaluate.lift_data import LiftData, TimedPicture
 from slipguard.lab.evaluate.pose import TurnTrace, turns
 from slipguard.lab.lift_record import PICTURE_SIGN, Measured
@@ -26,6 +27,8 @@ MASK_GAP_S = 0.012
 STILL_S = 0.3
 """The object lies still at least so long before the lift begins; both zeros are taken then."""
 CURVE_POINTS = 300
+FILM_LAG_MAX_S = 60.0
+"""A film that somebody recorded beside it began within this of the lift."""
 
 
 @dataclass(slots=True)
@@ -100,7 +103,8 @@ def analyse(data: LiftData) -> LiftResult:
         result.problem = str(problem)
         return result
     result.camera_frames, result.camera_gaps, result.camera_rms_px = len(trace.time_s), trace.gaps, trace.rms_px
-    lag = find_lag(trace.time_s, trace.turn_deg, fused[:, 0], fused[:, 1])
+    reach_s = LAG_MAX_S if data.camera else FILM_LAG_MAX_S
+    lag = find_lag(trace.time_s, trace.turn_deg, fused[:, 0], fused[:, 1], reach_s)
     _tell_lag(data, result, lag, trace)
     camera_s = trace.time_s - lag.lag_s
     marker_deg = trace.turn_deg - float(np.interp(began_s, camera_s, trace.turn_deg))
@@ -124,15 +128,22 @@ def analyse(data: LiftData) -> LiftResult:
 
 def _marker_turns(data: LiftData, began_s: float) -> TurnTrace:
     """The markers' turn in the left picture's sign, from when the object lay still."""
-    detector = Detector()
-    from_s = max(data.phase_began_s("holding") or began_s, began_s - 1.0)
-    shown = [one for one in data.camera if one.time_s >= from_s]
-    if not shown:
-        raise InputError("no picture of the external camera is in the recording")
-    first = shown[0].picture.pixels()
-    data.intrinsics.check_size(first.shape[1], first.shape[0], "the camera's picture")
-    sightings = [detector.look(one.picture.pixels(), one.time_s) for one in shown]
-    trace = turns(sightings, data.intrinsics, data.about.marker_side_mm)
+    if data.camera:
+        detector = Detector()
+        from_s = max(data.phase_began_s("holding") or began_s, began_s - 1.0)
+        shown = [one for one in data.camera if one.time_s >= from_s]
+        if not shown:
+            raise InputError("no picture of the external camera shows the lift")
+        first = shown[0].picture.pixels()
+        data.intrinsics.check_size(first.shape[1], first.shape[0], "the camera's picture")
+        seen = [detector.look(one.picture.pixels(), one.time_s) for one in shown]
+    else:
+        films = [data.path.with_suffix(ending) for ending in FILMS if data.path.with_suffix(ending).exists()]
+        if not films:
+            raise InputError(f"no external camera in the recording, and no film {data.path.stem}.mp4 beside it")
+        # A film has a clock of its own; its zero is put where the lift begins, and the lag tells the rest.
+        seen = list(sightings(films[0], data.intrinsics, start_s=began_s))
+    trace = turns(seen, data.intrinsics, data.about.marker_side_mm)
     sign = PICTURE_SIGN[data.about.camera_side]
     return TurnTrace(trace.time_s, sign * trace.turn_deg, trace.sigma_deg, trace.gaps, trace.rms_px)
 

@@ -68,9 +68,12 @@ def _film(path: Path) -> Iterator[Shot]:
         film.release()
 
 
-def sightings(path: Path, intrinsics: Intrinsics) -> Iterator[Sighting]:
-    """Both markers in every picture. Raises InputError also where pictures and intrinsics differ in size."""
+def sightings(path: Path, intrinsics: Intrinsics, start_s: float = 0.0) -> Iterator[Sighting]:
+    """Both markers in every picture, times counted from `start_s`.
+
+    Raises InputError also where pictures and intrinsics differ in size.
+    """
     detector = Detector()
     for time_s, picture in shots(path):
         intrinsics.check_size(picture.shape[1], picture.shape[0], str(path))
-        yield detector.look(picture, time_s)
+        yield detector.look(picture, start_s + time_s)

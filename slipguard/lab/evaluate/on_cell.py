@@ -72,9 +72,11 @@ class Camera:
 
 
 async def run_on_cell(
-    out: Path, protocol: Protocol, service: Service, camera: Camera, intrinsics: Intrinsics, ask: Ask
+    out: Path, protocol: Protocol, service: Service, camera: Camera | None, intrinsics: Intrinsics, ask: Ask
 ) -> None:
     """Do what is still missing with a service that is not yet running.
+
+    camera: None where somebody films the lifts and puts the films beside the recordings.
 
     ask: shows a line and returns whether to go on. Raises SlipguardError where a lift fails; what was done is kept.
     """
@@ -101,7 +103,7 @@ async def _lift(
     lift: Lift,
     service: Service,
     controls: Controls,
-    camera: Camera,
+    camera: Camera | None,
     intrinsics: Intrinsics,
     running: asyncio.Task[None],
     ask: Ask,
@@ -115,7 +117,8 @@ async def _lift(
             jpeg = encoded(picture)
             loop.call_soon_threadsafe(file.camera, at_s, jpeg)
 
-        camera.give_to(take)
+        if camera is not None:
+            camera.give_to(take)
         try:
             await controls.grasp(lift.thing.grip_force_n or protocol.grip_force_n)
             await _until(
@@ -131,8 +134,9 @@ async def _lift(
             await _until(running, lambda: service.phase is not Phase.LIFTING, PHASE_S, lambda: f"{lift.stem}: no end")
             await asyncio.sleep(protocol.hold_s)
         finally:
-            camera.give_to(None)
-    if camera.lost:
+            if camera is not None:
+                camera.give_to(None)
+    if camera is not None and camera.lost:
         path.unlink(missing_ok=True)
         raise DeviceLost("the external camera is gone; plug it in and start again, the experiment goes on where it was")
     result = await asyncio.to_thread(result_of, path)

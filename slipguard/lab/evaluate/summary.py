@@ -111,6 +111,7 @@ def report_json(lifts: list[LiftResult], networks: list[dict[str, Any]] | None =
         "per_estimator": {name: spread(errors_of(lifts, name)).as_json() for name in ESTIMATORS},
         "seen": spread(errors_of([lift for lift in lifts if lift.seen], "fused")).as_json(),
         "unseen": spread(errors_of([lift for lift in lifts if not lift.seen], "fused")).as_json(),
+        "hard": spread(errors_of([lift for lift in lifts if lift.hard], "fused")).as_json(),
         "without_hard": spread(errors_of([lift for lift in lifts if not lift.hard], "fused")).as_json(),
         "per_object": {
             one.name: {
