@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import os
 import tempfile
 import tomllib
 from collections.abc import Callable, Mapping
@@ -28,7 +29,8 @@ from slipguard.grasp.state import Phase
 from slipguard.lab.cell_process import CellProcess
 from slipguard.lab.probing import Probe, ProbingLaw
 
-HOST = "127.0.0.90"
+HOST = f"127.90.{os.getpid() >> 8 & 255}.{os.getpid() % 254 + 1}"
+"""Every address of 127/8 is this machine; one of our own, for two measurements may run at once."""
 COMMAND_BYTES, BITS_PER_BYTE = 15, 10
 STOP, GO = "0100", "0900"
 """First register of the two halves of a tightening."""

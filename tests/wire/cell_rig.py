@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from slipguard.daemon.client import Client
-from slipguard.errors import SlipguardError
+from slipguard.errors import CommandRefused, SlipguardError
 
 PATIENCE_S = 40.0
 PATIENT_GUARD = """watchdog_hz = 2
@@ -125,10 +125,8 @@ def daemon(cell: Cell) -> Iterator[Client]:
     It waits longer for everything than on a real cell: a busy machine that runs tests is no fault of a device.
     """
     patient = cell.folder / "patient.toml"
-    text = (
-        cell.config.read_text().replace("[guard]\n", PATIENT_GUARD).replace('.sock"\n', '.sock"\nstall_ms = 1000\n', 2)
-    )
-    patient.write_text(text)
+    text = cell.config.read_text().replace("[guard]\n", PATIENT_GUARD)
+    patient.write_text(text.replace('.sock"\n', '.sock"\nstall_ms = 1000\n', 2))
     process = Process(cell.folder, "run", "run", "--config", patient, "--log-json")
     try:
         with Client(cell.folder / "slipguard.sock") as client:
@@ -138,6 +136,21 @@ def daemon(cell: Cell) -> Iterator[Client]:
         code = process.stop()
         assert "Traceback" not in process.said, process.said
         assert code == 0, process.said
+
+
+def patiently(command: Callable[[], object]) -> None:
+    """Give a command until it is not refused: a device may just have been late."""
+    why: list[str] = []
+
+    def done() -> bool:
+        try:
+            command()
+        except CommandRefused as refusal:
+            why.append(str(refusal))
+            return False
+        return True
+
+    until(done, "refused", lambda: why[-1])
 
 
 def wait_for(client: Client, good: Callable[[dict[str, Any]], object], otherwise: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cell_rig import Cell, cell, daemon, pause, wait_for
+from cell_rig import Cell, cell, daemon, patiently, pause, wait_for
 
 from slipguard.cli.app import run
 from slipguard.daemon.client import Client
@@ -22,8 +22,8 @@ TURN_MAX_DEG = 25.0
 
 
 def grasp(client: Client) -> None:
-    client.calibrate()
-    client.grasp()
+    patiently(client.calibrate)
+    patiently(client.grasp)
     wait_for(client, lambda state: state["phase"] == "holding" and not state["gripper"]["moving"], "no grip")
 
 
