@@ -134,6 +134,11 @@ def test_all_present(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     assert "none runs" in told.line("daemon", "daemon")
     assert not there.events("let go")
     assert not there.events("started"), "no script may have been sent to the robot"
+    for part in ("gripper", "arm"):
+        there.order(f"{part} log 1000")
+    for moved in ("write", "drive", "command", "script"):
+        assert f'"event\\": \\"{moved}' not in there.process.said, "the doctor only asks"
+    assert '\\"dashboard\\"' in there.process.said, "the log is what was searched"
 
 
 def test_people_see_a_table_that_fits(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
