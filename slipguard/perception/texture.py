@@ -33,9 +33,11 @@ BLOCK_PX = 16.0
 COARSE_PX = 2.3
 """Blur (relief pixels, on top of the relief's own) before a contact is judged round: light that falls unevenly on a
 ball makes fine differences that do not turn with it."""
-ROUND_LEVER = 1.35
+ROUND_LEVER = 1.3
+ROUND_FAINT = 0.25
 """Change of the blurred relief by a turn of one radian (what shift, scale and gain cannot explain) over the relief
-itself, r.m.s.: 0.4-0.9 for plain balls and rings, rendered and real, 1.2 at most; 1.45 and more for what has a face."""
+itself, r.m.s.: 0.3-1.0 for plain balls and rings, rendered and real, 1.4 and more for what has a face. A faint relief
+must show more, for noise has an axis too: this share more at `FAINT_LEVELS`. Real faint balls reach 1.3."""
 ALIKE_MIN = 0.7
 """Correlation of the reference's relief with what now lies there."""
 SIGHT_MIN = 0.45
@@ -103,7 +105,8 @@ class Texture:
 
     x_px, y_px, value: (N,) float32. motion: (N, 5) float32, change per turn, shift x, shift y, scale, gain.
     block: (N,) which neighbourhood each point belongs to. coarse_lever: what `ROUND_LEVER` judges.
-    repeats: whether the relief comes to look like itself after a small turn, as teeth and rays do.
+    strength: r.m.s. of the values. repeats: whether the relief comes to look like itself after a small turn, as teeth
+    and rays do.
     """
 
     x_px: Field
@@ -113,7 +116,13 @@ class Texture:
     block: NDArray[np.intp]
     centre_px: tuple[float, float]
     coarse_lever: float
+    strength: float
     repeats: bool
+
+    @property
+    def round(self) -> bool:
+        """Whether the relief looks the same from all sides."""
+        return self.coarse_lever < ROUND_LEVER * (1.0 + ROUND_FAINT * (FAINT_LEVELS / max(self.strength, 1e-3)) ** 2)
 
 
 def make_texture(relief: Relief, patch: Patch) -> Texture | None:
@@ -148,13 +157,14 @@ def make_texture(relief: Relief, patch: Patch) -> Texture | None:
         np.unique(block, return_inverse=True)[1],
         (centre_x + window.left_px, centre_y + window.top_px),
         _lever(coarse.T @ coarse),
+        math.sqrt(float(np.mean(np.square(relief.curvature[y, x])))),
         _repeats(relief.curvature, dx, dy, (centre_x, centre_y)),
     )
 
 
 def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:
     """Lay the reference's relief over another, from a start within some degrees and pixels."""
-    if texture.coarse_lever < ROUND_LEVER:
+    if texture.round:
         return TextureFit(start, 180.0, 180.0, 0.0, 0.0, 0.0, ROUND)
     turn, dx, dy, scale, gain = math.radians(start.turn_deg), start.dx_px, start.dy_px, start.scale, start.gain
     motion = texture.motion
