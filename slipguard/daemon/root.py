@@ -19,6 +19,7 @@ from slipguard.daemon.api import calibration_answer, make_app
 from slipguard.daemon.calibration import NoContact
 from slipguard.daemon.controls import Controls
 from slipguard.daemon.finger import Perceiver
+from slipguard.daemon.last_grasp import GraspKeeper, remembered
 from slipguard.daemon.recording import make_recorder, record
 from slipguard.daemon.serve import bind, serve
 from slipguard.daemon.service import FINGERS, Law, Service
@@ -98,6 +99,7 @@ def build_service(
         make_pipeline={name: pipeline_maker(name) for name in FINGERS},
         store=state_dir,
         law=law,
+        memory=remembered(state_dir),
     )
 
 
@@ -121,6 +123,7 @@ async def run(
     beside: what else runs as long as the service does.
     """
     service = build_service(config, world=world)
+    service.observers.append(GraspKeeper(StateDir(config.state.directory), service.journal.say).decided)
     path = socket_path(config)
     bound = bind(path)  # before any device is opened: a second daemon must not touch what the first one owns
     log.info("slipguard starts", version=__version__, mode=config.guard.mode, socket=str(path))

@@ -65,7 +65,7 @@ class Decision:
 class Service:
     """Runs fingers, gripper, arm and law until cancelled; then the grip stays as it is.
 
-    law: the pure tick; another may be given to see what happens without it.
+    law: the pure tick; another may be given to see what happens without it. memory: what it knows from before.
     """
 
     def __init__(
@@ -79,6 +79,7 @@ class Service:
         make_pipeline: Mapping[str, Callable[[str], Perceiver]],
         store: Store,
         law: Law = tick,
+        memory: Guard | None = None,
     ) -> None:
         self.config = config
         self.store = store
@@ -87,7 +88,7 @@ class Service:
         """Called as a hold goes to the gripper, with the seconds since the frame that caused it was handed over."""
         self.journal = Journal()
         self.deadlines_missed = 0
-        self._guard = Guard()
+        self._guard = memory or Guard()
         self.seen: Seen | None = None
         self._law = law
         self._gripper_device = gripper

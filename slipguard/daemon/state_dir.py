@@ -49,18 +49,12 @@ class _ImageFacts(_Stored):
 
 
 class LastGrasp(_Stored):
-    """How an object was held when last looked at. Forces per finger; saved_at with time zone.
+    """How an object was held when last looked at: force per finger, width of the jaws; saved_at with time zone."""
 
-    turn_deg: since the reference, positive counter-clockwise in the left picture.
-    orientation_deg: each finger's axial orientation then, by serial.
-    """
-
-    format: Literal[1] = 1
+    format: Literal[2] = 2
     saved_at: datetime
     force_n: Annotated[float, Field(ge=0.0, le=1000.0)]
-    ground_mm: float | None = None
-    turn_deg: float | None = None
-    orientation_deg: dict[str, float] = Field(default_factory=dict)
+    width_mm: Annotated[float, Field(ge=0.0, le=1000.0)]
 
 
 _S = TypeVar("_S", bound=_Stored)

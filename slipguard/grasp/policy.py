@@ -6,6 +6,7 @@ wrong, the grip that is there is kept, the arm stops, and it is said. Nothing bu
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -98,7 +99,7 @@ def _idle(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
         return state, Command()
     if gripper.holding and not state.adopted:
         return _adopt(state, gripper, seen)
-    state = replace(state, adopted=True)
+    state = replace(state, adopted=True, remembered=None)
     touched = seen.fused is not None and seen.fused.both_touch
     if params.mode == "guard" and state.guarding and gripper.holding and touched:
         said = f"an object is held with {gripper.force_n:.0f} N: guarding"
@@ -111,7 +112,9 @@ def _adopt(state: GuardState, gripper: GripperState, seen: Seen) -> Outcome:
     held = f"an object is held with {gripper.force_n:.0f} N already"
     found_s = state.found_s if state.found_s is not None else seen.now_s
     if seen.fused is not None and (seen.arm is not None or seen.now_s - found_s >= ARM_WAIT_S):
-        return taken_over(state, gripper, seen.now_s), Command(say=f"{held}: taken over as it is")
+        state = taken_over(state, gripper, seen.now_s)
+        known = f", with the {state.target_n:.0f} N of before the restart" if state.target_n > gripper.force_n else ""
+        return state, Command(say=f"{held}: taken over as it is{known}")
     first = state.found_s is None
     return replace(state, found_s=found_s), Command(say=f"{held}: waiting for fingers and arm" if first else None)
 
@@ -257,6 +260,8 @@ def _keep_force(state: GuardState, seen: Seen, command: Command) -> Outcome:
     held = state.phase in AT_STAKE or state.phase is Phase.FAULT
     if not held or gripper is None or state.person_near or command.hold_force_n is not None:
         return state, command
+    if state.commanded_s == -math.inf:
+        return state, command  # a grip that was taken over is left as it is
     closing = state.phase is Phase.CLOSING
     weak = gripper.force_n < state.target_n - FORCE_TOLERANCE_N and (gripper.holding or closing)
     known = gripper.measured_at_s > state.commanded_s and seen.now_s - state.commanded_s >= REPEAT_S

@@ -185,7 +185,9 @@ def _clear(state: GuardState, command: Command, seen: Seen, params: GuardParams)
     if not seen.gripper.holding:
         return emptied(state, Phase.IDLE, seen.now_s), replace(command, say="cleared; nothing is held")
     ground_mm, target_n = state.ground_mm, max(state.target_n, seen.gripper.force_n)
-    state = replace(taken_over(state, seen.gripper, seen.now_s), ground_mm=ground_mm, target_n=target_n)
+    commanded_s = state.commanded_s
+    state = taken_over(state, seen.gripper, seen.now_s)
+    state = replace(state, ground_mm=ground_mm, target_n=target_n, commanded_s=commanded_s)
     said = f"cleared; holding with {target_n:.0f} N"
     return state, replace(command, new_reference=True, say=said)
 

@@ -47,6 +47,18 @@ class Slip:
 
 
 @dataclass(frozen=True, slots=True)
+class Remembered:
+    """How an object was held before a restart: the force per finger last commanded, and the jaws' width then."""
+
+    force_n: float
+    width_mm: float
+
+
+SAME_WIDTH_MM = 1.0
+"""Jaws within this of where they were still hold the same thing: a self-locking gripper does not creep."""
+
+
+@dataclass(frozen=True, slots=True)
 class GuardState:
     """The law's whole memory.
 
@@ -57,6 +69,7 @@ class GuardState:
     referenced: the turn could be read when the object was gripped. blind: why it could not.
     person_near: the arm was last seen in a protective or emergency stop, so no force is added.
     adopted: the gripper's first state has been looked at. found_s: when it was first seen to hold something already.
+    remembered: the grip before a restart, until the gripper's first state has been looked at.
     """
 
     phase: Phase = Phase.IDLE
@@ -77,6 +90,7 @@ class GuardState:
     lost_since_s: float | None = None
     adopted: bool = False
     found_s: float | None = None
+    remembered: Remembered | None = None
     note: str | None = None
     fault: Fault | None = None
 
@@ -97,5 +111,12 @@ def emptied(state: GuardState, phase: Phase, now_s: float) -> GuardState:
 
 
 def taken_over(state: GuardState, gripper: GripperState, now_s: float) -> GuardState:
-    """The object the gripper holds, with the grip it has, is guarded from a new reference on."""
-    return replace(emptied(state, Phase.REFERENCE, now_s), target_n=gripper.force_n)
+    """The object the gripper holds, with the grip it has, is guarded from a new reference on.
+
+    A gripper that has been asked nothing since its connection was opened knows no force: where the jaws are as wide as
+    before the restart, the object is held with the force it was held with then.
+    """
+    force_n, before = gripper.force_n, state.remembered
+    if before is not None and abs(before.width_mm - gripper.width_mm) <= SAME_WIDTH_MM:
+        force_n = max(force_n, before.force_n)
+    return replace(emptied(state, Phase.REFERENCE, now_s), target_n=force_n)

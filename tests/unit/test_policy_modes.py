@@ -10,9 +10,10 @@ from play import GUARD_MODE, NOW_S, PARAMS, Play, seen_in, state_in
 from seen import arm, ask, fused, gripper
 
 from slipguard.devices import GripperState
+from slipguard.grasp.guard import Guard
 from slipguard.grasp.messages import ArmLift, RequestKind
 from slipguard.grasp.policy import step
-from slipguard.grasp.state import Phase
+from slipguard.grasp.state import GuardState, Phase, Remembered
 
 
 def test_a_restart_adopts_what_is_held() -> None:
@@ -26,6 +27,34 @@ def test_a_restart_adopts_what_is_held() -> None:
     assert all(command.hold_force_n is command.release_width_mm is None for command in play.commands)
     assert "not known how far up" in (play.tick(RequestKind.LOWER).refused or "")
     assert play.slips().hold_force_n == pytest.approx(130.0, abs=0.85)
+
+
+def test_a_restart_knows_the_force_of_before_where_the_jaws_have_not_moved() -> None:
+    before = Guard(GuardState(remembered=Remembered(93.0, gripper().width_mm + 0.4)))
+    play = Play(guard=before)
+    play.jaws, play.view, play.here = gripper(20.0), fused(), arm(60.0)
+    play.ticks(0.6)
+    assert play.law.phase is Phase.HOLDING
+    assert play.law.target_n == 93.0
+    assert all(command.hold_force_n is None for command in play.commands)
+    assert any("93 N of before the restart" in (command.say or "") for command in play.commands)
+    assert play.slips().hold_force_n == pytest.approx(130.0, abs=0.85)
+
+
+@pytest.mark.parametrize(("moved_mm", "known_n"), [(3.0, 93.0), (0.0, 10.0)])
+def test_what_is_remembered_of_something_else_does_not_count(moved_mm: float, known_n: float) -> None:
+    play = Play(guard=Guard(GuardState(remembered=Remembered(known_n, gripper().width_mm + moved_mm))))
+    play.jaws, play.view, play.here = gripper(20.0), fused(), arm(60.0)
+    play.ticks(0.6)
+    assert play.law.target_n == 20.0
+
+
+def test_what_is_remembered_is_forgotten_with_empty_jaws() -> None:
+    play = Play(guard=Guard(GuardState(remembered=Remembered(93.0, gripper().width_mm))))
+    play.tick()
+    assert play.law.remembered is None
+    play.held()
+    assert play.law.target_n == pytest.approx(PARAMS.first_force_n, abs=0.85)
 
 
 def test_an_adopted_grip_above_the_budget_is_kept() -> None:

@@ -116,7 +116,7 @@ def test_an_image_of_another_size_is_not_stored(tmp_path: Path) -> None:
 
 def test_a_failed_write_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     state = StateDir(tmp_path)
-    before = LastGrasp(saved_at=datetime.now(UTC), force_n=40.0, turn_deg=3.5, orientation_deg={"D1": -20.0})
+    before = LastGrasp(saved_at=datetime.now(UTC), force_n=40.0, width_mm=18.0)
     state.save_last_grasp(before)
 
     def full(descriptor: int) -> None:
@@ -134,7 +134,7 @@ def test_the_last_grasp_can_be_forgotten_and_damage_is_named(tmp_path: Path) -> 
     state = StateDir(tmp_path)
     assert state.load_last_grasp() is None
     state.forget_last_grasp()
-    state.save_last_grasp(LastGrasp(saved_at=datetime.now(UTC), force_n=40.0))
+    state.save_last_grasp(LastGrasp(saved_at=datetime.now(UTC), force_n=40.0, width_mm=18.0))
     state.forget_last_grasp()
     assert state.load_last_grasp() is None
     (tmp_path / "last_grasp.json").write_text('{"force_n": "NaN"}')

@@ -1,0 +1,86 @@
+"""How an object is held, kept on the disk for whoever starts next: a killed daemon comes back and knows the force."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from typing import Protocol
+
+import structlog
+
+from slipguard.daemon.service import Decision
+from slipguard.daemon.state_dir import LastGrasp
+from slipguard.errors import SlipguardError
+from slipguard.grasp.guard import Guard
+from slipguard.grasp.state import AT_STAKE, GuardState, Phase, Remembered
+
+GOOD_FOR = timedelta(hours=1)
+"""A grip older than this is somebody else's by now."""
+CHANGE_MM = 0.5
+log = structlog.get_logger()
+
+
+class Shelf(Protocol):
+    """Where the last grasp is kept; may raise SlipguardError."""
+
+    def save_last_grasp(self, last: LastGrasp) -> None: ...
+
+    def load_last_grasp(self) -> LastGrasp | None: ...
+
+    def forget_last_grasp(self) -> None: ...
+
+
+def remembered(shelf: Shelf, now: datetime | None = None) -> Guard:
+    """The law's memory at a start; a damaged or old file counts as none, and a damaged one is said."""
+    try:
+        last = shelf.load_last_grasp()
+    except SlipguardError as error:
+        log.error("last grasp", why=str(error))
+        return Guard()
+    if last is None or (now or datetime.now(UTC)) - last.saved_at > GOOD_FOR:
+        return Guard()
+    return Guard(GuardState(remembered=Remembered(last.force_n, last.width_mm)))
+
+
+class GraspKeeper:
+    """Watches decisions and keeps the shelf up to date, in a thread: the loop never waits for the disk."""
+
+    def __init__(self, shelf: Shelf, say: Callable[[str], None]) -> None:
+        self._shelf, self._say = shelf, say
+        self._kept: Remembered | None = None
+        self._known = False
+        self._writing: asyncio.Task[None] | None = None
+
+    def decided(self, decision: Decision) -> None:
+        """To be called after every turn of the loop."""
+        gripper, target_n = decision.seen.gripper, decision.memory.law.target_n
+        if gripper is None or (self._writing is not None and not self._writing.done()):
+            return  # not known, or the disk is busy: a later turn will do
+        held = decision.phase in AT_STAKE or decision.phase is Phase.FAULT
+        if held and gripper.holding and not gripper.moving and target_n > 0.0:
+            self._keep(Remembered(target_n, gripper.width_mm))
+        elif not held and not gripper.holding:
+            self._keep(None)
+
+    def _keep(self, grip: Remembered | None) -> None:
+        if self._known and not _differs(grip, self._kept):
+            return
+        self._kept, self._known = grip, True
+        self._writing = asyncio.get_running_loop().create_task(self._write(grip), name="last grasp")
+
+    async def _write(self, grip: Remembered | None) -> None:
+        try:
+            if grip is None:
+                await asyncio.to_thread(self._shelf.forget_last_grasp)
+            else:
+                last = LastGrasp(saved_at=datetime.now(UTC), force_n=grip.force_n, width_mm=grip.width_mm)
+                await asyncio.to_thread(self._shelf.save_last_grasp, last)
+        except (SlipguardError, OSError) as error:
+            self._say(f"the grip could not be noted down for a restart: {error}")
+
+
+def _differs(one: Remembered | None, other: Remembered | None) -> bool:
+    if one is None or other is None:
+        return one is not other
+    return one.force_n != other.force_n or abs(one.width_mm - other.width_mm) > CHANGE_MM

@@ -1,0 +1,77 @@
+"""The force of a grip survives the daemon: noted down as it changes, forgotten with the object."""
+
+from __future__ import annotations
+
+import asyncio
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from loop_cell import Cell, play
+
+from slipguard.daemon.last_grasp import GraspKeeper, remembered
+from slipguard.daemon.state_dir import LastGrasp, StateDir
+from slipguard.errors import ConfigError
+from slipguard.grasp.guard import Guard
+from slipguard.grasp.state import GuardState, Remembered
+
+
+def test_the_grip_is_noted_down_tightened_and_forgotten(tmp_path: Path) -> None:
+    shelf = StateDir(tmp_path)
+
+    async def scene(cell: Cell) -> None:
+        cell.service.observers.append(GraspKeeper(shelf, cell.says.append).decided)
+        await cell.grasp()
+        await asyncio.sleep(0.1)
+        first = shelf.load_last_grasp()
+        assert first is not None
+        assert first.force_n == cell.service.state.target_n
+        await cell.lift()
+        await asyncio.sleep(0.5)
+        tightened = shelf.load_last_grasp()
+        assert tightened is not None
+        assert tightened.force_n == cell.service.state.target_n > first.force_n
+        assert remembered(shelf).law.remembered == Remembered(tightened.force_n, tightened.width_mm)
+        await cell.lower()
+        await cell.release()
+        await asyncio.sleep(0.1)
+        assert shelf.load_last_grasp() is None
+
+    play(Cell("wrench", 1), scene)
+
+
+def test_a_disk_that_fails_is_said_and_keeps_nothing_from_going_on() -> None:
+    class Full:
+        def save_last_grasp(self, last: LastGrasp) -> None:
+            raise ConfigError("last_grasp.json: cannot be written (No space left on device)")
+
+        def load_last_grasp(self) -> LastGrasp | None:
+            return None
+
+        def forget_last_grasp(self) -> None:
+            raise OSError(30, "Read-only file system")
+
+    said: list[str] = []
+
+    async def scene(cell: Cell) -> None:
+        cell.service.observers.append(GraspKeeper(Full(), said.append).decided)
+        await cell.grasp()
+        await asyncio.sleep(0.2)
+
+    play(Cell("wrench", 1), scene)
+    assert any("No space left" in line for line in said)
+    assert len(said) <= 3
+
+
+@pytest.mark.parametrize("content", ['{"format": 1}', "not JSON", '{"format": 2, "force_n": "NaN"}'])
+def test_a_damaged_note_counts_as_none(tmp_path: Path, content: str) -> None:
+    (tmp_path / "last_grasp.json").write_text(content)
+    assert remembered(StateDir(tmp_path)) == Guard()
+
+
+def test_an_old_note_counts_as_none(tmp_path: Path) -> None:
+    shelf, now = StateDir(tmp_path), datetime.now(UTC)
+    shelf.save_last_grasp(LastGrasp(saved_at=now - timedelta(hours=2), force_n=90.0, width_mm=18.0))
+    assert remembered(shelf, now) == Guard()
+    shelf.save_last_grasp(LastGrasp(saved_at=now - timedelta(minutes=2), force_n=90.0, width_mm=18.0))
+    assert remembered(shelf, now) == Guard(GuardState(remembered=Remembered(90.0, 18.0)))
