@@ -10,7 +10,7 @@ from typing import Literal
 
 import pytest
 from ros_client import RosLikeClient
-from ur_scene import lifting, lost, rests, speed_of, until
+from ur_scene import lifting, lost, put_away, rests, speed_of, until
 
 from slipguard.daemon.actuator import Actuator
 from slipguard.devices import ArmState
@@ -190,4 +190,5 @@ async def test_local_control_is_told_for_it_would_not_heed_a_pause() -> None:
 async def test_lift_mode_beside_a_running_program_would_not_even_start(controller: UrEmulator) -> None:
     with pytest.raises(DeviceLost, match="a program is on"):
         await lifting(HOST).open()
+    await put_away()
     assert disturbances(controller) == []

@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator
 from typing import Literal
 
 import pytest
-from ur_scene import lifting, lost, rests, told, under_way, until
+from ur_scene import lifting, lost, opened, put_away, rests, told, under_way, until
 
 from slipguard.errors import CommandRefused, DeviceLost
 from slipguard_drivers.ur5.emulator import UrEmulator
@@ -18,6 +18,12 @@ from slipguard_drivers.ur5.lifting import LiftingArm
 from slipguard_drivers.ur5.rtde import RtdeConnection
 
 HOST = "127.0.0.31"
+
+
+@pytest.fixture(autouse=True)
+async def _put_away() -> AsyncIterator[None]:
+    yield
+    await put_away()
 
 
 @pytest.fixture
@@ -33,7 +39,7 @@ async def arm(controller: UrEmulator) -> AsyncIterator[LiftingArm]:
     arm = lifting(HOST)
     await arm.open()
     yield arm
-    await arm.close()
+    await put_away()
 
 
 def dashboard_orders(controller: UrEmulator) -> list[object]:
@@ -177,7 +183,7 @@ async def test_the_script_of_a_killed_daemon_ends_by_its_watchdog(controller: Ur
     assert arm._hands.pid is not None
     os.kill(arm._hands.pid, signal.SIGKILL)
     assert await until(lambda: controller.state()["runtime"] == "stopped")
-    await newcomer.open()
+    await opened(newcomer)
     await newcomer.close()
 
 

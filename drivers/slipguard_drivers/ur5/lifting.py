@@ -15,10 +15,10 @@ from typing import Any
 from slipguard.devices import Arm, ArmState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost
 from slipguard_drivers.ur5.dashboard import Dashboard
-from slipguard_drivers.ur5.eyes import MODES, RUNNING, STALE_S, STOPPED, Eyes
+from slipguard_drivers.ur5.eyes import STALE_S, Eyes
 from slipguard_drivers.ur5.link import WorkerLink
-from slipguard_drivers.ur5.rtde import RtdeConnection, check_port
 from slipguard_drivers.ur5.settings import Ur5Settings
+from slipguard_drivers.ur5.taking import check_free
 
 BEAT_S = 0.05
 GIVE_UP_S = 0.5
@@ -31,7 +31,10 @@ SLOWEST_MM_S = 1.0
 REST_S = 1.0
 """250 mm/s at the weakest stop there may be, 500 mm/s2, ends in 0.5 s."""
 POLL_S = 0.01
-SCRIPT_PORT = 30003
+
+
+class SafetyStop(CommandRefused):
+    """It came while a command was on its way."""
 
 
 class LiftingArm(Arm):
@@ -49,6 +52,7 @@ class LiftingArm(Arm):
         self._resting = False  # a safety stop is active: watched without hands
         self._travelling = False
         self._stops = 0
+        self._again = False
         self._taken_at_s = math.inf
         self._agreed_at_s = math.inf
         self._ours_until_s = -math.inf  # until then, a program that runs may be our own, left behind
@@ -68,11 +72,13 @@ class LiftingArm(Arm):
             self._resting = sight.protective or sight.emergency
             if not self._resting:
                 await self._take()
-        except BaseException:
+        except BaseException as error:
+            self._again = isinstance(error, DeviceError)
             self._hands.kill()
             self._dashboard.close()
             await self._eyes.close()
             raise
+        self._again = False
         now_s = asyncio.get_running_loop().time()
         self._lost, self._travelling, self._taken_at_s, self._agreed_at_s = None, False, now_s, now_s
         self._heart = asyncio.create_task(self._keep_beating(), name=f"{self._name}: heartbeat")
@@ -109,34 +115,34 @@ class LiftingArm(Arm):
         self._stops += 1
         self._check_alive()
         if not self._resting:
-            await self._call("stop", deadline_s=STOP_S)
+            with contextlib.suppress(SafetyStop):
+                await self._call("stop", deadline_s=STOP_S)
 
     async def close(self) -> None:
-        """Stop the arm, end our script on the controller, disconnect."""
+        """Stop the arm, end our script on the controller, disconnect.
+
+        After a failure the process that waits to be the next worker is kept, for `open` is at hand; a further `close`
+        lets go of it.
+        """
         await self._stop_heart()
         if self._hands.connected:
             with contextlib.suppress(DeviceError, CommandRefused):
                 await self._hands.call("stop", deadline_s=STOP_S)
                 await self._hands.call("leave", deadline_s=STOP_S)
-        self._hands.kill()
+        if self._again:
+            self._hands.kill()
+        else:
+            self._hands.close()
+        self._again = False
         await self._eyes.close()
         self._dashboard.close()
 
-    # --- taking the arm ---
-
     async def _take(self) -> None:
-        """Look whether the robot can be had, in words; only then let ur-rtde connect to it."""
-        name, host, settings = self._name, self._settings.host, self._settings
+        """Look whether the robot can be had; only then let ur-rtde connect to it."""
+        settings = self._settings
         self._hands.prepare()  # it starts while we look
-        sight = self._eyes.newest
-        if sight.mode != RUNNING:
-            mode = MODES.get(sight.mode, str(sight.mode))
-            raise DeviceLost(f"{name}: the robot is not ready ({mode}); switch the arm on at the panel")
-        if not await self._dashboard.in_remote_control():
-            raise DeviceLost(f"{name}: the robot is in local control; switch it to remote control at the panel")
-        await self._check_free()
-        await check_port(name, host, SCRIPT_PORT, "script port")
-        await self._check_inputs()
+        ours = asyncio.get_running_loop().time() < self._ours_until_s
+        await check_free(self._name, settings, self._eyes, self._dashboard, ours=ours)
         self._ours_until_s = math.inf
         try:
             stop_m_s2 = settings.stop_mm_s2 / 1000.0
@@ -144,34 +150,6 @@ class LiftingArm(Arm):
         except BaseException:
             self._left_behind()
             raise
-
-    async def _check_free(self) -> None:
-        """No program of somebody else's runs, for ours would end it. One of ours, left behind, is ended."""
-        loop = asyncio.get_running_loop()
-        if loop.time() < self._ours_until_s and self._eyes.newest.runtime != STOPPED:
-            await self._dashboard.ask("stop")
-            for _ in range(round(HALT_S / POLL_S)):
-                if self._eyes.newest.runtime == STOPPED:
-                    return
-                await asyncio.sleep(POLL_S)
-        if self._eyes.newest.runtime != STOPPED:
-            program = await self._dashboard.ask("programState")
-            raise DeviceLost(
-                f"{self._name}: a program is on ({program}), and lift mode would end it; stop it at the panel, "
-                'or let it move the arm: [guard] mode = "guard"'
-            )
-
-    async def _check_inputs(self) -> None:
-        """The registers of the control script are nobody else's."""
-        first = 24 if self._settings.registers == "upper" else 0
-        connection = await RtdeConnection.connect(self._name, self._settings.host)
-        try:
-            await connection.inputs([f"input_int_register_{first}", f"input_double_register_{first}"])
-        except CommandRefused as error:
-            other = "lower" if first else "upper"
-            raise DeviceLost(f'{error}; or try registers = "{other}" in [arm.ur5]') from None
-        finally:
-            connection.close()
 
     # --- keeping it ---
 
@@ -239,6 +217,8 @@ class LiftingArm(Arm):
         try:
             return await self._hands.call(request, *arguments, deadline_s=deadline_s)
         except DeviceLost as error:
+            if self._resting:  # a safety stop came first, and ended the script
+                raise SafetyStop(f"{self._name}: a safety stop is active") from None
             self._lose(str(error))
             raise
 
@@ -259,7 +239,7 @@ class LiftingArm(Arm):
         """Give up the worker, at once, and stop the arm over the dashboard where a program of ours may still run."""
         if self._lost is not None:
             return
-        self._lost = why
+        self._lost, self._again = why, True
         self._hands.kill()
         if self._ours_until_s == math.inf and not self._script_ended:
             self._left_behind()

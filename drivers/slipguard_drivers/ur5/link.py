@@ -18,12 +18,16 @@ CONNECT_S = 10.0
 
 
 class WorkerLink:
-    """One worker process, from `prepare` to `kill`. Calls are made one at a time."""
+    """One worker process, from `connect` to `kill`, and one that waits to be the next: starting one can take a second.
+
+    Calls are made one at a time.
+    """
 
     def __init__(self, name: str, host: str) -> None:
         self._name = name
         self._host = host
         self._child: Child | None = None
+        self._spare: Child | None = None
         self._asking: Child | None = None
         self._turn = asyncio.Lock()
         self.connected = False
@@ -31,18 +35,25 @@ class WorkerLink:
 
     @property
     def pid(self) -> int | None:
-        """Of the process that is there; None if there is none."""
+        """Of the process that has the arm, or is about to; None if there is none."""
         return self._child.pid if self._child is not None else None
 
     def prepare(self) -> None:
-        """Let the process start; it imports what it needs and waits. Connects to nothing."""
-        self.kill()
-        self._child = Child(WORKER, self._host)
+        """Let a process start and wait; it imports what it needs and connects to nothing. Idempotent."""
+        if self._spare is not None and not self._spare.alive:
+            self._spare.kill()
+            self._spare = None
+        if self._spare is None:
+            self._spare = Child(WORKER, self._host)
 
     async def connect(self, watchdog_hz: float, deceleration_m_s2: float, *, upper: bool) -> None:
         """Let ur-rtde take the arm and arm the watchdog. Raises DeviceLost."""
+        self.kill()
+        self.prepare()
+        self._child, self._spare = self._spare, None
         await self.call("connect", watchdog_hz, deceleration_m_s2, upper, deadline_s=CONNECT_S)
         self.connected = True
+        self.prepare()
 
     async def call(self, request: str, *arguments: object, deadline_s: float) -> Any:
         """Make one call and return its result.
@@ -53,7 +64,8 @@ class WorkerLink:
             if self._child is None:
                 raise DeviceLost(f"{self._name}: the connection is not open; open it first")
             # A request once sent is answered to its end, whoever stops waiting: answers carry no number.
-            work = asyncio.create_task(self._exchange(json.dumps([request, *arguments]).encode(), deadline_s))
+            packet = json.dumps([request, *arguments]).encode()
+            work = asyncio.create_task(self._exchange(self._child, packet, deadline_s))
             try:
                 return await asyncio.shield(work)
             except asyncio.CancelledError:
@@ -73,14 +85,22 @@ class WorkerLink:
         else:
             child.kill()
 
-    async def _exchange(self, packet: bytes, deadline_s: float) -> Any:
-        child = self._child
-        assert child is not None
-        self._asking = child
-        try:
-            reply, why = await self._ask(child, packet, deadline_s)
-        finally:
-            self._asking = None
+    def close(self) -> None:
+        """`kill`, and let go of the one that waits. Idempotent."""
+        self.kill()
+        if self._spare is not None:
+            self._spare.kill()
+            self._spare = None
+
+    async def _exchange(self, child: Child, packet: bytes, deadline_s: float) -> Any:
+        reply: dict[str, Any] = {}
+        why: str | None = None
+        if self._child is child:
+            self._asking = child
+            try:
+                reply, why = await self._ask(child, packet, deadline_s)
+            finally:
+                self._asking = None
         if self._child is not child:  # killed meanwhile: what is left of it is put away here
             child.kill()
             raise DeviceLost(f"{self._name}: the connection was given up; open the arm again")
