@@ -106,10 +106,11 @@ def _quarters(axes: Any, found: Bench) -> None:
         axes.plot(range(1, len(errors) + 1), errors, "-o", markersize=3, label=_short(row),
                   linewidth=2.5 if row.name == found.default else 1)  # fmt: skip
     axes.set_xticks(range(1, 5), ["easiest quarter", "second", "third", "hardest"])
-    axes.set_yscale("log")
     axes.set_ylabel("mean turn error, degrees")
     axes.grid(alpha=0.3, which="both")
-    axes.legend(fontsize=6, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    if axes.lines:
+        axes.set_yscale("log")
+        axes.legend(fontsize=6, loc="center left", bbox_to_anchor=(1.0, 0.5))
     axes.set_title("By difficulty: roundness, cut by the frame, speed, growth")
 
 

@@ -32,7 +32,8 @@ class Row:
     """One pipeline's figures; None where unknown or not asked. Times in ms, of one frame in contact where not said.
 
     skipped_p50_ms: of frames left out, for want of contact or of change. turn errors: absolute, in degrees, over frames
-    after the reference with an angle, of the objects of the test manifest; worst object: the largest mean of one.
+    after the reference with an angle, of the objects of the test manifest; worst object: the largest mean of one;
+    readable: of the objects that have an axis, the ones that the paper's way is meant for.
     declined_share: of such frames of objects with a readable axis, those without an angle. quartiles: means over the
     grasps from the easiest quarter to the hardest. within_n_sigma: share of errors no larger than n times the sigma
     stated. round textured, round plain: objects without an axis, with and without texture; confident: a turn stated
@@ -60,6 +61,7 @@ class Row:
     cpu_s_per_minute_grasp: float | None = None
     no_contact_p50_ms: float | None = None
     unchanged_p50_ms: float | None = None
+    turn_error_readable_mean_deg: float | None = None
     turn_error_sd_deg: float | None = None
     turn_error_p95_deg: float | None = None
     turn_error_by_quartile_deg: tuple[float | None, ...] | None = None
@@ -75,7 +77,9 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Skip:
-    """What one skip is worth. saved_ms: of each frame left out. saved_ms_per_frame_grasp: over a minute of holding.
+    """What one skip is worth. saved_ms: of each frame left out; by processor time where a minute is measured.
+
+    saved_ms_per_frame_grasp: over a minute of holding.
 
     error_added_deg: mean turn error with it less that without. frames_later: slip seen later because of it, the most
     of all onsets tried; None where it cannot matter. kept: whether slipguard does it. how: what n was, and why.

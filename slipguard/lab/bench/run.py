@@ -23,8 +23,8 @@ from slipguard.perception.settings import EVERY_SKIP, PerceptionSettings
 from slipguard.sim.objects import names
 
 SEED = 4100
-QUICK_GRASPS, FULL_GRASPS, LARGE_GRASPS, TIMED_GRASPS = 1, 8, 1, 1
-"""Grasps of each object: a quick bench, a full one, of large networks with slipguard's estimators, and timed ones."""
+QUICK_GRASPS, FULL_GRASPS, LARGE_GRASPS = 1, 5, 1
+"""Grasps of each object: of a quick bench, a full one, and of large networks with slipguard's estimators."""
 QUICK_MASK_EVERY, FULL_MASK_EVERY = 4, 2
 LARGE_FRAMES_QUICK, LARGE_EVERY = 30, 6
 """Frames of a large network in a quick bench; in a full one every so many-th, for the paper's way remembers nothing."""

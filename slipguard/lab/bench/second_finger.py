@@ -43,13 +43,13 @@ def second_finger(default: Subject) -> Skip:
         left = surer.process(shot.frame)
         for spare, run in runs.items():
             own, frame = last[spare], beside.frame
-            start_s = time.perf_counter()
+            start_s = time.process_time()
             if spare and own is not None and adds_nothing(own, left, frame.captured_at_s, refresh_s):
                 right = again(own, frame.captured_at_s, frame.sequence)
                 run.spared += 1
             else:
                 right = others[spare].process(frame)
-            run.spent_s.append(time.perf_counter() - start_s)
+            run.spent_s.append(time.process_time() - start_s)
             last[spare] = right
             fused = fuse(left, right)
             if fused is None:

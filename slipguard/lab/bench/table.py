@@ -12,7 +12,7 @@ from slipguard.lab.bench.rows import PUBLISHED, Bench, Row
 BEGIN, END = "<!-- bench table: begin -->", "<!-- bench table: end -->"
 COLUMNS = (
     "front", "pipeline", "p50", "p99", "skipped", "mean over a grasp", "CPU s a minute", "turn error", "p95", "worst",
-    "declined", "round textured", "round plain declined", "in 1, 2 sigma", "Dice", "IoU", "× peer",
+    "with an axis", "declined", "round textured", "round plain declined", "in 1, 2 sigma", "Dice", "IoU", "× peer",
 )  # fmt: skip
 BRIEF = ("p50", "p99", "grasp", "error", "worst", "declined", "Dice", "× peer")
 
@@ -26,8 +26,8 @@ def tables(found: Bench, brief: bool) -> list[Table]:
         name = f"[bold]{cells[1]}[/]" if row.name == found.default else cells[1]
         picked = [cells[0], name, *cells[2:]]
         if brief:
-            picked = [picked[0], name, cells[2], cells[3], cells[5], cells[7].split(" ± ")[0], cells[9], cells[10],
-                      cells[14], cells[16]]  # fmt: skip
+            picked = [picked[0], name, cells[2], cells[3], cells[5], cells[7].split(" ± ")[0], cells[9], cells[11],
+                      cells[15], cells[17]]  # fmt: skip
         shown.add_row(*picked)
     thinned = Table("thinning", "masks", "ms", "cv2, ×", "scikit-image thin, ×", "skeletonize, ×", "pixels not cv2's")
     for one in found.thinning:
@@ -103,6 +103,7 @@ def cells_of(row: Row, found: Bench) -> list[str]:
         error if row.turn_error_mean_deg is None else f"{error} ± {sd}",
         _text(row.turn_error_p95_deg),
         _text(row.turn_error_worst_object_deg),
+        _text(row.turn_error_readable_mean_deg),
         _text(row.declined_share, "{:.0%}"),
         _text(row.round_textured_error_mean_deg),
         _text(row.round_plain_declined_share, "{:.0%}"),

@@ -130,6 +130,7 @@ class Tally:
             cpu_s_per_minute_grasp=cpu_s,
             no_contact_p50_ms=quantile(times.empty_ms, 0.5),
             unchanged_p50_ms=quantile(times.unchanged_ms, 0.5),
+            turn_error_readable_mean_deg=mean(error for one in readable for error, _, _ in one.found),
             turn_error_sd_deg=float(np.std(errors)) if errors else None,
             turn_error_p95_deg=quantile(errors, 0.95),
             turn_error_by_quartile_deg=quarters(manifest) if errors else None,
