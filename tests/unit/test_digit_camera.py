@@ -28,7 +28,7 @@ def jpeg(sequence: int, *, cut: int = 0) -> Delivery:
 
 
 def digit(**settings: object) -> DigitSensor:
-    wanted = {"serial": "D20001", "stall_ms": 100} | settings
+    wanted = {"serial": "D20001", "stall_ms": 1000} | settings
     return DigitSensor(DigitSensor.Settings.model_validate(wanted), DriverContext("left"), found, Camera)
 
 

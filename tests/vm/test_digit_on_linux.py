@@ -15,7 +15,8 @@ TURNED_GREY_LEVELS = 4.0
 
 def test_sixty_frames_a_second_of_which_none_is_lost(machine: Machine) -> None:
     for look in range(LOOKS):
-        seen = machine.play("scenes:rates", seconds=5.0)
+        with machine.undisturbed():
+            seen = machine.play("scenes:rates", seconds=5.0)
         print(f"look {look}: {seen}")
         if seen["lost"] <= 0.005 * seen["taken"] and seen["fps"] == pytest.approx(60.0, abs=0.6):
             break
@@ -69,7 +70,8 @@ def test_a_kernel_that_drops_what_is_damaged_leaves_a_stalled_stream(machine: Ma
 
 def test_an_unplugged_sensor_is_told_at_once(machine: Machine) -> None:
     for look in range(LOOKS):
-        seen = machine.play("scenes:unplug")
+        with machine.undisturbed():
+            seen = machine.play("scenes:unplug")
         print(f"look {look}: {seen}")
         assert seen["as"] == "DeviceLost"
         if seen["after_s"] <= 0.05:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import struct
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import TypeVar
@@ -11,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from usb_host import UsbCapture, UsbDevice, listed
+from usb_host import UsbCapture, UsbDevice, connected, exactly, listed
 
 from slipguard.errors import CommandRefused, InputError
 from slipguard_drivers.digit.capture import Delivery, Mode
@@ -135,6 +137,30 @@ async def test_a_stream_can_be_stopped_in_the_middle_of_a_picture_and_started_ag
         await beside(capture.start)
         assert {one.damage for one in await frames(capture, 2)} == {None}
         await beside(capture.close)
+
+
+async def test_a_request_taken_back_before_it_was_sent_is_answered_once_and_only_when_it_comes(
+    emulator: DigitEmulator,
+) -> None:
+    def ask() -> list[tuple[int, int, int]]:
+        with connected(emulator.address) as link:
+            link.sendall(struct.pack(">HHI32s", 0x111, 0x8003, 0, b"1-1"))
+            exactly(link, 8 + 312)
+            link.sendall(struct.pack(">5II24x", 2, 12, 0, 0, 1, 11))  # take 11 back
+            link.sendall(struct.pack(">5I", 1, 11, 0, 1, 1) + struct.pack(">Iiiii8x", 0, 512, 0, -1, 0))
+            device = struct.pack("<BBHHH", 0x80, 6, 0x0100, 0, 18)
+            link.sendall(struct.pack(">5I", 1, 13, 0, 1, 0) + struct.pack(">Iiiii8s", 0, 18, 0, -1, 0, device))
+            answers = []
+            for data_bytes in (0, 18):
+                code, number, _, _, _, status, _ = struct.unpack(">5Iii20x", exactly(link, 48))
+                exactly(link, data_bytes)
+                answers.append((code, number, status))
+            link.settimeout(0.2)
+            with pytest.raises(TimeoutError):
+                exactly(link, 1)
+            return answers
+
+    assert await beside(ask) == [(4, 12, -errno.ECONNRESET), (3, 13, 0)]
 
 
 @pytest.mark.parametrize(

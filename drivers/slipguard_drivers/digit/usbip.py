@@ -82,6 +82,30 @@ class BulkIn:
             self._writer.write(returned(number, 0, piece, len(piece)))
 
 
+class EarlyUnlinks:
+    """Requests that Linux takes back before it has sent them: its sending thread may overtake itself.
+
+    They are answered when the request arrives. Answered before, the kernel would count it as returned or not, depending
+    on how far it is, and end the connection over an answer, or wait for one for ever.
+    """
+
+    def __init__(self) -> None:
+        self._newest = 0
+        self._kept: dict[int, int] = {}
+
+    def keep(self, victim: int, number: int) -> bool:
+        """Whether request `victim`, taken back by unlink `number`, is still to come; numbers only rise."""
+        if victim <= self._newest:
+            return False
+        self._kept[victim] = number
+        return True
+
+    def submitted(self, number: int) -> int | None:
+        """A request has come; the unlink that has taken it back already, if there is one."""
+        self._newest = max(self._newest, number)
+        return self._kept.pop(number, None)
+
+
 class UsbDevice(Protocol):
     """What the server needs of a device."""
 
@@ -111,6 +135,11 @@ class UsbDevice(Protocol):
 def returned(number: int, status: int, data: bytes, length: int) -> bytes:
     """The answer to request `number`."""
     return RETURNED.pack(SUBMIT_REPLY, number, 0, 0, 0, status, length, 0, 0, 0) + data
+
+
+def unlinked(number: int, status: int) -> bytes:
+    """The answer to unlink `number`."""
+    return UNLINKED.pack(UNLINK_REPLY, number, 0, 0, 0, status)
 
 
 class UsbIpServer:
@@ -159,12 +188,12 @@ class UsbIpServer:
             return
         writer.write(OPERATION.pack(VERSION, IMPORT_REPLY, 0) + _described(bus_id, wanted))
         self._taken.add(bus_id)
-        bulk = BulkIn(writer)
+        bulk, early = BulkIn(writer), EarlyUnlinks()
         streaming = asyncio.create_task(wanted.stream(bulk), name=f"{bus_id}: stream")
         wanted.attached(writer)
         try:
             while True:
-                await _request(reader, writer, wanted, bulk)
+                await _request(reader, writer, wanted, bulk, early)
         finally:
             self._taken.discard(bus_id)
             wanted.attached(None)
@@ -172,19 +201,24 @@ class UsbIpServer:
             await asyncio.gather(streaming, return_exceptions=True)
 
 
-async def _request(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, device: UsbDevice, bulk: BulkIn) -> None:
+async def _request(
+    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, device: UsbDevice, bulk: BulkIn, early: EarlyUnlinks
+) -> None:
     """One request of the host to the imported device."""
     head = await reader.readexactly(STARTED_BYTES)
     command, number, _, is_read, endpoint = COMMAND.unpack_from(head)
     if command == UNLINK:
         (victim,) = struct.unpack_from(">I", head, COMMAND.size)
-        status = -ECONNRESET if bulk.withdraw(victim) else 0
-        writer.write(UNLINKED.pack(UNLINK_REPLY, number, 0, 0, 0, status))
+        if not early.keep(victim, number):
+            writer.write(unlinked(number, -ECONNRESET if bulk.withdraw(victim) else 0))
         return
     _, length, _, _, _, setup = SUBMITTED.unpack_from(head, COMMAND.size)
     if command != SUBMIT or not 0 <= length <= REQUEST_MAX_BYTES:
         raise ConnectionError(f"command {command} of {length} bytes is none of USB/IP")
     data = b"" if is_read else await reader.readexactly(length)
+    if (unlink := early.submitted(number)) is not None:
+        writer.write(unlinked(unlink, -ECONNRESET))
+        return
     if endpoint != 0:
         bulk.ask(number, length)
         return

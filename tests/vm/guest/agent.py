@@ -71,7 +71,12 @@ def play(order: dict[str, Any]) -> dict[str, object]:
             answer += piece
         else:
             os.killpg(child, signal.SIGKILL)
-    os.waitpid(child, 0)
+    for _ in range(100):
+        if os.waitpid(child, os.WNOHANG)[0]:
+            break
+        select.select([], [], [], 0.05)
+    else:
+        return {"failed": f"the kernel holds on to {order.get('scene')}:\n{Path(f'/proc/{child}/stack').read_text()}"}
     return json.loads(answer) if answer else {"failed": f"no answer from {order.get('scene')}"}
 
 
