@@ -12,11 +12,10 @@ import numpy as np
 import onnx
 import onnxruntime as ort
 import torch
-from numpy.typing import NDArray
-from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
 from slipguard.errors import ModelError
+from slipguard.lab.half_storage import round_to_half, store_as_half
 from slipguard.lab.paper.frames import MaskedFrames
 from slipguard.lab.paper.networks import FrameNet
 from slipguard.perception.segment import CONTRACT_ANY_INPUT
@@ -24,8 +23,6 @@ from slipguard.perception.segment import CONTRACT_ANY_INPUT
 LARGEST_DIFFERENCE = 1e-4
 OPSET = 17
 CHECKED_FRAMES = 32
-HALVED_FROM = 1024
-"""Arrays of at least this many weights are stored as float16: the convolutions, where the size is."""
 
 
 def contract_metadata(
@@ -62,7 +59,7 @@ def export_onnx(net: FrameNet, path: Path, metadata: Mapping[str, str], frames: 
     """
     placed: Any = copy.deepcopy(net).to("cpu")
     placed.to(memory_format=torch.contiguous_format)
-    _round_to_half(placed)
+    round_to_half(placed)
     shipped = _Shipped(placed).eval()
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_suffix(".draft.onnx")
@@ -80,7 +77,7 @@ def export_onnx(net: FrameNet, path: Path, metadata: Mapping[str, str], frames: 
                 dynamo=False,
             )
         model = onnx.load(str(draft))
-        _store_as_half(model)
+        store_as_half(model)
         for key, value in metadata.items():
             model.metadata_props.add(key=key, value=value)
         onnx.checker.check_model(model)
@@ -102,28 +99,6 @@ def session(path: Path, threads: int = 1) -> Any:
     options.log_severity_level = 3
     options.intra_op_num_threads = threads
     return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-
-
-def _round_to_half(net: FrameNet) -> None:
-    with torch.no_grad():
-        for weights in net.parameters():
-            if weights.numel() >= HALVED_FROM:
-                weights.copy_(weights.half().float())
-
-
-def _store_as_half(model: Any) -> None:
-    """Replace float32 weights that float16 holds exactly by float16 and a cast, done once when a session opens."""
-    casts = []
-    for weights in model.graph.initializer:
-        values: NDArray[Any] = numpy_helper.to_array(weights)
-        halves = values.astype(np.float16)
-        if weights.data_type != TensorProto.FLOAT or values.size < HALVED_FROM or not np.array_equal(values, halves):
-            continue
-        name = weights.name
-        weights.CopyFrom(numpy_helper.from_array(halves, f"{name}.half"))
-        casts.append(helper.make_node("Cast", [f"{name}.half"], [name], to=TensorProto.FLOAT))
-    for cast in reversed(casts):
-        model.graph.node.insert(0, cast)
 
 
 def _difference(net: _Shipped, path: Path, frames: MaskedFrames) -> float:
