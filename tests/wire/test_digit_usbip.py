@@ -19,6 +19,7 @@ from slipguard.errors import CommandRefused, InputError
 from slipguard_drivers.digit.capture import Delivery, Mode
 from slipguard_drivers.digit.emulator import DigitEmulator
 from slipguard_drivers.digit.picture import upright_yuyv
+from slipguard_drivers.digit.usbip import BulkIn
 from slipguard_drivers.digit.v4l2 import ZOOM_ABSOLUTE
 
 T = TypeVar("T")
@@ -137,6 +138,50 @@ async def test_a_stream_can_be_stopped_in_the_middle_of_a_picture_and_started_ag
         await beside(capture.start)
         assert {one.damage for one in await frames(capture, 2)} == {None}
         await beside(capture.close)
+
+
+class Answers:
+    """What is written to a host, cut into answers."""
+
+    def __init__(self) -> None:
+        self.pieces: list[tuple[int, bytes]] = []
+
+    def write(self, data: bytes) -> None:
+        self.pieces.append((int.from_bytes(data[4:8], "big"), data[48:]))
+
+
+async def test_the_rest_of_a_picture_is_not_sent_to_a_host_that_has_stopped_reading_in_between() -> None:
+    answers = Answers()
+    bulk = BulkIn(answers)
+    bulk.ask(1, 100)
+    sending = asyncio.create_task(bulk.send(bytes(100) + bytes([1]) * 150, full=False))
+    await asyncio.sleep(0)
+    bulk.ask(2, 100)
+    assert bulk.withdraw(2)
+    bulk.ask(3, 100)
+    await sending
+    assert answers.pieces == [(1, bytes(100))]
+    assert bulk.wanted, "read 3 waits for the next picture"
+
+
+async def test_a_payload_ends_with_a_short_answer_unless_it_has_the_agreed_size() -> None:
+    for full, answered in ((True, [100, 100]), (False, [100, 100, 0])):
+        answers = Answers()
+        bulk = BulkIn(answers)
+        for number in range(4):
+            bulk.ask(number, 100)
+        await bulk.send(bytes(200), full=full)
+        assert [len(piece) for _, piece in answers.pieces] == answered
+
+
+async def test_stopping_while_a_host_is_attached_is_quiet(
+    emulator: DigitEmulator, caplog: pytest.LogCaptureFixture
+) -> None:
+    device = await beside(lambda: UsbDevice(emulator.address, "1-1"))
+    await emulator.stop()
+    await asyncio.sleep(0.05)
+    await beside(device.close)
+    assert caplog.records == []
 
 
 async def test_a_request_taken_back_before_it_was_sent_is_answered_once_and_only_when_it_comes(

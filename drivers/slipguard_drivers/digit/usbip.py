@@ -156,7 +156,8 @@ class UsbIpServer:
         assert session is not None
         self._sessions.add(session)
         try:
-            with contextlib.suppress(asyncio.IncompleteReadError, ConnectionError):
+            # Cancelled only by `stop`, and asyncio's streams would log a cancelled session as an error.
+            with contextlib.suppress(asyncio.IncompleteReadError, ConnectionError, asyncio.CancelledError):
                 await self._talk(reader, writer)
         finally:
             self._sessions.discard(session)
