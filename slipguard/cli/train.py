@@ -77,9 +77,7 @@ def train(
     ] = False,
     start: Annotated[
         Path | None,
-        typer.Option(
-            help="Begin with the weights.pt that an earlier training left in its work folder.", rich_help_panel=SMALL
-        ),
+        typer.Option(help="Begin with the weights.pt that an earlier training left in its work folder."),
     ] = None,
     work: Annotated[
         Path, typer.Option(help="Folder for rendered frames and the checkpoint; a stopped run goes on from there.")
@@ -112,7 +110,7 @@ def train(
             f"training needs {' and '.join(missing)}; install with: pip install 'slipguard[train]' "
             "--extra-index-url https://download.pytorch.org/whl/cpu"
         )
-    of_small = (backgrounds, validate, start, validation_frames != VALIDATION_FRAMES)
+    of_small = (backgrounds, validate, validation_frames != VALIDATION_FRAMES)
     of_paper = (recipe, data, encoder_weights, int8, cluster)
     if arch is Network.small and any(of_paper):
         raise InputError(
@@ -120,9 +118,7 @@ def train(
             "name one with --arch, such as deeplabv3plus"
         )
     if arch is not Network.small and any(of_small):
-        raise InputError(
-            f"--backgrounds, --validate, --start and --validation-frames are for --arch small, not {arch.value}"
-        )
+        raise InputError(f"--backgrounds, --validate and --validation-frames are for --arch small, not {arch.value}")
     if arch is not Network.small:
         from slipguard.cli.train_paper import Request, train_paper
 
@@ -136,6 +132,7 @@ def train(
                 work=work,
                 frames=frames,
                 data=data,
+                start=start,
                 encoder_weights=encoder_weights,
                 int8=int8,
                 bfloat16=bfloat16,

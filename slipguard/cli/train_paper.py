@@ -28,6 +28,7 @@ class Request:
     work: Path
     frames: int | None
     data: Path | None
+    start: Path | None
     encoder_weights: Path | None
     int8: bool
     bfloat16: bool
@@ -60,12 +61,15 @@ def train_paper(asked: Request) -> None:
     net = FrameNet(arch, recipe.height_px, recipe.width_px)
     if asked.encoder_weights is not None:
         net.start_encoder_from(asked.encoder_weights)
+    if asked.start is not None:
+        net.start_from(asked.start)
     precision = chosen(asked.bfloat16)
     work = asked.work / f"{arch.value}-{recipe.name}"
     work.mkdir(parents=True, exist_ok=True)
     with training_progress(console) as progress:
         shown, held_out = _frames(asked, recipe, FRAMES, Workers(cluster=asked.cluster), progress)
         encoder = asked.encoder_weights.name if asked.encoder_weights else "random"
+        encoder = "an earlier training's" if asked.start else encoder
         settings = Settings(arch, recipe, len(shown), asked.seed, encoder, precision.name)
         console.print(
             f"{arch.value}, recipe {recipe.name}: {len(shown)} frames of {recipe.width_px}x{recipe.height_px}, "
@@ -155,6 +159,7 @@ def _command(asked: Request, count: int) -> str:
     words += [f"--{key} {value:g}" for key, value in asked.changed.items()]
     words += [f"--frames {asked.frames}"] if asked.frames is not None and asked.data is None else []
     words += [f"--data ({count} frames)"] if asked.data is not None else []
+    words += ["--start weights.pt"] if asked.start is not None else []
     words += [f"--encoder-weights ({asked.encoder_weights.name})"] if asked.encoder_weights is not None else []
     words += ["--bfloat16"] if asked.bfloat16 else []
     return " ".join([*words, f"--seed {asked.seed}"])

@@ -163,10 +163,16 @@ def test_an_encoder_starts_from_given_weights(tmp_path: Path) -> None:
     torch.save(state, tmp_path / "resnet18.pth")
     target.start_encoder_from(tmp_path / "resnet18.pth")
     assert torch.equal(target.net.encoder.conv1.weight, source.net.encoder.conv1.weight)
+    assert not torch.equal(target.net.decoder.conv[0].weight, source.net.decoder.conv[0].weight)
+    torch.save(source.state_dict(), tmp_path / "weights.pt")
+    target.start_from(tmp_path / "weights.pt")
+    assert torch.equal(target.net.decoder.conv[0].weight, source.net.decoder.conv[0].weight)
     (tmp_path / "wrong.pth").write_text("no weights")
     for wrong, said in (("wrong.pth", "not the weights"), ("nowhere.pth", "cannot be read")):
         with pytest.raises(InputError, match=said):
             target.start_encoder_from(tmp_path / wrong)
+        with pytest.raises(InputError, match=said):
+            target.start_from(tmp_path / wrong)
 
 
 def test_focal_loss_is_cross_entropy_where_it_is_unsure() -> None:

@@ -59,14 +59,21 @@ class FrameNet(nn.Module):
 
     def start_encoder_from(self, path: Path) -> None:
         """Give the encoder the weights of a ResNet18 (a torch state dict, such as torchvision's)."""
-        try:
-            state = torch.load(path, map_location="cpu", weights_only=True)
-            self.net.encoder.load_state_dict(dict(state))
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror or error}); name a file of weights") from error
-        except Exception as error:
-            reason = str(error).strip().splitlines()[0][:120]
-            raise InputError(f"{path}: not the weights of a {ENCODER} ({reason}); give a torch state dict") from error
+        _load(self.net.encoder, path, f"the weights of a {ENCODER}")
+
+    def start_from(self, path: Path) -> None:
+        """Take all weights from what an earlier training of the same network left."""
+        _load(self, path, f"the weights of this {type(self.net).__name__}")
+
+
+def _load(part: Any, path: Path, what: str) -> None:
+    try:
+        part.load_state_dict(dict(torch.load(path, map_location="cpu", weights_only=True)))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); name a file of weights") from error
+    except Exception as error:
+        reason = str(error).strip().splitlines()[0][:120]
+        raise InputError(f"{path}: not {what} ({reason}); give a torch state dict of it") from error
 
 
 class _PyramidLevel(nn.Module):
