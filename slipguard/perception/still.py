@@ -22,12 +22,14 @@ AVERAGED = 8
 QUIET_MIN_S, QUIET_MAX_S = 0.5, 4.0
 """Nothing must have changed for so long before a look is left out. A creep of 0.1 degrees a second, which takes 2-4 s
 to be seen, is never skipped; slower ones move by less than 0.03 degrees between two looks."""
+GLITCH_FRAMES = 4
+"""A picture that looks as before within so many frames was a glitch or a tremor: the rest has not ended."""
 QUIET_SHARE = 2.0
 """... and for so many times as long as the last change took."""
 WORST_STD = 6.0
 """Difference of the worst of 1200 blocks, three colours together: by noise alone once in 10,000 pictures."""
 WHOLE_STD = 5.0
-WHOLE_SHARE = 0.12
+WHOLE_SHARE = 0.18
 """Excess of the mean square in and around the contact over that away from it: a share that is the columns', taken out
 there and not here, and standard deviations of both means."""
 MOVED_STD = 5.0
@@ -73,16 +75,21 @@ class Stillness:
         self._background = background
         self._noise_min = _ROUNDING_SQUARE * float(np.mean(per_std**2))
         self._kept: _Kept | None = None
+        self._before: _Kept | None = None
+        self._doubtful = 0
 
     def forget(self) -> None:
         """Nothing is known: the next picture is a change."""
-        self._kept = None
+        self._kept = self._before = None
 
     def unchanged(self, blocks: Blocks) -> bool:
         """Whether a picture, (1200, 3) block means, differs from the kept one by no more than noise."""
-        kept = self._kept
-        if kept is None:
-            return False
+        if self._before is not None and self._alike(blocks, self._before):
+            self._kept, self._before = self._before, None
+            return True
+        return self._kept is not None and self._alike(blocks, self._kept)
+
+    def _alike(self, blocks: Blocks, kept: _Kept) -> bool:
         difference = self._without_columns(blocks - kept.blocks, kept.near)
         difference *= self._per_std * np.float32(1.0 / math.sqrt(1.0 + 1.0 / kept.count))
         square = np.einsum("ij,ij->i", difference, difference)
@@ -120,6 +127,9 @@ class Stillness:
     def note(self, blocks: Blocks, near: NDArray[np.bool_] | None, now_s: float, unchanged: bool) -> None:
         """A picture was measured. near: (1200,) bool, blocks in and around its contact; None: there is none."""
         kept = self._kept
+        self._doubtful -= 1
+        if self._doubtful <= 0:
+            self._before = None
         if unchanged and kept is not None:
             if kept.count < AVERAGED:
                 kept.blocks = kept.blocks + (blocks - kept.blocks) * np.float32(1.0 / (kept.count + 1))
@@ -128,6 +138,8 @@ class Stillness:
             return
         inside = np.ones(len(blocks), np.float32) if near is None else near.astype(np.float32)
         took_s = 0.0 if kept is None else max(now_s - kept.since_s, 0.0)
+        if kept is not None and kept.count >= AVERAGED:
+            self._before, self._doubtful = kept, GLITCH_FRAMES + 1
         self._kept = _Kept(blocks, inside, now_s, took_s)
 
     def at_rest(self, now_s: float) -> bool:
@@ -139,11 +151,15 @@ class Stillness:
         return now_s - kept.since_s >= wait_s
 
     def _without_columns(self, difference: Blocks, near: NDArray[np.float32]) -> Blocks:
-        """Take out what whole columns share away from the contact: DIGIT columns flicker together."""
-        away = (1.0 - near).reshape(BLOCKS_HIGH, BLOCKS_WIDE)
-        picture = difference.reshape(BLOCKS_HIGH, BLOCKS_WIDE, _CHANNELS)
-        level = np.einsum("rc,rck->ck", away, picture) / (away.sum(axis=0) + np.float32(_LEVEL_PRIOR))[:, None]
-        return np.asarray((picture - level).reshape(-1, _CHANNELS), np.float32)
+        """Take out what the picture shares away from the contact, as light drifts, then what whole columns share: DIGIT
+        columns flicker together.
+        """
+        away = 1.0 - near
+        level = (away @ difference) / (float(away.sum()) + _LEVEL_PRIOR)
+        picture = (difference - level).reshape(BLOCKS_HIGH, BLOCKS_WIDE, _CHANNELS)
+        away = away.reshape(BLOCKS_HIGH, BLOCKS_WIDE)
+        columns = np.einsum("rc,rck->ck", away, picture) / (away.sum(axis=0) + np.float32(_LEVEL_PRIOR))[:, None]
+        return np.asarray((picture - columns).reshape(-1, _CHANNELS), np.float32)
 
     def _moves(self, kept: _Kept) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
         if kept.moves is None or kept.strengths is None:

@@ -81,6 +81,21 @@ def test_rest_must_last_as_long_again_as_the_last_change_took() -> None:
     assert not still.at_rest(59.0)
 
 
+def test_a_glitch_does_not_end_the_rest_and_a_change_that_stays_does() -> None:
+    rng = np.random.default_rng(6)
+    still = still_on(DENT, rng)
+    same, other = (block_means(camera(scene, rng)) for scene in (DENT, turned(5.0)))
+    still.note(other, NEAR, 2.0, still.unchanged(other))
+    assert not still.at_rest(2.01)
+    assert still.unchanged(same)
+    assert still.at_rest(2.02)
+    for k in range(6):
+        other = block_means(camera(turned(5.0), rng))
+        still.note(other, NEAR, 3.0 + k * FRAME_S, still.unchanged(other))
+    assert not still.unchanged(same)
+    assert not still.at_rest(3.2)
+
+
 def test_a_faint_contact_is_never_at_rest_enough() -> None:
     rng = np.random.default_rng(7)
     faint = press(glow(), 1.5, 40, (120, 160))
