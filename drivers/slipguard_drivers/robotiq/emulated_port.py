@@ -27,6 +27,8 @@ class EmulatedPort:
     def __init__(self, link: Path | None, on_bytes: Callable[[bytes], None]) -> None:
         self._link = link
         self._on_bytes = on_bytes
+        self.plugs = 0
+        """How often it has appeared."""
         self._fd: int | None = None
         self._name = ""
         self._look: asyncio.TimerHandle | None = None
@@ -47,6 +49,7 @@ class EmulatedPort:
             return
         if self._link is not None and self._link.exists() and not self._link.is_symlink():
             raise InputError(f"{self._link} exists and is no link; name a path that is free")
+        self.plugs += 1
         self._fd, theirs = pty.openpty()
         self._name = os.ttyname(theirs)
         tty.setraw(theirs)
@@ -72,9 +75,12 @@ class EmulatedPort:
             self._link.unlink()
         os.close(fd)
 
-    def send(self, data: bytes) -> None:
-        """Hand bytes to the client; lost where there is none, or one that does not read."""
-        if self._fd is not None and not self._is_hung_up():
+    def send(self, data: bytes, plug: int) -> None:
+        """Hand bytes to the client; lost where there is none, or one that does not read.
+
+        plug: the value of `plugs` when they were asked for; what was on its way when the port vanished is lost.
+        """
+        if self._fd is not None and plug == self.plugs and not self._is_hung_up():
             with contextlib.suppress(OSError):
                 os.write(self._fd, data)
 

@@ -229,18 +229,18 @@ class RobotiqEmulator(ControlledEmulator):
         due_s = self._free_s + (self.settings.latency_timer_ms / 1000.0 if self.settings.baud else 0.0)
         if self._strikes("split"):
             first, frame = frame[:3], frame[3:]
-            self._at(due_s, lambda: self._port.send(first))
+            self._at(due_s, partial(self._port.send, first, self._port.plugs))
             due_s += 0.004
-        self._at(due_s, lambda: self._port.send(frame))
+        self._at(due_s, partial(self._port.send, frame, self._port.plugs))
 
     def _spoilt(self, request: Request, plain: bytes) -> bytes:
         if self._strikes("wrong_function"):
             plain = plain[:1] + bytes([{3: 4, 4: 3, 16: 6}.get(request.function, 16)]) + plain[2:]
         if self._strikes("wrong_slave"):
             plain = bytes([plain[0] + 1]) + plain[1:]
-        if self._strikes("wrong_length") and request.count:
+        if request.count and self._strikes("wrong_length"):
             plain = plain[:2] + bytes([plain[2] - 2]) + plain[3:-2]
-        if self._strikes("wrong_echo") and request.echo:
+        if request.echo and self._strikes("wrong_echo"):
             plain = plain[:3] + bytes([plain[3] ^ 0x01]) + plain[4:]
         frame = plain + crc16(plain)
         if self._strikes("bad_crc"):

@@ -2,9 +2,9 @@
 
 Modbus RTU has no transaction number, and pymodbus compares neither function nor size: after a time-out, a late answer
 would be taken for the answer to the next request, and stay one behind for as long as the other side is slow. So one
-request is on the line at a time, only bytes that begin like its answer are handed on, and after anything but a good
-answer the line is in doubt: it is kept silent for a while, and then a question of another size than any before must be
-answered first. A slave answers in order, so whatever was late has come or never will.
+request is on the line at a time, only bytes that begin like its answer are handed on, and a new line is in doubt, as
+is one after anything but a good answer: it is kept silent for a while, and then a question of another size than any
+before must be answered first. A slave answers in order, so whatever was late has come or never will.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class RegisterLine:
         fd = self._serial().fileno()
         serial_port.claim(fd)
         serial_port.hurry(fd)
-        self._in_doubt, self._silent_from_s = False, 0.0
+        self._doubt()  # whoever had the port before may have left a question that is still to be answered
         # Its reader is set up by callbacks of the next two turns of the loop; closing before them trips it.
         await asyncio.sleep(0)
         await asyncio.sleep(0)
