@@ -239,20 +239,18 @@ async def test_nor_is_one_that_is_later_than_the_silence_is_long(tmp_path: Path)
     await emulator.stop()
 
 
-async def test_a_new_connection_never_gets_an_answer_to_the_old_ones_question(
-    emulator: RobotiqEmulator, gripper: RobotiqGripper
-) -> None:
+async def test_a_new_connection_never_gets_an_answer_to_the_old_ones_question(emulator: RobotiqEmulator) -> None:
+    old, new = (RegisterLine("gripper", emulator.address, 9, 0.1, 0x07D0) for _ in range(2))
+    await old.connect()
+    await old.read(0x07D0, 3, soon_s())
     emulator.control("fault late 1")
     with pytest.raises(DeviceTimeout):
-        await gripper.state()
-    await gripper.close()
-    put(emulator, OBJECT_MM)
-    emulator.registers.write(asyncio.get_running_loop().time(), 0x03E8, [0x0900, 255, 0xFFFF])
-    again = RobotiqGripper(settings(emulator), DriverContext("gripper"))
-    await again.open()
-    state = await again.state()
-    assert state.moving or state.holding, "an answer from before is taken for the present one"
-    await again.close()
+        await old.read(0x07D0, 3, soon_s())
+    old.close()
+    emulator.control("gflt 0x0E")
+    await new.connect()
+    assert (await new.read(0x07D0, 3, soon_s()))[1] >> 8 == 0x0E
+    new.close()
 
 
 async def test_after_a_time_out_the_line_is_silent_for_a_while(
