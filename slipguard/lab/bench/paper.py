@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import ModelError
 from slipguard.lab.bench.axes import AxialTurn, axis_of_points
-from slipguard.lab.bench.clock import CLOCK
+from slipguard.lab.bench.remembering import Memory
 from slipguard.perception.estimate import Estimate
 
 MIN_AREA_PX = 200
@@ -50,7 +50,7 @@ class FrameNetwork:
         self._name = ports[0].name
         self.height, self.width = int(sides[0]), int(sides[1])
         self.threshold = float(self.metadata.get("threshold", "0.5"))
-        self._last: tuple[NDArray[np.uint8], NDArray[np.float32], float] | None = None
+        self.memory = Memory()
         self.made_up = "timing only" in self.metadata.get("purpose", "")
 
     @property
@@ -66,15 +66,9 @@ class FrameNetwork:
     def probability(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Probability of contact at the network's own size, (H, W) float32.
 
-        Asked again about the picture it was asked about last, it gives the same answer and charges its time to `CLOCK`.
+        While its memory is on it gives the same answer for the same picture and charges its time to `CLOCK`.
         """
-        if self._last is not None and self._last[0] is image:
-            CLOCK.add(self._last[2])
-            return self._last[1]
-        began_s = CLOCK()
-        answer = self._answer(image)
-        self._last = (image, answer, CLOCK() - began_s)
-        return answer
+        return self.memory.recall(image, self._answer)
 
     def _answer(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         small: Any = image

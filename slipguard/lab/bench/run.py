@@ -29,6 +29,8 @@ QUICK_MASK_EVERY, FULL_MASK_EVERY = 4, 2
 LARGE_FRAMES_QUICK, LARGE_EVERY = 30, 6
 """Frames of a large network in a quick bench; in a full one every so many-th, for the paper's way remembers nothing."""
 WARM_UP_FRAMES = 40
+TRIED_GRASPS = 2
+"""So many grasps' sample frames tell on how many threads a large network runs best."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +84,8 @@ def bench(options: Options, on_progress: Callable[[str, float], None] = lambda _
     samples = _samples(options.quick)
     peers = _peer_rows(options, bigger, classical, accuracy, times, samples)
     on_progress("thinning", 0.85)
-    thinned = thinning([shot.mask for one in samples for shot in one.shots if shot.mask is not None][::2])
+    masks = [shot.mask for one in samples for shot in one.shots if shot.mask is not None]
+    thinned = thinning(masks[:: 4 if options.quick else 2], repeats=2 if options.quick else 3)
     on_progress("what each skip is worth", 0.9)
     worth = skips(options.quick, default, held, options.workers)
     rows = [_row(one, accuracy, times, held, held[default.name]) for one in small]
@@ -140,19 +143,22 @@ def _named(item: _Item) -> str:
 
 
 def _measure(item: _Item) -> dict[str, Tally]:
-    """One grasp through all pipelines of an item, frame by frame in turn: a busy machine slows all alike."""
+    """One grasp through all pipelines of an item, one after the other."""
     grasp = sequence(item.object_name, item.seed, with_masks=True, mask_every=item.mask_every)
     if item.warm:
         _warm(item.subjects, grasp)
     # Without skipping or a reference of its own, a plain pipeline begins at the last still frame.
     begin = next(index for index, shot in enumerate(grasp.shots) if shot.compared) - 1
-    running = [(subject, subject.open(grasp), Tally()) for subject in item.subjects]
-    errors = {subject.name: tally.begin(grasp) for subject, _, tally in running}
-    for index, shot in enumerate(grasp.shots):
-        for subject, processor, tally in running:
-            if subject.kind == "ours" or (index >= begin and shot.contact and (index - begin) % item.every == 0):
-                tally.take(processor, shot, errors[subject.name], item.timed)
-    return {subject.name: tally for subject, _, tally in running}
+    for subject in item.subjects:
+        subject.forget(share=True)
+    found = {}
+    for subject in item.subjects:
+        tally = found[subject.name] = Tally()
+        shots = grasp.shots if subject.kind == "ours" else grasp.shots[begin : -1 : item.every]
+        tally.run(subject.open(grasp), grasp, shots, item.timed)
+    for subject in item.subjects:
+        subject.forget()
+    return found
 
 
 def _warm(subjects: tuple[Subject, ...], grasp: Sequence) -> None:
@@ -208,10 +214,10 @@ def _peer_rows(
             continue
         found = accuracy.get(subject.name, Tally())
         cores = sorted({1, *(count for count in (2, 4, 8) if count <= (os.cpu_count() or 1))})
-        by_threads = {count: _few(replace(subject, threads=count), samples) for count in cores}
-        best = min(by_threads, key=lambda count: float(np.median(by_threads[count].busy_ms)))
+        tried = {count: _few(replace(subject, threads=count), samples[:TRIED_GRASPS]) for count in cores}
+        best = min(tried, key=lambda count: float(np.median(tried[count].busy_ms)))
         for count in sorted({1, best}):
-            spent = by_threads[count]
+            spent = _few(replace(subject, threads=count), samples)
             mean_ms = float(np.mean(spent.busy_ms))
             counted = found if found.grasps else spent
             rows.append(counted.row(replace(subject, threads=count), spent, mean_ms, 3.6 * mean_ms * count))

@@ -15,6 +15,7 @@ from slipguard.errors import ModelError
 from slipguard.lab.bench.classical import BackgroundSubtraction
 from slipguard.lab.bench.clock import CLOCK
 from slipguard.lab.bench.paper import FrameNetwork, PaperPipeline
+from slipguard.lab.bench.remembering import Remembering
 from slipguard.lab.peer import PEER_MODEL
 from slipguard.lab.sequences import Sequence
 from slipguard.perception.estimate import Estimate
@@ -58,6 +59,15 @@ class Subject:
         plain = f"{self.network} + {self.estimator}"
         return plain if self.skips == EVERY_SKIP or self.kind == "subtraction" else f"{plain}, no skipping"
 
+    def forget(self, share: bool = False) -> None:
+        """What the network said is forgotten. share: from now on it is kept for all who ask about the same frames."""
+        if self.kind == "subtraction":
+            return
+        if self.sees == "contract":
+            _remembered(self.path).memory.forget(share)
+        else:
+            _frame_network(self.path, self.threads).memory.forget(share)
+
     @property
     def large(self) -> bool:
         """Tens of milliseconds a frame or more."""
@@ -75,7 +85,7 @@ class Subject:
         if self.kind == "paper":
             network = _frame_network(self.path, self.threads)
             return PaperPipeline(network, masks if network.made_up else None)
-        segmenter = _contract(self.path) if self.sees == "contract" else _frame_network(self.path, self.threads)
+        segmenter = _remembered(self.path) if self.sees == "contract" else _frame_network(self.path, self.threads)
         return Pipeline(
             segmenter,
             PerceptionSettings.model_validate({"estimator": self.estimator}),
@@ -90,6 +100,11 @@ class Subject:
 @lru_cache(maxsize=8)
 def _contract(path: Path | None) -> Segmenter:
     return Segmenter(path)
+
+
+@lru_cache(maxsize=8)
+def _remembered(path: Path | None) -> Remembering:
+    return Remembering(_contract(path))
 
 
 @lru_cache(maxsize=8)

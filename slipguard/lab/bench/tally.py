@@ -68,11 +68,11 @@ class Tally:
                 errors.found.append((abs(seen.angle_deg - shot.turn_deg), seen.angle_deg, seen.sigma_deg))
         return seen
 
-    def run(self, processor: Processor, grasp: Sequence, shots: Iterable[Shot]) -> None:
+    def run(self, processor: Processor, grasp: Sequence, shots: Iterable[Shot], timed: bool = True) -> None:
         """All shots of a grasp."""
         errors = self.begin(grasp)
         for shot in shots:
-            self.take(processor, shot, errors)
+            self.take(processor, shot, errors, timed)
 
     def _time(self, seen: Estimate, spent_ms: float) -> None:
         if seen.skipped == "no contact":
