@@ -17,10 +17,12 @@ TORN_BYTES = 4
 """What is left of the pixels of a damaged frame."""
 LEAVING_S = 0.25
 """How long a new reader waits for one that may be hanging up."""
+LINGER_S = 10.0
+"""The sensor stays open for so long after its reader has left: starting it anew takes a while."""
 
 
 class FrameServer:
-    """Opens `sensor` while a reader is connected, and sends what it delivers, faults included.
+    """Opens `sensor` for a reader and sends what it delivers, faults included.
 
     A repeated picture is sent as a new frame, a damaged one as a frame with too few pixels. What comes while the reader
     has not taken the last frame is left out. fps: told to the reader.
@@ -33,6 +35,9 @@ class FrameServer:
         self._fps = fps
         self._listening: socket.socket | None = None
         self._reader: asyncio.Task[None] | None = None
+        self._lingering: asyncio.Task[None] | None = None
+        self._last: Frame | None = None
+        self._sequence = 0
         self._tasks: set[asyncio.Task[None]] = set()
 
     @property
@@ -76,6 +81,7 @@ class FrameServer:
         self.unplug()
         while self._tasks:
             await asyncio.wait(self._tasks)
+        await self._sensor.close()
 
     def _start(self, work: Coroutine[None, None, None], what: str) -> asyncio.Task[None]:
         task: asyncio.Task[None] = asyncio.create_task(work, name=f"{self.path.name}: {what}")
@@ -98,6 +104,8 @@ class FrameServer:
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Send until the reader hangs up: it never says anything."""
+        if self._lingering is not None:
+            self._lingering.cancel()
         hung_up = asyncio.create_task(reader.read(1), name=f"{self.path.name}: hung up")
         sending = asyncio.create_task(self._send(writer), name=f"{self.path.name}: frames")
         try:
@@ -107,30 +115,35 @@ class FrameServer:
             sending.cancel()
             await asyncio.gather(hung_up, sending, return_exceptions=True)
             writer.transport.abort()
-            await self._sensor.close()
+            if self.plugged:
+                self._lingering = self._start(self._linger(), "linger")
+            else:
+                await self._sensor.close()
+
+    async def _linger(self) -> None:
+        await asyncio.sleep(LINGER_S)
+        await self._sensor.close()
 
     async def _send(self, writer: asyncio.StreamWriter) -> None:
         with contextlib.suppress(DeviceLost):
             writer.write(greet(self._sensor.serial, self._fps))
             await self._sensor.open()
-            last: Frame | None = None
-            sequence = 0
             while True:
                 now_s = asyncio.get_running_loop().time()
                 try:
-                    last = await self._sensor.next_frame()
-                    sequence = max(sequence + 1, last.sequence)
-                    packet = pack(last.image, last.captured_at_s, sequence)
+                    self._last = await self._sensor.next_frame()
+                    self._sequence = max(self._sequence + 1, self._last.sequence)
+                    packet = pack(self._last.image, self._last.captured_at_s, self._sequence)
                 except DeviceTimeout:
                     continue
                 except FrameFrozen:
-                    if last is None:
+                    if self._last is None:
                         continue
-                    sequence += 1
-                    packet = pack(last.image, now_s, sequence)
+                    self._sequence += 1
+                    packet = pack(self._last.image, now_s, self._sequence)
                 except FrameCorrupt:
-                    sequence += 1
-                    torn = HEADER.pack(MAGIC, FRAME_WIDTH_PX, FRAME_HEIGHT_PX, TORN_BYTES, now_s, sequence)
+                    self._sequence += 1
+                    torn = HEADER.pack(MAGIC, FRAME_WIDTH_PX, FRAME_HEIGHT_PX, TORN_BYTES, now_s, self._sequence)
                     packet = torn + bytes(TORN_BYTES)
                 if writer.transport.get_write_buffer_size() == 0:
                     writer.write(packet)
