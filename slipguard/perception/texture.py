@@ -23,7 +23,7 @@ SKIRT_PX = 5
 """The slopes around the contact count as far out as this, relief pixels."""
 EDGE_PX = 4
 """Relief this close to the edge of the picture does not count: filters see only half of what is there."""
-POINTS_MAX = 1800
+POINTS_MAX = 1000
 POINTS_MIN = 60
 MAX_ROUNDS = 8
 ROBUST = 2.5
@@ -196,7 +196,7 @@ def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:
         c, s = math.cos(turn), math.sin(turn)
         dx -= c * move_x + s * move_y
         dy -= -s * move_x + c * move_y
-        if abs(turn_step) < 3e-4 and abs(move_x) + abs(move_y) < 0.02:
+        if abs(turn_step) < 8e-4 and abs(move_x) + abs(move_y) < 0.04:
             break
     pose = TexturePose(math.degrees(turn), dx, dy, scale, gain)
     return _judged(texture, pose, held, difference, value, weight)
