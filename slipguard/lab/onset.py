@@ -27,7 +27,7 @@ RAMP_S = 0.1
 BEYOND_DEG = 2.0
 """The turn goes on so far beyond `creep_deg`: every slip is seen by then."""
 BEYOND_MM = 0.7
-TURN_RATES_DEG_S = (0.5, 2.0, 8.0, 30.0, 300.0)
+TURN_RATES_DEG_S = (1.0, 4.0, 15.0, 60.0, 300.0)
 SLIDE_RATES_MM_S = (1.0, 5.0)
 LAW = GuardParams()
 
