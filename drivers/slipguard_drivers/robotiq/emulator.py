@@ -198,8 +198,8 @@ class RobotiqEmulator(ControlledEmulator):
         self.requests += 1
         if request.values and not self._strikes("ignore"):
             due_s = self.registers.write(now_s, request.write_at, request.values)
-            self._at(due_s, lambda: self.registers.tick(asyncio.get_running_loop().time()))
             self.note("write", registers=[f"{word:04X}" for word in request.values], last_byte_s=round(arrived_s, 6))
+            self._at(due_s, lambda: self.registers.tick(asyncio.get_running_loop().time()))
         plain = answer(request, lambda: self.registers.read(now_s))
         self.registers.heard(now_s)
         if not self._strikes("silence"):
