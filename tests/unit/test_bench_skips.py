@@ -1,0 +1,72 @@
+"""What skips are worth is measured as it says: on a crop, on a second finger, on an unchanged picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slipguard.lab import minute
+from slipguard.lab.bench import second_finger as second
+from slipguard.lab.bench.clock import CLOCK
+from slipguard.lab.bench.cropping import CroppedSegmenter
+from slipguard.lab.bench.holding import hold
+from slipguard.lab.bench.remembering import Remembering
+from slipguard.lab.bench.subjects import NO_SKIP, Subject, ours
+from slipguard.lab.minute import Minute
+from slipguard.lab.scores import dice
+from slipguard.lab.sequences import sequence
+from slipguard.perception.segment import Segmenter
+
+
+def default() -> Subject:
+    return next(one for one in ours(None, every=False) if one.estimator == "fused" and one.skips != NO_SKIP)
+
+
+def test_a_crop_shows_what_the_whole_shows() -> None:
+    pytest.importorskip("onnx")
+    whole = Segmenter()
+    cropped = CroppedSegmenter(whole)
+    grasp = sequence("ball", 4100)
+    assert cropped.segment(grasp.shots[0].frame.image, grasp.background).shape == (160, 120)
+    cut = 0
+    for shot in [shot for shot in grasp.shots if shot.compared][:10]:
+        plain = whole.segment(shot.frame.image, grasp.background) > whole.threshold
+        part = cropped.segment(shot.frame.image, grasp.background)
+        cut += not part.all() and cropped._window() is not None
+        assert dice(part > whole.threshold, plain) > 0.9
+    assert cut
+
+
+def test_a_spared_finger_is_cheaper_and_no_slip_is_overlooked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(minute, "LIFTED_S", 1.0)
+    monkeypatch.setattr(minute, "MINUTE_S", 4.0)
+    monkeypatch.setattr(minute, "_TURNS", ((3.0, 3.4, 8.0, 0.1),))
+    worth = second.second_finger(default())
+    assert worth.frames_later is not None
+    assert worth.frames_later <= 1
+    assert not worth.how.startswith("0 of")
+    assert abs(worth.error_added_deg or 0.0) < 0.3
+
+
+def test_a_minute_is_held_with_most_frames_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(minute, "LIFTED_S", 1.0)
+    monkeypatch.setattr(minute, "MINUTE_S", 4.0)
+    monkeypatch.setattr(minute, "_TURNS", ())
+    held = hold([default()], Minute())[default().name]
+    assert held.frames == 240
+    assert held.skipped["unchanged"] > 60
+    assert 0.0 < held.mean_ms < held.measured_ms
+    assert np.mean(held.errors_deg) < 0.5
+
+
+def test_remembered_answers_cost_what_they_cost() -> None:
+    network = Remembering(Segmenter())
+    image = sequence("bar", 2).shots[20].frame.image
+    network.memory.forget(on=True)
+    began_s = CLOCK()
+    first = network.segment(image, None)
+    once_s = CLOCK() - began_s
+    assert network.segment(image, None) is first
+    assert CLOCK() - began_s > 1.8 * once_s
+    network.memory.forget(on=False)
+    assert network.segment(image, None) is not network.segment(image, None)
