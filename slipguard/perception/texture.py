@@ -23,7 +23,7 @@ SKIRT_PX = 5
 """The slopes around the contact count as far out as this, relief pixels."""
 EDGE_PX = 4
 """Relief this close to the edge of the picture does not count: filters see only half of what is there."""
-POINTS_MAX = 1000
+POINTS_MAX = 1500
 POINTS_MIN = 60
 MAX_ROUNDS = 8
 ROBUST = 2.5
@@ -43,7 +43,7 @@ ALIKE_MIN = 0.7
 SIGHT_MIN = 0.45
 """Share of the reference's relief that must be in the picture."""
 REPEATS_DEG = 36.0
-REPEATS_SHARE = 0.7
+REPEATS_SHARE = 0.4
 """A relief whose mean square difference from itself falls below this share of its highest within this turn repeats."""
 _PRIOR_STD = np.array([10.0, 6.0, 6.0, 0.1, 0.5])
 """Turn (rad), shift from the start (relief pixels), scale and gain (shares): weak, for what it does not tell."""

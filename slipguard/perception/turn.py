@@ -29,7 +29,7 @@ MISFIT_SIGMAS = 1.5
 """An axis whose outline is not the reference's any more is off by so many times the turn that fits the misfit."""
 SURE_DEG = 0.6
 """A turn told by the relief this surely, and not contradicted by the patch's axis, needs no outline."""
-LOST_COUNT_S = 0.12
+LOST_COUNT_S = 0.3
 """After a longer gap a relief that repeats itself (teeth, rays) may have turned by one of its steps unseen."""
 LOST_COUNT = "lost count of a relief that repeats itself"
 NO_RELIEF = "no relief without a no-contact image"
