@@ -6,6 +6,7 @@ import asyncio
 import errno
 import struct
 from collections.abc import AsyncIterator, Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
@@ -93,6 +94,24 @@ async def test_each_sends_its_own_pictures_turned_as_a_digit_does(emulator: Digi
         assert portrait[5:15, 5:15].min() > 240, "the bright corner is at the top left again"
         assert abs(int(portrait[200, 120, 1]) - level) <= 4
         await beside(capture.close)
+
+
+async def test_a_host_that_is_slow_to_ask_again_gets_the_next_picture_all_the_same(pictures: Path) -> None:
+    emulator = DigitEmulator(DigitEmulator.Settings(port=0, pictures=pictures))
+    camera = emulator.cameras["1-1"]
+    answers = Answers()
+    bulk = BulkIn(answers)
+    streaming = asyncio.create_task(camera.stream(bulk))
+    for number in range(6):
+        bulk.ask(number, 1_000_000)  # one read at a time: between two of them the host waits for nothing
+        for _ in range(1000):
+            if len(answers.pieces) > number:
+                break
+            await asyncio.sleep(0.002)
+    streaming.cancel()
+    sent = [piece[2:] for _, piece in answers.pieces]
+    assert len(sent) == 6
+    assert all(a != b for a, b in pairwise(sent))
 
 
 async def test_leds_are_logged_and_a_value_beyond_them_refused(emulator: DigitEmulator) -> None:

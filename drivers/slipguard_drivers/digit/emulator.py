@@ -145,6 +145,7 @@ class Camera(UsbDevice):
         self._connection: asyncio.StreamWriter | None = None
         self._packed: dict[tuple[str, int, int], bytes] = {}
         self._last: bytes | None = None
+        self._exposed = 0
 
     @property
     def identity(self) -> tuple[int, int, int]:
@@ -194,19 +195,16 @@ class Camera(UsbDevice):
     async def stream(self, bulk: BulkIn) -> None:
         """A picture at every interval while the host reads; what it is too slow for is left out."""
         loop = asyncio.get_running_loop()
+        due_s = loop.time()
         while True:
             await bulk.until_wanted()
             interval_s = self.unit.agreed.interval_s
-            due_s = loop.time() + interval_s
-            number = 0
-            while bulk.wanted:
-                await asyncio.sleep(due_s - loop.time())
-                number += 1
-                due_s = max(due_s, loop.time() - interval_s) + interval_s
-                if bulk.wanted:
-                    await self._expose(bulk, number)
+            due_s = max(due_s, loop.time() - interval_s) + interval_s
+            await asyncio.sleep(due_s - loop.time())
+            if bulk.wanted:
+                await self._expose(bulk)
 
-    async def _expose(self, bulk: BulkIn, number: int) -> None:
+    async def _expose(self, bulk: BulkIn) -> None:
         """Send one picture, or what the faults make of it."""
         if self._strikes("unplug"):
             assert self._connection is not None
@@ -214,7 +212,8 @@ class Camera(UsbDevice):
         if self._strikes("stall"):
             return
         unit = self.unit
-        picture = self._on_the_wire(number % len(self.pictures))
+        self._exposed += 1
+        picture = self._on_the_wire(self._exposed % len(self.pictures))
         if self._last is not None and self._strikes("freeze"):
             picture = self._last
         self._last = picture

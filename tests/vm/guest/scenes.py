@@ -107,9 +107,9 @@ def usable() -> list[Found]:
 
 
 async def until(condition: Callable[[], bool]) -> float:
-    """Wait until it is so; the seconds that took."""
+    """Wait until it is so; the seconds that took. On a thread: /sys waits for a device that this loop has to answer."""
     begin_s = time.monotonic()
-    while not condition():
+    while not await asyncio.to_thread(condition):
         assert time.monotonic() < begin_s + PATIENCE_S, "it never came to that"
         await asyncio.sleep(0.005)
     return time.monotonic() - begin_s
@@ -147,7 +147,7 @@ async def failure(sensor: DigitSensor) -> DeviceError:
 async def two_sensors() -> dict[str, object]:
     """Two sensors on one machine, the second found by its serial, both streaming; what they show is what was sent."""
     async with emulated(SERIALS) as emulator:
-        there = plugged_in()
+        there = await asyncio.to_thread(plugged_in)
         nodes = [one.path.stat() for one in there]
         sensors = [
             digit(serial, fps=30, led_rgb=rgb) for serial, rgb in zip(SERIALS, ((15, 7, 3), (1, 2, 4)), strict=True)
@@ -252,7 +252,7 @@ async def replug(unplugged_s: float) -> dict[str, float]:
             emulator.control("fault unplug")
             seen_s = await until(lambda: not finger.health.ready)
             await asyncio.sleep(unplugged_s)
-            gone_from_system = not plugged_in()
+            gone_from_system = not await asyncio.to_thread(plugged_in)
             emulator.control("clear")
             before = finger.counts.frames
             await attach(emulator.port)
