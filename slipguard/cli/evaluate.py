@@ -15,7 +15,10 @@ from slipguard.errors import InputError
 if TYPE_CHECKING:
     from slipguard.lab.evaluate.protocol import Protocol
 
-app = typer.Typer(help="The paper's experiment: lifts against two markers that an external camera sees.")
+app = typer.Typer(
+    help="The paper's experiment: lifts against two markers that an external camera sees.\n\n"
+    "Example: `slipguard evaluate run --sim --out eval/`, `slipguard evaluate report eval/`"
+)
 Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")]
 Cluster = Annotated[str | None, typer.Option(help="A Dask scheduler, tcp://HOST:8786, instead of this machine.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object.")]
