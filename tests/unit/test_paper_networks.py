@@ -208,7 +208,7 @@ def test_a_table_puts_networks_side_by_side(trained: Path, capsys: pytest.Captur
     image = rng.integers(0, 256, (320, 240, 3)).astype(np.uint8)
     mask = np.zeros((320, 240), np.bool_)
     frames = [table.Known(image, image, mask), table.Known(image, image, ~mask)]
-    line = table.row(trained / "net.onnx", frames)
+    (line,) = table.rows([trained / "net.onnx"], frames)
     assert (line.name, line.frames, line.untouched) == ("net", 1, 1)
     assert 0.0 <= line.iou[0] <= line.dice[0] <= 1.0
     assert table.main([str(trained / "nowhere.onnx"), "--grasps", "0"]) == 1
