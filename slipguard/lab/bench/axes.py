@@ -9,18 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.devices import Frame
-from slipguard.perception.axial import nearest_turn_deg, wrap_axial_deg
+from slipguard.perception.axial import axial_difference_deg, wrap_axial_deg
 from slipguard.perception.estimate import Estimate
 
 MIN_AREA_PX = 200
 
 
 class AxialTurn:
-    """The turn since the first axis, followed through half turns."""
+    """The turn since the first axis, the smaller way round: an axis that jumps does not spoil what comes after."""
 
     def __init__(self) -> None:
         self._first_deg: float | None = None
-        self._last_deg = 0.0
 
     def estimate(self, frame: Frame, axis_deg: float, area_px: int, method: str) -> Estimate:
         """What a pipeline without sigmas says of a frame; axis_deg NaN where there is none."""
@@ -28,7 +27,7 @@ class AxialTurn:
         if math.isfinite(axis_deg) and area_px >= MIN_AREA_PX:
             if self._first_deg is None:
                 self._first_deg = axis_deg
-            turn_deg = self._last_deg = nearest_turn_deg(axis_deg - self._first_deg, self._last_deg)
+            turn_deg = axial_difference_deg(axis_deg, self._first_deg)
         return Estimate(
             sequence=frame.sequence,
             captured_at_s=frame.captured_at_s,

@@ -8,7 +8,7 @@ from typing import Any
 from slipguard.lab.bench.rows import PUBLISHED, Bench, Row
 from slipguard.lab.figures import figure, save
 
-STAGES = ("gate", "segment", "regions", "relief", "angle", "thin", "register", "track")
+STAGES = ("gate", "segment", "regions", "relief", "angle", "thin", "register", "reference", "track")
 MARKERS = {"fused": "o", "registration": "s", "moments": "D", "ellipse": "^", "pca": "v", "skeleton": "P"}
 
 
@@ -80,18 +80,18 @@ def _front(axes: Any, found: Bench) -> None:
 
 
 def _stages(axes: Any, found: Bench) -> None:
-    """Where the time of a contact frame goes, medians, per estimator of the default's network."""
+    """Where the time of a contact frame goes, means, per estimator of the default's network."""
     network = next(row.network for row in found.pipelines if row.name == found.default)
     rows = [row for row in found.pipelines if row.network == network and row.skipping]
     names = [row.estimator for row in rows]
     left = [0.0] * len(rows)
     for stage in STAGES:
-        widths = [row.stage_ms.get(stage, (0.0, 0.0))[0] for row in rows]
+        widths = [row.stage_ms.get(stage, (0.0, 0.0, 0.0))[2] for row in rows]
         if any(widths):
             axes.barh(names, widths, left=left, label=stage)
             left = [start + width for start, width in zip(left, widths, strict=True)]
     axes.invert_yaxis()
-    axes.set_xlabel("a frame in contact, median ms by stage")
+    axes.set_xlabel("a frame in contact, mean ms by stage")
     axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
     axes.set_title(f"Where the time goes: {network}")
 

@@ -38,7 +38,7 @@ class Row:
     grasps from the easiest quarter to the hardest. within_n_sigma: share of errors no larger than n times the sigma
     stated. round textured, round plain: objects without an axis, with and without texture; confident: a turn stated
     that is larger than three of its sigmas. mean_ms_per_frame_grasp, cpu_s_per_minute_grasp: over a minute of holding.
-    stage_ms: stage -> (p50, p99). pareto: no other row is both faster (mean over the grasp) and more accurate.
+    stage_ms: stage -> (p50, p99) of the frames that needed it, and mean over all. pareto: no other row is both faster (mean over the grasp) and more accurate.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Row:
     round_textured_declined_share: float | None = None
     round_plain_declined_share: float | None = None
     round_plain_confident_share: float | None = None
-    stage_ms: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    stage_ms: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     pareto: bool = False
 
 

@@ -141,7 +141,11 @@ class Tally:
             round_plain_declined_share=declined(plain),
             round_plain_confident_share=confident(plain),
             stage_ms={
-                stage: (float(np.quantile(spent, 0.5)), float(np.quantile(spent, 0.99)))
+                stage: (
+                    float(np.quantile(spent, 0.5)),
+                    float(np.quantile(spent, 0.99)),
+                    sum(spent) / len(times.busy_ms),
+                )
                 for stage, spent in times.stage_ms.items()
             },
         )
