@@ -38,7 +38,8 @@ class Row:
     grasps from the easiest quarter to the hardest. within_n_sigma: share of errors no larger than n times the sigma
     stated. round textured, round plain: objects without an axis, with and without texture; confident: a turn stated
     that is larger than three of its sigmas. mean_ms_per_frame_grasp, cpu_s_per_minute_grasp: over a minute of holding.
-    stage_ms: stage -> (p50, p99) of the frames that needed it, and mean over all. pareto: no other row is both faster (mean over the grasp) and more accurate.
+    stage_ms: stage -> (p50, p99) of the frames that needed it, and its mean over all. pareto: no other row is both
+    faster (mean over the grasp) and more accurate.
     """
 
     name: str
