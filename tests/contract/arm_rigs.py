@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from typing import Literal
 
 import pytest
+from ur_scene import own_address
 
 from slipguard.devices import Arm, DriverContext
 from slipguard.sim.world import World
@@ -66,7 +67,7 @@ class WireRig(Rig):
     """The real driver with ur-rtde in its process, and an emulated controller on a loopback address of its own."""
 
     def __init__(self, mode: Mode, series: Literal["e", "cb3"]) -> None:
-        self.controller = UrEmulator(UrEmulator.Settings(host="127.0.0.30", series=series))
+        self.controller = UrEmulator(UrEmulator.Settings(host=own_address(30), series=series))
         settings = Ur5Arm.Settings(host=self.controller.address, acceleration_mm_s2=1200.0)
         self.arm = Ur5Arm(settings, DriverContext("arm", mode=mode))
 

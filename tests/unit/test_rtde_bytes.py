@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import struct
 from collections.abc import AsyncIterator, Callable
 
@@ -16,7 +17,8 @@ from slipguard_drivers.ur5.emulated_tool import StraightTool
 from slipguard_drivers.ur5.eyes import LAYOUT, VARIABLES, Eyes
 from slipguard_drivers.ur5.rtde import RtdeConnection
 
-HOST = "127.0.0.33"
+HOST = f"127.{20 + os.getpid() // 256 % 200}.{os.getpid() % 256}.33"
+"""Of this run of the tests alone: the ports cannot be chosen."""
 NAMES = b"timestamp,actual_TCP_pose,actual_TCP_speed,runtime_state,safety_status_bits,robot_mode"
 TYPES = b"DOUBLE,VECTOR6D,VECTOR6D,UINT32,UINT32,INT32"
 # Big endian: size (with itself), type, payload.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import os
 
 import pytest
 
@@ -15,7 +16,8 @@ from slipguard_drivers.ur5.emulated_tool import START_POSE, StraightTool, WorldT
 from slipguard_drivers.ur5.emulator import UrEmulator
 
 E_SERIES, CB3 = (5, 17, 3, 0), (3, 15, 8, 0)
-HOST = "127.0.0.35"
+HOST = f"127.{20 + os.getpid() // 256 % 200}.{os.getpid() % 256}.35"
+"""Of this run of the tests alone: the ports cannot be chosen."""
 
 
 class Log(list[str]):

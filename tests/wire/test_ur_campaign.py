@@ -18,14 +18,14 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
 import pytest
-from ur_scene import until
+from ur_scene import own_address, until
 
 from slipguard.daemon.actuator import Actuator
 from slipguard.devices import ArmState
 from slipguard_drivers.ur5.lifting import LiftingArm
 from slipguard_drivers.ur5.settings import Ur5Settings
 
-HOST = "127.0.0.34"
+HOST = own_address(34)
 SEED = 20_261_121
 POLL_S, RETRY_S = 0.025, 0.5
 """The daemon's own, see config.toml."""
@@ -84,7 +84,7 @@ async def controller(request: pytest.FixtureRequest) -> AsyncIterator[Controller
     )
     controller = Controller(process)
     listening = asyncio.create_task(controller.listen(), name="emulator's events")
-    async with asyncio.timeout(20.0):
+    async with asyncio.timeout(60.0):  # on a busy machine the interpreter's start takes its time
         await controller.ready.wait()
     yield controller
     process.terminate()

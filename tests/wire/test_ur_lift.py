@@ -10,14 +10,14 @@ from collections.abc import AsyncIterator
 from typing import Literal
 
 import pytest
-from ur_scene import lifting, lost, opened, put_away, rests, told, under_way, until
+from ur_scene import lifting, lost, opened, own_address, put_away, rests, told, under_way, until
 
 from slipguard.errors import CommandRefused, DeviceLost
 from slipguard_drivers.ur5.emulator import UrEmulator
 from slipguard_drivers.ur5.lifting import LiftingArm
 from slipguard_drivers.ur5.rtde import RtdeConnection
 
-HOST = "127.0.0.31"
+HOST = own_address(31)
 
 
 @pytest.fixture(autouse=True)

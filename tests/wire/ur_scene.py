@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 from collections.abc import Callable
 
 import pytest
@@ -13,6 +14,12 @@ from slipguard.errors import DeviceError, DeviceLost
 from slipguard_drivers.ur5.emulator import UrEmulator
 from slipguard_drivers.ur5.lifting import LiftingArm
 from slipguard_drivers.ur5.settings import Ur5Settings
+
+
+def own_address(number: int) -> str:
+    """A loopback address that no other run of the tests uses; the ports of a controller cannot be chosen."""
+    return f"127.{20 + os.getpid() // 256 % 200}.{os.getpid() % 256}.{number}"
+
 
 BUILT: list[LiftingArm] = []
 

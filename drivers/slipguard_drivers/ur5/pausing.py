@@ -92,7 +92,7 @@ class PausingArm(Arm):
         if self._eyes.runtime_now() in (STOPPED, PAUSED):
             return
         answer = await self._dashboard.ask("pause", deadline_s=PAUSE_S)
-        if answer != PAUSING and self._eyes.runtime_now() not in (STOPPED, PAUSED):
+        if answer != PAUSING and (await self._dashboard.ask("programState")).upper().startswith("PLAYING"):
             raise CommandRefused(f"{self._name}: its program cannot be paused: the robot says {answer!r}")
 
     async def _check_stop(self) -> None:
