@@ -18,7 +18,7 @@ from slipguard.lab.bench.tally import Tally
 from slipguard.lab.bench.thinning import thinning
 from slipguard.lab.minute import Minute
 from slipguard.lab.parallel import Workers, each
-from slipguard.lab.sequences import EXTRA_PLAIN, Sequence, sequence
+from slipguard.lab.sequences import EXTRA_PLAIN, STILL_FRAMES, Sequence, sequence
 from slipguard.perception.settings import EVERY_SKIP, PerceptionSettings
 from slipguard.sim.objects import names
 
@@ -149,6 +149,8 @@ def _measure(item: _Item) -> dict[str, Tally]:
         _warm(item.subjects, grasp)
     # Without skipping or a reference of its own, a plain pipeline begins at the last still frame.
     begin = next(index for index, shot in enumerate(grasp.shots) if shot.compared) - 1
+    if item.mask_every <= STILL_FRAMES:
+        begin -= begin % item.mask_every  # a still frame that has its mask
     for subject in item.subjects:
         subject.forget(share=True)
     found = {}
