@@ -40,6 +40,18 @@ async def opened(arm: Arm) -> None:
     await arm.open()
 
 
+async def refusal(arm: Arm, words: str) -> str:
+    """What `open` says; tried again where a busy machine has missed a deadline and `words` are not in it."""
+    said = ""
+    for _ in range(4):
+        with pytest.raises(DeviceLost) as caught:
+            await arm.open()
+        said = str(caught.value)
+        if words in said:
+            break
+    return said
+
+
 async def put_away() -> None:
     """Close all that were built. A second close lets go of what the first keeps for another `open`."""
     while BUILT:
