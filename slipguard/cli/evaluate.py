@@ -135,7 +135,7 @@ def run(
         if config is not None or camera is not None or intrinsics is not None:
             raise InputError("--sim brings a cell and a camera of its own; leave out --config, --camera, --intrinsics")
         _check_simulated(plan)
-        todo = len(prepare(out, plan))
+        todo = len(prepare(out, plan, simulated=True))
         with _bar("lifts", todo) as progress:
             run_simulated(out, plan, workers, progress)
     else:

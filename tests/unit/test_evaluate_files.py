@@ -80,21 +80,23 @@ def test_films_without_markers_are_one_line(
 
 
 def test_what_is_no_film_or_half_a_film_is_one_line(
-    tmp_path: Path, camera: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, camera: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     whole = film(tmp_path / "whole.avi").read_bytes()
-    for name, content in {
+    broken = {
         "half.avi": whole[: len(whole) // 2],
         "stub.avi": whole[:200],
         "text.mp4": b"no film",
-    }.items():
+        "text.mkv": b"\x1aE\xdf\xa3 nothing",
+    }
+    for name, content in broken.items():
         (tmp_path / name).write_bytes(content)
         assert turn(tmp_path / name, camera) == 2, name
-        said = capsys.readouterr().err
+        said = capfd.readouterr().err
         assert said.count("\n") == 1, said
         assert name in said
     assert turn(tmp_path / "missing.mp4", camera) == 2
-    assert "no such file" in capsys.readouterr().err
+    assert "no such file" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(

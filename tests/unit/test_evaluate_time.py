@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slipguard.lab.evaluate.align import find_lag
+from slipguard.lab.evaluate.align import find_lag, seen_at
 
 FRAME_S = 1 / 30
 
@@ -50,3 +50,21 @@ def test_streams_that_never_meet_are_told_apart() -> None:
     camera_s, camera, tactile_s, tactile = streams(0.0, 0.1, 3)
     apart = find_lag(camera_s + 60.0, camera, tactile_s, tactile)
     assert apart.why == "the two streams do not overlap"
+
+
+def test_a_lag_at_the_edge_of_what_was_looked_at_is_none() -> None:
+    edge = find_lag(*streams(0.45, 0.1, 4), lag_max_s=0.3)
+    assert edge.why is not None
+    assert edge.lag_s == 0.0
+
+
+def test_nothing_is_known_in_a_gap() -> None:
+    camera_s = np.concatenate([np.arange(0.0, 1.0, FRAME_S), np.arange(1.5, 2.5, FRAME_S)])
+    times = np.array([-0.1, 0.5, 1.0, 1.2, 1.45, 1.6, 2.4, 2.7])
+    assert seen_at(times, camera_s).tolist() == [False, True, False, False, False, True, True, False]
+
+
+def test_the_lag_is_found_with_a_gap_in_the_middle_of_the_turn() -> None:
+    camera_s, camera, tactile_s, tactile = streams(0.06, 0.2, 5)
+    seen = (camera_s < 1.5) | (camera_s > 2.0)
+    assert find_lag(camera_s[seen], camera[seen], tactile_s, tactile).lag_s == pytest.approx(0.06, abs=FRAME_S / 2)

@@ -16,6 +16,8 @@ COARSE_S = 0.03
 MOTION_MIN_DEG = 2.0
 """Less motion than this and any lag fits."""
 OVERLAP_MIN = 0.5
+GAP_FRAMES = 2.5
+"""Pictures further apart than this many usual steps have a gap between them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +39,6 @@ def find_lag(
 
     Times (n,) and (m,) in seconds, increasing; turns in degrees, of the same sign.
     """
-    unknown = Lag(0.0, lag_max_s)
     if min(len(camera_s), len(tactile_s)) < 5:
         return Lag(0.0, lag_max_s, "too few frames")
     if np.ptp(camera_deg) < MOTION_MIN_DEG or np.ptp(tactile_deg) < MOTION_MIN_DEG:
@@ -55,14 +56,24 @@ def find_lag(
         return Lag(0.0, lag_max_s, "the two streams do not overlap")
     best = int(np.nanargmin(cost))
     if best in (0, len(lags) - 1):
-        return Lag(float(lags[best]), unknown.sigma_s, f"more than {lag_max_s:g} s apart")
+        return Lag(0.0, lag_max_s, f"more than {lag_max_s:g} s apart")
     lag = float(lags[best]) + _vertex(cost[best - 1 : best + 2]) * STEP_S
     return Lag(lag, _sigma(camera_s - lag, camera_deg, tactile_s, tactile_deg, float(cost[best])))
 
 
+def seen_at(time_s: Array, camera_s: Array) -> NDArray[np.bool_]:
+    """Where the camera saw both markers just before and just after: what lies in a gap is not known."""
+    if len(camera_s) < 2:
+        return np.zeros(len(time_s), bool)
+    steps = np.diff(camera_s)
+    after = np.clip(np.searchsorted(camera_s, time_s), 1, len(camera_s) - 1)
+    inside = (time_s >= camera_s[0]) & (time_s <= camera_s[-1])
+    return np.asarray(inside & (steps[after - 1] <= GAP_FRAMES * np.median(steps)))
+
+
 def _spread(camera_s: Array, camera_deg: Array, tactile_s: Array, tactile_deg: Array) -> float:
     """Variance of the difference where both streams have something to say; NaN where that is too little."""
-    inside = (tactile_s >= camera_s[0]) & (tactile_s <= camera_s[-1])
+    inside = seen_at(tactile_s, camera_s)
     if inside.mean() < OVERLAP_MIN:
         return float("nan")
     return float(np.var(tactile_deg[inside] - np.interp(tactile_s[inside], camera_s, camera_deg)))
@@ -76,7 +87,7 @@ def _vertex(three: Array) -> float:
 
 def _sigma(camera_s: Array, camera_deg: Array, tactile_s: Array, tactile_deg: Array, variance: float) -> float:
     """Noise over slope: the more the turn changes, the better a shift is known."""
-    inside = (tactile_s >= camera_s[0]) & (tactile_s <= camera_s[-1])
+    inside = seen_at(tactile_s, camera_s)
     rate = np.gradient(np.interp(tactile_s[inside], camera_s, camera_deg), tactile_s[inside])
     power = float(((rate - rate.mean()) ** 2).sum())
     return float(np.sqrt(variance / power)) if power > 0.0 else float("inf")

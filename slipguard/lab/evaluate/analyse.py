@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt, InputError
-from slipguard.lab.evaluate.align import LAG_MAX_S, Lag, find_lag
+from slipguard.lab.evaluate.align import LAG_MAX_S, Lag, find_lag, seen_at
 from slipguard.lab.evaluate.detect import Detector
 from slipguard.lab.evaluate.film import FILMS, sightings
 from slipguard.lab.evaluate.lift_data import LiftData, TimedPicture
@@ -26,6 +26,9 @@ Array = NDArray[np.float64]
 MASK_GAP_S = 0.012
 STILL_S = 0.3
 """The object lies still at least so long before the lift begins; both zeros are taken then."""
+ZERO_S, ZERO_FRAMES_MIN = 0.15, 3
+"""The markers' zero is their mean within this of slipguard's reference, over so many pictures at least."""
+SENSE_DEG = 3.0
 CURVE_POINTS = 300
 FILM_LAG_MAX_S = 60.0
 """A film that somebody recorded beside it began within this of the lift."""
@@ -53,6 +56,7 @@ class LiftResult:
     hard: str
     repeat: int
     number: int
+    simulated: bool = False
     final_turn_deg: float | None = None
     """By the markers."""
     lag_s: float = 0.0
@@ -88,9 +92,10 @@ def result_from_json(raw: dict[str, Any]) -> LiftResult:
 
 
 def analyse(data: LiftData) -> LiftResult:
-    """Compare all sources of one lift with its markers."""
+    """Compare all sources of one lift with its markers; what cannot be compared has its reason in `problem`."""
     about = data.about
     result = LiftResult(data.path.stem, about.object, about.seen, about.hard, about.repeat, about.number)
+    result.simulated = about.camera_lag_s is not None
     began_s = data.phase_began_s("lifting")
     if began_s is None:
         raise InputError(f"{data.path}: no lift is in it")
@@ -99,38 +104,67 @@ def analyse(data: LiftData) -> LiftResult:
     fused = np.array(data.fused).reshape(-1, 3)
     try:
         trace = _marker_turns(data, began_s)
+        result.camera_frames, result.camera_gaps = len(trace.time_s), trace.gaps
+        result.camera_rms_px = trace.rms_px
+        lag = find_lag(
+            trace.time_s, trace.turn_deg, fused[:, 0], fused[:, 1], LAG_MAX_S if data.camera else FILM_LAG_MAX_S
+        )
+        _tell_lag(data, result, lag, trace)
+        camera_s = trace.time_s - lag.lag_s
+        zero_s = float(fused[0, 0]) if len(fused) else began_s - STILL_S
+        marker_deg = trace.turn_deg - _level(camera_s, trace.turn_deg, zero_s, began_s)
+        _check_sense(fused, camera_s, marker_deg)
     except InputError as problem:
         result.problem = str(problem)
         return result
-    result.camera_frames, result.camera_gaps, result.camera_rms_px = len(trace.time_s), trace.gaps, trace.rms_px
-    reach_s = LAG_MAX_S if data.camera else FILM_LAG_MAX_S
-    lag = find_lag(trace.time_s, trace.turn_deg, fused[:, 0], fused[:, 1], reach_s)
-    _tell_lag(data, result, lag, trace)
-    camera_s = trace.time_s - lag.lag_s
-    marker_deg = trace.turn_deg - float(np.interp(began_s, camera_s, trace.turn_deg))
     result.final_turn_deg = float(marker_deg[-1])
     _compare_truth(data, result, trace)
-    fused = fused[fused[:, 0] >= began_s - STILL_S]
     _curve(result, "markers", camera_s - began_s, marker_deg)
-    sources = {"fused": [Measured(*row) for row in fused.tolist()], **_estimators(data, began_s)}
-    for name, stated in sources.items():
+    told = [Measured(*row) for row in fused[fused[:, 0] >= began_s - STILL_S].tolist()]
+    for name, stated in {"fused": told, **_estimators(data, began_s)}.items():
         time_s = np.array([one.captured_at_s for one in stated])
         turn_deg = np.array([one.turn_deg for one in stated])
-        error = _errors(time_s, turn_deg, camera_s, marker_deg, began_s)
+        if name != "fused":  # they count from just before the lift
+            turn_deg = turn_deg + float(np.interp(began_s - STILL_S, camera_s, marker_deg))
+        compared = seen_at(time_s, camera_s) & (time_s >= began_s)
+        error = turn_deg[compared] - np.interp(time_s[compared], camera_s, marker_deg)
         result.errors[name] = _summed(error)
         _curve(result, name, time_s - began_s, turn_deg)
         if name == "fused" and error.size:
-            _judge_sigma(result, error, np.array([one.sigma_deg for one in stated])[-error.size :])
-            late = _errors(time_s, turn_deg, trace.time_s, marker_deg, began_s)
-            result.unaligned_mean_deg = float(np.abs(late).mean()) if late.size else None
+            _judge_sigma(result, error, np.array([one.sigma_deg for one in stated])[compared])
+            late = seen_at(time_s, trace.time_s) & (time_s >= began_s)
+            if late.any():
+                left_in = turn_deg[late] - np.interp(time_s[late], trace.time_s, marker_deg)
+                result.unaligned_mean_deg = float(np.abs(left_in).mean())
     return result
+
+
+def _level(camera_s: Array, turn_deg: Array, zero_s: float, began_s: float) -> float:
+    """The markers' turn where slipguard took its reference, the object at rest: their zero too."""
+    still = (camera_s >= zero_s - ZERO_S) & (camera_s <= min(zero_s + ZERO_S, began_s))
+    if still.sum() < ZERO_FRAMES_MIN:
+        raise InputError("the markers were not seen while the object was at rest, before the lift began")
+    return float(turn_deg[still].mean())
+
+
+def _check_sense(fused: Array, camera_s: Array, marker_deg: Array) -> None:
+    """Raises InputError where the markers turn the other way than the fingers, and by much."""
+    inside = seen_at(fused[:, 0], camera_s)
+    if inside.sum() < 5 or np.ptp(marker_deg) < SENSE_DEG or np.ptp(fused[inside, 1]) < SENSE_DEG:
+        return
+    beside = np.interp(fused[inside, 0], camera_s, marker_deg)
+    if np.corrcoef(fused[inside, 1], beside)[0, 1] < -0.8:
+        raise InputError(
+            "the markers turn the other way than the fingers say; does the camera stand behind the finger that "
+            "camera_side names?"
+        )
 
 
 def _marker_turns(data: LiftData, began_s: float) -> TurnTrace:
     """The markers' turn in the left picture's sign, from when the object lay still."""
     if data.camera:
         detector = Detector()
-        from_s = max(data.phase_began_s("holding") or began_s, began_s - 1.0)
+        from_s = (data.fused[0][0] if data.fused else began_s) - 2.0 * STILL_S
         shown = [one for one in data.camera if one.time_s >= from_s]
         if not shown:
             raise InputError("no picture of the external camera shows the lift")
@@ -143,13 +177,19 @@ def _marker_turns(data: LiftData, began_s: float) -> TurnTrace:
             raise InputError(f"no external camera in the recording, and no film {data.path.stem}.mp4 beside it")
         # A film has a clock of its own; its zero is put where the lift begins, and the lag tells the rest.
         seen = list(sightings(films[0], data.intrinsics, start_s=began_s))
-    trace = turns(seen, data.intrinsics, data.about.marker_side_mm)
+    try:
+        trace = turns(seen, data.intrinsics, data.about.marker_side_mm)
+    except np.linalg.LinAlgError:
+        raise InputError("the markers' corners do not make squares; are they flat and whole?") from None
     sign = PICTURE_SIGN[data.about.camera_side]
     return TurnTrace(trace.time_s, sign * trace.turn_deg, trace.sigma_deg, trace.gaps, trace.rms_px)
 
 
 def _tell_lag(data: LiftData, result: LiftResult, lag: Lag, trace: TurnTrace) -> None:
+    """Note the lag down. Raises InputError where without it there is no common clock."""
     result.lag_s, result.lag_sigma_s, result.lag_unknown = lag.lag_s, lag.sigma_s, lag.why
+    if lag.why is not None and (not data.camera or not data.fused):
+        raise InputError(f"the lag between film and fingers cannot be told ({lag.why}), so there is no common clock")
     if data.about.camera_lag_s is not None and lag.why is None and len(trace.time_s) > 1:
         frame_s = float(np.median(np.diff(trace.time_s)))
         result.lag_error_frames = abs(lag.lag_s - data.about.camera_lag_s) / frame_s
@@ -166,12 +206,6 @@ def _compare_truth(data: LiftData, result: LiftResult, trace: TurnTrace) -> None
     result.marker_error_worst_deg = float(np.abs(error).max())
     began_s = data.phase_began_s("lifting") or 0.0
     _curve(result, "truth", time_s - began_s, true_deg - float(np.interp(began_s, time_s, true_deg)))
-
-
-def _errors(time_s: Array, turn_deg: Array, camera_s: Array, marker_deg: Array, began_s: float) -> Array:
-    """Stated minus marker turn, from the beginning of the lift on, where the camera saw both markers."""
-    inside = (time_s >= max(began_s, camera_s[0])) & (time_s <= camera_s[-1])
-    return np.asarray(turn_deg[inside] - np.interp(time_s[inside], camera_s, marker_deg), np.float64)
 
 
 def _summed(error: Array) -> Errors:

@@ -108,9 +108,12 @@ def read_lift(path: Path) -> LiftData:
                 pending[value.source] = value
             else:
                 timed.append((home, item.at_ns, value))
-    if offset_s is None or data.phase_began_s("lifting") is None:
+    began_s = data.phase_began_s("lifting")
+    if offset_s is None or began_s is None:
         why = f"; it {recording.damage}" if recording.damage else ""
         raise InputError(f"{path}: no lift is in it{why}")
+    if recording.damage is not None and data.phases[-1][1] == "lifting":
+        raise InputError(f"{path}: {recording.damage}, in the middle of the lift; do that lift again")
     for home, at_ns, picture in timed:
         home.append(TimedPicture(1e-9 * at_ns - offset_s, picture))
     return data

@@ -69,7 +69,9 @@ def _lead(report: dict[str, Any], protocol: Protocol | None) -> str:
         "with the guard" if protocol is not None and protocol.guard else "guard off: the turn is measured, not stopped"
     )
     objects = len(report["per_object"])
-    return f"<p class='lead'>{report['lifts']} lifts of {objects} objects, {guard}. slipguard {__version__}.</p>"
+    where = "a simulated cell" if report["simulated"] else "a real cell"
+    lead = f"{report['lifts']} lifts of {objects} objects on {where}, {guard}. slipguard {__version__}."
+    return f"<p class='lead'>{lead}</p>"
 
 
 def _headline(report: dict[str, Any]) -> str:
@@ -123,7 +125,7 @@ def _object_table(report: dict[str, Any]) -> str:
     for name, one in report["per_object"].items():
         fused = one["fused"]
         about = "seen" if one["seen"] else "unseen"
-        about += f", {one['hard']}" if one["hard"] else ""
+        about += f", {escape(one['hard'])}" if one["hard"] else ""
         turns = one["turns_deg"]
         span = f"{min(turns, key=abs):.0f} … {max(turns, key=abs):.0f}" if turns else "–"
         rows.append(
@@ -160,7 +162,7 @@ def _network_table(report: dict[str, Any]) -> str:
     if not report["networks"]:
         return ""
     rows = [
-        [escape(one["network"]), one["n"], _pm(one["dice"], 3), _pm(one["iou"], 3), f"{one['ms_median']:.1f}"]
+        [escape(one["network"]), one["n"], _pm(one["dice"], 3), _pm(one["iou"], 3), _n(one["ms_median"], 1)]
         for one in report["networks"]
     ]
     return _table(
@@ -170,13 +172,16 @@ def _network_table(report: dict[str, Any]) -> str:
 
 def _ground(report: dict[str, Any]) -> str:
     lags = list(report["lag_ms"].values())
-    text = f"The external camera lost both markers in {report['camera_gaps']} pictures; those are gaps, not guesses. "
+    text = f"In {report['camera_gaps']} pictures a marker was not seen well: gaps, in which nothing is compared. "
     if lags:
         text += (
             f"Its time stamps lag the tactile ones by {min(lags):.0f} to {max(lags):.0f} ms, found lift by lift from "
-            "the two turns and taken out; left in, the mean error would be "
+            "the two turns and taken out (with it goes whatever delay slipguard's own times have); left in, the mean "
+            "error would be "
             f"{_n(report['turn_error_with_the_lag_left_in_deg'])}°. "
         )
+    if report["lag_unknown"]:
+        text += f"In {len(report['lag_unknown'])} lifts it could not be told and is left in. "
     if report["lag_error_frames"] is not None:
         text += f"The lag was known here and was recovered within {report['lag_error_frames']:.2f} frames. "
     if report["aruco_error_mean_deg"] is not None:
@@ -205,10 +210,10 @@ def _method(protocol: Protocol | None) -> str:
         )
     return (
         f"<p>{lifted}One marker is on the gripper, one on the object; the turn about the grasp axis is fitted to the "
-        "corners of all pictures of a lift at once. Both turns are zero just before the lift. An error is what "
-        "slipguard said at a tactile frame's capture time minus what the markers say then; a lift's error is the mean "
-        "of its magnitudes. Intervals are bootstrapped over lifts. “As published”: Castaño-Amorós &amp; Gil, a real "
-        "cell; figures of a simulated cell are not comparable with them one to one.</p>"
+        "corners of all pictures of a lift at once. Both turns are zero where slipguard took its reference, the object "
+        "at rest. An error is what slipguard said at a tactile frame's capture time minus what the markers say then; a "
+        "lift's error is the mean of its magnitudes. Intervals are bootstrapped over lifts. “As published”: "
+        "Castaño-Amorós &amp; Gil, a real cell; figures of a simulated cell do not compare with them one to one.</p>"
     )
 
 

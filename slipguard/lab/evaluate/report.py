@@ -7,8 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from slipguard.errors import InputError
 from slipguard.lab.evaluate.lift_data import lift_paths, read_lift
 from slipguard.lab.evaluate.networks import network_rows
@@ -59,6 +57,6 @@ def _networks(out: Path, folder: Path, compared: Callable[[str], None]) -> list[
 def _protocol(out: Path) -> Protocol | None:
     """What was asked for, where the folder still says so."""
     try:
-        return Protocol.model_validate_json((out / PROTOCOL).read_text())
-    except (OSError, ValidationError):
+        return Protocol.model_validate(json.loads((out / PROTOCOL).read_text())["protocol"])
+    except (OSError, ValueError, KeyError, TypeError):
         return None

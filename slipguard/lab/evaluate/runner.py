@@ -20,15 +20,18 @@ from slipguard.lab.parallel import Workers, each
 
 PROTOCOL = "protocol.json"
 LIFTS = "lifts"
+ANALYSIS = 2
+"""Counts up when the same recording would come to other figures."""
 
 
-def prepare(out: Path, protocol: Protocol) -> list[Lift]:
-    """Make the folder, or check that it holds this very protocol; returns the lifts that are still to be done.
+def prepare(out: Path, protocol: Protocol, *, simulated: bool = False) -> list[Lift]:
+    """Make the folder, or check that it holds this very experiment; returns the lifts that are still to be done.
 
     Raises InputError.
     """
     path = out / PROTOCOL
-    wanted = protocol.model_dump_json(indent=1)
+    plan = {"cell": "simulated" if simulated else "real", "protocol": protocol.model_dump(mode="json")}
+    wanted = json.dumps(plan, indent=1)
     try:
         (out / LIFTS).mkdir(parents=True, exist_ok=True)
         if path.exists() and path.read_text() != wanted:
@@ -48,7 +51,9 @@ def run_simulated(
     out: Path, protocol: Protocol, workers: Workers, progress: Callable[[int], None] = lambda done: None
 ) -> int:
     """Do all lifts that are still missing, on all cores; returns how many that were."""
-    tasks = [SimulatedLift(protocol, lift, recording_path(out, lift)) for lift in prepare(out, protocol)]
+    tasks = [
+        SimulatedLift(protocol, lift, recording_path(out, lift)) for lift in prepare(out, protocol, simulated=True)
+    ]
     for _ in each(_record_and_analyse, tasks, workers, named=lambda task: task.lift.stem, progress=progress):
         pass
     return len(tasks)
@@ -59,16 +64,18 @@ def _record_and_analyse(task: SimulatedLift) -> None:
 
 
 def result_of(path: Path) -> LiftResult:
-    """A lift's result: as kept beside its recording, or made now and kept."""
+    """A lift's result: as kept beside its recording, or made now and kept. One with a problem is tried again."""
     kept = path.with_suffix(".json")
     if kept.exists() and kept.stat().st_mtime_ns >= path.stat().st_mtime_ns:
         try:
-            return result_from_json(json.loads(kept.read_text()))
+            before = json.loads(kept.read_text())
+            if before["analysis"] == ANALYSIS and before["result"]["problem"] is None:
+                return result_from_json(before["result"])
         except (ValueError, TypeError, KeyError):
             pass  # of another version, or cut off: made anew
     result = analyse(read_lift(path))
     part = kept.with_suffix(".json.part")
-    part.write_text(json.dumps(result.as_json()))
+    part.write_text(json.dumps({"analysis": ANALYSIS, "result": result.as_json()}))
     part.replace(kept)
     return result
 

@@ -25,6 +25,7 @@ from slipguard.lab.evaluate.intrinsics import Intrinsics
 from slipguard.lab.evaluate.lift_file import LiftFile, encoded
 from slipguard.lab.evaluate.markers import GRIPPER_ID, OBJECT_ID, cells
 from slipguard.lab.evaluate.protocol import Lift, Protocol
+from slipguard.lab.lift_record import PICTURE_SIGN
 from slipguard.recording import messages as m
 from slipguard.sim import objects
 from slipguard.sim.gel import GelCamera
@@ -132,11 +133,12 @@ async def _lift(
     height_mm: float,
 ) -> None:
     look, lag_s = onlooker(task.protocol.seed + task.lift.number)
+    sign = PICTURE_SIGN[task.protocol.camera_side]
     with LiftFile(task.path, service, task.protocol, task.lift, intrinsics_of(look.lens), lag_s) as file:
         if not task.protocol.guard:
             await controls.guard(False)
         watchers = [
-            asyncio.create_task(_film(file, world, Studio(look, task.lift.number), lag_s)),
+            asyncio.create_task(_film(file, world, Studio(look, task.lift.number), lag_s, sign)),
             asyncio.create_task(_masks(file, world)),
         ]
         try:
@@ -154,14 +156,14 @@ async def _lift(
             await asyncio.gather(*watchers, return_exceptions=True)
 
 
-async def _film(file: LiftFile, world: World, studio: Studio, lag_s: float) -> None:
-    """Picture after picture, stamped late, with the truth beside them."""
+async def _film(file: LiftFile, world: World, studio: Studio, lag_s: float, sign: float) -> None:
+    """Picture after picture, stamped late, with the truth beside them; sign: -1 from behind the right finger."""
     loop = asyncio.get_running_loop()
     at_s = loop.time()
     while True:
         truth = world.truth(at_s)
         file.truth(m.Truth(at_s, truth.turn_deg, truth.height_mm))
-        scene = Scene(truth.turn_deg, truth.height_mm, truth.slide_mm)
+        scene = Scene(sign * truth.turn_deg, truth.height_mm, truth.slide_mm)
         file.camera(at_s + lag_s, encoded(studio.draw(scene)))
         at_s += 1.0 / CAMERA_FPS
         await asyncio.sleep(at_s - loop.time())

@@ -99,6 +99,7 @@ def report_json(lifts: list[LiftResult], networks: list[dict[str, Any]] | None =
     unaligned = [lift.unaligned_mean_deg for lift in lifts if lift.unaligned_mean_deg is not None]
     return {
         "lifts": len(lifts),
+        "simulated": all(lift.simulated for lift in lifts),
         "lifts_compared": fused.n,
         "turn_error_mean_deg": _rounded(fused.mean),
         "turn_error_sd_deg": _rounded(fused.sd),
@@ -126,6 +127,7 @@ def report_json(lifts: list[LiftResult], networks: list[dict[str, Any]] | None =
         },
         "lag_error_frames": _rounded(max(lags)) if lags else None,
         "lag_ms": {lift.stem: round(1e3 * lift.lag_s, 1) for lift in lifts if lift.lag_unknown is None},
+        "lag_unknown": {lift.stem: lift.lag_unknown for lift in lifts if lift.lag_unknown is not None},
         "aruco_error_mean_deg": _mean(markers),
         "aruco_error_worst_deg": _rounded(
             max((lift.marker_error_worst_deg or 0.0 for lift in lifts), default=0.0) if markers else None
