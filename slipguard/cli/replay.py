@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slipguard.errors import InputError
-from slipguard.grasp.messages import Command
 
 if TYPE_CHECKING:
+    from slipguard.grasp.messages import Command
     from slipguard.lab.replay import Difference, LawReplay, Replay
 
 SHOWN = 10
@@ -99,7 +99,7 @@ def _plain(difference: Difference) -> dict[str, Any]:
 
 def _told(command: Command) -> str:
     """Only what it commands."""
-    given = {name: getattr(command, name) for name in Command.__slots__}
+    given = {name: getattr(command, name) for name in type(command).__slots__}
     return ", ".join(f"{name}={value}" for name, value in given.items() if value not in (None, False)) or "nothing"
 
 
