@@ -215,23 +215,25 @@ def _on_cell(
 ) -> None:
     import asyncio
 
+    from slipguard.cli.ask import ask
     from slipguard.cli.interrupt import left_to_the_loop
     from slipguard.config import read_config
-    from slipguard.daemon.root import build_service
+    from slipguard.daemon.last_grasp import GraspKeeper
+    from slipguard.daemon.root import build_service, socket_path
+    from slipguard.daemon.state_dir import StateDir
+    from slipguard.lab.evaluate.external_camera import Camera
     from slipguard.lab.evaluate.intrinsics import read_intrinsics
-    from slipguard.lab.evaluate.on_cell import Camera, run_on_cell
+    from slipguard.lab.evaluate.on_cell import in_the_daemons_place, run_on_cell
 
     if config is None or plan is None or intrinsics is None:
         raise InputError("on a cell --config, --protocol and --intrinsics are needed; or try --sim")
-    service, lens = build_service(read_config(config)), read_intrinsics(intrinsics)
-    external = nullcontext() if camera is None else Camera(camera, lens)
-    with external as eye, left_to_the_loop():
-        asyncio.run(run_on_cell(out, plan, service, eye, lens, _ask))
-
-
-def _ask(text: str) -> bool:
-    """Enter goes on, anything that begins with q ends the experiment."""
-    return not input(f"{text} [Enter, or q to stop] ").strip().lower().startswith("q")
+    settings = read_config(config)
+    service, lens = build_service(settings), read_intrinsics(intrinsics)
+    service.observers.append(GraspKeeper(StateDir(settings.state.directory), service.journal.say).decided)
+    with in_the_daemons_place(socket_path(settings)):
+        external = nullcontext() if camera is None else Camera(camera, lens)
+        with external as eye, left_to_the_loop():
+            asyncio.run(run_on_cell(out, plan, service, eye, lens, ask))
 
 
 @contextmanager

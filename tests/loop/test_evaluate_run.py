@@ -2,32 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from slipguard.cli.app import run
-from slipguard.config import parse_config
-from slipguard.daemon.controls import Controls
-from slipguard.daemon.root import build_service
-from slipguard.daemon.service import Service
-from slipguard.daemon.virtual_time import run_virtual
-from slipguard.daemon.worker import StatedLatencyWorker
-from slipguard.lab.evaluate.on_cell import run_on_cell
-from slipguard.lab.evaluate.protocol import Protocol
-from slipguard.lab.evaluate.report import write_report
-from slipguard.lab.evaluate.simulated import intrinsics_of, onlooker
-from slipguard.lab.parallel import Workers
-from slipguard.sim.onlooker import Lens, Scene, Studio
-from slipguard.sim.scenario import scenario
-from slipguard.sim.world import World
 
 PROTOCOL = """
 name = "two lifts"
@@ -92,97 +72,6 @@ def test_a_cut_recording_is_one_line(experiment: Path, tmp_path: Path, capsys: p
     said = capsys.readouterr().err
     assert "001-bar-1" in said
     assert said.count("\n") == 1
-
-
-class Eye:
-    """An external camera on the loop's own clock, before the simulated cell."""
-
-    lost = False
-
-    def __init__(self, world: World) -> None:
-        self.world = world
-        look, _ = onlooker(5)
-        self.look = replace(look, lens=Lens(640, 480, 560.0, (322.0, 238.0)))
-        self.task: asyncio.Task[None] | None = None
-
-    def give_to(self, taker: Callable[[NDArray[np.uint8]], None] | None) -> None:
-        if self.task is not None:
-            self.task.cancel()
-        self.task = None if taker is None else asyncio.get_running_loop().create_task(self.film(taker))
-
-    async def film(self, taker: Callable[[NDArray[np.uint8]], None]) -> None:
-        studio = Studio(self.look, 1)
-        while True:
-            truth = self.world.truth(asyncio.get_running_loop().time())
-            taker(studio.draw(Scene(truth.turn_deg, truth.height_mm, truth.slide_mm)))
-            await asyncio.sleep(1 / 30)
-
-
-@pytest.mark.parametrize("filmed_by", ["slipguard", "somebody else"])
-def test_on_a_cell_a_person_is_asked_before_every_lift_and_before_the_jaws_open(tmp_path: Path, filmed_by: str) -> None:
-    world = World(seed=3)
-    asked: list[str] = []
-
-    def ask(line: str) -> bool:
-        asked.append(line)
-        if "place" in line:
-            now_s = asyncio.get_running_loop().time()
-            world.clear(now_s)
-            world.place(scenario("wrench", 1), now_s)
-        return True
-
-    plan = Protocol.model_validate(
-        {
-            "objects": [{"name": "spanner"}],
-            "repeats": 1,
-            "grip_force_n": 45.0,
-            "lift_height_mm": 35.0,
-            "lift_speed_mm_s": 80.0,
-            "hold_s": 0.3,
-        }
-    )
-    raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in ("left", "right")}
-    raw["state"] = {"directory": str(tmp_path / "state")}
-    config = parse_config(raw, where="test", sim=True)
-
-    def cell() -> Service:
-        return build_service(config, world=world, make_worker=lambda name: StatedLatencyWorker(0.006))
-
-    async def calibrate() -> None:
-        service = cell()
-        running = asyncio.create_task(service.run())
-        await asyncio.sleep(1.0)
-        assert not service.waiting_for
-        await Controls(service).calibrate()
-        running.cancel()
-        await asyncio.gather(running, return_exceptions=True)
-
-    async def main() -> None:
-        await calibrate()
-        eye = Eye(world)
-        lens = intrinsics_of(eye.look.lens)
-        if filmed_by == "slipguard":
-            await run_on_cell(tmp_path / "out", plan, cell(), eye, lens, ask)  # type: ignore[arg-type]
-            return
-        (tmp_path / "out" / "lifts").mkdir(parents=True)
-        film = cv2.VideoWriter(
-            str(tmp_path / "out" / "lifts" / "001-spanner-1.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (640, 480)
-        )
-        eye.give_to(lambda picture: film.write(picture))
-        await run_on_cell(tmp_path / "out", plan, cell(), None, lens, ask)
-        eye.give_to(None)
-        film.release()
-
-    run_virtual(main())
-    (tmp_path / "out" / "lifts" / "001-spanner-1.json").unlink()
-    assert len(asked) == 2
-    assert "place spanner" in asked[0]
-    assert "Hold the object; the jaws open" in asked[1]
-    assert filmed_by != "slipguard" or "error 0." in asked[1]
-    report = write_report(tmp_path / "out", Workers(1))
-    assert report["lifts_compared"] == 1
-    assert report["turn_error_mean_deg"] < 1.0
-    assert report["lag_error_frames"] is None
 
 
 def test_an_unknown_object_and_a_missing_camera_are_one_line(

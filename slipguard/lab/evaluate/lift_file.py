@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 
 from slipguard.daemon.recording import Watcher, header
 from slipguard.daemon.service import Service
+from slipguard.errors import SlipguardError
 from slipguard.lab.evaluate.intrinsics import Intrinsics
 from slipguard.lab.evaluate.protocol import Lift, Protocol
 from slipguard.recording import messages as m
@@ -31,7 +34,9 @@ INTRINSICS_ATTACHMENT = "intrinsics.json"
 class LiftFile:
     """Records a service into `path` while it is entered; the file has its name only once it is whole.
 
-    What it is handed is written on the spot: an experiment may cost some milliseconds more than the daemon.
+    What it is handed is written on the spot: an experiment may cost some milliseconds more than the daemon. A disk that
+    takes no more never disturbs who hands something over, for an object hangs in the air then: nothing more is written,
+    and leaving raises SlipguardError.
     """
 
     def __init__(
@@ -61,6 +66,7 @@ class LiftFile:
             INTRINSICS_ATTACHMENT: intrinsics.model_dump_json(indent=1).encode(),
         }
         self._file: RecordingFile | None = None
+        self._broken: OSError | None = None
         self._part = path.with_name(path.name + PART)
         self._clock = Clock(time.time_ns(), asyncio.get_running_loop().time())
         self._watcher = Watcher(self)
@@ -71,7 +77,8 @@ class LiftFile:
     takes_pictures = True
 
     def __enter__(self) -> Self:
-        self._part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self._part.unlink()
         for name, finger in self._service.fingers.items():
             finger.observers.append(self._judges[name])
         self._service.observers.append(self._watcher.decided)
@@ -83,38 +90,53 @@ class LiftFile:
         for name, finger in self._service.fingers.items():
             finger.observers.remove(self._judges[name])
         self._service.observers.remove(self._watcher.decided)
-        if self._file is None:
-            return
-        if error is not None:
-            self._file.abandon()
+        file, self._file = self._file, None  # a camera's thread may still hand over a picture
+        if error is None and self._broken is None and file is not None:
+            try:
+                file.close()
+                self._part.replace(self._path)
+                return
+            except OSError as broken:
+                self._broken = broken
+        with contextlib.suppress(OSError):
+            if file is not None:
+                file.abandon()
             self._part.unlink(missing_ok=True)
-            return
-        self._file.close()
-        self._part.replace(self._path)
+        if error is None and self._broken is not None:
+            why = self._broken.strerror or self._broken
+            raise SlipguardError(f"{self._path}: not recorded ({why}); make room, then start again")
 
     def hand(self, value: Seen | Turn | Said) -> None:
         """Write what the daemon tells."""
         if isinstance(value, Turn):
-            if self._file is None:
-                self._file = self._begin(value)
-            self._file.tick(value.tick)
-        elif self._file is not None and isinstance(value, Seen):
-            write_seen(self._file, value, FINGERS)
+            self._write(lambda file: file.tick(value.tick), first=value)
+        elif isinstance(value, Seen):
+            self._write(lambda file: write_seen(file, value, FINGERS))
 
     def camera(self, at_s: float, encoded: bytes) -> None:
         """A picture of the external camera, as JPEG; at_s: its time stamp on the loop's clock."""
-        if self._file is not None:
-            self._file.image(m.CAMERA, at_s, encoded, "jpeg")
+        self._write(lambda file: file.image(m.CAMERA, at_s, encoded, "jpeg"))
 
     def truth(self, truth: m.Truth) -> None:
         """What a simulated world knows."""
-        if self._file is not None:
-            self._file.truth(truth)
+        self._write(lambda file: file.truth(truth))
 
     def true_mask(self, finger: str, at_s: float, mask: NDArray[np.uint8]) -> None:
         """(320, 240) 0 or 1: what a person would outline at that moment."""
-        if self._file is not None:
-            self._file.true_mask(finger, at_s, cv2.imencode(".png", mask * np.uint8(255))[1].tobytes())
+        png = cv2.imencode(".png", mask * np.uint8(255))[1].tobytes()
+        self._write(lambda file: file.true_mask(finger, at_s, png))
+
+    def _write(self, what: Callable[[RecordingFile], None], first: Turn | None = None) -> None:
+        """Nothing before the file has begun, which the first turn of the loop does, nor after its disk has failed."""
+        if self._broken is not None:
+            return
+        try:
+            if self._file is None and first is not None:
+                self._file = self._begin(first)
+            if self._file is not None:
+                what(self._file)
+        except OSError as error:
+            self._broken = error
 
     def _begin(self, first: Turn) -> RecordingFile:
         plain = header(self._service)

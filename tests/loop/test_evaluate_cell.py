@@ -1,0 +1,293 @@
+"""The experiment on a cell, with a person who is asked: whatever goes wrong, the grip stays and the arm stands."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from slipguard.config import parse_config
+from slipguard.daemon.controls import Controls
+from slipguard.daemon.root import build_service
+from slipguard.daemon.service import Service
+from slipguard.daemon.virtual_time import run_virtual
+from slipguard.daemon.worker import StatedLatencyWorker
+from slipguard.errors import ConfigError, SlipguardError
+from slipguard.grasp.state import Phase
+from slipguard.lab.evaluate import on_cell
+from slipguard.lab.evaluate.external_camera import Camera
+from slipguard.lab.evaluate.on_cell import in_the_daemons_place, run_on_cell
+from slipguard.lab.evaluate.protocol import Protocol
+from slipguard.lab.evaluate.report import write_report
+from slipguard.lab.evaluate.simulated import intrinsics_of, onlooker
+from slipguard.lab.parallel import Workers
+from slipguard.recording.writer import RecordingFile
+from slipguard.sim.onlooker import Lens, Scene, Studio
+from slipguard.sim.scenario import scenario
+from slipguard.sim.world import World
+
+SEED = 3
+LENS = Lens(640, 480, 560.0, (322.0, 238.0))
+RECORDING = "001-spanner-1.mcap"
+
+
+class Eye:
+    """An external camera on the loop's own clock, before the simulated cell. films: else it never has a picture."""
+
+    def __init__(self, world: World, *, films: bool = True) -> None:
+        self.world, self.films = world, films
+        self.lost = False
+        look, _ = onlooker(5)
+        self.look = replace(look, lens=LENS)
+        self.task: asyncio.Task[None] | None = None
+
+    def give_to(self, taker: Callable[[NDArray[np.uint8]], None] | None) -> None:
+        if self.task is not None:
+            self.task.cancel()
+        self.task = None
+        if taker is not None and self.films:
+            self.task = asyncio.get_running_loop().create_task(self.film(taker))
+
+    async def film(self, taker: Callable[[NDArray[np.uint8]], None]) -> None:
+        studio = Studio(self.look, 1)
+        while True:
+            truth = self.world.truth(asyncio.get_running_loop().time())
+            taker(studio.draw(Scene(truth.turn_deg, truth.height_mm, truth.slide_mm)))
+            await asyncio.sleep(1 / 30)
+
+
+class Bench:
+    """A cell, a person beside it, and what the person saw at the release question."""
+
+    def __init__(self, state: Path, out: Path, *, mode: str = "lift", lets_go: bool = True) -> None:
+        self.world = World(seed=SEED)
+        self.out, self.lets_go = out, lets_go
+        self.asked: list[str] = []
+        self.service = service_of(self.world, state, mode)
+        self.ground_mm, self.up_mm, self.held = 0.0, -1.0, False
+
+    async def ask(self, line: str, word: str) -> bool:
+        self.asked.append(line)
+        now_s = asyncio.get_running_loop().time()
+        if word == "":
+            assert "place spanner" in line
+            self.world.clear(now_s)
+            self.world.place(scenario("wrench", 1), now_s)
+            self.ground_mm = self.world.arm_state(now_s).height_mm
+            return True
+        assert word == "release"
+        assert "Hold the object; the jaws open" in line
+        self.up_mm, self.held = self.world.arm_state(now_s).height_mm - self.ground_mm, self.holds()
+        return self.lets_go
+
+    async def run(self, camera: Eye | None = None, height_mm: float = 12.0) -> None:
+        plan = Protocol.model_validate(
+            {
+                "objects": [{"name": "spanner"}],
+                "repeats": 1,
+                "grip_force_n": 45.0,
+                "lift_height_mm": height_mm,
+                "lift_speed_mm_s": 80.0,
+                "hold_s": 0.3,
+            }
+        )
+        await run_on_cell(self.out, plan, self.service, camera, intrinsics_of(LENS), self.ask)  # type: ignore[arg-type]
+
+    async def while_lifting(self, then: Callable[[], None] | None, camera: Eye | None = None) -> None:
+        """Run, and call `then` as the arm lifts; None: cancel, as Ctrl-C does."""
+        task = asyncio.create_task(self.run(camera))
+        while self.service.phase is not Phase.LIFTING:
+            assert not task.done()
+            await asyncio.sleep(0.02)
+        await asyncio.sleep(0.3)
+        if then is None:
+            task.cancel()
+        else:
+            then()
+        await task
+
+    def holds(self) -> bool:
+        """Whether the world's jaws hold the object at the last time it was asked."""
+        return self.world.gripper_state(0.0).holding
+
+
+def service_of(world: World, state: Path, mode: str = "lift") -> Service:
+    raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in ("left", "right")}
+    raw["state"] = {"directory": str(state)}
+    raw["guard"] = {"mode": mode}
+    config = parse_config(raw, where="test", sim=True)
+    return build_service(config, world=world, make_worker=lambda name: StatedLatencyWorker(0.006))
+
+
+@pytest.fixture(scope="module")
+def state(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where both fingers' no-contact images lie."""
+    folder = tmp_path_factory.mktemp("cell") / "state"
+
+    async def calibrate() -> None:
+        service = service_of(World(seed=SEED), folder)
+        running = asyncio.create_task(service.run())
+        await asyncio.sleep(1.0)
+        assert not service.waiting_for
+        await Controls(service).calibrate()
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+    run_virtual(calibrate())
+    return folder
+
+
+@pytest.mark.parametrize("filmed_by", ["slipguard", "somebody else"])
+def test_on_a_cell_a_person_is_asked_before_every_lift_and_before_the_jaws_open(
+    tmp_path: Path, state: Path, filmed_by: str
+) -> None:
+    bench = Bench(state, tmp_path / "out")
+
+    async def main() -> None:
+        eye = Eye(bench.world)
+        if filmed_by == "slipguard":
+            await bench.run(eye, 35.0)
+            return
+        (bench.out / "lifts").mkdir(parents=True)
+        film = cv2.VideoWriter(
+            str(bench.out / "lifts" / "001-spanner-1.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (640, 480)
+        )
+        eye.give_to(lambda picture: film.write(picture))
+        await bench.run(None, 35.0)
+        eye.give_to(None)
+        film.release()
+
+    run_virtual(main())
+    (bench.out / "lifts" / "001-spanner-1.json").unlink()
+    assert len(bench.asked) == 2
+    assert filmed_by != "slipguard" or "error 0." in bench.asked[1]
+    assert bench.held
+    assert abs(bench.up_mm) < 1.0
+    assert not bench.holds()
+    report = write_report(bench.out, Workers(1))
+    assert report["lifts_compared"] == 1
+    assert report["turn_error_mean_deg"] < 1.0
+    assert report["lag_error_frames"] is None
+
+
+def test_a_no_at_the_release_keeps_the_grip_and_a_failed_analysis_is_part_of_the_question(
+    tmp_path: Path, state: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unreadable(path: Path) -> None:
+        raise SlipguardError("the recording says nothing")
+
+    monkeypatch.setattr(on_cell, "result_of", unreadable)
+    bench = Bench(state, tmp_path / "out", lets_go=False)
+    with pytest.raises(
+        SlipguardError, match=r"stopped before the release; the arm stands and the grip is kept"
+    ) as told:
+        run_virtual(bench.run())
+    assert "start `slipguard run`, then `slipguard ctl release`" in str(told.value)
+    assert "not analysed (the recording says nothing)" in bench.asked[1]
+    assert abs(bench.up_mm) < 1.0
+    assert bench.holds()
+
+
+def test_a_fault_in_the_lift_is_named_with_the_height_and_the_release_offered(tmp_path: Path, state: Path) -> None:
+    bench = Bench(state, tmp_path / "out")
+    run_virtual(bench.while_lifting(lambda: bench.world.faults.fail("arm", "protective_stop")))
+    assert "arm in protective stop" in bench.asked[1]
+    assert "this lift does not count" in bench.asked[1]
+    assert f"It hangs {bench.up_mm:.0f} mm up" in bench.asked[1]
+    assert bench.held
+    assert not bench.holds()
+    assert not (tmp_path / "out" / "lifts" / RECORDING).exists()
+
+
+def test_without_its_camera_the_object_is_lowered_and_released_before_that_is_said(tmp_path: Path, state: Path) -> None:
+    bench = Bench(state, tmp_path / "out")
+    eye = Eye(bench.world, films=False)
+    with pytest.raises(SlipguardError, match="the external camera is gone") as told:
+        run_virtual(bench.while_lifting(lambda: setattr(eye, "lost", True), eye))
+    assert "grip" not in str(told.value)
+    assert bench.held
+    assert abs(bench.up_mm) < 1.0
+    assert not bench.holds()
+    assert not list((tmp_path / "out" / "lifts").iterdir())
+
+
+def test_a_full_disk_ends_the_experiment_after_the_release(
+    tmp_path: Path, state: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(state, tmp_path / "out")
+
+    def full(*values: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.raises(SlipguardError, match=r"001-spanner-1.mcap: not recorded \(No space left on device\)"):
+        run_virtual(bench.while_lifting(lambda: monkeypatch.setattr(RecordingFile, "judged", full)))
+    assert "No space left" in bench.asked[1]
+    assert bench.held
+    assert abs(bench.up_mm) < 1.0
+    assert not bench.holds()
+    assert not list((tmp_path / "out" / "lifts").iterdir())
+
+
+@pytest.mark.parametrize("by", ["Ctrl-C", "time-out"])
+def test_an_end_in_the_lift_stops_the_arm_and_keeps_the_grip(
+    tmp_path: Path, state: Path, monkeypatch: pytest.MonkeyPatch, by: str
+) -> None:
+    bench = Bench(state, tmp_path / "out")
+    order: list[str] = []
+    stop, close = bench.service._arm_device.stop, bench.service._arm_device.close
+
+    def noted(name: str, what: Callable[[], Awaitable[None]]) -> Callable[[], Awaitable[None]]:
+        async def noting() -> None:
+            order.append(name)
+            await what()
+
+        return noting
+
+    monkeypatch.setattr(bench.service._arm_device, "stop", noted("stop", stop))
+    monkeypatch.setattr(bench.service._arm_device, "close", noted("close", close))
+    if by == "time-out":
+        monkeypatch.setattr(on_cell._Cell, "_limit_s", lambda cell, height_mm, speed_mm_s: 0.3)
+    said = "interrupted" if by == "Ctrl-C" else "the lift does not end"
+    with pytest.raises(SlipguardError, match=f"{said}; the arm stands and the grip is kept"):
+        run_virtual(bench.while_lifting(None) if by == "Ctrl-C" else bench.run())
+    assert order[:2] == ["stop", "close"]
+    assert len(bench.asked) == 1
+    assert bench.holds()
+
+
+def test_the_limit_leaves_a_slow_arm_its_time() -> None:
+    class Cell:
+        service = service_of(World(seed=SEED), Path("unused"))
+
+    assert on_cell._Cell._limit_s(Cell(), 800.0, 1.0) > 1200.0  # type: ignore[arg-type]
+
+
+def test_guard_mode_is_refused_before_anything_is_asked(tmp_path: Path) -> None:
+    bench = Bench(tmp_path / "state", tmp_path / "out", mode="guard")
+    with pytest.raises(ConfigError, match='the experiment needs "lift"'):
+        run_virtual(bench.run())
+    assert not bench.asked
+    assert not bench.out.exists()
+
+
+def test_a_running_daemon_is_not_disturbed_and_the_socket_goes_away(tmp_path: Path) -> None:
+    path = tmp_path / "s.sock"
+    with in_the_daemons_place(path):
+        assert path.is_socket()
+        with pytest.raises(SlipguardError, match="stop it first"), in_the_daemons_place(path):
+            pytest.fail("two at once")
+        assert path.is_socket()
+    assert not path.exists()
+
+
+def test_no_camera_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(SlipguardError, match="gives no picture"):
+        Camera(str(tmp_path / "none.avi"), intrinsics_of(LENS))
