@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeGuard, TypeVar
 
 from slipguard.daemon.backoff import Backoff
 from slipguard.daemon.health import Health
@@ -34,7 +34,8 @@ class Actuator(Generic[S]):
 
     A command is any coroutine function; a newer one replaces one not yet begun, one begun is let finish. A command that
     could not be carried out is not tried again, nor is one given while the device was gone: the law sees the state and
-    commands anew. `on_news` is called when the device's health changes, and with the state that follows a command.
+    commands anew. Only the device's own `stop` is tried even then, for it may need less than all of the device; what it
+    says is told once. `on_news` is called when the device's health changes, and with the state that follows a command.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class Actuator(Generic[S]):
         self._backoff = Backoff(retry_s / 5, longest_s=retry_s / 2)  # what is held or moved waits for it
         self._commands: Latest[Action] = Latest()
         self._wake = asyncio.Event()
+        self._told: str | None = None
         self._on_news = on_news
         self._on_event = on_event
 
@@ -71,16 +73,46 @@ class Actuator(Generic[S]):
             while True:
                 try:
                     await self._device.open()
-                    self._commands.take()
+                    self._told = None
+                    pending = self._commands.take()
+                    if self._is_stop(pending):
+                        self._commands.put(pending)
                     await self._serve()
                 except DeviceError as error:
                     self.health.lost(str(error))
                     self.newest = None
                     self._on_news()
                     await self._device.close()
-                    await self._backoff.wait()
+                    await self._wait()
         finally:
             await self._device.close()
+
+    def _is_stop(self, action: Action | None) -> TypeGuard[Action]:
+        return action is not None and action == getattr(self._device, "stop", None)
+
+    async def _wait(self) -> None:
+        """Until the device is to be tried again. A stop is passed on at once, all else is dropped."""
+        waiting = asyncio.create_task(self._backoff.wait(), name=f"{self.name}: waits")
+        waiting.add_done_callback(lambda _: self._wake.set())
+        try:
+            while not waiting.done():
+                self._wake.clear()
+                action = self._commands.take()
+                if self._is_stop(action):
+                    await self._try(action)
+                elif not waiting.done():
+                    await self._wake.wait()
+        finally:
+            waiting.cancel()
+            await asyncio.wait([waiting])
+
+    async def _try(self, stop: Action) -> None:
+        try:
+            await stop()
+        except (CommandRefused, DeviceError) as error:
+            if str(error) != self._told:
+                self._told = str(error)
+                self._on_event(self._told)
 
     async def _serve(self) -> None:
         loop = asyncio.get_running_loop()

@@ -32,6 +32,11 @@ class Motor:
     async def close(self) -> None:
         self.closed += 1
 
+    async def stop(self) -> None:
+        self.done.append("stop")
+        if self.failure:
+            raise self.failure
+
 
 def drive(scenario: Callable[[Motor, Actuator[int], list[str]], Awaitable[None]]) -> Motor:
     motor, events = Motor(), list[str]()
@@ -135,3 +140,46 @@ def test_a_command_from_before_the_device_was_lost_is_not_carried_out_after_it()
         assert actuator.health.ready
 
     assert drive(scenario).done == []
+
+
+def test_a_stop_reaches_a_device_that_does_not_open_and_nothing_else_does() -> None:
+    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
+        async def lift() -> None:
+            motor.done.append("lift")
+
+        await asyncio.sleep(0.1)
+        motor.failure = DeviceLost("motor: unplugged; plug it in")
+        await asyncio.sleep(3.0)
+        for _ in range(3):
+            actuator.command(lift)
+            await asyncio.sleep(0.01)
+            actuator.command(motor.stop)
+            await asyncio.sleep(0.01)
+        assert motor.done == ["stop"] * 3, "at once, in the middle of the wait"
+        assert events == ["motor: unplugged; plug it in"], "the same is said once"
+        motor.failure = None
+        await asyncio.sleep(1.0)
+        assert actuator.health.ready
+
+    assert drive(scenario).done == ["stop"] * 3
+
+
+def test_a_stop_given_while_the_device_is_opened_is_kept() -> None:
+    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
+        async def slowly() -> None:
+            await asyncio.sleep(1.0)
+            if motor.failure:
+                raise motor.failure
+
+        motor.open = slowly  # type: ignore[method-assign]
+        await asyncio.sleep(0.5)
+        actuator.command(motor.stop)
+        await asyncio.sleep(0.6)
+        assert motor.done == ["stop"], "it opens"
+        motor.failure = DeviceLost("motor: unplugged; plug it in")
+        await asyncio.sleep(0.5)
+        actuator.command(motor.stop)
+        await asyncio.sleep(0.8)
+        assert motor.done == ["stop"] * 2, "it does not"
+
+    drive(scenario)
