@@ -15,6 +15,7 @@ from slipguard_drivers.ur5.emulated_rtde import message
 from slipguard_drivers.ur5.emulated_session import RtdeSession
 from slipguard_drivers.ur5.emulated_tool import StraightTool
 from slipguard_drivers.ur5.eyes import LAYOUT, VARIABLES, Eyes
+from slipguard_drivers.ur5.output import DigitalOutput
 from slipguard_drivers.ur5.rtde import RtdeConnection
 
 HOST = f"127.{20 + os.getpid() // 256 % 200}.{os.getpid() % 256}.33"
@@ -151,6 +152,17 @@ async def test_an_input_in_use_names_who_may_have_it(served: tuple[list[bytes], 
     with pytest.raises(CommandRefused, match=r"holds input_int_register_0 .* ROS driver"):
         await connection.inputs(["input_int_register_0"])
     connection.close()
+
+
+async def test_outputs_of_another_size_are_told_in_one_line(served: tuple[list[bytes], dict[bytes, bytes]]) -> None:
+    heard, answers = served
+    names = b"standard_digital_output_mask,standard_digital_output"
+    recipe = bytes.fromhex("405f400000000000") + b"actual_digital_output_bits"
+    answers[struct.pack(">H", 3 + len(recipe)) + b"O" + recipe] = b"\x00\x0aO\x01UINT64"
+    answers[struct.pack(">H", 3 + len(names)) + b"I" + names] = b"\x00\x0fI\x01UINT8,UINT8"
+    with pytest.raises(DeviceLost, match="116 bytes of digital outputs in place of 8"):
+        await DigitalOutput("arm", HOST, 3, 0.1).pulse()
+    assert all(request[2:3] != b"U" for request in heard), "nothing is set where it is not known how it stands"
 
 
 def test_the_recipe_is_what_the_layout_holds() -> None:

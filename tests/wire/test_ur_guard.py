@@ -15,7 +15,9 @@ from ur_scene import lifting, lost, own_address, put_away, rests, speed_of, unti
 from slipguard.daemon.actuator import Actuator
 from slipguard.devices import ArmState
 from slipguard.errors import CommandRefused, DeviceLost
+from slipguard_drivers.ur5.dashboard import Dashboard
 from slipguard_drivers.ur5.emulator import UrEmulator
+from slipguard_drivers.ur5.look import ask
 from slipguard_drivers.ur5.pausing import PausingArm
 from slipguard_drivers.ur5.settings import Ur5Settings
 
@@ -48,6 +50,12 @@ async def ros(controller: UrEmulator) -> AsyncIterator[RosLikeClient]:
 
 def pausing(**settings: object) -> PausingArm:
     return PausingArm("arm", Ur5Settings.model_validate({"host": HOST, **settings}))
+
+
+def no_rtde(controller: UrEmulator) -> None:
+    """RTDE is gone for good; the dashboard is still there for who connects anew."""
+    controller._servers[0].close()
+    controller._cut()
 
 
 def disturbances(controller: UrEmulator) -> list[str]:
@@ -173,6 +181,88 @@ async def test_an_output_taken_meanwhile_is_replaced_by_a_pause_and_said(control
     await arm.close()
 
 
+async def test_a_stop_needs_no_rtde(controller: UrEmulator) -> None:
+    arm, said = pausing(), list[str]()
+    actuator: Actuator[ArmState] = Actuator("arm", arm, 0.025, 0.5, lambda: None, said.append)
+    running = asyncio.create_task(actuator.run(), name="actuator")
+    assert await until(lambda: actuator.health.ready)
+    assert await until(lambda: speed_of(controller) > 0.05)
+    no_rtde(controller)
+    assert await until(lambda: not actuator.health.ready)
+    actuator.command(arm.stop)
+    assert await rests(controller, 1.0)
+    assert disturbances(controller) == ["paused"]
+    assert await until(lambda: said)
+    assert "told to stop all the same" in said[0]
+    running.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await running
+
+
+async def test_a_stop_needs_no_open(controller: UrEmulator) -> None:
+    with pytest.raises(DeviceLost, match=r"not open.* told to stop all the same"):
+        await pausing().stop()
+    assert disturbances(controller) == ["paused"]
+
+
+async def test_a_dashboard_that_once_does_not_answer_is_asked_again(
+    controller: UrEmulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm = pausing()
+    await arm.open()
+    asked = 0
+
+    async def silent() -> bool:
+        nonlocal asked
+        asked += 1
+        if asked == 2:
+            return True
+        raise DeviceLost("arm: (dashboard) did not answer")
+
+    monkeypatch.setattr(arm._dashboard, "in_remote_control", silent)
+    assert "did not answer" in await lost(arm)
+    assert asked == 4, "once, and after an answer twice"
+    await arm.close()
+
+
+async def test_an_output_that_is_high_already_stops_nobody(controller: UrEmulator) -> None:
+    arm = pausing(stop_by="digital_output", digital_output=3)
+    await arm.open()
+    controller.controller.output_bits = 0b1000
+    with pytest.raises(CommandRefused, match=r"output 3 is high already.*paused by the dashboard instead"):
+        await arm.stop()
+    assert await rests(controller)
+    assert disturbances(controller) == ["paused"]
+    await arm.close()
+
+
+async def test_a_pulse_is_ended_though_its_connection_is_lost(controller: UrEmulator) -> None:
+    arm = pausing(stop_by="digital_output", digital_output=3, pulse_ms=100.0)
+    await arm.open()
+    await arm.stop()
+    assert controller.controller.output_bits == 0b1000
+    controller.control("fault drop 1")
+    assert await until(lambda: controller.controller.output_bits == 0)
+    await arm.close()
+
+
+async def test_a_pulse_that_cannot_be_ended_is_told(controller: UrEmulator) -> None:
+    arm = pausing(stop_by="digital_output", digital_output=3, pulse_ms=100.0)
+    await arm.open()
+    await arm.stop()
+    no_rtde(controller)
+    await lost(arm)
+    await arm.close()
+    controller._hang_up()  # all ports are there again with the next cycle
+    await asyncio.sleep(0.1)
+    await arm.open()
+    assert "output 3 may still be high" in await lost(arm)
+    await arm.open()
+    await asyncio.sleep(0.6)
+    await arm.state()
+    await arm.close()
+
+
 async def test_local_control_is_told_for_it_would_not_heed_a_pause() -> None:
     controller = UrEmulator(UrEmulator.Settings(host=HOST))
     await controller.start()
@@ -195,3 +285,15 @@ async def test_lift_mode_beside_a_running_program_would_not_even_start(controlle
         await lifting(HOST).open()
     await put_away()
     assert disturbances(controller) == []
+
+
+@pytest.mark.parametrize(
+    ("press", "owned", "level"), [("play", False, "wrong"), ("pause", False, "wrong"), ("play", True, "fine")]
+)
+async def test_the_doctor_says_so_too(controller: UrEmulator, press: str, owned: bool, level: str) -> None:
+    controller.control(f"panel {press}")
+    dashboard = Dashboard("arm", HOST)
+    findings = [finding async for finding in ask("arm", dashboard, Ur5Settings(host=HOST), "lift", owned=owned)]
+    dashboard.close()
+    assert [finding.verdict.name.lower() for finding in findings if finding.what == "program"] == [level]
+    assert disturbances(controller) == (["paused"] if press == "pause" else [])

@@ -84,12 +84,12 @@ async def ask(
     else:
         what = "take scripts" if mode == "lift" else "let itself be paused"
         yield wrong("control", f"local: the robot will not {what}", "switch it to remote control at the panel")
-    running = program.upper().startswith("PLAYING")
-    if mode == "lift" and running and not owned:
-        yield note(
+    on = program.upper().startswith(("PLAYING", "PAUSED"))
+    if mode == "lift" and on and not owned:
+        yield wrong(
             "program",
-            f"{program}: slipguard in mode 'lift' would end it",
-            'end it first, or set guard.mode = "guard" where that program is to move the arm',
+            f"{program}: mode 'lift' would end it, so slipguard does not take the arm beside it",
+            'stop that program, or set [guard] mode = "guard" where it is to move the arm',
         )
     else:
         yield fine("program", program)

@@ -15,6 +15,7 @@ from slipguard_drivers.ur5.rtde import RtdeConnection
 
 INPUTS = ("standard_digital_output_mask", "standard_digital_output")
 OUTPUTS = (("actual_digital_output_bits", "UINT64"),)
+LAYOUT = struct.Struct(">Q")
 RATE_HZ = 125.0
 SEEN_S = 0.3
 
@@ -25,6 +26,9 @@ class DigitalOutput:
     def __init__(self, name: str, host: str, number: int, pulse_s: float) -> None:
         self._name, self._host, self._number, self._pulse_s = name, host, number, pulse_s
         self._pulse: asyncio.Task[None] | None = None
+        self._enough = asyncio.Event()
+        self.left_high: str | None = None
+        """In words, that a pulse could not be ended; None where there is nothing to tell."""
 
     async def check(self) -> None:
         """Whether it could be set now. Raises CommandRefused naming who may hold it, or DeviceLost."""
@@ -34,24 +38,30 @@ class DigitalOutput:
     async def pulse(self) -> None:
         """Set it high, and low again after the pulse; returns when the controller reports it high.
 
-        Within a pulse nothing more happens. Raises as `check`, and DeviceLost where it does not become high.
+        Within a pulse nothing more happens. Raises as `check`, CommandRefused where it is high already, which no
+        program would take for a new order, and DeviceLost where it does not become high or is not told.
         """
         if self._pulse is not None and not self._pulse.done():
             return
         connection, recipe = await self._take()
         try:
+            if await self._is_high(connection):
+                raise CommandRefused(
+                    f"{self._name}: digital output {self._number} is high already, and a pulse on it would not be "
+                    "noticed; see what holds it high"
+                )
             await self._set(connection, recipe, high=True)
         except BaseException:
             connection.close()
             raise
+        self._enough.clear()
         self._pulse = asyncio.create_task(self._end(connection, recipe), name=f"{self._name}: output pulse")
 
     async def close(self) -> None:
         """End a pulse that is on. Never raises."""
         if self._pulse is not None:
-            self._pulse.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._pulse
+            self._enough.set()
+            await asyncio.wait([self._pulse])
             self._pulse = None
 
     async def _take(self) -> tuple[RtdeConnection, int]:
@@ -73,18 +83,44 @@ class DigitalOutput:
         connection.send(recipe, struct.pack(">BB", mask, mask * high))
         try:
             async with asyncio.timeout(SEEN_S):
-                while bool(struct.unpack(">Q", await connection.data())[0] & mask) != high:
+                while await self._told(connection) != high:
                     pass
         except TimeoutError:
             raise DeviceLost(
                 f"{self._name}: digital output {self._number} does not become {'high' if high else 'low'}"
             ) from None
 
-    async def _end(self, connection: RtdeConnection, recipe: int) -> None:
+    async def _is_high(self, connection: RtdeConnection) -> bool:
         try:
-            with contextlib.suppress(asyncio.CancelledError):
-                await asyncio.sleep(self._pulse_s)
-            with contextlib.suppress(DeviceError, struct.error):
-                await self._set(connection, recipe, high=False)
+            async with asyncio.timeout(SEEN_S):
+                return await self._told(connection)
+        except TimeoutError:
+            raise DeviceLost(f"{self._name}: it is not told whether digital output {self._number} is high") from None
+
+    async def _told(self, connection: RtdeConnection) -> bool:
+        data = await connection.data()
+        if len(data) != LAYOUT.size:
+            raise DeviceLost(f"{self._name}: {len(data)} bytes of digital outputs in place of {LAYOUT.size}")
+        return bool(LAYOUT.unpack(data)[0] >> self._number & 1)
+
+    async def _end(self, connection: RtdeConnection, recipe: int) -> None:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(self._pulse_s):
+                await self._enough.wait()
+        try:
+            await self._low(connection, recipe)
+        except DeviceError:
+            # What a lost connection has set stays set.
+            try:
+                await self._low(*await self._take())
+            except (DeviceError, CommandRefused) as error:
+                self.left_high = (
+                    f"{self._name}: digital output {self._number} may still be high after its pulse ({error}); "
+                    "set it low at the panel"
+                )
+
+    async def _low(self, connection: RtdeConnection, recipe: int) -> None:
+        try:
+            await self._set(connection, recipe, high=False)
         finally:
             connection.close()
