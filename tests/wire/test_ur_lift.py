@@ -117,6 +117,42 @@ async def test_a_link_that_breaks_stops_the_arm(controller: UrEmulator, arm: Lif
     await arm.state()
 
 
+async def test_a_stop_of_a_lost_arm_goes_to_the_dashboard(controller: UrEmulator, arm: LiftingArm) -> None:
+    await under_way(arm, controller)
+    controller._servers[0].close()
+    controller.control("fault drop 1")
+    assert await rests(controller)
+    await lost(arm)
+    await asyncio.sleep(0.1)
+    orders = len(dashboard_orders(controller))
+    with pytest.raises(DeviceLost, match="told over the dashboard to stop"):
+        await arm.stop()
+    assert len(dashboard_orders(controller)) == orders + 1
+
+
+async def test_a_stop_of_an_arm_never_taken_stops_nobody(controller: UrEmulator) -> None:
+    controller.control("panel play")
+    with pytest.raises(DeviceLost, match="not open"):
+        await lifting(HOST).stop()
+    assert dashboard_orders(controller) == []
+
+
+async def test_what_starts_after_our_script_has_ended_is_somebody_elses(
+    controller: UrEmulator, arm: LiftingArm
+) -> None:
+    await under_way(arm, controller)
+    assert arm._hands.pid is not None
+    os.kill(arm._hands.pid, signal.SIGKILL)
+    await lost(arm)
+    assert await until(lambda: controller.state()["runtime"] == "stopped")
+    await asyncio.sleep(0.05)  # nobody's hand is quicker
+    controller.control("panel play")
+    assert "a program is on" in await refusal(arm, "a program is on")
+    with pytest.raises(DeviceLost):
+        await arm.stop()
+    assert controller.state()["runtime"] == "playing"
+
+
 async def test_a_controller_that_goes_blind_on_us_is_told_to_stop(controller: UrEmulator, arm: LiftingArm) -> None:
     await under_way(arm, controller)
     controller.control("fault freeze")

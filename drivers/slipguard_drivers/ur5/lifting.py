@@ -15,7 +15,7 @@ from typing import Any
 from slipguard.devices import Arm, ArmState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost
 from slipguard_drivers.ur5.dashboard import Dashboard
-from slipguard_drivers.ur5.eyes import STALE_S, Eyes
+from slipguard_drivers.ur5.eyes import STALE_S, STOPPED, Eyes
 from slipguard_drivers.ur5.link import WorkerLink
 from slipguard_drivers.ur5.settings import Ur5Settings
 from slipguard_drivers.ur5.taking import check_free
@@ -31,6 +31,8 @@ SLOWEST_MM_S = 1.0
 REST_S = 1.0
 """250 mm/s at the weakest stop there may be, 500 mm/s2, ends in 0.5 s."""
 POLL_S = 0.01
+START_S = 0.2
+"""A script that was just handed over may start so much later: nothing seen to run before that proves nothing."""
 
 
 class SafetyStop(CommandRefused):
@@ -47,7 +49,7 @@ class LiftingArm(Arm):
         self._hands = WorkerLink(name, settings.host)
         self._dashboard = Dashboard(name, settings.host)
         self._heart: asyncio.Task[None] | None = None
-        self._halting: asyncio.Task[None] | None = None
+        self._halting: asyncio.Task[bool] | None = None
         self._lost: str | None = None
         self._resting = False  # a safety stop is active: watched without hands
         self._travelling = False
@@ -55,7 +57,8 @@ class LiftingArm(Arm):
         self._again = False
         self._taken_at_s = math.inf
         self._agreed_at_s = math.inf
-        self._ours_until_s = -math.inf  # until then, a program that runs may be our own, left behind
+        self._ours_until_s = -math.inf  # until then, a program that runs may be our own, left behind,
+        self._left_at_s = -math.inf  # where none was seen to rest since
 
     async def open(self) -> None:
         """Connect without moving; heights count from here. Idempotent.
@@ -111,9 +114,15 @@ class LiftingArm(Arm):
         return speed_mm_s
 
     async def stop(self) -> None:
-        """Stop now. A worker that does not answer is killed, and dashboard and watchdog stop the arm."""
+        """Stop now. A worker that does not answer is killed, and dashboard and watchdog stop the arm.
+
+        Raises DeviceLost where the arm is lost; what may still run of ours is then stopped over the dashboard.
+        """
         self._stops += 1
-        self._check_alive()
+        if (why := self._why_lost()) is not None:
+            if self._left_running and await self._halt():
+                why += "; it was told over the dashboard to stop all the same"
+            raise DeviceLost(why)
         if not self._resting:
             with contextlib.suppress(SafetyStop):
                 await self._call("stop", deadline_s=STOP_S)
@@ -141,23 +150,28 @@ class LiftingArm(Arm):
         """Look whether the robot can be had; only then let ur-rtde connect to it."""
         settings = self._settings
         self._hands.prepare()  # it starts while we look
-        ours = asyncio.get_running_loop().time() < self._ours_until_s
-        await check_free(self._name, settings, self._eyes, self._dashboard, ours=ours)
-        self._ours_until_s = math.inf
+        now_s = asyncio.get_running_loop().time()
+        if now_s > self._left_at_s and self._eyes.newest.runtime == STOPPED:
+            self._ours_until_s = -math.inf
+        await check_free(self._name, settings, self._eyes, self._dashboard, ours=self._left_running)
+        self._ours_until_s, self._left_at_s = math.inf, -math.inf
         try:
             stop_m_s2 = settings.stop_mm_s2 / 1000.0
             await self._hands.connect(settings.watchdog_hz, stop_m_s2, upper=settings.registers == "upper")
         except BaseException:
-            self._left_behind()
+            self._left_behind(START_S)
             raise
 
     # --- keeping it ---
 
     def _check_alive(self) -> None:
-        if self._lost is not None:
-            raise DeviceLost(self._lost)
-        if self._heart is None:
-            raise DeviceLost(f"{self._name}: the connection is not open; open it first")
+        if (why := self._why_lost()) is not None:
+            raise DeviceLost(why)
+
+    def _why_lost(self) -> str | None:
+        if self._lost is None and self._heart is None:
+            return f"{self._name}: the connection is not open; open it first"
+        return self._lost
 
     async def _keep_beating(self) -> None:
         loop = asyncio.get_running_loop()
@@ -245,16 +259,26 @@ class LiftingArm(Arm):
             self._left_behind()
             self._halting = asyncio.create_task(self._halt(), name=f"{self._name}: halt")
 
-    async def _halt(self) -> None:
-        dashboard = Dashboard(self._name, self._settings.host)
+    async def _halt(self) -> bool:
+        """Stop whatever runs; whether the dashboard answered."""
+        dashboard, answered = Dashboard(self._name, self._settings.host), False
         with contextlib.suppress(DeviceError):
             await dashboard.ask("stop", deadline_s=HALT_S)
+            answered = True
         dashboard.close()
+        return answered
 
-    def _left_behind(self) -> None:
-        """The watchdog ends what we have left behind; until then it is known as ours."""
+    def _left_behind(self, starts_within_s: float = 0.0) -> None:
+        """The watchdog ends what we have left behind; until then, or until it has ended, it is known as ours."""
         now_s = asyncio.get_running_loop().time()
+        self._left_at_s = now_s + starts_within_s
         self._ours_until_s = now_s + 1.0 / self._settings.watchdog_hz + 2 * GIVE_UP_S
+
+    @property
+    def _left_running(self) -> bool:
+        """What we have left behind may still run."""
+        now_s = asyncio.get_running_loop().time()
+        return now_s < self._ours_until_s and self._eyes.stopped_at_s <= self._left_at_s
 
     async def _stop_heart(self) -> None:
         if self._heart is not None:
