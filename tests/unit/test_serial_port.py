@@ -56,8 +56,8 @@ def test_claiming_sets_exclusive_use(terminal: tuple[int, str]) -> None:
 
 
 def test_we_are_not_among_those_who_have_it(terminal: tuple[int, str]) -> None:
-    assert serial_port.holders(terminal[1]) == []
-    assert serial_port.holders("/dev/no_such_port") == []
+    assert serial_port.others(terminal[1]) == set()
+    assert serial_port.others("/dev/no_such_port") == set()
 
 
 def test_whoever_locks_it_is_named_by_everybodys_list(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -73,4 +73,19 @@ def test_whoever_locks_it_is_named_by_everybodys_list(tmp_path: Path, monkeypatc
         f"1: POSIX  ADVISORY  WRITE 99 00:01:5 0 EOF\n2: FLOCK  ADVISORY  WRITE 4711 {place} 0 EOF\n"
     )
     monkeypatch.setattr(serial_port, "PROC", proc)
-    assert serial_port.holders(str(port)) == ["minicom (process 4711)"]
+    assert serial_port.others(str(port)) == {4711}
+    assert serial_port.others(str(port), among=()) == {4711}
+    assert serial_port.in_use({4711}).startswith("minicom (process 4711) has it open; ")
+
+
+def test_files_that_are_open_are_found_and_those_not_to_be_seen_are_not(
+    terminal: tuple[int, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for process in (4711, 4712):
+        (tmp_path / str(process) / "fd").mkdir(parents=True)
+    (tmp_path / "4711" / "fd" / "3").symlink_to(terminal[1])
+    (tmp_path / "4712" / "fd" / "3").symlink_to("/dev/null")
+    (tmp_path / "4713").mkdir()
+    monkeypatch.setattr(serial_port, "PROC", tmp_path)
+    assert serial_port.others(terminal[1]) == {4711}
+    assert serial_port.others(terminal[1], among={4712, 4713, 4714}) == set()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import subprocess
-import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -380,28 +378,6 @@ async def test_power_lost_while_holding_never_opens(emulator: RobotiqEmulator, h
         await held.hold(80.0)
     assert emulator.state()["holds"]
     assert emulator.events("activating") == []
-
-
-async def test_the_port_is_ours_alone_and_who_has_it_is_told(emulator: RobotiqEmulator, tmp_path: Path) -> None:
-    script = "import serial, sys; port = serial.Serial(sys.argv[1], exclusive=True); print('open'); sys.stdin.read()"
-    other = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-c", script, emulator.address), stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
-    assert other.stdout is not None
-    assert await other.stdout.readline() == b"open\n"
-    gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
-    with pytest.raises(DeviceLost, match=rf"\(process {other.pid}\) has it open"):
-        await gripper.open()
-    assert str(other.pid) in " ".join(serial_port.holders(emulator.address))
-    other.terminate()
-    await other.wait()
-    await gripper.open()
-    second = RobotiqGripper(settings(emulator), DriverContext("gripper"))
-    with pytest.raises(DeviceLost, match="another program"):
-        await second.open()
-    await second.close()
-    await gripper.state()
-    await gripper.close()
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from itertools import cycle
@@ -32,9 +33,18 @@ PAUSE_S = 0.00175
 SILENCE_S = 0.1
 """After a time-out; the slowest adapter (16 ms latency timer) with the slowest gripper answers well within it."""
 READ, WRITE = 4, 16
+LOOK_EVERY_S = 3.0
+"""A port that cannot be opened: how often to look at every process for the one that has it."""
+PASSING_S = 0.05
+"""Whoever has the port for a shorter time only looked at it, as udev and emulated grippers do."""
 
 # What goes wrong is told by our own errors; pymodbus would print it to the terminal as well.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+
+
+def _serial(client: AsyncModbusSerialClient) -> Any:
+    """The pyserial port inside."""
+    return client.ctx.transport.sync_serial  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +78,9 @@ class RegisterLine:
         self._awaited: Awaited | None = None
         self._heard = b""
         """What has come since the present request."""
+        self._others: set[int] = set()
+        """Processes that had the port when we last wanted it."""
+        self._look_again_s = -math.inf
 
     @property
     def connected(self) -> bool:
@@ -75,23 +88,54 @@ class RegisterLine:
         return self._client is not None and self._client.connected
 
     async def connect(self) -> None:
-        """Open the port for us alone. Raises DeviceLost with what is wrong with it."""
+        """Open the port for us alone. Raises DeviceLost with what is wrong with it, or who else has it.
+
+        Neither a lock nor exclusive use keeps out a program that was there before and asked for no lock, and two
+        masters could open a grip. So nothing is sent before others have been looked for; not all can be seen, see
+        `serial_port.others`.
+        """
         self.close()
+        if self._others:
+            self._others = await asyncio.to_thread(serial_port.others, self._port, self._others)
+            if self._others:
+                raise self._not_alone()
         client = AsyncModbusSerialClient(
             self._port, baudrate=BAUD, timeout=self._timeout_s, retries=0, reconnect_delay=0, trace_packet=self._pass
         )
         client.set_max_no_responses(1_000_000)  # a silent gripper is our caller's business, not pymodbus's
         if not await client.connect():
-            why = serial_port.what_is_wrong(self._port)
-            raise DeviceLost(f"{self._name}: {self._port} cannot be opened: {why}")
-        self._client = client
-        fd = self._serial().fileno()
-        serial_port.claim(fd)
-        serial_port.hurry(fd)
+            raise DeviceLost(f"{self._name}: {self._port} cannot be opened: {await self._why()}")
+        try:
+            # Its reader is set up by callbacks of the next two turns of the loop; closing before them trips it.
+            await asyncio.sleep(0)
+            await asyncio.sleep(0)
+            fd = _serial(client).fileno()
+            serial_port.claim(fd)  # before the look: who opens it from now on is kept out
+            serial_port.hurry(fd)
+            self._others = await asyncio.to_thread(serial_port.others, self._port)
+            if self._others:
+                await asyncio.sleep(PASSING_S)
+                self._others = await asyncio.to_thread(serial_port.others, self._port, self._others)
+            if self._others:
+                raise self._not_alone()
+        except BaseException:  # a cancelled look is none
+            client.close()
+            raise
         self._doubt()  # whoever had the port before may have left a question that is still to be answered
-        # Its reader is set up by callbacks of the next two turns of the loop; closing before them trips it.
-        await asyncio.sleep(0)
-        await asyncio.sleep(0)
+        self._client = client
+
+    async def _why(self) -> str:
+        """Why the port cannot be opened."""
+        if why := serial_port.out_of_order(self._port):
+            return why
+        now_s = asyncio.get_running_loop().time()
+        if now_s >= self._look_again_s:
+            self._look_again_s = now_s + LOOK_EVERY_S
+            self._others = await asyncio.to_thread(serial_port.others, self._port)
+        return serial_port.in_use(self._others)
+
+    def _not_alone(self) -> DeviceLost:
+        return DeviceLost(f"{self._name}: {self._port} is not used: {serial_port.in_use(self._others)}")
 
     def close(self) -> None:
         """Let go of the port. Idempotent."""
@@ -159,14 +203,9 @@ class RegisterLine:
     def _has_unread(self) -> bool:
         """Whether bytes that nobody has asked for are waiting in the port."""
         try:
-            return self.connected and bool(self._serial().in_waiting)
+            return self._client is not None and self._client.connected and bool(_serial(self._client).in_waiting)
         except OSError:  # just unplugged; the next request says so
             return False
-
-    def _serial(self) -> Any:
-        """The pyserial port inside."""
-        assert self._client is not None
-        return self._client.ctx.transport.sync_serial  # type: ignore[attr-defined]
 
     async def _ask(
         self, awaited: Awaited, request: Callable[[AsyncModbusSerialClient], Awaitable[ModbusPDU]]

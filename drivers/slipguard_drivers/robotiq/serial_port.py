@@ -8,7 +8,7 @@ import fcntl
 import grp
 import os
 import termios
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 PROC = Path("/proc")
@@ -22,7 +22,12 @@ ASYNC_LOW_LATENCY = 1 << 13
 
 
 def what_is_wrong(port: str) -> str:
-    """Why a port cannot be opened, and what to do, in one line."""
+    """Why a port cannot be opened, and what to do, in one line. May look at every process: that takes a while."""
+    return out_of_order(port) or in_use(others(port))
+
+
+def out_of_order(port: str) -> str | None:
+    """What is wrong with a port whoever else uses it; None where nothing is."""
     path = Path(port)
     if not path.exists():
         if path.is_symlink():
@@ -32,20 +37,30 @@ def what_is_wrong(port: str) -> str:
         return "it is no serial port; name one of `ls /dev/serial/by-id`"
     if not os.access(port, os.R_OK | os.W_OK):
         return f"access is denied; the user must be in the group {_group(path)}"
-    others = holders(port)
-    if others:
-        return f"{' and '.join(others)} has it open; end that, slipguard must be alone on the line"
+    return None
+
+
+def in_use(processes: Iterable[int]) -> str:
+    """Who has a port that we cannot have, and what to do. processes: those found; empty where they hide."""
+    named = [f"{_name(process)} (process {process})" for process in sorted(processes)]
+    if named:
+        return f"{' and '.join(named)} has it open; end that, slipguard must be alone on the line"
     return "it is no serial port, or another program has it open; `fuser` tells which to its owner"
 
 
-def holders(port: str) -> list[str]:
-    """Other processes that have a port open, as "minicom (process 1234)"; those of other users only if they lock it."""
+def others(port: str, among: Iterable[int] | None = None) -> set[int]:
+    """Other processes that have a port open, as far as we may see. among: look at no others' open files.
+
+    Open files are seen of one's own user's processes, by root of all; locks are seen of everybody. Under systemd with
+    ProtectProc=invisible even root's are hidden: a program of another user that asks for no lock is then not found.
+    Without `among` every process is looked at, which takes a while: not for the event loop.
+    """
     try:
         wanted = os.stat(port)
     except OSError:
-        return []
-    found = sorted(({*_lockers(wanted), *_openers(wanted)}) - {os.getpid()})
-    return [f"{_name(process)} (process {process})" for process in found]
+        return set()
+    processes = _all_processes() if among is None else among
+    return {*_lockers(wanted), *(one for one in processes if _has_open(one, wanted))} - {os.getpid()}
 
 
 def latency_timer_ms(port: str) -> int | None:
@@ -92,17 +107,20 @@ def _lockers(wanted: os.stat_result) -> Iterator[int]:
                 yield int(words[4])
 
 
-def _openers(wanted: os.stat_result) -> Iterator[int]:
-    """Processes that have the file open, as far as we may see."""
-    for process in PROC.iterdir():
-        if not process.name.isdecimal():
-            continue
-        with contextlib.suppress(OSError):
-            for one in (process / "fd").iterdir():
-                with contextlib.suppress(OSError):
-                    seen = one.stat()
-                    if (seen.st_ino, seen.st_dev) == (wanted.st_ino, wanted.st_dev):
-                        yield int(process.name)
+def _all_processes() -> Iterator[int]:
+    with os.scandir(PROC) as entries:
+        yield from [int(entry.name) for entry in entries if entry.name.isdecimal()]
+
+
+def _has_open(process: int, wanted: os.stat_result) -> bool:
+    """Whether a process has the file open; False where it may not be looked at, or has ended."""
+    with contextlib.suppress(OSError), os.scandir(PROC / str(process) / "fd") as entries:
+        for entry in entries:
+            with contextlib.suppress(OSError):
+                seen = os.stat(entry.path)
+                if (seen.st_ino, seen.st_dev) == (wanted.st_ino, wanted.st_dev):
+                    return True
+    return False
 
 
 def _name(process: int) -> str:

@@ -1,0 +1,124 @@
+"""Nobody else is on the gripper's line: two masters could open a grip."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from slipguard.devices import DriverContext
+from slipguard.errors import DeviceLost
+from slipguard_drivers.robotiq import serial_port
+from slipguard_drivers.robotiq.emulator import RobotiqEmulator
+from slipguard_drivers.robotiq.gripper import RobotiqGripper
+from slipguard_drivers.robotiq.line import RegisterLine
+
+
+@pytest.fixture
+async def emulator(tmp_path: Path) -> AsyncIterator[RobotiqEmulator]:
+    options = {"link": tmp_path / "ttyGripper", "baud": 0, "response_ms": 0.0, "activated": True}
+    emulator = RobotiqEmulator(RobotiqEmulator.Settings.model_validate(options))
+    await emulator.start()
+    yield emulator
+    await emulator.stop()
+
+
+def driver(emulator: RobotiqEmulator) -> RobotiqGripper:
+    return RobotiqGripper(RobotiqGripper.Settings(port=emulator.address, timeout_ms=100.0), DriverContext("gripper"))
+
+
+def have_we(port: str) -> bool:
+    """Whether this process has the port open."""
+    files = [Path("/proc/self/fd") / name for name in os.listdir("/proc/self/fd")]
+    return os.path.realpath(port) in [os.path.realpath(one) for one in files]
+
+
+async def another_master(emulator: RobotiqEmulator, *, exclusive: bool) -> asyncio.subprocess.Process:
+    """Another program that has the port open, with a lock on it or without."""
+    script = "import serial, sys; port = serial.Serial(sys.argv[1], exclusive=%s); print('open'); sys.stdin.read()"
+    other = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-c", script % exclusive, emulator.address), stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert other.stdout is not None
+    assert await other.stdout.readline() == b"open\n"
+    return other
+
+
+async def test_a_master_that_was_there_first_and_asks_for_no_lock_is_not_talked_over(emulator: RobotiqEmulator) -> None:
+    other = await another_master(emulator, exclusive=False)
+    gripper = driver(emulator)
+    for _ in range(2):
+        with pytest.raises(DeviceLost, match=rf"\(process {other.pid}\) has it open"):
+            await gripper.open()
+        with pytest.raises(DeviceLost):
+            await gripper.hold(40.0)
+    assert not have_we(emulator.address), "our own end is closed again"
+    assert emulator.requests == 0
+    other.terminate()
+    await other.wait()
+    await gripper.open()
+    assert (await gripper.state()).active
+    await gripper.close()
+
+
+async def test_a_look_for_others_that_is_cut_short_is_none(
+    emulator: RobotiqEmulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looking, go_on = threading.Event(), threading.Event()
+
+    def slow(port: str, among: object = None) -> set[int]:
+        looking.set()
+        go_on.wait(10.0)
+        return set()
+
+    monkeypatch.setattr(serial_port, "others", slow)
+    line = RegisterLine("gripper", emulator.address, 9, 0.05, 0x07D0)
+    opening = asyncio.create_task(line.connect())
+    await asyncio.to_thread(looking.wait, 10.0)
+    assert not line.connected, "nothing is asked before the look has ended"
+    opening.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await opening
+    go_on.set()
+    assert not line.connected
+    await line.connect()
+    assert line.connected
+    line.close()
+
+
+async def test_not_every_try_of_a_busy_port_looks_at_every_process(
+    emulator: RobotiqEmulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = await another_master(emulator, exclusive=True)
+    looks: list[object] = []
+    monkeypatch.setattr(serial_port, "others", lambda port, among=None: looks.append(among) or set())
+    line = RegisterLine("gripper", emulator.address, 9, 0.05, 0x07D0)
+    for _ in range(5):
+        with pytest.raises(DeviceLost, match="another program"):
+            await line.connect()
+    assert looks == [None]
+    other.terminate()
+    await other.wait()
+
+
+async def test_the_port_is_ours_alone_and_who_has_it_is_told(emulator: RobotiqEmulator) -> None:
+    other = await another_master(emulator, exclusive=True)
+    gripper = driver(emulator)
+    with pytest.raises(DeviceLost, match=rf"\(process {other.pid}\) has it open"):
+        await gripper.open()
+    assert other.pid in serial_port.others(emulator.address)
+    other.terminate()
+    await other.wait()
+    await gripper.open()
+    second = driver(emulator)
+    with pytest.raises(DeviceLost, match="another program"):
+        await second.open()
+    await second.close()
+    await gripper.state()
+    await gripper.close()
