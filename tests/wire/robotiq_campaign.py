@@ -8,10 +8,10 @@ or the gripper is reset or activated, by what no release has written; an activat
 from __future__ import annotations
 
 import asyncio
-import math
 import random
 from collections import Counter
 from collections.abc import Awaitable, Callable
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,9 +30,9 @@ STEP_MM, STEP_N = 0.38, 0.85
 TICK_S, STALL_S = 0.005, 0.02
 """A loop that comes later than this was kept from running by the machine."""
 APPROACH = 0.9
-"""Share of the full speed at which the driver moves; a release opens at full speed, and so can be told from a move."""
-ASKED_S = 1.0
-"""What a release has written is carried out so long after it has ended at the latest."""
+"""Share of the full speed at which the driver moves: there is no time for slow jaws."""
+RELEASING = ContextVar("RELEASING", default=False)
+"""Whether we are inside a release, in whatever task the driver does it."""
 OPENINGS = ("let go", "activating", "rACT cleared")
 MIX = {"state": 35, "hold": 25, "move": 12, "give up": 10, "release": 6, "restart": 6, "object": 6}
 
@@ -62,10 +62,17 @@ class Outcome:
     restarts_holding: int = 0
     longest_s: float = 0.0
     stalled_s: float = 0.0
+    due_s: float = 0.0
+    """When the loop should run next, for stalls that are not over."""
     wrong: list[str] = field(default_factory=list)
     opened: list[str] = field(default_factory=list)
     loosened: list[str] = field(default_factory=list)
     struck: Counter[str] = field(default_factory=Counter)
+
+    def stalled_till(self, now_s: float) -> float:
+        """stalled_s, with what is being lost at the moment."""
+        late_s = now_s - self.due_s
+        return self.stalled_s + (late_s if late_s > STALL_S else 0.0)
 
 
 class Lane:
@@ -78,15 +85,23 @@ class Lane:
         self.emulator = RobotiqEmulator(RobotiqEmulator.Settings.model_validate(options), self._on_event)
         self.gripper = self._driver()
         self.truths: list[Truth] = []
-        self.released_s = -math.inf
-        """When a release was last asked for, or ended."""
+        self.asked: tuple[bool, list[str]] = (False, [])
+        """What the driver wrote last, and whether a release did; no write is sent before the last one is done with."""
         self.by_release = False
-        """Whether what was written last was a release's."""
+        """Whether what the gripper heard last was a release's."""
         self._watch_answers()
 
     def _driver(self) -> RobotiqGripper:
         settings = RobotiqGripper.Settings(port=str(self.emulator.settings.link), approach_speed=APPROACH)
-        return RobotiqGripper(settings, DriverContext("gripper"))
+        gripper = RobotiqGripper(settings, DriverContext("gripper"))
+        write = gripper._line.write
+
+        async def noted(address: int, values: list[int], by_s: float) -> None:
+            self.asked = (RELEASING.get(), [f"{word:04X}" for word in values])
+            await write(address, values, by_s)
+
+        gripper._line.write = noted  # type: ignore[method-assign]
+        return gripper
 
     def _watch_answers(self) -> None:
         registers = self.emulator.registers
@@ -105,8 +120,7 @@ class Lane:
         if event["event"] == "fault":
             self.outcome.struck[str(event["kind"])] += 1
         if event["event"] == "write":
-            asked = asyncio.get_running_loop().time() - self.released_s < ASKED_S
-            self.by_release = asked and is_a_releases(event["registers"])
+            self.by_release = self.asked == (True, event["registers"])
         opens = event["event"] in OPENINGS and event.get("held", True)
         activating = event["event"] == "let go" and self.emulator.registers.stage is not Stage.READY
         if opens and not self.by_release and not activating:
@@ -153,12 +167,13 @@ class Lane:
         """How long a call took is noted, but where it activated the gripper."""
         loop = asyncio.get_running_loop()
         began_s, activations = loop.time(), self.emulator.registers.activations
-        stalled_s = self.outcome.stalled_s
+        stalled_s = self.outcome.stalled_till(began_s)
         try:
             return await ask()
         finally:
             if self.emulator.registers.activations == activations:
-                took_s = loop.time() - began_s - (self.outcome.stalled_s - stalled_s)
+                now_s = loop.time()
+                took_s = now_s - began_s - (self.outcome.stalled_till(now_s) - stalled_s)
                 self.outcome.longest_s = max(self.outcome.longest_s, took_s)
 
     async def _open_again(self) -> None:
@@ -194,9 +209,16 @@ class Lane:
         await self._call(lambda: self.gripper.move(width_mm, force_n))
 
     async def _release(self) -> None:
-        self.released_s = asyncio.get_running_loop().time()
-        await self._call(lambda: self.gripper.release(self.rng.uniform(45.0, 85.0)))
-        self.released_s = asyncio.get_running_loop().time()
+        width_mm = self.rng.uniform(45.0, 85.0)
+
+        async def release() -> None:
+            token = RELEASING.set(True)
+            try:
+                await self.gripper.release(width_mm)
+            finally:
+                RELEASING.reset(token)
+
+        await self._call(release)
 
     async def _give_up(self) -> None:
         """A caller that is cancelled in the middle of its call."""
@@ -239,15 +261,6 @@ class Lane:
         await asyncio.sleep(0)
 
 
-def is_a_releases(words: object) -> bool:
-    """Whether only a release writes these registers: a reset, an activation, or opening at full speed."""
-    assert isinstance(words, list)
-    action, position, speed_and_force = (int(word, 16) for word in words)
-    if not action & 0x0100 or (action, position, speed_and_force) == (0x0100, 0, 0):
-        return True
-    return speed_and_force == 0xFF00 and position < 0xFF
-
-
 def agree(state: GripperState, truth: Truth) -> bool:
     """Whether a state is what the gripper was like; `holding` may be said of jaws halted on their way, never denied."""
     view = truth.view
@@ -269,15 +282,14 @@ async def watch_stalls(outcome: Outcome) -> None:
     """Add up by how much the loop comes too late."""
     loop = asyncio.get_running_loop()
     while True:
-        due_s = loop.time() + TICK_S
+        outcome.due_s = loop.time() + TICK_S
         await asyncio.sleep(TICK_S)
-        late_s = loop.time() - due_s
-        outcome.stalled_s += late_s if late_s > STALL_S else 0.0
+        outcome.stalled_s = outcome.stalled_till(loop.time())
 
 
 async def campaign(folder: Path, commands: int, seed: int, lanes: int = 6) -> Outcome:
     """So many commands in all, on several lines at once."""
-    outcome = Outcome()
+    outcome = Outcome(due_s=asyncio.get_running_loop().time())
     each = -(-commands // lanes)
     stalls = asyncio.create_task(watch_stalls(outcome), name="stalls")
     async with asyncio.TaskGroup() as group:

@@ -15,8 +15,7 @@ from slipguard_drivers.robotiq.emulated_jaws import JawsView
 from slipguard_drivers.robotiq.emulator import FAULTS
 
 HANG_S = 0.5
-STARVED_S = 1.0
-"""A machine that kept us from running for so long in all says nothing about hanging; the figure is printed."""
+"""Of the driver's own time: what the machine kept the whole process from running is taken off, and printed."""
 
 
 async def test_no_state_is_wrong_no_grip_opens_and_nothing_hangs(
@@ -34,7 +33,7 @@ async def test_no_state_is_wrong_no_grip_opens_and_nothing_hangs(
     assert outcome.wrong == []
     assert outcome.opened == []
     assert outcome.loosened == []
-    assert outcome.longest_s <= HANG_S or outcome.stalled_s > STARVED_S
+    assert outcome.longest_s <= HANG_S
     assert outcome.commands >= commands
     assert outcome.states > commands / 10
     assert outcome.restarts_holding > 0
