@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,7 +14,6 @@ from slipguard.cli.interrupt import left_to_the_loop
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from slipguard.config import Config
     from slipguard.doctor.examine import Line
 
 MARKS = {"fine": "[green]✓[/]", "note": "[yellow]![/]", "wrong": "[red]✗[/]"}
@@ -23,10 +21,10 @@ MARKS = {"fine": "[green]✓[/]", "note": "[yellow]![/]", "wrong": "[red]✗[/]"
 
 def doctor(
     config: ConfigOption = USUAL_FILE,
-    socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon; default: from the config.")] = None,
+    socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon; default: found.")] = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
 ) -> None:
-    """Look at every device, link and permission and say what to do; move nothing, change nothing.
+    """Look at every device, link and permission and say what to do; move nothing.
 
     Asks the running daemon; opens the devices itself only when none runs. Exit code 1 where something is wrong.
     Example: `slipguard doctor --config config.toml`
@@ -38,6 +36,7 @@ def doctor(
 
     from slipguard.config import read_config
     from slipguard.daemon import log
+    from slipguard.daemon.root import running_socket
     from slipguard.doctor.examine import examine
 
     settings = read_config(config)
@@ -45,7 +44,7 @@ def doctor(
     progress = Console(stderr=True, quiet=not Console(stderr=True).is_terminal)
     with progress.status("looking …") as status, left_to_the_loop():
         lines = asyncio.run(
-            examine(settings, socket or _socket_of(settings), lambda what: status.update(f"looking at {what} …"))
+            examine(settings, socket or running_socket(settings), lambda what: status.update(f"looking at {what} …"))
         )
     bad = sum(line.finding.verdict == "wrong" for line in lines)
     if json:
@@ -54,16 +53,6 @@ def doctor(
         _show(Console(highlight=False), lines, bad, config)
     if bad:
         raise typer.Exit(1)
-
-
-def _socket_of(settings: Config) -> Path:
-    """Where a daemon with this configuration listens: this user's, or the system's where only that one is there."""
-    from slipguard.daemon import root
-    from slipguard.daemon.client import SYSTEM_SOCKET
-
-    own = root.socket_path(settings)
-    systems = settings.api.socket is None and os.path.exists(SYSTEM_SOCKET) and not os.path.exists(own)
-    return SYSTEM_SOCKET if systems else own
 
 
 def _plain(line: Line) -> dict[str, str]:

@@ -85,7 +85,7 @@ def check(
 
 def calibrate(
     config: ConfigOption = USUAL_FILE,
-    socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon; default: from the config.")] = None,
+    socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon; default: found.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Even if the stored image says there is contact.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
 ) -> None:
@@ -102,7 +102,7 @@ def calibrate(
 
     settings = read_config(config)
     try:
-        with Client(socket or root.socket_path(settings)) as client:
+        with Client(socket or root.running_socket(settings)) as client:
             answer = client.calibrate(force=force)
     except NoDaemon:
         log.configure(level=logging.WARNING)

@@ -25,7 +25,7 @@ def record(
         Path | None, typer.Option(help="No-contact image in place of the stored one, 240 wide x 320 high.")
     ] = None,
     show: Annotated[Path | None, typer.Option(help="Write a sheet of some frames to this PNG.")] = None,
-    socket: Annotated[Path | None, typer.Option(help="Unix socket of the daemon.")] = None,
+    socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon; default: found.")] = None,
 ) -> None:
     """Record frames with proposed labels: what differs from the no-contact image. Correct them before you train.
 
@@ -41,7 +41,7 @@ def record(
     from slipguard.cli.interrupt import left_to_the_loop
     from slipguard.config import read_config
     from slipguard.daemon.client import Client, NoDaemon
-    from slipguard.daemon.root import socket_path
+    from slipguard.daemon.root import running_socket
     from slipguard.errors import InputError
     from slipguard.lab.dataset_files import check_new
     from slipguard.lab.dataset_record import record_dataset
@@ -65,7 +65,7 @@ def record(
             finally:
                 await shots.aclose()  # type: ignore[attr-defined]
 
-    with Client(socket or (socket_path(settings) if settings is not None else None)) as client:
+    with Client(socket or running_socket(settings)) as client:
         try:
             client.state()
             asked: Client | None = client

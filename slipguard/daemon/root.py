@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import signal
+import socket
 import sys
 import time
 from collections.abc import Callable, Coroutine
@@ -23,7 +24,7 @@ from slipguard.daemon.last_grasp import GraspKeeper, remembered
 from slipguard.daemon.recording import make_recorder, record
 from slipguard.daemon.serve import bind, serve
 from slipguard.daemon.service import FINGERS, Law, Service
-from slipguard.daemon.state_dir import StateDir
+from slipguard.daemon.state_dir import SOCKET_NAME, StateDir
 from slipguard.daemon.worker import ThreadWorker, Worker
 from slipguard.devices import DriverContext
 from slipguard.errors import DeviceTimeout, InputError
@@ -35,12 +36,39 @@ from slipguard.registry import load_driver
 SWITCH_S = 0.0005
 """A thread in Python code gives way after this time. Python's usual 5 ms would keep the loop waiting for a worker."""
 FIRST_ANSWER_S = 10.0
+KNOCK_S = 2.0
 log = structlog.get_logger()
 
 
 def socket_path(config: Config) -> Path:
     """Where the local API listens."""
-    return config.api.socket or StateDir(config.state.directory).runtime_path / "slipguard.sock"
+    return config.api.socket or StateDir(config.state.directory).runtime_path / SOCKET_NAME
+
+
+def running_socket(config: Config | None) -> Path:
+    """Where to ask for a running daemon: at the configured socket; else at this user's own, else at the system's.
+
+    The first at which one listens; one that this user may not ask counts, for it has the devices. This user's own
+    where none listens. config: None: nothing is configured. Raises nothing.
+    """
+    from slipguard.daemon.client import SYSTEM_SOCKET  # httpx: the daemon itself does without
+
+    if config is not None and config.api.socket is not None:
+        return config.api.socket
+    own = socket_path(config) if config is not None else StateDir().runtime_path / SOCKET_NAME
+    return next((path for path in (own, SYSTEM_SOCKET) if _listens(path)), own)
+
+
+def _listens(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(KNOCK_S)
+        try:
+            probe.connect(str(path))
+        except (PermissionError, TimeoutError, BlockingIOError):  # not for us, or busy
+            return True
+        except OSError:
+            return False
+    return True
 
 
 def recordings_path(config: Config) -> Path:
