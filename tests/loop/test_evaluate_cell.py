@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from slipguard.cli.app import run
 from slipguard.config import parse_config
 from slipguard.daemon.controls import Controls
 from slipguard.daemon.root import build_service
 from slipguard.daemon.service import Service
 from slipguard.daemon.virtual_time import run_virtual
 from slipguard.daemon.worker import StatedLatencyWorker
-from slipguard.errors import ConfigError, SlipguardError
+from slipguard.errors import SlipguardError
 from slipguard.grasp.state import Phase
 from slipguard.lab.evaluate import on_cell
 from slipguard.lab.evaluate.external_camera import Camera
@@ -67,11 +68,11 @@ class Eye:
 class Bench:
     """A cell, a person beside it, and what the person saw at the release question."""
 
-    def __init__(self, state: Path, out: Path, *, mode: str = "lift", lets_go: bool = True) -> None:
+    def __init__(self, state: Path, out: Path, *, lets_go: bool = True) -> None:
         self.world = World(seed=SEED)
         self.out, self.lets_go = out, lets_go
         self.asked: list[str] = []
-        self.service = service_of(self.world, state, mode)
+        self.service = service_of(self.world, state)
         self.ground_mm, self.up_mm, self.held = 0.0, -1.0, False
 
     async def ask(self, line: str, word: str) -> bool:
@@ -119,10 +120,9 @@ class Bench:
         return self.world.gripper_state(0.0).holding
 
 
-def service_of(world: World, state: Path, mode: str = "lift") -> Service:
+def service_of(world: World, state: Path) -> Service:
     raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in ("left", "right")}
     raw["state"] = {"directory": str(state)}
-    raw["guard"] = {"mode": mode}
     config = parse_config(raw, where="test", sim=True)
     return build_service(config, world=world, make_worker=lambda name: StatedLatencyWorker(0.006))
 
@@ -270,22 +270,29 @@ def test_the_limit_leaves_a_slow_arm_its_time() -> None:
     assert on_cell._Cell._limit_s(Cell(), 800.0, 1.0) > 1200.0  # type: ignore[arg-type]
 
 
-def test_guard_mode_is_refused_before_anything_is_asked(tmp_path: Path) -> None:
-    bench = Bench(tmp_path / "state", tmp_path / "out", mode="guard")
-    with pytest.raises(ConfigError, match='the experiment needs "lift"'):
-        run_virtual(bench.run())
-    assert not bench.asked
-    assert not bench.out.exists()
-
-
-def test_a_running_daemon_is_not_disturbed_and_the_socket_goes_away(tmp_path: Path) -> None:
-    path = tmp_path / "s.sock"
-    with in_the_daemons_place(path):
-        assert path.is_socket()
-        with pytest.raises(SlipguardError, match="stop it first"), in_the_daemons_place(path):
-            pytest.fail("two at once")
-        assert path.is_socket()
-    assert not path.exists()
+def test_the_command_refuses_guard_mode_and_a_running_daemon_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    socket_path = tmp_path / "s.sock"
+    config, plan, lens = (str(tmp_path / name) for name in ("c.toml", "p.toml", "lens.json"))
+    Path(config).write_text(
+        f'guard.mode = "guard"\napi.socket = "{socket_path}"\nstate.directory = "{tmp_path}"\n'
+        'left.digit.serial = "D20001"\nright.digit.serial = "D20002"\narm.ur5.host = "192.0.2.1"\n'
+        'gripper.robotiq.port = "/dev/none"\n'
+    )
+    Path(plan).write_text('objects = [{name = "spanner"}]\n')
+    Path(lens).write_text(intrinsics_of(LENS).model_dump_json())
+    out = str(tmp_path / "out")
+    command = ["evaluate", "run", "--config", config, "--protocol", plan, "--intrinsics", lens, "--out", out]
+    with in_the_daemons_place(socket_path):
+        assert run(command) == 1
+    assert capsys.readouterr().err.endswith("stop it first\n")
+    assert run(command) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert 'the experiment needs "lift"' in told
+    assert not socket_path.exists()
+    assert not Path(out).exists()
 
 
 def test_no_camera_is_one_line(tmp_path: Path) -> None:

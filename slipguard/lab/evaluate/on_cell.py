@@ -240,19 +240,21 @@ async def _stopped(service: Service) -> bool:
 
     Sent again and again, for the law may want the arm to go on until the service is cancelled.
     """
-    arm = service.arm
-    if service.phase not in MOVING and (arm.newest is None or not arm.newest.moving):
+    arm, device = service.arm, service._arm_device
+    stands = service.phase not in MOVING and arm.newest is not None and not arm.newest.moving
+    if stands or service.phase is Phase.IDLE:
         return True
     told = asyncio.Event()
 
     async def stop() -> None:
-        await service._arm_device.stop()
+        await device.stop()
         told.set()
 
     try:
         async with asyncio.timeout(STOP_S):
             while not told.is_set():
-                arm.command(stop)
+                # An arm whose connection is lost may still heed the bare stop, but nobody knows.
+                arm.command(stop if arm.health.ready else device.stop)
                 with contextlib.suppress(TimeoutError):
                     await asyncio.wait_for(told.wait(), STOP_S / 10)
     except TimeoutError:
