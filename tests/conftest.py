@@ -18,7 +18,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--gripper", metavar="PORT", help="a real gripper's serial port, such as /dev/ttyUSB0")
     group.addoption("--gripper-object", action="store_true", help="something to grip lies between its jaws throughout")
     group.addoption("--arm", metavar="HOST", help="a real arm's address, such as 192.0.2.10")
-    group.addoption("--arm-campaign", type=int, default=5, metavar="N", help="faults of the arm's link (usually 8 and 5)")
+    group.addoption("--arm-campaign", type=int, default=5, metavar="N", help="faults of the arm's link")
     group.addoption("--commands", type=int, default=300, help="length of the gripper's campaign of faults")
     group.addoption("--seed", type=int, default=0, help="seed of the gripper's campaign of faults")
     group.addoption("--sensor-driver", metavar="NAME", help="a sensor's driver registered by another package")

@@ -38,6 +38,8 @@ from slipguard.sim.world import World
 CAMERA_FPS = 30.0
 CAMERA_LAG_S = (0.02, 0.09)
 """The rendered camera stamps its pictures when they arrive, this much after the exposure; what is to be found out."""
+SIGHT, BOTH_MARKERS_MM = 1.6, 180.0
+"""Distance over the height to be seen: the lens sees 0.72 of the distance, less what a tilt and a roll take."""
 MASK_EVERY_S = 10 / 60
 STATED_LATENCY_S = 0.006
 GRIP_SHARE = 0.8
@@ -58,19 +60,19 @@ class SimulatedLift:
     path: Path
 
 
-def onlooker(seed: int) -> tuple[Onlooker, float]:
-    """A camera somewhere before the cell, and the lag of its time stamps in seconds."""
+def onlooker(seed: int, rise_mm: float = 100.0) -> tuple[Onlooker, float]:
+    """A camera somewhere before the cell, far enough to see a lift by `rise_mm`; and the lag of its stamps, seconds."""
     rng = np.random.default_rng([seed, 77])
     side_mm = 40.0
     look = Onlooker(
         gripper=Plate(cells(GRIPPER_ID), side_mm, (0.0, 95.0, 3.0), roll_deg=float(rng.uniform(-8, 8))),
         thing=Plate(cells(OBJECT_ID), side_mm, (70.0, 0.0, 6.0), roll_deg=float(rng.uniform(-20, 20))),
         lens=Lens(),
-        distance_mm=float(rng.uniform(450.0, 850.0)),
+        distance_mm=max(float(rng.uniform(450.0, 850.0)), SIGHT * (rise_mm + BOTH_MARKERS_MM)),
         tilt_deg=float(rng.uniform(0.0, 25.0)),
         azimuth_deg=float(rng.uniform(0.0, 360.0)),
         roll_deg=float(rng.uniform(-5.0, 5.0)),
-        aim_mm=(25.0, 80.0, 0.0),
+        aim_mm=(25.0, 40.0 + 0.5 * rise_mm, 0.0),
         blur_px=float(rng.uniform(0.5, 1.0)),
         noise=float(rng.uniform(1.0, 4.0)),
         light=float(rng.uniform(0.8, 1.1)),
@@ -132,7 +134,7 @@ async def _lift(
     grip_n: float,
     height_mm: float,
 ) -> None:
-    look, lag_s = onlooker(task.protocol.seed + task.lift.number)
+    look, lag_s = onlooker(task.protocol.seed + task.lift.number, height_mm)
     sign = PICTURE_SIGN[task.protocol.camera_side]
     with LiftFile(task.path, service, task.protocol, task.lift, intrinsics_of(look.lens), lag_s) as file:
         if not task.protocol.guard:
