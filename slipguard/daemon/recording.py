@@ -11,18 +11,15 @@ from pathlib import Path
 from typing import Protocol
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
 from slipguard import __version__
 from slipguard.config import Config
 from slipguard.daemon.finger import Judgement
 from slipguard.daemon.service import Decision, Service
-from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
 from slipguard.grasp.state import Phase
 from slipguard.perception.estimate import Estimate
-from slipguard.perception.regions import Patch
+from slipguard.perception.pipeline import at_frame_size
 from slipguard.perception.segment import default_model_path
 from slipguard.recording import messages as m
 from slipguard.recording.recorder import Recorder, RecorderSettings, Said, Seen, Turn
@@ -106,7 +103,7 @@ class Watcher:
                 judgement.judged_at_s,
                 told,
                 frame.image if pictured else None,
-                _mask(patch) if patch is not None else None,
+                at_frame_size(patch.full_mask()) if patch is not None else None,
             )
         )
 
@@ -131,12 +128,6 @@ class Watcher:
 
 def _sequence(estimate: Estimate | None) -> int | None:
     return None if estimate is None else estimate.sequence
-
-
-def _mask(patch: Patch) -> NDArray[np.uint8]:
-    """(320, 240) uint8, 0 or 1."""
-    size = (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
-    return np.asarray(cv2.resize(patch.full_mask(), size, interpolation=cv2.INTER_NEAREST), np.uint8)
 
 
 def header(service: Service) -> Header:

@@ -14,12 +14,13 @@ from slipguard.daemon.controls import Controls
 from slipguard.daemon.root import build_service
 from slipguard.daemon.service import Decision, Service
 from slipguard.daemon.worker import StatedLatencyWorker, ThreadWorker, Worker
-from slipguard.errors import CommandRefused, SlipguardError
+from slipguard.errors import CommandRefused
 from slipguard.grasp.guard import tick
 from slipguard.grasp.state import Phase
 from slipguard.lab.lift_record import FINGERS, LiftRecord, Measured
 from slipguard.lab.other_estimators import PatchKeeper, SeenPatch, turns_by_estimator
 from slipguard.lab.unguarded import unguarded_tick
+from slipguard.lab.waiting import until as wait_until
 from slipguard.sim.objects import names
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World
@@ -123,7 +124,7 @@ async def _lifts(
     plan = settings.objects()
     live = Live(lifts=len(plan))
     controls = Controls(service)
-    await _until(running, lambda: not service.waiting_for, 30.0, "the devices are not ready")
+    await wait_until(running, lambda: not service.waiting_for, 30.0, "the devices are not ready")
     await controls.calibrate()
     records = []
     for index, (name, seed) in enumerate(plan):
@@ -149,7 +150,7 @@ async def _one_lift(
         return world.truth(loop.time()).dropped is not None
 
     async def until(reached: Callable[[], bool], what: str) -> None:
-        await _until(
+        await wait_until(
             running,
             lambda: reached() or dropped() or service.phase is Phase.FAULT,
             PHASE_TIMEOUT_S,
@@ -176,7 +177,7 @@ async def _one_lift(
         await controls.lower()
         await until(lambda: service.phase is Phase.HOLDING, "the lowering did not end")
     await controls.release()
-    await _until(running, lambda: service.phase is Phase.IDLE, PHASE_TIMEOUT_S, "the release did not end")
+    await wait_until(running, lambda: service.phase is Phase.IDLE, PHASE_TIMEOUT_S, "the release did not end")
 
 
 @contextmanager
@@ -227,16 +228,3 @@ def _watched(
         timers[0].cancel()
         service.hold_observers.remove(record.latency_s.append)
         service.observers.remove(decided)
-
-
-async def _until(running: asyncio.Task[None], reached: Callable[[], bool], timeout_s: float, otherwise: str) -> None:
-    """Wait for a condition; the daemon's own failure, or the time-out, is raised."""
-    loop = asyncio.get_running_loop()
-    deadline_s = loop.time() + timeout_s
-    while not reached():
-        if running.done():
-            running.result()
-            raise SlipguardError("the daemon ended by itself")
-        if loop.time() >= deadline_s:
-            raise SlipguardError(f"{otherwise} within {timeout_s:g} s")
-        await asyncio.sleep(0.01)

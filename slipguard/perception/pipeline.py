@@ -118,7 +118,7 @@ class Pipeline:
         """The contact found last, (320, 240) uint8, 0 or 1."""
         if self._patch is None:
             return np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.uint8)
-        return _at_frame_size(self._patch.full_mask())
+        return at_frame_size(self._patch.full_mask())
 
     @property
     def last_skeleton(self) -> NDArray[np.uint8]:
@@ -127,7 +127,7 @@ class Pipeline:
             return np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.uint8)
         if self._skeleton is None:
             self._skeleton = middle_line(self._patch).skeleton
-        return _at_frame_size(replace(self._patch, mask=self._skeleton).full_mask())
+        return at_frame_size(replace(self._patch, mask=self._skeleton).full_mask())
 
     def process(self, frame: Frame) -> Estimate:
         """Measure one frame. Raises `FrameCorrupt` for a frame that is no gel picture."""
@@ -291,6 +291,7 @@ def _in_other_light(turn: Turn, levels: float) -> Turn:
     return Turn(turn.turn_deg, math.hypot(turn.sigma_deg, LIGHT_DEG * (levels - LIGHT_FREE_LEVELS)))
 
 
-def _at_frame_size(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def at_frame_size(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A mask of the network's resolution as (320, 240) uint8."""
     size = (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
     return np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)

@@ -6,7 +6,6 @@ import asyncio
 import logging
 import math
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from slipguard.lab.evaluate.lift_file import LiftFile, encoded
 from slipguard.lab.evaluate.markers import GRIPPER_ID, OBJECT_ID, cells
 from slipguard.lab.evaluate.protocol import Lift, Protocol
 from slipguard.lab.lift_record import PICTURE_SIGN
+from slipguard.lab.waiting import until
 from slipguard.recording import messages as m
 from slipguard.sim import objects
 from slipguard.sim.gel import GelCamera
@@ -113,7 +113,7 @@ async def _record(task: SimulatedLift) -> None:
         )
         running = asyncio.create_task(service.run())
         try:
-            await _until(running, lambda: not service.waiting_for, "the devices are not ready")
+            await until(running, lambda: not service.waiting_for, TIMEOUT_S, "the devices are not ready")
             controls = Controls(service)
             await controls.calibrate()
             world.place(drawn, asyncio.get_running_loop().time())
@@ -145,10 +145,12 @@ async def _lift(
         ]
         try:
             await controls.grasp(grip_n)
-            await _until(running, lambda: service.firm or service.phase is Phase.FAULT, "the object was not gripped")
+            await until(
+                running, lambda: service.firm or service.phase is Phase.FAULT, TIMEOUT_S, "the object was not gripped"
+            )
             await asyncio.sleep(SETTLE_S)
             await controls.lift(height_mm, task.protocol.lift_speed_mm_s)
-            await _until(running, lambda: service.phase is not Phase.LIFTING, "the lift did not end")
+            await until(running, lambda: service.phase is not Phase.LIFTING, TIMEOUT_S, "the lift did not end")
             await asyncio.sleep(task.protocol.hold_s)
         except CommandRefused as refusal:
             raise SlipguardError(f"{task.lift.stem}: {refusal}") from None
@@ -181,15 +183,3 @@ async def _masks(file: LiftFile, world: World) -> None:
             view = world.view(name, loop.time())
             if view.depth_mm > 0.0:
                 file.true_mask(name, loop.time(), label(gel.draw_with_truth(view)))
-
-
-async def _until(running: asyncio.Task[None], reached: Callable[[], bool], otherwise: str) -> None:
-    loop = asyncio.get_running_loop()
-    deadline_s = loop.time() + TIMEOUT_S
-    while not reached():
-        if running.done():
-            running.result()
-            raise SlipguardError("the daemon ended by itself")
-        if loop.time() >= deadline_s:
-            raise SlipguardError(f"{otherwise} within {TIMEOUT_S:g} s")
-        await asyncio.sleep(0.01)
