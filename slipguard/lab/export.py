@@ -67,7 +67,7 @@ def export_onnx(net: SmallNet, path: Path, metadata: Mapping[str, str], frames: 
     onnx.checker.check_model(model)
     onnx.save(model, str(draft))
     difference = _difference(shipped, draft, frames)
-    if difference > LARGEST_DIFFERENCE:
+    if not difference <= LARGEST_DIFFERENCE:  # NaN too
         draft.unlink()
         raise ModelError(
             f"{path}: onnxruntime and torch differ by {difference:.2g}, more than {LARGEST_DIFFERENCE:g}; not written"
