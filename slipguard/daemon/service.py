@@ -19,6 +19,7 @@ from slipguard.daemon.finger import Finger, Perceiver
 from slipguard.daemon.finger import Seen as FingerSeen
 from slipguard.daemon.journal import Journal
 from slipguard.daemon.notify import notify, watchdog_period_s
+from slipguard.daemon.pace import Pace
 from slipguard.daemon.ticker import Ticker
 from slipguard.daemon.worker import Worker
 from slipguard.devices import Arm, ArmState, Gripper, GripperState, TactileSensor
@@ -83,8 +84,9 @@ class Service:
     ) -> None:
         self.config = config
         self.store = store
-        self.observers: list[Callable[[Decision], None]] = []
-        self.hold_observers: list[Callable[[float], None]] = []
+        self.pace = Pace(FINGERS)
+        self.observers: list[Callable[[Decision], None]] = [self.pace.decided]
+        self.hold_observers: list[Callable[[float], None]] = [self.pace.held]
         """Called as a hold goes to the gripper, with the seconds since the frame that caused it was handed over."""
         self.journal = Journal()
         self.deadlines_missed = 0

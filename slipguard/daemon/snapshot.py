@@ -12,16 +12,25 @@ from slipguard.daemon.service import Service
 
 
 def snapshot(service: Service) -> dict[str, object]:
-    """State of the grasp, of each device, and what was said last. Times are of the monotonic clock."""
-    seen, state = service.seen, service.state
+    """State of the grasp, of each device, and what was said last. Times are of the monotonic clock.
+
+    now_s: when the loop last took its turn. limits: what the configuration asks for and allows.
+    """
+    seen, state, guard = service.seen, service.state, service.config.guard
     fault = state.fault
     return {
         "version": __version__,
-        "mode": service.config.guard.mode,
+        "now_s": seen.now_s if seen is not None else None,
+        "mode": guard.mode,
         "phase": state.phase.value,
         "guarding": state.guarding,
         "slipping": state.slip is not None,
         "target_force_n": state.target_n,
+        "limits": {
+            "first_force_n": guard.first_force_n,
+            "force_max_n": guard.force_max_n,
+            "lift_height_mm": guard.lift_height_mm,
+        },
         "cannot_see_turn": state.blind,
         "fault": None
         if fault is None
@@ -33,6 +42,8 @@ def snapshot(service: Service) -> dict[str, object]:
             name: {
                 "serial": finger.serial,
                 "estimate": _plain(finger.newest.estimate) if finger.newest is not None else None,
+                "frames_per_s": service.pace.frames_per_s[name],
+                "age_s": _plain(getattr(seen, name).age_s) if seen is not None else None,
                 "counts": _plain(finger.counts),
                 "remarks": list(finger.sensor.remarks),
             }
@@ -43,6 +54,7 @@ def snapshot(service: Service) -> dict[str, object]:
             "gripper": _trips(service.gripper.round_trips_s),
             "arm": _trips(service.arm.round_trips_s),
         },
+        "latency": _trips(service.pace.latencies_s),
         "waiting_for": service.waiting_for,
         "deadlines_missed": service.deadlines_missed,
         "said": service.journal.lines[-10:],
@@ -59,7 +71,7 @@ def trouble(service: Service) -> str | None:
 
 
 def _trips(times_s: Sequence[float]) -> dict[str, float] | None:
-    """How long the newest questions for the state took; None where none was answered."""
+    """How long the newest ones took; None where there is none."""
     if not times_s:
         return None
     in_order = sorted(times_s)
