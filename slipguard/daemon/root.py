@@ -31,6 +31,7 @@ from slipguard.errors import DeviceTimeout, InputError
 from slipguard.grasp.guard import tick
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.segment import Segmenter
+from slipguard.recording.recorder import Recorder
 from slipguard.registry import load_driver
 
 SWITCH_S = 0.0005
@@ -145,12 +146,14 @@ async def run(
     *,
     world: object | None = None,
     beside: Callable[[Service], Coroutine[None, None, None]] | None = None,
+    build: Callable[..., Service] = build_service,
+    recorder: Callable[[Service, Path], Recorder] = make_recorder,
 ) -> None:
     """Guard until SIGINT or SIGTERM, with the local API; the grip stays as it is at the end.
 
-    beside: what else runs as long as the service does.
+    beside: what else runs as long as the service does. build, recorder: make the service and what records it.
     """
-    service = build_service(config, world=world)
+    service = build(config, world=world)
     service.observers.append(GraspKeeper(StateDir(config.state.directory), service.journal.say).decided)
     path = socket_path(config)
     bound = bind(path)  # before any device is opened: a second daemon must not touch what the first one owns
@@ -170,7 +173,7 @@ async def run(
             group.create_task(serve(make_app(Controls(service)), path, bound), name="api")
             group.create_task(until_stopped(), name="signals")
             if config.recording.enabled:
-                group.create_task(record(service, make_recorder(service, recordings_path(config))), name="recorder")
+                group.create_task(record(service, recorder(service, recordings_path(config))), name="recorder")
             if beside is not None:
                 group.create_task(beside(service), name="beside")
     except* _Stopped:

@@ -8,18 +8,21 @@ import mmap
 import os
 import pickle
 from collections.abc import Callable
+from itertools import cycle
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.errors import DeviceLost, DeviceTimeout
+from slipguard.sim.view import GelView
 from slipguard_drivers.child import PACKET_BYTES, Child
 from slipguard_drivers.digit.draw_worker import IMAGE_BYTES, SLOTS, Draughtsman, Shot
 from slipguard_drivers.digit.stream import SHAPE
 
 Image = NDArray[np.uint8]
 WORKER = "slipguard_drivers.digit.draw_worker"
+PLAIN_PICTURES = 16
 START_TIMEOUT_S = 30.0
 """Python, numpy and OpenCV starting on a loaded small machine; 0.5 s on an idle one."""
 
@@ -51,6 +54,30 @@ class InlinePainter:
     def paint(self, shot: Shot, done: Callable[[Image], None]) -> bool:
         """Draw before returning."""
         done(self._draughtsman.draw(shot))
+        return True
+
+    def stop(self) -> None:
+        """Nothing to let go of."""
+
+
+class PlainPainter:
+    """Draws the untouched gel a few times and hands those pictures out in turn for ever, whatever is touched.
+
+    For hours of virtual time, where what is touched is known in another way.
+    """
+
+    def __init__(self, unit_seed: int) -> None:
+        self._unit_seed = unit_seed
+
+    async def start(self) -> None:
+        """Draw the pictures; they differ in their noise."""
+        untouched = Shot(GelView(""), (0.0, 0.0, 0.0), noise_seed=0)
+        draughtsman = Draughtsman(self._unit_seed)
+        self._pictures = cycle([draughtsman.draw(untouched) for _ in range(PLAIN_PICTURES)])
+
+    def paint(self, shot: Shot, done: Callable[[Image], None]) -> bool:
+        """Hand the next one out before returning."""
+        done(next(self._pictures))
         return True
 
     def stop(self) -> None:

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import DriverContext, Frame, TactileSensor
 from slipguard.errors import DeviceLost
-from slipguard_drivers.digit.draw import Image, InlinePainter, Painter, ProcessPainter
+from slipguard_drivers.digit.draw import Image, InlinePainter, Painter, PlainPainter, ProcessPainter
 from slipguard_drivers.digit.draw_worker import Shot
 from slipguard_drivers.digit.stream import FrameStream
 from slipguard_drivers.shared_world import world_of
@@ -33,11 +33,14 @@ class FakeSensor(TactileSensor):
     """One finger of the shared world, seen through the sensor unit of its camera model."""
 
     class Settings(BaseModel):
-        """draw: "process" keeps the drawing off the loop's core; "inline" is for virtual time."""
+        """draw: "process" keeps the drawing off the loop's core; "inline" is for virtual time.
+
+        "plain" is for hours of it: pictures of the untouched gel, whatever is touched.
+        """
 
         model_config = ConfigDict(frozen=True, extra="forbid")
 
-        draw: Literal["process", "inline"] = "process"
+        draw: Literal["process", "inline", "plain"] = "process"
         stall_ms: Annotated[float, Field(ge=50.0, le=5000.0)] = 250.0
 
     def __init__(self, settings: Settings, context: DriverContext) -> None:
@@ -47,14 +50,15 @@ class FakeSensor(TactileSensor):
         self._model = self._world.camera(self._name)
         self._random = random.Random(self._model.noise_seed)
         self._stream: FrameStream | None = None
-        self._painter: Painter = (
-            ProcessPainter(self._name, self._model.unit_seed, self._lose)
-            if settings.draw == "process"
-            else InlinePainter(self._model.unit_seed)
-        )
+        self._painter = self._make_painter(settings.draw, self._model.unit_seed)
         self._timers: set[asyncio.TimerHandle] = set()
         self._started_at_s = 0.0
         self._last_image: Image | None = None
+
+    def _make_painter(self, draw: str, unit_seed: int) -> Painter:
+        if draw == "process":
+            return ProcessPainter(self._name, unit_seed, self._lose)
+        return PlainPainter(unit_seed) if draw == "plain" else InlinePainter(unit_seed)
 
     @property
     def serial(self) -> str:
