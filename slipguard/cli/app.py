@@ -16,6 +16,7 @@ from slipguard.cli import (
     emulate,
     evaluate,
     guard,
+    install,
     latency,
     measure,
     replay,
@@ -36,6 +37,7 @@ app = typer.Typer(name="slipguard", add_completion=False, pretty_exceptions_enab
 app.command()(guard.run)
 app.command()(guard.check)
 app.command()(doctor.doctor)
+app.command()(install.install)
 app.command()(guard.calibrate)
 app.add_typer(ctl.app, name="ctl")
 app.command()(measure.measure)

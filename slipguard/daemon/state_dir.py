@@ -10,11 +10,9 @@ not count.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import os
 import re
-import tempfile
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,6 +26,7 @@ from slipguard.complaints import first_complaint
 from slipguard.daemon.calibration import NoContact
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import ConfigError, InputError
+from slipguard.whole_file import write_whole
 
 SOCKET_NAME = "slipguard.sock"
 _SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
@@ -167,25 +166,8 @@ def _read(path: Path, kind: type[_S]) -> _S:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Replace a file whole: a crash leaves the old one or the new one."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                os.unlink(temporary)
-            raise
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        write_whole(path, content)
     except OSError as error:
         raise ConfigError(
             f"{path}: cannot be written ({error.strerror}); set [state] directory to a folder that can"
