@@ -20,7 +20,9 @@ class Guard:
 
 
 def tick(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
-    """Look for faults first, then let the law decide. Pure; `seen.fault` need not be filled in."""
-    memory, fault = watch(guard.watch, guard.law, seen, params)
-    law, command = step(guard.law, seen if fault is seen.fault else replace(seen, fault=fault), params)
+    """Look for faults first, then let the law decide. Pure; `seen.fault` and `seen.also` need not be filled in."""
+    memory, faults = watch(guard.watch, guard.law, seen, params)
+    if faults:
+        seen = replace(seen, fault=faults[0], also=faults[1:])
+    law, command = step(guard.law, seen, params)
     return Guard(law, memory), command

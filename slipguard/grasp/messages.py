@@ -68,7 +68,7 @@ class Seen:
     fused: of the fingers whose frames are fresh; None if neither has said anything.
     gripper, arm: the newest state; None where the device is gone.
     gripper_limits_n: weakest and strongest grip of this gripper, per finger.
-    fault: what the supervisor finds wrong now.
+    fault: what the supervisor finds wrong now, the gravest; also: what else it finds.
     """
 
     now_s: float
@@ -80,6 +80,7 @@ class Seen:
     request: Request = NO_REQUEST
     gripper_limits_n: tuple[float, float] = (20.0, 235.0)
     fault: Fault | None = None
+    also: tuple[Fault, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,3 +109,8 @@ class Command:
     say: str | None = None
     refused: str | None = None
     fault: Fault | None = None
+
+
+def in_one_line(*said: str | None) -> str | None:
+    """Several things to say as one; None where there are none."""
+    return "; ".join(part for part in said if part is not None) or None

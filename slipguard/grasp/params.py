@@ -72,6 +72,8 @@ class GuardParams(BaseModel):
     """Between steps, one loop delay: gripper queue 32 ms, dead time 20-60 ms, camera 40 ms, one frame 17 ms."""
     stop_on_slip: bool = True
     """Stop the arm while an object slips; in lift mode the lift goes on when it is calm."""
+    on_budget_spent: Literal["stop", "lower"] = "stop"
+    """Where all of `force_max_n` does not hold: stop the arm, or (lift mode) go back slowly to where the lift began."""
     give_up_turn_deg: Annotated[float, Field(ge=5.0, le=90.0)] = 45.0
     """An object still turning beyond this is not being held: grip to the budget, stop the arm, say so."""
     calm_s: Annotated[float, Field(ge=0.05, le=5.0)] = 0.3
@@ -107,4 +109,9 @@ class GuardParams(BaseModel):
             )
         if self.level_max_deg < self.level_deg:
             raise ValueError(f"level_max_deg ({self.level_max_deg:g}) must be at least level_deg ({self.level_deg:g})")
+        if self.on_budget_spent == "lower" and self.mode == "guard":
+            raise ValueError(
+                'on_budget_spent = "lower" is for mode = "lift"; in guard mode the arm belongs to another program: '
+                'leave it at "stop"'
+            )
         return self

@@ -11,20 +11,16 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from slipguard.devices import GripperState
-from slipguard.grasp import limits, requests
+from slipguard.grasp import limits, motion, requests
 from slipguard.grasp.fault import Fault, FaultCode
 from slipguard.grasp.guarding import guard
-from slipguard.grasp.messages import Command, RequestKind, Seen
+from slipguard.grasp.messages import Command, RequestKind, Seen, in_one_line
+from slipguard.grasp.motion import REACHED_MM, REPEAT_S
 from slipguard.grasp.params import GuardParams
 from slipguard.grasp.state import AT_STAKE, GuardState, Phase, emptied, entered, taken_over
 
-REPEAT_S = 0.1
-"""A command that had no effect is given again after this time."""
-START_S = 0.25
-"""An arm at rest this long after it was told to move has ended its motion, or not taken it up."""
 ARM_WAIT_S = 5.0
 """How long the arm may take to appear when an object is found held; a UR's control program starts within 2 s."""
-REACHED_MM = 0.5
 FORCE_TOLERANCE_N = 0.5
 _NO_FIGURES = str.maketrans("", "", "0123456789.+-")
 """A note whose figures alone have changed is the same note."""
@@ -44,10 +40,10 @@ def step(state: GuardState, seen: Seen, params: GuardParams) -> tuple[GuardState
         state = replace(state, ground_mm=None)  # an arm that comes back counts its height from where it is found
     if seen.request.kind is RequestKind.RELEASE:
         return _release(state, seen, params)
-    state, fault = _watch_object(state, seen, params)
-    if fault is not None and state.phase in AT_STAKE:
-        return _latch(state, seen, fault, Command())
-    state, command = _PHASES[state.phase](state, seen, params)
+    state, watched = _watch_object(state, seen, params)
+    if watched.fault is not None and state.phase in AT_STAKE:
+        return _latch(state, watched, watched.fault, Command())
+    state, command = _PHASES[state.phase](state, watched, params)
     state, command = _keep_force(state, seen, command)
     state, command = _tell_notes(state, seen, command)
     state, command = requests.answer(state, command, seen, params)
@@ -57,19 +53,20 @@ def step(state: GuardState, seen: Seen, params: GuardParams) -> tuple[GuardState
 # --- faults ---
 
 
-def _watch_object(state: GuardState, seen: Seen, params: GuardParams) -> tuple[GuardState, Fault | None]:
-    """The supervisor's fault, or the loss of the object after it has lasted `lost_s`."""
-    if seen.fault is not None:
-        return state, seen.fault
-    held = state.phase in AT_STAKE and state.phase is not Phase.CLOSING
+def _watch_object(state: GuardState, seen: Seen, params: GuardParams) -> tuple[GuardState, Seen]:
+    """The loss of the object, after it has lasted `lost_s`, is added to what the supervisor finds wrong."""
+    held = (state.phase in AT_STAKE and state.phase is not Phase.CLOSING) or (
+        state.phase is Phase.FAULT and state.gripped
+    )
     why = _loss(seen) if held else None
     if why is None:
-        return (state if state.lost_since_s is None else replace(state, lost_since_s=None)), None
+        return (state if state.lost_since_s is None else replace(state, lost_since_s=None)), seen
     since_s = state.lost_since_s if state.lost_since_s is not None else seen.now_s
     state = replace(state, lost_since_s=since_s)
     if seen.now_s - since_s < params.lost_s:
-        return state, None
-    return state, Fault(FaultCode.OBJECT_LOST, why, "take the object away, release, and clear")
+        return state, seen
+    lost = Fault(FaultCode.OBJECT_LOST, why, "take the object away, release, and clear")
+    return state, replace(seen, fault=lost) if seen.fault is None else replace(seen, also=(*seen.also, lost))
 
 
 def _loss(seen: Seen) -> str | None:
@@ -86,7 +83,8 @@ def _loss(seen: Seen) -> str | None:
 def _latch(state: GuardState, seen: Seen, fault: Fault, command: Command) -> Outcome:
     """Into FAULT: keep the grip, stop the arm, say so."""
     state = replace(entered(state, Phase.FAULT, seen.now_s), fault=fault, arm_sent_s=seen.now_s)
-    return state, replace(command, arm="stop", fault=fault, say=_both(command.say, str(fault)))
+    command = replace(command, arm="stop", fault=fault, say=in_one_line(command.say, str(fault)))
+    return _tell_besides(replace(state, besides=frozenset({fault.code})), seen, command)
 
 
 # --- phases ---
@@ -124,7 +122,8 @@ def _closing(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     gripper = seen.gripper
     if gripper is not None and gripper.measured_at_s > state.since_s:
         if gripper.holding and not gripper.moving:
-            return entered(state, Phase.REFERENCE, seen.now_s), Command(new_reference=True, say="gripped")
+            state = replace(entered(state, Phase.REFERENCE, seen.now_s), gripped=True)
+            return state, Command(new_reference=True, say="gripped")
         if gripper.closed_on_nothing:
             return emptied(state, Phase.IDLE, seen.now_s), Command(say="the gripper closed on nothing")
     if seen.now_s - state.since_s > params.closing_timeout_s:
@@ -172,34 +171,26 @@ def _moving(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     arm = seen.arm
     if state.phase is Phase.FAULT or arm is None or state.goal_mm is None or state.slip is not None:
         return state, command
-    if arm.moving or seen.now_s - state.arm_sent_s < START_S or arm.measured_at_s <= state.arm_sent_s:
+    if not motion.ended(state, arm, seen.now_s):
         return state, command
     way_mm = state.goal_mm - arm.height_mm
     if abs(way_mm) <= REACHED_MM:
         state = entered(state, Phase.HOLDING, seen.now_s)
-        return state, replace(command, say=_both(command.say, f"at {arm.height_mm:.0f} mm, holding"))
+        return state, replace(command, say=in_one_line(command.say, f"at {arm.height_mm:.0f} mm, holding"))
     said = "the arm goes on" if state.paused else None
     state = replace(state, paused=False, arm_sent_s=seen.now_s)
     leg = requests.next_leg(state, arm.height_mm, params)
-    return state, replace(command, arm=leg, say=_both(command.say, said))
+    return state, replace(command, arm=leg, say=in_one_line(command.say, said))
 
 
 def _guarded(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     verdict = guard(state, seen, params)
     state, command = verdict.state, Command(hold_force_n=verdict.hold_n, say=verdict.say)
     if verdict.fault is not None:
-        return _latch(state, seen, verdict.fault, command)
+        return motion.put_down(_latch(state, seen, verdict.fault, command), seen, params)
     if verdict.stop and params.stop_on_slip:
         first = state.slip is not None and state.slip.began_s == seen.now_s
-        state, command = _stop_arm(replace(state, paused=True), seen, command, at_once=first)
-    return state, command
-
-
-def _stop_arm(state: GuardState, seen: Seen, command: Command, *, at_once: bool = False) -> Outcome:
-    """Stop the arm, again and again until it says that it stands."""
-    stands = seen.arm is not None and not seen.arm.moving
-    if at_once or (not stands and seen.now_s - state.arm_sent_s >= REPEAT_S):
-        return replace(state, arm_sent_s=seen.now_s), replace(command, arm="stop")
+        state, command = motion.stop(replace(state, paused=True), seen, command, at_once=first)
     return state, command
 
 
@@ -226,8 +217,20 @@ def _released(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
 def _faulty(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     """The arm stands and the grip is kept; slip is still answered with force where that is allowed and possible."""
     verdict = guard(state, seen, params)
-    command = Command(hold_force_n=verdict.hold_n, say=verdict.say)
-    return _stop_arm(verdict.state, seen, command)
+    state, command = verdict.state, Command(hold_force_n=verdict.hold_n, say=verdict.say)
+    state, command = _tell_besides(state, seen, command, verdict.fault)
+    if seen.gripper is not None and seen.gripper.holding and not state.gripped:
+        state = replace(state, gripped=True)
+    if state.putting_down:
+        return motion.go_on_down(state, seen, command, params)
+    return motion.stop(state, seen, command)
+
+
+def _tell_besides(state: GuardState, seen: Seen, command: Command, found: Fault | None = None) -> Outcome:
+    """Say what else goes wrong while a fault is latched, once for each time."""
+    wrong = {fault.code: fault for fault in (seen.fault, *seen.also, found) if fault is not None}
+    new = [str(fault) for code, fault in wrong.items() if code not in state.besides]
+    return replace(state, besides=frozenset(wrong)), replace(command, say=in_one_line(command.say, *new))
 
 
 _PHASES: dict[Phase, Callable[[GuardState, Seen, GuardParams], Outcome]] = {
@@ -273,12 +276,8 @@ def _keep_force(state: GuardState, seen: Seen, command: Command) -> Outcome:
 def _tell_notes(state: GuardState, seen: Seen, command: Command) -> Outcome:
     """Say once that a finger is blind or that the two contradict each other."""
     held = state.phase in AT_STAKE and state.phase not in (Phase.CLOSING, Phase.REFERENCE)
-    note = (seen.fused.conflict or seen.fused.note) if held and seen.fused is not None else None
+    note = (seen.fused.conflict or seen.fused.note or seen.fused.declined) if held and seen.fused is not None else None
     plain = note.translate(_NO_FIGURES) if note is not None else None
     if plain == state.note:
         return state, command
-    return replace(state, note=plain), replace(command, say=_both(command.say, note))
-
-
-def _both(first: str | None, second: str | None) -> str | None:
-    return "; ".join(part for part in (first, second) if part is not None) or None
+    return replace(state, note=plain), replace(command, say=in_one_line(command.say, note))

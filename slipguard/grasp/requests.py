@@ -174,6 +174,8 @@ def _clear(state: GuardState, command: Command, seen: Seen, params: GuardParams)
     """Out of FAULT, into the phase that fits what the gripper holds."""
     if state.phase is not Phase.FAULT:
         return _refuse(state, command, "no fault is latched")
+    if state.putting_down:
+        return _refuse(state, command, "the object is being put down; clear when the arm stands, or release")
     if seen.fault is not None:
         return _refuse(state, command, f"the cause is still there: {seen.fault}")
     if seen.gripper is None:

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from slipguard.devices import GripperState
 from slipguard.grasp.detector import Detector
-from slipguard.grasp.fault import Fault
+from slipguard.grasp.fault import Fault, FaultCode
 
 
 class Phase(StrEnum):
@@ -66,10 +66,13 @@ class GuardState:
     target_n: the force per finger last commanded or adopted; 0 with nothing held. commanded_s: when.
     ground_mm, goal_mm: arm heights where the lift began and where the present motion ends.
     arm_sent_s: when the arm was last told something. paused: the arm waits for calm.
+    putting_down: in FAULT, the arm goes back to where the lift began.
+    gripped: the jaws have met something since they closed.
     referenced: the turn could be read when the object was gripped. blind: why it could not.
     person_near: the arm was last seen in a protective or emergency stop, so no force is added.
     adopted: the gripper's first state has been looked at. found_s: when it was first seen to hold something already.
     remembered: the grip before a restart, until the gripper's first state has been looked at.
+    besides: what is wrong and has been said while a fault is latched.
     """
 
     phase: Phase = Phase.IDLE
@@ -84,6 +87,8 @@ class GuardState:
     lift_speed_mm_s: float | None = None
     arm_sent_s: float = -math.inf
     paused: bool = False
+    putting_down: bool = False
+    gripped: bool = False
     referenced: bool = False
     blind: str | None = None
     person_near: bool = False
@@ -92,6 +97,7 @@ class GuardState:
     found_s: float | None = None
     remembered: Remembered | None = None
     note: str | None = None
+    besides: frozenset[FaultCode] = frozenset()
     fault: Fault | None = None
 
 
@@ -102,7 +108,7 @@ def settled(state: GuardState, gripper: GripperState) -> bool:
 
 def entered(state: GuardState, phase: Phase, now_s: float) -> GuardState:
     """The same memory at the beginning of another phase."""
-    return replace(state, phase=phase, since_s=now_s, paused=False)
+    return replace(state, phase=phase, since_s=now_s, paused=False, putting_down=False)
 
 
 def emptied(state: GuardState, phase: Phase, now_s: float) -> GuardState:
@@ -119,4 +125,4 @@ def taken_over(state: GuardState, gripper: GripperState, now_s: float) -> GuardS
     force_n, before = gripper.force_n, state.remembered
     if before is not None and abs(before.width_mm - gripper.width_mm) <= SAME_WIDTH_MM:
         force_n = max(force_n, before.force_n)
-    return replace(emptied(state, Phase.REFERENCE, now_s), target_n=force_n)
+    return replace(emptied(state, Phase.REFERENCE, now_s), target_n=force_n, gripped=True)

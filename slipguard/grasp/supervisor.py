@@ -39,12 +39,12 @@ class Watch:
     mark_s: float = 0.0
 
 
-def watch(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> tuple[Watch, Fault | None]:
-    """What is wrong now, the gravest first; None while nothing is, or nothing is at stake."""
+def watch(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> tuple[Watch, tuple[Fault, ...]]:
+    """What is wrong now, the gravest first; nothing while nothing is at stake."""
     now_s = seen.now_s
     late_s = now_s - memory.tick_s if memory.tick_s is not None else 0.0
     if state.phase not in AT_STAKE and state.phase is not Phase.FAULT:
-        return Watch(tick_s=now_s), None
+        return Watch(tick_s=now_s), ()
     memory = replace(
         memory,
         tick_s=now_s,
@@ -65,7 +65,7 @@ def watch(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> 
         _trust(memory, state, seen, params),
         _late(late_s, params),
     )
-    return memory, next((fault for fault in checks if fault is not None), None)
+    return memory, tuple(fault for fault in checks if fault is not None)
 
 
 def _since(since_s: float | None, wrong: bool, now_s: float) -> float | None:
@@ -160,7 +160,7 @@ def _trust(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) ->
 
 def _arm(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> Fault | None:
     silent_s = _silent_s(seen.arm.measured_at_s if seen.arm else None, memory.arm_since_s, seen.now_s)
-    gone_on_the_way = seen.arm is None and state.phase in MOVING
+    gone_on_the_way = seen.arm is None and (state.phase in MOVING or state.putting_down)
     if silent_s < params.arm_timeout_s and not gone_on_the_way:
         return None
     return Fault(
@@ -172,7 +172,8 @@ def _arm(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> F
 
 def _follow_arm(memory: Watch, state: GuardState, seen: Seen) -> Watch:
     """Mark each millimetre the arm gains while it should be moving."""
-    if state.phase not in MOVING or state.slip is not None or seen.arm is None:
+    goes = state.putting_down or (state.phase in MOVING and state.slip is None)
+    if not goes or seen.arm is None:
         return memory if memory.mark_mm is None else replace(memory, mark_mm=None)
     if memory.mark_mm is None or abs(seen.arm.height_mm - memory.mark_mm) >= GAIN_MM:
         return replace(memory, mark_mm=seen.arm.height_mm, mark_s=seen.now_s)

@@ -30,9 +30,9 @@ def first_fault(
     ticks = round(seconds / TICK_S)
     for number in range(ticks):
         now_s = number * TICK_S
-        memory, fault = watch(memory, state, view(now_s), params)
-        if fault is not None:
-            return now_s, fault
+        memory, faults = watch(memory, state, view(now_s), params)
+        if faults:
+            return now_s, faults[0]
     return seconds, None
 
 
@@ -95,13 +95,12 @@ def test_faults(
 
 
 def test_a_late_loop_is_a_fault() -> None:
-    memory, fault = watch(Watch(), HOLDING, seen(1.0), PARAMS)
-    assert fault is None
-    memory, fault = watch(memory, HOLDING, seen(1.4), PARAMS)
-    assert fault is None
-    memory, fault = watch(memory, HOLDING, seen(1.9), PARAMS)
-    assert fault is not None
-    assert fault.code is FaultCode.LOOP_LATE
+    memory, faults = watch(Watch(), HOLDING, seen(1.0), PARAMS)
+    assert not faults
+    memory, faults = watch(memory, HOLDING, seen(1.4), PARAMS)
+    assert not faults
+    memory, faults = watch(memory, HOLDING, seen(1.9), PARAMS)
+    assert [fault.code for fault in faults] == [FaultCode.LOOP_LATE]
 
 
 @pytest.mark.parametrize("phase", [phase for phase in Phase if phase not in AT_STAKE and phase is not Phase.FAULT])
@@ -115,26 +114,23 @@ def test_nothing_at_stake_nothing_wrong(phase: Phase) -> None:
 def test_what_has_passed_is_no_longer_said() -> None:
     """So that it can be cleared."""
     state = GuardState(phase=Phase.FAULT)
-    memory, fault = watch(Watch(), state, seen(0.0, gripper=None), PARAMS)
-    memory, fault = watch(memory, state, seen(0.45, gripper=None), PARAMS)
-    assert fault is not None
-    memory, fault = watch(memory, state, seen(0.46), PARAMS)
-    assert fault is None
-    memory, fault = watch(memory, state, seen(0.47, gripper=None), PARAMS)
-    assert fault is None
+    memory, faults = watch(Watch(), state, seen(0.0, gripper=None), PARAMS)
+    memory, faults = watch(memory, state, seen(0.45, gripper=None), PARAMS)
+    assert faults
+    memory, faults = watch(memory, state, seen(0.46), PARAMS)
+    assert not faults
+    memory, faults = watch(memory, state, seen(0.47, gripper=None), PARAMS)
+    assert not faults
 
 
 def test_the_gravest_comes_first() -> None:
-    _, fault = first_fault(
-        HOLDING, lambda t: seen(t, arm=arm(at_s=t, emergency=True), gripper=gripper(at_s=t, fault="9"), left=LOST)
-    )
-    assert fault is not None
-    assert fault.code is FaultCode.ARM_EMERGENCY
+    view = seen(0.0, arm=arm(emergency=True), gripper=gripper(fault="9"), left=LOST)
+    _, faults = watch(Watch(), HOLDING, view, PARAMS)
+    assert [fault.code for fault in faults] == [FaultCode.ARM_EMERGENCY, FaultCode.GRIPPER_FAULT]
 
 
 def test_a_finger_that_only_ages_is_lost_too() -> None:
     old = FingerHealth(Condition.FRESH, 0.35)
-    _, fault = watch(Watch(), HOLDING, seen(0.0, left=old, right=old), PARAMS)
-    assert fault is not None
+    _, (fault,) = watch(Watch(), HOLDING, seen(0.0, left=old, right=old), PARAMS)
     assert fault.code is FaultCode.FRAMES_LOST
     assert "fresh" in fault.seen
