@@ -1,0 +1,107 @@
+// Devices, pace and events: what an engineer looks at after the first glance.
+
+import { byId, make, setRows, setText } from "./dom.js";
+import { clock, deviceName } from "./words.js";
+
+export const EVENTS_KEPT = 50;
+const COUNTED = {
+  frames: "frames",
+  corrupt: "damaged",
+  frozen: "frozen",
+  stalled: "stalled",
+  missed: "missed by the camera",
+  late: "too late",
+};
+
+const RETRIED = "It is tried again by itself. More is said by: slipguard doctor";
+
+/** Each device in a line: how it is, why, and what to do; nothing of the past where the connection is lost. */
+export function showDevices(state, live) {
+  const rows = Object.entries(state.devices).map(([name, health]) => {
+    if (!live) return [name, "not known", ""];
+    const remarks = state.fingers[name]?.remarks ?? [];
+    const help = health.state === "waiting" ? [RETRIED] : [];
+    return [name, health.state, [health.why, ...remarks, ...help].filter(Boolean).join(". ")];
+  });
+  setRows(byId("devices"), rows, (name, health, why) => {
+    const item = make("li", {}, make("b", { textContent: deviceName(name) }), " ");
+    item.append(make("span", { className: `health ${health}`, textContent: health }));
+    if (why) item.append(make("p", { textContent: why }));
+    return [item];
+  });
+}
+
+/** How fast everything is, and what was left out of each finger's frames. */
+export function showPace(state) {
+  setRows(
+    byId("times"),
+    [
+      ["frame to decision", ...milliseconds(state.latency)],
+      ["gripper's answer", ...milliseconds(state.round_trips.gripper)],
+      ["arm's answer", ...milliseconds(state.round_trips.arm)],
+    ],
+    tableRow,
+  );
+  const { left, right } = state.fingers;
+  const kinds = (finger) => ({ ...finger.counts, ...finger.counts.skipped, skipped: 0 });
+  const counts = [kinds(left), kinds(right)];
+  const names = [...new Set(counts.flatMap(Object.keys))];
+  const told = names.filter((name) => name === "frames" || counts.some((one) => one[name]));
+  const rows = told.map((name) => [COUNTED[name] ?? `skipped: ${name}`, ...counts.map((one) => String(one[name] ?? 0))]);
+  setRows(byId("counts"), rows, tableRow);
+  setText(byId("missed"), String(state.deadlines_missed));
+}
+
+function tableRow(what, ...cells) {
+  const head = make("th", { scope: "row", textContent: what });
+  return [make("tr", {}, head, ...cells.map((text) => make("td", { textContent: text })))];
+}
+
+function milliseconds(trips) {
+  return trips ? [trips.p50_ms.toFixed(1), trips.p99_ms.toFixed(1)] : ["–", "–"];
+}
+
+/** The newest events, newest first; the same one again is only counted. */
+export class Events {
+  constructor() {
+    this.list = byId("events");
+    this.kept = [];
+  }
+
+  /** Forget all. */
+  clear() {
+    this.kept = [];
+    this.show();
+  }
+
+  /** One more; `at` is a Date. */
+  add(event, at) {
+    const last = this.kept[0];
+    if (last && last.text === event.text && last.level === event.level) {
+      last.times += 1;
+      last.at = at;
+    } else {
+      this.kept.unshift({ ...event, at, times: 1 });
+      this.kept.length = Math.min(this.kept.length, EVENTS_KEPT);
+    }
+    this.show();
+  }
+
+  show() {
+    byId("no-events").hidden = this.kept.length > 0;
+    this.list.hidden = this.kept.length === 0;
+    this.list.replaceChildren(
+      ...this.kept.map((event) => {
+        const text = event.times > 1 ? `${event.text} (×${event.times})` : event.text;
+        const item = make("li", { className: event.level });
+        item.append(make("time", { textContent: clock(event.at), dateTime: event.at.toISOString() }));
+        const words = make("div", {});
+        if (event.level !== "info") words.append(make("b", { className: "level", textContent: event.level }), " ");
+        words.append(text);
+        if (event.what_to_do) words.append(make("p", { className: "do", textContent: event.what_to_do }));
+        item.append(words);
+        return item;
+      }),
+    );
+  }
+}

@@ -1,0 +1,91 @@
+// Numbers and states in words, as `slipguard ctl state` says them.
+
+const MINUS = "\u2212";
+
+/** A number with its sign: "+1.2", "−0.4"; "0.0" has none. */
+export function signed(value, digits = 1) {
+  const text = Math.abs(value).toFixed(digits);
+  if (Number(text) === 0) return text;
+  return (value < 0 ? MINUS : "+") + text;
+}
+
+/** A number without plus: "62", "−3". */
+export function plain(value, digits = 0) {
+  return signed(value, digits).replace("+", "");
+}
+
+/** "0.4 s", "12 s", "3 min", "2 h 5 min". */
+export function span(seconds) {
+  if (seconds < 10) return `${seconds.toFixed(1)} s`;
+  if (seconds < 120) return `${Math.round(seconds)} s`;
+  const minutes = Math.round(seconds / 60);
+  return minutes < 120 ? `${minutes} min` : `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
+}
+
+/** Wall-clock time of a Date: "14:03:09". */
+export function clock(date) {
+  return date.toLocaleTimeString("en-GB");
+}
+
+const PHASES = {
+  idle: ["Idle", "idle"],
+  closing: ["Closing", "move"],
+  reference: ["Gripped", "hold"],
+  lifting: ["Lifting", "move"],
+  holding: ["Holding", "hold"],
+  lowering: ["Lowering", "move"],
+  released: ["Opening", "move"],
+};
+const AT_STAKE = new Set(["closing", "reference", "lifting", "holding", "lowering"]);
+
+/** What is so, for somebody two metres away: {word, detail, tone}; tone: idle hold move slip warn fault. */
+export function headline(state) {
+  const gripper = state.gripper;
+  if (state.phase === "fault") {
+    const code = state.fault ? state.fault.code : "see the log";
+    return { word: `Fault: ${code}`, detail: faultDetail(state), tone: "fault" };
+  }
+  const [word, tone] = PHASES[state.phase] ?? [state.phase, "idle"];
+  const notes = [];
+  if (state.slipping) notes.push(gripper ? `tightening, ${plain(gripper.force_n)} N now` : "tightening");
+  if (state.phase === "idle") notes.push(gripper && gripper.holding ? "something is held, not guarded" : "nothing is held");
+  if (state.phase === "reference") notes.push("looking how it lies");
+  if (state.guarding) {
+    if (AT_STAKE.has(state.phase)) notes.push("guarding");
+  } else notes.push("NOT guarding: slip is only shown");
+  if (state.mode === "guard") notes.push("another program moves the arm");
+  if (state.cannot_see_turn && AT_STAKE.has(state.phase)) notes.push(`the turn cannot be seen (${state.cannot_see_turn})`);
+  if (state.slipping) return { word: "Slipping", detail: `${word.toLowerCase()}; ${notes.join("; ")}`, tone: "slip" };
+  const waiting = state.waiting_for ?? [];
+  if (waiting.length && state.phase === "idle") {
+    return { word: "Not ready", detail: waiting.join("; "), tone: "warn" };
+  }
+  if (waiting.length) notes.push(waiting.join("; "));
+  return { word, detail: notes.join("; "), tone: state.guarding || state.phase === "idle" ? tone : "warn" };
+}
+
+function faultDetail(state) {
+  const gripper = state.gripper;
+  if (!gripper) return "the arm is stopped, the gripper is left as it is";
+  return gripper.holding ? `the arm is stopped, the grip is kept: ${plain(gripper.force_n)} N` : "the arm is stopped";
+}
+
+/** The turn of one finger or of both in words. */
+export function turnWords(turn_deg, sigma_deg) {
+  return turn_deg === null || turn_deg === undefined ? "not told" : `${signed(turn_deg)}° ± ${sigma_deg.toFixed(1)}°`;
+}
+
+/** {force, target, budget} of a state in newtons; null where not known. */
+export function forces(state) {
+  return {
+    force_n: state.gripper ? state.gripper.force_n : null,
+    target_n: state.target_force_n ?? null,
+    budget_n: state.limits ? state.limits.force_max_n : null,
+  };
+}
+
+/** Sentence of a device's answer: "Left finger". */
+export function deviceName(name) {
+  const fingers = { left: "left finger", right: "right finger" };
+  return fingers[name] ?? name;
+}
