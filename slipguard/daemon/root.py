@@ -21,7 +21,9 @@ from slipguard.daemon.calibration import NoContact
 from slipguard.daemon.controls import Controls
 from slipguard.daemon.finger import Perceiver
 from slipguard.daemon.last_grasp import GraspKeeper, remembered
+from slipguard.daemon.last_reference import ReferenceKeeper, recall
 from slipguard.daemon.recording import make_recorder, record
+from slipguard.daemon.reference_shelf import REFERENCES, ReferenceShelf
 from slipguard.daemon.serve import bind, serve
 from slipguard.daemon.service import FINGERS, Law, Service
 from slipguard.daemon.state_dir import SOCKET_NAME, StateDir
@@ -30,6 +32,7 @@ from slipguard.devices import DriverContext
 from slipguard.errors import DeviceTimeout, InputError
 from slipguard.grasp.guard import tick
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.recall import RecallingPipeline
 from slipguard.perception.segment import Segmenter
 from slipguard.recording.recorder import Recorder
 from slipguard.registry import load_driver
@@ -94,6 +97,7 @@ def build_service(
     cv2.setNumThreads(1)
     sys.setswitchinterval(SWITCH_S)
     state_dir = StateDir(config.state.directory)
+    references = ReferenceShelf(state_dir.path / REFERENCES)
 
     def device(name: str) -> Any:
         section = getattr(config, name)
@@ -106,7 +110,7 @@ def build_service(
 
         def make(serial: str) -> Perceiver:
             known = _no_contact(state_dir, serial)
-            pipeline = Pipeline(
+            pipeline = RecallingPipeline(
                 segmenter,
                 config.perception,
                 background=None if known is None else known.image,
@@ -115,6 +119,7 @@ def build_service(
                 rotation_deg=section.rotation_deg,
                 timer=time.perf_counter,
             )
+            recall(pipeline, references, name, serial, asyncio.get_running_loop().time())
             return around(name, pipeline)
 
         return make
@@ -154,7 +159,10 @@ async def run(
     beside: what else runs as long as the service does. build, recorder: make the service and what records it.
     """
     service = build(config, world=world)
-    service.observers.append(GraspKeeper(StateDir(config.state.directory), service.journal.say).decided)
+    kept = StateDir(config.state.directory)
+    service.observers.append(GraspKeeper(kept, service.journal.say).decided)
+    shelf = ReferenceShelf(kept.path / REFERENCES)
+    service.observers.append(ReferenceKeeper(shelf, service.fingers, service.journal.say).decided)
     path = socket_path(config)
     bound = bind(path)  # before any device is opened: a second daemon must not touch what the first one owns
     log.info("slipguard starts", version=__version__, mode=config.guard.mode, socket=str(path))

@@ -126,11 +126,11 @@ class Tracker:
         """The last turn accepted; 0 at the reference."""
         return self._last[1]
 
-    def start(self, now_s: float) -> None:
-        """The reference was taken at `now_s`: the turn is 0."""
+    def start(self, now_s: float, turn_deg: float = 0.0) -> None:
+        """The turn since the reference is `turn_deg` at `now_s`; 0 where it is taken just then."""
         self._history.clear()
-        self._history.append((now_s, 0.0))
-        self._last = (now_s, 0.0)
+        self._history.append((now_s, turn_deg))
+        self._last = (now_s, turn_deg)
 
     def predicted_deg(self, now_s: float) -> float:
         """Where the turn would be at `now_s` if the rate stayed; never more than 15 degrees ahead."""

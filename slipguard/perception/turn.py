@@ -41,9 +41,11 @@ UNSURE = "too uncertain"
 class Reference:
     """What turns are measured against. axes: by estimator. Centre and area in frame pixels.
 
-    relief: follows the relief in the contact; None without a no-contact image.
+    image: the frame it was taken from, (320, 240, 3) uint8. relief: follows the relief in the contact; None without a
+    no-contact image.
     """
 
+    image: NDArray[np.uint8]
     axes: Mapping[str, Orientation]
     template: Template
     relief: ReliefTrack | None
@@ -127,15 +129,32 @@ class TurnMeter:
             largest, smallest = max(self._areas), min(self._areas)
             if len(self._areas) < STABLE_FRAMES or largest - smallest >= STABLE_SHARE * largest:
                 return
+        self.refer_to(image, patch, axes_of, now_s, clock)
+
+    def refer_to(
+        self,
+        image: NDArray[np.uint8],
+        patch: Patch,
+        axes_of: Callable[[bool], Mapping[str, Orientation]],
+        now_s: float,
+        clock: StageClock,
+        turn_deg: float | None = None,
+    ) -> None:
+        """This patch is the reference from now on.
+
+        turn_deg: how far the object had turned when it was last seen, where that is an old patch; None: it is as now.
+        """
         relief = None
         if self._reader is not None:
             self._reader.learn(image, patch)
             texture = make_texture(self._reader.read(image, patch), patch)
             relief = None if texture is None else ReliefTrack(texture)
-        self.reference = Reference(dict(axes_of(True)), make_template(patch), relief, _centre_px(patch), patch.area_px)
+        axes = dict(axes_of(True))
+        self.reference = Reference(image, axes, make_template(patch), relief, _centre_px(patch), patch.area_px)
         clock.mark("reference")
-        self.tracker.start(now_s)
-        self._pose, self._lost_count = Pose(), False
+        self.tracker.start(now_s, turn_deg or 0.0)
+        self._pose = Pose(turn_deg or 0.0)
+        self._lost_count = turn_deg is not None and relief is not None and relief.repeats
 
     def _axial(self, reference: Reference, axes: Mapping[str, Orientation], predicted_deg: float) -> Turn:
         known = reference.axes

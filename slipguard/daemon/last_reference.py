@@ -1,0 +1,130 @@
+"""Keeps each finger's reference and last turn on a shelf while something is held, and says what came of an old one."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import structlog
+
+from slipguard.daemon.finger import Finger, Perceiver
+from slipguard.daemon.service import Decision
+from slipguard.errors import InputError
+from slipguard.grasp.state import AT_STAKE, Phase
+from slipguard.perception.recall import KnownReference, RecallingPipeline
+
+TURN_DEG = 1.0
+"""A turn that has grown by less is not worth a write."""
+log = structlog.get_logger()
+
+
+class Shelf(Protocol):
+    """Where references are kept, as `ReferenceShelf`; writing may raise OSError, `load` InputError."""
+
+    def save(self, finger: str, serial: str, known: KnownReference) -> None: ...
+
+    def turn(self, finger: str, serial: str, known: KnownReference) -> None: ...
+
+    def load(self, finger: str, serial: str) -> KnownReference | None: ...
+
+    def forget(self) -> None: ...
+
+
+def recall(pipeline: RecallingPipeline, shelf: Shelf, finger: str, serial: str, now_s: float) -> None:
+    """Let a new pipeline go on with the finger's old reference, if there is a good one; a damaged one is said."""
+    try:
+        known = shelf.load(finger, serial)
+        if known is not None:
+            pipeline.recall(known, now_s)
+    except InputError as error:
+        log.error("last reference", why=str(error))
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """What the shelf holds of a finger."""
+
+    serial: str
+    known: KnownReference
+
+
+class ReferenceKeeper:
+    """Watches decisions and keeps the shelf up to date, in a thread: the loop never waits for the disk.
+
+    fingers: whose pipelines are looked at; one that is no `RecallingPipeline` has nothing to keep.
+    """
+
+    def __init__(self, shelf: Shelf, fingers: Mapping[str, Finger], say: Callable[[str], None]) -> None:
+        self._shelf, self._fingers, self._say = shelf, fingers, say
+        self._kept: dict[str, _Kept] = {}
+        self._empty = False
+        self._told: dict[str, Perceiver] = {}
+        self._writing: asyncio.Task[None] | None = None
+
+    def decided(self, decision: Decision) -> None:
+        """To be called after every turn of the loop."""
+        for name, finger in self._fingers.items():
+            self._tell(name, finger)
+        gripper = decision.seen.gripper
+        if gripper is None or (self._writing is not None and not self._writing.done()):
+            return  # not known, or the disk is busy: a later turn will do
+        if decision.phase in AT_STAKE or decision.phase is Phase.FAULT:
+            new = {name: kept for name, finger in self._fingers.items() if (kept := self._news(name, finger))}
+            if gripper.holding and new:
+                self._empty = False
+                before, self._kept = self._kept, {**self._kept, **new}
+                self._write(lambda: self._save(new, before))
+        elif not gripper.holding and not self._empty:
+            self._empty = True
+            self._kept = {}
+            self._write(self._shelf.forget)
+
+    def _tell(self, name: str, finger: Finger) -> None:
+        pipeline = finger.pipeline
+        if not isinstance(pipeline, RecallingPipeline) or self._told.get(name) is pipeline:
+            return
+        if pipeline.recalled == "matches":
+            self._say(f"{name} finger: goes on with the reference of before the restart")
+        elif pipeline.recalled == "differs":
+            self._say(
+                f"{name} finger: does not see what it saw before the restart: a new reference, counted from "
+                f"{pipeline.counted_deg:.0f}°"
+            )
+        if pipeline.recalled in ("matches", "differs"):
+            self._told[name] = pipeline
+
+    def _news(self, name: str, finger: Finger) -> _Kept | None:
+        """What is worth writing of a finger."""
+        pipeline, newest = finger.pipeline, finger.newest
+        if not isinstance(pipeline, RecallingPipeline) or newest is None or finger.serial is None:
+            return None
+        image, turn_deg = pipeline.reference_image, newest.estimate.angle_deg
+        if image is None or turn_deg is None:
+            return None
+        known = KnownReference(image, turn_deg - pipeline.counted_deg, pipeline.counted_deg)
+        before = self._kept.get(name)
+        if (
+            before is not None
+            and before.known.image is image
+            and abs(known.turn_deg - before.known.turn_deg) < TURN_DEG
+        ):
+            return None
+        return _Kept(finger.serial, known)
+
+    def _save(self, new: Mapping[str, _Kept], before: Mapping[str, _Kept]) -> None:
+        for name, kept in new.items():
+            if name in before and before[name].known.image is kept.known.image:
+                self._shelf.turn(name, kept.serial, kept.known)
+            else:
+                self._shelf.save(name, kept.serial, kept.known)
+
+    def _write(self, work: Callable[[], None]) -> None:
+        self._writing = asyncio.get_running_loop().create_task(self._done(work), name="last reference")
+
+    async def _done(self, work: Callable[[], None]) -> None:
+        try:
+            await asyncio.to_thread(work)
+        except OSError as error:
+            self._say(f"the references could not be noted down for a restart: {error.strerror or error}")
