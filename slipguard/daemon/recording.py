@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hashlib
 import json
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import cv2
 
@@ -30,6 +32,7 @@ SEGMENT_S = 20.0
 IDLE_IMAGE_S = 1.0
 """With nothing held and nothing touched, one picture in this time is enough."""
 STOP_S = 5.0
+T = TypeVar("T")
 
 
 def make_recorder(service: Service, folder: Path) -> Recorder:
@@ -49,16 +52,22 @@ def make_recorder(service: Service, folder: Path) -> Recorder:
 async def record(service: Service, recorder: Recorder) -> None:
     """Record until cancelled; then what waits is written and the file is closed."""
     watcher = Watcher(recorder)
-    for name, finger in service.fingers.items():
-        finger.observers.append(lambda judgement, name=name: watcher.judged(name, judgement))  # type: ignore[misc]
-    service.observers.append(watcher.decided)
     loop = asyncio.get_running_loop()
-    service.journal.listeners.append(lambda text, error: recorder.hand(Said(loop.time(), text, error)))
-    recorder.start()
-    try:
-        await loop.create_future()
-    finally:
-        await asyncio.to_thread(recorder.stop, STOP_S)
+    with contextlib.ExitStack() as watched:
+        for name, finger in service.fingers.items():
+            _attach(watched, finger.observers, partial(watcher.judged, name))
+        _attach(watched, service.observers, watcher.decided)
+        _attach(watched, service.journal.listeners, lambda text, error: recorder.hand(Said(loop.time(), text, error)))
+        recorder.start()
+        try:
+            await loop.create_future()
+        finally:
+            await asyncio.to_thread(recorder.stop, STOP_S)
+
+
+def _attach(watched: contextlib.ExitStack, observers: list[T], observer: T) -> None:
+    observers.append(observer)
+    watched.callback(observers.remove, observer)
 
 
 class Taker(Protocol):

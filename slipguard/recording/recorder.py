@@ -114,6 +114,11 @@ class Recorder:
         """Whether pictures are recorded at all."""
         return self._settings.image != "none"
 
+    @property
+    def backlog(self) -> int:
+        """Values that wait to be written."""
+        return len(self._waiting)
+
     def start(self) -> None:
         """Begin; the first file is opened with the first turn of the loop."""
         self._thread.start()
