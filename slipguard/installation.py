@@ -70,6 +70,14 @@ class Step:
     diff: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class Live:
+    """Who runs and can be told of changes; a container has systemd and no udev."""
+
+    systemd: bool
+    udev: bool
+
+
 def shipped(name: str) -> str:
     """The text of UNIT, RULES or CONFIG, from the installed package or the checkout. Raises InputError."""
     checkout = Path(__file__).resolve().parents[1]
@@ -90,29 +98,32 @@ def unit_text(executable: Path) -> str:
     return shipped(UNIT).replace(SHIPPED_EXECUTABLE, str(executable))
 
 
-def to_install(root: Path, executable: Path, config: str | None, *, live: bool) -> Iterator[Step]:
+def to_install(root: Path, executable: Path, config: str | None, live: Live) -> Iterator[Step]:
     """The steps that put all in place under `root`.
 
-    config: the text of a configuration; None: the commented one that is shipped, where there is none. live: `root` is
-    this machine's own, with systemd running, so systemd and udev are told. Raises InputError or OSError.
+    config: the text of a configuration; None: the commented one that is shipped, where there is none. live: who is to
+    be told. Raises InputError or OSError.
     """
     yield _ours(root, UNIT, unit_text(executable))
     yield _ours(root, RULES, shipped(RULES))
     yield _yours(root / PLACES[CONFIG], config)
-    yield from _told((TELL_SYSTEMD, *TELL_UDEV), live)
+    yield _told(TELL_SYSTEMD, live)
+    for words in TELL_UDEV:
+        yield _told(words, live)
 
 
-def to_remove(root: Path, *, live: bool) -> Iterator[Step]:
+def to_remove(root: Path, live: Live) -> Iterator[Step]:
     """The steps that take unit and rules away again; configuration and state stay. Raises OSError."""
     there = [root / PLACES[name] for name in (UNIT, RULES) if (root / PLACES[name]).exists()]
     if root / PLACES[UNIT] in there:
-        yield from _told((END_SERVICE,), live)
+        yield _told(END_SERVICE, live)
     for path in there:
         yield Step(Do.REMOVE, str(path))
     if (root / PLACES[CONFIG]).exists():
         yield Step(Do.KEEP, str(root / PLACES[CONFIG]), "yours")
     if there:
-        yield from _told((TELL_SYSTEMD, TELL_UDEV[0]), live)
+        yield _told(TELL_SYSTEMD, live)
+        yield _told(TELL_UDEV[0], live)
 
 
 def _ours(root: Path, name: str, text: str) -> Step:
@@ -138,9 +149,9 @@ def _yours(path: Path, config: str | None) -> Step:
     return Step(Do.KEEP, str(path), why, diff=_difference(before, config, str(path)))
 
 
-def _told(commands: Sequence[Sequence[str]], live: bool) -> Iterator[Step]:
-    for words in commands:
-        yield Step(Do.RUN if live else Do.SKIP, " ".join(words), "" if live else "no systemd is running there")
+def _told(words: Sequence[str], live: Live) -> Step:
+    who, listens = ("systemd", live.systemd) if words[0] == "systemctl" else ("udev", live.udev)
+    return Step(Do.RUN if listens else Do.SKIP, " ".join(words), "" if listens else f"no {who} is running there")
 
 
 def _difference(before: str, after: str, name: str) -> str:
@@ -194,6 +205,7 @@ def missing_groups() -> list[str]:
     return [name for name in GROUPS if name not in there]
 
 
-def systemd_runs() -> bool:
-    """Whether systemd is this machine's first process."""
-    return os.path.isdir("/run/systemd/system")
+def live(root: Path) -> Live:
+    """Whom to tell of changes under `root`: nobody unless it is this machine's own."""
+    here = root.resolve() == Path("/")
+    return Live(here and os.path.isdir("/run/systemd/system"), here and os.path.exists("/run/udev/control"))

@@ -51,11 +51,11 @@ def install(
     if not root.is_dir():
         raise InputError(f"{root}: no such folder; --root names one that is there")
     executable = _executable(prefix)
-    live = root.resolve() == HERE and installation.systemd_runs()
+    live = installation.live(root)
     if uninstall:
-        steps = list(installation.to_remove(root, live=live))
+        steps = list(installation.to_remove(root, live))
     else:
-        steps = list(installation.to_install(root, executable, _text(config), live=live))
+        steps = list(installation.to_install(root, executable, _text(config), live))
     if not dry_run and root.resolve() == HERE and os.geteuid() != 0:
         raise SlipguardError(f"root is needed: `sudo {executable} install`; --dry-run shows what it would do")
     why_not = None if uninstall or root.resolve() != HERE else _why_not(executable, this_one=prefix is None)
