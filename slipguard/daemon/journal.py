@@ -24,6 +24,9 @@ class Journal:
         self.lines = [*self.lines[1 - KEPT :], text]
         self._tell(text, False)
 
+    def warn(self, text: str) -> None:
+        log.warning(text)
+
     def fault(self, code: str, seen: str, do: str) -> None:
         """A fault as it is latched; its line was said already."""
         log.error("fault", code=code, seen=seen, do=do)

@@ -27,6 +27,13 @@ def configure(*, json_lines: bool | None = None, level: int = logging.INFO) -> N
     )
 
 
+def set_level(level: str) -> None:
+    """Let through what is as grave as `level` (debug, info, warning, error) or graver."""
+    structlog.configure(
+        wrapper_class=structlog.make_filtering_bound_logger(logging.getLevelNamesMapping()[level.upper()])
+    )
+
+
 class OncePerSecond:
     """Lets one message of each kind through per second; says how many were held back."""
 

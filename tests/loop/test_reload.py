@@ -1,0 +1,190 @@
+"""A configuration read again: taken up whole where that is safe, refused whole and in words where it is not."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from loop_cell import Cell, play
+
+from slipguard.config import Config, parse_config
+from slipguard.daemon import root
+from slipguard.daemon.reload import Grip, Reloader, changes, grip_of, why_not
+from slipguard.errors import ConfigError
+from slipguard.grasp.state import Phase
+from slipguard.sim.world import World, WorldSettings
+
+FAKES: dict[str, Any] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in ("left", "right")}
+
+
+def config(**sections: Any) -> Config:
+    return parse_config(FAKES | sections, where="test", sim=True)
+
+
+def reloader(cell: Cell, read: Callable[[], Config]) -> Reloader:
+    return Reloader(cell.service, read, lambda: None)
+
+
+def test_every_changed_key_is_told_as_the_file_spells_it() -> None:
+    new = config(guard={"force_max_n": 110, "mode": "guard"}, left={"driver": "fake", "fake": {"draw": "process"}})
+    assert [str(change) for change in changes(config(), new)] == [
+        'left.fake.draw: "inline" -> "process"',
+        'guard.mode: "lift" -> "guard"',
+        "guard.force_max_n: 130.0 -> 110.0",
+    ]
+    assert changes(config(), config()) == []
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [
+        {"guard": {"mode": "guard"}},
+        {"left": {"driver": "fake", "px_per_mm": 18.0}},
+        {"perception": {"sigma_max_deg": 5.0}},
+        {"loop": {"period_ms": 20}},
+        {"api": {"socket": "/run/other.sock"}},
+        {"state": {"directory": "/var/lib/other"}},
+        {"recording": {"directory": "/var/lib/other"}},
+    ],
+)
+def test_what_is_built_at_the_start_needs_a_restart(sections: dict[str, Any]) -> None:
+    (change, *_) = changes(config(), config(**sections))
+    assert why_not(change, config(**sections), Grip(Phase.IDLE, False, 0.0)) == "needs a restart"
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_the_guard_changes_only_while_nothing_moves(phase: Phase) -> None:
+    new = config(guard={"level_deg": 3.0})
+    (change,) = changes(config(), new)
+    rests = phase in (Phase.IDLE, Phase.HOLDING, Phase.FAULT)
+    assert why_not(change, new, Grip(phase, False, 40.0)) == (None if rests else f"not while {phase.value}")
+    assert why_not(change, new, Grip(Phase.HOLDING, True, 40.0)) == "not while the object slips"
+
+
+def test_thresholds_are_taken_up_while_an_object_is_held() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        await cell.grasp()
+        assert await reloader(cell, lambda: config(guard={"force_max_n": 115.0, "level_deg": 2.5})).reload()
+        assert cell.service.config.guard.force_max_n == 115.0
+        assert cell.service.journal.lines[-1] == (
+            "configuration read again: guard.force_max_n: 130.0 -> 115.0, guard.level_deg: 2.0 -> 2.5"
+        )
+        await cell.lift()
+        assert cell.phase is Phase.HOLDING
+        assert cell.gripper.told
+        assert all(value <= 115.0 for _, what, value in cell.gripper.told if what == "hold")
+
+    play(Cell("wrench", 1), scene)
+
+
+def test_a_budget_below_the_present_grip_is_refused_and_nothing_of_the_rest_is_taken_up() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        await cell.grasp()
+        held_n = grip_of(cell.service).force_n
+        assert held_n >= 40.0
+        low = {"force_max_n": 35.0, "blind_force_n": 30.0, "first_force_n": 20.0, "level_deg": 3.0}
+        before = cell.service.config
+        assert not await reloader(cell, lambda: config(guard=low, recording={"ring_s": 60})).reload()
+        assert cell.service.config is before
+        line = cell.service.journal.lines[-1]
+        assert line == (
+            "configuration not taken up, the old one stays in full: guard.force_max_n: 130.0 -> 35.0 "
+            f"the object is held with {held_n:.0f} N; release it first"
+        )
+        await cell.release()
+        assert await reloader(cell, lambda: config(guard=low)).reload()
+        assert cell.service.config.guard.force_max_n == 35.0
+
+    play(Cell("wrench", 1), scene)
+
+
+def test_during_a_lift_the_old_one_stays() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        await cell.grasp()
+        lifting = asyncio.create_task(cell.lift())
+        await cell.until(lambda: cell.phase is Phase.LIFTING)
+        assert not await reloader(cell, lambda: config(guard={"level_deg": 3.0})).reload()
+        assert "guard.level_deg: 2.0 -> 3.0 not while lifting" in cell.service.journal.lines[-1]
+        assert await reloader(cell, lambda: config(recording={"ring_s": 60})).reload()
+        await lifting
+
+    play(Cell("wrench", 1), scene)
+
+
+@pytest.mark.parametrize("failure", [ConfigError("config.toml: guard.mode = 'x': wrong"), RuntimeError("a driver's")])
+def test_a_file_that_cannot_be_read_changes_nothing(failure: Exception) -> None:
+    def read() -> Config:
+        raise failure
+
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        before = cell.service.config
+        assert not await reloader(cell, read).reload()
+        assert cell.service.config is before
+        assert "the old one stays in full: " in cell.service.journal.lines[-1]
+        assert cell.phase is Phase.IDLE
+
+    play(Cell(), scene)
+
+
+def test_systemd_is_told_that_it_reloads_and_that_it_is_ready_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+
+        async def scene(cell: Cell) -> None:
+            await cell.ready()
+            monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+            await reloader(cell, config).reload()
+            monkeypatch.delenv("NOTIFY_SOCKET")
+
+        play(Cell(), scene)
+        told = [systemd.recv(200).decode() for _ in range(2)]
+    assert told[0].startswith("RELOADING=1\nMONOTONIC_USEC=")
+    assert told[1] == "READY=1\nSTATUS=idle"
+
+
+def test_sighup_reads_the_file_and_begins_a_new_recording(tmp_path: Path) -> None:
+    """The daemon as it runs, but for its devices: the signal, the file's new words, the recording by each."""
+    asked = {"state": {"directory": str(tmp_path)}, "recording": {"ring_s": 60}}
+    newer = asked | {"guard": {"force_max_n": 110.0}}
+    made: list[float] = []
+    anew = asyncio.Event()
+
+    async def beside(service: Any) -> None:
+        running = asyncio.Event()
+        service.observers.append(lambda decision: running.set())
+        await running.wait()
+        os.kill(os.getpid(), signal.SIGHUP)
+        await anew.wait()
+        os.kill(os.getpid(), signal.SIGTERM)
+        await asyncio.sleep(60.0)
+
+    def recorder(service: Any, folder: Path) -> Any:
+        made.append(service.config.guard.force_max_n)
+        if len(made) == 2:
+            anew.set()
+        return root.make_recorder(service, folder)
+
+    async def main() -> None:
+        async with asyncio.timeout(30.0):
+            await root.run(
+                config(**asked),
+                world=World(WorldSettings(), seed=0),
+                beside=beside,
+                recorder=recorder,
+                reread=lambda: config(**newer),
+            )
+
+    asyncio.run(main())
+    assert made == [130.0, 110.0]
