@@ -12,12 +12,13 @@ the driver's own `Settings`:
 
 from __future__ import annotations
 
+import ipaddress
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from slipguard.complaints import first_complaint
 from slipguard.errors import ConfigError
@@ -69,6 +70,33 @@ class ApiSection(Section):
 
     socket: Path | None = None
     """Unix socket; None: `slipguard.sock` in the runtime or state directory."""
+    listen: str = "127.0.0.1:8470"
+    """Address and port of page and API over TCP; empty: none. Commands need the token there."""
+
+    @property
+    def address(self) -> tuple[str, int] | None:
+        """Host, as a number, and port; None where TCP is not listened at."""
+        return _address(self.listen)
+
+    @field_validator("listen")
+    @classmethod
+    def _listen_at(cls, listen: str) -> str:
+        _address(listen)
+        return listen
+
+
+def _address(listen: str) -> tuple[str, int] | None:
+    if not listen:
+        return None
+    host, _, port = listen.rpartition(":")
+    host = "127.0.0.1" if host == "localhost" else host.removeprefix("[").removesuffix("]")
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        raise ValueError('an address by number and a port are needed, such as "127.0.0.1:8470", or ""') from None
+    if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+        raise ValueError("the port after the last colon must be 1 to 65535")
+    return host, int(port)
 
 
 class StateSection(Section):
@@ -96,12 +124,6 @@ class RecordingSection(Section):
     """Beyond this the oldest kept recordings are deleted."""
 
 
-class LogSection(Section):
-    """The daemon's log."""
-
-    level: Literal["debug", "info", "warning", "error"] = "info"
-
-
 class Config(Section):
     """All of config.toml."""
 
@@ -115,7 +137,6 @@ class Config(Section):
     api: ApiSection = ApiSection()
     state: StateSection = StateSection()
     recording: RecordingSection = RecordingSection()
-    log: LogSection = LogSection()
 
 
 GROUP_OF = {

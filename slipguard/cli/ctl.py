@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from slipguard.errors import InputError, SlipguardError
+
 if TYPE_CHECKING:
-    from slipguard.daemon.client import Client
+    from slipguard.daemon.client import Client, OverTcp
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -36,13 +39,40 @@ class Switch(StrEnum):
     off = "off"
 
 
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """What stood between `ctl` and the command."""
+
+    socket: Path | None
+    url: str | None
+    token_file: Path | None
+
+
+@app.callback()
+def whom(
+    context: typer.Context,
+    socket: SocketOption = None,
+    url: Annotated[
+        str | None, typer.Option(help="Ask over TCP, such as http://127.0.0.1:8470, and not over the Unix socket.")
+    ] = None,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(help="The daemon's token, for --url; default: that of this user or system, on this machine."),
+    ] = None,
+) -> None:
+    """Keep whom to ask for the command that follows."""
+    if token_file is not None and url is None:
+        raise InputError("--token-file is for --url; the Unix socket asks for no token")
+    context.obj = _Told(socket, url, token_file)
+
+
 @app.command()
-def state(socket: SocketOption = None, json: JsonOption = False) -> None:
+def state(context: typer.Context, socket: SocketOption = None, json: JsonOption = False) -> None:
     """Show what is held, how each device is, and what to do about a fault; `--json` has everything.
 
     Example: `slipguard ctl state`
     """
-    with _client(socket) as client:
+    with _client(_where(context, socket)) as client:
         answer = client.state()
     if json:
         _print_json(answer)
@@ -55,16 +85,19 @@ def state(socket: SocketOption = None, json: JsonOption = False) -> None:
 
 
 @app.command()
-def grasp(force_n: ForceOption = None, socket: SocketOption = None, json: JsonOption = False) -> None:
+def grasp(
+    context: typer.Context, force_n: ForceOption = None, socket: SocketOption = None, json: JsonOption = False
+) -> None:
     """Close on what is between the jaws, gently.
 
     Example: `slipguard ctl grasp --force-n 30`
     """
-    _ask(socket, json, lambda client: client.grasp(force_n))
+    _ask(_where(context, socket), json, lambda client: client.grasp(force_n))
 
 
 @app.command()
 def lift(
+    context: typer.Context,
     height_mm: HeightOption = None,
     speed_mm_s: SpeedOption = None,
     socket: SocketOption = None,
@@ -74,11 +107,12 @@ def lift(
 
     Example: `slipguard ctl lift --height-mm 120`
     """
-    _ask(socket, json, lambda client: client.lift(height_mm, speed_mm_s))
+    _ask(_where(context, socket), json, lambda client: client.lift(height_mm, speed_mm_s))
 
 
 @app.command()
 def lower(
+    context: typer.Context,
     height_mm: HeightOption = None,
     speed_mm_s: SpeedOption = None,
     socket: SocketOption = None,
@@ -88,11 +122,12 @@ def lower(
 
     Example: `slipguard ctl lower`
     """
-    _ask(socket, json, lambda client: client.lower(height_mm, speed_mm_s))
+    _ask(_where(context, socket), json, lambda client: client.lower(height_mm, speed_mm_s))
 
 
 @app.command()
 def guard(
+    context: typer.Context,
     switch: Annotated[Switch, typer.Argument(help="on: tighten when the object slips. off: only watch.")],
     socket: SocketOption = None,
     json: JsonOption = False,
@@ -101,11 +136,12 @@ def guard(
 
     Example: `slipguard ctl guard on`
     """
-    _ask(socket, json, lambda client: client.guard(switch is Switch.on))
+    _ask(_where(context, socket), json, lambda client: client.guard(switch is Switch.on))
 
 
 @app.command()
 def gripper(
+    context: typer.Context,
     width_mm: WidthOption = None,
     force_n: ForceOption = None,
     socket: SocketOption = None,
@@ -115,11 +151,12 @@ def gripper(
 
     Example: `slipguard ctl gripper --width-mm 60`
     """
-    _ask(socket, json, lambda client: client.gripper(width_mm, force_n))
+    _ask(_where(context, socket), json, lambda client: client.gripper(width_mm, force_n))
 
 
 @app.command()
 def release(
+    context: typer.Context,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
     width_mm: WidthOption = None,
     socket: SocketOption = None,
@@ -132,20 +169,21 @@ def release(
     if not yes and not _sure("Open the jaws? What is held drops."):
         typer.echo("nothing was opened; `slipguard ctl release --yes` does not ask", err=True)
         raise typer.Exit(1)
-    _ask(socket, json, lambda client: client.release(width_mm))
+    _ask(_where(context, socket), json, lambda client: client.release(width_mm))
 
 
 @app.command()
-def clear(socket: SocketOption = None, json: JsonOption = False) -> None:
+def clear(context: typer.Context, socket: SocketOption = None, json: JsonOption = False) -> None:
     """Leave a fault whose cause is gone; what is held stays held.
 
     Example: `slipguard ctl clear`
     """
-    _ask(socket, json, lambda client: client.clear())
+    _ask(_where(context, socket), json, lambda client: client.clear())
 
 
 @app.command()
 def calibrate(
+    context: typer.Context,
     force: Annotated[
         bool, typer.Option("--force", help="Even if the stored image says that there is contact.")
     ] = False,
@@ -156,7 +194,31 @@ def calibrate(
 
     Example: `slipguard ctl calibrate`
     """
-    _ask(socket, json, lambda client: client.calibrate(force=force))
+    _ask(_where(context, socket), json, lambda client: client.calibrate(force=force))
+
+
+@app.command()
+def page(
+    context: typer.Context,
+    open_it: Annotated[bool, typer.Option("--open", help="Open it in this machine's browser.")] = False,
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Make a link to the operator page that gives the browser that opens it first control; it is good for a minute.
+
+    Without a link the page only shows. Example: `slipguard ctl page --open`
+    """
+    with _client(_where(context, socket)) as client:
+        answer = client.page_link()
+    if json:
+        _print_json(answer)
+    else:
+        typer.echo(answer["url"])
+    if open_it:
+        import webbrowser
+
+        if not webbrowser.open(str(answer["url"])):
+            raise SlipguardError("no browser could be started here; open the link in one within a minute")
 
 
 def _sure(question: str) -> bool:
@@ -168,16 +230,29 @@ def _sure(question: str) -> bool:
         return False
 
 
+def _where(context: typer.Context, socket: Path | None) -> Path | OverTcp | None:
+    """Whom to ask: what stands after the command counts before what stands after `ctl`; None: whoever runs here."""
+    before: _Told = context.obj
+    if before.url is None:
+        return socket or before.socket
+    if socket or before.socket:
+        raise InputError("--url and --socket: one daemon at a time; leave one of them out")
+    from slipguard.daemon.client import OverTcp
+    from slipguard.daemon.whereabouts import token_for
+
+    return OverTcp(before.url, token_for(before.url, before.token_file))
+
+
 @contextmanager
-def _client(socket: Path | None) -> Iterator[Client]:
+def _client(where: Path | OverTcp | None) -> Iterator[Client]:
     from slipguard.daemon.client import Client
 
-    with Client(socket) as client:
+    with Client(where) as client:
         yield client
 
 
-def _ask(socket: Path | None, json: bool, command: Callable[[Client], dict[str, Any]]) -> None:
-    with _client(socket) as client:
+def _ask(where: Path | OverTcp | None, json: bool, command: Callable[[Client], dict[str, Any]]) -> None:
+    with _client(where) as client:
         answer = command(client)
     if json:
         _print_json(answer)

@@ -36,7 +36,7 @@ def doctor(
 
     from slipguard.config import read_config
     from slipguard.daemon import log
-    from slipguard.daemon.root import running_socket
+    from slipguard.daemon.whereabouts import running_socket
     from slipguard.doctor.examine import examine
 
     settings = read_config(config)

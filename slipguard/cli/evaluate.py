@@ -219,8 +219,9 @@ def _on_cell(
     from slipguard.cli.interrupt import left_to_the_loop
     from slipguard.config import read_config
     from slipguard.daemon.last_grasp import GraspKeeper
-    from slipguard.daemon.root import build_service, socket_path
+    from slipguard.daemon.root import build_service
     from slipguard.daemon.state_dir import StateDir
+    from slipguard.daemon.whereabouts import socket_path
     from slipguard.lab.evaluate.external_camera import Camera
     from slipguard.lab.evaluate.intrinsics import read_intrinsics
     from slipguard.lab.evaluate.on_cell import in_the_daemons_place, run_on_cell

@@ -25,7 +25,7 @@ def run(
         typer.Option("--log-json/--log-text", help="Default: JSON unless on a terminal."),
     ] = None,
 ) -> None:
-    """Run the daemon until SIGINT or SIGTERM; stopping it keeps the grip. SIGHUP takes up a changed configuration.
+    """Run the daemon until SIGINT or SIGTERM; stopping it keeps the grip.
 
     Example: `slipguard run --config config.toml`, then in another terminal `slipguard ctl state`
     """
@@ -34,13 +34,12 @@ def run(
 
     settings = sim_config() if sim and config == USUAL_FILE and not config.exists() else read_config(config, sim=sim)
     log.configure(json_lines=log_json)
-    log.set_level(settings.log.level)
     if sim:
         from slipguard.lab.stage import run_on_stage
 
         daemon = run_on_stage(settings)
     else:
-        daemon = root.run(settings, reread=lambda: read_config(config))
+        daemon = root.run(settings)
     with left_to_the_loop():
         asyncio.run(daemon)
 
@@ -100,10 +99,11 @@ def calibrate(
     from slipguard.config import read_config
     from slipguard.daemon import log, root
     from slipguard.daemon.client import Client, NoDaemon
+    from slipguard.daemon.whereabouts import running_socket
 
     settings = read_config(config)
     try:
-        with Client(socket or root.running_socket(settings)) as client:
+        with Client(socket or running_socket(settings)) as client:
             answer = client.calibrate(force=force)
     except NoDaemon:
         log.configure(level=logging.WARNING)

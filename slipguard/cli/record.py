@@ -41,7 +41,7 @@ def record(
     from slipguard.cli.interrupt import left_to_the_loop
     from slipguard.config import read_config
     from slipguard.daemon.client import Client, NoDaemon
-    from slipguard.daemon.root import running_socket
+    from slipguard.daemon.whereabouts import running_socket
     from slipguard.errors import InputError
     from slipguard.lab.dataset_files import check_new
     from slipguard.lab.dataset_record import record_dataset

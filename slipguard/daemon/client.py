@@ -1,10 +1,8 @@
-"""Talks to a running daemon over its Unix socket: synchronous, for the command line and for scripts."""
+"""Talks to a running daemon, over its Unix socket or over TCP: synchronous, for the command line and for scripts."""
 
 from __future__ import annotations
 
-import os
 import socket
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -12,12 +10,12 @@ from typing import Any
 
 import httpx
 
-from slipguard.daemon.state_dir import SOCKET_NAME, StateDir
-from slipguard.errors import CommandRefused, SlipguardError
+from slipguard.daemon.whereabouts import running_socket
+from slipguard.errors import CommandRefused, InputError, SlipguardError
 
 TIMEOUT_S = 5.0
 CALIBRATE_TIMEOUT_S = 30.0
-SYSTEM_SOCKET = Path("/run/slipguard") / SOCKET_NAME
+NO_DAEMON = "no daemon is listening at {}: start it with `slipguard run`"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,13 +29,15 @@ class SensorFrame:
 
 
 class NoDaemon(SlipguardError):
-    """Nothing listens at the socket."""
+    """Nothing listens there."""
 
 
-def find_socket(environ: Mapping[str, str] = os.environ) -> Path:
-    """The socket of the daemon on this machine: the user's own, else the system's, else where the own would be."""
-    own = StateDir(environ=environ).runtime_path / SOCKET_NAME
-    return SYSTEM_SOCKET if SYSTEM_SOCKET.exists() and not own.exists() else own
+@dataclass(frozen=True, slots=True)
+class OverTcp:
+    """A daemon's address, such as http://127.0.0.1:8470, and the token that its commands need; None: look only."""
+
+    url: str
+    token: str | None = None
 
 
 class Client:
@@ -46,10 +46,20 @@ class Client:
     Raises NoDaemon, CommandRefused with the daemon's reason, or SlipguardError.
     """
 
-    def __init__(self, socket_path: Path | None = None, timeout_s: float = TIMEOUT_S) -> None:
-        self.socket_path = socket_path if socket_path is not None else find_socket()
-        transport = httpx.HTTPTransport(uds=str(self.socket_path))
-        self._http = httpx.Client(transport=transport, base_url="http://slipguard", timeout=timeout_s, trust_env=False)
+    def __init__(self, at: Path | OverTcp | None = None, timeout_s: float = TIMEOUT_S) -> None:
+        """at: the Unix socket, or a TCP address; None: the socket of the daemon that runs on this machine."""
+        at = running_socket() if at is None else at
+        self._unix: Path | None = None
+        if isinstance(at, OverTcp):
+            self._where = at.url
+            headers = {} if at.token is None else {"authorization": f"Bearer {at.token}"}
+            self._http = httpx.Client(base_url=at.url, headers=headers, timeout=timeout_s, trust_env=False)
+        else:
+            self._where, self._unix = str(at), at
+            transport = httpx.HTTPTransport(uds=str(at))
+            self._http = httpx.Client(
+                transport=transport, base_url="http://slipguard", timeout=timeout_s, trust_env=False
+            )
 
     def __enter__(self) -> Client:
         return self
@@ -75,8 +85,8 @@ class Client:
         """The newest frame of `left` or `right`; the sensor stays the daemon's."""
         response = self._respond("GET", f"/frame/{finger}")
         if response.is_error or response.headers.get("content-type") != "image/png":
-            _answer(response, self.socket_path)
-            raise SlipguardError(f"what listens at {self.socket_path} does not know /frame; is it an older slipguard?")
+            _answer(response, self._where)
+            raise SlipguardError(f"what listens at {self._where} does not know /frame; is it an older slipguard?")
         told = response.headers
         return SensorFrame(response.content, told["x-serial"], int(told["x-sequence"]), float(told["x-captured-at-s"]))
 
@@ -108,22 +118,28 @@ class Client:
         """Leave a fault whose cause is gone."""
         return self._post("/clear")
 
+    def page_link(self) -> dict[str, Any]:
+        """`url`: a link that gives the browser that opens it first control of the page."""
+        return self._post("/page-link")
+
     def calibrate(self, *, force: bool = False) -> dict[str, Any]:
         """Take and store both fingers' no-contact images."""
         return self._ask("POST", "/calibrate", {"force": force}, timeout_s=CALIBRATE_TIMEOUT_S)
 
     def _knock(self) -> None:
         """Raise NoDaemon where nothing listens; httpx leaves a socket open when it finds that out itself."""
+        if self._unix is None:
+            return
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
             probe.settimeout(TIMEOUT_S)
             try:
-                probe.connect(str(self.socket_path))
+                probe.connect(str(self._unix))
             except PermissionError:
                 raise SlipguardError(
-                    f"{self.socket_path} belongs to another user; join its group or become that user"
+                    f"{self._where} belongs to another user; join its group or become that user"
                 ) from None
             except OSError:
-                raise NoDaemon(f"no daemon is listening at {self.socket_path}: start it with `slipguard run`") from None
+                raise NoDaemon(NO_DAEMON.format(self._where)) from None
 
     def _post(self, path: str, **body: object) -> dict[str, Any]:
         return self._ask("POST", path, {key: value for key, value in body.items() if value is not None})
@@ -131,7 +147,7 @@ class Client:
     def _ask(
         self, method: str, path: str, body: dict[str, object] | None = None, timeout_s: float | None = None
     ) -> dict[str, Any]:
-        return _answer(self._respond(method, path, body, timeout_s), self.socket_path)
+        return _answer(self._respond(method, path, body, timeout_s), self._where)
 
     def _respond(
         self, method: str, path: str, body: dict[str, object] | None = None, timeout_s: float | None = None
@@ -141,19 +157,23 @@ class Client:
         try:
             return self._http.request(method, path, json=body, timeout=timeout)
         except httpx.TimeoutException:
-            raise SlipguardError(f"the daemon at {self.socket_path} did not answer {path} in time") from None
+            raise SlipguardError(f"the daemon at {self._where} did not answer {path} in time") from None
+        except httpx.ConnectError:
+            raise NoDaemon(NO_DAEMON.format(self._where)) from None
+        except (httpx.InvalidURL, httpx.UnsupportedProtocol):
+            raise InputError(f"{self._where!r} is no address; such as http://127.0.0.1:8470 is needed") from None
         except httpx.TransportError as error:
-            raise SlipguardError(f"the daemon at {self.socket_path} broke off: {error}") from None
+            raise SlipguardError(f"the daemon at {self._where} broke off: {error}") from None
 
 
-def _answer(response: httpx.Response, socket_path: Path) -> dict[str, Any]:
+def _answer(response: httpx.Response, where: str) -> dict[str, Any]:
     """The answer's object; its `error` as an exception."""
     try:
         answer = response.json()
     except ValueError:
         answer = None
     if not isinstance(answer, dict):
-        raise SlipguardError(f"what listens at {socket_path} is no slipguard daemon (HTTP {response.status_code})")
+        raise SlipguardError(f"what listens at {where} is no slipguard daemon (HTTP {response.status_code})")
     if response.status_code == 409:
         raise CommandRefused(str(answer.get("error")))
     if response.is_error:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 
-from slipguard.daemon.api import Control
 from slipguard.daemon.calibration import TIMEOUT_S, NoContact, collect, no_contact_of
 from slipguard.daemon.finger import Finger
 from slipguard.daemon.service import Service
@@ -15,7 +14,7 @@ from slipguard.grasp.messages import Request, RequestKind
 from slipguard.grasp.state import Phase
 
 
-class Controls(Control):
+class Controls:
     """Every method answers with one line; raises CommandRefused with the reason."""
 
     def __init__(self, service: Service) -> None:

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
 
 import structlog
 
@@ -10,28 +15,60 @@ KEPT = 50
 log = structlog.get_logger()
 
 
+@dataclass(frozen=True, slots=True)
+class Event:
+    """One thing that happened. at_s: of the loop's clock. code: a fault's. what_to_do: for the person at the cell."""
+
+    at_s: float
+    level: Literal["info", "warning", "fault"]
+    text: str
+    what_to_do: str | None = None
+    code: str | None = None
+
+
 class Journal:
-    """listeners: called with the line and whether it tells of an error."""
+    """listeners: called with the line and whether it tells of an error. watchers: called with the whole event."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
         """The newest ones, oldest first; at most `KEPT`."""
+        self.events: deque[Event] = deque(maxlen=KEPT)
+        """The newest ones, faults too."""
         self.listeners: list[Callable[[str, bool], None]] = []
+        self.watchers: list[Callable[[Event], None]] = []
 
     def say(self, text: str) -> None:
         """One line of what happens."""
         log.info(text)
-        self.lines = [*self.lines[1 - KEPT :], text]
-        self._tell(text, False)
+        self._line(Event(_now_s(), "info", text))
 
     def warn(self, text: str) -> None:
+        """One line of what did not go as it should."""
         log.warning(text)
+        self._line(Event(_now_s(), "warning", text))
 
     def fault(self, code: str, seen: str, do: str) -> None:
         """A fault as it is latched; its line was said already."""
         log.error("fault", code=code, seen=seen, do=do)
-        self._tell(f"fault: {code}: {seen}; {do}", True)
+        self._tell(Event(_now_s(), "fault", f"{code}: {seen}", do, code))
 
-    def _tell(self, text: str, error: bool) -> None:
+    def _line(self, event: Event) -> None:
+        self.lines = [*self.lines[1 - KEPT :], event.text]
+        self._tell(event)
+
+    def _tell(self, event: Event) -> None:
+        self.events.append(event)
+        fault = event.level == "fault"
+        text = f"fault: {event.text}; {event.what_to_do}" if fault else event.text
         for listener in self.listeners:
-            listener(text, error)
+            listener(text, fault)
+        for watcher in self.watchers:
+            watcher(event)
+
+
+def _now_s() -> float:
+    """The loop's clock, which may be a virtual one; outside a loop the clock it usually is."""
+    try:
+        return asyncio.get_running_loop().time()
+    except RuntimeError:
+        return time.monotonic()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import signal
-import socket
 import sys
 import time
 from collections.abc import Callable, Coroutine
@@ -16,18 +15,17 @@ import structlog
 
 from slipguard import __version__
 from slipguard.config import GROUP_OF, Config
-from slipguard.daemon.api import calibration_answer, make_app
 from slipguard.daemon.calibration import NoContact
 from slipguard.daemon.controls import Controls
+from slipguard.daemon.desk import Desk, calibration_answer
 from slipguard.daemon.finger import Perceiver
 from slipguard.daemon.last_grasp import GraspKeeper, remembered
 from slipguard.daemon.last_reference import ReferenceKeeper, recall
 from slipguard.daemon.recording import make_recorder, record
 from slipguard.daemon.reference_shelf import REFERENCES, ReferenceShelf
-from slipguard.daemon.serve import bind, serve
-from slipguard.daemon.reload import Reloader
 from slipguard.daemon.service import FINGERS, Law, Service
-from slipguard.daemon.state_dir import SOCKET_NAME, StateDir
+from slipguard.daemon.state_dir import StateDir
+from slipguard.daemon.whereabouts import socket_path, token_path
 from slipguard.daemon.worker import ThreadWorker, Worker
 from slipguard.devices import DriverContext
 from slipguard.errors import DeviceTimeout, InputError
@@ -37,43 +35,13 @@ from slipguard.perception.recall import RecallingPipeline
 from slipguard.perception.segment import Segmenter
 from slipguard.recording.recorder import Recorder
 from slipguard.registry import load_driver
+from slipguard.web.host import run_api
+from slipguard.web.sockets import bind
 
 SWITCH_S = 0.0005
 """A thread in Python code gives way after this time. Python's usual 5 ms would keep the loop waiting for a worker."""
 FIRST_ANSWER_S = 10.0
-KNOCK_S = 2.0
 log = structlog.get_logger()
-
-
-def socket_path(config: Config) -> Path:
-    """Where the local API listens."""
-    return config.api.socket or StateDir(config.state.directory).runtime_path / SOCKET_NAME
-
-
-def running_socket(config: Config | None) -> Path:
-    """Where to ask for a running daemon: at the configured socket; else at this user's own, else at the system's.
-
-    The first at which one listens; one that this user may not ask counts, for it has the devices. This user's own
-    where none listens. config: None: nothing is configured. Raises nothing.
-    """
-    from slipguard.daemon.client import SYSTEM_SOCKET  # httpx: the daemon itself does without
-
-    if config is not None and config.api.socket is not None:
-        return config.api.socket
-    own = socket_path(config) if config is not None else StateDir().runtime_path / SOCKET_NAME
-    return next((path for path in (own, SYSTEM_SOCKET) if _listens(path)), own)
-
-
-def _listens(path: Path) -> bool:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        probe.settimeout(KNOCK_S)
-        try:
-            probe.connect(str(path))
-        except (PermissionError, TimeoutError, BlockingIOError):  # not for us, or busy
-            return True
-        except OSError:
-            return False
-    return True
 
 
 def recordings_path(config: Config) -> Path:
@@ -154,7 +122,6 @@ async def run(
     beside: Callable[[Service], Coroutine[None, None, None]] | None = None,
     build: Callable[..., Service] = build_service,
     recorder: Callable[[Service, Path], Recorder] = make_recorder,
-    reread: Callable[[], Config] | None = None,
 ) -> None:
     """Guard until SIGINT or SIGTERM, with the local API; the grip stays as it is at the end.
 
@@ -165,16 +132,14 @@ async def run(
     service.observers.append(GraspKeeper(kept, service.journal.say).decided)
     shelf = ReferenceShelf(kept.path / REFERENCES)
     service.observers.append(ReferenceKeeper(shelf, service.fingers, service.journal.say).decided)
+    desk = Desk(service)
     path = socket_path(config)
-    bound = bind(path)  # before any device is opened: a second daemon must not touch what the first one owns
+    unix = bind(path)  # before any device is opened: a second daemon must not touch what the first one owns
     log.info("slipguard starts", version=__version__, mode=config.guard.mode, socket=str(path))
-    stop, hung_up, changed = asyncio.Event(), asyncio.Event(), asyncio.Event()
+    stop = asyncio.Event()
     loop = asyncio.get_running_loop()
-    handlers = {signal.SIGINT: stop.set, signal.SIGTERM: stop.set}
-    if reread is not None:
-        handlers[signal.SIGHUP] = hung_up.set
-    for number, handler in handlers.items():
-        loop.add_signal_handler(number, handler)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stop.set)
 
     async def until_stopped() -> None:
         await stop.wait()
@@ -183,39 +148,20 @@ async def run(
     try:
         async with asyncio.TaskGroup() as group:
             group.create_task(service.run(), name="service")
-            group.create_task(serve(make_app(Controls(service)), path, bound), name="api")
+            group.create_task(
+                run_api(desk, unix, config.api.address, token_path(config), service.journal.warn), name="api"
+            )
             group.create_task(until_stopped(), name="signals")
-            group.create_task(_recordings(service, recorder, changed), name="recorder")
-            if reread is not None:
-                reloader = Reloader(service, reread, changed.set)
-                group.create_task(_reload_on(hung_up, reloader), name="reload")
+            if config.recording.enabled:
+                recording = desk.noting(recorder)(service, recordings_path(config))
+                group.create_task(record(service, recording), name="recorder")
             if beside is not None:
                 group.create_task(beside(service), name="beside")
     except* _Stopped:
         log.info("slipguard stops; the grip stays as it is")
     finally:
-        for number in handlers:
+        for number in (signal.SIGINT, signal.SIGTERM):
             loop.remove_signal_handler(number)
-
-
-async def _recordings(service: Service, make: Callable[[Service, Path], Recorder], changed: asyncio.Event) -> None:
-    while True:
-        changed.clear()
-        async with asyncio.TaskGroup() as group:
-            recording = None
-            if service.config.recording.enabled:
-                recorder = make(service, recordings_path(service.config))
-                recording = group.create_task(record(service, recorder), name="recording")
-            await changed.wait()
-            if recording is not None:
-                recording.cancel()
-
-
-async def _reload_on(hung_up: asyncio.Event, reloader: Reloader) -> None:
-    while True:
-        await hung_up.wait()
-        hung_up.clear()
-        await reloader.reload()
 
 
 async def calibrate(config: Config, *, force: bool = False) -> dict[str, object]:

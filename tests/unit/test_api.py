@@ -16,9 +16,11 @@ import numpy as np
 import pytest
 from fake_control import FakeControl, served
 
-from slipguard.daemon.api import make_app, serve
 from slipguard.daemon.client import Client, NoDaemon
 from slipguard.errors import CommandRefused, ConfigError, DeviceTimeout, SlipguardError
+from slipguard.web.app import make_app
+from slipguard.web.room import Room
+from slipguard.web.sockets import bind
 
 
 @pytest.fixture
@@ -39,7 +41,7 @@ async def on_socket(control: FakeControl, folder: Path, ask: Callable[[Client], 
 
 def in_memory(control: FakeControl) -> httpx.AsyncClient:
     """A client of the app without a socket."""
-    return httpx.AsyncClient(transport=httpx.ASGITransport(make_app(control)), base_url="http://slipguard")
+    return httpx.AsyncClient(transport=httpx.ASGITransport(make_app(Room(control))), base_url="http://slipguard")
 
 
 COMMANDS = [
@@ -155,20 +157,19 @@ async def test_a_dead_daemons_socket_is_replaced_and_a_live_ones_is_not(control:
         dead.bind(str(path))
     async with served(control, path):
         with pytest.raises(SlipguardError, match="another daemon listens at"):
-            await serve(make_app(control), path)
+            bind(path)
         assert await asyncio.to_thread(lambda: _state(path)) == control.snapshot()
 
 
-async def test_sockets_that_cannot_be(control: FakeControl, tmp_path: Path) -> None:
-    app = make_app(control)
+def test_sockets_that_cannot_be(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     with pytest.raises(ConfigError, match="no socket"):
-        await serve(app, tmp_path / "file")
+        bind(tmp_path / "file")
     assert (tmp_path / "file").read_text() == "mine"
     with pytest.raises(ConfigError, match="cannot be made"):
-        await serve(app, tmp_path / "file" / "s")
+        bind(tmp_path / "file" / "s")
     with pytest.raises(ConfigError, match="107 bytes"):
-        await serve(app, tmp_path / ("x" * 120))
+        bind(tmp_path / ("x" * 120))
 
 
 async def test_stopping_waits_for_a_short_answer_and_not_for_an_idle_client(

@@ -13,7 +13,8 @@ from fake_control import FakeControl, served
 from typer.testing import CliRunner
 
 from slipguard.cli.ctl import app
-from slipguard.daemon.client import NoDaemon, find_socket
+from slipguard.daemon.client import NoDaemon
+from slipguard.daemon.whereabouts import running_socket
 from slipguard.errors import CommandRefused
 
 
@@ -119,5 +120,5 @@ async def test_the_refusal_is_one_line_and_exit_code_1(control: FakeControl, tmp
 
 
 def test_where_the_daemon_is_looked_for(tmp_path: Path) -> None:
-    assert find_socket({"HOME": str(tmp_path)}) == tmp_path / ".local/state/slipguard/slipguard.sock"
-    assert find_socket({"RUNTIME_DIRECTORY": "/run/x", "HOME": "/h"}) == Path("/run/x/slipguard.sock")
+    assert running_socket(environ={"HOME": str(tmp_path)}) == tmp_path / ".local/state/slipguard/slipguard.sock"
+    assert running_socket(environ={"RUNTIME_DIRECTORY": "/run/x", "HOME": "/h"}) == Path("/run/x/slipguard.sock")

@@ -12,7 +12,8 @@ import pytest
 from command_line import slipguard
 
 from slipguard.config import Config, sim_config
-from slipguard.daemon import client, root
+from slipguard.daemon import whereabouts
+from slipguard.daemon.whereabouts import running_socket, socket_path
 
 CONFIG = """
 [left]
@@ -34,9 +35,13 @@ def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Config:
     """Nothing configured; the user's folder and the system's are empty ones."""
     (tmp_path / "system").mkdir()
     (tmp_path / "own").mkdir()
-    monkeypatch.setattr(client, "SYSTEM_SOCKET", tmp_path / "system" / "s.sock")
+    monkeypatch.setattr(whereabouts, "SYSTEM_FOLDER", tmp_path / "system")
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path / "own"))
     return sim_config()
+
+
+def system() -> Path:
+    return whereabouts.SYSTEM_FOLDER / "slipguard.sock"
 
 
 @contextmanager
@@ -48,40 +53,40 @@ def listening(path: Path) -> Iterator[Path]:
 
 
 def test_the_users_own_comes_first_then_the_systems(config: Config) -> None:
-    own = root.socket_path(config)
+    own = socket_path(config)
     for asked in (config, None):
-        assert root.running_socket(asked) == own, "where one would be"
+        assert running_socket(asked) == own, "where one would be"
     with ExitStack() as daemons:
-        daemons.enter_context(listening(client.SYSTEM_SOCKET))
+        daemons.enter_context(listening(system()))
         for asked in (config, None):
-            assert root.running_socket(asked) == client.SYSTEM_SOCKET
+            assert running_socket(asked) == system()
         daemons.enter_context(listening(own))
         for asked in (config, None):
-            assert root.running_socket(asked) == own
+            assert running_socket(asked) == own
 
 
 def test_what_a_dead_daemon_left_hides_no_live_one(config: Config) -> None:
-    with listening(root.socket_path(config)):
+    with listening(socket_path(config)):
         pass
-    assert root.socket_path(config).exists()
-    with listening(client.SYSTEM_SOCKET):
-        assert root.running_socket(config) == client.SYSTEM_SOCKET
+    assert socket_path(config).exists()
+    with listening(system()):
+        assert running_socket(config) == system()
 
 
 def test_a_configured_socket_is_the_only_one(config: Config, tmp_path: Path) -> None:
     named = config.model_copy(update={"api": config.api.model_copy(update={"socket": tmp_path / "named.sock"})})
-    with listening(client.SYSTEM_SOCKET):
-        assert root.running_socket(named) == tmp_path / "named.sock"
+    with listening(system()):
+        assert running_socket(named) == tmp_path / "named.sock"
 
 
 def test_a_daemon_that_may_not_be_asked_counts(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its devices are in use all the same."""
 
     def connect(self: socket.socket, address: str) -> None:
-        raise PermissionError if address == str(client.SYSTEM_SOCKET) else FileNotFoundError
+        raise PermissionError if address == str(system()) else FileNotFoundError
 
     monkeypatch.setattr(socket.socket, "connect", connect)
-    assert root.running_socket(config) == client.SYSTEM_SOCKET
+    assert running_socket(config) == system()
 
 
 @contextmanager
@@ -115,7 +120,7 @@ def test_the_systems_daemon_is_asked_and_no_device_opened(
     command: str, config: Config, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "config.toml").write_text(CONFIG)
-    with refusing(client.SYSTEM_SOCKET):
+    with refusing(system()):
         ran = slipguard(capfd, *command.format(tmp_path).split(), "--config", tmp_path / "config.toml")
     assert ran.code == 1
     assert "asked the one" in ran.out + ran.err
@@ -125,6 +130,6 @@ def test_the_systems_daemon_is_asked_and_no_device_opened(
 def test_one_sensor_is_not_taken_from_the_systems_daemon(
     config: Config, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    with refusing(client.SYSTEM_SOCKET):
+    with refusing(system()):
         ran = slipguard(capfd, "dataset", "record", "--serial", "D20479", "--out", tmp_path / "new")
     assert ran.complaint == "refused: asked the one"

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.daemon.controls import Controls
-from slipguard.daemon.serve import bind
 from slipguard.daemon.service import Service
 from slipguard.errors import CommandRefused, ConfigError, DeviceLost, SlipguardError
 from slipguard.grasp.state import AT_STAKE, MOVING, Phase
@@ -24,6 +23,7 @@ from slipguard.lab.evaluate.intrinsics import Intrinsics
 from slipguard.lab.evaluate.lift_file import LiftFile, encoded
 from slipguard.lab.evaluate.protocol import Lift, Protocol
 from slipguard.lab.evaluate.runner import prepare, recording_path, result_of
+from slipguard.web.sockets import bind
 
 READY_S = 20.0
 PHASE_S = 30.0
@@ -40,14 +40,8 @@ Ask = Callable[[str, str], Awaitable[bool]]
 @contextlib.contextmanager
 def in_the_daemons_place(socket_path: Path) -> Iterator[None]:
     """No daemon starts meanwhile. Raises SlipguardError where one runs, ConfigError where the socket cannot be made."""
-    bound, inode = bind(socket_path)
-    try:
+    with contextlib.closing(bind(socket_path)):
         yield
-    finally:
-        bound.close()
-        with contextlib.suppress(OSError):
-            if socket_path.stat().st_ino == inode:
-                socket_path.unlink()
 
 
 async def run_on_cell(
