@@ -124,6 +124,12 @@ class RecordingSection(Section):
     """Beyond this the oldest kept recordings are deleted."""
 
 
+class LogSection(Section):
+    """The daemon's log."""
+
+    level: Literal["debug", "info", "warning", "error"] = "info"
+
+
 class Config(Section):
     """All of config.toml."""
 
@@ -137,6 +143,7 @@ class Config(Section):
     api: ApiSection = ApiSection()
     state: StateSection = StateSection()
     recording: RecordingSection = RecordingSection()
+    log: LogSection = LogSection()
 
 
 GROUP_OF = {

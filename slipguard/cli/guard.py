@@ -25,7 +25,7 @@ def run(
         typer.Option("--log-json/--log-text", help="Default: JSON unless on a terminal."),
     ] = None,
 ) -> None:
-    """Run the daemon until SIGINT or SIGTERM; stopping it keeps the grip.
+    """Run the daemon until SIGINT or SIGTERM; stopping it keeps the grip. SIGHUP takes up a changed configuration.
 
     Example: `slipguard run --config config.toml`, then in another terminal `slipguard ctl state`
     """
@@ -34,12 +34,13 @@ def run(
 
     settings = sim_config() if sim and config == USUAL_FILE and not config.exists() else read_config(config, sim=sim)
     log.configure(json_lines=log_json)
+    log.set_level(settings.log.level)
     if sim:
         from slipguard.lab.stage import run_on_stage
 
         daemon = run_on_stage(settings)
     else:
-        daemon = root.run(settings)
+        daemon = root.run(settings, reread=lambda: read_config(config))
     with left_to_the_loop():
         asyncio.run(daemon)
 

@@ -23,6 +23,7 @@ from slipguard.daemon.last_grasp import GraspKeeper, remembered
 from slipguard.daemon.last_reference import ReferenceKeeper, recall
 from slipguard.daemon.recording import make_recorder, record
 from slipguard.daemon.reference_shelf import REFERENCES, ReferenceShelf
+from slipguard.daemon.reload import Reloader
 from slipguard.daemon.service import FINGERS, Law, Service
 from slipguard.daemon.state_dir import StateDir
 from slipguard.daemon.whereabouts import socket_path, token_path
@@ -122,6 +123,7 @@ async def run(
     beside: Callable[[Service], Coroutine[None, None, None]] | None = None,
     build: Callable[..., Service] = build_service,
     recorder: Callable[[Service, Path], Recorder] = make_recorder,
+    reread: Callable[[], Config] | None = None,
 ) -> None:
     """Guard until SIGINT or SIGTERM, with the local API; the grip stays as it is at the end.
 
@@ -136,10 +138,13 @@ async def run(
     path = socket_path(config)
     unix = bind(path)  # before any device is opened: a second daemon must not touch what the first one owns
     log.info("slipguard starts", version=__version__, mode=config.guard.mode, socket=str(path))
-    stop = asyncio.Event()
+    stop, hung_up, changed = asyncio.Event(), asyncio.Event(), asyncio.Event()
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, stop.set)
+    handlers = {signal.SIGINT: stop.set, signal.SIGTERM: stop.set}
+    if reread is not None:
+        handlers[signal.SIGHUP] = hung_up.set
+    for number, handler in handlers.items():
+        loop.add_signal_handler(number, handler)
 
     async def until_stopped() -> None:
         await stop.wait()
@@ -152,16 +157,37 @@ async def run(
                 run_api(desk, unix, config.api.address, token_path(config), service.journal.warn), name="api"
             )
             group.create_task(until_stopped(), name="signals")
-            if config.recording.enabled:
-                recording = desk.noting(recorder)(service, recordings_path(config))
-                group.create_task(record(service, recording), name="recorder")
+            group.create_task(_recordings(service, desk.noting(recorder), changed), name="recorder")
+            if reread is not None:
+                reloader = Reloader(service, reread, changed.set)
+                group.create_task(_reload_on(hung_up, reloader), name="reload")
             if beside is not None:
                 group.create_task(beside(service), name="beside")
     except* _Stopped:
         log.info("slipguard stops; the grip stays as it is")
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in handlers:
             loop.remove_signal_handler(number)
+
+
+async def _recordings(service: Service, make: Callable[[Service, Path], Recorder], changed: asyncio.Event) -> None:
+    while True:
+        changed.clear()
+        async with asyncio.TaskGroup() as group:
+            recording = None
+            if service.config.recording.enabled:
+                recorder = make(service, recordings_path(service.config))
+                recording = group.create_task(record(service, recorder), name="recording")
+            await changed.wait()
+            if recording is not None:
+                recording.cancel()
+
+
+async def _reload_on(hung_up: asyncio.Event, reloader: Reloader) -> None:
+    while True:
+        await hung_up.wait()
+        hung_up.clear()
+        await reloader.reload()
 
 
 async def calibrate(config: Config, *, force: bool = False) -> dict[str, object]:
