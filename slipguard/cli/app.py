@@ -21,6 +21,7 @@ from slipguard.cli import (
     measure,
     replay,
     simulate,
+    soak,
     stress,
     train,
     turned,
@@ -45,6 +46,7 @@ app.command()(replay.replay)
 app.command()(bench.bench)
 app.command()(latency.latency)
 app.command()(stress.stress)
+app.command()(soak.soak)
 app.command()(turned.turned)
 app.command()(train.train)
 app.add_typer(evaluate.app, name="evaluate")

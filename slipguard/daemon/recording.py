@@ -49,9 +49,9 @@ def make_recorder(service: Service, folder: Path) -> Recorder:
     )
 
 
-async def record(service: Service, recorder: Recorder) -> None:
+async def record(service: Service, recorder: Recorder, make_watcher: Callable[[Taker], Watcher] | None = None) -> None:
     """Record until cancelled; then what waits is written and the file is closed."""
-    watcher = Watcher(recorder)
+    watcher = (make_watcher or Watcher)(recorder)
     loop = asyncio.get_running_loop()
     with contextlib.ExitStack() as watched:
         for name, finger in service.fingers.items():

@@ -7,15 +7,30 @@ from collections.abc import Callable
 
 from slipguard.errors import SlipguardError
 
+LOOK_S = 0.01
 
-async def until(running: asyncio.Task[None], reached: Callable[[], bool], timeout_s: float, otherwise: str) -> None:
-    """Wait for a condition; the daemon's own failure, or the time-out, is raised."""
+
+class Stuck(SlipguardError):
+    """Something does not come to its end: nothing more is worth trying."""
+
+
+async def until(
+    running: asyncio.Task[None] | None,
+    reached: Callable[[], bool],
+    timeout_s: float,
+    otherwise: str | Callable[[], str],
+    look_s: float = LOOK_S,
+) -> None:
+    """Wait for a condition, looked at every `look_s`. Raises the daemon's own failure, or Stuck after the time-out.
+
+    running: the daemon's task; None where somebody else watches it. otherwise: what is so if it is not reached.
+    """
     loop = asyncio.get_running_loop()
     deadline_s = loop.time() + timeout_s
     while not reached():
-        if running.done():
+        if running is not None and running.done():
             running.result()
-            raise SlipguardError("the daemon ended by itself")
+            raise Stuck("the daemon ended by itself")
         if loop.time() >= deadline_s:
-            raise SlipguardError(f"{otherwise} within {timeout_s:g} s")
-        await asyncio.sleep(0.01)
+            raise Stuck(f"{otherwise if isinstance(otherwise, str) else otherwise()} within {timeout_s:g} s")
+        await asyncio.sleep(look_s)

@@ -1,0 +1,81 @@
+"""What a process holds on to at one moment: memory, tasks, threads, descriptors, children, files. Linux only."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import sys
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
+MB = 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class Pulse:
+    """rss_mb: of this process; children_mb: of its children together. blocks: memory blocks that Python has allocated.
+
+    files: open descriptors. state_files: files in the state directory outside the recordings. ring_*, kept_*: of the
+    recordings' two folders.
+    """
+
+    at_s: float
+    rss_mb: float
+    children_mb: float
+    blocks: int
+    tasks: int
+    threads: int
+    files: int
+    children: int
+    state_files: int
+    ring_files: int
+    ring_mb: float
+    kept_mb: float
+
+
+def feel(at_s: float, state: Path, recordings: Path) -> Pulse:
+    """Take the pulse of this process; call it in the event loop's thread."""
+    children = child_processes()
+    ring, kept = _sizes(recordings / "ring"), _sizes(recordings / "kept")
+    return Pulse(
+        at_s=at_s,
+        rss_mb=_resident_mb("self"),
+        children_mb=sum(_resident_mb(str(child)) for child in children),
+        blocks=sys.getallocatedblocks(),
+        tasks=len(asyncio.all_tasks()),
+        threads=threading.active_count(),
+        files=len(os.listdir("/proc/self/fd")),
+        children=len(children),
+        state_files=sum(path.is_file() and recordings not in path.parents for path in state.rglob("*")),
+        ring_files=len(ring),
+        ring_mb=sum(ring) / MB,
+        kept_mb=sum(kept) / MB,
+    )
+
+
+def child_processes() -> list[int]:
+    """Process ids of the children of this process."""
+    return [int(one) for path in Path("/proc/self/task").glob("*/children") for one in _text(path).split()]
+
+
+def _resident_mb(process: str) -> float:
+    words = _text(Path("/proc") / process / "statm").split()
+    return int(words[1]) * PAGE_BYTES / MB if words else 0.0
+
+
+def _text(path: Path) -> str:
+    """Nothing of a process or thread that has just ended."""
+    with contextlib.suppress(OSError):
+        return path.read_text()
+    return ""
+
+
+def _sizes(folder: Path) -> list[int]:
+    sizes = []
+    for path in folder.glob("*"):
+        with contextlib.suppress(FileNotFoundError):  # the ring deletes while we look
+            sizes.append(path.stat().st_size)
+    return sizes
