@@ -14,6 +14,7 @@ import structlog
 
 from slipguard.config import Config
 from slipguard.daemon.actuator import Actuator
+from slipguard.daemon.bulletin import Bulletin, troubles
 from slipguard.daemon.calibration import Store
 from slipguard.daemon.finger import Finger, Perceiver
 from slipguard.daemon.finger import Seen as FingerSeen
@@ -113,6 +114,7 @@ class Service:
         self._requests: asyncio.Queue[tuple[Request, asyncio.Future[str]]] = asyncio.Queue()
         self._decided_on: dict[str, FingerSeen | None] = dict.fromkeys(FINGERS)
         self._last_fault: Fault | None = None
+        self._bulletin = Bulletin(self.journal.say)
 
     @property
     def state(self) -> GuardState:
@@ -206,6 +208,7 @@ class Service:
             found_needless if command.hold_force_n is None else (),
         )
         self._tell(before.law.phase, command, answer)
+        self._bulletin.look(now_s, troubles(seen, self.devices), self.phase, self.config.guard.loop_late_s)
         for observer in self.observers:
             observer(decision)
 

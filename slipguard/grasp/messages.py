@@ -59,6 +59,7 @@ class Request:
 
 
 NO_REQUEST = Request()
+_FIGURES = str.maketrans("", "", "0123456789.+-")
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +110,11 @@ class Command:
     say: str | None = None
     refused: str | None = None
     fault: Fault | None = None
+
+
+def without_figures(text: str) -> str:
+    """What is left of a line whose figures change all the time: the same for the same thing."""
+    return text.translate(_FIGURES)
 
 
 def in_one_line(*said: str | None) -> str | None:

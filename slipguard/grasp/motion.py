@@ -18,6 +18,8 @@ REPEAT_S = 0.1
 """A command that had no effect is given again after this time."""
 START_S = 0.25
 """An arm at rest this long after it was told to move has ended its motion, or not taken it up."""
+FRESH_S = 0.1
+"""What an arm said longer ago is no reason to move it; it is asked every 25 ms."""
 REACHED_MM = 0.5
 SPENT = frozenset({FaultCode.BUDGET_SPENT, FaultCode.TURNED_TOO_FAR})
 """Faults with all the force of the budget applied, and the object slipping on."""
@@ -36,8 +38,9 @@ def stop(state: GuardState, seen: Seen, command: Command, *, at_once: bool = Fal
 
 
 def ended(state: GuardState, arm: ArmState, now_s: float) -> bool:
-    """The arm rests, and has had the time to take up what it was told last."""
-    return not arm.moving and now_s - state.arm_sent_s >= START_S and arm.measured_at_s > state.arm_sent_s
+    """The arm rests, as it has said just now, and has had the time to take up what it was told last."""
+    known = arm.measured_at_s > state.arm_sent_s and now_s - arm.measured_at_s <= FRESH_S
+    return known and not arm.moving and now_s - state.arm_sent_s >= START_S
 
 
 def put_down(latched: Outcome, seen: Seen, params: GuardParams) -> Outcome:

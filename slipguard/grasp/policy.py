@@ -14,7 +14,7 @@ from slipguard.devices import GripperState
 from slipguard.grasp import limits, motion, requests
 from slipguard.grasp.fault import Fault, FaultCode
 from slipguard.grasp.guarding import guard
-from slipguard.grasp.messages import Command, RequestKind, Seen, in_one_line
+from slipguard.grasp.messages import Command, RequestKind, Seen, in_one_line, without_figures
 from slipguard.grasp.motion import REACHED_MM, REPEAT_S
 from slipguard.grasp.params import GuardParams
 from slipguard.grasp.state import AT_STAKE, GuardState, Phase, emptied, entered, taken_over
@@ -22,8 +22,6 @@ from slipguard.grasp.state import AT_STAKE, GuardState, Phase, emptied, entered,
 ARM_WAIT_S = 5.0
 """How long the arm may take to appear when an object is found held; a UR's control program starts within 2 s."""
 FORCE_TOLERANCE_N = 0.5
-_NO_FIGURES = str.maketrans("", "", "0123456789.+-")
-"""A note whose figures alone have changed is the same note."""
 
 Outcome = tuple[GuardState, Command]
 
@@ -277,7 +275,7 @@ def _tell_notes(state: GuardState, seen: Seen, command: Command) -> Outcome:
     """Say once that a finger is blind or that the two contradict each other."""
     held = state.phase in AT_STAKE and state.phase not in (Phase.CLOSING, Phase.REFERENCE)
     note = (seen.fused.conflict or seen.fused.note or seen.fused.declined) if held and seen.fused is not None else None
-    plain = note.translate(_NO_FIGURES) if note is not None else None
+    plain = without_figures(note) if note is not None else None
     if plain == state.note:
         return state, command
     return replace(state, note=plain), replace(command, say=in_one_line(command.say, note))

@@ -273,3 +273,10 @@ def test_jaws_that_never_met_anything_lose_nothing() -> None:
 def test_asked_to_clear_while_nothing_is_latched() -> None:
     _, command = step(state_in(Phase.HOLDING), seen_in(Phase.HOLDING, request=ask(RequestKind.CLEAR)), STOP)
     assert command.refused == "no fault is latched"
+
+
+def test_an_arm_that_has_fallen_silent_is_not_told_to_move() -> None:
+    for age_s, moves in ((0.09, True), (0.11, False)):
+        view = seen_in(Phase.LIFTING, arm=arm(15.0, at_s=NOW_S - age_s))
+        _, command = step(state_in(Phase.LIFTING), view, STOP)
+        assert isinstance(command.arm, ArmLift) is moves
