@@ -1,8 +1,10 @@
-"""How far to trust the turn by relief: the constants of its sigma, fitted to rendered turns of the training objects.
+"""How far to trust the turn by relief: the constants of its sigma, fitted to turns whose size is known.
 
-`python -m slipguard.lab.sigma_fit [--grasps N] [--model FILE]` prints what is in use, what fits, and how many errors
-lie within one and two sigmas of either. To be run again when the network or the renderer has changed; the constants
-stand in `slipguard.perception.texture`.
+`python -m slipguard.lab.sigma_fit [--grasps N] [--real DIR] [--model FILE]` prints what is in use, what fits, and how
+many errors lie within one and two sigmas. Rendered turns of the training objects; with `--real` also the tuning part
+of real presses, turned and relit, and of real frames that shear without turning, each kind with its share of the
+weight. To be run again when the network or the renderer has changed; the constants stand in
+`slipguard.perception.texture_sigma`.
 """
 
 from __future__ import annotations
@@ -16,12 +18,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.devices import Frame
 from slipguard.lab import sequences
-from slipguard.perception import texture
+from slipguard.lab.footage import read_gel
+from slipguard.lab.sequences import FRAME_S, Shot
+from slipguard.lab.turned_presses import PX_PER_MM, presses, turned
 from slipguard.perception.regions import Patch, find_patch
 from slipguard.perception.relief import ReliefReader
 from slipguard.perception.segment import Segmenter
-from slipguard.perception.texture import TextureFit, TexturePose, faintness, fit, grown_deg, make_texture, sigma_deg
+from slipguard.perception.texture import TextureFit, TexturePose, fit, make_texture
+from slipguard.perception.texture_sigma import FLOOR_DEG, parts_deg, shares, sigma_deg
 from slipguard.sim.objects import names
 
 SEED = 7400
@@ -29,25 +35,33 @@ FRAME_PX = 2.0
 MIN_AREA_PX = 200.0
 DEGREES_OF_FREEDOM = 5.0
 """Errors have heavier tails than a Gaussian: a single bad grasp must not set the constants for all."""
-STEPS = (0.4, 0.15, 0.05, 0.02)
-HEADROOM = 1.25
-"""Sigmas are made larger than what fits best by this: two sigmas shall hold 93 % of the errors of unknown objects."""
+STEPS = (0.8, 0.4, 0.15, 0.05, 0.02)
+HEADROOM = (1.25, 1.25, 1.7, 1.7)
+"""The shares are made larger than what fits best by this: two sigmas shall hold 93 % of the errors of unknown objects,
+and what deforms those differs more from object to object than noise does."""
+KINDS = {"rendered": 0.6, "relit": 0.25, "sheared": 0.15}
+"""What a kind of turns weighs where all are there."""
+SHEARED_NOISE_BGR = (1.5, 0.95, 1.3)
+"""Of `anytouch2_force2`: from what differs between neighbouring frames away from the contact."""
+SHEARED_LAST = "f0132"
+SHEARED_FRAMES, SHEARED_STEP = 14, 3
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One measured turn: its error, and the fit that told it."""
+    """One measured turn: its error, and the fit that told it. kind: one of `KINDS`."""
 
     grasp: str
     error_deg: float
     answer: TextureFit
+    kind: str = "rendered"
 
 
-def samples(grasps: Iterable[sequences.Sequence], segmenter: Segmenter) -> Iterator[Sample]:
+def samples(grasps: Iterable[sequences.Sequence], segmenter: Segmenter, kind: str = "rendered") -> Iterator[Sample]:
     """Every turn by relief since the last still frame, frame after frame, of some grasps."""
     for number, grasp in enumerate(grasps):
         start = next((k for k, shot in enumerate(grasp.shots) if shot.compared), 0) - 1
-        reader = ReliefReader(grasp.background)
+        reader = ReliefReader(grasp.background, grasp.noise_bgr)
         patch = _patch(segmenter, grasp, start)
         if start < 0 or patch is None:
             continue
@@ -65,27 +79,39 @@ def samples(grasps: Iterable[sequences.Sequence], segmenter: Segmenter) -> Itera
                 continue
             rate, pose = answer.pose.turn_deg - pose.turn_deg, answer.pose
             error = answer.pose.turn_deg - grasp.shots[k].turn_deg
-            yield Sample(f"{grasp.object_name} {number}", error, answer)
+            yield Sample(f"{kind} {grasp.object_name} {number}", error, answer, kind)
 
 
-def fitted(found: Sequence[Sample]) -> tuple[float, float, float]:
-    """The shares of spread, growth and misfit in sigma under which the errors are likeliest, every grasp alike."""
+def sheared(folder: Path) -> Iterator[sequences.Sequence]:
+    """Stretches of real frames in which a contact is sheared and not turned, tuning part of `anytouch2_force2`."""
+    background = read_gel(folder / "anytouch2_force2" / "background.png")
+    paths = sorted((folder / "anytouch2_force2" / "frames").glob("*.png"))
+    images = [read_gel(path) for path in paths if path.stem <= SHEARED_LAST]
+    for begin in range(0, len(images) - 2, SHEARED_STEP):
+        shots = [
+            Shot(Frame(image, k * FRAME_S, k), True, 0.0, k > 0, None)
+            for k, image in enumerate(images[begin : begin + SHEARED_FRAMES])
+        ]
+        yield sequences.Sequence(f"from {begin}", True, background, SHEARED_NOISE_BGR, PX_PER_MM, tuple(shots))
+
+
+def fitted(found: Sequence[Sample]) -> tuple[float, ...]:
+    """The shares of sigma's parts under which the errors are likeliest, every grasp of a kind alike."""
     error, parts, weight = _table(found)
-    best = np.log(np.array([texture.SPREAD_SIGMA, texture.GROWTH_SIGMA, texture.MISFIT_SIGMA]))
+    best = np.log(np.array(shares()))
     cost = _surprise(best, error, parts, weight)
     for step in STEPS:
         improved = True
         while improved:
             improved = False
-            for axis in range(3):
+            for axis in range(len(best)):
                 for way in (-step, step):
                     other = best.copy()
-                    other[axis] += way
+                    other[axis] = max(other[axis] + way, math.log(1e-3))
                     now = _surprise(other, error, parts, weight)
                     if now < cost - 1e-6:
                         best, cost, improved = other, now, True
-    spread, growth, misfit = (HEADROOM * np.exp(best)).tolist()
-    return spread, growth, misfit
+    return tuple((np.array(HEADROOM) * np.exp(best)).tolist())
 
 
 def within(found: Sequence[Sample], sigmas: float) -> float:
@@ -102,16 +128,14 @@ def _patch(segmenter: Segmenter, grasp: sequences.Sequence, index: int) -> Patch
 
 
 def _table(found: Sequence[Sample]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Errors, the (n, 3) parts of sigma before their constants, and weights that add up to 1."""
+    """Errors, the (n, 4) parts of sigma before their shares, and weights that add up to 1."""
     error = np.array([one.error_deg for one in found])
-    parts = np.array(
-        [
-            [faintness(a) * a.spread_deg, faintness(a) * grown_deg(a), faintness(a) * a.unlike * a.misfit_deg]
-            for a in (one.answer for one in found)
-        ]
-    )
+    parts = np.array([parts_deg(one.answer) for one in found])
     _, place, count = np.unique([one.grasp for one in found], return_inverse=True, return_counts=True)
     weight = 1.0 / count[place]
+    kind = np.array([one.kind for one in found])
+    for name, share in KINDS.items():
+        weight[kind == name] *= share / max(weight[kind == name].sum(), 1e-9)
     return error, parts, weight / weight.sum()
 
 
@@ -119,7 +143,7 @@ def _surprise(
     logs: NDArray[np.float64], error: NDArray[np.float64], parts: NDArray[np.float64], weight: NDArray[np.float64]
 ) -> float:
     """Negative log likelihood of Student's t, per error."""
-    square = (parts**2) @ np.exp(2.0 * logs) + texture.SIGMA_FLOOR_DEG**2
+    square = (parts**2) @ np.exp(2.0 * logs) + FLOOR_DEG**2
     half = (DEGREES_OF_FREEDOM + 1.0) / 2.0
     return float(weight @ (0.5 * np.log(square) + half * np.log1p(error**2 / square / DEGREES_OF_FREEDOM)))
 
@@ -128,17 +152,28 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--grasps", type=int, default=2, help="grasps of each training object")
+    parser.add_argument("--real", type=Path, default=None, help="folder with anytouch2_force2/; none if left out")
     parser.add_argument("--model", type=Path, default=None, help="segmentation network; the shipped one if left out")
     chosen = parser.parse_args(arguments)
+    segmenter = Segmenter(chosen.model)
     grasps = (sequences.sequence(name, SEED + number) for number in range(chosen.grasps) for name in names("train"))
-    found = list(samples(grasps, Segmenter(chosen.model)))
-    worst = max(found, key=lambda one: abs(one.error_deg) / sigma_deg(one.answer))
+    found = list(samples(grasps, segmenter))
     print(f"{len(found)} turns of {len({one.grasp for one in found})} grasps, training objects, seeds from {SEED}")
-    in_use = (texture.SPREAD_SIGMA, texture.GROWTH_SIGMA, texture.MISFIT_SIGMA)
-    for word, (spread, growth, misfit) in (("in use", in_use), ("fitted", fitted(found))):
-        print(f"{word}: SPREAD {spread:.3g}, GROWTH {growth:.3g}, MISFIT {misfit:.3g}")
-    held = [within(found, sigmas) for sigmas in (1.0, 2.0, 5.0)]
-    print(f"in use, within 1 sigma {held[0]:.3f}, 2 sigma {held[1]:.3f}, 5 sigma {held[2]:.4f}")
+    if chosen.real is not None:
+        tuning = [press for press in presses(chosen.real) if press.part == "tune" and press.readable]
+        found += samples((turned(press, "relit", SEED) for press in tuning), segmenter, "relit")
+        found += samples(sheared(chosen.real), segmenter, "sheared")
+    for word, constants in (("in use", shares()), ("fitted", fitted(found))):
+        print(
+            f"{word}: "
+            + ", ".join(f"{n} {c:.3g}" for n, c in zip(("SPREAD", "NOISE", "GROWTH", "MISFIT"), constants, strict=True))
+        )
+    for kind in KINDS:
+        some = [one for one in found if one.kind == kind]
+        if some:
+            held = [within(some, sigmas) for sigmas in (1.0, 2.0, 5.0)]
+            print(f"{kind}: within 1 sigma {held[0]:.3f}, 2 sigma {held[1]:.3f}, 5 sigma {held[2]:.4f} of {len(some)}")
+    worst = max(found, key=lambda one: abs(one.error_deg) / sigma_deg(one.answer))
     print(f"worst: {worst.grasp}, {worst.error_deg:+.2f} degrees at sigma {sigma_deg(worst.answer):.2f}")
     print(f"root mean square error {math.sqrt(sum(one.error_deg**2 for one in found) / len(found)):.3f} degrees")
 

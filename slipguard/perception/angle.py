@@ -120,20 +120,22 @@ def _orientation(patch: Patch, name: str, axis: Axis | None, reason: str | None,
 
 def _cut_share(patch: Patch) -> float:
     """Share of the outline around all of the patch that the frame's edge drew; of a cut ring the whole chord counts."""
-    contours, _ = cv2.findContours(patch.mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    points = np.concatenate(contours)
-    around = cv2.arcLength(cv2.convexHull(points), True)
-    x, y = points[:, 0, 0], points[:, 0, 1]
-    rows, columns = patch.mask.shape
-    sides = patch.clipped
-    cuts = (
-        y[x == 0] if sides.left else x[:0],
-        y[x == columns - 1] if sides.right else x[:0],
-        x[y == 0] if sides.top else x[:0],
-        x[y == rows - 1] if sides.bottom else x[:0],
-    )
-    spans = [int(cut.max()) - int(cut.min()) + 1 for cut in cuts if cut.size]
+    contours, _ = cv2.findContours(patch.mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    around = cv2.arcLength(cv2.convexHull(np.concatenate(contours)), True)
+    cuts = (np.flatnonzero(side) for side in _sides(patch) if side is not None)
+    spans = [int(cut[-1]) - int(cut[0]) + 1 for cut in cuts if cut.size]
     return min(sum(spans) / max(around, 1.0), 1.0)
+
+
+def _sides(patch: Patch) -> tuple[NDArray[np.uint8] | None, ...]:
+    """The mask along the left, right, top and bottom of its crop; None where the frame does not cut it there."""
+    mask, sides = patch.mask, patch.clipped
+    return (
+        mask[:, 0] if sides.left else None,
+        mask[:, -1] if sides.right else None,
+        mask[0] if sides.top else None,
+        mask[-1] if sides.bottom else None,
+    )
 
 
 def _axis_of(mean_x: float, mean_y: float, xx: float, yy: float, xy: float) -> Axis:
@@ -197,20 +199,20 @@ def _square_cut(
 
 
 def _edge_points(patch: Patch) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Patch pixels on the sides of the frame that cut it, crop coordinates."""
+    """Patch pixels on the sides of the frame that cut it, crop coordinates; one in a corner may come twice."""
+    left, right, top, bottom = (None if side is None else np.flatnonzero(side) for side in _sides(patch))
     rows, columns = patch.mask.shape
-    sides = patch.clipped
-    edge = np.zeros_like(patch.mask)
-    if sides.left:
-        edge[:, 0] = patch.mask[:, 0]
-    if sides.right:
-        edge[:, columns - 1] = patch.mask[:, columns - 1]
-    if sides.top:
-        edge[0] = patch.mask[0]
-    if sides.bottom:
-        edge[rows - 1] = patch.mask[rows - 1]
-    y, x = np.nonzero(edge)
-    return x.astype(np.float32), y.astype(np.float32)
+    x: list[NDArray[np.intp]] = []
+    y: list[NDArray[np.intp]] = []
+    for side, column in ((left, 0), (right, columns - 1)):
+        if side is not None:
+            x.append(np.full(side.size, column))
+            y.append(side)
+    for side, row in ((top, 0), (bottom, rows - 1)):
+        if side is not None:
+            x.append(side)
+            y.append(np.full(side.size, row))
+    return np.concatenate(x).astype(np.float32), np.concatenate(y).astype(np.float32)
 
 
 def _ellipse_axis(patch: Patch) -> tuple[Axis | None, str | None]:

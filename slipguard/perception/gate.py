@@ -102,6 +102,8 @@ class Gate:
         given = np.asarray(DEFAULT_NOISE_BGR if noise_bgr is None else noise_bgr, np.float32)
         noise = given.reshape(-1, 3).mean(axis=0)
         noise = np.where(np.isfinite(noise), np.clip(noise, 0.3, 20.0), DEFAULT_NOISE_BGR)
+        self.noise_bgr: NDArray[np.float32] = noise.astype(np.float32)
+        """(3,) standard deviation of a pixel."""
         self.per_std: NDArray[np.float32] = (
             1.0 / np.sqrt((_BLOCK_NOISE_SHARE * noise) ** 2 + _ROUNDING_STD**2)
         ).astype(np.float32)

@@ -95,7 +95,8 @@ class Pipeline:
 
     def reset_reference(self) -> None:
         """Forget the reference; the next stable contact makes a new one."""
-        self._meter = TurnMeter(self._settings, self._frame_px, self._background)
+        noise_bgr = self._gate.noise_bgr if self._gate.noise_known else None
+        self._meter = TurnMeter(self._settings, self._frame_px, self._background, noise_bgr)
         self._reference_unlike = 0.0
         self._forget()
 

@@ -7,6 +7,7 @@ is a property of the object's surface and turns with the object, while the light
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -28,6 +29,9 @@ MIRRORED_MARGIN = 0.1
 BLUR_PX = 1.0
 NOMINAL_WEIGHT = 1.0
 """How strongly the learnt mix of colours is held to that of three equal lights, as a share of the relief's energy."""
+NOISE_SHARE = 0.175
+"""Noise of the curvature over noise of a pixel, for colours that tell slopes one to one: measured on frames of nothing
+but noise whose neighbouring pixels have the sensor's correlation of 0.65; white noise leaves less."""
 
 Field = NDArray[np.float32]
 
@@ -56,21 +60,33 @@ class Window:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Relief:
-    """Curvature in one window: (h, w) float32, grey levels a pixel."""
+    """Curvature in one window: (h, w) float32, grey levels a pixel.
+
+    noise: what the camera's noise makes of an untouched gel, one standard deviation; 0 where it is not known.
+    """
 
     window: Window
     curvature: Field
+    noise: float = 0.0
 
 
 class ReliefReader:
     """Reads the relief of one finger's frames. Pure but for the mix of colours, which `learn` finds at the reference.
 
-    background: the unit's no-contact image, (320, 240, 3) uint8 BGR.
+    background: the unit's no-contact image, (320, 240, 3) uint8 BGR. noise_bgr: standard deviation of a pixel, grey
+    levels; None where it is not known.
     """
 
-    def __init__(self, background: NDArray[np.uint8]) -> None:
+    def __init__(
+        self, background: NDArray[np.uint8], noise_bgr: Sequence[float] | NDArray[np.floating] | None = None
+    ) -> None:
         self._background: NDArray[np.uint8] = _halved(background)
-        self._colours = _to_slopes(0.0, mirrored=False)
+        self._noise_bgr = np.zeros(3) if noise_bgr is None else np.asarray(noise_bgr, np.float64)
+        self._take(_to_slopes(0.0, mirrored=False))
+
+    def _take(self, colours: NDArray[np.float32]) -> None:
+        self._colours = colours
+        self._noise = NOISE_SHARE * float(np.linalg.norm(colours * self._noise_bgr))
 
     def learn(self, image: NDArray[np.uint8], patch: Patch) -> None:
         """Find the mix of colours that tells slopes, from a frame with contact.
@@ -79,51 +95,48 @@ class ReliefReader:
         (d/dx - i d/dy) s is real wherever the gel is a surface, but for one factor by which all azimuths are off; in
         the wrong sense its phase varies. Then strengths and cross-talk: slopes of a surface have no curl.
         """
-        window = Window.around(patch)
-        mask = _mask_in(patch, window)
+        steep = self._steepness(image, Window.around(patch), patch)
         found = []
         for mirrored in (False, True):
-            u, v = self._slopes(image, window, _to_slopes(0.0, mirrored))
-            along, across = _dx(u) + _dy(v), _dx(v) - _dy(u)
-            re, im = along[mask].astype(np.float64), across[mask].astype(np.float64)
-            square = complex(float(re @ re - im @ im), 2.0 * float(re @ im))
-            found.append((abs(square) / max(float(re @ re + im @ im), 1e-9), math.atan2(square.imag, square.real) / 2))
+            x, y = _to_slopes(0.0, mirrored).astype(np.float64)
+            along, across = np.concatenate([x, y]), np.concatenate([y, -x])  # of d/dx and d/dy of every colour
+            re2, im2 = float(along @ steep @ along), float(across @ steep @ across)
+            square = complex(re2 - im2, 2.0 * float(along @ steep @ across))
+            found.append((abs(square) / max(re2 + im2, 1e-9), math.atan2(square.imag, square.real) / 2))
         mirrored = found[1][0] > found[0][0] + MIRRORED_MARGIN
-        self._colours = self._without_curl(image, window, mask, _to_slopes(found[int(mirrored)][1], mirrored))
+        self._take(_without_curl(steep, _to_slopes(found[int(mirrored)][1], mirrored)))
 
-    def _without_curl(
-        self, image: NDArray[np.uint8], window: Window, mask: NDArray[np.bool_], nominal: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        """The mix nearest `nominal` that leaves little curl in the slopes: ridge regression of its six numbers."""
-        up, right = [], []
-        for channel in range(3):
-            alone = np.zeros((2, 3), np.float32)
-            alone[:, channel] = 1.0
-            level = self._slopes(image, window, alone)[0]
-            up.append(_dy(level)[mask].astype(np.float64))
-            right.append(_dx(level)[mask].astype(np.float64))
-        curl = np.stack([-one for one in up] + right, axis=1)
-        energy = sum(float(one @ one) for one in (*up, *right)) / 6.0
-        told = curl.T @ curl
-        mix = nominal.astype(np.float64).ravel()
-        change = np.linalg.solve(told + (NOMINAL_WEIGHT * energy + 1e-6) * np.eye(6), -told @ mix)
-        return np.asarray((mix + change).reshape(2, 3), np.float32)
+    def _steepness(self, image: NDArray[np.uint8], window: Window, patch: Patch) -> NDArray[np.float64]:
+        """(6, 6): products of the three colours' change to the right and upwards, summed over the patch."""
+        level = np.asarray(cv2.GaussianBlur(self._difference(image, window), (0, 0), BLUR_PX), np.float32)
+        mask = _mask_in(patch, window)
+        change = np.concatenate([_dx(level)[mask], _dy(level)[mask]], axis=1).astype(np.float64)
+        return np.asarray(change.T @ change)
 
     def read(self, image: NDArray[np.uint8], patch: Patch) -> Relief:
         """The relief in and around a patch. image: (320, 240, 3) uint8 BGR."""
         window = Window.around(patch)
-        u, v = self._slopes(image, window, self._colours)
-        return Relief(window, _dx(u) + _dy(v))
+        slopes = cv2.GaussianBlur(cv2.transform(self._difference(image, window), self._colours), (0, 0), BLUR_PX)
+        right, up = cv2.split(slopes)
+        return Relief(window, _dx(np.asarray(right, np.float32)) + _dy(np.asarray(up, np.float32)), self._noise)
 
-    def _slopes(self, image: NDArray[np.uint8], window: Window, colours: NDArray[np.float32]) -> tuple[Field, Field]:
-        """Slopes to the right and up, in grey levels."""
+    def _difference(self, image: NDArray[np.uint8], window: Window) -> Field:
+        """Picture less no-contact image in a window, (h, w, 3) float32 grey levels."""
         left, top, right, bottom = window.left_px, window.top_px, window.right_px, window.bottom_px
         crop = image[REDUCTION * top : REDUCTION * bottom, REDUCTION * left : REDUCTION * right]
         now = cv2.resize(crop, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
-        difference = cv2.subtract(now, self._background[top:bottom, left:right], dtype=cv2.CV_32F)
-        slopes = cv2.GaussianBlur(cv2.transform(difference, colours), (0, 0), BLUR_PX)
-        u, v = cv2.split(slopes)
-        return np.asarray(u, np.float32), np.asarray(v, np.float32)
+        return np.asarray(cv2.subtract(now, self._background[top:bottom, left:right], dtype=cv2.CV_32F), np.float32)
+
+
+def _without_curl(steep: NDArray[np.float64], nominal: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The mix nearest `nominal` that leaves little curl in the slopes: ridge regression of its six numbers."""
+    swapped = [3, 4, 5, 0, 1, 2]
+    sign = np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0])  # curl: d/dx of the slope upwards less d/dy of that to the right
+    told = steep[np.ix_(swapped, swapped)] * np.outer(sign, sign)
+    energy = float(np.trace(told)) / 6.0
+    mix = nominal.astype(np.float64).ravel()
+    change = np.linalg.solve(told + (NOMINAL_WEIGHT * energy + 1e-6) * np.eye(6), -told @ mix)
+    return np.asarray((mix + change).reshape(2, 3), np.float32)
 
 
 def _to_slopes(off_rad: float, mirrored: bool) -> NDArray[np.float32]:

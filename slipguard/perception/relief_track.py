@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 
 from slipguard.perception.regions import Patch
 from slipguard.perception.relief import REDUCTION, Relief
-from slipguard.perception.texture import Texture, TextureFit, TexturePose, fit, make_texture, sigma_deg
+from slipguard.perception.texture import Texture, TextureFit, TexturePose, fit, make_texture
+from slipguard.perception.texture_sigma import sigma_deg
 
 SURE_DEG = 1.5
 """A turn told this surely by the reference's relief needs no key. Shear deforms a contact evenly: the reference's sigma
 is larger then, but its error less, than that of a key taken on the way."""
-KEY_SIGMA_DEG = 0.9
+KEY_SIGMA_DEG = 1.2
 """A key is taken only while the turn is known this well."""
 KEY_ALIKE = 0.93
 """... and only where the relief has become this unlike the reference's."""

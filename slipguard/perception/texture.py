@@ -35,9 +35,11 @@ COARSE_PX = 2.3
 ball makes fine differences that do not turn with it."""
 ROUND_LEVER = 1.3
 ROUND_FAINT = 0.25
+FAINT_LEVELS = 1.2
 """Change of the blurred relief by a turn of one radian (what shift, scale and gain cannot explain) over the relief
 itself, r.m.s.: 0.3-1.0 for plain balls and rings, rendered and real, 1.4 and more for what has a face. A faint relief
-must show more, for noise has an axis too: this share more at `FAINT_LEVELS`. Real faint balls reach 1.3."""
+must show more, for noise has an axis too: this share more at `FAINT_LEVELS` (grey levels a pixel, r.m.s.). Real faint
+balls reach 1.3."""
 ALIKE_MIN = 0.7
 """Correlation of the reference's relief with what now lies there."""
 SIGHT_MIN = 0.45
@@ -47,15 +49,11 @@ REPEATS_SHARE = 0.4
 """A relief whose mean square difference from itself falls below this share of its highest within this turn repeats."""
 _PRIOR_STD = np.array([10.0, 6.0, 6.0, 0.1, 0.5])
 """Turn (rad), shift from the start (relief pixels), scale and gain (shares): weak, for what it does not tell."""
-SIGMA_FLOOR_DEG = 0.03
-SPREAD_SIGMA, GROWTH_SIGMA, MISFIT_SIGMA = 0.75, 0.6, 0.048
+NOISE_LEFT = 0.85
+"""What a robust fit leaves of the noise of two pictures, as a share of its square."""
 UNLIKE = 0.1
-FAINT_LEVELS = 1.2
-"""Parts of sigma: of what parts of the contact disagree by, of the turn that would change the relief as much as its
-growth has, and of the turn that would change it by what the fit leaves; the last counts twice where the correlation
-is `UNLIKE` below 1: real contacts that are sheared deform. All of it is twice as large where the relief
-is no stronger than `FAINT_LEVELS` (grey levels a pixel, r.m.s.): what the light does to a place does not turn. Chosen
-by `slipguard.lab.sigma_fit` on rendered turns of the training objects, `UNLIKE` on real shear without turning."""
+"""A correlation this far below 1 makes sigmas twice as large: real contacts that are sheared deform. Chosen on real
+shear without turning."""
 _CORRELATED = 30.0
 """How many of the template's points carry the same error."""
 OTHER = "contact changed too much since the reference"
@@ -80,23 +78,27 @@ class TexturePose:
 class TextureFit:
     """The best pose. spread_deg: one standard deviation of the turn as parts of the contact disagree about it.
 
+    noise_deg: the turn that would change the relief as much as the camera's noise does. misfit_deg: as much as what
+    the fit leaves beyond the noise of both pictures.
     lever: change of the relief by a turn of a radian over the relief itself. alike: correlation with the reference.
-    strength: of the reference's relief, grey levels a pixel, r.m.s.
-    declined: None, or why there is no turn.
+    deformed: how far below 1 that is for other reasons than noise. strength: of the reference's relief without noise,
+    grey levels a pixel, r.m.s. declined: None, or why there is no turn.
     """
 
     pose: TexturePose
     spread_deg: float
+    noise_deg: float
     misfit_deg: float
     lever: float
     alike: float
+    deformed: float
     strength: float
     declined: str | None = None
 
     @property
     def unlike(self) -> float:
         """By how much a contact that has deformed makes sigmas larger; 1 where it is as it was."""
-        return 1.0 + (1.0 - min(self.alike, 1.0)) / UNLIKE
+        return 1.0 + self.deformed / UNLIKE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,8 +107,8 @@ class Texture:
 
     x_px, y_px, value: (N,) float32. motion: (N, 5) float32, change per turn, shift x, shift y, scale, gain.
     block: (N,) which neighbourhood each point belongs to. coarse_lever: what `ROUND_LEVER` judges.
-    strength: r.m.s. of the values. repeats: whether the relief comes to look like itself after a small turn, as teeth
-    and rays do.
+    strength: r.m.s. of the values. noise: what of it the camera's noise makes. repeats: whether the relief comes to
+    look like itself after a small turn, as teeth and rays do.
     """
 
     x_px: Field
@@ -117,6 +119,7 @@ class Texture:
     centre_px: tuple[float, float]
     coarse_lever: float
     strength: float
+    noise: float
     repeats: bool
 
     @property
@@ -158,6 +161,7 @@ def make_texture(relief: Relief, patch: Patch) -> Texture | None:
         (centre_x + window.left_px, centre_y + window.top_px),
         _lever(coarse.T @ coarse),
         math.sqrt(float(np.mean(np.square(relief.curvature[y, x])))),
+        relief.noise,
         _repeats(relief.curvature, dx, dy, (centre_x, centre_y)),
     )
 
@@ -165,7 +169,7 @@ def make_texture(relief: Relief, patch: Patch) -> Texture | None:
 def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:
     """Lay the reference's relief over another, from a start within some degrees and pixels."""
     if texture.round:
-        return TextureFit(start, 180.0, 180.0, 0.0, 0.0, 0.0, ROUND)
+        return TextureFit(start, 180.0, 180.0, 180.0, 0.0, 0.0, 1.0, 0.0, ROUND)
     turn, dx, dy, scale, gain = math.radians(start.turn_deg), start.dx_px, start.dy_px, start.scale, start.gain
     motion = texture.motion
     for _ in range(MAX_ROUNDS):
@@ -199,31 +203,17 @@ def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:
         if abs(turn_step) < 8e-4 and abs(move_x) + abs(move_y) < 0.04:
             break
     pose = TexturePose(math.degrees(turn), dx, dy, scale, gain)
-    return _judged(texture, pose, held, difference, value, weight)
-
-
-def sigma_deg(answer: TextureFit) -> float:
-    """One standard deviation of the turn: what the contact's parts, its growth and the misfit leave open."""
-    return faintness(answer) * math.hypot(
-        SIGMA_FLOOR_DEG,
-        SPREAD_SIGMA * answer.spread_deg,
-        GROWTH_SIGMA * grown_deg(answer),
-        MISFIT_SIGMA * answer.unlike * answer.misfit_deg,
-    )
-
-
-def faintness(answer: TextureFit) -> float:
-    """By how much a faint relief makes sigmas larger; 1 for a strong one."""
-    return 1.0 + (FAINT_LEVELS / max(answer.strength, 1e-3)) ** 2
-
-
-def grown_deg(answer: TextureFit) -> float:
-    """The turn that would change the relief as much as its growth since the reference has."""
-    return math.degrees(abs(math.log(answer.pose.scale)) / max(answer.lever, 1e-3))
+    return _judged(texture, relief.noise, pose, held, difference, value, weight)
 
 
 def _judged(
-    texture: Texture, pose: TexturePose, held: NDArray[np.float64], difference: Field, value: Field, weight: Field
+    texture: Texture,
+    noise: float,
+    pose: TexturePose,
+    held: NDArray[np.float64],
+    difference: Field,
+    value: Field,
+    weight: Field,
 ) -> TextureFit:
     mass = max(float(weight.sum()), 1e-6)
     told = np.linalg.inv(held)[0]
@@ -231,13 +221,14 @@ def _judged(
     pull = (texture.motion @ (told * gains).astype(np.float32)) * weight * difference
     parts = np.bincount(texture.block, pull)
     spread_deg = math.degrees(math.sqrt(float(parts @ parts)))
-    lever_levels = math.sqrt(1.0 / max(float(told[0]), 1e-12) / mass)
-    own2 = max(float(weight @ texture.value**2), 1e-9)
-    now2 = max(float(weight @ value**2), 1e-9)
-    alike = float((weight * value) @ texture.value) / math.sqrt(own2 * now2)
-    left = math.sqrt(float(weight @ difference**2) / mass)
-    lever = lever_levels / (abs(pose.gain) * math.sqrt(own2 / mass))
-    misfit_deg = min(math.degrees(left / lever_levels), 180.0)
+    levels = math.sqrt(1.0 / max(float(told[0]), 1e-12) / mass)  # change of the relief by a turn of a radian
+    own2 = max(float(weight @ texture.value**2) / mass, 1e-9)
+    now2 = max(float(weight @ value**2) / mass, 1e-9)
+    both2 = float((weight * value) @ texture.value) / mass
+    alike = both2 / math.sqrt(own2 * now2)
+    clean2, clean_now2 = max(own2 - texture.noise**2, 1e-2 * own2), max(now2 - noise**2, 1e-2 * now2)
+    noise2 = noise**2 + (pose.gain * texture.noise) ** 2
+    left2 = float(weight @ difference**2) / mass - NOISE_LEFT * noise2
     sight = float(np.count_nonzero(weight)) / weight.size
     declined = None
     if sight < SIGHT_MIN:
@@ -245,7 +236,15 @@ def _judged(
     elif not alike >= ALIKE_MIN:
         declined = OTHER
     return TextureFit(
-        pose, min(max(spread_deg, 1e-3), 180.0), misfit_deg, lever, alike, math.sqrt(own2 / mass), declined
+        pose,
+        spread_deg=min(max(spread_deg, 1e-3), 180.0),
+        noise_deg=min(math.degrees(math.sqrt(noise2) / levels), 180.0),
+        misfit_deg=min(math.degrees(math.sqrt(max(left2, 0.0)) / levels), 180.0),
+        lever=levels / (abs(pose.gain) * math.sqrt(own2)),
+        alike=alike,
+        deformed=1.0 - min(max(both2 / math.sqrt(clean2 * clean_now2), 0.0), 1.0),
+        strength=math.sqrt(clean2),
+        declined=declined,
     )
 
 

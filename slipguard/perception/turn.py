@@ -57,14 +57,19 @@ class TurnMeter:
     """Takes the reference and measures every patch against it.
 
     frame_px: frame pixels per network pixel. background: the unit's no-contact image, (320, 240, 3) uint8, or None.
+    noise_bgr: standard deviation of a pixel, grey levels; None where it is not known: sigmas are larger then.
     """
 
     def __init__(
-        self, settings: PerceptionSettings, frame_px: float, background: NDArray[np.uint8] | None = None
+        self,
+        settings: PerceptionSettings,
+        frame_px: float,
+        background: NDArray[np.uint8] | None = None,
+        noise_bgr: NDArray[np.floating] | None = None,
     ) -> None:
         self._settings = settings
         self._frame_px = frame_px
-        self._reader = None if background is None else ReliefReader(background)
+        self._reader = None if background is None else ReliefReader(background, noise_bgr)
         self.reference: Reference | None = None
         self.tracker = Tracker()
         self._pose = Pose()
@@ -149,6 +154,7 @@ class TurnMeter:
             self._reader.learn(image, patch)
             texture = make_texture(self._reader.read(image, patch), patch)
             relief = None if texture is None else ReliefTrack(texture)
+        clock.mark("reference")
         axes = dict(axes_of(True))
         self.reference = Reference(image, axes, make_template(patch), relief, _centre_px(patch), patch.area_px)
         clock.mark("reference")

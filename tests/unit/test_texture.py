@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from slipguard.perception import relief
 from slipguard.perception.regions import Patch, find_patch
 from slipguard.perception.relief import ReliefReader
-from slipguard.perception.texture import Texture, TextureFit, TexturePose, fit, make_texture, sigma_deg
+from slipguard.perception.texture import Texture, TextureFit, TexturePose, fit, make_texture
+from slipguard.perception.texture_sigma import sigma_deg
 
 Height = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 LIGHTS_DEG = (270.0, 150.0, 30.0)
