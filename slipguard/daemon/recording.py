@@ -21,7 +21,6 @@ from slipguard.daemon.service import Decision, Service
 from slipguard.errors import InputError
 from slipguard.grasp.state import Phase
 from slipguard.perception.estimate import Estimate
-from slipguard.perception.pipeline import at_frame_size
 from slipguard.perception.segment import default_model_path
 from slipguard.recording import messages as m
 from slipguard.recording.recorder import Recorder, RecorderSettings, Said, Seen, Turn
@@ -112,7 +111,7 @@ class Watcher:
                 judgement.judged_at_s,
                 told,
                 frame.image if pictured else None,
-                at_frame_size(patch.full_mask()) if patch is not None else None,
+                patch.full_mask() if patch is not None else None,
             )
         )
 

@@ -21,13 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.grasp.guard import Guard
+from slipguard.perception.pipeline import at_frame_size
 from slipguard.recording import messages as m
 from slipguard.recording.ring import Ring
 from slipguard.recording.writer import Clock, Header, RecordingFile, open_new
 
 BACKLOG_MAX = 2000
 """Values waiting for the disk. Pictures are left out from a quarter of it on: 250 of them are 60 MB."""
-WAIT_S = 0.25
+WAIT_S = 0.05
+"""The thread looks so often for what waits. Woken for each value it would fight with the loop for the interpreter."""
 TRY_AGAIN_S = 60.0
 SETTLE_S = 1.0
 """A new no-contact image begins a new file, once the other finger has had the time to get its own."""
@@ -48,7 +50,10 @@ class RecorderSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """A judged frame of one finger. image: (320, 240, 3) uint8; mask: (320, 240) uint8, 0 or 1; None: left out."""
+    """A judged frame of one finger. image: (320, 240, 3) uint8; mask: (h, w) uint8, 0 or 1, of any size.
+
+    What is None was left out.
+    """
 
     finger: str
     at_s: float
@@ -98,8 +103,7 @@ class Recorder:
         self._ring, self._settings, self._clock, self._header = ring, settings, clock, header
         self._on_trouble, self._opener = on_trouble, opener
         self._waiting: deque[Seen | Turn | Said] = deque()
-        self._news = threading.Condition()
-        self._ending = False
+        self._ending = threading.Event()
         self._file: RecordingFile | None = None
         self._began_s = self._last_s = 0.0
         self._renew_s = float("inf")
@@ -124,39 +128,30 @@ class Recorder:
         self._thread.start()
 
     def hand(self, value: Seen | Turn | Said) -> None:
-        """Take a value over; never waits, and may leave it out."""
-        with self._news:
-            if isinstance(value, Seen) and value.image is not None and len(self._waiting) >= BACKLOG_MAX // 4:
-                value = replace(value, image=None, mask=None)
-                self.left_out += 1
-            if len(self._waiting) >= BACKLOG_MAX:
-                self.left_out += 1
-                return
-            self._waiting.append(value)
-            self._news.notify()
+        """Take a value over; never waits, and may leave it out. To be called from one thread only."""
+        if isinstance(value, Seen) and value.image is not None and len(self._waiting) >= BACKLOG_MAX // 4:
+            value = replace(value, image=None, mask=None)
+            self.left_out += 1
+        if len(self._waiting) >= BACKLOG_MAX:
+            self.left_out += 1
+            return
+        self._waiting.append(value)
 
     def stop(self, timeout_s: float = 5.0) -> None:
         """Write what waits, close the file, end the thread."""
-        with self._news:
-            self._ending = True
-            self._news.notify()
+        self._ending.set()
         self._thread.join(timeout_s)
 
     def _run(self) -> None:
         with contextlib.suppress(OSError):  # Linux gives every thread a priority of its own
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
         self._guarded(self._ring.keep_unfinished)
-        while True:
-            with self._news:
-                if not self._waiting and not self._ending:
-                    self._news.wait(WAIT_S)
-                batch, ending = list(self._waiting), self._ending
-                self._waiting.clear()
-            for value in batch:
-                self._take(value)
-            if ending and not self._waiting:
-                self._guarded(self._finish)
-                return
+        ending = False
+        while not ending:
+            ending = self._ending.wait(WAIT_S)
+            while self._waiting:
+                self._take(self._waiting.popleft())
+        self._guarded(self._finish)
 
     def _take(self, value: Seen | Turn | Said) -> None:
         if self.stopped is not None and time.monotonic() < self._try_again_at:
@@ -246,7 +241,8 @@ def write_seen(file: RecordingFile, seen: Seen, settings: RecorderSettings) -> N
     if seen.image is not None and settings.image != "none":
         file.image(seen.finger, frame_s, _encoded(seen.image, settings), settings.image)
     if seen.mask is not None:
-        file.mask(seen.finger, frame_s, cv2.imencode(".png", seen.mask * np.uint8(255))[1].tobytes())
+        mask = at_frame_size(seen.mask) * np.uint8(255)
+        file.mask(seen.finger, frame_s, cv2.imencode(".png", mask)[1].tobytes())
     file.judged(seen.finger, seen.at_s, seen.judged)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from pathlib import Path
 
 from loop_cell import Cell, play
@@ -51,8 +52,9 @@ def test_a_law_that_would_have_decided_otherwise_is_found_out(tmp_path: Path) ->
     recorded(Cell("wrench", 1), tmp_path)
     opened = recordings([tmp_path / "kept"])
     for one in opened:
-        text = one.attachments[m.CONFIG_ATTACHMENT].decode()
-        one.attachments[m.CONFIG_ATTACHMENT] = text.replace('"first_step": 1.5', '"first_step": 1.2').encode()
+        config = json.loads(one.attachments[m.CONFIG_ATTACHMENT])
+        config["guard"]["first_step"] = 1.1
+        one.attachments[m.CONFIG_ATTACHMENT] = json.dumps(config).encode()
     played = replay(opened)
     assert played.on_recorded.differences
     first = played.on_recorded.differences[0]

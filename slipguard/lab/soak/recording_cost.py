@@ -116,17 +116,16 @@ class _TimedWatcher(Watcher):
         self._block = block
 
     def judged(self, finger: str, judgement: Judgement) -> None:
-        with self._timed():
-            super().judged(finger, judgement)
+        began_s, cpu_s = time.perf_counter(), time.thread_time()
+        super().judged(finger, judgement)
+        self._took(began_s, cpu_s)
 
     def decided(self, decision: Decision) -> None:
-        with self._timed():
-            super().decided(decision)
-
-    @contextmanager
-    def _timed(self) -> Iterator[None]:
         began_s, cpu_s = time.perf_counter(), time.thread_time()
-        yield
+        super().decided(decision)
+        self._took(began_s, cpu_s)
+
+    def _took(self, began_s: float, cpu_s: float) -> None:
         self._block.handing_s += time.thread_time() - cpu_s
         self._block.longest_hand_s = max(self._block.longest_hand_s, time.perf_counter() - began_s)
         self._block.handed += 1
