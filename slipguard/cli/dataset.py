@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from slipguard.cli.progress import count_bar
 from slipguard.cli.record import record
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown")
 
@@ -59,9 +57,8 @@ def render(
     check_request(out, count, seed, split.value)
     workers = Workers(jobs, cluster)
     real = read_backgrounds(backgrounds) if backgrounds is not None else None
-    with _progress("rendering") as bar:
-        task = bar.add_task("frames", total=count)
-        render_dataset(out, count, seed, split.value, real, lambda done: bar.update(task, completed=done), workers)
+    with count_bar("rendering", count) as show_count:
+        render_dataset(out, count, seed, split.value, real, show_count, workers)
     if show is not None:
         contact_sheet(out, show)
     print(f"{count} frames in {out}" + (f", a sheet in {show}" if show is not None else ""))
@@ -96,16 +93,8 @@ def import_(
     no_contact = read_background(background) if background is not None else None
     check_new(out)
     found_pairs(source)
-    with _progress("importing") as bar:
-        task = bar.add_task("frames", total=None)
-        done = import_dataset(
-            source,
-            out,
-            no_contact,
-            skip,
-            lambda count, total: bar.update(task, completed=count, total=total),
-            Workers(jobs, cluster),
-        )
+    with count_bar("importing") as show_count:
+        done = import_dataset(source, out, no_contact, skip, show_count, Workers(jobs, cluster))
     if show is not None:
         contact_sheet(out, show)
     notes = [f"{done.frames} frames in {out}"]
@@ -131,11 +120,3 @@ def show(
 
 
 app.command()(record)
-
-
-def _progress(what: str) -> Progress:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=Console(stderr=True))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json as jsonlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from slipguard.cli.progress import count_bar
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def run(
             raise InputError("--sim brings a cell and a camera of its own; leave out --config, --camera, --intrinsics")
         _check_simulated(plan)
         todo = len(prepare(out, plan, simulated=True))
-        with _bar("lifts", todo) as progress:
+        with count_bar("lifts", todo) as progress:
             run_simulated(out, plan, workers, progress)
     else:
         _on_cell(out, plan if protocol is not None else None, config, camera, intrinsics)
@@ -167,7 +167,7 @@ def _report(folder: Path, networks: Path | None, workers: Any, json: bool) -> No
     from slipguard.lab.evaluate.report import PAGE, write_report
 
     count = len(list(lift_paths(folder)))
-    with _bar("results", count) as progress:
+    with count_bar("results", count) as progress:
         figures = write_report(folder, workers, networks, progress)
     if json:
         print(jsonlib.dumps(figures))
@@ -235,18 +235,3 @@ def _on_cell(
         external = nullcontext() if camera is None else Camera(camera, lens)
         with external as eye, left_to_the_loop():
             asyncio.run(run_on_cell(out, plan, service, eye, lens, ask))
-
-
-@contextmanager
-def _bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda done: None
-        return
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task(what, total=total)
-        yield lambda done: progress.update(task, completed=done)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from slipguard.cli.interrupt import left_to_the_loop
+from slipguard.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -32,21 +33,13 @@ def latency(
     from dataclasses import asdict
 
     from rich.console import Console
-    from rich.progress import Progress
 
     from slipguard.daemon import log
     from slipguard.lab.wire_latency import Options, measure
 
     log.configure(level=logging.CRITICAL)
-    progress = Console(stderr=True)
-    with Progress(console=progress, transient=True, disable=not progress.is_terminal) as bar, left_to_the_loop():
-        task = bar.add_task("latency", total=1.0)
-        found = asyncio.run(
-            measure(
-                Options(commands=commands, baud=baud, fps=int(fps)),
-                lambda what, share: bar.update(task, description=what, completed=share),
-            )
-        )
+    with progress_bar("latency") as show, left_to_the_loop():
+        found = asyncio.run(measure(Options(commands=commands, baud=baud, fps=int(fps)), show))
     if json:
         print(jsonlib.dumps(asdict(found)))
     else:

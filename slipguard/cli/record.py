@@ -35,10 +35,8 @@ def record(
     """
     import asyncio
 
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
     from slipguard.cli.interrupt import left_to_the_loop
+    from slipguard.cli.progress import count_bar
     from slipguard.config import read_config
     from slipguard.daemon.client import Client, NoDaemon
     from slipguard.daemon.whereabouts import running_socket
@@ -51,17 +49,13 @@ def record(
         raise InputError("name what to record: either --config config.toml or --serial D20479")
     check_new(out)
     settings = read_config(config) if config is not None else None
-    columns = (TextColumn("recording"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
 
     async def all_of_it(client: Client | None) -> int:
         shots, serials = _daemons(client, serial, every_s) if client else _own(settings, serial, every_s)
         backgrounds = _backgrounds(serials, background, settings)
-        with Progress(*columns, console=Console(stderr=True)) as bar:
-            task = bar.add_task("frames", total=count)
+        with count_bar("recording", count) as show_count:
             try:
-                return await record_dataset(
-                    out, shots, count, backgrounds, lambda done: bar.update(task, completed=done)
-                )
+                return await record_dataset(out, shots, count, backgrounds, show_count)
             finally:
                 await shots.aclose()  # type: ignore[attr-defined]
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slipguard.cli.interrupt import left_to_the_loop
+from slipguard.cli.progress import progress_bar
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,8 +17,7 @@ if TYPE_CHECKING:
 
     from slipguard.lab.soak.run import Soak
 
-MB = 2**20
-SHORTEST_S = 60.0
+SHORTEST_S = 10.0
 
 
 class ClockKind(StrEnum):
@@ -39,6 +39,10 @@ def soak(
     pulses: Annotated[
         Path | None, typer.Option(help="File for each look at memory and files as it is taken, as JSON lines.")
     ] = None,
+    recording_cost: Annotated[
+        int | None,
+        typer.Option(min=1, help="Instead: lift so many objects with and without recordings, and compare."),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
 ) -> None:
     """Run the daemon on the fakes for hours and tell whether anything grows, leaks or comes late.
@@ -48,38 +52,50 @@ def soak(
     simulated world tells the turn, and a lift with drawn pictures through the network comes every half hour. On the
     real clock all is as with `slipguard run --sim`.
 
-    Example: `slipguard soak --hours 8`, `slipguard soak --minutes 10 --clock real --page`
+    Example: `slipguard soak --hours 8`, `slipguard soak --minutes 10 --clock real --page`,
+    `slipguard soak --recording-cost 10`
     """
+    import logging
+
+    from slipguard.daemon import log
+
+    log.configure(level=logging.CRITICAL)
+    length_s = 3600.0 * hours + 60.0 * minutes
+    if recording_cost is not None:
+        if length_s:
+            raise InputError("--recording-cost lasts as long as its lifts; leave --hours and --minutes out")
+        good = _compare(recording_cost, seed, json)
+    elif length_s < SHORTEST_S:
+        raise InputError(f"{length_s:g} s is too short to see anything grow; say --hours 8 or --minutes 10")
+    else:
+        good = _endure(length_s, clock is ClockKind.virtual, page, recording, seed, pulses, json)
+    if not good:
+        raise typer.Exit(1)
+
+
+def _endure(
+    length_s: float, virtual: bool, page: bool, recording: bool, seed: int, pulses: Path | None, json: bool
+) -> bool:
     import asyncio
     import json as jsonlib
-    import logging
     from contextlib import ExitStack
     from dataclasses import asdict
 
     from rich.console import Console
-    from rich.progress import Progress
 
-    from slipguard.daemon import log
     from slipguard.daemon.virtual_time import run_virtual
     from slipguard.lab.soak.pulse import Pulse
     from slipguard.lab.soak.run import soak as run_soak
     from slipguard.lab.soak.settings import Settings
 
-    length_s = 3600.0 * hours + 60.0 * minutes
-    if length_s < SHORTEST_S:
-        raise InputError(f"{length_s:g} s is too short to see anything grow; say --hours 8 or --minutes 10")
-    log.configure(level=logging.CRITICAL)
-    virtual = clock is ClockKind.virtual
     settings = Settings(length_s, virtual, seed=seed, page=page, recording=recording)
-    progress = Console(stderr=True)
     with ExitStack() as open_things:
         file = open_things.enter_context(pulses.open("w")) if pulses is not None else None
         open_things.enter_context(left_to_the_loop())
-        bar = open_things.enter_context(Progress(console=progress, transient=True, disable=not progress.is_terminal))
-        task = bar.add_task("soak", total=length_s)
+        show = open_things.enter_context(progress_bar("soak"))
 
         def felt(pulse: Pulse, done: str) -> None:
-            bar.update(task, completed=pulse.at_s, description=done)
+            show(done, pulse.at_s / length_s)
             if file is not None:
                 file.write(jsonlib.dumps(asdict(pulse)) + "\n")
                 file.flush()
@@ -89,8 +105,42 @@ def soak(
         print(jsonlib.dumps(asdict(found) | {"good": found.good}))
     else:
         _show(Console(highlight=False), found)
-    if not found.good:
-        raise typer.Exit(1)
+    return found.good
+
+
+def _compare(pairs: int, seed: int, json: bool) -> bool:
+    import asyncio
+    import json as jsonlib
+    from dataclasses import asdict
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from slipguard.lab.soak.recording_cost import LOOP_SHARE_MAX, measure
+
+    with progress_bar("recording cost") as show, left_to_the_loop():
+        cost = asyncio.run(measure(pairs, seed, show))
+    if json:
+        print(jsonlib.dumps(asdict(cost) | {"good": cost.good}))
+        return cost.good
+    table = Table("lifts", "latencies", "p50", "p99", "loop's thread", "process", "deadlines missed")
+    for one in (cost.without, cost.recorded):
+        table.add_row(
+            f"{one.lifts} {'recorded' if one is cost.recorded else 'not recorded'}",
+            str(one.latencies),
+            f"{one.latency_p50_ms:.1f} ms",
+            f"{one.latency_p99_ms:.1f} ms",
+            f"{one.loop_share:.1%} of a core",
+            f"{one.process_share:.1%}",
+            f"{one.missed_share:.2%}",
+        )
+    console = Console(highlight=False)
+    console.print(table)
+    console.print(
+        f"handing {cost.handed} values over took {cost.handing_share:.1%} of the loop thread's time "
+        f"(allowed: {LOOP_SHARE_MAX:.0%}), the longest {cost.longest_hand_ms:.2f} ms; {cost.left_out} left out"
+    )
+    return cost.good
 
 
 def _show(console: Console, found: Soak) -> None:

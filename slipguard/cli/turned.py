@@ -9,6 +9,8 @@ from typing import Annotated
 
 import typer
 
+from slipguard.cli.progress import progress_bar
+
 
 def turned(
     folder: Annotated[Path, typer.Argument(help="Folder with taxim_sphere/ and anytouch2_force2/.")],
@@ -23,28 +25,17 @@ def turned(
     Example: `slipguard turned real_digit/ --part test --json`
     """
     from rich.console import Console
-    from rich.progress import Progress
     from rich.table import Table
 
     from slipguard.lab import turned_report
     from slipguard.lab.turned_presses import WAYS
     from slipguard.perception.segment import Segmenter
 
-    segmenter, progress = Segmenter(model), Console(stderr=True)
+    segmenter = Segmenter(model)
     rows: list[turned_report.Figures] = []
-    with Progress(console=progress, transient=True, disable=not progress.is_terminal) as bar:
-        for way in WAYS:
-            task = bar.add_task(way, total=1.0)
-            found = turned_report.measure(
-                folder,
-                part,
-                way,
-                segmenter,
-                lambda name, share, task=task, way=way: bar.update(  # type: ignore[misc]
-                    task, description=f"{way} {name}", completed=share
-                ),
-            )
-            rows += turned_report.figures(found, way)
+    for way in WAYS:
+        with progress_bar(way) as show:
+            rows += turned_report.figures(turned_report.measure(folder, part, way, segmenter, show), way)
     if json:
         for row in rows:
             print(jsonlib.dumps(asdict(row)))

@@ -54,7 +54,8 @@ async def record(service: Service, recorder: Recorder, make_watcher: Callable[[T
     loop = asyncio.get_running_loop()
     with contextlib.ExitStack() as watched:
         for name, finger in service.fingers.items():
-            _attach(watched, finger.observers, partial(watcher.judged, name))
+            judged: Callable[[Judgement], None] = partial(watcher.judged, name)
+            _attach(watched, finger.observers, judged)
         _attach(watched, service.observers, watcher.decided)
         _attach(watched, service.journal.listeners, lambda text, error: recorder.hand(Said(loop.time(), text, error)))
         recorder.start()

@@ -23,6 +23,7 @@ from slipguard.daemon import root, whereabouts
 from slipguard.daemon.finger import Perceiver
 from slipguard.daemon.recording import SEGMENT_S, make_recorder
 from slipguard.daemon.service import Service
+from slipguard.daemon.state_dir import StateDir
 from slipguard.daemon.worker import StatedLatencyWorker
 from slipguard.lab.campaign import CampaignSettings, run_campaign
 from slipguard.lab.soak import verdict
@@ -122,7 +123,7 @@ class _Run:
         if self._settings.virtual:
             gc.collect()
         at_s = asyncio.get_running_loop().time() - self._began_s
-        return feel(at_s, root.StateDir(self.config.state.directory).path, root.recordings_path(self.config))
+        return feel(at_s, StateDir(self.config.state.directory).path, root.recordings_path(self.config))
 
     async def day(self, service: Service) -> None:
         """Shift work until the time is over; then the daemon is ended as systemd ends it."""
