@@ -93,5 +93,5 @@ class Control(Protocol):
         """Take both no-contact images; `said`, and by finger what they are like."""
 
     @abstractmethod
-    def listen(self, hear: Callable[[Event], None]) -> None:
-        """Tell `hear` the newest events, oldest first, and from then on each as it happens."""
+    def listen(self, hear: Callable[[Event], None]) -> Callable[[], None]:
+        """Tell `hear` the newest events, oldest first, then each as it happens, until what is returned is called."""

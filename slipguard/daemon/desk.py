@@ -104,12 +104,13 @@ class Desk(Control):
         """Take both no-contact images; `said`, and by finger what they are like."""
         return calibration_answer(await self._controls.calibrate(force=force))
 
-    def listen(self, hear: Callable[[Event], None]) -> None:
+    def listen(self, hear: Callable[[Event], None]) -> Callable[[], None]:
         """Tell the newest events, and from then on each as it happens."""
         journal = self._service.journal
         for event in journal.events:
             hear(event)
         journal.watchers.append(hear)
+        return lambda: journal.watchers.remove(hear)
 
 
 def calibration_answer(taken: Mapping[str, NoContact]) -> dict[str, object]:

@@ -11,12 +11,14 @@ from typing import Annotated, Any, Literal
 from fastapi import FastAPI, Path, Query, Request, Response, WebSocket
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from prometheus_client import CONTENT_TYPE_LATEST
 from starlette.exceptions import HTTPException
 
 from slipguard import __version__
 from slipguard.web import bodies as b
 from slipguard.web.access import CONTROL_KEY, COOKIE
 from slipguard.web.commands import add_commands
+from slipguard.web.metrics import exposition
 from slipguard.web.page_routes import add_page
 from slipguard.web.pictures import FINGERS
 from slipguard.web.room import Room
@@ -24,6 +26,9 @@ from slipguard.web.words import error, http_error, in_words, refusals
 
 ABOUT = """Keeps a robot from dropping what it holds. On the Unix socket, file permissions decide who may ask.
 On TCP every command needs the token in the daemon's runtime directory, or the page's cookie."""
+TEXT: dict[int | str, dict[str, Any]] = {
+    200: {"description": "Prometheus text.", "content": {"text/plain": {"schema": {"type": "string"}}}}
+}
 FingerName = Annotated[str, Path(json_schema_extra={"enum": list(FINGERS)})]
 
 
@@ -33,6 +38,7 @@ def make_app(room: Room) -> FastAPI:
         title="slipguard",
         version=__version__,
         description=ABOUT,
+        telemetry={"tracing": False, "metrics": False, "logs": False, "auto_configure": False},
         docs_url=None,
         redoc_url=None,
         exception_handlers={HTTPException: http_error, RequestValidationError: _bad_parameter},
@@ -74,6 +80,16 @@ def _add_reads(app: FastAPI, room: Room) -> None:
             return JSONResponse({"status": "ok"}) if why is None else error(503, why)
 
         return await in_words("/healthz", look())
+
+    @app.get("/metrics", response_class=Response, responses=TEXT | refusals())
+    async def metrics() -> Response:
+        """State and tallies as Prometheus reads them."""
+
+        async def look() -> Response:
+            text = exposition(await room.state.get(), await room.tallies.get())
+            return Response(text, media_type=CONTENT_TYPE_LATEST)
+
+        return await in_words("/metrics", look())
 
     @app.get("/access", response_model=b.MayCommand, responses=refusals())
     async def access(request: Request) -> Response:

@@ -1,48 +1,111 @@
-"""The API of a daemon: on its Unix socket always, on TCP beside it where that can be."""
+"""The API of a daemon: a process of its own beside the loop, on its Unix socket always, on TCP where that can be."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import ipaddress
 import socket
+import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
+from slipguard.daemon.backoff import Backoff
 from slipguard.daemon.control import Control
 from slipguard.errors import ConfigError, SlipguardError
-from slipguard.web.access import Access
-from slipguard.web.room import Room
-from slipguard.web.serve import serve
+from slipguard.web.answering import answer
 from slipguard.web.sockets import UnixSocket, bind_tcp
 from slipguard.web.token import token_file
+from slipguard.web.wire import packed
+
+STOP_S = 4.0
+"""How long the web process may take to finish its answers when the daemon stops."""
+RETRY_S, RETRY_MAX_S = 0.5, 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Tcp:
+    """A port that is listened at, and the token that commands need there."""
+
+    listening: socket.socket
+    host: str
+    port: int
+    token: str
 
 
 async def run_api(
     control: Control, unix: UnixSocket, listen: tuple[str, int] | None, token_at: Path, warn: Callable[[str], None]
 ) -> None:
-    """Serve until cancelled, and close `unix`.
+    """Serve until cancelled, and close `unix`. A web process that ends is replaced; nobody's grip depends on it.
 
-    listen: host and port for TCP too; None: none. A port that cannot be had is warned of, and done without: nobody's
-    grip depends on a page. token_at: where the token for TCP is written.
+    listen: host and port for TCP too; None: none. A port that cannot be had is warned of, and done without.
+    token_at: where the token for TCP is written.
     """
+    backoff = Backoff(RETRY_S, RETRY_MAX_S)
     with contextlib.ExitStack() as stack:
         stack.callback(unix.close)
-        tcp, access = _tcp(stack, listen, token_at, warn)
-        await serve(Room(control, access), unix.listening, tcp)
+        tcp = _tcp(stack, listen, token_at, warn)
+        while True:
+            ended = await _until_it_ends(control, unix, tcp)
+            warn(f"page and API ended ({ended}) and are started again; the guard goes on")
+            await backoff.wait()
 
 
 def _tcp(
     stack: contextlib.ExitStack, listen: tuple[str, int] | None, token_at: Path, warn: Callable[[str], None]
-) -> tuple[socket.socket | None, Access | None]:
+) -> Tcp | None:
     if listen is None:
-        return None, None
+        return None
     host, port = listen
     try:
-        tcp = stack.enter_context(contextlib.closing(bind_tcp(host, port)))
+        listening = stack.enter_context(contextlib.closing(bind_tcp(host, port)))
         token = stack.enter_context(token_file(token_at))
     except (SlipguardError, ConfigError) as error:
         warn(f"no page, and no commands over TCP: {error}; the Unix socket works")
-        return None, None
+        return None
     if not ipaddress.ip_address(host).is_loopback:
         warn(f"the page at {host}:{port} is open to the network, unencrypted: anybody may look, and read along")
-    return tcp, Access(token, (host, tcp.getsockname()[1]))
+    return Tcp(listening, host, port, token)
+
+
+async def _until_it_ends(control: Control, unix: UnixSocket, tcp: Tcp | None) -> int:
+    """Start the web process and answer it until it ends, with its exit status; it is ended where this is cancelled."""
+    ours, theirs = socket.socketpair()
+    served = [unix.listening] + ([] if tcp is None else [tcp.listening])
+    with theirs:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-P",  # the working directory of whoever started the daemon is no place to import from
+            "-m",
+            "slipguard.web",
+            str(theirs.fileno()),
+            pass_fds=(theirs.fileno(), *(one.fileno() for one in served)),
+            stdin=asyncio.subprocess.DEVNULL,
+            process_group=0,  # a Ctrl-C at the terminal is for the daemon alone
+        )
+    reader, writer = await asyncio.open_connection(sock=ours)
+    writer.write(packed(_first_words(unix, tcp)))
+    answering = asyncio.create_task(answer(control, reader, writer), name="web: answers")
+    try:
+        await asyncio.shield(answering)
+    finally:
+        writer.write(packed({"stop": True}))  # answers under way are still given
+        await asyncio.wait((answering,), timeout=STOP_S)
+        answering.cancel()
+        await asyncio.gather(answering, return_exceptions=True)
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
+        ended = await process.wait()
+        writer.close()
+    return ended
+
+
+def _first_words(unix: UnixSocket, tcp: Tcp | None) -> dict[str, object]:
+    return {
+        "unix_fd": unix.listening.fileno(),
+        "tcp_fd": None if tcp is None else tcp.listening.fileno(),
+        "host": None if tcp is None else tcp.host,
+        "port": None if tcp is None else tcp.port,
+        "token": None if tcp is None else tcp.token,
+    }

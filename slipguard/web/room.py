@@ -16,10 +16,14 @@ class Room:
         self.control = control
         self.access = access
         self.state = Shared(control.state, PERIOD_S)
+        self.tallies = Shared(control.tallies, PERIOD_S)
         self.pictures = Pictures(control)
         self.live = Live(self.state.get)
 
     async def run(self) -> None:
         """Keep the live stream going until cancelled."""
-        self.control.listen(self.live.hear)
-        await self.live.run()
+        deafen = self.control.listen(self.live.hear)
+        try:
+            await self.live.run()
+        finally:
+            deafen()

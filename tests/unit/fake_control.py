@@ -118,10 +118,11 @@ class FakeControl(Control):
         image = np.full((320, 240, 3), 90, np.uint8)
         return calibration_answer({name: NoContact(image, (2.9, 1.5, 2.4), 30) for name in ("left", "right")})
 
-    def listen(self, hear: Callable[[Event], None]) -> None:
+    def listen(self, hear: Callable[[Event], None]) -> Callable[[], None]:
         for event in self.events:
             hear(event)
         self.ears.append(hear)
+        return lambda: self.ears.remove(hear)
 
 
 @asynccontextmanager
