@@ -38,7 +38,7 @@ from slipguard.sim.world import World, WorldSettings
 
 STATED_LATENCY_S = 0.006
 WORLD_STEP_S = 2e-3
-DRAWN_LIFT_EVERY_S = 1800.0
+DRAWN_LIFT_FIRST_S, DRAWN_LIFT_EVERY_S = 60.0, 1800.0
 VIRTUAL_PICTURE_EVERY_S = 1.0
 PULSES = 100
 TRACED_SHARE = 0.1
@@ -169,6 +169,7 @@ class _Run:
     async def _drawn_lifts(self, shift: Shift) -> None:
         """Now and then a second daemon in this process: pictures drawn, looked at by the network, one lift, the end."""
         number = 0
+        await asyncio.sleep(DRAWN_LIFT_FIRST_S)
         while True:
             settings = CampaignSettings(seed=self._settings.seed + number, lifts=1, realtime=False)
             await run_campaign(settings, lambda live: None)

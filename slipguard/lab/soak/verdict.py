@@ -55,10 +55,15 @@ def judge(
     missed, beats: deadlines of the loop missed, and how many there were.
     """
     steady = pulses[round(WARM_UP_SHARE * len(pulses)) :]
+    part = max(1, round(END_SHARE * len(steady)))
 
     def more(name: str) -> float:
-        """The last against the first of the steady ones."""
-        return float(getattr(steady[-1], name) - getattr(steady[0], name)) if steady else float("nan")
+        """The least of the last fifth above the least of the first: what comes and goes does not count."""
+        counts = [float(getattr(one, name)) for one in steady]
+        return min(counts[-part:]) - min(counts[:part]) if counts else float("nan")
+
+    def most(name: str) -> float:
+        return max((float(getattr(one, name)) for one in pulses), default=float("nan"))
 
     return [
         Finding("memory growth", growth([one.rss_mb for one in pulses]), GROWTH_MAX),
@@ -72,8 +77,8 @@ def judge(
         Finding("threads left", after.threads - before.threads, 0),
         Finding("open files left", after.files - before.files, 0),
         Finding("child processes left", after.children - before.children, 0),
-        Finding("files in the ring", max(one.ring_files for one in pulses), limits.ring_files + 1),
-        Finding("megabytes in the ring", max(one.ring_mb for one in pulses), limits.ring_mb),
-        Finding("megabytes kept", max(one.kept_mb for one in pulses), limits.kept_mb),
+        Finding("files in the ring", most("ring_files"), limits.ring_files + 1),
+        Finding("megabytes in the ring", most("ring_mb"), limits.ring_mb),
+        Finding("megabytes kept", most("kept_mb"), limits.kept_mb),
         Finding("deadlines missed, share", missed / max(beats, 1), MISSED_MAX),
     ]

@@ -1,0 +1,111 @@
+"""`slipguard soak` in short: it runs the whole daemon, tells what it holds on to, and would notice what grows."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from slipguard.cli.app import run
+from slipguard.lab.soak.pulse import Pulse, feel
+from slipguard.lab.soak.verdict import Limits, growth, judge
+
+STILL = Pulse(0.0, 100.0, 10.0, 50_000, 20, 3, 12, 2, 4, 5, 8.0, 2.0)
+EMPTY = replace(STILL, tasks=1, threads=1, files=5, children=0)
+LIMITS = Limits(30, 100.0, 50.0)
+
+
+def too_much(pulses: list[Pulse], after: Pulse = EMPTY, missed: int = 0) -> list[str]:
+    return [one.what for one in judge(pulses, EMPTY, after, LIMITS, missed, 1000) if not one.good]
+
+
+def test_what_stays_the_same_is_good() -> None:
+    assert too_much([replace(STILL, at_s=float(at)) for at in range(50)], missed=1) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "step", "what"),
+    [
+        ("rss_mb", 0.1, "memory growth"),
+        ("blocks", 50, "growth of what Python has allocated, blocks"),
+        ("children_mb", 0.02, "memory growth of the child processes"),
+        ("tasks", 1, "tasks more at the end than after the warm-up"),
+        ("threads", 1, "threads more"),
+        ("files", 1, "open files more"),
+        ("children", 1, "child processes more"),
+        ("ring_files", 1, "files in the ring"),
+        ("ring_mb", 2.0, "megabytes in the ring"),
+        ("kept_mb", 1.0, "megabytes kept"),
+    ],
+)
+def test_what_grows_is_named(name: str, step: float, what: str) -> None:
+    pulses = [replace(STILL, **{name: getattr(STILL, name) + at * step}) for at in range(50)]
+    assert too_much(pulses) == [what]
+
+
+@pytest.mark.parametrize("name", ["tasks", "threads", "files", "children"])
+def test_what_is_left_at_the_end_is_named(name: str) -> None:
+    (left,) = too_much([STILL] * 50, after=replace(EMPTY, **{name: getattr(EMPTY, name) + 1}))
+    assert left.endswith(("left", "left when the daemon has ended"))
+
+
+def test_missed_deadlines_and_a_soak_without_a_look_are_no_good() -> None:
+    assert too_much([STILL] * 50, missed=2) == ["deadlines missed, share"]
+    assert "memory growth" in [one.what for one in judge([], EMPTY, EMPTY, LIMITS, 0, 1000) if not one.good]
+
+
+def test_growth_leaves_the_warm_up_out() -> None:
+    assert growth([10.0] * 15 + [100.0] * 85) == pytest.approx(0.0)
+    assert growth([*range(100, 200)]) > 0.5
+
+
+async def test_a_pulse_sees_a_task_a_thread_a_file_and_a_child(tmp_path: Path) -> None:
+    def look() -> Pulse:
+        return feel(0.0, tmp_path, tmp_path / "recordings")
+
+    before, held = look(), threading.Event()
+    task = asyncio.create_task(asyncio.sleep(60.0))
+    thread = threading.Thread(target=held.wait)
+    thread.start()
+    child = await asyncio.create_subprocess_exec("sleep", "60")
+    (tmp_path / "recordings" / "ring").mkdir(parents=True)
+    (tmp_path / "recordings" / "ring" / "a.mcap").write_bytes(bytes(2**20))
+    with (tmp_path / "left.json").open("w"):
+        after = look()
+    child.kill()
+    await child.wait()
+    held.set()
+    thread.join()
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+    grown = {name: getattr(after, name) - getattr(before, name) for name in ("tasks", "threads", "children")}
+    assert (grown["tasks"], grown["children"]) == (1, 1)
+    assert grown["threads"] >= 1
+    assert after.files > before.files
+    assert (after.state_files, after.ring_files, after.ring_mb) == (1, 1, 1.0)
+
+
+def test_a_short_one_with_the_page_open(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    pulses = tmp_path / "pulses.jsonl"
+    code = run(["soak", "--minutes", "0.2", "--page", "--pulses", str(pulses), "--json"])
+    found = json.loads(capfd.readouterr().out)
+    assert [one["what"] for one in found["findings"] if one["value"] > one["allowed"]] == []
+    assert (code, found["good"]) == (0, True)
+    assert found["counts"]["cycles"] >= 1
+    assert found["counts"]["dropped"] == 0
+    assert found["counts"]["page: history"] == 1
+    assert found["counts"]["page: state"] > 100
+    assert found["counts"]["page: pictures"] >= 4
+    assert found["left_out"] == 0
+    assert len(pulses.read_text().splitlines()) == len(found["pulses"])
+
+
+def test_too_short_or_two_things_at_once_is_misuse(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["soak"]) == 2
+    assert "--hours 8" in capfd.readouterr().err
+    assert run(["soak", "--minutes", "1", "--recording-cost", "2"]) == 2
+    assert "--recording-cost" in capfd.readouterr().err
