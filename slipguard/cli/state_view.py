@@ -109,6 +109,9 @@ def _device(answer: Mapping[str, Any], name: str, health: Mapping[str, Any]) -> 
     words.append(f"{counts.get('frames', 0)} frames")
     words += [f"{counts[kind]} {kind}" for kind in ("corrupt", "frozen", "stalled", "late") if counts.get(kind)]
     words += finger.get("remarks", [])
+    gel = finger.get("gel") or {}
+    if gel.get("do"):
+        words.append(f"gel {gel['verdict']}: {gel['seen']}; {gel['do']}")
     return ", ".join(words)
 
 

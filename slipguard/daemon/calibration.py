@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from datetime import datetime
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +33,43 @@ class NoContact:
     frames: int
 
 
+@dataclass(frozen=True, slots=True)
+class Version:
+    """One stored no-contact image. created_at: when it was taken. level_bgr: its mean; None in older files.
+
+    new_gel: the first one of a gel. copy_of: the number it was fetched back from.
+    """
+
+    number: int
+    created_at: datetime
+    noise_bgr: tuple[float, float, float]
+    level_bgr: tuple[float, float, float] | None
+    frames: int
+    new_gel: bool
+    copy_of: int | None
+
+
 class Store(Protocol):
     """Where no-contact images are kept, by serial."""
 
     def load_no_contact(self, serial: str) -> NoContact | None: ...
 
     def save_no_contact(self, serial: str, taken: NoContact) -> None: ...
+
+
+@runtime_checkable
+class Archive(Protocol):
+    """A store that keeps the older ones, too; see `slipguard.daemon.state_dir`."""
+
+    def load_no_contact(self, serial: str, number: int | None = None) -> NoContact | None: ...
+
+    def first_of_gel(self, serial: str) -> NoContact | None: ...
+
+    def save_no_contact(self, serial: str, taken: NoContact, *, new_gel: bool = False) -> None: ...
+
+    def go_back(self, serial: str, number: int) -> NoContact: ...
+
+    def no_contact_history(self, serial: str) -> Sequence[Version]: ...
 
 
 def no_contact_of(images: Sequence[NDArray[np.uint8]], finger: str) -> NoContact:

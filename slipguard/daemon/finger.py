@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from slipguard.daemon.backoff import Backoff
+from slipguard.daemon.gel import Gel
 from slipguard.daemon.health import Health
 from slipguard.daemon.latest import Latest
 from slipguard.daemon.worker import Worker
@@ -110,6 +111,8 @@ class Finger:
         self.newest_frame: Frame | None = None
         """The last good one; None while the sensor is gone."""
         self.observers: list[Callable[[Judgement], None]] = []
+        self.gel: Gel | None = None
+        """How it is when untouched, after the first minute of that; see `slipguard.daemon.gel_watch`."""
         self.tap: asyncio.Queue[Frame] | None = None
         """Set by a calibration: a copy of every good frame goes here."""
         self.other: Finger | None = None

@@ -19,6 +19,7 @@ from slipguard.daemon.calibration import NoContact
 from slipguard.daemon.controls import Controls
 from slipguard.daemon.desk import Desk, calibration_answer
 from slipguard.daemon.finger import Perceiver
+from slipguard.daemon.gel_watch import GelWatch
 from slipguard.daemon.last_grasp import GraspKeeper, remembered
 from slipguard.daemon.last_reference import ReferenceKeeper, recall
 from slipguard.daemon.recording import make_recorder, record
@@ -128,6 +129,7 @@ async def run(
     """Guard until SIGINT or SIGTERM, with the local API; the grip stays as it is at the end.
 
     beside: what else runs as long as the service does. build, recorder: make the service and what records it.
+    reread: gives the configuration that SIGHUP asks to take up; None: SIGHUP ends the process.
     """
     service = build(config, world=world)
     kept = StateDir(config.state.directory)
@@ -157,6 +159,7 @@ async def run(
                 run_api(desk, unix, config.api.address, token_path(config), service.journal.warn), name="api"
             )
             group.create_task(until_stopped(), name="signals")
+            group.create_task(GelWatch(service).run(), name="gels")
             group.create_task(_recordings(service, desk.noting(recorder), changed), name="recorder")
             if reread is not None:
                 reloader = Reloader(service, reread, changed.set)
@@ -171,6 +174,7 @@ async def run(
 
 
 async def _recordings(service: Service, make: Callable[[Service, Path], Recorder], changed: asyncio.Event) -> None:
+    """Record as configured; a changed configuration begins a new file, for each must replay by the one in it."""
     while True:
         changed.clear()
         async with asyncio.TaskGroup() as group:

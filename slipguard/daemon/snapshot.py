@@ -46,6 +46,7 @@ def snapshot(service: Service) -> dict[str, object]:
                 "age_s": _plain(getattr(seen, name).age_s) if seen is not None else None,
                 "counts": _plain(finger.counts),
                 "remarks": list(finger.sensor.remarks),
+                "gel": _plain(finger.gel),
             }
             for name, finger in service.fingers.items()
         },

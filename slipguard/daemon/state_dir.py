@@ -1,7 +1,7 @@
 """What survives a restart: each sensor's no-contact images by serial, and how the last object was held.
 
     <state>/sensors/<serial>/no_contact-0003.png    mean picture, 240 x 320 BGR; older ones are kept
-    <state>/sensors/<serial>/no_contact-0003.json   noise, frames, when, sha256 of the picture
+    <state>/sensors/<serial>/no_contact-0003.json   noise, light, frames, when, sha256 of the picture
     <state>/last_grasp.json
 
 Everything is written to a temporary file, flushed to the disk and renamed, the .json last: a picture without it does
@@ -23,7 +23,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from slipguard.complaints import first_complaint
-from slipguard.daemon.calibration import NoContact
+from slipguard.daemon.calibration import NoContact, Version
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import ConfigError, InputError
 from slipguard.whole_file import write_whole
@@ -45,6 +45,9 @@ class _ImageFacts(_Stored):
     noise_bgr: tuple[Level, Level, Level]
     frames: Annotated[int, Field(ge=1)]
     sha256: str
+    level_bgr: tuple[Level, Level, Level] | None = None
+    new_gel: bool = False
+    copy_of: int | None = None
 
 
 class LastGrasp(_Stored):
@@ -57,6 +60,8 @@ class LastGrasp(_Stored):
 
 
 _S = TypeVar("_S", bound=_Stored)
+KEPT = 20
+"""Images of one sensor; the oldest beyond that go, but never the first of the present gel."""
 
 
 def default_state_path(environ: Mapping[str, str] = os.environ) -> Path:
@@ -82,31 +87,87 @@ class StateDir:
 
     # --- no-contact images ---
 
-    def save_no_contact(self, serial: str, taken: NoContact) -> None:
-        """Store a new no-contact image of a sensor beside its older ones."""
+    def save_no_contact(self, serial: str, taken: NoContact, *, new_gel: bool = False) -> None:
+        """Store a new no-contact image of a sensor beside its older ones. new_gel: the gel has been replaced."""
+        self._save(serial, taken, datetime.now(UTC), new_gel, None)
+
+    def go_back(self, serial: str, number: int) -> NoContact:
+        """Make an older image of a sensor the newest again, as a copy. Raises InputError where there is none."""
+        there = {version.number: version for version in self.no_contact_history(serial)}
+        if number not in there:
+            known = ", ".join(str(one) for one in there) or "none"
+            raise InputError(f"{serial}: no no-contact image {number} is stored; there are: {known}")
+        taken = self._load(serial, number)
+        self._save(serial, taken, there[number].created_at, False, number)
+        return taken
+
+    def _save(self, serial: str, taken: NoContact, created_at: datetime, new_gel: bool, copy_of: int | None) -> None:
         folder = self._sensor(serial)
         number = max(self._numbers(folder), default=0) + 1
         encoded, png = cv2.imencode(".png", taken.image)
         if not encoded or taken.image.shape != (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3):
             raise InputError(f"{serial}: the no-contact image is {taken.image.shape}; it must be 320 x 240 x 3")
         picture = png.tobytes()
+        blue, green, red = (float(level) for level in taken.image.mean(axis=(0, 1)))
         facts = _ImageFacts(
             serial=serial,
-            created_at=datetime.now(UTC),
+            created_at=created_at,
             noise_bgr=taken.noise_bgr,
             frames=taken.frames,
             sha256=hashlib.sha256(picture).hexdigest(),
+            level_bgr=(blue, green, red),
+            new_gel=new_gel,
+            copy_of=copy_of,
         )
         _write(folder / f"no_contact-{number:04d}.png", picture)
         _write(folder / f"no_contact-{number:04d}.json", facts.model_dump_json(indent=2).encode())
+        self._forget_the_oldest(serial)
 
-    def load_no_contact(self, serial: str) -> NoContact | None:
-        """The newest no-contact image of a sensor; None if there is none. Raises InputError if it is damaged."""
+    def _forget_the_oldest(self, serial: str) -> None:
+        numbers = sorted(self._numbers(self._sensor(serial)))
+        first = self._gel_began(self.no_contact_history(serial))
+        for number in numbers[:-KEPT]:
+            if number != first:
+                path = self._sensor(serial) / f"no_contact-{number:04d}.json"
+                path.unlink(missing_ok=True)
+                path.with_suffix(".png").unlink(missing_ok=True)
+
+    def no_contact_history(self, serial: str) -> list[Version]:
+        """What is stored of a sensor, oldest first; what is damaged is left out."""
         folder = self._sensor(serial)
-        number = max(self._numbers(folder), default=None)
+        found = []
+        for number in sorted(self._numbers(folder)):
+            try:
+                facts = _read(folder / f"no_contact-{number:04d}.json", _ImageFacts)
+            except InputError:
+                continue
+            told = (facts.noise_bgr, facts.level_bgr, facts.frames, facts.new_gel, facts.copy_of)
+            found.append(Version(number, facts.created_at, *told))
+        return found
+
+    @staticmethod
+    def _gel_began(history: list[Version]) -> int | None:
+        """The number of the present gel's first image."""
+        fresh = [version.number for version in history if version.new_gel]
+        return max(fresh, default=min((version.number for version in history), default=None))
+
+    def first_of_gel(self, serial: str) -> NoContact | None:
+        """The first image of the gel that is on a sensor now; None if there is none. Raises InputError if damaged."""
+        number = self._gel_began(self.no_contact_history(serial))
+        return None if number is None else self._load(serial, number)
+
+    def load_no_contact(self, serial: str, number: int | None = None) -> NoContact | None:
+        """A no-contact image of a sensor, the newest if not told which; None if there is none.
+
+        Raises InputError if it is damaged.
+        """
+        numbers = self._numbers(self._sensor(serial))
         if number is None:
-            return None
-        path = folder / f"no_contact-{number:04d}.json"
+            number = max(numbers, default=None)
+        return None if number is None or number not in numbers else self._load(serial, number)
+
+    def _load(self, serial: str, number: int) -> NoContact:
+        path = self._sensor(serial) / f"no_contact-{number:04d}.json"
         facts = _read(path, _ImageFacts)
         png = path.with_suffix(".png")
         repair = f"move {path.with_suffix('')}.* away or run `slipguard calibrate`"

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from slipguard import __version__
+from slipguard.daemon.gel import Verdict
 from slipguard.daemon.state_dir import StateDir
 from slipguard.devices import GripperState
 from slipguard.diagnosis import Finding, fine, note, wrong
@@ -64,6 +65,16 @@ def finger(name: str, looks: Looks, settings: Any, store: StateDir) -> Iterator[
         yield note("pictures", f"{count['late']} of {came} not looked at: too slow", "see the line on the processor")
     if serial:
         yield sensor.no_contact(serial, store, datetime.now(UTC))
+    known = looks.after["fingers"][name].get("gel")
+    if known is not None:
+        yield gel(known)
+
+
+def gel(known: Mapping[str, Any]) -> Finding:
+    """How the gel is when nothing touches it."""
+    if known["verdict"] == Verdict.FINE:
+        return fine("gel", known["seen"])
+    return note("gel", known["seen"], known["do"])
 
 
 def actuator(name: str, looks: Looks) -> Iterator[Finding]:

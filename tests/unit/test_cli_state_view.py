@@ -128,3 +128,11 @@ def test_a_service_that_has_just_started_can_be_shown() -> None:
 def test_what_a_sensor_does_not_give_as_asked_is_shown() -> None:
     left = HELD["fingers"]["left"] | {"remarks": ["only 45 of 60 frames a second come from the camera"]}
     assert "only 45 of 60 frames a second come from the camera" in shown(HELD | {"fingers": {"left": left}})
+
+
+def test_a_worn_or_drifted_gel_is_shown_with_what_to_do() -> None:
+    gel = {"verdict": "worn", "seen": "2 lasting marks", "do": "clean the gel"}
+    left = HELD["fingers"]["left"] | {"gel": gel}
+    assert "gel worn: 2 lasting marks; clean the gel" in " ".join(shown(HELD | {"fingers": {"left": left}}).split())
+    fine = HELD["fingers"]["left"] | {"gel": gel | {"verdict": "fine", "seen": "as it was", "do": ""}}
+    assert "gel" not in shown(HELD | {"fingers": {"left": fine}}).split()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from slipguard.daemon.calibration import NoContact
-from slipguard.daemon.state_dir import LastGrasp, StateDir, default_state_path
+from slipguard.daemon.state_dir import KEPT, LastGrasp, StateDir, default_state_path
 from slipguard.errors import ConfigError, InputError
 
 
@@ -154,3 +155,60 @@ def test_where_the_state_is_kept(tmp_path: Path) -> None:
     assert default_state_path({"HOME": "/h"}) == Path("/h/.local/state/slipguard")
     assert StateDir(tmp_path, {}).runtime_path == tmp_path
     assert StateDir(tmp_path, {"RUNTIME_DIRECTORY": "/run/slipguard"}).runtime_path == Path("/run/slipguard")
+
+
+def test_each_image_is_a_version_with_its_time_noise_and_light(tmp_path: Path) -> None:
+    state = StateDir(tmp_path)
+    assert state.no_contact_history("D20479") == []
+    for level in (50, 60):
+        state.save_no_contact("D20479", no_contact(level))
+    first, second = state.no_contact_history("D20479")
+    assert (first.number, second.number) == (1, 2)
+    assert first.created_at <= second.created_at
+    assert first.noise_bgr == no_contact(50).noise_bgr
+    assert second.level_bgr is not None
+    assert second.level_bgr[0] - first.level_bgr[0] == pytest.approx(10.0, abs=0.5)  # type: ignore[index]
+
+
+def test_going_back_makes_a_copy_the_newest_and_loses_nothing(tmp_path: Path) -> None:
+    state = StateDir(tmp_path)
+    for level in (50, 60):
+        state.save_no_contact("D20479", no_contact(level))
+    back = state.go_back("D20479", 1)
+    np.testing.assert_array_equal(back.image, no_contact(50).image)
+    newest = state.load_no_contact("D20479")
+    assert newest is not None
+    np.testing.assert_array_equal(newest.image, no_contact(50).image)
+    history = state.no_contact_history("D20479")
+    assert [(one.number, one.copy_of) for one in history] == [(1, None), (2, None), (3, 1)]
+    assert history[2].created_at == history[0].created_at
+    other = state.load_no_contact("D20479", 2)
+    assert other is not None
+    np.testing.assert_array_equal(other.image, no_contact(60).image)
+    with pytest.raises(InputError, match=r"D20479: no no-contact image 9 is stored; there are: 1, 2, 3"):
+        state.go_back("D20479", 9)
+
+
+def test_the_oldest_go_but_not_the_gels_first(tmp_path: Path) -> None:
+    state = StateDir(tmp_path)
+    for number in range(KEPT + 5):
+        state.save_no_contact("D20479", no_contact(50 + number), new_gel=number == 2)
+    numbers = [one.number for one in state.no_contact_history("D20479")]
+    assert numbers == [3, *range(6, KEPT + 6)]
+    first = state.first_of_gel("D20479")
+    assert first is not None
+    np.testing.assert_array_equal(first.image, no_contact(52).image)
+    assert len(list((tmp_path / "sensors" / "D20479").iterdir())) == 2 * len(numbers)
+
+
+def test_files_of_before_there_were_versions_are_read(tmp_path: Path) -> None:
+    state = StateDir(tmp_path)
+    state.save_no_contact("D20479", no_contact())
+    path = tmp_path / "sensors" / "D20479" / "no_contact-0001.json"
+    facts = json.loads(path.read_text())
+    for key in ("level_bgr", "new_gel", "copy_of"):
+        del facts[key]
+    path.write_text(json.dumps(facts))
+    (version,) = state.no_contact_history("D20479")
+    assert (version.level_bgr, version.new_gel, version.copy_of) == (None, False, None)
+    assert state.first_of_gel("D20479") is not None
