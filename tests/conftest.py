@@ -24,6 +24,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--sensor-driver", metavar="NAME", help="a sensor's driver registered by another package")
     group.addoption("--sensor-settings", metavar="JSON", default="{}", help="its table in config.toml")
     group.addoption("--digit", metavar="SERIAL", help="a real sensor's serial number, such as D20479")
+    parser.addoption("--page-pictures", metavar="DIR", help="keep pictures of the operator page here")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

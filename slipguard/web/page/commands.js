@@ -26,6 +26,9 @@ export class Commands {
     });
     byId("ask-form").addEventListener("input", () => this.look());
     this.no.addEventListener("click", () => this.dialog.close());
+    this.dialog.addEventListener("mousedown", (event) => {
+      if (!event.target.closest("button, input, label")) event.preventDefault(); // or the safe button loses the focus
+    });
     this.dialog.addEventListener("close", () => {
       this.asking = null;
     });

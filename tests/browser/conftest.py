@@ -1,0 +1,117 @@
+"""A real browser before a real daemon; left out with a word where there is no Chromium."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from pathlib import Path
+
+import pytest
+import pytest_asyncio
+from playwright.async_api import Browser, ConsoleMessage, Page, async_playwright, expect
+
+sys.path.append(str(Path(__file__).parent))
+
+from looks import Shelf
+from page_rig import Daemon, daemon
+
+VARIABLE = "SLIPGUARD_CHROMIUM"
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+QUIET = (
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--no-proxy-server",
+)  # fmt: skip
+PATIENCE_MS = 30_000
+_LEFT_OUT = pytest.StashKey[int]()
+Open = Callable[..., Awaitable[Page]]
+
+
+def chromium() -> str | None:
+    """The browser's program; SLIPGUARD_CHROMIUM names another than the usual ones, and must be right."""
+    named = os.environ.get(VARIABLE)
+    return named or next((path for path in map(shutil.which, NAMES) if path), None)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Without a browser its tests are deselected."""
+    if chromium():
+        return
+    left_out = [item for item in items if item.get_closest_marker("browser")]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in left_out]
+        config.stash[_LEFT_OUT] = len(left_out)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    count = config.stash.get(_LEFT_OUT, 0)
+    if count:
+        terminalreporter.write_line(
+            f"{count} tests of the operator page were left out: no Chromium here; `apt-get install chromium`, "
+            f"or name it in {VARIABLE}"
+        )
+
+
+@pytest.fixture(scope="session")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    """One daemon for all tests here; each begins with `fresh` or `held`."""
+    with daemon(tmp_path_factory.mktemp("page")) as made:
+        yield made
+
+
+@pytest_asyncio.fixture(scope="session", loop_scope="session")
+async def browser() -> AsyncIterator[Browser]:
+    """Started once."""
+    expect.set_options(timeout=PATIENCE_MS)
+    async with async_playwright() as playwright:
+        started = await playwright.chromium.launch(executable_path=chromium(), args=QUIET)
+        yield started
+        await started.close()
+
+
+@pytest_asyncio.fixture(loop_scope="session")
+async def look(browser: Browser, running: Daemon) -> AsyncIterator[Open]:
+    """Opens the page in a window of its own: `await look(control=False)`.
+
+    At the end nothing may have gone wrong in it: no error in its console but `expected` ones, and nothing asked of any
+    other host.
+    """
+    wrong: list[str] = []
+    contexts = []
+
+    async def opened(control: bool = True, expected: tuple[str, ...] = ()) -> Page:
+        def heard(message: ConsoleMessage) -> None:
+            asked_for = message.location.get("url", "")
+            no_picture = "/picture/" in asked_for and "status of 409" in message.text  # for a moment there may be none
+            known = no_picture or any(part in message.text for part in expected)
+            if message.type in ("error", "warning") and not known:
+                wrong.append(f"{message.type}: {message.text} ({asked_for})")
+
+        context = await browser.new_context(viewport={"width": 1280, "height": 800})
+        context.set_default_timeout(PATIENCE_MS)
+        contexts.append(context)
+        page = await context.new_page()
+        page.on("console", heard)
+        page.on("pageerror", lambda error: wrong.append(f"page: {error}"))
+        page.on(
+            "request",
+            lambda request: request.url.startswith((running.url, "blob:")) or wrong.append(f"asked for {request.url}"),
+        )
+        await page.goto(running.client.page_link()["url"] if control else running.url)
+        await page.locator("#connection.good").wait_for()
+        await page.locator("#access", has_text="may command" if control else "read only").wait_for()
+        return page
+
+    yield opened
+    for context in contexts:
+        await context.close()
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.fixture(scope="session")
+def shelf(pytestconfig: pytest.Config) -> Shelf:
+    """Where pictures of the page are put, if anywhere (`--page-pictures DIR`)."""
+    named = pytestconfig.getoption("--page-pictures")
+    return Shelf(None if named is None else Path(named))

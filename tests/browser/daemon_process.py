@@ -1,0 +1,93 @@
+"""A daemon on the fakes for the page's tests, run as a process of its own: `python daemon_process.py CONFIG`.
+
+Words on stdin: `fail DEVICE KIND`, `mend`, `fresh` (another object between the open jaws), `again` (the daemon
+stops and starts anew on the same world). Each is answered with one line on stdout as soon as it is done, the last one
+when the new daemon runs.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from slipguard.config import read_config
+from slipguard.daemon import log, root
+from slipguard.daemon.service import Service
+from slipguard.sim.faults import KINDS
+from slipguard.sim.scenario import scenario
+from slipguard.sim.world import World, WorldSettings
+
+FPS = 20.0
+"""A third of a real camera's rate: a browser draws on the same cores."""
+LOOK_S = 0.02
+
+
+class Stage:
+    """One world, and the daemon that guards it again and again."""
+
+    def __init__(self, config: Path) -> None:
+        self.config = read_config(config, sim=True)
+        self.world = World(WorldSettings(step_s=2e-3), seed=3)
+        self.words: queue.Queue[str] = queue.Queue()
+        self.again = True
+        self.started = False
+
+    def place(self) -> None:
+        """A wrench that slips at the first grip, before cameras that leave the machine some time."""
+        drawn = scenario("wrench", 1)
+        left, right = replace(drawn.left, fps=FPS), replace(drawn.right, fps=FPS)
+        self.world.clear(time.monotonic())
+        self.world.place(replace(drawn, left=left, right=right), time.monotonic())
+
+    def obey(self, line: str) -> None:
+        """One word."""
+        match line.split():
+            case ["fail", device, kind]:
+                self.world.faults.fail(device, kind)
+            case ["mend"]:
+                for device in KINDS:
+                    self.world.faults.mend(device)
+            case ["fresh"]:
+                self.place()
+            case ["again"]:
+                self.again = True
+                os.kill(os.getpid(), signal.SIGTERM)
+                return
+            case _:
+                raise ValueError(line)
+        print("done", flush=True)
+
+    async def listen(self, service: Service) -> None:
+        """Obey as long as the daemon runs."""
+        if self.started:
+            print("done", flush=True)
+        self.started = True
+        while True:
+            while not self.words.empty() and not self.again:
+                self.obey(self.words.get())
+            await asyncio.sleep(LOOK_S)
+
+    def read(self) -> None:
+        """Stdin, in a thread."""
+        for line in sys.stdin:
+            self.words.put(line)
+
+    def run(self) -> None:
+        """Until a SIGTERM that nobody announced."""
+        threading.Thread(target=self.read, daemon=True).start()
+        self.place()
+        while self.again:
+            self.again = False
+            asyncio.run(root.run(self.config, world=self.world, beside=self.listen))
+
+
+if __name__ == "__main__":
+    log.configure(json_lines=True)
+    Stage(Path(sys.argv[1])).run()

@@ -1,0 +1,113 @@
+"""How a page looks, measured: contrast, room for a gloved finger, names for those who do not see it, pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from playwright.async_api import Page
+
+CONTRAST = """() => {
+  const parse = (text) => {
+    const [r, g, b, a = 1] = text.match(/[\\d.]+/g).map(Number);
+    return { r, g, b, a };
+  };
+  const over = (top, under) => {
+    const mix = (key) => top.a * top[key] + (1 - top.a) * under[key];
+    return { r: mix("r"), g: mix("g"), b: mix("b"), a: 1 };
+  };
+  const ground = (element) => {
+    const own = parse(getComputedStyle(element).backgroundColor);
+    if (own.a === 1) return own;
+    const parent = element.parentElement;
+    return over(own, parent ? ground(parent) : { r: 255, g: 255, b: 255, a: 1 });
+  };
+  const luminance = ({ r, g, b }) => {
+    const linear = [r, g, b].map((part) => {
+      const share = part / 255;
+      return share <= 0.04045 ? share / 12.92 : ((share + 0.055) / 1.055) ** 2.4;
+    });
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2];
+  };
+  const ratio = (one, other) => {
+    const [dark, light] = [luminance(one), luminance(other)].sort((a, b) => a - b);
+    return (light + 0.05) / (dark + 0.05);
+  };
+  const found = [];
+  const top = document.querySelector("dialog[open]") ?? document.body;
+  const walker = document.createTreeWalker(top, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) {
+    const element = walker.currentNode.parentElement;
+    const text = walker.currentNode.textContent.trim();
+    if (!text || !element.checkVisibility() || element.closest(".unseen, script, noscript")) continue;
+    const under = ground(element);
+    found.push([ratio(over(parse(getComputedStyle(element).color), under), under), text]);
+  }
+  const root = getComputedStyle(document.documentElement);
+  const pen = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
+  const named = (name) => {
+    pen.clearRect(0, 0, 1, 1);
+    pen.fillStyle = root.getPropertyValue(name).trim();
+    pen.fillRect(0, 0, 1, 1);
+    const [r, g, b, a] = pen.getImageData(0, 0, 1, 1).data;
+    return { r, g, b, a: a / 255 };
+  };
+  found.push([ratio(named("--soft"), named("--card")), "words in the charts"]);
+  return found;
+}"""
+"""[contrast to its ground, text] of every text that is seen (WCAG 2.2, 1.4.3)."""
+
+SMALL = """(least) => [...document.querySelectorAll("button, a[href], label.tick, input[type=number]")]
+  .filter((one) => one.checkVisibility() && !one.classList.contains("skip"))
+  .map((one) => [one.getBoundingClientRect(), one.id || one.textContent.trim()])
+  .filter(([box]) => box.height && (box.width < least || box.height < least))
+  .map(([box, name]) => `${name}: ${box.width} x ${box.height}`)"""
+
+WIDE = """() => [...document.querySelectorAll("body *")]
+  .filter((one) => one.checkVisibility() && !one.closest(".unseen, .skip"))
+  .filter((one) => one.getBoundingClientRect().right > innerWidth + 0.5)
+  .map((one) => one.id || one.className || one.tagName)"""
+
+CUT = """() => [...document.querySelectorAll("button, .figures div, .now, .picture p, .pill")]
+  .filter((one) => one.checkVisibility() && one.scrollWidth > one.clientWidth + 1)
+  .map((one) => one.id || one.textContent.trim())"""
+
+NAMED_ROLES = {"button", "checkbox", "spinbutton", "textbox", "link", "image", "dialog", "region"}
+
+
+async def faults_of_look(page: Page, least_px: float = 44.0, least_contrast: float = 4.5) -> list[str]:
+    """What is hard to read, to hit, or runs over the edge."""
+    pale = [f"contrast {ratio:.2f}: {text}" for ratio, text in await page.evaluate(CONTRAST) if ratio < least_contrast]
+    small = [f"small: {one}" for one in await page.evaluate(SMALL, least_px)]
+    wide = [f"beyond the edge: {one}" for one in await page.evaluate(WIDE)]
+    cut = [f"too long for its box: {one}" for one in await page.evaluate(CUT)]
+    return pale + small + wide + cut
+
+
+async def nameless(page: Page) -> list[str]:
+    """What a screen reader meets without a name, as the browser itself tells it."""
+    session = await page.context.new_cdp_session(page)
+    tree: dict[str, Any] = await session.send("Accessibility.getFullAXTree")
+    await session.detach()
+    return [
+        f"{node['role']['value']} {node.get('backendDOMNodeId')}"
+        for node in tree["nodes"]
+        if not node.get("ignored")
+        and node["role"]["value"] in NAMED_ROLES
+        and not node.get("name", {}).get("value", "").strip()
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Shelf:
+    """Takes pictures of a page, where a folder was named for them."""
+
+    folder: Path | None
+
+    async def keep(self, page: Page, name: str) -> None:
+        """The page as it is now, to its end."""
+        if self.folder is None:
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        await page.screenshot(path=self.folder / f"{name}.png", full_page=True)

@@ -1,0 +1,167 @@
+"""A guarded cell in a process of its own, for the page's tests, and its door for what a test arranges."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+from slipguard.daemon.client import Client
+from slipguard.errors import CommandRefused, SlipguardError
+
+PATIENCE_S = 40.0
+CONFIG = """
+[left]
+driver = "fake"
+[right]
+driver = "fake"
+[gripper]
+driver = "fake"
+[arm]
+driver = "fake"
+[state]
+directory = "{folder}/state"
+[api]
+socket = "{folder}/s.sock"
+listen = "127.0.0.1:{port}"
+[recording]
+enabled = false
+[guard]
+lift_height_mm = 40
+release_width_mm = 40
+lift_speed_mm_s = 100
+probe_height_mm = 5
+lower_speed_mm_s = 100
+frames_timeout_s = 5
+untrusted_s = 10
+lost_s = 2
+gripper_timeout_s = 5
+arm_timeout_s = 5
+stuck_s = 10
+loop_late_s = 5
+help_s = 10
+"""
+"""A short lift, and more patience with devices than on a real cell: a busy machine that runs tests is no fault."""
+pause = Event().wait
+
+
+class Daemon:
+    """The process, and a client on its Unix socket. url: of the page."""
+
+    def __init__(self, folder: Path) -> None:
+        self._port = free_port()
+        self.url = f"http://127.0.0.1:{self._port}/"
+        self._output = folder / "daemon.txt"
+        config = folder / "config.toml"
+        config.write_text(CONFIG.format(folder=folder, port=self._port))
+        self.client = Client(folder / "s.sock")
+        with self._output.open("w") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, Path(__file__).parent / "daemon_process.py", config],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                env={**os.environ, "HOME": str(folder), "OMP_NUM_THREADS": "1"},
+            )
+
+    @property
+    def log(self) -> str:
+        """All it has logged."""
+        return self._output.read_text()
+
+    def order(self, line: str) -> None:
+        """A word of `daemon_process`, obeyed when this returns."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(line + "\n")
+        self._process.stdin.flush()
+        while (answer := self._process.stdout.readline()) not in ("done\n", ""):
+            pass
+        assert answer, self.log
+
+    def state(self) -> dict[str, Any]:
+        """Empty while nobody answers."""
+        try:
+            return self.client.state()
+        except SlipguardError:
+            return {}
+
+    def until(self, reached: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+        """The first state that is as it should be."""
+        ends_s = time.monotonic() + PATIENCE_S
+        while True:
+            state = self.state()
+            if state and reached(state):
+                return state
+            assert time.monotonic() < ends_s, f"{state.get('phase')} {state.get('waiting_for')}\n{self.log[-3000:]}"
+            assert self._process.poll() is None, self.log
+            pause(0.05)
+
+    def fresh(self) -> None:
+        """Everything well, nothing held, an object between the open jaws."""
+        self.order("mend")
+        self.until(lambda state: not state["waiting_for"])
+        self.client.release()
+        self.until(lambda state: state["phase"] == "idle" and not state["gripper"]["moving"])
+        self.order("fresh")
+        self.until(lambda state: not state["waiting_for"])
+
+    def held(self) -> None:
+        """The object gripped, with both fingers' no-contact images known."""
+        self.fresh()
+        try:
+            self.client.grasp()
+        except CommandRefused:  # it knows no no-contact images yet
+            self.client.calibrate()
+            self.client.grasp()
+        self.until(lambda state: state["phase"] == "holding" and not state["gripper"]["moving"])
+
+    @contextmanager
+    def frozen(self) -> Iterator[None]:
+        """It hangs as long as the block lasts: it is there, and says nothing."""
+        self._process.send_signal(signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            self._process.send_signal(signal.SIGCONT)
+
+    def stop(self) -> None:
+        """SIGTERM; it must end well."""
+        self.client.close()
+        self._process.send_signal(signal.SIGTERM)
+        try:
+            assert self._process.wait(PATIENCE_S) == 0, self.log
+            assert "Traceback" not in self.log, self.log
+        finally:
+            self._process.kill()
+            self._process.wait()
+            for pipe in (self._process.stdin, self._process.stdout):
+                assert pipe is not None
+                pipe.close()
+
+
+@contextmanager
+def daemon(folder: Path) -> Iterator[Daemon]:
+    """A daemon, all its devices ready; ended at the end."""
+    made = Daemon(folder)
+    try:
+        made.until(lambda state: not state["waiting_for"])
+        yield made
+    finally:
+        made.stop()
+
+
+def free_port() -> int:
+    """A TCP port that nobody listened at a moment ago."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

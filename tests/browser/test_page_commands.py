@@ -1,0 +1,136 @@
+"""An operator at the page: every command asks first, is given once, and what the daemon answers is shown."""
+
+from __future__ import annotations
+
+import pytest
+from page_rig import Daemon
+from playwright.async_api import Page, expect
+
+pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="session")]
+
+
+async def give(page: Page, name: str) -> None:
+    """Press a button and say yes to its question."""
+    await page.click(f"#do-{name}")
+    await expect(page.locator("#ask-no")).to_be_focused()
+    await page.click("#ask-yes")
+    await expect(page.locator("#ask")).to_be_hidden()
+
+
+async def test_a_lift_from_calibration_to_release(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+    running.fresh()
+    page = await look()
+    phase, figures = page.locator("#phase"), page.locator(".figures")
+    await expect(phase).to_have_text("Idle")
+    await expect(page.locator("#do-lift")).to_have_attribute("aria-disabled", "true")
+    await expect(page.locator("#hint-lift")).to_have_text("only while holding")
+    await give(page, "calibrate")
+    await expect(page.locator("#said")).to_contain_text("no-contact images")
+    await give(page, "grasp")
+    await expect(page.locator("#said")).to_have_text("closing with 40 N")
+    await expect(phase).to_have_text("Holding")
+    await expect(figures).to_contain_text("40 N")
+    await expect(page.locator("#events")).to_contain_text("gripped")
+    await give(page, "lift")
+    await expect(phase).to_have_text("Lifting")
+    await expect(figures).to_contain_text("40 mm")
+    await expect(phase).to_have_text("Holding")
+    running.until(lambda state: state["phase"] == "holding" and state["arm"]["height_mm"] > 39.0)
+    for finger in ("left", "right"):
+        await expect(page.locator(f"#finger-{finger}")).to_contain_text("yes,")
+        picture = page.locator(f"#finger-{finger} img")
+        assert await picture.evaluate("one => [one.naturalWidth, one.naturalHeight]") == [240, 320]
+        before = await picture.get_attribute("src")
+        await expect(picture).not_to_have_attribute("src", str(before))
+    await release(running, page)
+    await expect(phase).to_have_text("Idle")
+    await expect(page.locator("#events")).to_contain_text("released")
+
+
+async def release(running: Daemon, page: Page) -> None:
+    """Neither a double click nor the Enter key opens the jaws: the box must be ticked first."""
+    await page.dblclick("#do-release")
+    yes = page.locator("#ask-yes")
+    await expect(page.locator("#ask-what")).to_have_text("This opens the jaws: what is held drops.")
+    await expect(page.locator("#ask-no")).to_be_focused()
+    await expect(page.locator("#ask-now")).to_contain_text("tick the box")
+    await expect(yes).to_be_disabled()
+    await page.locator("#ask-tick").press("Enter")
+    assert running.state()["phase"] == "holding"
+    await page.check("#ask-tick")
+    await expect(yes).to_be_enabled()
+    await page.uncheck("#ask-tick")
+    await expect(yes).to_be_disabled()
+    await page.check("#ask-tick")
+    assert running.state()["phase"] == "holding"
+    await yes.dblclick()
+    await expect(page.locator("#ask")).to_be_hidden()
+    running.until(lambda state: state["phase"] == "idle")
+
+
+async def test_a_double_click_gives_one_command(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+    running.held()
+    page = await look()
+    asked: list[str] = []
+    page.on("request", lambda request: request.method == "POST" and asked.append(request.url))
+    await page.dblclick("#do-guard")
+    assert not asked, "the second half of a double click must not say yes"
+    await expect(page.locator("#ask-yes")).to_be_enabled()
+    await page.locator("#ask-yes").dblclick()
+    await expect(page.locator("#do-guard .label")).to_have_text("Guard on")
+    assert len(asked) == 1
+    assert running.state()["guarding"] is False
+    await expect(page.locator("#detail")).to_contain_text("NOT guarding")
+    await give(page, "guard")
+    await expect(page.locator("#do-guard .label")).to_have_text("Guard off")
+
+
+async def test_a_refusal_is_shown_in_the_daemons_words(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+    running.held()
+    page = await look(expected=("status of 409",))
+    await page.click("#do-lower")
+    await page.fill("#ask-height_mm", "9999")
+    await page.click("#ask-yes")
+    assert await page.locator("#ask-height_mm").evaluate("one => one.validity.rangeOverflow")
+    await page.click("#ask-no")
+    await page.click("#do-grasp", force=True)
+    await expect(page.locator("#said")).to_have_text("Grasp is not possible: only when nothing is held")
+    await page.click("#do-lower")
+    await expect(page.locator("#ask-yes")).to_be_enabled()
+    await page.click("#ask-yes")
+    refused = page.locator("#ask-answer")
+    await expect(refused).to_contain_text("give a height")
+    await expect(page.locator("#ask")).to_be_visible()
+    await page.click("#ask-no")
+    await expect(page.locator("#said")).to_contain_text("give a height")
+
+
+async def test_everything_by_keyboard(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+    running.held()
+    page = await look()
+    keyboard, focus = page.keyboard, page.locator(":focus")
+    seen = []
+    for _ in range(9):
+        await keyboard.press("Tab")
+        seen.append(await focus.evaluate("one => one.id || one.textContent"))
+        ring = await focus.evaluate("one => parseFloat(getComputedStyle(one).outlineWidth)")
+        assert ring >= 2.0, f"{seen[-1]}: no visible focus"
+    names = ["grasp", "lift", "lower", "guard", "clear", "calibrate", "release"]
+    assert seen == ["To the commands", *(f"do-{name}" for name in names), "overlay"]
+    await page.focus("#do-lift")
+    await keyboard.press("Enter")
+    await expect(page.locator("#ask-no")).to_be_focused()
+    await keyboard.press("Escape")
+    await expect(page.locator("#ask")).to_be_hidden()
+    await expect(page.locator("#do-lift")).to_be_focused()
+    await keyboard.press("Enter")
+    await expect(page.locator("#ask-yes")).to_be_enabled()
+    await keyboard.press("Shift+Tab")
+    await keyboard.press("Enter")
+    await expect(page.locator("#ask-height_mm")).to_have_value("45")
+    await keyboard.press("Tab")
+    await keyboard.press("Tab")
+    await expect(page.locator("#ask-yes")).to_be_focused()
+    await keyboard.press("Enter")
+    await expect(page.locator("#said")).to_have_text("lifting by 45 mm")
+    running.until(lambda state: state["phase"] == "holding" and state["arm"]["height_mm"] > 44.0)

@@ -1,0 +1,133 @@
+"""What the page shows is so: a fault appears at once, what is old is never shown as new, a restart is survived."""
+
+from __future__ import annotations
+
+import pytest
+from page_rig import Daemon
+from playwright.async_api import Page, expect
+
+pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="session")]
+COUNT_SPOKEN = """() => {
+  window.spoken = [];
+  const note = (records) => window.spoken.push(...records.map((one) => one.target.textContent));
+  const watched = document.querySelectorAll("[role=status], [role=alert], [aria-live]");
+  for (const one of watched) {
+    new MutationObserver(note).observe(one, { childList: true, characterData: true, subtree: true });
+  }
+}"""
+HIDE = """(hidden) => {
+  const state = hidden ? "hidden" : "visible";
+  Object.defineProperty(document, "hidden", { configurable: true, get: () => hidden });
+  Object.defineProperty(document, "visibilityState", { configurable: true, get: () => state });
+  document.dispatchEvent(new Event("visibilitychange"));
+}"""
+
+
+async def test_a_fault_appears_with_what_to_do_and_is_cleared(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+    running.held()
+    page = await look()
+    await page.evaluate(COUNT_SPOKEN)
+    await page.wait_for_timeout(1500)
+    assert await page.evaluate("window.spoken") == [], "nothing new happened, so nothing may be said"
+    running.order("fail arm protective_stop")
+    fault = page.get_by_role("alert").filter(has_text="What to do")
+    await expect(fault).to_contain_text("protective stop")
+    await expect(page.locator("#phase")).to_have_text("Fault: arm in protective stop")
+    assert await page.title() == "Fault: arm in protective stop – slipguard"
+    await expect(page.locator("#detail")).to_contain_text("the grip is kept: 40 N")
+    await expect(page.locator("#events li.fault")).to_contain_text("arm in protective stop")
+    await expect(page.locator("#hint-lift")).to_have_text("clear the fault first")
+    await expect(page.locator("#arm-moves")).to_have_text("protective stop")
+    spoken = await page.evaluate("window.spoken")
+    assert len(spoken) < 12, spoken
+    running.order("mend")
+    running.until(lambda state: not state["arm"]["protective_stop"])
+    await page.click("#do-clear")
+    await expect(page.locator("#ask-what")).to_contain_text("The grip stays as it is")
+    await page.click("#ask-yes")
+    await expect(page.locator("#phase")).to_have_text("Holding")
+    await expect(page.locator("#fault")).to_be_hidden()
+
+
+async def test_a_sensor_that_is_gone_is_named_and_its_picture_is_not_shown(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+    running.fresh()
+    page = await look()
+    running.order("fail left disconnect")
+    await expect(page.locator("#phase")).to_have_text("Not ready")
+    await expect(page.locator("#finger-left .missing")).to_contain_text("plug it in")
+    await expect(page.locator("#finger-left img")).to_be_hidden()
+    await expect(page.locator("#finger-right img")).to_be_visible()
+    await expect(page.locator("#devices")).to_contain_text("slipguard doctor")
+    await expect(page.locator("#hint-grasp")).to_have_text("not ready, see the devices")
+    running.order("mend")
+    await expect(page.locator("#phase")).to_have_text("Idle")
+    await expect(page.locator("#finger-left img")).to_be_visible()
+    running.order("fail left stall")
+    await expect(page.locator("#finger-left .stale")).to_contain_text("no new frame for")
+
+
+async def test_a_restart_is_survived_and_the_old_login_is_not(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+    running.held()
+    page = await look(
+        expected=("ERR_CONNECTION_REFUSED", "ERR_EMPTY_RESPONSE", "ERR_CONNECTION_RESET", "closed before")
+    )
+    lost = page.locator("#connection", has_text="lost since")
+    running.order("again")
+    await lost.wait_for(state="attached")
+    await expect(page.locator("#connection")).to_have_text("live")
+    await expect(page.locator("#login-title")).to_contain_text("restarted")
+    await expect(page.locator("#login")).to_contain_text("slipguard ctl page")
+    await expect(page.locator("#hint-release")).to_have_text("read only")
+    await page.goto(running.client.page_link()["url"])
+    await expect(page.locator("#access")).to_have_text("may command")
+    await expect(page.locator("#login")).to_be_hidden()
+    await expect(page.locator("#phase")).to_have_text("Holding", timeout=30_000)
+
+
+async def test_without_a_connection_nothing_is_shown_as_if_it_were_so(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+    running.held()
+    page = await look()
+    await expect(page.locator("#force")).to_have_text("40 N")
+    await expect(page.locator("#finger-left img")).to_be_visible()
+    await page.click("#do-release")
+    await page.check("#ask-tick")
+    with running.frozen():
+        await expect(page.locator("#phase")).to_have_text("No connection")
+        await expect(page.locator("#detail")).to_contain_text("last known: Holding")
+        await expect(page.locator("#ask-yes")).to_be_disabled()
+        await expect(page.locator("#ask-now")).to_contain_text("no connection")
+        await page.keyboard.press("Escape")
+        for figure in ("turn", "force", "height"):
+            await expect(page.locator(f"#{figure}")).to_have_text("–")
+        await expect(page.locator("#finger-left .stale")).to_have_text("last picture, not live")
+        await expect(page.locator("#hint-release")).to_have_text("no connection")
+        await expect(page.locator("#devices .health").first).to_have_text("not known")
+    await expect(page.locator("#connection")).to_have_text("live")
+
+
+async def test_a_page_that_nobody_looks_at_asks_for_no_pictures(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+    running.fresh()
+    page: Page = await look()
+    asked: list[str] = []
+    page.on("request", lambda request: "/picture/" in request.url and asked.append(request.url))
+    await page.wait_for_timeout(1000)
+    assert 2 <= len(asked) <= 20, "both fingers, eight times a second at most"
+    await page.evaluate(HIDE, True)
+    await page.wait_for_timeout(300)
+    asked.clear()
+    await page.wait_for_timeout(1000)
+    assert not asked
+    async with page.expect_request("**/picture/right"):
+        await page.evaluate(HIDE, False)
+
+
+async def test_a_browser_that_is_not_logged_in_may_only_look(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+    running.fresh()
+    page = await look(control=False)
+    await expect(page.locator("#phase")).to_have_text("Idle")
+    await expect(page.locator("#login-title")).to_have_text("This page may look, not command")
+    for button in await page.locator("#buttons button").all():
+        await expect(button).to_have_attribute("aria-disabled", "true")
+    await page.click("#do-release", force=True)
+    await expect(page.locator("#ask")).to_be_hidden()
+    await expect(page.locator("#said")).to_have_text("Release is not possible: read only")
