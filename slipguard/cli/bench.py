@@ -24,11 +24,25 @@ def bench(
     ] = None,
     jobs: Annotated[int, typer.Option(help="Processes for what is not timed; 0: one per core.")] = 0,
     cluster: Annotated[str | None, typer.Option(help="Dask scheduler for what is not timed: tcp://HOST:8786.")] = None,
+    grip: Annotated[bool, typer.Option("--grip", help="The grip instead of the sight.")] = False,
+    faults: Annotated[
+        int | None, typer.Option(help="With --grip: so many runs of the whole daemon in which things go wrong.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="With --grip: of the first run; the same seed, the same run.")] = 0,
 ) -> None:
     """Time the perception pipeline and measure its error, beside the paper's pipeline and others.
 
-    Example: `slipguard bench --quick --out bench/`; all of it: `slipguard bench --full --models models`
+    Example: `slipguard bench --quick --out bench/`; all of it: `slipguard bench --full --models models`; what the guard
+    makes of faults: `slipguard bench --grip --faults 1000`
     """
+    if grip or faults is not None:
+        from slipguard.cli.bench_faults import bench_faults
+        from slipguard.errors import InputError
+
+        if not grip or faults is None:
+            raise InputError("--grip and --faults N go together, as in: slipguard bench --grip --faults 1000")
+        bench_faults(faults, seed, jobs, cluster, json, out)
+        return
     from rich.console import Console
     from rich.progress import Progress
 

@@ -45,6 +45,10 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         """Virtual seconds."""
         return self._jumping.now_s
 
+    def stand_still(self, for_s: float) -> None:
+        """Let time pass while nothing runs, as when the machine is busy with something else."""
+        self._jumping.now_s += for_s
+
     def run_in_executor(self, executor: Any, func: Callable[..., T], *args: Any) -> asyncio.Future[T]:  # type: ignore[override]
         """Call `func` now, in this thread, and return its finished future."""
         future: asyncio.Future[T] = self.create_future()

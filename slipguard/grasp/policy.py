@@ -23,6 +23,9 @@ ARM_WAIT_S = 5.0
 """How long the arm may take to appear when an object is found held; a UR's control program starts within 2 s."""
 FORCE_TOLERANCE_N = 0.5
 
+SPOKEN_OF = AT_STAKE - {Phase.CLOSING, Phase.REFERENCE}
+"""Phases in which a finger that goes blind is said; in FAULT, too, while something is held."""
+
 Outcome = tuple[GuardState, Command]
 
 
@@ -273,7 +276,7 @@ def _keep_force(state: GuardState, seen: Seen, command: Command) -> Outcome:
 
 def _tell_notes(state: GuardState, seen: Seen, command: Command) -> Outcome:
     """Say once that a finger is blind or that the two contradict each other."""
-    held = state.phase in AT_STAKE and state.phase not in (Phase.CLOSING, Phase.REFERENCE)
+    held = state.phase in SPOKEN_OF or (state.phase is Phase.FAULT and state.gripped)
     note = (seen.fused.conflict or seen.fused.note or seen.fused.declined) if held and seen.fused is not None else None
     plain = without_figures(note) if note is not None else None
     if plain == state.note:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from slipguard.errors import InputError
 
-_CAMERA = frozenset({"disconnect", "stall", "frozen", "corrupt"})
+_CAMERA = frozenset({"disconnect", "stall", "frozen", "corrupt", "duplicate", "light", "stamps_ahead", "stamps_behind"})
 KINDS = {
     "left": _CAMERA,
     "right": _CAMERA,
-    "gripper": frozenset({"disconnect", "timeout", "fault"}),
-    "arm": frozenset({"disconnect", "timeout", "protective_stop", "emergency_stop"}),
+    "gripper": frozenset({"disconnect", "timeout", "fault", "late", "wrong_echo"}),
+    "arm": frozenset({"disconnect", "timeout", "protective_stop", "emergency_stop", "stuck"}),
 }
 """Device -> the ways it can fail."""
 

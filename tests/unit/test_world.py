@@ -315,7 +315,7 @@ def test_faults_name_the_alternatives() -> None:
         assert board.active(device) == frozenset()
     with pytest.raises(InputError, match="there are left, right, gripper, arm"):
         board.fail("camera", "stall")
-    with pytest.raises(InputError, match="it can by corrupt, disconnect, frozen, stall"):
+    with pytest.raises(InputError, match="it can by corrupt, disconnect, duplicate, frozen, light, sta"):
         board.fail("left", "fault")
     with pytest.raises(InputError, match="there are left"):
         board.active("camera")

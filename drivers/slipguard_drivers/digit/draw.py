@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.errors import DeviceLost, DeviceTimeout
+from slipguard.sim.told_view import told
 from slipguard.sim.view import GelView
 from slipguard_drivers.child import PACKET_BYTES, Child
 from slipguard_drivers.digit.draw_worker import IMAGE_BYTES, SLOTS, Draughtsman, Shot
@@ -78,6 +79,25 @@ class PlainPainter:
     def paint(self, shot: Shot, done: Callable[[Image], None]) -> bool:
         """Hand the next one out before returning."""
         done(next(self._pictures))
+        return True
+
+    def stop(self) -> None:
+        """Nothing to let go of."""
+
+
+class TellingPainter:
+    """Writes down what would be on the picture instead of drawing it (`slipguard.sim.told_view`)."""
+
+    def __init__(self) -> None:
+        self._count = 0
+
+    async def start(self) -> None:
+        """Nothing to get ready."""
+
+    def paint(self, shot: Shot, done: Callable[[Image], None]) -> bool:
+        """Write before returning."""
+        self._count += 1
+        done(told(shot.view, shot.light_drift_bgr, self._count))
         return True
 
     def stop(self) -> None:

@@ -2,7 +2,8 @@
 
 Exposes on an absolute schedule, stamps the frames with some jitter, hands them over one
 latency later, loses some and repeats some.
-It fails on demand (`world.faults`): "disconnect", "stall", "frozen", "corrupt".
+It fails on demand (`world.faults`): "disconnect", "stall", "frozen", "corrupt", "duplicate" (every second picture
+comes twice), "light" (a lamp too many), "stamps_ahead" and "stamps_behind" (a clock that is wrong).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import DriverContext, Frame, TactileSensor
 from slipguard.errors import DeviceLost
-from slipguard_drivers.digit.draw import Image, InlinePainter, Painter, PlainPainter, ProcessPainter
+from slipguard_drivers.digit.draw import Image, InlinePainter, Painter, PlainPainter, ProcessPainter, TellingPainter
 from slipguard_drivers.digit.draw_worker import Shot
 from slipguard_drivers.digit.stream import FrameStream
 from slipguard_drivers.shared_world import world_of
@@ -25,6 +26,9 @@ from slipguard_drivers.shared_world import world_of
 if TYPE_CHECKING:
     from slipguard.sim.scenario import CameraModel
 
+WRONG_CLOCK_S = 5.0
+LAMP_LEVELS = 60.0
+"""Grey levels that a lamp too many adds to every colour."""
 STAMP_ERROR_MAX = 0.4
 """Largest error of a time stamp in frame times: stamps never run backwards."""
 
@@ -35,12 +39,13 @@ class FakeSensor(TactileSensor):
     class Settings(BaseModel):
         """draw: "process" keeps the drawing off the loop's core; "inline" is for virtual time.
 
-        "plain" is for hours of it: pictures of the untouched gel, whatever is touched.
+        "plain" is for hours of it: pictures of the untouched gel, whatever is touched. "told": numbers instead of
+        pictures, for those who need not look.
         """
 
         model_config = ConfigDict(frozen=True, extra="forbid")
 
-        draw: Literal["process", "inline", "plain"] = "process"
+        draw: Literal["process", "inline", "plain", "told"] = "process"
         stall_ms: Annotated[float, Field(ge=50.0, le=5000.0)] = 250.0
 
     def __init__(self, settings: Settings, context: DriverContext) -> None:
@@ -58,6 +63,8 @@ class FakeSensor(TactileSensor):
     def _make_painter(self, draw: str, unit_seed: int) -> Painter:
         if draw == "process":
             return ProcessPainter(self._name, unit_seed, self._lose)
+        if draw == "told":
+            return TellingPainter()
         return PlainPainter(unit_seed) if draw == "plain" else InlinePainter(unit_seed)
 
     @property
@@ -135,6 +142,7 @@ class FakeSensor(TactileSensor):
             return
         limit_s = STAMP_ERROR_MAX / model.fps
         stamp_s = now_s + min(max(error * model.jitter_s, -limit_s), limit_s)
+        stamp_s += WRONG_CLOCK_S * (("stamps_ahead" in faults) - ("stamps_behind" in faults))
         arrives_at_s = now_s + model.latency_s
         stream = self._stream
         assert stream is not None
@@ -146,10 +154,13 @@ class FakeSensor(TactileSensor):
             self._last_image = image
             self._at(arrives_at_s, lambda: stream.put(image, stamp_s, sequence))
 
-        if self._last_image is not None and ("frozen" in faults or twice < model.duplicate_probability):
+        again = twice < model.duplicate_probability or ("duplicate" in faults and sequence % 2 == 0)
+        if self._last_image is not None and ("frozen" in faults or again):
             deliver(self._last_image)
-        else:
-            self._painter.paint(Shot(view, model.light_drift_bgr, model.noise_seed), deliver)
+            return
+        blue, green, red = model.light_drift_bgr
+        lamp = LAMP_LEVELS * ("light" in faults)
+        self._painter.paint(Shot(view, (blue + lamp, green + lamp, red + lamp), model.noise_seed), deliver)
 
     def _present_model(self) -> CameraModel:
         """How the camera delivers now; a new grasp has its own chances, which start anew with it."""

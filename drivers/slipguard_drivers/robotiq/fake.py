@@ -1,7 +1,7 @@
 """The gripper of the simulated world: one call at a time, each a round trip on the wire.
 
 It fails on demand (`world.faults`): "disconnect", "timeout" (no answer), "fault" (answers, but
-moves nothing).
+moves nothing), "late" (answers take their time), "wrong_echo" (does what it is told, answers something else).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from slipguard_drivers.robotiq.registers import MODEL_2F85, force_to_count, widt
 from slipguard_drivers.shared_world import world_of
 
 T = TypeVar("T")
+LATE_S = 0.2
 
 
 class FakeGripper(Gripper):
@@ -121,8 +122,11 @@ class FakeGripper(Gripper):
                 await asyncio.sleep(self._settings.timeout_ms / 1000.0)
                 raise DeviceTimeout(f"{self._name}: no answer within {self._settings.timeout_ms:.0f} ms")
             answer = act(asyncio.get_running_loop().time())
-            await asyncio.sleep(trips * self._settings.round_trip_ms / 1000.0)
+            late_s = LATE_S if "late" in self._faults() else 0.0
+            await asyncio.sleep(trips * self._settings.round_trip_ms / 1000.0 + late_s)
             self._check_connection()
+            if "wrong_echo" in self._faults():
+                raise DeviceTimeout(f"{self._name}: an answer to something else than was asked; asking again")
             return answer
 
     def _check_connection(self) -> None:

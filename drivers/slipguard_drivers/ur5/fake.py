@@ -1,7 +1,7 @@
 """The arm of the simulated world: moves along the vertical, stops, and reports its safety stops.
 
 It fails on demand (`world.faults`): "disconnect", "timeout" (no state, no answer),
-"protective_stop", "emergency_stop".
+"protective_stop", "emergency_stop", "stuck" (hears, but does not move).
 """
 
 from __future__ import annotations
@@ -66,6 +66,8 @@ class FakeArm(Arm):
             if state.emergency_stop or state.protective_stop:
                 which = "an emergency" if state.emergency_stop else "a protective"
                 raise CommandRefused(f"{self._name}: {which} stop is active; clear it at the controller first")
+            if "stuck" in self._faults():
+                return speed_mm_s
             return self._world.command_lift(now_s, height_mm, speed_mm_s)
 
     async def stop(self) -> None:
@@ -85,6 +87,8 @@ class FakeArm(Arm):
 
     def _state(self, now_s: float) -> ArmState:
         state = self._world.arm_state(now_s)
+        if state.moving and "stuck" in self._faults():
+            self._world.command_stop(now_s)
         assert self._found_at_mm is not None
         return replace(state, height_mm=state.height_mm - self._found_at_mm)
 
