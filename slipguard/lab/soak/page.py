@@ -10,9 +10,9 @@ import contextlib
 import json
 import sys
 from collections import Counter
+from http import HTTPStatus
 from pathlib import Path
 
-import httpx
 from websockets.asyncio.client import unix_connect
 from websockets.exceptions import ConnectionClosed
 
@@ -41,15 +41,26 @@ async def _listen(socket: Path, got: Counter[str]) -> None:
 
 
 async def _pictures(socket: Path, finger: str, got: Counter[str], every_s: float) -> None:
-    async with httpx.AsyncClient(transport=httpx.AsyncHTTPTransport(uds=str(socket))) as client:
-        while True:
-            try:
-                answer = await client.get(f"http://slipguard/picture/{finger}")
-                got["pictures" if answer.status_code == httpx.codes.OK else f"answers {answer.status_code}"] += 1
-            except httpx.TransportError:
-                got["connections lost"] += 1
-                await asyncio.sleep(AGAIN_S)
-            await asyncio.sleep(every_s)
+    while True:
+        try:
+            reader, writer = await asyncio.open_unix_connection(socket)
+            with contextlib.closing(writer):
+                while True:
+                    status = await _get(reader, writer, f"/picture/{finger}")
+                    got["pictures" if status == HTTPStatus.OK else f"answers {status}"] += 1
+                    await asyncio.sleep(every_s)
+        except (OSError, EOFError):
+            got["connections lost"] += 1
+            await asyncio.sleep(AGAIN_S)
+
+
+async def _get(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, path: str) -> int:
+    """Ask once over a connection that stays open, read the whole answer; its status."""
+    writer.write(f"GET {path} HTTP/1.1\r\nHost: slipguard\r\n\r\n".encode())
+    head = (await reader.readuntil(b"\r\n\r\n")).decode("latin-1").lower()
+    length = next(line for line in head.splitlines() if line.startswith("content-length:"))
+    await reader.readexactly(int(length.partition(":")[2]))
+    return int(head.split()[1])
 
 
 async def _until_told(socket: Path) -> None:
