@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from slipguard.perception.regions import Patch
 from slipguard.perception.relief import REDUCTION, Relief
-from slipguard.perception.texture import Texture, TextureFit, TexturePose, fit, make_texture
+from slipguard.perception.texture import Texture, TextureFit, TexturePose, fit, make_texture, repeats
 from slipguard.perception.texture_sigma import sigma_deg
 
 SURE_DEG = 1.5
@@ -56,14 +56,17 @@ class ReliefTrack:
 
     def __init__(self, texture: Texture) -> None:
         self._first = texture
+        self._repeats: bool | None = None
         self._pose = TexturePose()
         self._key: _Key | None = None
         self._key_pose = TexturePose()
 
     @property
     def repeats(self) -> bool:
-        """Whether the relief looks like itself after a small turn."""
-        return self._first.repeats
+        """Whether the relief looks like itself after a small turn; found out when it is first asked."""
+        if self._repeats is None:
+            self._repeats = repeats(self._first)
+        return self._repeats
 
     def follow(self, relief: Relief, patch: Patch, predicted_deg: float) -> Followed:
         """The turn since the reference, from where the track leads."""

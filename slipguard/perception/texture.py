@@ -107,8 +107,8 @@ class Texture:
 
     x_px, y_px, value: (N,) float32. motion: (N, 5) float32, change per turn, shift x, shift y, scale, gain.
     block: (N,) which neighbourhood each point belongs to. coarse_lever: what `ROUND_LEVER` judges.
-    strength: r.m.s. of the values. noise: what of it the camera's noise makes. repeats: whether the relief comes to
-    look like itself after a small turn, as teeth and rays do.
+    strength: r.m.s. of the values. noise: what of it the camera's noise makes. picture, origin_px: what the points were
+    taken from, and the centre in it.
     """
 
     x_px: Field
@@ -120,7 +120,8 @@ class Texture:
     coarse_lever: float
     strength: float
     noise: float
-    repeats: bool
+    picture: Field
+    origin_px: tuple[float, float]
 
     @property
     def round(self) -> bool:
@@ -162,8 +163,27 @@ def make_texture(relief: Relief, patch: Patch) -> Texture | None:
         _lever(coarse.T @ coarse),
         math.sqrt(float(np.mean(np.square(relief.curvature[y, x])))),
         relief.noise,
-        _repeats(relief.curvature, dx, dy, (centre_x, centre_y)),
+        relief.curvature,
+        (centre_x, centre_y),
     )
+
+
+def repeats(texture: Texture) -> bool:
+    """Whether the relief comes to look like itself after a small turn, as teeth and rays do.
+
+    That is, whether turned by up to `REPEATS_DEG` it differs less from itself again after it has differed.
+    """
+    dx, dy, (centre_x, centre_y) = texture.x_px, texture.y_px, texture.origin_px
+    highest = 0.0
+    for turn_deg in np.arange(2.0, REPEATS_DEG + 0.1, 2.0):
+        c, s = np.float32(math.cos(math.radians(turn_deg))), np.float32(math.sin(math.radians(turn_deg)))
+        x, y = dx * c + dy * s + np.float32(centre_x), dy * c - dx * s + np.float32(centre_y)
+        away = sampled(texture.picture, x, y, cv2.BORDER_REPLICATE) - texture.value
+        square = float(away @ away)
+        if square < REPEATS_SHARE * highest:
+            return True
+        highest = max(highest, square)
+    return False
 
 
 def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:
@@ -266,21 +286,6 @@ def _motion(picture: Field, x: NDArray[np.intp], y: NDArray[np.intp], dx: Field,
     gy = cv2.Sobel(picture, cv2.CV_32F, 0, 1, scale=0.125)[y, x]
     # A turn counter-clockwise as seen moves (dx, dy), y down, by (dy, -dx) a radian.
     return np.stack([gx * dy - gy * dx, gx, gy, -(gx * dx + gy * dy), picture[y, x]], axis=1).astype(np.float32)
-
-
-def _repeats(picture: Field, dx: Field, dy: Field, centre: tuple[float, float]) -> bool:
-    """Whether the relief, turned by up to `REPEATS_DEG`, differs less from itself again after it has differed."""
-    value = sampled(picture, dx + np.float32(centre[0]), dy + np.float32(centre[1]), cv2.BORDER_REPLICATE)
-    highest = 0.0
-    for turn_deg in np.arange(2.0, REPEATS_DEG + 0.1, 2.0):
-        c, s = np.float32(math.cos(math.radians(turn_deg))), np.float32(math.sin(math.radians(turn_deg)))
-        x, y = dx * c + dy * s + np.float32(centre[0]), dy * c - dx * s + np.float32(centre[1])
-        away = sampled(picture, x, y, cv2.BORDER_REPLICATE) - value
-        square = float(away @ away)
-        if square < REPEATS_SHARE * highest:
-            return True
-        highest = max(highest, square)
-    return False
 
 
 def _lever(normal: NDArray[np.float32]) -> float:

@@ -27,7 +27,7 @@ STABLE_SHARE = 0.05
 """The contact area is stable when the last five frames differ by less than this share of it."""
 MISFIT_SIGMAS = 1.5
 """An axis whose outline is not the reference's any more is off by so many times the turn that fits the misfit."""
-SURE_DEG = 0.6
+SURE_DEG = 0.8
 """A turn told by the relief this surely, and not contradicted by the patch's axis, needs no outline."""
 LOST_COUNT_S = 0.3
 """After a longer gap a relief that repeats itself (teeth, rays) may have turned by one of its steps unseen."""
@@ -47,7 +47,7 @@ class Reference:
 
     image: NDArray[np.uint8]
     axes: Mapping[str, Orientation]
-    template: Template
+    patch: Patch
     relief: ReliefTrack | None
     centre_px: tuple[float, float]
     area_px: int
@@ -72,6 +72,7 @@ class TurnMeter:
         self._reader = None if background is None else ReliefReader(background, noise_bgr)
         self.reference: Reference | None = None
         self.tracker = Tracker()
+        self._template: Template | None = None
         self._pose = Pose()
         self._lost_count = False
         self._areas: deque[int] = deque(maxlen=STABLE_FRAMES)
@@ -105,13 +106,16 @@ class TurnMeter:
         by_relief = Turn(followed.turn_deg, followed.sigma_deg, followed.declined)
         turn = self._axial(reference, axes_of(False), predicted)
         shift_px = followed.shift_px or _difference(_centre_px(patch), reference.centre_px)
-        if _settled(by_relief, turn):
+        sure = by_relief.sigma_deg is not None and by_relief.sigma_deg <= SURE_DEG
+        if sure and _agree(by_relief, turn):
             turn = combined(by_relief, turn) if self._settings.estimator == "fused" else by_relief
         else:
-            turn = self._axial(reference, axes_of(True), predicted)
+            # A sure relief needs but one witness against the axis: its own turn, tried on the outline.
+            turn = turn if sure else self._axial(reference, axes_of(True), predicted)
             by_outline = turn
             if self._settings.estimator in ("fused", "registration"):
-                by_outline, outline_shift_px = self._by_outline(reference, patch, turn, predicted)
+                near = predicted if by_relief.turn_deg is None else by_relief.turn_deg
+                by_outline, outline_shift_px = self._by_outline(reference, patch, turn, near, only_near=sure)
                 clock.mark("register")
                 shift_px = outline_shift_px if by_relief.turn_deg is None else shift_px
             turn = combined(by_relief, _less_sure(by_outline, followed.unlike))
@@ -156,9 +160,10 @@ class TurnMeter:
             relief = None if texture is None else ReliefTrack(texture)
         clock.mark("reference")
         axes = dict(axes_of(True))
-        self.reference = Reference(image, axes, make_template(patch), relief, _centre_px(patch), patch.area_px)
+        self.reference = Reference(image, axes, patch, relief, _centre_px(patch), patch.area_px)
         clock.mark("reference")
         self.tracker.start(now_s, turn_deg or 0.0)
+        self._template = None
         self._pose = Pose(turn_deg or 0.0)
         self._lost_count = turn_deg is not None and relief is not None and relief.repeats
 
@@ -173,18 +178,21 @@ class TurnMeter:
         relief = reference.relief
         if self._reader is None or relief is None:
             return Followed(None, None, None, 1.0, NO_RELIEF)
-        if relief.repeats and now_s - self.tracker.known_at_s > LOST_COUNT_S:
+        if now_s - self.tracker.known_at_s > LOST_COUNT_S and relief.repeats:
             self._lost_count = True
         if self._lost_count:
             return Followed(None, None, None, 1.0, LOST_COUNT)
         return relief.follow(self._reader.read(image, patch), patch, predicted_deg)
 
     def _by_outline(
-        self, reference: Reference, patch: Patch, turn: Turn, predicted_deg: float
+        self, reference: Reference, patch: Patch, turn: Turn, near_deg: float, only_near: bool
     ) -> tuple[Turn, tuple[float, float]]:
-        """The turn and shift by the outline, checked by the one that the axes show."""
+        """The turn and shift by the outline, checked by the one that the axes show.
+
+        near_deg: where to look for it first. only_near: and not from where the axes point.
+        """
         shift_px = _difference(_centre_px(patch), reference.centre_px)
-        laid = self._laid_over(reference, patch, turn, predicted_deg)
+        laid = self._laid_over(reference, patch, Turn(None, None) if only_near else turn, near_deg)
         registered = Turn(None, None, laid.declined)
         if laid.declined == NOT_SAME and turn.turn_deg is not None and turn.sigma_deg is not None:
             # An outline that has become another one has moved its axis too.
@@ -196,10 +204,12 @@ class TurnMeter:
         only = self._settings.estimator == "registration"
         return registered if only else checked(registered, turn), shift_px
 
-    def _laid_over(self, reference: Reference, patch: Patch, turn: Turn, predicted_deg: float) -> Registration:
-        """The patch laid over the reference, from where the track leads or from where its axis points."""
-        registrar = Registrar(reference.template, patch)
-        best = registrar.fit(replace(self._pose, turn_deg=predicted_deg))
+    def _laid_over(self, reference: Reference, patch: Patch, turn: Turn, near_deg: float) -> Registration:
+        """The patch laid over the reference, from a turn that is likely or from where its axis points."""
+        if self._template is None:  # made when it is first needed: many grasps never ask for the outline
+            self._template = make_template(reference.patch)
+        registrar = Registrar(self._template, patch)
+        best = registrar.fit(replace(self._pose, turn_deg=near_deg))
         if turn.turn_deg is None or abs(turn.turn_deg - best.pose.turn_deg) < 4.0:
             return best
         dx, dy = _difference(_centre_px(patch), reference.centre_px)
@@ -215,11 +225,9 @@ def _less_sure(by_outline: Turn, unlike: float) -> Turn:
     return Turn(by_outline.turn_deg, unlike * by_outline.sigma_deg)
 
 
-def _settled(by_relief: Turn, axial: Turn) -> bool:
-    """Whether the relief tells the turn so surely that the outline could add nothing, and the axis does not object."""
-    if by_relief.turn_deg is None or by_relief.sigma_deg is None or by_relief.sigma_deg > SURE_DEG:
-        return False
-    if axial.turn_deg is None or axial.sigma_deg is None:
+def _agree(by_relief: Turn, axial: Turn) -> bool:
+    """Whether the patch's axis, where it has one, does not contradict the relief."""
+    if by_relief.turn_deg is None or by_relief.sigma_deg is None or axial.turn_deg is None or axial.sigma_deg is None:
         return True
     return abs(by_relief.turn_deg - axial.turn_deg) <= AGREE_SIGMA * math.hypot(by_relief.sigma_deg, axial.sigma_deg)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from slipguard.perception import relief
 from slipguard.perception.regions import Patch, find_patch
 from slipguard.perception.relief import ReliefReader
-from slipguard.perception.texture import Texture, TextureFit, TexturePose, fit, make_texture
+from slipguard.perception.texture import Texture, TextureFit, TexturePose, fit, make_texture, repeats
 from slipguard.perception.texture_sigma import sigma_deg
 
 Height = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
@@ -134,8 +134,8 @@ def test_a_plain_ball_declines_under_any_light(gains: tuple[float, float, float]
 
 
 def test_ribs_all_around_repeat_and_letters_do_not() -> None:
-    assert referenced(gear)[1].repeats
-    assert not referenced(lettered)[1].repeats
+    assert repeats(referenced(gear)[1])
+    assert not repeats(referenced(lettered)[1])
 
 
 def test_relief_of_another_object_declines() -> None:
