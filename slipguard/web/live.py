@@ -133,4 +133,5 @@ def sample_of(state: dict[str, Any]) -> dict[str, Any]:
         "force_n": gripper.get("force_n"),
         "target_n": state.get("target_force_n"),
         "phase": state.get("phase"),
+        "slipping": state.get("slipping"),
     }
