@@ -1,7 +1,7 @@
 // Devices, pace and events: what an engineer looks at after the first glance.
 
 import { byId, make, setRows, setText } from "./dom.js";
-import { clock, deviceName } from "./words.js";
+import { armWords, clock, deviceName, gripperWords, withoutName } from "./words.js";
 
 export const EVENTS_KEPT = 50;
 const COUNTED = {
@@ -19,9 +19,9 @@ const RETRIED = "It is tried again by itself. More is said by: slipguard doctor"
 export function showDevices(state, live) {
   const rows = Object.entries(state.devices).map(([name, health]) => {
     if (!live) return [name, "not known", ""];
-    const remarks = state.fingers[name]?.remarks ?? [];
     const help = health.state === "waiting" ? [RETRIED] : [];
-    return [name, health.state, [health.why, ...remarks, ...help].filter(Boolean).join(". ")];
+    const words = [withoutName(name, health.why), ...help, ...does(state, name)].filter(Boolean);
+    return [name, health.state, words.join(". ")];
   });
   setRows(byId("devices"), rows, (name, health, why) => {
     const item = make("li", {}, make("b", { textContent: deviceName(name) }), " ");
@@ -29,6 +29,14 @@ export function showDevices(state, live) {
     if (why) item.append(make("p", { textContent: why }));
     return [item];
   });
+}
+
+/** What a device that is there does or remarks. */
+function does(state, name) {
+  const finger = state.fingers[name];
+  if (finger) return finger.remarks.length ? finger.remarks : [finger.serial];
+  if (name === "gripper") return state.gripper ? [gripperWords(state.gripper)] : [];
+  return state.arm ? [armWords(state.arm)] : [];
 }
 
 /** How fast everything is, and what was left out of each finger's frames. */
@@ -76,6 +84,7 @@ export class Events {
 
   /** One more; `at` is a Date. */
   add(event, at) {
+    if (event.level === "fault") this.kept = this.kept.filter((one) => one.text !== `${event.text}; ${event.what_to_do}`);
     const last = this.kept[0];
     if (last && last.text === event.text && last.level === event.level) {
       last.times += 1;

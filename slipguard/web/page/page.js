@@ -7,7 +7,7 @@ import { Graphs } from "./graphs.js";
 import { History } from "./history.js";
 import { Live } from "./live.js";
 import { Pictures } from "./pictures.js";
-import { clock, forces, headline, plain, signed, span } from "./words.js";
+import { armWords, clock, forces, headline, plain, signed, span } from "./words.js";
 
 const SLOW_MS = 250; // figures that change faster cannot be read
 const SHORT = 13; // longer words of state are set in smaller type
@@ -166,10 +166,4 @@ function showFigures(state) {
   const arm = view.live ? state.arm : null;
   setText(byId("height"), arm ? `${plain(arm.height_mm)} mm` : "–");
   setText(byId("arm-moves"), arm ? armWords(arm) : "");
-}
-
-function armWords(arm) {
-  if (arm.emergency_stop) return "emergency stop";
-  if (arm.protective_stop) return "protective stop";
-  return arm.moving ? `moving, ${plain(arm.speed_mm_s)} mm/s` : "at rest";
 }

@@ -1,11 +1,12 @@
 // The fingers' pictures: fetched one after the other while somebody looks, and never an old one shown as new.
 
 import { byId, make, setAttribute, setText } from "./dom.js";
-import { deviceName, span, turnWords } from "./words.js";
+import { deviceName, span, turnWords, withoutName } from "./words.js";
 
 const ROUND_MS = 125; // both fingers, eight times a second
 const PAUSE_MS = 1500; // after one that could not be had
 const PATIENCE_MS = 3000;
+const MISSES_MAX = 2;
 const OLD_S = 0.5;
 
 /** One finger: its picture, and what is said of it. */
@@ -15,6 +16,7 @@ class Finger {
     this.sequence = null;
     this.url = null;
     this.notBefore = 0;
+    this.misses = 0;
     this.gone = null; // why the sensor is not there, where that is known
     this.image = make("img", { width: 240, height: 320, alt: "" });
     this.missing = make("p", { className: "missing", textContent: "no picture yet" });
@@ -44,6 +46,7 @@ class Finger {
         cache: "no-store",
         signal: AbortSignal.timeout(PATIENCE_MS),
       });
+      this.misses = 0;
       if (!answer.ok) {
         this.lack((await answer.json()).error);
         return false;
@@ -54,7 +57,8 @@ class Finger {
       this.sequence = shown;
       return true;
     } catch {
-      this.lack("no connection");
+      this.misses += 1; // the last picture stays, greyed, if it is the connection that is gone
+      if (this.misses > MISSES_MAX) this.lack("no picture comes");
       return false;
     }
   }
@@ -71,13 +75,14 @@ class Finger {
   lack(why) {
     this.sequence = null;
     this.image.hidden = true;
+    this.stale.hidden = true;
     this.missing.hidden = false;
     setText(this.missing, why);
   }
 
   /** What the state says of this finger; health: of its device. */
   tell(finger, health, live) {
-    this.gone = health.state === "waiting" ? health.why : null;
+    this.gone = health.state === "waiting" ? withoutName(this.name, health.why) : null;
     if (this.gone) this.lack(this.gone);
     this.figure.classList.toggle("old", !live);
     setText(this.serial, finger.serial ?? "not seen yet");
@@ -87,13 +92,13 @@ class Finger {
     const age_s = finger.age_s ?? null;
     const declined = live && estimate?.contact ? estimate.declined : null;
     const told = {
-      contact: estimate?.contact ? `yes, ${estimate.contact_area_px} px` : contact,
+      contact,
       turn,
       "not told": declined ?? "",
-      frames: `${Math.round(finger.frames_per_s ?? 0)} a second`,
+      frames: `${Math.round(finger.frames_per_s ?? 0)} per s`,
       age: age_s === null ? "no frame" : ageWords(age_s),
     };
-    for (const [label, value] of Object.entries(this.values)) setText(value, live ? told[label] : "–");
+    for (const [label, value] of Object.entries(this.values)) setText(value, live && !this.gone ? told[label] : "–");
     this.values["not told"].parentElement.hidden = !declined;
     const old = !live || age_s === null || age_s > OLD_S;
     this.stale.hidden = !old || this.image.hidden;

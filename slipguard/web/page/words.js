@@ -56,7 +56,7 @@ export function headline(state) {
   if (state.mode === "guard") notes.push("another program moves the arm");
   if (state.cannot_see_turn && AT_STAKE.has(state.phase)) notes.push(`the turn cannot be seen (${state.cannot_see_turn})`);
   if (state.slipping) return { word: "Slipping", detail: `${word.toLowerCase()}; ${notes.join("; ")}`, tone: "slip" };
-  const waiting = state.waiting_for ?? [];
+  const waiting = waits(state);
   if (waiting.length && state.phase === "idle") {
     return { word: "Not ready", detail: waiting.join("; "), tone: "warn" };
   }
@@ -84,8 +84,38 @@ export function forces(state) {
   };
 }
 
-/** Sentence of a device's answer: "Left finger". */
+/** What people call a device. */
 export function deviceName(name) {
   const fingers = { left: "left finger", right: "right finger" };
   return fingers[name] ?? name;
+}
+
+/** A device's own words without its name before them: they stand beside it. */
+export function withoutName(name, text) {
+  return text && text.startsWith(`${name}: `) ? text.slice(name.length + 2) : text;
+}
+
+/** What the daemon waits for, each device named once. */
+function waits(state) {
+  return (state.waiting_for ?? []).map((line) => {
+    const [name, ...why] = line.split(": ");
+    return `${deviceName(name)}: ${withoutName(name, why.join(": "))}`;
+  });
+}
+
+/** What the gripper does, in a few words. */
+export function gripperWords(gripper) {
+  if (gripper.fault) return `fault: ${gripper.fault}`;
+  if (!gripper.active) return "not activated";
+  const apart = `jaws ${plain(gripper.width_mm)} mm apart`;
+  if (gripper.moving) return `moving, ${apart}`;
+  if (gripper.closed_on_nothing) return `closed on nothing, ${apart}`;
+  return gripper.holding ? `holding, ${apart}` : `empty, ${apart}`;
+}
+
+/** What the arm does, in a few words. */
+export function armWords(arm) {
+  if (arm.emergency_stop) return "emergency stop";
+  if (arm.protective_stop) return "protective stop";
+  return arm.moving ? `moving, ${plain(arm.speed_mm_s)} mm/s` : "at rest";
 }
