@@ -22,6 +22,8 @@ from slipguard.web.wire import packed
 STOP_S = 4.0
 """How long the web process may take to finish its answers when the daemon stops."""
 RETRY_S, RETRY_MAX_S = 0.5, 30.0
+GONE_S = 1.0
+"""... and to be gone once nobody talks to it any more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,11 +96,19 @@ async def _until_it_ends(control: Control, unix: UnixSocket, tcp: Tcp | None) ->
         await asyncio.wait((answering,), timeout=STOP_S)
         answering.cancel()
         await asyncio.gather(answering, return_exceptions=True)
-        with contextlib.suppress(ProcessLookupError):
-            process.kill()
-        ended = await process.wait()
         writer.close()
+        ended = await end(process, GONE_S)
     return ended
+
+
+async def end(process: asyncio.subprocess.Process, within_s: float) -> int:
+    """Wait for a process that should end by itself, and kill it after `within_s`; its exit status."""
+    try:
+        async with asyncio.timeout(within_s):
+            return await process.wait()
+    except TimeoutError:
+        process.kill()  # not before: a kill that meets a process just gone takes its status from who waits for it
+        return await process.wait()
 
 
 def _first_words(unix: UnixSocket, tcp: Tcp | None) -> dict[str, object]:
