@@ -45,6 +45,11 @@ def test_every_module_of_the_checkout_is_in_it(names: set[str]) -> None:
     assert wanted <= names
 
 
+def test_the_operator_page_is_in_it(names: set[str]) -> None:
+    page = {f"slipguard/web/page/{path.name}" for path in (ROOT / "slipguard" / "web" / "page").iterdir()}
+    assert "slipguard/web/page/index.html" in page <= names
+
+
 def test_the_networks_are_in_it_and_no_test_or_picture(names: set[str]) -> None:
     endings = {Path(name).suffix for name in names if not name.split("/")[0].endswith(".dist-info")}
     page = {".html", ".css", ".js", ".svg"}
