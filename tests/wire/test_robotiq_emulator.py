@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import array
 import asyncio
+import fcntl
+import os
+import termios
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -14,6 +18,8 @@ from slipguard_drivers.robotiq.emulated_frames import crc16
 from slipguard_drivers.robotiq.emulated_jaws import PlainJaws
 from slipguard_drivers.robotiq.emulated_registers import FIGURES, Registers, Stage
 from slipguard_drivers.robotiq.emulator import RobotiqEmulator
+
+TIOCGEXCL = 0x80045440
 
 
 class Bench:
@@ -208,6 +214,22 @@ async def test_the_port_goes_and_comes_back_under_its_name(emulator: RobotiqEmul
     await emulator.stop()
     await emulator.stop()
     assert not there()
+
+
+async def test_the_claim_of_a_client_that_dies_ends_with_it(
+    emulator: RobotiqEmulator,
+) -> None:
+    port = os.open(emulator.address, os.O_RDWR | os.O_NOCTTY)
+    fcntl.ioctl(port, termios.TIOCEXCL)
+    await asyncio.sleep(0.1)
+    os.close(port)
+    await asyncio.sleep(0.1)
+    port = os.open(emulator.address, os.O_RDWR | os.O_NOCTTY)
+    claimed = array.array("i", [1])
+    fcntl.ioctl(port, TIOCGEXCL, claimed)
+    os.close(port)
+    assert claimed[0] == 0
+    await asyncio.sleep(0.1)
 
 
 async def test_the_object_and_the_fault_are_put_there_by_words(emulator: RobotiqEmulator) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import fcntl
 import os
 import pty
 import select
@@ -105,12 +106,19 @@ class EmulatedPort:
             self._look = None
             loop.add_reader(self._fd, self._read)
 
-    def _forget_what_was_not_read(self) -> None:
-        """A real port does so at its last close."""
-        with contextlib.suppress(OSError):
+    def _closed(self) -> None:
+        """Forget what was not read, and who had it alone, as a real port does at its last close."""
+        try:
             theirs = os.open(self._name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        except OSError:  # only root may open what was claimed, so there is a new terminal behind the name
+            self.unplug()
+            self.plug()
+            return
+        with contextlib.suppress(OSError):
             termios.tcflush(theirs, termios.TCIOFLUSH)
-            os.close(theirs)
+            fcntl.ioctl(theirs, termios.TIOCNXCL)
+        os.close(theirs)
+        self._wait_for_a_client()
 
     def _read(self) -> None:
         if self._fd is None:
@@ -121,7 +129,6 @@ class EmulatedPort:
             return
         except OSError:  # the client has gone
             asyncio.get_running_loop().remove_reader(self._fd)
-            self._forget_what_was_not_read()
-            self._wait_for_a_client()
+            self._closed()
             return
         self._on_bytes(data)
