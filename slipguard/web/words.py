@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Iterable
 from typing import Any
 
 import structlog
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
+from starlette.routing import BaseRoute, Match
+from starlette.types import Scope
 
 from slipguard.errors import CommandRefused, SlipguardError
 from slipguard.web.bodies import Refused
@@ -62,4 +64,12 @@ async def http_error(request: Request, raised: Exception) -> Response:
         detail = f"no such path {path}; /openapi.json tells all there are"
     elif status == 405:
         detail = f"{request.method} {path} is not possible; what only tells takes GET, commands POST"
+        methods = {name for route in request.app.routes for name in _methods(route, request.scope)}
+        return error(status, detail, {"allow": ", ".join(sorted(methods))})
     return error(status, detail, getattr(raised, "headers", None))
+
+
+def _methods(route: BaseRoute, scope: Scope) -> Iterable[str]:
+    """What a route takes at this path; two routes may share one."""
+    matches = route.matches(dict(scope))[0] is not Match.NONE
+    return (getattr(route, "methods", None) or ()) if matches else ()
