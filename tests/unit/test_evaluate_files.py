@@ -16,6 +16,7 @@ from slipguard.cli.app import run
 from slipguard.errors import InputError
 from slipguard.lab.evaluate.calibrate import calibrate
 from slipguard.lab.evaluate.detect import Detector
+from slipguard.lab.evaluate.intrinsics import read_intrinsics
 from slipguard.lab.evaluate.markers import cells, charuco
 from slipguard.lab.evaluate.protocol import SIMULATED, Protocol, read_protocol
 from slipguard.lab.evaluate.simulated import intrinsics_of
@@ -158,8 +159,13 @@ def board_pictures(tilts_deg: list[tuple[float, float]]) -> list[np.ndarray]:
 TILTS = [(25.0, 0.0), (-25.0, 5.0), (0.0, 28.0), (5.0, -28.0), (18.0, 18.0), (-18.0, -15.0), (12.0, -22.0), (0.0, 0.0)]
 
 
-def test_a_board_tells_the_lens() -> None:
-    found = calibrate(board_pictures(TILTS))
+def test_a_board_tells_the_lens(tmp_path: Path) -> None:
+    boards, out = tmp_path / "boards", tmp_path / "camera.json"
+    boards.mkdir()
+    for number, picture in enumerate(board_pictures(TILTS)):
+        cv2.imwrite(str(boards / f"{number}.png"), picture)
+    assert run(["evaluate", "calibrate-camera", str(boards), "--out", str(out)]) == 0
+    found = read_intrinsics(out)
     assert found.focal_px == pytest.approx(LENS.focal_px, rel=0.01)
     assert found.cx_px == pytest.approx(LENS.centre_px[0], abs=4.0)
 

@@ -67,11 +67,18 @@ def test_a_program_starts_it_talks_to_it_and_ends_it(program: subprocess.Popen[s
     assert not link.is_symlink()
 
 
-@pytest.mark.parametrize("ends", ["quit", signal.SIGINT])
-def test_a_person_ends_it_without_a_traceback(ends: str | signal.Signals) -> None:
-    with start("robotiq") as running:
+@pytest.mark.parametrize(
+    ("words", "where", "ends"),
+    [
+        (["robotiq"], "robotiq emulated at /dev/pts/", "quit"),
+        (["robotiq"], "robotiq emulated at /dev/pts/", signal.SIGINT),
+        (["digit", "--port", "0"], "digit emulated at 127.0.0.1:", "quit"),
+    ],
+)
+def test_a_person_ends_it_without_a_traceback(words: list[str], where: str, ends: str | signal.Signals) -> None:
+    with start(*words) as running:
         assert running.stdout is not None
-        assert "robotiq emulated at /dev/pts/" in running.stdout.readline()
+        assert where in running.stdout.readline()
         if isinstance(ends, str):
             out, complaint = running.communicate(ends + "\n", timeout=5.0)
         else:

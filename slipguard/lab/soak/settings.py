@@ -37,6 +37,7 @@ def soak_config(settings: Settings, folder: Path) -> Config:
     raw["guard"] = {"lift_height_mm": 100.0, "lift_speed_mm_s": 80.0, "lower_speed_mm_s": 150.0}
     raw["loop"] = VIRTUAL_LOOP if settings.virtual else {}
     raw["state"] = {"directory": str(folder)}
+    raw["api"] = {"listen": ""}
     raw["recording"] = {
         "enabled": settings.recording,
         "ring_s": RING_S,
