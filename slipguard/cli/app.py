@@ -10,6 +10,7 @@ import typer
 
 from slipguard.cli import (
     bench,
+    calibrate,
     ctl,
     dataset,
     doctor,
@@ -39,7 +40,7 @@ app.command()(guard.run)
 app.command()(guard.check)
 app.command()(doctor.doctor)
 app.command()(install.install)
-app.command()(guard.calibrate)
+app.command()(calibrate.calibrate)
 app.add_typer(ctl.app, name="ctl")
 app.command()(measure.measure)
 app.command()(replay.replay)

@@ -1,9 +1,8 @@
-"""`slipguard run | check | calibrate | version`: the daemon and what surrounds it."""
+"""`slipguard run | check | version`: the daemon and what surrounds it."""
 
 from __future__ import annotations
 
 import asyncio
-import logging
 from pathlib import Path
 from typing import Annotated
 
@@ -82,40 +81,6 @@ def check(
     width, height = segmenter.input_size
     console.print(f"network {segmenter.path.name} at {width}×{height}, estimator {settings.perception.estimator!r}")
     console.print("the configuration is fine")
-
-
-def calibrate(
-    config: ConfigOption = USUAL_FILE,
-    socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon; default: found.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Even if the stored image says there is contact.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
-) -> None:
-    """Store each finger's no-contact image, by serial; needed before the first grasp.
-
-    Asks the running daemon; opens the sensors itself only when none runs. The jaws must be open and empty.
-    Example: `slipguard calibrate --config config.toml`
-    """
-    import json as jsonlib
-
-    from slipguard.config import read_config
-    from slipguard.daemon import log, root
-    from slipguard.daemon.client import Client, NoDaemon
-    from slipguard.daemon.whereabouts import running_socket
-
-    settings = read_config(config)
-    try:
-        with Client(socket or running_socket(settings)) as client:
-            answer = client.calibrate(force=force)
-    except NoDaemon:
-        log.configure(level=logging.WARNING)
-        with left_to_the_loop():
-            answer = asyncio.run(root.calibrate(settings, force=force))
-    if json:
-        print(jsonlib.dumps(answer))
-        return
-    for name, finger in answer["fingers"].items():
-        print(f"{name}: {finger['frames']} frames, noise {finger['noise_bgr']} grey levels (B, G, R)")
-    print(answer["said"])
 
 
 def version(

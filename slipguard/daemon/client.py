@@ -83,10 +83,21 @@ class Client:
 
     def frame(self, finger: str) -> SensorFrame:
         """The newest frame of `left` or `right`; the sensor stays the daemon's."""
-        response = self._respond("GET", f"/frame/{finger}")
+        return self._picture(f"/frame/{finger}")
+
+    def no_contacts(self) -> dict[str, Any]:
+        """What no-contact images are stored, by finger."""
+        return self._ask("GET", "/no-contact")
+
+    def no_contact(self, finger: str, number: int | None = None) -> SensorFrame:
+        """A stored no-contact image of `left` or `right`, the newest if not told which; `sequence` is its number."""
+        return self._picture(f"/no-contact/{finger}" + ("" if number is None else f"?number={number}"))
+
+    def _picture(self, path: str) -> SensorFrame:
+        response = self._respond("GET", path)
         if response.is_error or response.headers.get("content-type") != "image/png":
             _answer(response, self._where)
-            raise SlipguardError(f"what listens at {self._where} does not know /frame; is it an older slipguard?")
+            raise SlipguardError(f"what listens at {self._where} does not know {path}; is it an older slipguard?")
         told = response.headers
         return SensorFrame(response.content, told["x-serial"], int(told["x-sequence"]), float(told["x-captured-at-s"]))
 
@@ -122,9 +133,14 @@ class Client:
         """`url`: a link that gives the browser that opens it first control of the page."""
         return self._post("/page-link")
 
-    def calibrate(self, *, force: bool = False) -> dict[str, Any]:
+    def calibrate(self, *, force: bool = False, new_gel: bool = False) -> dict[str, Any]:
         """Take and store both fingers' no-contact images."""
-        return self._ask("POST", "/calibrate", {"force": force}, timeout_s=CALIBRATE_TIMEOUT_S)
+        return self._ask("POST", "/calibrate", {"force": force, "new_gel": new_gel}, timeout_s=CALIBRATE_TIMEOUT_S)
+
+    def go_back(self, finger: str, number: int) -> dict[str, Any]:
+        """Put an older no-contact image to use again."""
+        told: dict[str, object] = {"finger": finger, "number": number}
+        return self._ask("POST", "/no-contact", told, timeout_s=CALIBRATE_TIMEOUT_S)
 
     def _knock(self) -> None:
         """Raise NoDaemon where nothing listens; httpx leaves a socket open when it finds that out itself."""

@@ -89,8 +89,20 @@ class Control(Protocol):
     async def clear(self) -> str: ...
 
     @abstractmethod
-    async def calibrate(self, force: bool = False) -> Mapping[str, object]:
+    async def calibrate(self, force: bool = False, new_gel: bool = False) -> Mapping[str, object]:
         """Take both no-contact images; `said`, and by finger what they are like."""
+
+    @abstractmethod
+    async def go_back(self, finger: str, number: int) -> str:
+        """Put an older no-contact image of a finger's sensor to use again."""
+
+    @abstractmethod
+    async def no_contacts(self) -> bytes:
+        """What is stored of each finger's sensor, as a JSON object: see `slipguard.daemon.past_images`."""
+
+    @abstractmethod
+    async def no_contact(self, finger: str, number: int | None = None) -> View:
+        """A stored no-contact image, the newest if not told which; its number is the frame's `sequence`."""
 
     @abstractmethod
     def listen(self, hear: Callable[[Event], None]) -> Callable[[], None]:

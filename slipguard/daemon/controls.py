@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from slipguard.daemon.calibration import TIMEOUT_S, NoContact, collect, no_contact_of
+from slipguard.daemon.calibration import TIMEOUT_S, Archive, NoContact, collect, no_contact_of
 from slipguard.daemon.finger import Finger
 from slipguard.daemon.service import Service
 from slipguard.daemon.snapshot import snapshot, trouble
@@ -81,10 +81,11 @@ class Controls:
         """Leave a fault whose cause is gone."""
         return await self._ask(Request(RequestKind.CLEAR))
 
-    async def calibrate(self, *, force: bool = False) -> dict[str, NoContact]:
+    async def calibrate(self, *, force: bool = False, new_gel: bool = False) -> dict[str, NoContact]:
         """Take and store both fingers' no-contact images, by serial. Refused while anything is or may be touched.
 
-        force: also where a stored image says that there is contact (its light may have changed).
+        force: also where a stored image says that there is contact (its light may have changed). new_gel: the gels have
+        been replaced; wear is counted from now on.
         """
         self._check_calibration_is_over()
         async with self._calibrating:
@@ -96,7 +97,25 @@ class Controls:
                         f"cannot calibrate: {name} finger is in contact; take the object away, or use --force "
                         "if the light has changed"
                     )
-            return await self._take()
+            return await self._take(new_gel)
+
+    async def go_back(self, name: str, number: int) -> str:
+        """Put an older no-contact image of a finger's sensor to use again. Refused while anything may be touched."""
+        finger, store = self._service.fingers.get(name), self._service.store
+        if finger is None:
+            raise CommandRefused(f"no finger {name!r}; there are: {', '.join(self._service.fingers)}")
+        if finger.serial is None or not isinstance(store, Archive):
+            raise CommandRefused(f"no sensor of the {name} finger was seen yet: {finger.health.why}")
+        self._check_calibration_is_over()
+        async with self._calibrating:
+            self._check_idle()
+            try:
+                await asyncio.to_thread(store.go_back, finger.serial, number)
+            except InputError as error:
+                raise CommandRefused(str(error)) from None
+            finger.renew_pipeline()
+            await self._until_seen_anew()
+        return f"{name} ({finger.serial}): no-contact image {number} is in use again"
 
     def _check_idle(self) -> None:
         service = self._service
@@ -129,7 +148,7 @@ class Controls:
         except InputError:
             return False
 
-    async def _take(self) -> dict[str, NoContact]:
+    async def _take(self, new_gel: bool) -> dict[str, NoContact]:
         """Both fingers at once; stored only if both are good and nothing has moved meanwhile."""
         fingers, store = self._service.fingers, self._service.store
         taps: dict[str, asyncio.Queue[Frame]] = {name: asyncio.Queue(maxsize=4) for name in fingers}
@@ -148,7 +167,10 @@ class Controls:
         self._check_idle()
         for name, finger in fingers.items():
             if finger.serial is not None:
-                await asyncio.to_thread(store.save_no_contact, finger.serial, taken[name])
+                if isinstance(store, Archive):
+                    await asyncio.to_thread(store.save_no_contact, finger.serial, taken[name], new_gel=new_gel)
+                else:
+                    await asyncio.to_thread(store.save_no_contact, finger.serial, taken[name])
                 finger.renew_pipeline()
         await self._until_seen_anew()
         return taken

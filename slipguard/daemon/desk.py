@@ -12,8 +12,10 @@ from slipguard.daemon.control import Contact, Control, View
 from slipguard.daemon.controls import Controls
 from slipguard.daemon.finger import Judgement
 from slipguard.daemon.journal import Event
+from slipguard.daemon.past_images import history, stored_image
 from slipguard.daemon.service import Service
 from slipguard.daemon.tally import Tally
+from slipguard.devices import Frame
 from slipguard.errors import CommandRefused
 from slipguard.perception.axial import wrap_axial_deg
 from slipguard.recording.recorder import Recorder
@@ -100,9 +102,21 @@ class Desk(Control):
     async def clear(self) -> str:
         return await self._controls.clear()
 
-    async def calibrate(self, force: bool = False) -> Mapping[str, object]:
+    async def calibrate(self, force: bool = False, new_gel: bool = False) -> Mapping[str, object]:
         """Take both no-contact images; `said`, and by finger what they are like."""
-        return calibration_answer(await self._controls.calibrate(force=force))
+        return calibration_answer(await self._controls.calibrate(force=force, new_gel=new_gel))
+
+    async def go_back(self, finger: str, number: int) -> str:
+        return await self._controls.go_back(finger, number)
+
+    async def no_contacts(self) -> bytes:
+        """What is stored of each finger's sensor."""
+        return json.dumps(await history(self._service)).encode()
+
+    async def no_contact(self, finger: str, number: int | None = None) -> View:
+        """A stored no-contact image."""
+        serial, found, image = await stored_image(self._service, finger, number)
+        return View(serial, Frame(image, 0.0, found))
 
     def listen(self, hear: Callable[[Event], None]) -> Callable[[], None]:
         """Tell the newest events, and from then on each as it happens."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import signal
 import sys
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,7 @@ import structlog
 from slipguard import __version__
 from slipguard.config import GROUP_OF, Config
 from slipguard.daemon.calibration import NoContact
-from slipguard.daemon.controls import Controls
-from slipguard.daemon.desk import Desk, calibration_answer
+from slipguard.daemon.desk import Desk
 from slipguard.daemon.finger import Perceiver
 from slipguard.daemon.gel_watch import GelWatch
 from slipguard.daemon.last_grasp import GraspKeeper, remembered
@@ -194,8 +194,9 @@ async def _reload_on(hung_up: asyncio.Event, reloader: Reloader) -> None:
         await reloader.reload()
 
 
-async def calibrate(config: Config, *, force: bool = False) -> dict[str, object]:
-    """Take both no-contact images without a daemon: opens the sensors and asks the gripper, leaves the arm alone.
+@contextlib.asynccontextmanager
+async def sensors_alone(config: Config) -> AsyncIterator[Service]:
+    """Both sensors open and the gripper asked, without a daemon; the arm is left alone.
 
     Raises CommandRefused or DeviceTimeout with the reason.
     """
@@ -204,7 +205,7 @@ async def calibrate(config: Config, *, force: bool = False) -> dict[str, object]
     tasks.append(asyncio.create_task(service.gripper.run(), name="gripper"))
     try:
         await _first_answers(service)
-        return calibration_answer(await Controls(service).calibrate(force=force))
+        yield service
     finally:
         for task in tasks:
             task.cancel()

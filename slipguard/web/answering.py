@@ -16,9 +16,9 @@ from slipguard.web.wire import packed, receive, view_packed
 UNDER_WAY_MAX = 100
 BEHIND_MAX_BYTES = 16 * 1024 * 1024
 """A web process that takes nothing for so long that this much waits for it hears no events."""
-SPOKEN = ("grasp", "lift", "lower", "guard", "gripper", "release", "clear", "calibrate", "trouble")
-TEXTS = ("state", "tallies")
-VIEWS = ("frame", "view")
+SPOKEN = ("grasp", "lift", "lower", "guard", "gripper", "release", "clear", "calibrate", "go_back", "trouble")
+TEXTS = ("state", "tallies", "no_contacts")
+VIEWS = ("frame", "view", "no_contact")
 log = structlog.get_logger()
 
 

@@ -20,7 +20,7 @@ from slipguard.web.access import CONTROL_KEY, COOKIE
 from slipguard.web.commands import add_commands
 from slipguard.web.metrics import exposition
 from slipguard.web.page_routes import add_page
-from slipguard.web.pictures import FINGERS
+from slipguard.web.pictures import FINGERS, png_of
 from slipguard.web.room import Room
 from slipguard.web.words import error, http_error, in_words, refusals
 
@@ -91,6 +91,15 @@ def _add_reads(app: FastAPI, room: Room) -> None:
 
         return await in_words("/metrics", look())
 
+    @app.get("/no-contact", response_model=dict[str, b.StoredImages], responses=refusals())
+    async def no_contacts() -> Response:
+        """What is stored of each finger's sensor: number, time, noise and light of every no-contact image."""
+
+        async def look() -> Response:
+            return Response(await room.control.no_contacts(), media_type="application/json")
+
+        return await in_words("/no-contact", look())
+
     @app.get("/access", response_model=b.MayCommand, responses=refusals())
     async def access(request: Request) -> Response:
         """Whether whoever asks may also command."""
@@ -112,6 +121,20 @@ def _add_pictures(app: FastAPI, room: Room) -> None:
         """The newest frame as it came; serial number, number and capture time are in the headers."""
         return await _picture(room, "/frame", finger, "image/png")
 
+    @app.get("/no-contact/{finger}", response_class=Response, responses=answers("image/png", "As it was averaged."))
+    async def no_contact(
+        finger: FingerName, number: Annotated[int | None, Query(ge=1, le=1_000_000)] = None
+    ) -> Response:
+        """A stored no-contact image, the newest if not told which; its number is in the header x-sequence."""
+
+        async def look() -> Response:
+            _check(finger)
+            view = await room.control.no_contact(finger, number)
+            told = {"x-serial": view.serial, "x-sequence": str(view.frame.sequence), "x-captured-at-s": "0"}
+            return Response(png_of(view), media_type="image/png", headers=told)
+
+        return await in_words("/no-contact", look())
+
     @app.get("/picture/{finger}", response_class=Response, responses=answers("image/jpeg", "For people."))
     async def picture(finger: FingerName, overlay: Annotated[Literal["0", "1"], Query()] = "1") -> Response:
         """The newest judged frame, with outline, thinned line and axis of the contact drawn over it."""
@@ -120,8 +143,7 @@ def _add_pictures(app: FastAPI, room: Room) -> None:
 
 async def _picture(room: Room, path: str, finger: str, kind: str, overlay: bool = False) -> Response:
     async def look() -> Response:
-        if finger not in FINGERS:
-            raise HTTPException(404, f"no finger {finger!r}; there are: {', '.join(FINGERS)}")
+        _check(finger)
         found = await (room.pictures.raw(finger) if kind == "image/png" else room.pictures.drawn(finger, overlay))
         told = {
             "x-serial": found.serial,
@@ -131,6 +153,11 @@ async def _picture(room: Room, path: str, finger: str, kind: str, overlay: bool 
         return Response(found.content, media_type=kind, headers=told)
 
     return await in_words(path, look())
+
+
+def _check(finger: str) -> None:
+    if finger not in FINGERS:
+        raise HTTPException(404, f"no finger {finger!r}; there are: {', '.join(FINGERS)}")
 
 
 async def _bad_parameter(request: Request, raised: Exception) -> Response:

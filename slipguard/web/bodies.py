@@ -63,9 +63,17 @@ class Release(Body):
 
 
 class Calibrate(Body):
-    """force: also where a stored image says that there is contact."""
+    """force: also where a stored image says that there is contact. new_gel: wear is counted from now on."""
 
     force: bool = False
+    new_gel: bool = False
+
+
+class GoBack(Body):
+    """An older no-contact image of a finger's sensor, by its number."""
+
+    finger: Literal["left", "right"]
+    number: Annotated[int, Field(ge=1, le=1_000_000)]
 
 
 class Answer(BaseModel):
@@ -111,6 +119,13 @@ class NoContactImage(Answer):
     frames: int
     noise_bgr: list[float]
     level_bgr: list[float]
+
+
+class StoredImages(Answer):
+    """Of one finger's sensor, oldest first; serial: None where it was not seen yet."""
+
+    serial: str | None
+    versions: list[dict[str, Any]]
 
 
 class Calibrated(Said):

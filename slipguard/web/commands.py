@@ -29,7 +29,7 @@ def add_commands(app: FastAPI, room: Room) -> None:
     control = room.control
 
     async def calibrate(body: b.Calibrate) -> Mapping[str, object]:
-        return await control.calibrate(body.force)
+        return await control.calibrate(body.force, body.new_gel)
 
     def add(path: str, kind: type[B], act: Act[B], about: str, answer: type[b.Said] = b.Said) -> None:
         _add(app, room, path, kind, act, about, answer)
@@ -61,6 +61,12 @@ def add_commands(app: FastAPI, room: Room) -> None:
         "Open the jaws, in every state: what is held drops.",
     )
     add("/clear", b.Nothing, lambda body: _said(control.clear()), "Leave a fault whose cause is gone.")
+    add(
+        "/no-contact",
+        b.GoBack,
+        lambda body: _said(control.go_back(body.finger, body.number)),
+        "Put an older no-contact image of a finger's sensor to use again.",
+    )
     add("/calibrate", b.Calibrate, calibrate, "Take and store both fingers' no-contact images.", b.Calibrated)
 
 

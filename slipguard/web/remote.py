@@ -118,7 +118,18 @@ class RemoteControl(Control):
     async def clear(self) -> str:
         return await self._said("clear")
 
-    async def calibrate(self, force: bool = False) -> Mapping[str, object]:
-        message, _ = await self._ask("calibrate", {"force": force}, CALIBRATE_S)
+    async def calibrate(self, force: bool = False, new_gel: bool = False) -> Mapping[str, object]:
+        message, _ = await self._ask("calibrate", {"force": force, "new_gel": new_gel}, CALIBRATE_S)
         answer: dict[str, object] = message["answer"]
         return answer
+
+    async def go_back(self, finger: str, number: int) -> str:
+        message, _ = await self._ask("go_back", {"finger": finger, "number": number}, CALIBRATE_S)
+        return str(message["answer"])
+
+    async def no_contacts(self) -> bytes:
+        return (await self._ask("no_contacts"))[1]
+
+    async def no_contact(self, finger: str, number: int | None = None) -> View:
+        message, pixels = await self._ask("no_contact", {"finger": finger, "number": number})
+        return view_unpacked(message["answer"], pixels)

@@ -18,6 +18,7 @@ from slipguard.daemon.journal import Event
 from slipguard.devices import Frame, GripperState
 from slipguard.perception.regions import ClippedSides
 from slipguard.web.access import Access
+from slipguard.web.pictures import FINGERS
 from slipguard.web.room import Room
 from slipguard.web.serve import serve
 from slipguard.web.sockets import bind, bind_tcp
@@ -113,10 +114,31 @@ class FakeControl(Control):
     async def clear(self) -> str:
         return await self._note("clear")
 
-    async def calibrate(self, force: bool = False) -> Mapping[str, object]:
-        await self._note("calibrate", force)
+    async def calibrate(self, force: bool = False, new_gel: bool = False) -> Mapping[str, object]:
+        await self._note("calibrate", force, *(["new gel"] if new_gel else []))
         image = np.full((320, 240, 3), 90, np.uint8)
         return calibration_answer({name: NoContact(image, (2.9, 1.5, 2.4), 30) for name in ("left", "right")})
+
+    async def go_back(self, finger: str, number: int) -> str:
+        return await self._note("go back", finger, number)
+
+    async def no_contacts(self) -> bytes:
+        told = {
+            "created_at": "2026-11-20T12:00:00+00:00",
+            "noise_bgr": [2.9, 1.5, 2.4],
+            "level_bgr": [90.0, 91.0, 92.0],
+        }
+        told |= {"frames": 30, "new_gel": False, "copy_of": None}
+        versions = [{"number": number} | told for number in (1, 2)]
+        return json.dumps(
+            {name: {"serial": f"SIM-{name[0].upper()}", "versions": versions} for name in FINGERS}
+        ).encode()
+
+    async def no_contact(self, finger: str, number: int | None = None) -> View:
+        if self.failure is not None:
+            raise self.failure
+        picture = np.full((320, 240, 3), 90 + (number or 2) % 100, np.uint8)
+        return View(f"SIM-{finger[0].upper()}", Frame(picture, 0.0, number or 2))
 
     def listen(self, hear: Callable[[Event], None]) -> Callable[[], None]:
         for event in self.events:
