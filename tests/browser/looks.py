@@ -76,13 +76,17 @@ CUT = """() => [...document.querySelectorAll("button, .figures div, .now, .pictu
 NAMED_ROLES = {"button", "checkbox", "spinbutton", "textbox", "link", "image", "dialog", "region"}
 
 
-async def faults_of_look(page: Page, least_px: float = 44.0, least_contrast: float = 4.5) -> list[str]:
-    """What is hard to read, to hit, or runs over the edge."""
-    pale = [f"contrast {ratio:.2f}: {text}" for ratio, text in await page.evaluate(CONTRAST) if ratio < least_contrast]
+async def pale(page: Page, least_contrast: float = 4.5) -> list[str]:
+    """Texts that are hard to read."""
+    return [f"contrast {ratio:.2f}: {text}" for ratio, text in await page.evaluate(CONTRAST) if ratio < least_contrast]
+
+
+async def misfits(page: Page, least_px: float = 44.0) -> list[str]:
+    """What is hard to hit, runs over the edge or out of its box."""
     small = [f"small: {one}" for one in await page.evaluate(SMALL, least_px)]
     wide = [f"beyond the edge: {one}" for one in await page.evaluate(WIDE)]
     cut = [f"too long for its box: {one}" for one in await page.evaluate(CUT)]
-    return pale + small + wide + cut
+    return small + wide + cut
 
 
 async def nameless(page: Page) -> list[str]:
@@ -106,8 +110,9 @@ class Shelf:
     folder: Path | None
 
     async def keep(self, page: Page, name: str) -> None:
-        """The page as it is now, to its end."""
+        """The page as it is now, to its end; under an open question only what is seen of it."""
         if self.folder is None:
             return
         self.folder.mkdir(parents=True, exist_ok=True)
-        await page.screenshot(path=self.folder / f"{name}.png", full_page=True)
+        asking = await page.locator("#ask").is_visible()
+        await page.screenshot(path=self.folder / f"{name}.png", full_page=not asking)

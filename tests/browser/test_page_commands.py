@@ -37,7 +37,7 @@ async def test_a_lift_from_calibration_to_release(running: Daemon, look) -> None
     await expect(phase).to_have_text("Holding")
     running.until(lambda state: state["phase"] == "holding" and state["arm"]["height_mm"] > 39.0)
     for finger in ("left", "right"):
-        await expect(page.locator(f"#finger-{finger}")).to_contain_text("yes,")
+        await expect(page.locator(f"#finger-{finger}")).to_contain_text("contactyes", ignore_case=True)
         picture = page.locator(f"#finger-{finger} img")
         assert await picture.evaluate("one => [one.naturalWidth, one.naturalHeight]") == [240, 320]
         before = await picture.get_attribute("src")
