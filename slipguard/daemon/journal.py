@@ -11,6 +11,8 @@ from typing import Literal
 
 import structlog
 
+from slipguard.daemon.log import OncePerSecond
+
 KEPT = 50
 log = structlog.get_logger()
 
@@ -27,7 +29,10 @@ class Event:
 
 
 class Journal:
-    """listeners: called with the line and whether it tells of an error. watchers: called with the whole event."""
+    """listeners: called with the line and whether it tells of an error. watchers: called with the whole event.
+
+    They hear every line; of those that differ in figures only, the log has one a second.
+    """
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -36,21 +41,27 @@ class Journal:
         """The newest ones, faults too."""
         self.listeners: list[Callable[[str, bool], None]] = []
         self.watchers: list[Callable[[Event], None]] = []
+        self._limit = OncePerSecond()
 
     def say(self, text: str) -> None:
         """One line of what happens."""
-        log.info(text)
+        self._log(log.info, text)
         self._line(Event(_now_s(), "info", text))
 
     def warn(self, text: str) -> None:
         """One line of what did not go as it should."""
-        log.warning(text)
+        self._log(log.warning, text)
         self._line(Event(_now_s(), "warning", text))
 
     def fault(self, code: str, seen: str, do: str) -> None:
         """A fault as it is latched; its line was said already."""
         log.error("fault", code=code, seen=seen, do=do)
         self._tell(Event(_now_s(), "fault", f"{code}: {seen}", do, code))
+
+    def _log(self, write: Callable[..., object], text: str) -> None:
+        held_back = self._limit.admit(text, _now_s())
+        if held_back is not None:
+            write(text, **({"alike_before": held_back} if held_back else {}))
 
     def _line(self, event: Event) -> None:
         self.lines = [*self.lines[1 - KEPT :], event.text]
