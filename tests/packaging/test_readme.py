@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import typer
+from config_table import in_readme, table
 from sandbox import ROOT
 
 from slipguard.cli.app import app
@@ -99,6 +100,10 @@ def test_every_path_and_extra_it_names_is_there() -> None:
         assert extra in PROJECT["optional-dependencies"]
     for link in re.findall(r"\]\((?!http)([^)#]+)\)", README):
         assert (ROOT / link).exists(), link
+
+
+def test_the_table_of_the_configuration_is_that_of_config_toml() -> None:
+    assert in_readme() == table(), "config.toml has changed: run `python tests/packaging/config_table.py`"
 
 
 def test_the_keys_it_names_are_in_the_configuration() -> None:
