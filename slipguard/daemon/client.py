@@ -39,6 +39,14 @@ class OverTcp:
     url: str
     token: str | None = None
 
+    def __post_init__(self) -> None:
+        try:
+            good = httpx.URL(self.url).scheme == "http" and bool(httpx.URL(self.url).host)
+        except httpx.InvalidURL:
+            good = False
+        if not good:
+            raise InputError(f"{self.url!r} is no address of a daemon; such as http://127.0.0.1:8470 is needed")
+
 
 class Client:
     """One daemon. Every command returns the daemon's answer as a dict (`said`: one line).
@@ -176,8 +184,6 @@ class Client:
             raise SlipguardError(f"the daemon at {self._where} did not answer {path} in time") from None
         except httpx.ConnectError:
             raise NoDaemon(NO_DAEMON.format(self._where)) from None
-        except (httpx.InvalidURL, httpx.UnsupportedProtocol):
-            raise InputError(f"{self._where!r} is no address; such as http://127.0.0.1:8470 is needed") from None
         except httpx.TransportError as error:
             raise SlipguardError(f"the daemon at {self._where} broke off: {error}") from None
 

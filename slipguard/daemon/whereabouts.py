@@ -51,7 +51,11 @@ def token_for(url: str, file: Path | None = None, environ: Mapping[str, str] = o
             return file.read_text(encoding="ascii").strip()
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"--token-file {file}: cannot be read: {error}") from None
-    if urlsplit(url).hostname not in ("127.0.0.1", "localhost", "::1"):
+    try:
+        host = urlsplit(url).hostname
+    except ValueError:
+        return None  # no address at all, which whoever asks there will say
+    if host not in ("127.0.0.1", "localhost", "::1"):
         return None
     for folder in (StateDir(environ=environ).runtime_path, SYSTEM_FOLDER):
         with contextlib.suppress(OSError, UnicodeDecodeError):

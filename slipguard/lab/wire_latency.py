@@ -99,7 +99,7 @@ async def measure(options: Options, tell: Callable[[str, float], None]) -> Laten
             tell("starting the emulated cell", 0.0)
             await cell.start()
             law = ProbingLaw(0)
-            service = build_service(_config(cell.config), law=law)
+            service = build_service(every_frame_in_full(cell.config), law=law)
             running = asyncio.create_task(service.run(), name="service")
             try:
                 seen = await _probe(service, law, options.commands, running, tell)
@@ -114,7 +114,7 @@ async def measure(options: Options, tell: Callable[[str, float], None]) -> Laten
     return _evaluate(options, seen, writes, frames)
 
 
-def _config(path: Path) -> Config:
+def every_frame_in_full(path: Path) -> Config:
     """The cell's, with every frame measured in full and room for all steps."""
     raw = tomllib.loads(path.read_text())
     raw["guard"] |= {"force_max_n": 235}
@@ -125,17 +125,8 @@ def _config(path: Path) -> Config:
 async def _probe(
     service: Service, law: ProbingLaw, commands: int, running: asyncio.Task[None], tell: Callable[[str, float], None]
 ) -> list[_Seen]:
-    controls = Controls(service)
     tell("waiting for the devices", 0.0)
-
-    def ready() -> bool:
-        return not service.waiting_for
-
-    await _until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
-    await controls.calibrate()
-    await _until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
-    await controls.grasp()
-    await _until(running, lambda: service.firm, GRIP_S, lambda: f"no firm grip, {service.phase}")
+    await grip(service, running)
     seen: list[_Seen] = []
 
     def decided(decision: Decision) -> None:
@@ -164,6 +155,20 @@ async def _probe(
             raise SlipguardError(f"the guard stopped: {service.state.fault}")
     await asyncio.sleep(REST_S)
     return seen
+
+
+async def grip(service: Service, running: asyncio.Task[None]) -> None:
+    """Calibrate, then grasp what lies between the jaws. Raises SlipguardError where it does not come to a firm grip."""
+    controls = Controls(service)
+
+    def ready() -> bool:
+        return not service.waiting_for
+
+    await _until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
+    await controls.calibrate()
+    await _until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
+    await controls.grasp()
+    await _until(running, lambda: service.firm, GRIP_S, lambda: f"no firm grip, {service.state.fault or service.phase}")
 
 
 async def _until(

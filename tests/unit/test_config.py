@@ -90,3 +90,26 @@ def test_a_missing_file_and_a_folder_say_so(tmp_path: Path) -> None:
         read_config(tmp_path / "none.toml")
     with pytest.raises(ConfigError, match="cannot be read"):
         read_config(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("listen", "address"),
+    [
+        ("127.0.0.1:8470", ("127.0.0.1", 8470)),
+        ("localhost:1", ("127.0.0.1", 1)),
+        ("[::1]:65535", ("::1", 65535)),
+        ("0.0.0.0:8470", ("0.0.0.0", 8470)),
+        ("", None),
+    ],
+)
+def test_addresses_to_listen_at(listen: str, address: tuple[str, int] | None) -> None:
+    config = parse_config({"api": {"listen": listen}}, where="test", sim=True)
+    assert config.api.address == address
+
+
+@pytest.mark.parametrize(
+    "listen", ["8470", ":8470", "127.0.0.1", "127.0.0.1:0", "127.0.0.1:65536", "cell:8470", "1.2.3.4:+5"]
+)
+def test_addresses_that_are_none(listen: str) -> None:
+    with pytest.raises(ConfigError, match=r"api\.listen = .*(by number|port after)"):
+        parse_config({"api": {"listen": listen}}, where="test", sim=True)

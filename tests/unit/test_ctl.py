@@ -9,13 +9,14 @@ import sys
 from pathlib import Path
 
 import pytest
-from fake_control import FakeControl, served
+from fake_control import TOKEN, FakeControl, served, served_on_tcp
 from typer.testing import CliRunner
 
 from slipguard.cli.ctl import app
+from slipguard.daemon import whereabouts
 from slipguard.daemon.client import NoDaemon
 from slipguard.daemon.whereabouts import running_socket
-from slipguard.errors import CommandRefused
+from slipguard.errors import CommandRefused, SlipguardError
 
 
 @pytest.fixture
@@ -122,3 +123,85 @@ async def test_the_refusal_is_one_line_and_exit_code_1(control: FakeControl, tmp
 def test_where_the_daemon_is_looked_for(tmp_path: Path) -> None:
     assert running_socket(environ={"HOME": str(tmp_path)}) == tmp_path / ".local/state/slipguard/slipguard.sock"
     assert running_socket(environ={"RUNTIME_DIRECTORY": "/run/x", "HOME": "/h"}) == Path("/run/x/slipguard.sock")
+
+
+async def over_tcp(folder: Path, control: FakeControl, *words: str, token: str | None = TOKEN) -> tuple[int, str]:
+    """Exit code and output of one command over TCP; errors of slipguard come through."""
+    async with served_on_tcp(control, folder) as (port, _):
+        line = ["--url", f"http://127.0.0.1:{port}"]
+        if token is not None:
+            (folder / "given").write_text(token + "\n")
+            line += ["--token-file", str(folder / "given")]
+        result = await asyncio.to_thread(CliRunner().invoke, app, [*line, *words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.output
+
+
+@pytest.fixture
+def nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """This user's runtime folder; empty, and no daemon of the system."""
+    own = tmp_path / "own"
+    own.mkdir()
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(own))
+    monkeypatch.setattr(whereabouts, "SYSTEM_FOLDER", tmp_path / "system")
+    return own
+
+
+async def test_commands_over_tcp(control: FakeControl, nowhere: Path, tmp_path: Path) -> None:
+    assert (await over_tcp(tmp_path, control, "lift", "--height-mm", "30"))[0] == 0
+    assert (await over_tcp(tmp_path, control, "state"))[0] == 0
+    with pytest.raises(SlipguardError, match="this needs the token"):
+        await over_tcp(tmp_path, control, "release", "--yes", token="0" * 64)
+    with pytest.raises(SlipguardError, match="this needs the token"):
+        await over_tcp(tmp_path, control, "release", "--yes", token=None)
+    (nowhere / "token").write_text(TOKEN + "\n")
+    assert await over_tcp(tmp_path, control, "clear", token=None) == (0, "clear, as asked\n")
+    assert control.asked == [("lift", 30.0, None), ("clear",)]
+
+
+async def test_a_link_to_the_page(control: FakeControl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) or True)
+    _, output = await over_tcp(tmp_path, control, "page")
+    assert output.startswith("http://127.0.0.1:")
+    assert "/login?token=" in output
+    assert opened == []
+    _, output = await over_tcp(tmp_path, control, "page", "--open")
+    assert opened == [output.strip()]
+    monkeypatch.setattr("webbrowser.open", lambda url: False)
+    with pytest.raises(SlipguardError, match="no browser"):
+        await over_tcp(tmp_path, control, "page", "--open")
+    with pytest.raises(CommandRefused, match="page is not served"):
+        await ctl(control, tmp_path, "page")
+
+
+def test_whom_to_ask_is_said_once() -> None:
+    for line, why in (
+        (["--url", "http://127.0.0.1:1", "--socket", "s", "state"], "one daemon at a time"),
+        (["--url", "http://127.0.0.1:1", "state", "--socket", "s"], "one daemon at a time"),
+        (["--token-file", "t", "state"], "--token-file is for --url"),
+        (["--url", "http://127.0.0.1:1", "--token-file", "/nowhere/t", "state"], "cannot be read"),
+        (["--url", "127.0.0.1:1", "state"], "is no address"),
+        (["--url", "http://", "state"], "is no address"),
+        (["--url", "http://[::1", "state"], "is no address"),
+        (["--url", "http://127.0.0.1:1", "state"], "no daemon is listening at http"),
+    ):
+        result = CliRunner().invoke(app, line)
+        assert isinstance(result.exception, SlipguardError), (line, result)
+        assert why in str(result.exception), line
+
+
+def test_a_token_nobody_named_stays_on_this_machine(nowhere: Path) -> None:
+    (nowhere / "token").write_text("secret\n")
+    assert whereabouts.token_for("http://127.0.0.1:8470") == "secret"
+    assert whereabouts.token_for("http://[::1]:8470") == "secret"
+    assert whereabouts.token_for("http://localhost:8470") == "secret"
+    for foreign in ("http://192.0.2.7:8470", "http://127.0.0.1.evil.example:8470", "http://evil.example"):
+        assert whereabouts.token_for(foreign) is None
+
+
+async def test_a_socket_named_before_the_command_counts_too(control: FakeControl, tmp_path: Path) -> None:
+    async with served(control, tmp_path / "s") as path:
+        result = await asyncio.to_thread(CliRunner().invoke, app, ["--socket", str(path), "clear"])
+    assert (result.exit_code, result.output) == (0, "clear, as asked\n")

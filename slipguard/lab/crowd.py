@@ -1,0 +1,146 @@
+"""What a crowd at the page costs the guard: the loop's latency with nobody and with many looking, turn and turn about.
+
+The daemon with its API runs here, the emulated cell and the clients in processes of their own. Blocks without and with
+the clients alternate, so that whatever else the machine does falls on both.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from slipguard.daemon.desk import Desk
+from slipguard.daemon.root import build_service
+from slipguard.daemon.service import Decision
+from slipguard.lab.cell_process import CellProcess
+from slipguard.lab.wire_latency import HOST, Spread, every_frame_in_full, grip
+from slipguard.web.host import GONE_S, end, run_api
+from slipguard.web.sockets import bind, bind_tcp
+
+SETTLE_S = 1.5
+"""After clients came or went, before it counts."""
+SHARE_MAX, RISE_MAX_MS = 0.10, 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdOptions:
+    """clients: half hear the live stream, half poll. pairs: blocks without and with them. block_s: length of one."""
+
+    clients: int = 50
+    pairs: int = 6
+    block_s: float = 8.0
+    fps: int = 60
+    object_name: str = "wrench"
+
+
+@dataclass(frozen=True, slots=True)
+class Crowd:
+    """alone, crowded: latencies of the loop, frame handed over to decision. got: what the clients received.
+
+    missed: beats of the loop missed meanwhile, alone and crowded. allowed_ms: how much p99 may rise.
+    """
+
+    options: CrowdOptions
+    decisions: int
+    alone: Spread
+    crowded: Spread
+    missed: tuple[int, int]
+    got: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def rise_ms(self) -> float:
+        """Of p99."""
+        return self.crowded.p99_ms - self.alone.p99_ms
+
+    @property
+    def allowed_ms(self) -> float:
+        """A tenth of it, or one millisecond where that is more."""
+        return max(SHARE_MAX * self.alone.p99_ms, RISE_MAX_MS)
+
+
+async def measure_crowd(options: CrowdOptions, tell: Callable[[str, float], None]) -> Crowd:
+    """Hold an object while clients come and go. tell(what, share done). Raises SlipguardError where it cannot."""
+    with tempfile.TemporaryDirectory(prefix="slipguard-crowd-") as name:
+        folder = Path(name)
+        cell = CellProcess(folder, *("--host", HOST, "--object", options.object_name, "--fps", str(options.fps)))
+        try:
+            tell("starting the emulated cell", 0.0)
+            await cell.start()
+            service = build_service(every_frame_in_full(cell.config))
+            with closing(bind_tcp(HOST, 0)) as probe:
+                port = int(probe.getsockname()[1])
+            api = run_api(Desk(service), bind(folder / "s"), (HOST, port), folder / "token", service.journal.warn)
+            tasks = [asyncio.create_task(service.run(), name="service"), asyncio.create_task(api, name="api")]
+            try:
+                tell("gripping", 0.0)
+                await grip(service, tasks[0])
+                times = _Times()
+                service.observers.append(times.decided)
+                return await _blocks(options, port, times, lambda: service.deadlines_missed, tell)
+            finally:
+                for task in tasks:
+                    task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
+        finally:
+            await cell.stop()
+
+
+class _Times:
+    """Collects latencies for whoever is there now; nothing while `into` is None."""
+
+    def __init__(self) -> None:
+        self.into: list[float] | None = None
+
+    def decided(self, decision: Decision) -> None:
+        if self.into is not None:
+            self.into.extend(decision.latencies_s)
+
+
+async def _blocks(
+    options: CrowdOptions, port: int, times: _Times, missed: Callable[[], int], tell: Callable[[str, float], None]
+) -> Crowd:
+    found: tuple[list[float], list[float]] = ([], [])
+    lost = [0, 0]
+    got: Counter[str] = Counter()
+    clients = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "slipguard.lab.crowd_clients", HOST, str(port), str(options.clients)),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        process_group=0,
+    )
+    assert clients.stdin is not None
+    assert clients.stdout is not None
+    try:
+        for block in range(2 * options.pairs):
+            here = block % 2
+            tell("with a crowd" if here else "alone", block / (2 * options.pairs))
+            if here:
+                clients.stdin.write(b"come\n")
+            await asyncio.sleep(SETTLE_S)
+            times.into, before = found[here], missed()
+            await asyncio.sleep(options.block_s)
+            times.into = None
+            lost[here] += missed() - before
+            if here:
+                clients.stdin.write(b"go\n")
+                got.update(json.loads(await clients.stdout.readline()))
+    finally:
+        clients.stdin.close()
+        await end(clients, GONE_S)
+    alone, crowded = (_spread(one) for one in found)
+    return Crowd(options, len(found[0]) + len(found[1]), alone, crowded, (lost[0], lost[1]), dict(got))
+
+
+def _spread(times_s: list[float]) -> Spread:
+    in_ms = np.array(times_s) * 1e3
+    p50, p99 = np.percentile(in_ms, (50, 99))
+    return Spread(float(p50), float(p99), float(in_ms.max()))

@@ -1,0 +1,105 @@
+"""What a slow, a silent or a crowd of clients may do: not much, and it is said."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+
+import httpx
+import pytest
+from fake_control import FakeControl, served_on_tcp
+
+from slipguard.web import commands, patience, serve
+from slipguard.web.shield import Shield
+
+
+async def closed_after_s(port: int, *pieces: bytes, pause_s: float = 0.05) -> tuple[float, bytes]:
+    """When the server ended a connection on which the pieces came one after the other, and what it said."""
+    loop = asyncio.get_running_loop()
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    began_s = loop.time()
+    for piece in pieces:
+        writer.write(piece)
+        await asyncio.sleep(pause_s)
+    async with asyncio.timeout(10.0):
+        try:
+            said = await reader.read()
+        except ConnectionError:
+            said = b""
+    writer.close()
+    return loop.time() - began_s, said
+
+
+async def test_who_never_ends_a_request_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(patience, "REQUEST_S", 0.4)
+    monkeypatch.setattr(commands, "BODY_S", 0.4)
+    monkeypatch.setattr(serve, "IDLE_S", 1)
+    async with served_on_tcp(FakeControl(), tmp_path) as (port, access):
+        silent = closed_after_s(port)
+        drops = closed_after_s(port, *[b"x"] * 30)
+        head = f"GET /access HTTP/1.1\r\nhost: 127.0.0.1:{port}\r\n".encode()
+        unfinished = closed_after_s(port, head)
+        again = closed_after_s(port, head + b"\r\n", head)
+        idle = closed_after_s(port, head + b"\r\n")
+        told = f"authorization: Bearer {access._token}\r\ncontent-length: 9\r\n\r\n"
+        body = closed_after_s(port, head.replace(b"GET /access", b"POST /clear") + told.encode(), b"{")
+        found = await asyncio.gather(silent, drops, unfinished, again, idle, body)
+    assert [time_s < 3.0 for time_s, _ in found] == [True] * 6
+    assert [said for _, said in found[:3]] == [b"", b"", b""] or b"400" in found[1][1]
+    assert found[3][1].count(b"200 OK") == 1
+    assert found[4][1].count(b"200 OK") == 1
+    assert b"408" in found[5][1]
+    assert b"did not come within" in found[5][1]
+
+
+async def test_a_request_under_way_is_not_cut_off(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(patience, "REQUEST_S", 0.2)
+    control = FakeControl()
+    control.delay_s = 0.6
+    async with served_on_tcp(control, tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
+        token = {"authorization": f"Bearer {access._token}"}
+        answer = await http.post(f"http://127.0.0.1:{port}/clear", headers=token)
+        assert answer.json() == {"said": "clear, as asked"}
+
+
+async def test_too_many_connections_are_told_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(patience, "CONNECTIONS_MAX", 5)
+    async with served_on_tcp(FakeControl(), tmp_path) as (port, _):
+        held = [await asyncio.open_connection("127.0.0.1", port) for _ in range(5)]
+        await asyncio.sleep(0.05)
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        said = await reader.read()
+        assert said.startswith(b"HTTP/1.1 503 ")
+        assert json.loads(said.partition(b"\r\n\r\n")[2]) == {"error": "too many connections"}
+        for _, one in [*held, (reader, writer)]:
+            one.close()
+            await one.wait_closed()
+        await asyncio.sleep(0.05)
+        async with httpx.AsyncClient(trust_env=False) as http:
+            assert (await http.get(f"http://127.0.0.1:{port}/access")).status_code == 200
+
+
+async def test_too_many_at_once_are_told_so() -> None:
+    full, done = asyncio.Event(), asyncio.Event()
+
+    async def app(scope: object, receive: object, send: object) -> None:
+        full.set()
+        await done.wait()
+
+    shield = Shield(app, clients_max=1)  # type: ignore[arg-type]
+    first = asyncio.create_task(shield({"type": "http"}, None, None))  # type: ignore[arg-type, dict-item]
+    await full.wait()
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(shield), base_url="http://s") as http:  # type: ignore[arg-type]
+        answer = await http.get("/state")
+        assert (answer.status_code, set(answer.json())) == (503, {"error"})
+        assert answer.headers["x-frame-options"] == "DENY"
+        done.set()
+        await first
+    said: list[dict[str, object]] = []
+
+    async def send(message: dict[str, object]) -> None:
+        said.append(message)
+
+    await Shield(app, clients_max=0)({"type": "websocket"}, None, send)  # type: ignore[arg-type, dict-item]
+    assert said == [{"type": "websocket.close", "code": 1008, "reason": "0 clients are being answered already"}]
