@@ -158,9 +158,9 @@ def run(*command: str) -> str:
     return done.stdout
 
 
-def check_tools(*, install: bool) -> None:
-    """Raise BuildError naming what is missing; fetch it where allowed to."""
-    missing = [package for tool, package in TOOLS.items() if shutil.which(tool) is None]
+def check_tools(tools: dict[str, str], *, install: bool) -> None:
+    """Raise BuildError naming what is missing of `tools` (program: package); fetch it where allowed to."""
+    missing = [package for tool, package in tools.items() if shutil.which(tool) is None]
     if missing and install:
         run("apt-get", "update", "-q")
         run("apt-get", "install", "-y", "-q", "--no-install-recommends", *missing)
@@ -174,7 +174,7 @@ def main() -> int:
     options = parser.parse_args()
     folder = image_folder()
     try:
-        check_tools(install=options.install)
+        check_tools(TOOLS, install=options.install)
         if not (folder / "root.ext4").exists():
             if os.geteuid() != 0:
                 raise BuildError("root is needed to build the image (sudo, or a container)")

@@ -1,0 +1,72 @@
+"""The service's own machine: left out with a word where it has not been built, started once for all tests here."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).parent))
+
+from build_root import root_folder
+from container import PROGRAM, Container
+
+VARIABLE = "SLIPGUARD_SERVICE"
+_LEFT_OUT = pytest.StashKey[int]()
+PROJECT = Path(__file__).parents[2]
+BUILD = "import sys; from hatchling.build import build_wheel; print(build_wheel(sys.argv[1]))"
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Without a root, and where nobody asks for it, the tests of the service are deselected."""
+    if os.environ.get(VARIABLE) or (root_folder().exists() and os.geteuid() == 0):
+        return
+    left_out = [item for item in items if item.get_closest_marker("service")]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in left_out]
+        config.stash[_LEFT_OUT] = len(left_out)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    count = config.stash.get(_LEFT_OUT, 0)
+    if count:
+        terminalreporter.write_line(
+            f"{count} tests of the service under systemd were left out: they need root and a machine of their own; "
+            "`python tests/service/build_root.py --install` builds it (root, apt and two minutes)"
+        )
+
+
+@pytest.fixture(scope="module")
+def container(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Container]:
+    """Booted, with the wheel of this checkout in /opt/slipguard; SLIPGUARD_SERVICE names another root than the usual.
+
+    Everything is thrown away at the end.
+    """
+    root = Path(os.environ.get(VARIABLE) or root_folder())
+    assert root.is_dir(), f"{root} is not there; build it with `python tests/service/build_root.py`"
+    with tempfile.TemporaryDirectory(prefix="slipguard-service-", dir=os.environ.get("TMPDIR", "/var/tmp")) as work:
+        container = Container(root, Path(work))
+        try:
+            _install_wheel(container)
+            container.boot()
+            yield container
+        finally:
+            container.stop()
+
+
+def _install_wheel(container: Container) -> None:
+    """As a user does, with pip; what it depends on is there already."""
+    built = subprocess.run(
+        [sys.executable, "-c", BUILD, str(container.tree / "srv")], cwd=PROJECT, capture_output=True, text=True
+    )
+    assert built.returncode == 0, built.stderr
+    wheel = f"/srv/{built.stdout.split()[-1]}"
+    pip = ["chroot", str(container.tree), str(Path(PROGRAM).with_name("pip")), "install", "--quiet"]
+    done = subprocess.run([*pip, "--no-index", "--no-deps", wheel], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

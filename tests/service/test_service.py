@@ -1,0 +1,183 @@
+"""The service as systemd runs it, from the wheel, against an emulated cell: one working day.
+
+In this order: each test goes on where the one before it ended.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from container import PROGRAM, UNIT, Container, until
+
+from slipguard_drivers.cell.cell_config import CellPlaces, text
+
+pytestmark = pytest.mark.service
+CELL = CellPlaces(Path("/srv/cell"))
+OWN = ("var/lib/private/slipguard/", "var/log/journal/", "srv/cell/")
+"""Where the service, the journal and the emulator may write; /run and /tmp are not on the disk."""
+BY_SYSTEMD = ("var/lib/systemd/", "etc/systemd/system/multi-user.target.wants/", "var/cache/private", "var/log/wtmp")
+PATIENT = """frames_timeout_s = 1.5
+gripper_timeout_s = 2
+arm_timeout_s = 2
+loop_late_s = 2
+help_s = 4
+"""
+GRASP_N = 30.0
+
+
+@pytest.fixture(scope="module")
+def config(container: Container) -> Path:
+    """The emulated cell's configuration without its own socket and state folder; where it lies on this side."""
+    told = text(CELL, mode="lift", host="127.0.0.1", height_mm=60.0, speed_mm_s=60.0).partition("[api]")[0]
+    told = told.replace("[guard]\n", f"[guard]\n{PATIENT}").replace('.sock"\n', '.sock"\nstall_ms = 1500\n')
+    (container.tree / "srv" / "config.toml").write_text(told)
+    return container.tree / "etc" / "slipguard" / "config.toml"
+
+
+@pytest.fixture(scope="module")
+def before(container: Container) -> dict[str, tuple[int, int]]:
+    """Files as they were when all was installed and nothing ran yet."""
+    return container.files()
+
+
+@pytest.fixture(scope="module")
+def cell(
+    container: Container, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Callable[[], list[dict[str, Any]]]]:
+    """The emulated cell, from its first use on; gives the truth so far."""
+    said = tmp_path_factory.mktemp("emulator") / "said.txt"
+    words = (PROGRAM, "emulate", "cell", "--json", "--folder", str(CELL.folder), "--fps", "30", "--object", "wrench")
+
+    def truth() -> list[dict[str, Any]]:
+        lines = (container.tree / "srv" / "cell" / "truth.jsonl").read_text().splitlines()
+        return [json.loads(line) for line in lines if line.endswith("}")]
+
+    with container.process(said, *words):
+        until(lambda: '"ready"' in said.read_text(), "the cell is not ready", said.read_text)
+        # Sockets and port are root's; the groups that own a real cell's are those the unit names.
+        container.run("chgrp", "video", str(CELL.camera("left")), str(CELL.camera("right")), check=True)
+        container.run("chmod", "660", str(CELL.camera("left")), str(CELL.camera("right")), check=True)
+        container.run(
+            "sh", "-c", f"chgrp dialout $(readlink -f {CELL.gripper}); chmod 660 $(readlink -f {CELL.gripper})"
+        )
+        yield truth
+
+
+def ask(container: Container, *words: str) -> None:
+    """`slipguard ctl WORDS...` until it is not refused: on a busy machine a device may just be late."""
+    newest: list[subprocess.CompletedProcess[str]] = []
+
+    def done() -> bool:
+        newest.append(container.run(PROGRAM, "ctl", *words))
+        return newest[-1].returncode == 0
+
+    until(done, f"`slipguard ctl {' '.join(words)}` is refused", lambda: (newest[-1].stderr, container.state()))
+
+
+def said(container: Container, words: str) -> bool:
+    return any(words in str(line.get("event")) for line in container.journal())
+
+
+def held(state: dict[str, Any]) -> bool:
+    return state["phase"] == "holding" and not state["waiting_for"] and state["target_force_n"] >= GRASP_N
+
+
+def test_it_is_installed_and_a_second_time_finds_all_in_place(container: Container, config: Path) -> None:
+    first = container.run(PROGRAM, "install", "--config", "/srv/config.toml")
+    assert first.returncode == 0, first.stderr
+    assert f"ExecStart={PROGRAM} run" in (container.tree / "etc/systemd/system" / UNIT).read_text()
+    second = container.run(PROGRAM, "install", "--config", "/srv/config.toml")
+    assert second.stdout.count("in place already") == 3
+    assert config.stat().st_mode & 0o777 == 0o644
+
+
+def test_it_starts_without_any_device_and_says_for_what_it_waits(
+    container: Container, before: dict[str, tuple[int, int]]
+) -> None:
+    container.systemctl("start")
+    state = container.wait_for(lambda state: len(state["waiting_for"]) == 4, "it does not wait")
+    assert [line.split(":")[0] for line in state["waiting_for"]] == ["left", "right", "gripper", "arm"]
+    assert container.shown("ActiveState") == "active"
+    assert container.shown("NRestarts") == "0"
+    status = container.run("systemctl", "status", "--no-pager", UNIT).stdout
+    assert "active (running)" in status
+
+
+def test_devices_that_come_late_are_taken_up(container: Container, cell: Callable[[], list[dict[str, Any]]]) -> None:
+    container.wait_for(lambda state: not state["waiting_for"], "the devices are not taken up")
+    shown = container.run(PROGRAM, "ctl", "state")
+    assert shown.returncode == 0, shown.stderr
+    assert "EMU" in shown.stdout or "ready" in shown.stdout
+
+
+def test_it_grips_and_is_confined_while_it_works(
+    container: Container, cell: Callable[[], list[dict[str, Any]]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    ask(container, "calibrate")
+    ask(container, "grasp", "--force-n", str(GRASP_N))
+    container.wait_for(held, "nothing is held")
+    rated = container.run("systemd-analyze", "security", "--no-pager", UNIT).stdout
+    exposure = float(rated.partition("exposure level for slipguard.service: ")[2].split()[0])
+    with capsys.disabled():
+        print(f" exposure {exposure}", end="")
+    assert exposure <= 2.0
+    assert container.run("stat", "--format=%U %a", "/run/slipguard/slipguard.sock").stdout.split()[0] != "root"
+
+
+def test_it_takes_up_a_changed_configuration(container: Container, config: Path) -> None:
+    config.write_text(config.read_text().replace("[guard]\n", "[guard]\nforce_max_n = 120\n"))
+    container.systemctl("reload")
+    until(lambda: said(container, "guard.force_max_n: 130.0 -> 120.0"), "not taken up", container.journal)
+    config.write_text(config.read_text().replace('mode = "lift"', 'mode = "guard"'))
+    container.systemctl("reload")
+    until(lambda: said(container, '"lift" -> "guard" needs a restart'), "not refused", container.journal)
+    config.write_text(config.read_text().replace('mode = "guard"', 'mode = "lift"'))
+    assert container.shown("ActiveState") == "active"
+    assert held(state := container.state()), (state.get("fault"), state.get("said"))
+
+
+@pytest.mark.parametrize(("signal", "restarts"), [("STOP", "1"), ("KILL", "2")])
+def test_hung_or_killed_it_is_started_anew_and_the_grip_stays(
+    container: Container, cell: Callable[[], list[dict[str, Any]]], signal: str, restarts: str
+) -> None:
+    force_n, main = cell()[-1]["force"], container.shown("MainPID")
+    assert int(main) > 1
+    container.run("kill", f"-{signal}", main, check=True)
+    until(lambda: container.shown("NRestarts") == restarts, "not started anew", container.journal)
+    container.wait_for(held, "it does not take the object over again")
+    assert container.shown("MainPID") != main
+    truth = cell()
+    assert truth[-1]["in_contact"]
+    assert truth[-1]["force"] >= force_n - 0.5
+    if signal == "STOP":
+        assert "watchdog" in container.run("journalctl", "--no-pager", "--unit", UNIT).stdout.lower()
+
+
+def test_stopped_it_keeps_the_grip(container: Container, cell: Callable[[], list[dict[str, Any]]]) -> None:
+    began = len(cell())
+    container.systemctl("stop")
+    assert container.shown("Result") == "success"
+    container.run("sleep", "1")
+    after = cell()[began:]
+    assert after, "the truth goes on"
+    assert all(line["in_contact"] and line["force"] >= GRASP_N - 0.5 and not line["dropped"] for line in after)
+    assert said(container, "the grip stays as it is")
+
+
+def test_the_journal_has_json_lines_with_a_level_and_a_time(container: Container) -> None:
+    lines = container.journal()
+    assert len(lines) > 10
+    assert all({"event", "level", "timestamp"} <= set(line) for line in lines)
+
+
+def test_it_has_written_nowhere_else(container: Container, before: dict[str, tuple[int, int]]) -> None:
+    after = container.files()
+    assert any(path.startswith(OWN[0]) for path in after), "it has stored nothing"
+    written = sorted(path for path, facts in after.items() if before.get(path) != facts)
+    elsewhere = [path for path in written if not path.startswith((*OWN, *BY_SYSTEMD, "etc/slipguard/config.toml"))]
+    assert elsewhere == []
