@@ -20,9 +20,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--arm", metavar="HOST", help="a real arm's address, such as 192.0.2.10")
     group.addoption("--arm-campaign", type=int, default=5, metavar="N", help="faults of the arm's link")
     group.addoption("--commands", type=int, default=300, help="length of the gripper's campaign of faults")
-    group.addoption("--seed", type=int, default=0, help="seed of the gripper's campaign of faults")
+    group.addoption("--seed", type=int, default=0, help="seed of the gripper's campaign of faults, and of the kills")
+    group.addoption("--kills", type=int, default=2, metavar="N", help="how often the daemon is killed in a lift")
     group.addoption("--sensor-driver", metavar="NAME", help="a sensor's driver registered by another package")
     group.addoption("--sensor-settings", metavar="JSON", default="{}", help="its table in config.toml")
+    group.addoption(
+        "--api-examples", type=int, default=5, metavar="N", help="made-up requests for each of the API's routes"
+    )
     group.addoption("--digit", metavar="SERIAL", help="a real sensor's serial number, such as D20479")
     parser.addoption("--page-pictures", metavar="DIR", help="keep pictures of the operator page here")
 
