@@ -13,6 +13,8 @@ const COUNTED = {
   late: "too late",
 };
 
+const REPEATED_MS = 20000;
+const REMARK = /^(left|right|gripper|arm)( finger)?: /;
 const RETRIED = "It is tried again by itself. More is said by: slipguard doctor";
 
 /** Each device in a line: how it is, why, and what to do; nothing of the past where the connection is lost. */
@@ -69,7 +71,7 @@ function milliseconds(trips) {
   return trips ? [trips.p50_ms.toFixed(1), trips.p99_ms.toFixed(1)] : ["–", "–"];
 }
 
-/** The newest events, newest first; the same one again is only counted. */
+/** The newest events, newest first; what comes again and again is told once, with its newest figures, and counted. */
 export class Events {
   constructor() {
     this.list = byId("events");
@@ -85,14 +87,10 @@ export class Events {
   /** One more; `at` is a Date. */
   add(event, at) {
     if (event.level === "fault") this.kept = this.kept.filter((one) => one.text !== `${event.text}; ${event.what_to_do}`);
-    const last = this.kept[0];
-    if (last && last.text === event.text && last.level === event.level) {
-      last.times += 1;
-      last.at = at;
-    } else {
-      this.kept.unshift({ ...event, at, times: 1 });
-      this.kept.length = Math.min(this.kept.length, EVENTS_KEPT);
-    }
+    const again = this.kept.findIndex((one) => alike(one, event) && at - one.at < REPEATED_MS);
+    const times = again < 0 ? 1 : this.kept.splice(again, 1)[0].times + 1;
+    this.kept.unshift({ ...event, at, times });
+    this.kept.length = Math.min(this.kept.length, EVENTS_KEPT);
     this.show();
   }
 
@@ -113,4 +111,10 @@ export class Events {
       }),
     );
   }
+}
+
+/** Whether two events tell the same; of a device's own remarks whatever their figures. A fault is told each time. */
+function alike(one, other) {
+  const words = (event) => (REMARK.test(event.text) ? event.text.replace(/[\d.]+/g, "#") : event.text);
+  return one.level === other.level && one.level !== "fault" && words(one) === words(other);
 }
