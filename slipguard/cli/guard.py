@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import faulthandler
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -40,6 +42,8 @@ def run(
         daemon = run_on_stage(settings)
     else:
         daemon = root.run(settings, reread=lambda: read_config(config))
+    if sys.__stderr__ is not None:
+        faulthandler.enable(sys.__stderr__)  # where a loop hangs that systemd's watchdog ends is worth a look
     with left_to_the_loop():
         asyncio.run(daemon)
 

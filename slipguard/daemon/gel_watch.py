@@ -49,7 +49,8 @@ class _Window:
     touch_told: bool = False
     agreeing: int = 0
     newest: Verdict = Verdict.FINE
-    told: Verdict = Verdict.FINE
+    told: set[Verdict] = field(default_factory=set)
+    """Since the last calibration: light that comes and goes is said once."""
 
 
 class GelWatch:
@@ -128,10 +129,10 @@ class GelWatch:
         finger.gel = gel
         window.agreeing = window.agreeing + 1 if gel.verdict is window.newest else 1
         window.newest = gel.verdict
-        if window.agreeing >= CONFIRMED and gel.verdict is not window.told:
-            window.told = gel.verdict
-            if gel.verdict in (Verdict.DRIFTED, Verdict.WORN):
-                self._service.journal.warn(f"{name} ({serial}): {gel.seen}; {gel.do}")
+        worse = gel.verdict in (Verdict.DRIFTED, Verdict.WORN)
+        if worse and window.agreeing >= CONFIRMED and gel.verdict not in window.told:
+            window.told.add(gel.verdict)
+            self._service.journal.warn(f"{name} ({serial}): {gel.seen}; {gel.do}")
 
 
 def _compared(store: Store, serial: str, mean: NDArray[np.float32], gate_sigma: float) -> tuple[Change, Change] | None:

@@ -115,6 +115,9 @@ def test_light_that_drifts_is_said_with_figures_and_no_more_after_a_calibration(
         await bench.show(warmer, 600.0)
         (line,) = bench.said
         assert "red +18 grey levels" in line
+        await bench.show(gel(), 300.0)
+        await bench.show(warmer, 300.0)
+        assert len(bench.said) == 1  # it comes and goes
         assert line.endswith("; jaws open and empty: `slipguard calibrate`")
         bench.cell.store.kept["SIM-L"] = NoContact(warmer.astype(np.uint8), NOISE_BGR, 30)
         await bench.show(warmer, 300.0, renewed=True)
