@@ -48,7 +48,7 @@ def soak(
     """Run the daemon on the fakes for hours and tell whether anything grows, leaks or comes late.
 
     Object after object is lifted, devices fail and come back, the recordings run. On the virtual clock an hour takes a
-    few minutes: the cameras deliver 20 pictures a second, of the untouched gel, the loop turns every 20 ms, the
+    minute or two: the cameras deliver 15 pictures a second, of the untouched gel, the loop turns every 50 ms, the
     simulated world tells the turn, and a lift with drawn pictures through the network comes every half hour. On the
     real clock all is as with `slipguard run --sim`.
 

@@ -153,6 +153,20 @@ class Service:
         except TimeoutError:
             raise CommandRefused(f"{request.kind}: the loop did not answer within {REQUEST_TIMEOUT_S:g} s") from None
 
+    def stop_arm(self, told: Callable[[], None]) -> None:
+        """Have the arm stopped, whatever the law wants; for whoever is about to end the service.
+
+        told: called when an arm that is there has heard it. One that is not there may still heed a stop, but nobody
+        knows.
+        """
+        device = self._arm_device
+
+        async def stop() -> None:
+            await device.stop()
+            told()
+
+        self.arm.command(stop if self.arm.health.ready else device.stop)
+
     async def run(self) -> None:
         """Guard until cancelled."""
         try:

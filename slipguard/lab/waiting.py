@@ -32,5 +32,5 @@ async def until(
             running.result()
             raise Stuck("the daemon ended by itself")
         if loop.time() >= deadline_s:
-            raise Stuck(f"{otherwise if isinstance(otherwise, str) else otherwise()} within {timeout_s:g} s")
+            raise Stuck(f"within {timeout_s:g} s: {otherwise if isinstance(otherwise, str) else otherwise()}")
         await asyncio.sleep(look_s)

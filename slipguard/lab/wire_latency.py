@@ -28,6 +28,7 @@ from slipguard.errors import SlipguardError
 from slipguard.grasp.state import Phase
 from slipguard.lab.cell_process import CellProcess
 from slipguard.lab.probing import Probe, ProbingLaw
+from slipguard.lab.waiting import until
 
 HOST = f"127.90.{os.getpid() >> 8 & 255}.{os.getpid() % 254 + 1}"
 """Every address of 127/8 is this machine; one of our own, for two measurements may run at once."""
@@ -150,7 +151,7 @@ async def _probe(
         def given(wanted: int = wanted) -> bool:
             return law.left <= wanted or service.phase is Phase.FAULT
 
-        await _until(running, given, COMMAND_S, lambda: f"no command was given ({service.phase})")
+        await until(running, given, COMMAND_S, lambda: f"no command was given ({service.phase})")
         if service.phase is Phase.FAULT:
             raise SlipguardError(f"the guard stopped: {service.state.fault}")
     await asyncio.sleep(REST_S)
@@ -164,24 +165,11 @@ async def grip(service: Service, running: asyncio.Task[None]) -> None:
     def ready() -> bool:
         return not service.waiting_for
 
-    await _until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
+    await until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
     await controls.calibrate()
-    await _until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
+    await until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
     await controls.grasp()
-    await _until(running, lambda: service.firm, GRIP_S, lambda: f"no firm grip, {service.state.fault or service.phase}")
-
-
-async def _until(
-    running: asyncio.Task[None], reached: Callable[[], bool], within_s: float, otherwise: Callable[[], str]
-) -> None:
-    loop = asyncio.get_running_loop()
-    ends_s = loop.time() + within_s
-    while not reached():
-        if running.done():
-            running.result()
-        if loop.time() > ends_s:
-            raise SlipguardError(f"{otherwise()} within {within_s:g} s; is the machine busy?")
-        await asyncio.sleep(0.02)
+    await until(running, lambda: service.firm, GRIP_S, lambda: f"no firm grip, {service.state.fault or service.phase}")
 
 
 def _evaluate(options: Options, seen: list[_Seen], writes: list[dict[str, Any]], frames: int) -> Latency:

@@ -23,6 +23,7 @@ from slipguard.lab.evaluate.intrinsics import Intrinsics
 from slipguard.lab.evaluate.lift_file import LiftFile, encoded
 from slipguard.lab.evaluate.protocol import Lift, Protocol
 from slipguard.lab.evaluate.runner import prepare, recording_path, result_of
+from slipguard.lab.waiting import Stuck, until
 from slipguard.web.sockets import bind
 
 READY_S = 20.0
@@ -77,10 +78,6 @@ class _DoesNotCountError(SlipguardError):
     """The lift must be done again; the next one may go well."""
 
 
-class _StuckError(SlipguardError):
-    """Something does not come to its end: nothing more is tried."""
-
-
 @dataclass(frozen=True, slots=True)
 class _Cell:
     out: Path
@@ -94,7 +91,7 @@ class _Cell:
 
     async def do(self, todo: list[Lift]) -> None:
         service = self.service
-        await self._until(lambda: not service.waiting_for, READY_S, lambda: "; ".join(service.waiting_for))
+        await until(self.running, lambda: not service.waiting_for, READY_S, lambda: "; ".join(service.waiting_for))
         if not self.protocol.guard:
             await self.controls.guard(False)
         for lift in todo:
@@ -108,7 +105,7 @@ class _Cell:
         trouble: SlipguardError | None = None
         try:
             await self._record(lift)
-        except _StuckError:
+        except Stuck:
             raise
         except SlipguardError as error:
             trouble = error
@@ -138,7 +135,8 @@ class _Cell:
             try:
                 await self.controls.grasp(lift.thing.grip_force_n or protocol.grip_force_n)
                 ended = (Phase.FAULT, Phase.IDLE)
-                await self._until(
+                await until(
+                    self.running,
                     lambda: service.firm or service.phase in ended,
                     PHASE_S,
                     lambda: f"{lift.stem}: not gripped ({service.phase})",
@@ -148,8 +146,11 @@ class _Cell:
                 self._check(lift)
                 await self.controls.lift(protocol.lift_height_mm, protocol.lift_speed_mm_s)
                 limit_s = self._limit_s(protocol.lift_height_mm, protocol.lift_speed_mm_s)
-                await self._until(
-                    lambda: service.phase is not Phase.LIFTING, limit_s, lambda: f"{lift.stem}: the lift does not end"
+                await until(
+                    self.running,
+                    lambda: service.phase is not Phase.LIFTING,
+                    limit_s,
+                    lambda: f"{lift.stem}: the lift does not end",
                 )
                 if service.phase is Phase.HOLDING:
                     await asyncio.sleep(protocol.hold_s)
@@ -175,7 +176,8 @@ class _Cell:
         if service.phase is not Phase.HOLDING or up_mm < LOW_MM:
             return ""
         try:
-            await self._until(
+            await until(
+                self.running,
                 lambda: service.firm or service.phase is not Phase.HOLDING,
                 PHASE_S,
                 lambda: f"{lift.stem}: not calm enough to be lowered",
@@ -184,8 +186,11 @@ class _Cell:
         except CommandRefused as error:
             return str(service.state.fault or error)
         limit_s = self._limit_s(up_mm, guard.lower_speed_mm_s)
-        await self._until(
-            lambda: service.phase is not Phase.LOWERING, limit_s, lambda: f"{lift.stem}: the lowering does not end"
+        await until(
+            self.running,
+            lambda: service.phase is not Phase.LOWERING,
+            limit_s,
+            lambda: f"{lift.stem}: the lowering does not end",
         )
         return str(service.state.fault or "")
 
@@ -204,23 +209,12 @@ class _Cell:
             raise SlipguardError(f"{lift.stem}: stopped before the release")
         await self.controls.release()
         ended = (Phase.IDLE, Phase.FAULT)
-        await self._until(lambda: service.phase in ended, PHASE_S, lambda: f"{lift.stem}: not released")
+        await until(self.running, lambda: service.phase in ended, PHASE_S, lambda: f"{lift.stem}: not released")
         if service.state.fault is not None:
             raise SlipguardError(f"{lift.stem}: {service.state.fault}")
 
     def _limit_s(self, height_mm: float, speed_mm_s: float) -> float:
         return PHASE_S + SLACK * height_mm / min(speed_mm_s, self.service.config.guard.probe_speed_mm_s)
-
-    async def _until(self, reached: Callable[[], bool], timeout_s: float, otherwise: Callable[[], str]) -> None:
-        loop = asyncio.get_running_loop()
-        deadline_s = loop.time() + timeout_s
-        while not reached():
-            if self.running.done():
-                self.running.result()
-                raise _StuckError("the service ended by itself")
-            if loop.time() >= deadline_s:
-                raise _StuckError(f"within {timeout_s:.0f} s: {otherwise()}")
-            await asyncio.sleep(0.02)
 
 
 def _up_mm(service: Service) -> float:
@@ -234,21 +228,15 @@ async def _stopped(service: Service) -> bool:
 
     Sent again and again, for the law may want the arm to go on until the service is cancelled.
     """
-    arm, device = service.arm, service._arm_device
+    arm = service.arm
     stands = service.phase not in MOVING and arm.newest is not None and not arm.newest.moving
     if stands or service.phase is Phase.IDLE:
         return True
     told = asyncio.Event()
-
-    async def stop() -> None:
-        await device.stop()
-        told.set()
-
     try:
         async with asyncio.timeout(STOP_S):
             while not told.is_set():
-                # An arm whose connection is lost may still heed the bare stop, but nobody knows.
-                arm.command(stop if arm.health.ready else device.stop)
+                service.stop_arm(told.set)
                 with contextlib.suppress(TimeoutError):
                     await asyncio.wait_for(told.wait(), STOP_S / 10)
     except TimeoutError:

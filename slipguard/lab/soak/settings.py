@@ -8,8 +8,8 @@ from pathlib import Path
 from slipguard.config import Config, parse_config
 from slipguard.daemon.service import FINGERS
 
-VIRTUAL_LOOP = {"period_ms": 20.0, "poll_ms": 50.0}
-"""Half as often as usual: what is allocated for a turn of the loop, a frame or a question is the same."""
+VIRTUAL_LOOP = {"period_ms": 50.0, "poll_ms": 200.0}
+"""Less often than usual: what is allocated for a turn of the loop, a frame or a question is the same."""
 RING_S, RING_MAX_MB, KEPT_MAX_MB = 600.0, 100, 50
 """The usual time, and so little room that both folders reach their limits within the hours."""
 
@@ -26,8 +26,8 @@ class Settings:
 
     @property
     def fps(self) -> float:
-        """A third of the cameras' rate on the virtual clock, where a frame costs as much as on the real one."""
-        return 20.0 if self.virtual else 60.0
+        """A quarter of the cameras' rate on the virtual clock, where a frame costs as much as on the real one."""
+        return 15.0 if self.virtual else 60.0
 
 
 def soak_config(settings: Settings, folder: Path) -> Config:
