@@ -1,13 +1,16 @@
 """Tells slip from noise: a turn or a slide beyond its level, at a rate, in several measured frames.
 
-A gel that winds up under load turns and slides too, but it comes to rest; rate and persistence tell the two apart.
+A gel that winds up under load turns and slides too, but it comes to rest; rate and persistence tell the two apart, and
+what the arm does says how much of it is to be expected (`alert`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+from slipguard.devices import ArmState
+from slipguard.grasp.alert import SWING_SHARE, Alert, Case, attend, quick_level_deg
 from slipguard.grasp.fuse import Fused
 from slipguard.grasp.params import GuardParams
 
@@ -15,6 +18,8 @@ SHIFT_TAU_S = 0.05
 """Time constant of the filtered derivative of the shift: three frames at 60 fps."""
 CALM_SHIFT_MM = 0.3
 """A patch centre that wanders less than this is at rest; its noise is about 0.05 mm."""
+PLAIN_TIMES = 1.5
+"""A turn beyond so many times its level, told by both fingers, counts as two frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +37,12 @@ class Detector:
     rest_turn_deg: float | None = None
     rest_shift_mm: float | None = None
     rest_since_s: float | None = None
+    alert: Alert = field(default_factory=Alert)
 
     def rebased(self) -> Detector:
         """An episode is over: from here on only what moves further counts."""
-        return replace(self, base_turn_deg=None, base_shift_mm=None, frames=0, episodes=self.episodes + 1)
+        alert = replace(self.alert, near_deg=None)
+        return replace(self, base_turn_deg=None, base_shift_mm=None, frames=0, episodes=self.episodes + 1, alert=alert)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,28 +76,41 @@ def level_deg(sigma_deg: float, episodes: int, params: GuardParams) -> float:
     return level * params.level_growth**episodes
 
 
-def look(detector: Detector, fused: Fused, params: GuardParams, *, only_outward: bool = False) -> Look:
+def look(
+    detector: Detector,
+    fused: Fused,
+    params: GuardParams,
+    *,
+    arm: ArmState | None = None,
+    firm: bool = False,
+    only_outward: bool = False,
+) -> Look:
     """Compare the newest answer with the base.
 
+    arm: its newest state; without it no turn is as suspicious as it is at rest. firm: the grip uses most of the budget.
     only_outward: a turn back towards the reference is no slip, as when an object is put down.
     """
     new = fused.measured_at_s > detector.measured_s
-    detector = _follow_shift(detector, fused)
+    rested_deg = detector.alert.near_deg
+    detector = replace(_follow_shift(detector, fused), alert=attend(detector.alert, fused, arm, params))
+    anew = detector.alert.settled  # what the arm's motion has wound up stays
     detector = replace(
         detector,
-        base_turn_deg=fused.turn_deg if detector.base_turn_deg is None else detector.base_turn_deg,
-        base_shift_mm=fused.shift_mm if detector.base_shift_mm is None else detector.base_shift_mm,
+        base_turn_deg=fused.turn_deg if anew or detector.base_turn_deg is None else detector.base_turn_deg,
+        base_shift_mm=fused.shift_mm if anew or detector.base_shift_mm is None else detector.base_shift_mm,
         measured_s=max(fused.measured_at_s, detector.measured_s),
         captured_s=max(fused.captured_at_s, detector.captured_s),
     )
     detector = _follow_rest(detector, fused, params)
-    turn, rate, turning = _turning(detector, fused, params, only_outward)
+    turn, rate, turning = _turning(detector, fused, params, firm, only_outward)
+    suddenly = 0 if anew else _suddenly(detector, fused, params, rested_deg, firm, only_outward)
     slide = (fused.shift_mm or 0.0) - (detector.base_shift_mm or 0.0) if fused.shift_mm is not None else 0.0
     slides_fast = detector.slide_rate_mm_s >= params.slide_rate_mm_s
     growth = params.level_growth**detector.episodes
     sliding = slide > params.slide_mm * growth and (slides_fast or slide > params.slide_creep_mm * growth)
     if new:
-        detector = replace(detector, frames=detector.frames + 1 if turning or sliding else 0)
+        counts = max(int(turning or sliding), suddenly)
+        detector = replace(detector, frames=detector.frames + counts if counts else 0)
     return Look(
         detector=detector,
         turn_deg=turn,
@@ -104,8 +124,10 @@ def look(detector: Detector, fused: Fused, params: GuardParams, *, only_outward:
     )
 
 
-def _turning(detector: Detector, fused: Fused, params: GuardParams, only_outward: bool) -> tuple[float, float, bool]:
-    """Turn from the base, rate away from it, and whether that is slip."""
+def _turning(
+    detector: Detector, fused: Fused, params: GuardParams, firm: bool, only_outward: bool
+) -> tuple[float, float, bool]:
+    """Turn from the base, rate away from it, and whether that is slip whatever the arm does."""
     if fused.turn_deg is None or fused.sigma_deg is None or detector.base_turn_deg is None:
         return 0.0, 0.0, False
     away_deg = fused.turn_deg - detector.base_turn_deg
@@ -114,9 +136,38 @@ def _turning(detector: Detector, fused: Fused, params: GuardParams, only_outward
     if only_outward and away_deg * fused.turn_deg < 0.0:
         return turn_deg, 0.0, False
     growth = params.level_growth**detector.episodes
-    level = level_deg(fused.sigma_deg, detector.episodes, params)
+    level, creep_deg = level_deg(fused.sigma_deg, detector.episodes, params), params.creep_deg * growth
+    if detector.alert.case is Case.MOVING:
+        level = max(level, SWING_SHARE * abs(fused.turn_deg))
+    if detector.alert.case is Case.LIFT_OFF and (firm or detector.episodes):
+        level = max(level, params.firm_level_deg)
     fast = rate_deg_s >= params.rate_deg_s
-    return turn_deg, rate_deg_s, turn_deg > level and (fast or turn_deg > params.creep_deg * growth)
+    return turn_deg, rate_deg_s, turn_deg > level and (fast or turn_deg > max(creep_deg, level))
+
+
+def _suddenly(
+    detector: Detector,
+    fused: Fused,
+    params: GuardParams,
+    rested_deg: float | None,
+    firm: bool,
+    only_outward: bool,
+) -> int:
+    """For how many frames a turn from where the object rested counts, where nothing but slip should turn it.
+
+    rested_deg: where it rested before this look.
+    """
+    alert = detector.alert
+    if fused.turn_deg is None or fused.sigma_deg is None or rested_deg is None or only_outward:
+        return 0
+    if alert.case is Case.MOVING or (alert.case is Case.LIFT_OFF and (firm or detector.episodes)):
+        return 0
+    away_deg = abs(fused.turn_deg - rested_deg)
+    unsure_deg = min(params.level_sigmas * fused.sigma_deg, params.level_max_deg)
+    level = max(quick_level_deg(alert, params), unsure_deg) * params.level_growth**detector.episodes
+    if away_deg <= level:
+        return 0
+    return 2 if away_deg > PLAIN_TIMES * level and len(fused.fingers) == 2 else 1
 
 
 def _follow_shift(detector: Detector, fused: Fused) -> Detector:

@@ -23,6 +23,10 @@ PROGRESS_MM = 0.2
 SPENT_DEG = 5.0
 SPENT_MM = 1.0
 """With the whole budget applied and the arm stopped, moving this much further is no wind-up of the gel."""
+RATE_LAG_S = 0.05
+"""A rate is the slope of a tenth of a second."""
+FELT_MAX_S = 0.5
+"""A gripper that took longer to close was not waited for."""
 LATE_SHARE = 0.5
 """Beyond this share of `give_up_turn_deg` there is no waiting whether a step helps."""
 
@@ -42,7 +46,14 @@ def guard(state: GuardState, seen: Seen, params: GuardParams) -> Verdict:
     """One tick: the new memory and what to do about it."""
     if seen.fused is None or not state.guarding:
         return Verdict(state, stop=state.slip is not None)
-    sight = look(state.detector, seen.fused, params, only_outward=state.phase is Phase.LOWERING)
+    sight = look(
+        state.detector,
+        seen.fused,
+        params,
+        arm=seen.arm,
+        firm=state.target_n >= limits.firm_n(params, seen.gripper_limits_n),
+        only_outward=state.phase is Phase.LOWERING,
+    )
     state = replace(state, detector=sight.detector)
     slip = state.slip
     if slip is None:
@@ -56,7 +67,8 @@ def guard(state: GuardState, seen: Seen, params: GuardParams) -> Verdict:
 def _begin(state: GuardState, sight: Look, seen: Seen, params: GuardParams) -> Verdict:
     """The first, large step."""
     slip = Slip(seen.now_s, 0, seen.now_s, sight.turn_deg, sight.rate_deg_s, sight.slide_mm)
-    return _step(replace(state, slip=slip), slip, sight, seen, params, params.first_step)
+    firm_n = limits.firm_n(params, seen.gripper_limits_n)
+    return _step(replace(state, slip=slip), slip, sight, seen, params, params.first_step, firm_n)
 
 
 def _go_on(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: GuardParams) -> Verdict:
@@ -65,9 +77,12 @@ def _go_on(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: Guard
     far = state.referenced and _turned_deg(seen) > params.give_up_turn_deg
     if far and sight.moving:
         return _give_up(state, sight, seen, params)
+    if sight.detector.captured_s < slip.stepped_s + _felt_s(state, params):
+        # What is seen is from before the step could help: progress counts from here on.
+        slip = replace(slip, turn_deg=sight.turn_deg, rate_deg_s=sight.rate_deg_s, slide_mm=sight.slide_mm)
+        return Verdict(replace(state, slip=slip), stop=True)
     turned_deg, slid_mm = sight.turn_deg - slip.turn_deg, sight.slide_mm - slip.slide_mm
-    waited = seen.now_s - slip.stepped_s >= params.hold_off_s
-    if not (sight.moving and waited and (turned_deg > PROGRESS_DEG or slid_mm > PROGRESS_MM)):
+    if not (sight.moving and (turned_deg > PROGRESS_DEG or slid_mm > PROGRESS_MM)):
         return waiting
     at_rest = seen.gripper is not None and settled(state, seen.gripper)
     within = limits.budget(params.force_max_n, seen.gripper_limits_n)
@@ -76,18 +91,31 @@ def _go_on(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: Guard
         return replace(waiting, fault=_spent(state, sight, params)) if at_rest and further else waiting
     slows = sight.rate_deg_s < SLOWING * slip.rate_deg_s and sight.slide_rate_mm_s < params.slide_rate_mm_s
     late = _turned_deg(seen) > LATE_SHARE * params.give_up_turn_deg
-    if slows and not at_rest and not late:
+    if slows and not late:  # it helps: what counts is whether it goes on slowing down
+        slip = replace(slip, turn_deg=sight.turn_deg, rate_deg_s=sight.rate_deg_s, slide_mm=sight.slide_mm)
+        return Verdict(replace(state, slip=slip), stop=True)
+    if not (at_rest or late):
         return waiting
     return _step(state, slip, sight, seen, params, params.next_step)
 
 
-def _step(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: GuardParams, base: float) -> Verdict:
-    """Tighten by a multiple of the present force, as far as the budget goes."""
+def _felt_s(state: GuardState, params: GuardParams) -> float:
+    """From a command to the first frame that may show its effect, rate included."""
+    felt_s = state.delay.felt_s
+    return RATE_LAG_S + (params.hold_off_s if felt_s is None else min(felt_s, FELT_MAX_S))
+
+
+def _step(
+    state: GuardState, slip: Slip, sight: Look, seen: Seen, params: GuardParams, base: float, least_n: float = 0.0
+) -> Verdict:
+    """Tighten by a multiple of the present force, to `least_n` at least, as far as the budget goes."""
     if state.person_near:
         return Verdict(state, stop=True)
     within = limits.budget(params.force_max_n, seen.gripper_limits_n)
     multiple = limits.multiple(base, sight.rate_deg_s, params.rate_step_per_100_deg_s)
-    target_n = limits.raised(state.target_n, multiple, within) if within is not None else state.target_n
+    target_n = state.target_n
+    if within is not None:
+        target_n = limits.allowed(least_n, limits.raised(state.target_n, multiple, within), within)
     slip = replace(
         slip,
         steps=slip.steps + 1,
@@ -129,7 +157,7 @@ def _give_up(state: GuardState, sight: Look, seen: Seen, params: GuardParams) ->
 def _calm(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: GuardParams) -> bool:
     """At rest for long enough, with the last step done and its effect seen."""
     at_rest = seen.gripper is not None and settled(state, seen.gripper)
-    seen_since = sight.detector.captured_s - slip.stepped_s >= params.hold_off_s
+    seen_since = sight.detector.captured_s - slip.stepped_s >= _felt_s(state, params)
     return at_rest and seen_since and sight.still_s >= params.calm_s
 
 

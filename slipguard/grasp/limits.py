@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from slipguard.grasp.params import GuardParams
+
 REGISTER_COUNTS = 255
 """Steps of a Robotiq force register (one byte); 0.84 N each on a 2F-85, 20-235 N."""
 
@@ -45,6 +47,12 @@ def allowed(force_n: float, present_n: float, within: Budget) -> float:
         counts = math.ceil((force_n - within.low_n) / within.step_n - 1e-9)
         force_n = within.low_n + counts * within.step_n
     return max(min(max(force_n, within.low_n), within.high_n), present_n)
+
+
+def firm_n(params: GuardParams, gripper_limits_n: tuple[float, float]) -> float:
+    """The force that is tightened to at once: a share of the budget; infinite where there is none."""
+    within = budget(params.force_max_n, gripper_limits_n)
+    return params.firm_share * within.high_n if within is not None else math.inf
 
 
 def raised(present_n: float, multiple: float, within: Budget) -> float:

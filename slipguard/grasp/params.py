@@ -42,8 +42,12 @@ class GuardParams(BaseModel):
     lift_speed_mm_s: Annotated[float, Field(ge=1.0, le=250.0)] = 50.0
     lower_speed_mm_s: Annotated[float, Field(ge=1.0, le=250.0)] = 30.0
 
+    rest_level_deg: Annotated[float, Field(ge=0.1, le=10.0)] = 0.3
+    """A turn beyond this, and beyond the sensor's own noise, is slip while the arm stands."""
+    lift_off_level_deg: Annotated[float, Field(ge=0.1, le=10.0)] = 0.4
+    """... and beyond this while the arm takes a gently gripped object off its table. A stiff pad gives 0.3-0.6."""
     level_deg: Annotated[float, Field(ge=0.5, le=10.0)] = 2.0
-    """A turn below this is never slip."""
+    """A turn below this is never slip while the arm moves."""
     level_sigmas: Annotated[float, Field(ge=1.0, le=10.0)] = 3.0
     """... nor one below this many standard deviations of the estimate,"""
     level_max_deg: Annotated[float, Field(ge=0.5, le=20.0)] = 5.0
@@ -62,14 +66,18 @@ class GuardParams(BaseModel):
     frames: Annotated[int, Field(ge=1, le=10)] = 2
     """So many measured frames in a row must show the slip."""
 
-    first_step: Annotated[float, Field(ge=1.05, le=3.0)] = 1.5
-    """First tightening, as a multiple of the present force: one large step loses less angle than many small ones."""
+    firm_share: Annotated[float, Field(ge=0.1, le=1.0)] = 0.7
+    """First tightening, at least to this share of `force_max_n`: a budget leaves room over what the object needs."""
+    firm_level_deg: Annotated[float, Field(ge=1.0, le=30.0)] = 15.0
+    """A grip as firm as that may let the gel wind up so far when it takes over the weight."""
+    first_step: Annotated[float, Field(ge=1.05, le=3.0)] = 1.3
+    """... and as a multiple of the present force: one large step loses less angle than many small ones."""
     next_step: Annotated[float, Field(ge=1.02, le=3.0)] = 1.25
     """Each further tightening while it goes on."""
     rate_step_per_100_deg_s: Annotated[float, Field(ge=0.0, le=2.0)] = 0.25
     """Added to either multiple for each 100 deg/s of turning."""
     hold_off_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.15
-    """Between steps, one loop delay: gripper queue 32 ms, dead time 20-60 ms, camera 40 ms, one frame 17 ms."""
+    """From a step to its effect, until that has been measured while the jaws close: queue 32 ms, dead time 20-60 ms."""
     stop_on_slip: bool = True
     """Stop the arm while an object slips; in lift mode the lift goes on when it is calm."""
     on_budget_spent: Literal["stop", "lower"] = "stop"

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from slipguard.devices import GripperState
-from slipguard.grasp import limits, motion, requests
+from slipguard.grasp import delay, limits, motion, requests
 from slipguard.grasp.fault import Fault, FaultCode
 from slipguard.grasp.guarding import guard
 from slipguard.grasp.messages import Command, RequestKind, Seen, in_one_line, without_figures
@@ -121,6 +121,7 @@ def _adopt(state: GuardState, gripper: GripperState, seen: Seen) -> Outcome:
 def _closing(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     """The jaws close with the first force."""
     gripper = seen.gripper
+    state = replace(state, delay=delay.closing(state.delay, state.commanded_s, gripper))
     if gripper is not None and gripper.measured_at_s > state.since_s:
         if gripper.holding and not gripper.moving:
             state = replace(entered(state, Phase.REFERENCE, seen.now_s), gripped=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from slipguard.devices import GripperState
+from slipguard.grasp.delay import GripperDelay
 from slipguard.grasp.detector import Detector
 from slipguard.grasp.fault import Fault, FaultCode
 
@@ -80,6 +81,7 @@ class GuardState:
     guarding: bool = True
     target_n: float = 0.0
     commanded_s: float = -math.inf
+    delay: GripperDelay = field(default_factory=GripperDelay)
     detector: Detector = field(default_factory=Detector)
     slip: Slip | None = None
     ground_mm: float | None = None

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from seen import arm, ask, fused, gripper, seen
 
+from slipguard.grasp.alert import Alert, Case
 from slipguard.grasp.detector import Detector
 from slipguard.grasp.fault import Fault, FaultCode
 from slipguard.grasp.guard import Guard, tick
@@ -13,13 +14,18 @@ from slipguard.grasp.messages import ArmLift, Command, RequestKind, Seen
 from slipguard.grasp.params import GuardParams
 from slipguard.grasp.state import GuardState, Phase
 
-PARAMS = GuardParams()
-GUARD_MODE = GuardParams(mode="guard")
+COARSE = {
+    "rest_level_deg": 10.0, "lift_off_level_deg": 10.0, "firm_level_deg": 1.0, "firm_share": 0.1, "first_step": 1.5,
+}  # fmt: skip
+"""No level but those that hold whatever the arm does, and steps that follow from the present force alone."""
+PARAMS = GuardParams(**COARSE)  # type: ignore[arg-type]
+GUARD_MODE = GuardParams(mode="guard", **COARSE)  # type: ignore[arg-type]
 NOW_S = 10.0
 FAULT = Fault(FaultCode.ARM_SILENT, "no state for 0.5 s", "check the network")
 PRIMED = Detector(
     base_turn_deg=0.0, base_shift_mm=0.0, measured_s=NOW_S - 0.02, captured_s=NOW_S - 0.02, frames=1,
     smooth_shift_mm=0.0, rest_turn_deg=0.0, rest_shift_mm=0.0, rest_since_s=NOW_S - 2.0,
+    alert=Alert(start_mm=0.0, near_deg=0.0, measured_s=NOW_S - 0.02, case=Case.REST),
 )  # fmt: skip
 """One frame of slip has been seen already."""
 

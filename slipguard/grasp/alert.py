@@ -1,0 +1,107 @@
+"""How little may count as slip now: the sensor's own noise, what the arm does, and how firm the grip is already.
+
+An object at rest in the air turns for one reason only, so a fraction of a degree is enough there. While the arm moves,
+the gel winds up and down with the load: by as much as it is wound up already, times the load's change. And while an
+object leaves the table, the gel winds up for the first time: nothing in the picture tells that from slip, for the far
+end still rests on the table and leads the turn. A grip that is well within the budget is raised at once then, for that
+costs little; one that uses most of the budget is believed to hold for longer.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+
+from slipguard.devices import ArmState
+from slipguard.grasp.fuse import Fused
+from slipguard.grasp.params import GuardParams
+
+SETTLE_S = 0.4
+"""After the arm has come to rest the gel still swings for so long."""
+LIFT_OFF_MM = 80.0
+"""An arm that has risen by less since the grip may still be taking the object off its table: the far end of something
+held 200 mm from it stays down up to 70 mm on a gel that winds up by 20 degrees."""
+FOLLOW_S = 3.0
+"""At rest the place from which a turn counts follows slowly: light drifts, slip does not take that long."""
+NOISE_FRAMES = 30.0
+"""The noise is learnt over so many frames."""
+NOISE_START_DEG = 0.06
+NOISE_MAX_DEG = 0.5
+NOISE_TIMES = 6.0
+"""A turn of so many standard deviations of what the sensor shows at rest is none of its noise."""
+SWING_SHARE = 0.5
+"""Arms stop with 2.5 m/s2, a quarter of gravity, and a gel without much damping answers with twice that."""
+
+
+class Case(Enum):
+    """What a turn may be just now."""
+
+    REST = "at rest"
+    LIFT_OFF = "lifting off"
+    MOVING = "moving"
+
+
+@dataclass(frozen=True, slots=True)
+class Alert:
+    """What is remembered for it.
+
+    start_mm: height of the arm when watching began. moved_s: when it last moved, by its own account. near_deg: where
+    the object rests, slowly followed; where it rested last while the arm moves. variance_deg2: of the turns around
+    that. measured_s: the newest frame used. settled: it has just come to rest, after the arm had moved.
+    """
+
+    start_mm: float | None = None
+    moved_s: float = -math.inf
+    near_deg: float | None = None
+    variance_deg2: float = NOISE_START_DEG**2
+    measured_s: float = -math.inf
+    case: Case = Case.MOVING
+    settled: bool = False
+
+    @property
+    def noise_deg(self) -> float:
+        """One standard deviation of a turn at rest."""
+        return min(math.sqrt(self.variance_deg2), NOISE_MAX_DEG)
+
+
+def attend(alert: Alert, fused: Fused, arm: ArmState | None, params: GuardParams) -> Alert:
+    """What is known after one more look. Without an arm nobody knows what the load does: it may move."""
+    if arm is not None:
+        alert = replace(
+            alert,
+            start_mm=arm.height_mm if alert.start_mm is None else min(alert.start_mm, arm.height_mm),
+            moved_s=arm.measured_at_s if arm.moving else alert.moved_s,
+        )
+    case = _case(alert, fused, arm)
+    alert = replace(alert, case=case, settled=case is Case.REST and alert.case is not Case.REST)
+    if fused.turn_deg is None:
+        return replace(alert, near_deg=None)
+    if alert.near_deg is None or alert.settled:
+        return replace(alert, near_deg=fused.turn_deg, measured_s=fused.measured_at_s)
+    if case is not Case.REST:
+        return replace(alert, measured_s=fused.measured_at_s)
+    passed_s = fused.measured_at_s - alert.measured_s
+    if passed_s <= 0.0:
+        return alert
+    away_deg = fused.turn_deg - alert.near_deg
+    if abs(away_deg) > quick_level_deg(alert, params):
+        return replace(alert, measured_s=fused.measured_at_s)
+    near_deg = alert.near_deg + (1.0 - math.exp(-passed_s / FOLLOW_S)) * away_deg
+    variance = alert.variance_deg2 + (away_deg**2 - alert.variance_deg2) / NOISE_FRAMES
+    return replace(alert, near_deg=near_deg, variance_deg2=variance, measured_s=fused.measured_at_s)
+
+
+def quick_level_deg(alert: Alert, params: GuardParams) -> float:
+    """What counts as slip where nothing else should turn the object: at rest, or gently held and lifting off."""
+    given_deg = params.lift_off_level_deg if alert.case is Case.LIFT_OFF else params.rest_level_deg
+    return max(given_deg, NOISE_TIMES * alert.noise_deg)
+
+
+def _case(alert: Alert, fused: Fused, arm: ArmState | None) -> Case:
+    if arm is None or alert.start_mm is None:
+        return Case.MOVING
+    rests = not arm.moving and fused.captured_at_s - alert.moved_s > SETTLE_S
+    if rests:
+        return Case.REST
+    return Case.LIFT_OFF if arm.height_mm - alert.start_mm < LIFT_OFF_MM else Case.MOVING
