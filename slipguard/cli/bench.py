@@ -24,22 +24,25 @@ def bench(
     ] = None,
     jobs: Annotated[int, typer.Option(help="Processes for what is not timed; 0: one per core.")] = 0,
     cluster: Annotated[str | None, typer.Option(help="Dask scheduler for what is not timed: tcp://HOST:8786.")] = None,
-    grip: Annotated[bool, typer.Option("--grip", help="The grip instead of the sight.")] = False,
+    grip: Annotated[
+        bool, typer.Option("--grip", help="The grip law in closed loop: how far things slip, beside others.")
+    ] = False,
     faults: Annotated[
         int | None, typer.Option(help="With --grip: so many runs of the whole daemon in which things go wrong.")
     ] = None,
     seed: Annotated[int, typer.Option(help="With --grip: of the first run; the same seed, the same run.")] = 0,
 ) -> None:
-    """Time the perception pipeline and measure its error, beside the paper's pipeline and others.
+    """Time the perception pipeline and measure its error, beside the paper's pipeline and others; or try the grip law.
 
-    Example: `slipguard bench --quick --out bench/`; all of it: `slipguard bench --full --models models`; what the guard
-    makes of faults: `slipguard bench --grip --faults 1000`
+    Example: `slipguard bench --quick --out bench/`; all of it: `slipguard bench --full --models models`; how far the
+    law lets things slip: `slipguard bench --grip --out grip/`; what the guard makes of faults:
+    `slipguard bench --grip --faults 1000`
     """
-    if grip or faults is not None:
+    if faults is not None:
         from slipguard.cli.bench_faults import bench_faults
         from slipguard.errors import InputError
 
-        if not grip or faults is None:
+        if not grip:
             raise InputError("--grip and --faults N go together, as in: slipguard bench --grip --faults 1000")
         bench_faults(faults, seed, jobs, cluster, json, out)
         return
@@ -57,6 +60,13 @@ def bench(
             out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"--out {out}: the folder cannot be made: {error.strerror}") from error
+    if grip:
+        if model is not None or models is not None or table is not None:
+            raise InputError("--grip tries the grip law with the shipped network: no --model, --models or --table")
+        from slipguard.cli.bench_grip import bench_grip
+
+        bench_grip(quick=quick, seed=seed, json=json, out=out, workers=Workers(jobs, cluster))
+        return
     options = run.Options(quick, model, models, Workers(jobs, cluster))
     if table is not None:
         tables.check(table)

@@ -7,6 +7,7 @@ Nothing brings a dropped object back.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from slipguard.sim import arm_plant, gripper_plant, rotation
@@ -38,7 +39,10 @@ class Thing:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """Everything that moves. held: force is on the object. table_mm: finger height at which it lies flat."""
+    """Everything that moves. held: force is on the object. table_mm: finger height at which it lies flat.
+
+    shaken_m_s2: what the fingers' own motion does not explain (vibration, a touch), up, by time; None for nothing.
+    """
 
     gripper: GripperPlant
     gripper_model: GripperModel
@@ -48,6 +52,7 @@ class Cell:
     table_mm: float = 0.0
     held: bool = False
     dropped: str | None = None
+    shaken_m_s2: Callable[[float], float] | None = None
 
     @property
     def present(self) -> Thing | None:
@@ -71,7 +76,7 @@ def step(cell: Cell, now_s: float, step_s: float, *, gripper_works: bool = True)
     motion = cell.motion if cell.held else Motion()
     load = Load(
         force_n=gripper.force_n,
-        acceleration_m_s2=1e-3 * here.acceleration_mm_s2,
+        acceleration_m_s2=1e-3 * here.acceleration_mm_s2 + (cell.shaken_m_s2(now_s) if cell.shaken_m_s2 else 0.0),
         rise_m=1e-3 * (here.height_mm - cell.table_mm),
         rise_m_s=1e-3 * here.speed_mm_s,
     )
@@ -102,6 +107,8 @@ def is_still(before: Cell, after: Cell, now_s: float) -> bool:
         return False
     if not after.held:
         return True
+    if after.shaken_m_s2 is not None:
+        return False
     old, new = before.motion, after.motion
     at_rest = abs(new.rate_rad_s) < 1e-8 and abs(new.slide_m_s) < 1e-10
     return at_rest and abs(new.rate_rad_s - old.rate_rad_s) < 1e-9 and abs(new.slide_m_s - old.slide_m_s) < 1e-11

@@ -92,6 +92,16 @@ class World:
             )
         )
 
+    def take_table(self, now_s: float) -> None:
+        """Take the table away from under the fingers: all of the weight comes on them at once."""
+        self._advance(now_s)
+        self._put(replace(self._cell, table_mm=-math.inf))
+
+    def shake(self, now_s: float, acceleration_m_s2: Callable[[float], float] | None) -> None:
+        """From now on the fingers also accelerate by this, up, by time: vibration, a touch. None ends it."""
+        self._advance(now_s)
+        self._put(replace(self._cell, shaken_m_s2=acceleration_m_s2))
+
     def clear(self, now_s: float) -> None:
         """Take the object away, wherever it is; the jaws stay as they are. Nothing there: nothing happens."""
         self._advance(now_s)
