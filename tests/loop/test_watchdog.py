@@ -1,0 +1,91 @@
+"""What systemd is told: ready once the loop turns, healthy from the loop's own turns alone, stopping at the end."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from loop_cell import Cell, play
+
+from slipguard.daemon.notify import notify, watchdog_period_s
+from slipguard.grasp.guard import Guard, tick
+from slipguard.grasp.messages import Command, Seen
+from slipguard.grasp.params import GuardParams
+
+WATCHDOG_S = 3.0
+
+
+@pytest.fixture
+def systemd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
+    """Listens as systemd does, with WatchdogSec=3."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
+        listening.bind(str(tmp_path / "notify"))
+        listening.setblocking(False)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        monkeypatch.setenv("WATCHDOG_USEC", str(int(WATCHDOG_S * 1e6)))
+        yield listening
+
+
+def told(listening: socket.socket) -> list[str]:
+    heard = []
+    while True:
+        try:
+            heard.append(listening.recv(500).decode())
+        except BlockingIOError:
+            return heard
+
+
+def test_a_healthy_loop_feeds_the_watchdog_twice_in_its_time(systemd: socket.socket) -> None:
+    heard: list[str] = []
+
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        heard.extend(told(systemd))
+        for _ in range(10):
+            start_s = cell.now_s
+            await cell.until(lambda start_s=start_s: cell.now_s >= start_s + WATCHDOG_S)  # type: ignore[misc]
+            fed = told(systemd)
+            assert fed.count("WATCHDOG=1") == 2, fed
+        await cell.grasp()
+
+    play(Cell(), scene)
+    assert heard[0] == "READY=1"
+    last = told(systemd)
+    assert "STATUS=holding" in last
+    assert last[-1] == "STOPPING=1"
+
+
+def test_a_law_that_fails_ends_the_service_and_feeds_nothing_more(systemd: socket.socket) -> None:
+    """Sensors, gripper and arm go on answering until then: they are no sign of health."""
+    turns = 0
+
+    def broken(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
+        nonlocal turns
+        turns += 1
+        if turns > 50:
+            raise ZeroDivisionError("a mistake in the law")
+        return tick(guard, seen, params)
+
+    async def scene(cell: Cell) -> None:
+        await cell.until(lambda: False, 20.0)
+
+    with pytest.raises((ExceptionGroup, AssertionError)):
+        play(Cell(law=broken), scene)
+    heard = told(systemd)
+    assert heard.count("WATCHDOG=1") == 1  # at the first turn
+    assert heard[-1] == "STOPPING=1"
+
+
+@pytest.mark.parametrize("raw", ["", "0", "-5", "soon", "3.5"])
+def test_without_a_sensible_time_nothing_is_fed(raw: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WATCHDOG_USEC", raw)
+    assert watchdog_period_s() is None
+
+
+def test_without_systemd_nobody_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    assert notify("READY=1") is False
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
+    assert notify("READY=1") is False
