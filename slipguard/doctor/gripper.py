@@ -14,7 +14,9 @@ QUESTIONS = 100
 UNANSWERED_SHARE = 0.01
 SLOW_MS = 12.0
 """A round trip takes 4-8 ms; an FTDI adapter left at its default takes 16 ms."""
-SLOW_DO = "slow: a busy processor, or an adapter whose latency timer is not 1 ms (systemd/60-slipguard.rules)"
+SLOW_DO = (
+    "slow: a busy processor, or an adapter whose latency timer is not 1 ms (`slipguard install` puts the rule in place)"
+)
 
 
 async def look(name: str, gripper: Gripper) -> AsyncIterator[Finding]:

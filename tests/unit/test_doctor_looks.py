@@ -17,7 +17,7 @@ from slipguard.daemon.calibration import NoContact
 from slipguard.daemon.state_dir import StateDir
 from slipguard.devices import GripperState
 from slipguard.diagnosis import Diagnosable, Finding, Verdict, fine, from_error, wrong
-from slipguard.doctor import examine, gripper, machine, sensor
+from slipguard.doctor import examine, gripper, machine, sensor, through_daemon
 from slipguard.errors import DeviceLost
 from slipguard_drivers.digit.look import RULES
 from slipguard_drivers.digit.look import look as look_at_digit
@@ -77,7 +77,7 @@ def test_a_digit_on_a_slow_link_beside_another_without_rules(dev: Path) -> None:
     assert found["USB"].verdict is Verdict.WRONG
     assert "another cable or port" in found["USB"].do
     assert "D20002" in found["USB bus"].seen
-    assert "sudo cp systemd/" in found["udev rules"].do
+    assert "sudo slipguard install" in found["udev rules"].do
     assert "one brightness" in found["LEDs"].seen
 
 
@@ -215,3 +215,11 @@ async def test_a_look_that_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(examine, "DEVICE_S", 0.05)
     (found,) = await ask(sim_config(), Endless, monkeypatch)
     assert (found.what, found.verdict) == ("look", Verdict.WRONG)
+
+
+@pytest.mark.parametrize("known", ["fine", "drifted", "marked", "worn"])
+def test_a_gel_that_has_changed_is_a_note_with_what_to_do(known: str) -> None:
+    told = {"verdict": known, "seen": "2 lasting marks", "do": "" if known == "fine" else "clean the gel"}
+    found = through_daemon.gel(told)
+    assert (found.what, found.seen, found.do) == ("gel", told["seen"], told["do"])
+    assert found.verdict is (Verdict.FINE if known == "fine" else Verdict.NOTE)

@@ -72,7 +72,7 @@ def rules(folders: tuple[Path, ...]) -> Finding:
     return note(
         "udev rules",
         f"{RULES} is not installed",
-        f"`sudo cp systemd/{RULES} /etc/udev/rules.d/`, then plug the sensors in again",
+        f"`sudo slipguard install` puts {RULES} in place, then plug the sensors in again",
     )
 
 

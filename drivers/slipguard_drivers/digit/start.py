@@ -99,6 +99,6 @@ def reason(error: OSError) -> str:
         errno.ENODEV: "it was unplugged; plug it in again",
         errno.ENOENT: "its device node is not there yet; wait a moment",
         errno.EBUSY: "another program is using it, or the other finger has the same serial; give each its own sensor",
-        errno.EACCES: "access is denied; install systemd/60-slipguard.rules and join the group video",
+        errno.EACCES: "access is denied; `sudo slipguard install` puts the udev rule in place; join the group video",
     }
     return known.get(error.errno or 0) or error.strerror or str(error)

@@ -51,6 +51,6 @@ def adapter(timer_ms: int | None) -> Finding:
         return note(
             "adapter",
             f"FTDI latency timer {timer_ms} ms; slipguard asks for 1 ms when it opens the port",
-            "install systemd/60-slipguard.rules, so that other programs get it as well",
+            "`sudo slipguard install` puts 60-slipguard.rules in place, so that other programs get it as well",
         )
     return fine("adapter", "FTDI latency timer 1 ms")
