@@ -49,10 +49,10 @@ def _front(axes: Any, found: Bench) -> None:
             front.append((x, y))
         if row.pareto or row in found.peers:
             labelled.append((x, y, _short(row)))
-    for index, (x, y, text) in enumerate(sorted(labelled)):
-        # In steps, for on the front names lie close together.
+    for index, (x, y, text) in enumerate(sorted(labelled, key=lambda one: one[1])):
+        # In steps, from the lowest up, for on the front names lie close together.
         axes.annotate(
-            text, (x, y), xytext=(12, 14 + 13 * (index % 3)), textcoords="offset points", fontsize=8,
+            text, (x, y), xytext=(12, 14 + 13 * (index % 4)), textcoords="offset points", fontsize=8,
             arrowprops={"arrowstyle": "-", "color": "0.6", "linewidth": 0.6},
         )  # fmt: skip
     if front:
