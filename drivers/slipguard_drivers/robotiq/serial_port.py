@@ -92,8 +92,8 @@ def slow_adapter(port: str) -> str | None:
     if timer_ms is None or timer_ms <= 1:
         return None
     return (
-        f"the adapter keeps each answer for up to {timer_ms} ms; `sudo slipguard install` puts 60-slipguard.rules in place; plug it in "
-        "again, its latency timer is 1 ms then"
+        f"the adapter keeps each answer for up to {timer_ms} ms; `sudo slipguard install` puts 60-slipguard.rules in "
+        "place; plug it in again, its latency timer is 1 ms then"
     )
 
 
