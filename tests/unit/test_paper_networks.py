@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 from pathlib import Path
 
 import cv2
@@ -137,17 +138,24 @@ def test_the_larger_ones_answer_at_the_size_of_the_frame(arch: str, height: int,
         assert net(torch.zeros(1, height, width, 3, dtype=torch.uint8)).shape == (1, 1, height, width)
 
 
-def test_an_export_that_differs_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("weight", "allowed"), [(None, -1.0), (math.nan, 1.0)])
+def test_an_export_that_differs_or_tells_no_numbers_is_not_written(
+    weight: float | None, allowed: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from slipguard.lab import onnx_file
     from slipguard.lab.paper import export
     from slipguard.lab.paper.frames import MaskedFrames
     from slipguard.lab.paper.networks import FrameNet
     from slipguard.lab.paper.recipe import Arch
 
     frames = MaskedFrames(np.zeros((1, 160, 120, 3), np.uint8), np.zeros((1, 160, 120), np.uint8))
-    monkeypatch.setattr(export, "LARGEST_DIFFERENCE", -1.0)
+    monkeypatch.setattr(onnx_file, "LARGEST_DIFFERENCE", allowed)
     (tmp_path / "net.onnx").write_text("as it was")
+    net = FrameNet(Arch.pspnet, 160, 120)
+    if weight is not None:
+        next(net.parameters()).data.fill_(weight)
     with pytest.raises(ModelError, match="not written"):
-        export.export_onnx(FrameNet(Arch.pspnet, 160, 120), tmp_path / "net.onnx", {}, frames)
+        export.export_onnx(net, tmp_path / "net.onnx", {}, frames)
     assert (tmp_path / "net.onnx").read_text() == "as it was"
     assert [path.name for path in tmp_path.iterdir()] == ["net.onnx"]
 

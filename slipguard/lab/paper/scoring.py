@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slipguard.lab.paper.export import session
+from slipguard.lab.onnx_file import session
 from slipguard.lab.paper.frames import MaskedFrames
 from slipguard.lab.scores import dice, iou
 
