@@ -26,6 +26,7 @@ from slipguard_drivers.cell.frames import (
     read_header,
 )
 from slipguard_drivers.digit.stream import SHAPE, FrameStream
+from slipguard_drivers.tasks import ended
 
 GREETING_S = 2.0
 
@@ -90,11 +91,8 @@ class SocketSensor(TactileSensor):
 
     async def close(self) -> None:
         """Disconnect."""
-        if self._reading is not None:
-            self._reading.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._reading
-            self._reading = None
+        reading, self._reading = self._reading, None
+        await ended(reading)
         if self._writer is not None:
             self._writer.close()
             with contextlib.suppress(OSError):

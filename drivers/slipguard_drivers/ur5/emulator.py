@@ -8,7 +8,6 @@ Never run it in the process that builds ur-rtde's interfaces: their constructors
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import struct
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping
@@ -19,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from slipguard.emulator import Report
 from slipguard.errors import InputError
 from slipguard_drivers.emulation import ControlledEmulator, Word
+from slipguard_drivers.tasks import ended
 from slipguard_drivers.ur5.emulated_controller import PAUSED, PLAYING, Controller
 from slipguard_drivers.ur5.emulated_dashboard import GREETING, Dashboard
 from slipguard_drivers.ur5.emulated_rtde import message
@@ -87,11 +87,8 @@ class UrEmulator(ControlledEmulator):
     async def stop(self) -> None:
         """Vanish with all connections. Idempotent."""
         self._hang_up()
-        if self._running is not None:
-            self._running.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._running
-            self._running = None
+        running, self._running = self._running, None
+        await ended(running)
         self._hang_up()
         if self._serving:
             await asyncio.wait(self._serving)

@@ -6,7 +6,6 @@ The only source of state in both modes. It takes no inputs and starts nothing, s
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 import struct
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from dataclasses import dataclass
 
 from slipguard.devices import ArmState
 from slipguard.errors import DeviceLost, DeviceTimeout
+from slipguard_drivers.tasks import ended
 from slipguard_drivers.ur5.rtde import ANSWER_S, RtdeConnection
 
 VARIABLES = (
@@ -168,11 +168,8 @@ class Eyes:
 
     async def close(self) -> None:
         """Disconnect. Never raises; idempotent."""
-        if self._reading is not None:
-            self._reading.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._reading
-            self._reading = None
+        reading, self._reading = self._reading, None
+        await ended(reading)
         if self._connection is not None:
             self._connection.close()
             self._connection = None

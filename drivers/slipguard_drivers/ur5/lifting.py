@@ -14,6 +14,7 @@ from typing import Any
 
 from slipguard.devices import Arm, ArmState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost
+from slipguard_drivers.tasks import ended
 from slipguard_drivers.ur5.dashboard import Dashboard
 from slipguard_drivers.ur5.eyes import STALE_S, STOPPED, Eyes
 from slipguard_drivers.ur5.link import WorkerLink
@@ -281,11 +282,8 @@ class LiftingArm(Arm):
         return now_s < self._ours_until_s and self._eyes.stopped_at_s <= self._left_at_s
 
     async def _stop_heart(self) -> None:
-        if self._heart is not None:
-            self._heart.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._heart
-            self._heart = None
+        heart, self._heart = self._heart, None
+        await ended(heart)
         if self._halting is not None:
             await self._halting
             self._halting = None

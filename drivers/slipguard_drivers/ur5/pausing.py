@@ -8,10 +8,10 @@ heeds. Neither needs what is watched, so a stop is tried whether the arm is seen
 from __future__ import annotations
 
 import asyncio
-import contextlib
 
 from slipguard.devices import Arm, ArmState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost
+from slipguard_drivers.tasks import ended
 from slipguard_drivers.ur5.dashboard import Dashboard
 from slipguard_drivers.ur5.eyes import PAUSED, STOPPED, Eyes
 from slipguard_drivers.ur5.output import DigitalOutput
@@ -159,11 +159,8 @@ class PausingArm(Arm):
             raise DeviceLost(why)
 
     async def _disconnect(self) -> None:
-        if self._watch is not None:
-            self._watch.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._watch
-            self._watch = None
+        watch, self._watch = self._watch, None
+        await ended(watch)
         if self._output is not None:
             await self._output.close()
         await self._eyes.close()
