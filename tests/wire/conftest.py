@@ -1,0 +1,39 @@
+"""An emulated gripper, the driver that has it open, and one that holds something."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+from robotiq_rig import OBJECT_MM, put, quick, settings, until_it_rests
+
+from slipguard.devices import DriverContext
+from slipguard_drivers.robotiq.emulator import RobotiqEmulator
+from slipguard_drivers.robotiq.gripper import RobotiqGripper
+
+
+@pytest.fixture
+async def emulator(tmp_path: Path) -> AsyncIterator[RobotiqEmulator]:
+    emulator = quick(tmp_path, activated=True)
+    await emulator.start()
+    yield emulator
+    await emulator.stop()
+
+
+@pytest.fixture
+async def gripper(emulator: RobotiqEmulator) -> AsyncIterator[RobotiqGripper]:
+    gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
+    await gripper.open()
+    yield gripper
+    await gripper.close()
+
+
+@pytest.fixture
+async def held(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> RobotiqGripper:
+    put(emulator, OBJECT_MM)
+    await gripper.hold(40.0)
+    await until_it_rests(gripper)
+    assert (await gripper.state()).holding
+    emulator.log.clear()
+    return gripper
