@@ -115,8 +115,13 @@ class Daemon:
         self.order("fresh")
         self.until(lambda state: not state["waiting_for"])
 
-    def held(self) -> None:
-        """The object gripped, with both fingers' no-contact images known."""
+    def held(self, anew: bool = True) -> None:
+        """The object gripped, with both fingers' no-contact images known; anew: just now, on the table."""
+        if not anew:
+            self.order("mend")
+            state = self.until(lambda state: not state["waiting_for"])
+            if state["phase"] == "holding" and state["guarding"]:
+                return
         self.fresh()
         try:
             self.client.grasp()

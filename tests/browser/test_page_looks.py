@@ -59,7 +59,7 @@ async def test_not_ready_lost_and_looking_only(running: Daemon, look, shelf: She
 
 
 async def test_headings_landmarks_and_pictures_in_words(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
-    running.held()
+    running.held(anew=False)
     page = await look()
     headings = page.get_by_role("heading")
     assert await headings.all_text_contents() == [

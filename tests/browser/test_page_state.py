@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from page_rig import Daemon
 from playwright.async_api import Page, expect
@@ -24,18 +26,18 @@ HIDE = """(hidden) => {
 
 
 async def test_a_fault_appears_with_what_to_do_and_is_cleared(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
-    running.held()
+    running.held(anew=False)
     page = await look()
     await page.evaluate(COUNT_SPOKEN)
-    await page.wait_for_timeout(1500)
+    await page.wait_for_timeout(1000)
     assert await page.evaluate("window.spoken") == [], "nothing new happened, so nothing may be said"
     running.order("fail arm protective_stop")
     fault = page.get_by_role("alert").filter(has_text="What to do")
     await expect(fault).to_contain_text("protective stop")
     await expect(page.locator("#phase")).to_have_text("Fault: arm in protective stop")
     assert await page.title() == "Fault: arm in protective stop – slipguard"
-    await expect(page.locator("#detail")).to_contain_text("the grip is kept: 40 N")
-    await expect(page.locator("#events li.fault")).to_contain_text("arm in protective stop")
+    await expect(page.locator("#detail")).to_have_text(re.compile(r"the grip is kept: \d+ N"))
+    await expect(page.locator("#events li.fault").first).to_contain_text("arm in protective stop")
     await expect(page.locator("#hint-lift")).to_have_text("clear the fault first")
     await expect(page.locator("#arm-moves")).to_have_text("protective stop")
     spoken = await page.evaluate("window.spoken")
@@ -55,19 +57,19 @@ async def test_a_sensor_that_is_gone_is_named_and_its_picture_is_not_shown(runni
     running.order("fail left disconnect")
     await expect(page.locator("#phase")).to_have_text("Not ready")
     await expect(page.locator("#finger-left .missing")).to_contain_text("plug it in")
-    await expect(page.locator("#finger-left img")).to_be_hidden()
-    await expect(page.locator("#finger-right img")).to_be_visible()
+    await expect(page.locator("#finger-left canvas")).to_be_hidden()
+    await expect(page.locator("#finger-right canvas")).to_be_visible()
     await expect(page.locator("#devices")).to_contain_text("slipguard doctor")
     await expect(page.locator("#hint-grasp")).to_have_text("not ready, see the devices")
     running.order("mend")
     await expect(page.locator("#phase")).to_have_text("Idle")
-    await expect(page.locator("#finger-left img")).to_be_visible()
+    await expect(page.locator("#finger-left canvas")).to_be_visible()
     running.order("fail left stall")
     await expect(page.locator("#finger-left .stale")).to_contain_text("no new frame for")
 
 
 async def test_a_restart_is_survived_and_the_old_login_is_not(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
-    running.held()
+    running.held(anew=False)
     page = await look(
         expected=("ERR_CONNECTION_REFUSED", "ERR_EMPTY_RESPONSE", "ERR_CONNECTION_RESET", "closed before")
     )
@@ -85,10 +87,10 @@ async def test_a_restart_is_survived_and_the_old_login_is_not(running: Daemon, l
 
 
 async def test_without_a_connection_nothing_is_shown_as_if_it_were_so(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
-    running.held()
+    running.held(anew=False)
     page = await look()
-    await expect(page.locator("#force")).to_have_text("40 N")
-    await expect(page.locator("#finger-left img")).to_be_visible()
+    await expect(page.locator("#force")).to_have_text(re.compile(r"^\d+ N$"))
+    await expect(page.locator("#finger-left canvas")).to_be_visible()
     await page.click("#do-release")
     await page.check("#ask-tick")
     with running.frozen():
@@ -110,12 +112,12 @@ async def test_a_page_that_nobody_looks_at_asks_for_no_pictures(running: Daemon,
     page: Page = await look()
     asked: list[str] = []
     page.on("request", lambda request: "/picture/" in request.url and asked.append(request.url))
-    await page.wait_for_timeout(1000)
-    assert 2 <= len(asked) <= 20, "both fingers, eight times a second at most"
+    await page.wait_for_timeout(700)
+    assert 2 <= len(asked) <= 14, "both fingers, eight times a second at most"
     await page.evaluate(HIDE, True)
     await page.wait_for_timeout(300)
     asked.clear()
-    await page.wait_for_timeout(1000)
+    await page.wait_for_timeout(600)
     assert not asked
     async with page.expect_request("**/picture/right"):
         await page.evaluate(HIDE, False)

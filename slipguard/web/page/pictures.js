@@ -14,11 +14,10 @@ class Finger {
   constructor(name) {
     this.name = name;
     this.sequence = null;
-    this.url = null;
     this.notBefore = 0;
     this.misses = 0;
     this.gone = null; // why the sensor is not there, where that is known
-    this.image = make("img", { width: 240, height: 320, alt: "" });
+    this.image = make("canvas", { width: 240, height: 320, role: "img" });
     this.missing = make("p", { className: "missing", textContent: "no picture yet" });
     this.stale = make("p", { className: "stale", hidden: true });
     this.title = make("b", { textContent: deviceName(name) });
@@ -53,8 +52,9 @@ class Finger {
       }
       const shown = `${answer.headers.get("x-sequence")} ${overlay}`;
       const picture = await answer.blob();
-      if (shown !== this.sequence) this.put(picture);
+      if (shown !== this.sequence) await this.put(picture);
       this.sequence = shown;
+      this.image.dataset.sequence = shown;
       return true;
     } catch {
       this.misses += 1; // the last picture stays, greyed, if it is the connection that is gone
@@ -63,11 +63,11 @@ class Finger {
     }
   }
 
-  put(picture) {
-    const before = this.url;
-    this.url = URL.createObjectURL(picture);
-    this.image.onload = () => before && URL.revokeObjectURL(before);
-    this.image.src = this.url;
+  /** Paint it once it is decoded: nothing flickers. */
+  async put(picture) {
+    const bitmap = await createImageBitmap(picture);
+    this.image.getContext("2d").drawImage(bitmap, 0, 0, this.image.width, this.image.height);
+    bitmap.close();
     this.image.hidden = false;
     this.missing.hidden = true;
   }
@@ -104,7 +104,7 @@ class Finger {
     this.stale.hidden = !old || this.image.hidden;
     setText(this.stale, live ? `no new frame for ${span(age_s ?? 0)}` : "last picture, not live");
     const words = estimate?.contact ? `contact, turn ${turn}` : `contact: ${contact}`;
-    setAttribute(this.image, "alt", `Gel picture of the ${deviceName(this.name)}, ${words}`);
+    setAttribute(this.image, "aria-label", `Gel picture of the ${deviceName(this.name)}, ${words}`);
   }
 }
 
