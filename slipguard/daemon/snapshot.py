@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, is_dataclass
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 from slipguard import __version__
@@ -83,7 +83,7 @@ def _trips(times_s: Sequence[float]) -> dict[str, float] | None:
 def _plain(value: Any) -> Any:
     """Dataclasses as dicts, and what JSON has no number for as None."""
     if is_dataclass(value) and not isinstance(value, type):
-        value = asdict(value)
+        return {one.name: _plain(getattr(value, one.name)) for one in fields(value)}
     if isinstance(value, dict):
         return {str(key): _plain(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):

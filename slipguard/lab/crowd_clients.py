@@ -1,7 +1,8 @@
 """Many clients of a daemon's API at once, in a process of their own: half hear the live stream, half poll.
 
 `python -m slipguard.lab.crowd_clients HOST PORT CLIENTS`: one line of standard input, `come`, brings them, `go` sends
-them away, and what they got meanwhile is told as one line of JSON.
+them away, and what they got meanwhile is told as one line of JSON. Clients are other machines' work: here they only get
+what the daemon leaves.
 """
 
 from __future__ import annotations
@@ -19,8 +20,6 @@ from websockets.exceptions import WebSocketException
 POLL_S = 0.25
 """Each polling client asks this often, for the state and for a picture in turn."""
 PATHS = ("/state", "/picture/left", "/state", "/picture/right")
-NICENESS = 19
-"""Clients are other machines' work; here they only get what the daemon leaves."""
 
 
 async def hear(host: str, port: int, got: Counter[str]) -> None:
@@ -87,5 +86,5 @@ async def _obey(host: str, port: int, clients: int) -> None:
 
 
 if __name__ == "__main__":
-    os.nice(NICENESS)
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     asyncio.run(_obey(sys.argv[1], int(sys.argv[2]), int(sys.argv[3])))

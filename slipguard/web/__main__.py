@@ -51,7 +51,9 @@ async def run(link: socket.socket) -> bool:
 def main() -> None:
     """Deaf to the terminal's Ctrl-C: the daemon says when to stop."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(NICENESS)
+    with contextlib.suppress(OSError):
+        os.nice(NICENESS)
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))  # whoever it wakes for, it interrupts nobody
     cv2.setNumThreads(1)
     log.configure()
     stopped = False

@@ -29,11 +29,12 @@ async def answer(control: Control, reader: asyncio.StreamReader, writer: asyncio
 
     def hear(event: Event) -> None:
         if writer.transport.get_write_buffer_size() < BEHIND_MAX_BYTES:
-            writer.write(packed({"event": asdict(event)}))
+            writer.writelines(packed({"event": asdict(event)}))
 
     async def one(message: dict[str, Any]) -> None:
         try:
-            writer.write(await _answered(control, message))
+            for piece in await _answered(control, message):
+                writer.write(piece)
         finally:
             room.release()
 
@@ -51,12 +52,12 @@ async def answer(control: Control, reader: asyncio.StreamReader, writer: asyncio
         await asyncio.gather(*under_way, return_exceptions=True)
 
 
-async def _answered(control: Control, message: dict[str, Any]) -> bytes:
+async def _answered(control: Control, message: dict[str, Any]) -> list[bytes | memoryview]:
     number, what, told = message.get("id"), message.get("ask"), message.get("told")
-    behind = b""
+    behind: list[Any] = []
     try:
         if what in TEXTS:
-            answer, behind = None, await getattr(control, what)()
+            answer, behind = None, [await getattr(control, what)()]
         elif what in VIEWS:
             assert isinstance(told, dict)
             answer, behind = view_packed(await getattr(control, what)(**told))
@@ -65,7 +66,7 @@ async def _answered(control: Control, message: dict[str, Any]) -> bytes:
             answer = await getattr(control, what)(**told)
         else:
             raise SlipguardError(f"{what!r} is nothing that can be asked")
-        return packed({"id": number, "answer": answer}, behind)
+        return packed({"id": number, "answer": answer}, *behind)
     except CommandRefused as refused:
         return packed({"id": number, "refused": str(refused)})
     except SlipguardError as trouble:

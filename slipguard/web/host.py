@@ -21,6 +21,8 @@ from slipguard.web.wire import packed
 
 STOP_S = 4.0
 """How long the web process may take to finish its answers when the daemon stops."""
+SEND_BYTES = 512 * 1024
+"""A frame goes out in one piece, so that the loop is woken for it once."""
 RETRY_S, RETRY_MAX_S = 0.5, 30.0
 GONE_S = 1.0
 """... and to be gone once nobody talks to it any more."""
@@ -74,6 +76,7 @@ def _tcp(
 async def _until_it_ends(control: Control, unix: UnixSocket, tcp: Tcp | None) -> int:
     """Start the web process and answer it until it ends, with its exit status; it is ended where this is cancelled."""
     ours, theirs = socket.socketpair()
+    ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
     served = [unix.listening] + ([] if tcp is None else [tcp.listening])
     with theirs:
         process = await asyncio.create_subprocess_exec(
@@ -87,12 +90,12 @@ async def _until_it_ends(control: Control, unix: UnixSocket, tcp: Tcp | None) ->
             process_group=0,  # a Ctrl-C at the terminal is for the daemon alone
         )
     reader, writer = await asyncio.open_connection(sock=ours)
-    writer.write(packed(_first_words(unix, tcp)))
+    writer.writelines(packed(_first_words(unix, tcp)))
     answering = asyncio.create_task(answer(control, reader, writer), name="web: answers")
     try:
         await asyncio.shield(answering)
     finally:
-        writer.write(packed({"stop": True}))  # answers under way are still given
+        writer.writelines(packed({"stop": True}))  # answers under way are still given
         await asyncio.wait((answering,), timeout=STOP_S)
         answering.cancel()
         await asyncio.gather(answering, return_exceptions=True)

@@ -22,7 +22,7 @@ from slipguard.web.shared import Shared
 
 FINGERS = ("left", "right")
 FRAME_KEEP_S = 1 / 60
-KEEP_S = 1 / 15
+KEEP_S = 0.1
 """A newer picture is asked for after this time at the earliest."""
 QUALITY = 85
 OUTLINE_BGR = (80, 230, 255)

@@ -61,7 +61,7 @@ class RemoteControl(Control):
         answer: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
         self._waiting[number] = answer
         try:
-            self._writer.write(packed({"id": number, "ask": what, "told": told or {}}))
+            self._writer.writelines(packed({"id": number, "ask": what, "told": told or {}}))
             async with asyncio.timeout(within_s):
                 message, behind = await answer
         except (TimeoutError, ConnectionError):

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipguard.daemon.control import Contact, View
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
@@ -23,10 +24,10 @@ MESSAGE_MAX_BYTES = 4 * 1024 * 1024
 IMAGE_BYTES = FRAME_HEIGHT_PX * FRAME_WIDTH_PX * 3
 
 
-def packed(message: Mapping[str, Any], behind: bytes = b"") -> bytes:
-    """One message as it goes over the socket."""
+def packed(message: Mapping[str, Any], *behind: bytes | memoryview) -> list[bytes | memoryview]:
+    """One message as it goes over the socket, in pieces: what is behind it is large, and not copied."""
     text = json.dumps(message, allow_nan=False).encode()
-    return _HEAD.pack(len(text), len(behind)) + text + behind
+    return [_HEAD.pack(len(text), sum(map(len, behind))) + text, *behind]
 
 
 async def receive(reader: asyncio.StreamReader) -> tuple[dict[str, Any], bytes] | None:
@@ -51,8 +52,8 @@ def _no_number(text: str) -> float:
     raise ValueError(f"{text} is no number")
 
 
-def view_packed(view: View) -> tuple[dict[str, Any], bytes]:
-    """A view as a message's object and bytes: the frame's pixels, then the mask's."""
+def view_packed(view: View) -> tuple[dict[str, Any], list[memoryview]]:
+    """A view as a message's object and what is behind it: the frame's pixels, then the mask's."""
     told: dict[str, Any] = {
         "serial": view.serial,
         "sequence": view.frame.sequence,
@@ -60,7 +61,7 @@ def view_packed(view: View) -> tuple[dict[str, Any], bytes]:
     }
     contact = view.contact
     if contact is None:
-        return told, view.frame.image.tobytes()
+        return told, [_pixels(view.frame.image)]
     sides = contact.clipped
     told["contact"] = {
         "shape": contact.mask.shape,
@@ -70,7 +71,11 @@ def view_packed(view: View) -> tuple[dict[str, Any], bytes]:
         "clipped": [sides.left, sides.top, sides.right, sides.bottom],
         "axis_deg": contact.axis_deg,
     }
-    return told, view.frame.image.tobytes() + contact.mask.tobytes()
+    return told, [_pixels(view.frame.image), _pixels(contact.mask)]
+
+
+def _pixels(picture: NDArray[np.uint8]) -> memoryview:
+    return np.ascontiguousarray(picture).data.cast("B")
 
 
 def view_unpacked(told: Mapping[str, Any], pixels: bytes) -> View:

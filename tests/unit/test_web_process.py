@@ -163,7 +163,7 @@ async def test_a_daemon_that_is_gone_is_followed(tmp_path: Path) -> None:
     )
     theirs.close()
     first = {"unix_fd": unix.listening.fileno(), "tcp_fd": None, "host": None, "port": None, "token": None}
-    ours.sendall(packed(first))
+    ours.sendall(b"".join(packed(first)))
     await asyncio.to_thread(ours.recv, 1)  # it asks for the state, so it serves
     ours.close()
     unix.listening.close()
@@ -185,7 +185,7 @@ async def test_messages_that_are_none() -> None:
         with pytest.raises(SlipguardError, match=why):
             await receive(reader)
     cut = asyncio.StreamReader()
-    cut.feed_data(packed({"a": 1})[:-1])
+    cut.feed_data(b"".join(packed({"a": 1}))[:-1])
     cut.feed_eof()
     assert await receive(cut) is None
 
@@ -196,11 +196,13 @@ def test_a_view_arrives_as_it_was(axis_deg: float | None) -> None:
     mask = rng.integers(0, 2, (31, 47), np.uint8)
     contact = Contact(mask, 5, 7, (160, 213), ClippedSides(left=True), axis_deg)
     view = View("D20001", Frame(rng.integers(0, 256, (320, 240, 3), np.uint8), 12.25, 99), contact)
-    found = view_unpacked(*view_packed(view))
+    told, pixels = view_packed(view)
+    found = view_unpacked(told, b"".join(pixels))
     assert np.array_equal(found.frame.image, view.frame.image)
     assert (found.serial, found.frame.sequence, found.frame.captured_at_s) == ("D20001", 99, 12.25)
     assert found.contact is not None
     assert np.array_equal(found.contact.mask, mask)
     assert (found.contact.left_px, found.contact.top_px, found.contact.picture_size) == (5, 7, (160, 213))
     assert (found.contact.clipped, found.contact.axis_deg) == (contact.clipped, axis_deg)
-    assert view_unpacked(*view_packed(View("D20001", view.frame))).contact is None
+    told, pixels = view_packed(View("D20001", view.frame))
+    assert view_unpacked(told, b"".join(pixels)).contact is None
