@@ -96,10 +96,10 @@ class Registrar:
         last_step = 0.0
         for _ in range(MAX_ROUNDS):
             difference, weight = self._difference(turn, dx, dy, nuisance)
-            weighted = t.motion * weight[:, None]
-            normal = (weighted.T @ t.motion).astype(np.float64)
+            weighted = t.motion.T * weight
+            normal = (weighted @ t.motion).astype(np.float64)
             noise2 = max(float(weight @ difference**2) / max(float(weight.sum()), 1.0), 1e-4)
-            gradient = (weighted.T @ difference).astype(np.float64)
+            gradient = (weighted @ difference).astype(np.float64)
             prior = _CORRELATED_PX * noise2 / _PRIOR_STD**2
             c, s = math.cos(turn), math.sin(turn)
             away_x, away_y = dx - start.dx_px, dy - start.dy_px

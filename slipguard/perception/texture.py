@@ -198,10 +198,10 @@ def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:
         square = difference * difference
         noise2 = max(float(weight @ square) / max(float(weight.sum()), 1.0), 1e-6)
         weight /= 1.0 + square * np.float32(1.0 / (ROBUST**2 * noise2))
-        weighted = motion * weight[:, None]
+        weighted = motion.T * weight
         gains = np.array([gain, gain, gain, gain, 1.0])
-        normal = (weighted.T @ motion).astype(np.float64) * np.outer(gains, gains)
-        gradient = (weighted.T @ difference).astype(np.float64) * gains
+        normal = (weighted @ motion).astype(np.float64) * np.outer(gains, gains)
+        gradient = (weighted @ difference).astype(np.float64) * gains
         prior = _CORRELATED * noise2 / _PRIOR_STD**2
         c, s = math.cos(turn), math.sin(turn)
         away_x, away_y = dx - start.dx_px, dy - start.dy_px
@@ -285,7 +285,8 @@ def _motion(picture: Field, x: NDArray[np.intp], y: NDArray[np.intp], dx: Field,
     gx = cv2.Sobel(picture, cv2.CV_32F, 1, 0, scale=0.125)[y, x]
     gy = cv2.Sobel(picture, cv2.CV_32F, 0, 1, scale=0.125)[y, x]
     # A turn counter-clockwise as seen moves (dx, dy), y down, by (dy, -dx) a radian.
-    return np.stack([gx * dy - gy * dx, gx, gy, -(gx * dx + gy * dy), picture[y, x]], axis=1).astype(np.float32)
+    # Motion by motion in memory: that is how a fit runs over them.
+    return np.asarray(np.stack([gx * dy - gy * dx, gx, gy, -(gx * dx + gy * dy), picture[y, x]]), np.float32).T
 
 
 def _lever(normal: NDArray[np.float32]) -> float:
