@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import importlib.util
 import os
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -32,17 +33,24 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Without real data the `real` tests are deselected, and the closing lines say so."""
-    if os.environ.get(REAL_DATA_VARIABLE):
-        return
-    real = [item for item in items if item.get_closest_marker("real")]
-    if real:
-        config.hook.pytest_deselected(items=real)
-        items[:] = [item for item in items if item not in real]
-        config.stash[_DESELECTED] = len(real)
+    """Without real data the `real` tests are deselected, without MuJoCo its own; the closing lines say so."""
+    if not os.environ.get(REAL_DATA_VARIABLE):
+        config.stash[_DESELECTED] = _left_out(config, items, "real")
+    if importlib.util.find_spec("mujoco") is None:
+        config.stash[_WITHOUT_MUJOCO] = _left_out(config, items, "mujoco")
+
+
+def _left_out(config: pytest.Config, items: list[pytest.Item], marker: str) -> int:
+    """Deselect what carries the marker; how many."""
+    marked = [item for item in items if item.get_closest_marker(marker)]
+    if marked:
+        config.hook.pytest_deselected(items=marked)
+        items[:] = [item for item in items if item not in marked]
+    return len(marked)
 
 
 _DESELECTED = pytest.StashKey[int]()
+_WITHOUT_MUJOCO = pytest.StashKey[int]()
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
@@ -51,6 +59,11 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
         terminalreporter.write_line(
             f"{count} tests on real sensor images were left out: {REAL_DATA_VARIABLE} is not set "
             "(it names a folder of DIGIT recordings that is not part of the project)"
+        )
+    count = config.stash.get(_WITHOUT_MUJOCO, 0)
+    if count:
+        terminalreporter.write_line(
+            f"{count} tests of the mechanics beside MuJoCo were left out: pip install 'slipguard[mujoco]'"
         )
 
 

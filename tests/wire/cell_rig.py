@@ -68,10 +68,23 @@ class Process:
             assert self._process.stdin is not None
             self._process.stdin.close()
 
+    def kill(self) -> None:
+        """SIGKILL, whatever it does."""
+        self._process.kill()
+        self._process.wait()
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+
     @property
     def running(self) -> bool:
         """Whether it still does."""
         return self._process.poll() is None
+
+    @property
+    def cpu_s(self) -> float:
+        """Its own work so far, in user and system mode."""
+        fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 class Cell:
@@ -118,16 +131,21 @@ def cell(folder: Path, host: str, *options: object) -> Iterator[Cell]:
         assert process.stop() == 0, process.said
 
 
+def patient_config(cell: Cell, guard: str = PATIENT_GUARD, stall_ms: int = 1000) -> Path:
+    """The cell's configuration, for a machine that runs other tests as well."""
+    patient = cell.folder / "patient.toml"
+    text = cell.config.read_text().replace("[guard]\n", guard)
+    patient.write_text(text.replace('.sock"\n', f'.sock"\nstall_ms = {stall_ms}\n', 2))
+    return patient
+
+
 @contextmanager
 def daemon(cell: Cell) -> Iterator[Client]:
     """The daemon of a cell, all its devices ready; ended at the end.
 
     It waits longer for everything than on a real cell: a busy machine that runs tests is no fault of a device.
     """
-    patient = cell.folder / "patient.toml"
-    text = cell.config.read_text().replace("[guard]\n", PATIENT_GUARD)
-    patient.write_text(text.replace('.sock"\n', '.sock"\nstall_ms = 1000\n', 2))
-    process = Process(cell.folder, "run", "run", "--config", patient, "--log-json")
+    process = Process(cell.folder, "run", "run", "--config", patient_config(cell), "--log-json")
     try:
         with Client(cell.folder / "slipguard.sock") as client:
             wait_for(client, lambda state: not state["waiting_for"], "the devices are not ready")
@@ -170,9 +188,9 @@ def wait_for(client: Client, good: Callable[[dict[str, Any]], object], otherwise
     return newest
 
 
-def until(reached: Callable[[], object], otherwise: str, what: Callable[[], object]) -> None:
+def until(reached: Callable[[], object], otherwise: str, what: Callable[[], object], *, every_s: float = 0.05) -> None:
     """Wait for a condition."""
     ends_s = time.monotonic() + PATIENCE_S
     while not reached():
         assert time.monotonic() < ends_s, f"{otherwise}: {what()}"
-        pause(0.05)
+        pause(every_s)
