@@ -132,13 +132,12 @@ def _show(stored: Stored, *, every: bool) -> None:
         versions = told["versions"]
         if not versions:
             table.add_row(name, told["serial"] or "not seen yet", "none")
-        for index, one in enumerate(versions):
-            if not every and index < len(versions) - 1:
-                continue
+        first = 0 if every else len(versions) - 1
+        for index, one in list(enumerate(versions))[first:]:
             before = versions[index - 1] if index else None
             table.add_row(
-                name if index in (0, len(versions) - 1) else "",
-                told["serial"] if index in (0, len(versions) - 1) else "",
+                name if index == first else "",
+                told["serial"] if index == first else "",
                 _number(one),
                 one["created_at"][:16].replace("T", " "),
                 _levels(one["noise_bgr"], ".1f"),
