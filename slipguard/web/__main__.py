@@ -22,7 +22,7 @@ from slipguard.web.room import Room
 from slipguard.web.serve import serve
 from slipguard.web.wire import receive
 
-NICENESS = 10
+NICENESS = 5
 """The loop comes first where there are too few cores."""
 
 
