@@ -40,7 +40,7 @@ def remembered(shelf: Shelf, now: datetime | None = None) -> Guard:
         return Guard()
     if last is None or (now or datetime.now(UTC)) - last.saved_at > GOOD_FOR:
         return Guard()
-    return Guard(GuardState(remembered=Remembered(last.force_n, last.width_mm)))
+    return Guard(GuardState(remembered=Remembered(last.force_n, last.width_mm), person_near=last.person_near))
 
 
 class GraspKeeper:
@@ -49,6 +49,7 @@ class GraspKeeper:
     def __init__(self, shelf: Shelf, say: Callable[[str], None]) -> None:
         self._shelf, self._say = shelf, say
         self._kept: Remembered | None = None
+        self._near = False
         self._known = False
         self._writing: asyncio.Task[None] | None = None
 
@@ -59,22 +60,24 @@ class GraspKeeper:
             return  # not known, or the disk is busy: a later turn will do
         held = decision.phase in AT_STAKE or decision.phase is Phase.FAULT
         if held and gripper.holding and not gripper.moving and target_n > 0.0:
-            self._keep(Remembered(target_n, gripper.width_mm))
+            self._keep(Remembered(target_n, gripper.width_mm), decision.memory.law.person_near)
         elif not held and not gripper.holding:
-            self._keep(None)
+            self._keep(None, False)
 
-    def _keep(self, grip: Remembered | None) -> None:
-        if self._known and not _differs(grip, self._kept):
+    def _keep(self, grip: Remembered | None, person_near: bool) -> None:
+        if self._known and person_near is self._near and not _differs(grip, self._kept):
             return
-        self._kept, self._known = grip, True
-        self._writing = asyncio.get_running_loop().create_task(self._write(grip), name="last grasp")
+        self._kept, self._near, self._known = grip, person_near, True
+        self._writing = asyncio.get_running_loop().create_task(self._write(grip, person_near), name="last grasp")
 
-    async def _write(self, grip: Remembered | None) -> None:
+    async def _write(self, grip: Remembered | None, person_near: bool) -> None:
         try:
             if grip is None:
                 await asyncio.to_thread(self._shelf.forget_last_grasp)
             else:
-                last = LastGrasp(saved_at=datetime.now(UTC), force_n=grip.force_n, width_mm=grip.width_mm)
+                last = LastGrasp(
+                    saved_at=datetime.now(UTC), force_n=grip.force_n, width_mm=grip.width_mm, person_near=person_near
+                )
                 await asyncio.to_thread(self._shelf.save_last_grasp, last)
         except (SlipguardError, OSError) as error:
             self._say(f"the grip could not be noted down for a restart: {error}")

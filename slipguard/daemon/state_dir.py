@@ -51,12 +51,16 @@ class _ImageFacts(_Stored):
 
 
 class LastGrasp(_Stored):
-    """How an object was held when last looked at: force per finger, width of the jaws; saved_at with time zone."""
+    """How an object was held when last looked at: force per finger, width of the jaws; saved_at with time zone.
 
-    format: Literal[2] = 2
+    person_near: the arm was in a protective or emergency stop, so no force was to be added.
+    """
+
+    format: Literal[3] = 3
     saved_at: datetime
     force_n: Annotated[float, Field(ge=0.0, le=1000.0)]
     width_mm: Annotated[float, Field(ge=0.0, le=1000.0)]
+    person_near: bool = False
 
 
 _S = TypeVar("_S", bound=_Stored)

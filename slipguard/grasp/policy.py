@@ -19,8 +19,6 @@ from slipguard.grasp.motion import REACHED_MM, REPEAT_S
 from slipguard.grasp.params import GuardParams
 from slipguard.grasp.state import AT_STAKE, GuardState, Phase, emptied, entered, taken_over
 
-ARM_WAIT_S = 5.0
-"""How long the arm may take to appear when an object is found held; a UR's control program starts within 2 s."""
 FORCE_TOLERANCE_N = 0.5
 
 SPOKEN_OF = AT_STAKE - {Phase.CLOSING, Phase.REFERENCE}
@@ -107,15 +105,14 @@ def _idle(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
 
 
 def _adopt(state: GuardState, gripper: GripperState, seen: Seen) -> Outcome:
-    """An object held since before the start is taken over once a finger speaks; the arm is waited for, for a while."""
+    """An object held since before the start is taken over once a finger speaks; a slow arm keeps nothing unguarded."""
     held = f"an object is held with {gripper.force_n:.0f} N already"
-    found_s = state.found_s if state.found_s is not None else seen.now_s
-    if seen.fused is not None and (seen.arm is not None or seen.now_s - found_s >= ARM_WAIT_S):
+    if seen.fused is not None:
         state = taken_over(state, gripper, seen.now_s)
         known = f", with the {state.target_n:.0f} N of before the restart" if state.target_n > gripper.force_n else ""
         return state, Command(say=f"{held}: taken over as it is{known}")
-    first = state.found_s is None
-    return replace(state, found_s=found_s), Command(say=f"{held}: waiting for fingers and arm" if first else None)
+    first = not state.found
+    return replace(state, found=True), Command(say=f"{held}: waiting for a finger" if first else None)
 
 
 def _closing(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:

@@ -71,7 +71,7 @@ class GuardState:
     gripped: the jaws have met something since they closed.
     referenced: the turn could be read when the object was gripped. blind: why it could not.
     person_near: the arm was last seen in a protective or emergency stop, so no force is added.
-    adopted: the gripper's first state has been looked at. found_s: when it was first seen to hold something already.
+    adopted: the gripper's first state has been looked at. found: it was seen to hold something already.
     remembered: the grip before a restart, until the gripper's first state has been looked at.
     besides: what is wrong and has been said while a fault is latched.
     """
@@ -96,7 +96,7 @@ class GuardState:
     person_near: bool = False
     lost_since_s: float | None = None
     adopted: bool = False
-    found_s: float | None = None
+    found: bool = False
     remembered: Remembered | None = None
     note: str | None = None
     besides: frozenset[FaultCode] = frozenset()

@@ -16,6 +16,8 @@ from slipguard.grasp.state import AT_STAKE, MOVING, GuardState, Phase
 
 HELP_DEG = 5.0
 """An object that has turned this much further after it was tightened, and still turns, is not helped."""
+ARM_WAIT_S = 5.0
+"""An arm not yet heard since the start may take so long to appear; a UR's control program starts within 2 s."""
 GAIN_MM = 1.0
 """Less height than this gained counts as none."""
 
@@ -24,8 +26,8 @@ GAIN_MM = 1.0
 class Watch:
     """What the supervisor remembers. Times are None while all is well.
 
-    help_turn_deg, help_since_s: the first tightening of the present episode. mark_mm, mark_s: last progress of the arm,
-    while it should move.
+    arm_known: it has been heard since the start. help_turn_deg, help_since_s: the first tightening of the present
+    episode. mark_mm, mark_s: last progress of the arm, while it should move.
     """
 
     tick_s: float | None = None
@@ -33,6 +35,7 @@ class Watch:
     untrusted_since_s: float | None = None
     gripper_since_s: float | None = None
     arm_since_s: float | None = None
+    arm_known: bool = False
     help_turn_deg: float | None = None
     help_since_s: float | None = None
     mark_mm: float | None = None
@@ -44,7 +47,7 @@ def watch(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> 
     now_s = seen.now_s
     late_s = now_s - memory.tick_s if memory.tick_s is not None else 0.0
     if state.phase not in AT_STAKE and state.phase is not Phase.FAULT:
-        return Watch(tick_s=now_s), ()
+        return Watch(tick_s=now_s, arm_known=memory.arm_known or seen.arm is not None), ()
     memory = replace(
         memory,
         tick_s=now_s,
@@ -52,6 +55,7 @@ def watch(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> 
         untrusted_since_s=_since(memory.untrusted_since_s, _untrusted(state, seen) is not None, now_s),
         gripper_since_s=_since(memory.gripper_since_s, seen.gripper is None, now_s),
         arm_since_s=_since(memory.arm_since_s, seen.arm is None, now_s),
+        arm_known=memory.arm_known or seen.arm is not None,
     )
     memory = _follow_help(memory, state, seen)
     memory = _follow_arm(memory, state, seen)
@@ -161,7 +165,8 @@ def _trust(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) ->
 def _arm(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> Fault | None:
     silent_s = _silent_s(seen.arm.measured_at_s if seen.arm else None, memory.arm_since_s, seen.now_s)
     gone_on_the_way = seen.arm is None and (state.phase in MOVING or state.putting_down)
-    if silent_s < params.arm_timeout_s and not gone_on_the_way:
+    limit_s = params.arm_timeout_s if memory.arm_known else ARM_WAIT_S
+    if silent_s < limit_s and not gone_on_the_way:
         return None
     return Fault(
         FaultCode.ARM_SILENT,

@@ -63,7 +63,7 @@ def test_a_disk_that_fails_is_said_and_keeps_nothing_from_going_on() -> None:
     assert len(said) <= 3
 
 
-@pytest.mark.parametrize("content", ['{"format": 1}', "not JSON", '{"format": 2, "force_n": "NaN"}'])
+@pytest.mark.parametrize("content", ['{"format": 1}', "not JSON", '{"format": 3, "force_n": "NaN"}'])
 def test_a_damaged_note_counts_as_none(tmp_path: Path, content: str) -> None:
     (tmp_path / "last_grasp.json").write_text(content)
     assert remembered(StateDir(tmp_path)) == Guard()
@@ -75,3 +75,21 @@ def test_an_old_note_counts_as_none(tmp_path: Path) -> None:
     assert remembered(shelf, now) == Guard()
     shelf.save_last_grasp(LastGrasp(saved_at=now - timedelta(minutes=2), force_n=90.0, width_mm=18.0))
     assert remembered(shelf, now) == Guard(GuardState(remembered=Remembered(90.0, 18.0)))
+
+
+def test_a_stop_for_a_person_is_remembered_until_the_arm_is_heard(tmp_path: Path) -> None:
+    """So that a daemon that starts with somebody in the jaws adds no force before it knows that they are gone."""
+    shelf = StateDir(tmp_path)
+
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        cell.service.observers.append(GraspKeeper(shelf, cell.says.append).decided)
+        await cell.grasp()
+        cell.world.faults.fail("arm", "protective_stop")
+        await asyncio.sleep(0.3)
+        assert remembered(shelf).law.person_near
+        cell.world.faults.mend("arm")
+        await asyncio.sleep(0.3)
+        assert not remembered(shelf).law.person_near
+
+    play(Cell("wrench", 1), scene)

@@ -84,7 +84,7 @@ def before_in(phase: Phase, **changes: object) -> Guard:
     """All well in that phase. changes: where slip may be under way."""
     guarded = phase in GUARDED or phase is Phase.FAULT
     law = state_in(phase, gripped=phase in HELD or phase is Phase.FAULT, **(changes if guarded else {}))
-    return Guard(replace(law, referenced=guarded), Watch(tick_s=NOW_S - TICK_S))
+    return Guard(replace(law, referenced=guarded), Watch(tick_s=NOW_S - TICK_S, arm_known=True))
 
 
 def moment(phase: Phase, now_s: float) -> Seen:

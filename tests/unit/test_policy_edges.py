@@ -11,20 +11,22 @@ from seen import arm, ask, estimate, fused, gripper, seen
 from slipguard.devices import GripperState
 from slipguard.grasp.fuse import Fused, fuse
 from slipguard.grasp.messages import RequestKind
-from slipguard.grasp.policy import ARM_WAIT_S, step
+from slipguard.grasp.policy import step
 from slipguard.grasp.state import GuardState, Phase, Remembered
 
 
-def test_what_is_found_held_waits_for_a_finger_and_for_the_arm_a_while() -> None:
+def test_what_is_found_held_waits_for_a_finger_but_not_for_the_arm() -> None:
     state, said = GuardState(), []
-    for number in range(60):
+    for number in range(15):
         now_s = 100.0 + 0.1 * number
         view = seen(now_s, gripper=gripper(60.0, at_s=now_s), arm=None, fused=fused() if number > 10 else None)
         state, command = step(state, view, PARAMS)
         said += [(round(now_s - 100.0, 1), command.say)] if command.say else []
         assert command.hold_force_n is command.release_width_mm is command.arm is None
-    assert said[0] == (0.0, "an object is held with 60 N already: waiting for fingers and arm")
-    assert said[1] == (ARM_WAIT_S, "an object is held with 60 N already: taken over as it is")
+    assert said[:2] == [
+        (0.0, "an object is held with 60 N already: waiting for a finger"),
+        (1.1, "an object is held with 60 N already: taken over as it is"),
+    ]
     assert (state.phase, state.target_n, state.gripped) == (Phase.REFERENCE, 60.0, True)
 
 
@@ -130,3 +132,23 @@ def test_the_ends_of_what_a_sigma_may_be(sigma_deg: float) -> None:
     answer = fuse(estimate(3.0, sigma_deg), None)
     assert answer is not None
     assert answer.turn_deg == 3.0
+
+
+def test_no_force_is_added_to_what_is_found_until_the_arm_says_that_nobody_is_near() -> None:
+    state = GuardState(person_near=True)
+    for number in range(100):
+        now_s = 100.0 + 0.02 * number
+        view = seen(now_s, gripper=gripper(60.0, at_s=now_s), arm=None, fused=fused(0.25 * number, 12.0, at_s=now_s))
+        state, command = step(state, view, PARAMS)
+        assert command.hold_force_n is None
+    assert state.phase is Phase.HOLDING
+    near = state
+    for here, told in ((arm(protective=True), False), (arm(), True)):
+        state = near
+        for number in range(100, 140):
+            now_s = 100.0 + 0.02 * number
+            view = seen(now_s, gripper=gripper(60.0, at_s=now_s), fused=fused(0.25 * number, 12.0, at_s=now_s))
+            state, command = step(state, replace(view, arm=replace(here, measured_at_s=now_s)), PARAMS)
+            if command.hold_force_n is not None:
+                break
+        assert (command.hold_force_n is not None) is told

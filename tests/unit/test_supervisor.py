@@ -26,7 +26,7 @@ def first_fault(
     state: GuardState, view: Callable[[float], Seen], seconds: float = 3.0, params: GuardParams = PARAMS
 ) -> tuple[float, Fault | None]:
     """When the supervisor first says something, and what."""
-    memory = Watch()
+    memory = Watch(arm_known=True)
     ticks = round(seconds / TICK_S)
     for number in range(ticks):
         now_s = number * TICK_S
@@ -134,3 +134,28 @@ def test_a_finger_that_only_ages_is_lost_too() -> None:
     _, (fault,) = watch(Watch(), HOLDING, seen(0.0, left=old, right=old), PARAMS)
     assert fault.code is FaultCode.FRAMES_LOST
     assert "fresh" in fault.seen
+
+
+def test_an_arm_not_heard_since_the_start_may_take_a_while() -> None:
+    """So that what a restarted daemon finds held is guarded before the arm's control program runs."""
+    found = GuardState(phase=Phase.HOLDING, gripped=True)
+    memory, faults = watch(Watch(), found, seen(0.0, arm=None), PARAMS)
+    for number in range(1, 50):
+        memory, faults = watch(memory, found, seen(0.1 * number, arm=None), PARAMS)
+        assert not faults
+    memory, (fault,) = watch(memory, found, seen(5.01, arm=None), PARAMS)
+    assert fault.code is FaultCode.ARM_SILENT
+    memory, faults = watch(memory, found, seen(5.1), PARAMS)
+    memory, faults = watch(memory, found, seen(5.2, arm=None), PARAMS)
+    memory, (fault,) = watch(memory, found, seen(5.61, arm=None), PARAMS)
+    assert fault.code is FaultCode.ARM_SILENT
+
+
+def test_an_arm_heard_while_nothing_was_held_is_known() -> None:
+    memory, _ = watch(Watch(), GuardState(phase=Phase.IDLE), seen(0.0), PARAMS)
+    assert memory.arm_known
+    memory, _ = watch(memory, GuardState(phase=Phase.IDLE), seen(0.1, arm=None), PARAMS)
+    assert memory.arm_known
+    memory, _ = watch(memory, HOLDING, seen(0.2, arm=None), PARAMS)
+    _, (fault,) = watch(memory, HOLDING, seen(0.61, arm=None), PARAMS)
+    assert fault.code is FaultCode.ARM_SILENT
