@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
+from leaving_out import left_out
 
 REAL_DATA_VARIABLE = "SLIPGUARD_REAL_DATA"
 
@@ -35,18 +36,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Without real data the `real` tests are deselected, without MuJoCo its own; the closing lines say so."""
     if not os.environ.get(REAL_DATA_VARIABLE):
-        config.stash[_DESELECTED] = _left_out(config, items, "real")
+        config.stash[_DESELECTED] = left_out(config, items, "real")
     if importlib.util.find_spec("mujoco") is None:
-        config.stash[_WITHOUT_MUJOCO] = _left_out(config, items, "mujoco")
-
-
-def _left_out(config: pytest.Config, items: list[pytest.Item], marker: str) -> int:
-    """Deselect what carries the marker; how many."""
-    marked = [item for item in items if item.get_closest_marker(marker)]
-    if marked:
-        config.hook.pytest_deselected(items=marked)
-        items[:] = [item for item in items if item not in marked]
-    return len(marked)
+        config.stash[_WITHOUT_MUJOCO] = left_out(config, items, "mujoco")
 
 
 _DESELECTED = pytest.StashKey[int]()

@@ -10,8 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from leaving_out import left_out
 
-sys.path.append(str(Path(__file__).parent))
+sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "wire")]
 
 from build_root import root_folder
 from container import PROGRAM, Container
@@ -26,11 +27,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Without a root, and where nobody asks for it, the tests of the service are deselected."""
     if os.environ.get(VARIABLE) or (root_folder().exists() and os.geteuid() == 0):
         return
-    left_out = [item for item in items if item.get_closest_marker("service")]
-    if left_out:
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item not in left_out]
-        config.stash[_LEFT_OUT] = len(left_out)
+    config.stash[_LEFT_OUT] = left_out(config, items, "service")
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-import http.client
 import json
 import os
 import signal
-import socket
 import subprocess
-import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import cell_rig
+
+from slipguard.daemon.client import Client
+from slipguard.errors import SlipguardError
+
 PATIENCE_S = 120.0
 PROGRAM = "/opt/slipguard/bin/slipguard"
 UNIT = "slipguard.service"
-pause = threading.Event().wait
 
 
 class Container:
@@ -101,18 +101,11 @@ class Container:
 
     def state(self) -> dict[str, Any]:
         """What the daemon's API says from outside, at less cost than a program; empty where none answers."""
-        asked = http.client.HTTPConnection("slipguard", timeout=5.0)
         try:
-            asked.sock = socket.socket(socket.AF_UNIX)
-            asked.sock.settimeout(5.0)
-            asked.sock.connect(f"/proc/{self._first}/root/run/slipguard/slipguard.sock")
-            asked.request("GET", "/state")
-            answer: dict[str, Any] = json.loads(asked.getresponse().read())
-        except (OSError, http.client.HTTPException):
+            with Client(Path(f"/proc/{self._first}/root/run/slipguard/slipguard.sock")) as client:
+                return client.state()
+        except SlipguardError:
             return {}
-        finally:
-            asked.close()
-        return answer
 
     def wait_for(self, good: Callable[[dict[str, Any]], object], otherwise: str) -> dict[str, Any]:
         """The first state that is as it should be."""
@@ -153,11 +146,8 @@ class Container:
 
 
 def until(reached: Callable[[], object], otherwise: str, what: Callable[[], object]) -> None:
-    """Wait for a condition."""
-    ends_s = time.monotonic() + PATIENCE_S
-    while not reached():
-        assert time.monotonic() < ends_s, f"{otherwise}: {what()}"
-        pause(0.1)
+    """Wait for a condition, longer than for a program of one's own."""
+    cell_rig.until(reached, otherwise, what, every_s=0.1, within_s=PATIENCE_S)
 
 
 def _do(*words: str) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cell_rig import PATIENT_GUARD
 from container import PROGRAM, UNIT, Container, until
 
 from slipguard_drivers.cell.cell_config import CellPlaces, text
@@ -21,12 +22,6 @@ CELL = CellPlaces(Path("/srv/cell"))
 OWN = ("var/lib/private/slipguard/", "var/log/journal/", "srv/cell/")
 """Where the service, the journal and the emulator may write; /run and /tmp are not on the disk."""
 BY_SYSTEMD = ("var/lib/systemd/", "etc/systemd/system/multi-user.target.wants/", "var/cache/private", "var/log/wtmp")
-PATIENT = """frames_timeout_s = 1.5
-gripper_timeout_s = 2
-arm_timeout_s = 2
-loop_late_s = 2
-help_s = 4
-"""
 GRASP_N = 30.0
 
 
@@ -34,7 +29,7 @@ GRASP_N = 30.0
 def config(container: Container) -> Path:
     """The emulated cell's configuration without its own socket and state folder; where it lies on this side."""
     told = text(CELL, mode="lift", host="127.0.0.1", height_mm=60.0, speed_mm_s=60.0).partition("[api]")[0]
-    told = told.replace("[guard]\n", f"[guard]\n{PATIENT}").replace('.sock"\n', '.sock"\nstall_ms = 1500\n')
+    told = told.replace("[guard]\n", PATIENT_GUARD).replace('.sock"\n', '.sock"\nstall_ms = 1500\n')
     (container.tree / "srv" / "config.toml").write_text(told)
     return container.tree / "etc" / "slipguard" / "config.toml"
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from leaving_out import left_out
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -22,11 +23,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Without an image, and where nobody asks for it, the tests of the machine are deselected."""
     if os.environ.get(VARIABLE) or (image_folder() / "root.ext4").exists():
         return
-    left_out = [item for item in items if item.get_closest_marker("vm")]
-    if left_out:
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item not in left_out]
-        config.stash[_LEFT_OUT] = len(left_out)
+    config.stash[_LEFT_OUT] = left_out(config, items, "vm")
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:

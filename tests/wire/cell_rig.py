@@ -188,9 +188,16 @@ def wait_for(client: Client, good: Callable[[dict[str, Any]], object], otherwise
     return newest
 
 
-def until(reached: Callable[[], object], otherwise: str, what: Callable[[], object], *, every_s: float = 0.05) -> None:
+def until(
+    reached: Callable[[], object],
+    otherwise: str,
+    what: Callable[[], object],
+    *,
+    every_s: float = 0.05,
+    within_s: float = PATIENCE_S,
+) -> None:
     """Wait for a condition."""
-    ends_s = time.monotonic() + PATIENCE_S
+    ends_s = time.monotonic() + within_s
     while not reached():
         assert time.monotonic() < ends_s, f"{otherwise}: {what()}"
         pause(every_s)
