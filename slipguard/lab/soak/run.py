@@ -30,7 +30,7 @@ from slipguard.lab.soak import verdict
 from slipguard.lab.soak.page import PageProcess, look
 from slipguard.lab.soak.pulse import Pulse, feel
 from slipguard.lab.soak.settings import KEPT_MAX_MB, RING_MAX_MB, RING_S, Settings, soak_config
-from slipguard.lab.soak.shift import Shift
+from slipguard.lab.soak.shift import Shift, place
 from slipguard.lab.soak.truthful import Truthful
 from slipguard.perception.pipeline import Pipeline
 from slipguard.recording.recorder import Recorder
@@ -96,6 +96,8 @@ class _Run:
         self._settings, self._found, self._tell = settings, found, tell
         self._recorder: Recorder | None = None
         self._began_s = asyncio.get_running_loop().time()
+        place(self.world, "bar", settings.seed, settings.fps, self._began_s)  # the cameras' rate, before they run
+        self.world.clear(self._began_s)
         self._traced: tracemalloc.Snapshot | None = None
         self._page: Counter[str] = Counter()
 

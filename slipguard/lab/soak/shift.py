@@ -46,6 +46,13 @@ HELD_TROUBLE, IDLE_TROUBLE, CALIBRATION = 0.4, 0.15, 0.05
 """Share of the cycles with a fault while something is held, with a cable out and in later, with a calibration."""
 
 
+def place(world: World, name: str, seed: int, fps: float, now_s: float) -> None:
+    """Put an object between the jaws; the cameras deliver `fps` frames a second from then on."""
+    drawn = scenario(name, seed)
+    left, right = (replace(one, fps=fps) for one in (drawn.left, drawn.right))
+    world.place(replace(drawn, left=left, right=right), now_s)
+
+
 class Shift:
     """Drives one service on one world. counts: what happened, and how often. calm: no device fails, no long rests."""
 
@@ -75,9 +82,7 @@ class Shift:
         """One object. Raises Stuck where something does not come to its end."""
         service, now = self._service, asyncio.get_running_loop().time
         name = self._objects[number % len(self._objects)]
-        drawn = scenario(name, self._seed + number)
-        left, right = (replace(one, fps=self._fps) for one in (drawn.left, drawn.right))
-        self._world.place(replace(drawn, left=left, right=right), now())
+        place(self._world, name, self._seed + number, self._fps, now())
         try:
             await self._carry(name)
         except CommandRefused:
@@ -129,7 +134,7 @@ class Shift:
         while (fault := self._service.state.fault) is not None:
             try:
                 await self._controls.clear()
-                self.counts["faults cleared"] += 1
+                self.counts[f"cleared: {fault.code}"] += 1
             except CommandRefused as refusal:
                 if loop.time() > deadline_s:
                     raise Stuck(f"a fault could not be cleared ({fault}): {refusal}") from None
