@@ -27,6 +27,8 @@ def test_it_starts_the_daemon_and_watches_over_it() -> None:
     assert unit["Type"] == ["notify"]
     assert float(unit["WatchdogSec"][0]) > 0
     assert unit["Restart"] == ["on-failure"]
+    assert unit["ExecReload"] == ["/bin/kill -HUP $MAINPID"]
+    assert "network-online" not in "".join(unit["After"])  # the grip is not left alone for an arm that is late
     assert "ORT_DISABLE_TELEMETRY=1" in unit["Environment"]
 
 
