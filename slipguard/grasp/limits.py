@@ -50,9 +50,19 @@ def allowed(force_n: float, present_n: float, within: Budget) -> float:
 
 
 def firm_n(params: GuardParams, gripper_limits_n: tuple[float, float]) -> float:
-    """The force that is tightened to at once: a share of the budget; infinite where there is none."""
+    """The force that is tightened to at once: what friction and mass ask for where they are given, else a share of the
+    budget; infinite where there is no budget.
+    """
     within = budget(params.force_max_n, gripper_limits_n)
-    return params.firm_share * within.high_n if within is not None else math.inf
+    if within is None:
+        return math.inf
+    modelled_n = params.modelled_n
+    return params.firm_share * within.high_n if modelled_n is None else min(modelled_n, within.high_n)
+
+
+def first_n(params: GuardParams) -> float:
+    """The first grip where none is asked for: gentle, but no weaker than friction and mass ask for."""
+    return max(params.first_force_n, params.modelled_n or 0.0)
 
 
 def raised(present_n: float, multiple: float, within: Budget) -> float:

@@ -6,8 +6,13 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from slipguard.limit_surface import GRAVITY_M_S2, Pad, force_needed_n
+
 Force = Annotated[float, Field(ge=1.0, le=235.0)]
 """Newtons per finger; 235 N is what the strongest supported gripper applies."""
+FINGERS = 2
+MODEL_RESERVE = 1.3
+"""Over the force of the limit surface: a gripper may be a tenth weaker than it says, a lift adds a tenth of load."""
 
 
 class GuardParams(BaseModel):
@@ -29,6 +34,12 @@ class GuardParams(BaseModel):
     """Grip before lifting where the turn cannot be seen (a round contact)."""
     on_blind: Literal["grip", "refuse"] = "grip"
     """Where the turn cannot be seen: grip to `blind_force_n`, or refuse to lift."""
+
+    friction: Annotated[float, Field(ge=0.05, le=2.0)] | None = None
+    """Between object and gel. Given with `mass_kg`, the first grip and the first tightening are computed from both."""
+    mass_kg: Annotated[float, Field(gt=0.0, le=20.0)] | None = None
+    lever_mm: Annotated[float, Field(ge=0.0, le=500.0)] = 0.0
+    """From the grip to the object's centre of mass, level; used with the two above."""
 
     closing_timeout_s: Annotated[float, Field(ge=0.5, le=30.0)] = 5.0
     """A gripper that has not closed on anything by then is at fault; 85 mm at 20 mm/s take 4.3 s."""
@@ -107,6 +118,26 @@ class GuardParams(BaseModel):
     """Nothing was decided for so long: a fault."""
     help_s: Annotated[float, Field(ge=0.2, le=10.0)] = 1.5
     """Tightening must have stopped the turning within this time; 20 N at 64 N/s and one loop delay take 0.5 s."""
+
+    @property
+    def modelled_n(self) -> float | None:
+        """The force per finger that friction, mass and lever ask for, with a reserve; None where they are not given."""
+        if self.friction is None or self.mass_kg is None:
+            return None
+        load_n = self.mass_kg * GRAVITY_M_S2 / FINGERS
+        return MODEL_RESERVE * force_needed_n(load_n, 1e-3 * self.lever_mm, self.friction, Pad())
+
+    @model_validator(mode="after")
+    def _model_whole(self) -> GuardParams:
+        if (self.friction is None) is not (self.mass_kg is None):
+            raise ValueError("friction and mass_kg go together: give both, or neither")
+        needed_n = self.modelled_n
+        if needed_n is not None and needed_n > self.force_max_n:
+            raise ValueError(
+                f"friction ({self.friction:g}), mass_kg ({self.mass_kg:g}) and lever_mm ({self.lever_mm:g}) ask for "
+                f"{needed_n:.0f} N, which force_max_n ({self.force_max_n:g}) does not allow"
+            )
+        return self
 
     @model_validator(mode="after")
     def _forces_in_order(self) -> GuardParams:

@@ -58,7 +58,7 @@ def _grasp(state: GuardState, command: Command, seen: Seen, params: GuardParams)
     if within is None:
         weakest = f"force_max_n = {params.force_max_n:g} N is below the {seen.gripper_limits_n[0]:g} N"
         return _refuse(state, command, f"{weakest} this gripper applies at least")
-    wanted_n = seen.request.force_n if seen.request.force_n is not None else params.first_force_n
+    wanted_n = seen.request.force_n if seen.request.force_n is not None else limits.first_n(params)
     if wanted_n > params.force_max_n:
         return _refuse(state, command, f"{wanted_n:g} N is above force_max_n = {params.force_max_n:g} N")
     force_n = limits.allowed(wanted_n, 0.0, within)

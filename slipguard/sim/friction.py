@@ -10,24 +10,36 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
-from slipguard.errors import InputError
+from slipguard.limit_surface import (
+    GRAVITY_M_S2,
+    NO_CONTACT_N,
+    Pad,
+    force_needed_n,
+    pressure_shape,
+    torque_limit_n_m,
+)
 from slipguard.sim.objects import SimObject
 
-GRAVITY_M_S2 = 9.80665
-NO_CONTACT_N = 1e-6
-"""Below this force a finger counts as not touching."""
+__all__ = [
+    "GRAVITY_M_S2",
+    "NO_CONTACT_N",
+    "STIFFNESS_RADIUS_M",
+    "Gel",
+    "needed_force_n",
+    "pressure_shape",
+    "return_to_surface",
+    "torque_limit_n_m",
+]
+
 STIFFNESS_RADIUS_M = 6e-3
 """Contact radius at which a gel's stiffness is stated; 0.14 MPa gives 0.16 N m/rad there."""
 
 
 @dataclass(frozen=True, slots=True)
-class Gel:
-    """The soft fingertip: contact size, elasticity and damping, per finger.
+class Gel(Pad):
+    """The soft fingertip: contact size (as of a `Pad`), elasticity and damping, per finger.
 
-    radius_m, gamma: contact radius is radius_m * N^gamma (4.353 mm N^-gamma and 0.2569: Costanzo et al.).
-    pressure_k: pressure ~ (1 - (r/a)^k)^(1/k); 2 is Hertz, infinity uniform.
     torsion_n_m_rad: torque per elastic turn. Silicone 0.1-0.5 at 6 mm radius; 50 is a stiff pad.
     stiffening: torsion grows as (contact radius / 6 mm)^stiffening; 3 for an elastic half-space, 0 for constant.
     relaxation_s: damping over stiffness of the gel, in twist and in shear.
@@ -40,13 +52,6 @@ class Gel:
     relaxation_s: float = 0.01
     viscous_n_m_s: float = 0.02
     viscous_n_s_m: float = 20.0
-    radius_m: float = 4.353e-3
-    gamma: float = 0.2569
-    pressure_k: float = 4.0
-
-    def contact_radius_m(self, force_n: float) -> float:
-        """Radius of the contact patch at this force."""
-        return self.radius_m * math.pow(max(force_n, 0.0), self.gamma)
 
     def stiffness(self, force_n: float) -> tuple[float, float]:
         """Torsional (N m/rad) and shear (N/m) stiffness of one fingertip at this force.
@@ -60,60 +65,13 @@ class Gel:
         return torsion, torsion / (STIFFNESS_RADIUS_M * ratio) ** 2
 
 
-@lru_cache(maxsize=32)
-def pressure_shape(k: float) -> float:
-    """The factor xi nu of the pressure profile: 3 pi / 32 for Hertz (k = 2), 1/3 for uniform (k infinite).
-
-    xi nu = (3/8) Gamma(3/k)^2 / (Gamma(2/k) Gamma(4/k)); from slipping_control (Costanzo et al.). k > 0.
-    """
-    if not k > 0.0:
-        raise InputError(f"pressure exponent {k} is not above 0; use 2 (Hertz) to infinity (uniform)")
-    if k > 1e6:
-        return 1.0 / 3.0
-    log = 2 * math.lgamma(3 / k) - math.lgamma(2 / k) - math.lgamma(4 / k)
-    return 0.375 * math.exp(log)
-
-
-def torque_limit_n_m(force_n: float, friction: float, gel: Gel, tangential_n: float = 0.0) -> float:
-    """Torque one finger can take while it also carries `tangential_n`; 0 when the load alone makes it slide.
-
-    tau_max = 2 mu xi_nu delta N^(1 + gamma), lessened by sqrt(1 - (f / (mu N))^2).
-    """
-    if force_n <= NO_CONTACT_N:
-        return 0.0
-    share = tangential_n / (friction * force_n)
-    if abs(share) >= 1.0:
-        return 0.0
-    full = 2.0 * friction * pressure_shape(gel.pressure_k) * gel.contact_radius_m(force_n) * force_n
-    return full * math.sqrt(1.0 - share * share)
-
-
 def needed_force_n(item: SimObject, gel: Gel, n_fingers: int = 2, acceleration_m_s2: float = 0.0) -> float:
     """Force per finger at which a level object just does not turn nor slide.
 
-    Solves (f / (mu N))^2 + (tau / tau_max(N))^2 = 1 with f = m (g + a) / n and tau = f * com_offset, by bisection to
-    1e-12 relative. acceleration_m_s2: of the lift, upward positive; the load is taken as 0 in free fall.
+    acceleration_m_s2: of the lift, upward positive; the load is taken as 0 in free fall.
     """
     load_n = item.mass_kg * max(GRAVITY_M_S2 + acceleration_m_s2, 0.0) / n_fingers
-    torque_n_m = load_n * item.com_offset_mm * 1e-3
-    if load_n == 0.0:
-        return 0.0
-
-    def overload(force_n: float) -> float:
-        return (load_n / (item.friction * force_n)) ** 2 + (
-            torque_n_m / torque_limit_n_m(force_n, item.friction, gel)
-        ) ** 2
-
-    low = load_n / item.friction  # sliding alone needs this much
-    high = 2.0 * low
-    while overload(high) > 1.0:
-        high *= 2.0
-    while high - low > 1e-12 * high:
-        middle = 0.5 * (low + high)
-        if middle in (low, high):
-            break
-        low, high = (middle, high) if overload(middle) > 1.0 else (low, middle)
-    return high
+    return force_needed_n(load_n, item.com_offset_mm * 1e-3, item.friction, gel)
 
 
 def return_to_surface(
