@@ -75,10 +75,10 @@ class _Told:
 
 
 class Bulletin:
-    """say: takes one line. One for each service."""
+    """say, warn: take one line; what goes well again is said, all else is warned of. One for each service."""
 
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self._say = say
+    def __init__(self, say: Callable[[str], None], warn: Callable[[str], None]) -> None:
+        self._say, self._warn = say, warn
         self._devices: dict[str, _Told] = {}
         self._first_s: float | None = None
         self._last_s: float | None = None
@@ -88,7 +88,7 @@ class Bulletin:
         self._first_s = now_s if self._first_s is None else self._first_s
         since_s = 0.0 if self._last_s is None else now_s - self._last_s
         if since_s >= late_s and phase not in AT_STAKE and phase is not Phase.FAULT:
-            self._say(f"loop: nothing was decided for {since_s:.2f} s; see what keeps the machine busy")
+            self._warn(f"loop: nothing was decided for {since_s:.2f} s; see what keeps the machine busy")
         self._last_s = now_s
         for name, why in troubles.items():
             device = self._devices.setdefault(name, _Told())
@@ -116,4 +116,4 @@ class Bulletin:
         lasts = now_s - device.since_s >= LASTS_S or len(device.began) >= TIMES
         if kind != device.told and lasts and not starts and now_s - device.told_s >= AGAIN_S:
             device.told, device.told_s = kind, now_s
-            self._say(why if why.startswith(f"{name}: ") else f"{name}: {why}")
+            self._warn(why if why.startswith(f"{name}: ") else f"{name}: {why}")

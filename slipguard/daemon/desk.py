@@ -123,8 +123,8 @@ class Desk(Control):
         journal = self._service.journal
         for event in journal.events:
             hear(event)
-        journal.watchers.append(hear)
-        return lambda: journal.watchers.remove(hear)
+        journal.listeners.append(hear)
+        return lambda: journal.listeners.remove(hear)
 
 
 def calibration_answer(taken: Mapping[str, NoContact]) -> dict[str, object]:

@@ -27,9 +27,14 @@ class Event:
     what_to_do: str | None = None
     code: str | None = None
 
+    @property
+    def line(self) -> str:
+        """All of it in one line."""
+        return f"fault: {self.text}; {self.what_to_do}" if self.level == "fault" else self.text
+
 
 class Journal:
-    """listeners: called with the line and whether it tells of an error. watchers: called with the whole event.
+    """listeners: called with each event.
 
     They hear every line; of those that differ in figures only, the log has one a second.
     """
@@ -39,8 +44,7 @@ class Journal:
         """The newest ones, oldest first; at most `KEPT`."""
         self.events: deque[Event] = deque(maxlen=KEPT)
         """The newest ones, faults too."""
-        self.listeners: list[Callable[[str, bool], None]] = []
-        self.watchers: list[Callable[[Event], None]] = []
+        self.listeners: list[Callable[[Event], None]] = []
         self._limit = OncePerSecond()
 
     def say(self, text: str) -> None:
@@ -69,12 +73,8 @@ class Journal:
 
     def _tell(self, event: Event) -> None:
         self.events.append(event)
-        fault = event.level == "fault"
-        text = f"fault: {event.text}; {event.what_to_do}" if fault else event.text
         for listener in self.listeners:
-            listener(text, fault)
-        for watcher in self.watchers:
-            watcher(event)
+            listener(event)
 
 
 def _now_s() -> float:

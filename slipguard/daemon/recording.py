@@ -17,6 +17,7 @@ import cv2
 from slipguard import __version__
 from slipguard.config import Config
 from slipguard.daemon.finger import Judgement
+from slipguard.daemon.journal import Event
 from slipguard.daemon.service import Decision, Service
 from slipguard.errors import InputError
 from slipguard.grasp.state import Phase
@@ -44,7 +45,7 @@ def make_recorder(service: Service, folder: Path) -> Recorder:
         RecorderSettings(asked.image, asked.jpeg_quality, SEGMENT_S, asked.keep_before_s, asked.keep_after_s),
         Clock(time.time_ns(), loop.time()),
         header=lambda: header(service),
-        on_trouble=lambda text: _say_in(loop, service.journal.say, text),
+        on_trouble=lambda text: _say_in(loop, service.journal.warn, text),
     )
 
 
@@ -57,12 +58,16 @@ async def record(service: Service, recorder: Recorder, make_watcher: Callable[[T
             judged: Callable[[Judgement], None] = partial(watcher.judged, name)
             _attach(watched, finger.observers, judged)
         _attach(watched, service.observers, watcher.decided)
-        _attach(watched, service.journal.listeners, lambda text, error: recorder.hand(Said(loop.time(), text, error)))
+        _attach(watched, service.journal.listeners, lambda event: recorder.hand(_said(event)))
         recorder.start()
         try:
             await loop.create_future()
         finally:
             await asyncio.to_thread(recorder.stop, STOP_S)
+
+
+def _said(event: Event) -> Said:
+    return Said(event.at_s, event.line, event.level == "fault")
 
 
 def _attach(watched: contextlib.ExitStack, observers: list[T], observer: T) -> None:

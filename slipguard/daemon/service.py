@@ -108,13 +108,13 @@ class Service:
             left.other, right.other = right, left
             left.refresh_s = right.refresh_s = config.perception.refresh_s
         self.gripper: Actuator[GripperState] = Actuator(
-            "gripper", gripper, poll_s, retry_s, self._wake.set, self.journal.say
+            "gripper", gripper, poll_s, retry_s, self._wake.set, self.journal.warn
         )
-        self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, self._wake.set, self.journal.say)
+        self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, self._wake.set, self.journal.warn)
         self._requests: asyncio.Queue[tuple[Request, asyncio.Future[str]]] = asyncio.Queue()
         self._decided_on: dict[str, FingerSeen | None] = dict.fromkeys(FINGERS)
         self._last_fault: Fault | None = None
-        self._bulletin = Bulletin(self.journal.say)
+        self._bulletin = Bulletin(self.journal.say, self.journal.warn)
 
     @property
     def state(self) -> GuardState:

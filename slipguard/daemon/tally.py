@@ -47,7 +47,7 @@ class Tally:
             finger.observers.append(partial(self._judged, name))
         service.observers.append(self._decided)
         service.hold_observers.append(lambda since_handed_s: self._hold.add(1e3 * since_handed_s))
-        service.journal.watchers.append(self._told)
+        service.journal.listeners.append(self._told)
 
     def _judged(self, finger: str, judgement: Judgement) -> None:
         if judgement.estimate is None:

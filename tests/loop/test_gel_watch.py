@@ -52,7 +52,7 @@ class Bench:
         self.finger.serial = "SIM-L"
         self.service.gripper.newest = OPEN
         self.said: list[str] = []
-        self.service.journal.listeners.append(lambda text, error: self.said.append(text))
+        self.service.journal.listeners.append(lambda event: self.said.append(event.line))
         self.watch = GelWatch(self.service)
         self.now_s = 0.0
         self.rng = np.random.default_rng(0)

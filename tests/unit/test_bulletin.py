@@ -19,7 +19,15 @@ class Listener:
     def __init__(self) -> None:
         self.said: list[tuple[float, str]] = []
         self.now_s = 100.0
-        self.bulletin = Bulletin(lambda line: self.said.append((round(self.now_s, 2), line)))
+        self.warned: list[str] = []
+        self.bulletin = Bulletin(self._say, self._warn)
+
+    def _say(self, line: str) -> None:
+        self.said.append((round(self.now_s, 2), line))
+
+    def _warn(self, line: str) -> None:
+        self.warned.append(line)
+        self._say(line)
 
     def look(self, why: str | None, seconds: float, phase: Phase = Phase.HOLDING) -> None:
         for _ in range(round(seconds / TICK_S)):
@@ -47,6 +55,7 @@ def test_trouble_that_lasts_is_said_once_and_so_is_its_end() -> None:
     assert len(listener.said) == 1
     listener.look(None, 0.2)
     assert listener.lines[1:] == ["left: well again"]
+    assert listener.warned == ["left: no frame for 260 ms"]
     listener.look(None, 3.0)
     assert len(listener.said) == 2
 

@@ -75,7 +75,7 @@ def test_of_lines_that_differ_in_figures_one_a_second_is_logged_and_all_are_told
     monkeypatch.setattr(journals, "_now_s", lambda: now_s)
     configure()
     journal = Journal()
-    journal.listeners.append(lambda text, error: told.append(text))
+    journal.listeners.append(lambda event: told.append(event.line))
     for turn in range(250):
         now_s = turn * 0.01
         journal.warn(f"left: its newest frame is {turn}.5 ms old")

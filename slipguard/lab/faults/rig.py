@@ -135,7 +135,7 @@ class Rig:
             memory=remembered(self._state),
         )
         service.observers.append(GraspKeeper(self._state, service.journal.say).decided)
-        service.journal.listeners.append(lambda line, error: self._heard(line))
+        service.journal.listeners.append(lambda event: self._heard(event.line))
         return service
 
     def _device(self, name: str) -> Any:
