@@ -47,8 +47,8 @@ def bench(
         bench_faults(faults, seed, jobs, cluster, json, out)
         return
     from rich.console import Console
-    from rich.progress import Progress
 
+    from slipguard.cli.progress import progress_bar
     from slipguard.errors import InputError
     from slipguard.lab.bench import run
     from slipguard.lab.bench import table as tables
@@ -70,10 +70,8 @@ def bench(
     options = run.Options(quick, model, models, Workers(jobs, cluster))
     if table is not None:
         tables.check(table)
-    progress = Console(stderr=True)
-    with Progress(console=progress, transient=True, disable=not progress.is_terminal) as bar:
-        task = bar.add_task("bench", total=1.0)
-        found = run.bench(options, lambda what, share: bar.update(task, description=what, completed=share))
+    with progress_bar("bench") as show:
+        found = run.bench(options, show)
     if out is not None:
         picture(found, out / "bench.png")
         (out / "bench.json").write_text(jsonlib.dumps(found.as_json(), indent=2) + "\n", encoding="utf-8")

@@ -11,8 +11,8 @@ import typer
 def bench_faults(runs: int, seed: int, jobs: int, cluster: str | None, json: bool, out: Path | None) -> None:
     """The fault campaign; a single run is shown line by line. Fails where anything happened that must not."""
     from rich.console import Console
-    from rich.progress import MofNCompleteColumn, Progress
 
+    from slipguard.cli.progress import count_bar
     from slipguard.errors import InputError
     from slipguard.lab.faults import report
     from slipguard.lab.faults.campaign import Campaign, campaign, quiet_trial
@@ -20,17 +20,15 @@ def bench_faults(runs: int, seed: int, jobs: int, cluster: str | None, json: boo
 
     if runs < 1:
         raise InputError(f"--faults {runs}: a number of runs is needed, 1 or more")
-    console, progress = Console(stderr=json), Console(stderr=True)
+    console = Console(stderr=json)
     if runs == 1:
         outcome = quiet_trial(seed)
         found = Campaign()
         found.count(outcome)
         report.show_run(console, outcome)
     else:
-        columns = (*Progress.get_default_columns(), MofNCompleteColumn())
-        with Progress(*columns, console=progress, transient=True, disable=not progress.is_terminal) as bar:
-            task = bar.add_task("runs with faults", total=runs)
-            found = campaign(runs, seed, Workers(jobs, cluster), lambda done: bar.update(task, completed=done))
+        with count_bar("runs with faults", runs) as show:
+            found = campaign(runs, seed, Workers(jobs, cluster), show)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         (out / "faults.json").write_text(jsonlib.dumps(found.as_json(), indent=2) + "\n", encoding="utf-8")

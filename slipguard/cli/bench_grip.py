@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 def bench_grip(*, quick: bool, seed: int, json: bool, out: Path | None, workers: Workers) -> None:
     """Play the campaign; exit code 1 if an object was dropped that could have been held, or gripped for nothing."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from slipguard.cli.progress import progress_bar
     from slipguard.lab.grip.campaign import Plan, run
     from slipguard.lab.grip.figures import as_json, failures
     from slipguard.lab.grip.report import draw, print_tables
@@ -29,10 +29,8 @@ def bench_grip(*, quick: bool, seed: int, json: bool, out: Path | None, workers:
         f"{_spoken(plan.seconds(workers))}",
         highlight=False,
     )
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=progress, transient=True, disable=not progress.is_terminal) as bar:
-        task = bar.add_task("grip campaign", total=1.0)
-        found = run(plan, workers, lambda share: bar.update(task, completed=share))
+    with progress_bar("grip campaign") as show:
+        found = run(plan, workers, lambda share: show("grip campaign", share))
     figures = as_json(found)
     if out is not None:
         draw(found, out / "grip.png")

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import json as jsonlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from slipguard.cli.progress import progress_bar
 from slipguard.errors import InputError
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 PICTURE = "error-against-noise.png"
 
@@ -47,8 +43,8 @@ def stress(
     progress = Console(stderr=True)
     if seconds == 0.0:
         progress.print(f"the full list takes about {full_hours(families):.1f} h on one core")
-    with _progress(progress) as show:
-        outcome = run(families, seed, seconds, progress=show)
+    with progress_bar("stress") as show:
+        outcome = run(families, seed, seconds, progress=lambda share, family: show(family, share))
     found = as_json(outcome)
     if json:
         print(jsonlib.dumps(summary(outcome)))
@@ -74,17 +70,3 @@ def _write(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error}") from error
-
-
-@contextmanager
-def _progress(console: Console) -> Iterator[Callable[[float, str], None] | None]:
-    """A bar on a terminal, nothing on a pipe."""
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
-
-    if not console.is_terminal:
-        yield None
-        return
-    columns = (TextColumn("{task.description:12}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("stress", total=1.0)
-        yield lambda share, family: bar.update(task, completed=share, description=family)
