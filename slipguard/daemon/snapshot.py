@@ -25,6 +25,7 @@ def snapshot(service: Service) -> dict[str, object]:
         "phase": state.phase.value,
         "guarding": state.guarding,
         "slipping": state.slip is not None,
+        "putting_down": state.putting_down,
         "target_force_n": state.target_n,
         "limits": {
             "first_force_n": guard.first_force_n,

@@ -106,7 +106,7 @@ function paintAxes({ pen, x, y, width, height, colour }, plot) {
 function paintBehind({ pen, x, y, width, height, colour }, plot) {
   for (const shade of plot.shades) {
     pen.fillStyle = colour(shade.colour);
-    pen.fillRect(x(shade.from_s), TOP, Math.max(2, x(shade.to_s) - x(shade.from_s)), height - TOP - BOTTOM);
+    pen.fillRect(x(shade.from_s), TOP, Math.max(4, x(shade.to_s) - x(shade.from_s)), height - TOP - BOTTOM);
   }
   for (const mark of plot.marks) {
     pen.strokeStyle = colour(MARK_COLOURS[mark.level]);

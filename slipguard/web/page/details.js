@@ -36,7 +36,10 @@ export function showDevices(state, live) {
 /** What a device that is there does or remarks. */
 function does(state, name) {
   const finger = state.fingers[name];
-  if (finger) return finger.remarks.length ? finger.remarks : [finger.serial];
+  if (finger) {
+    const gel = finger.gel && finger.gel.do ? [`gel ${finger.gel.verdict}: ${finger.gel.seen}; ${finger.gel.do}`] : [];
+    return [finger.serial, ...finger.remarks, ...gel];
+  }
   if (name === "gripper") return state.gripper ? [gripperWords(state.gripper)] : [];
   return state.arm ? [armWords(state.arm)] : [];
 }
@@ -87,7 +90,7 @@ export class Events {
   /** One more; `at` is a Date. */
   add(event, at) {
     if (event.level === "fault") this.kept = this.kept.filter((one) => one.text !== `${event.text}; ${event.what_to_do}`);
-    const again = this.kept.findIndex((one) => alike(one, event) && at - one.at < REPEATED_MS);
+    const again = this.kept.findIndex((one, index) => tellsAgain(event, one, index, at));
     const times = again < 0 ? 1 : this.kept.splice(again, 1)[0].times + 1;
     this.kept.unshift({ ...event, at, times });
     this.kept.length = Math.min(this.kept.length, EVENTS_KEPT);
@@ -113,8 +116,10 @@ export class Events {
   }
 }
 
-/** Whether two events tell the same; of a device's own remarks whatever their figures. A fault is told each time. */
-function alike(one, other) {
-  const words = (event) => (REMARK.test(event.text) ? event.text.replace(/[\d.]+/g, "#") : event.text);
-  return one.level === other.level && one.level !== "fault" && words(one) === words(other);
+/** Whether an event only tells one of the newest again: the last one, or a device's remark, whatever its figures. */
+function tellsAgain(event, one, index, at) {
+  if (event.level === "fault" || event.level !== one.level) return false;
+  if (!REMARK.test(event.text)) return index === 0 && event.text === one.text;
+  const words = (text) => text.replace(/[\d.]+/g, "#");
+  return at - one.at < REPEATED_MS && words(event.text) === words(one.text);
 }

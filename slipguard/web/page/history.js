@@ -55,13 +55,13 @@ export class History {
   }
 }
 
-/** "between −0.3° and +4.1°, told 80 % of the time" of the values of a key; null where it was never told. */
+/** "−0.3° to +4.1°, known 80 %" of the values of a key; null where it was never known. */
 export function summary(samples, key, unit, signs) {
   const values = samples.map((one) => one[key]).filter((value) => value !== null && value !== undefined);
   if (!values.length) return null;
   const word = signs ? (value) => signed(value) : (value) => plain(value);
   const [low, high] = [word(Math.min(...values)), word(Math.max(...values))];
-  const range = low === high ? `${low}${unit} throughout` : `between ${low}${unit} and ${high}${unit}`;
+  const range = low === high ? `${low}${unit} throughout` : `${low}${unit} to ${high}${unit}`;
   const share = Math.round((100 * values.length) / samples.length);
-  return share < 100 ? `${range}, known ${share} % of the time` : range;
+  return share < 100 ? `${range}, known ${share} %` : range;
 }

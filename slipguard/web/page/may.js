@@ -25,12 +25,13 @@ const RULES = {
   lift: motion,
   lower: motion,
   guard(state) {
-    if (state.phase === "fault") return "clear the fault first";
+    if (guards(state)) return state.phase === "fault" ? "clear the fault first" : null;
     const something = state.phase !== "idle" || (state.gripper && state.gripper.holding) || state.mode === "guard";
-    return guards(state) || something ? null : "nothing is held";
+    return something ? null : "nothing is held";
   },
   clear(state) {
-    return state.phase === "fault" ? null : "there is no fault";
+    if (state.phase !== "fault") return "there is no fault";
+    return state.putting_down ? "wait until it is put down" : null;
   },
   calibrate(state) {
     if (state.phase !== "idle") return IDLE_ONLY;

@@ -65,9 +65,11 @@ export function headline(state) {
 }
 
 function faultDetail(state) {
-  const gripper = state.gripper;
-  if (!gripper) return "the arm is stopped, the gripper is left as it is";
-  return gripper.holding ? `the arm is stopped, the grip is kept: ${plain(gripper.force_n)} N` : "the arm is stopped";
+  const { arm, gripper } = state;
+  const moves = arm && arm.moving ? "the arm is still moving" : "the arm is stopped";
+  const way = state.putting_down ? "the arm puts it down" : arm ? moves : "the arm is not heard";
+  if (!gripper) return `${way}, the gripper is not heard`;
+  return gripper.holding ? `${way}, the grip is kept: ${plain(gripper.force_n)} N` : way;
 }
 
 /** The turn of one finger or of both in words. */

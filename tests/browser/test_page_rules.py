@@ -1,0 +1,91 @@
+"""The page saves the operator a refusal that can be foreseen, and never forbids what the law would grant."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import pytest
+from page_rig import Daemon
+
+from slipguard.devices import ArmState, GripperState
+from slipguard.grasp.fault import Fault, FaultCode
+from slipguard.grasp.messages import Command, Request, RequestKind, Seen
+from slipguard.grasp.params import GuardParams
+from slipguard.grasp.requests import answer
+from slipguard.grasp.state import GuardState, Phase, Slip
+
+pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="session")]
+NOW_S = 10.0
+KINDS = {
+    "grasp": RequestKind.GRASP, "lift": RequestKind.LIFT, "lower": RequestKind.LOWER, "clear": RequestKind.CLEAR,
+}  # fmt: skip
+ASK = """async (cases) => {
+  const { guards, hindrance } = await import("/page/may.js");
+  const names = ["grasp", "lift", "lower", "clear", "guard", "release"];
+  return cases.map((state) => {
+    const view = { live: true, control: true, state };
+    return [guards(state), Object.fromEntries(names.map((name) => [name, hindrance(name, view)]))];
+  });
+}"""
+
+
+def grippers() -> list[GripperState | None]:
+    """Gone, open, holding, moving."""
+    open_ = GripperState(True, False, False, False, 85.0, 0.0, None, NOW_S)
+    held = replace(open_, holding=True, width_mm=18.0, force_n=40.0)
+    return [None, open_, held, replace(open_, moving=True)]
+
+
+def arms() -> list[ArmState | None]:
+    """Gone, at rest, in each of its stops."""
+    rest = ArmState(50.0, 0.0, False, False, False, NOW_S)
+    return [None, rest, replace(rest, protective_stop=True), replace(rest, emergency_stop=True)]
+
+
+def cases() -> list[tuple[GuardState, Seen, GuardParams]]:
+    """Every phase with everything around it."""
+    fault, slip = Fault(FaultCode.ARM_SILENT, "seen", "do"), Slip(9.0, 1, 9.5, 3.0, 5.0, 0.0)
+    made = []
+    for phase, mode, guarding, slips, gripper, arm in product(
+        Phase, ("lift", "guard"), (True, False), (None, slip), grippers(), arms()
+    ):
+        near = arm is not None and (arm.protective_stop or arm.emergency_stop)
+        state = GuardState(
+            phase=phase, since_s=5.0, guarding=guarding, slip=slips, ground_mm=0.0, person_near=near, adopted=True,
+            commanded_s=5.0, fault=fault if phase is Phase.FAULT else None,
+        )  # fmt: skip
+        made.append((state, Seen(NOW_S, gripper=gripper, arm=arm), GuardParams(mode=mode)))
+    return made
+
+
+def told(state: GuardState, seen: Seen, params: GuardParams) -> dict[str, Any]:
+    """What the page is told of it."""
+    devices = {"left": object(), "right": object(), "gripper": seen.gripper, "arm": seen.arm}
+    gone = [name for name, one in devices.items() if one is None]
+    return {
+        "phase": state.phase.value, "mode": params.mode, "guarding": state.guarding, "slipping": state.slip is not None,
+        "putting_down": state.putting_down, "waiting_for": [f"{name}: gone" for name in gone],
+        "gripper": seen.gripper and {name: getattr(seen.gripper, name) for name in GripperState.__slots__},
+        "arm": seen.arm and {name: getattr(seen.arm, name) for name in ArmState.__slots__},
+    }  # fmt: skip
+
+
+def granted(state: GuardState, seen: Seen, params: GuardParams, kind: RequestKind) -> bool:
+    return answer(state, Command(), replace(seen, request=Request(kind)), params)[1].refused is None
+
+
+async def test_what_the_law_grants_the_page_lets_ask(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+    page = await look(control=False)
+    every = cases()
+    spared = 0
+    for case, (guards, forbidden) in zip(every, await page.evaluate(ASK, [told(*case) for case in every]), strict=True):
+        kinds = {**KINDS, "guard": RequestKind.GUARD_OFF if guards else RequestKind.GUARD_ON}
+        assert forbidden["release"] is None, "letting go is possible in every state"
+        for name, kind in kinds.items():
+            grants = granted(*case, kind)
+            ready = name != "grasp" or not told(*case)["waiting_for"]  # the daemon refuses that before the law
+            assert not (grants and ready and forbidden[name]), f"{name} is forbidden ({forbidden[name]}): {case}"
+            spared += not grants and forbidden[name] is not None
+    assert spared > len(every), "most refusals are foreseen"
