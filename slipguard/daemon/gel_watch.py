@@ -13,6 +13,7 @@ from functools import partial
 
 import cv2
 import numpy as np
+import structlog
 from numpy.typing import NDArray
 
 from slipguard.daemon.calibration import Archive, NoContact, Store
@@ -32,6 +33,7 @@ RECOVERY_S = 5.0
 """The gel takes some seconds to come back after it was pressed."""
 TOUCHED_S = 600.0
 """Contact for so long with the jaws open and at rest is no touch: something sticks, or the light has gone far."""
+log = structlog.get_logger()
 
 
 @dataclass(slots=True)
@@ -122,6 +124,9 @@ class GelWatch:
         try:
             compared = await asyncio.to_thread(_compared, store, serial, mean, gate_sigma)
         except SlipguardError:  # a damaged or missing image is said elsewhere
+            return
+        except Exception:  # the guard must not end with it
+            log.exception("gel not compared", finger=name)
             return
         if compared is None or window is not self._windows[name]:  # calibrated meanwhile
             return

@@ -31,6 +31,8 @@ MARK_MIN_PX = 9
 """0.03 mm2: smaller ones are single pixels of the sensor."""
 MARK_SHARE = 0.3
 """A mark reaches to where it has this share of its height."""
+GAINS = (0.5, 2.0)
+"""Lamps may be set to something else; what would be stronger or weaker than this is no light."""
 KEPT_MARKS = 8
 EDGE_PX = 4
 """The border of the picture, where smoothing knows one side only."""
@@ -92,6 +94,7 @@ def changed(
 def _marks(now: Mean, known: Image, left_std: float) -> tuple[tuple[Mark, ...], int]:
     """What is sharp, and neither in the known picture nor next to where it is."""
     seen, then = _sharp(now), _sharp(known.astype(np.float32))
+    then *= _gain(seen, then)
     near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * SHIFT_PX + 1, 2 * SHIFT_PX + 1))
     above = seen - cv2.dilate(then, near)
     below = cv2.erode(then, near) - seen
@@ -110,6 +113,12 @@ def _marks(now: Mean, known: Image, left_std: float) -> tuple[tuple[Mark, ...], 
         marks.append(Mark(float(middles[one][0]), float(middles[one][1]), area_px, strongest))
     marks.sort(key=lambda mark: mark.levels, reverse=True)
     return tuple(marks[:KEPT_MARKS]), sum(mark.area_px for mark in marks)
+
+
+def _gain(seen: Mean, then: Mean) -> NDArray[np.float32]:
+    """How much stronger each colour's light is now: what it shows of the gel's own specks and streaks, (3,)."""
+    both, alone = (seen * then).sum(axis=(0, 1)), np.square(then).sum(axis=(0, 1))
+    return np.asarray(np.clip(both / np.maximum(alone, 1.0), *GAINS), np.float32)
 
 
 def _sharp(picture: Mean) -> Mean:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from loop_cell import Cell
 
+from slipguard.daemon import gel_watch
 from slipguard.daemon.calibration import NoContact
 from slipguard.daemon.finger import Judgement
 from slipguard.daemon.gel import Verdict
@@ -182,5 +183,21 @@ def test_contact_without_end_is_said_where_the_jaws_are_open() -> None:
         bench.service.gripper.newest = None
         await bench.show(gel(), 1000.0, contact=True, renewed=True)
         assert len(bench.said) == 1
+
+    play(scene)
+
+
+def test_a_comparison_that_fails_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*told: object) -> None:
+        raise ZeroDivisionError("a mistake")
+
+    monkeypatch.setattr(gel_watch, "changed", broken)
+
+    async def scene(bench: Bench) -> None:
+        await bench.show(gel(), 200.0)
+        assert bench.finger.gel is None
+        monkeypatch.undo()
+        await bench.show(gel(), 100.0)
+        assert bench.finger.gel is not None
 
     play(scene)

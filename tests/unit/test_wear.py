@@ -76,6 +76,14 @@ def test_drifting_light_and_a_moved_picture_are_no_marks(seed: int) -> None:
         assert compared(averaged(rng, now), known).marked_px <= 30, levels
 
 
+@pytest.mark.parametrize("gain", [0.75, 1.3])
+def test_lamps_set_to_something_else_are_no_wear(gain: float) -> None:
+    for seed in UNITS:
+        known = gel(seed)
+        lit = np.clip(known * np.array([gain, 1.0, gain]), 0, 255)
+        assert compared(averaged(np.random.default_rng(seed), lit), known).marked_px <= 30, seed
+
+
 @pytest.mark.parametrize("seed", UNITS)
 def test_marks_are_found_in_drifted_light_where_they_are(seed: int) -> None:
     rng, known = np.random.default_rng(seed), gel(seed)
