@@ -48,7 +48,7 @@ class Alert:
 
     start_mm: height of the arm when watching began. moved_s: when it last moved, by its own account. near_deg: where
     the object rests, slowly followed; where it rested last while the arm moves. variance_deg2: of the turns around
-    that. measured_s: the newest frame used. settled: it has just come to rest, after the arm had moved.
+    that. measured_s: the newest frame used. anew: what the arm's motion has wound up until now is the new rest.
     """
 
     start_mm: float | None = None
@@ -57,7 +57,7 @@ class Alert:
     variance_deg2: float = NOISE_START_DEG**2
     measured_s: float = -math.inf
     case: Case = Case.MOVING
-    settled: bool = False
+    anew: bool = False
 
     @property
     def noise_deg(self) -> float:
@@ -74,10 +74,11 @@ def attend(alert: Alert, fused: Fused, arm: ArmState | None, params: GuardParams
             moved_s=arm.measured_at_s if arm.moving else alert.moved_s,
         )
     case = _case(alert, fused, arm)
-    alert = replace(alert, case=case, settled=case is Case.REST and alert.case is not Case.REST)
+    anew = case is not alert.case and (case is Case.REST or alert.case is Case.LIFT_OFF)
+    alert = replace(alert, case=case, anew=anew)
     if fused.turn_deg is None:
         return replace(alert, near_deg=None)
-    if alert.near_deg is None or alert.settled:
+    if alert.near_deg is None or anew:
         return replace(alert, near_deg=fused.turn_deg, measured_s=fused.measured_at_s)
     if case is not Case.REST:
         return replace(alert, measured_s=fused.measured_at_s)

@@ -93,7 +93,7 @@ def look(
     new = fused.measured_at_s > detector.measured_s
     rested_deg = detector.alert.near_deg
     detector = replace(_follow_shift(detector, fused), alert=attend(detector.alert, fused, arm, params))
-    anew = detector.alert.settled  # what the arm's motion has wound up stays
+    anew = detector.alert.anew  # what the arm's motion has wound up stays
     detector = replace(
         detector,
         base_turn_deg=fused.turn_deg if anew or detector.base_turn_deg is None else detector.base_turn_deg,
@@ -138,7 +138,7 @@ def _turning(
     growth = params.level_growth**detector.episodes
     level, creep_deg = level_deg(fused.sigma_deg, detector.episodes, params), params.creep_deg * growth
     if detector.alert.case is Case.MOVING:
-        level = max(level, SWING_SHARE * abs(fused.turn_deg))
+        level = max(level, SWING_SHARE * abs(detector.base_turn_deg))
     if detector.alert.case is Case.LIFT_OFF and (firm or detector.episodes):
         level = max(level, params.firm_level_deg)
     fast = rate_deg_s >= params.rate_deg_s

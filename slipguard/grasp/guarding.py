@@ -54,8 +54,11 @@ def guard(state: GuardState, seen: Seen, params: GuardParams) -> Verdict:
         firm=state.target_n >= limits.firm_n(params, seen.gripper_limits_n),
         only_outward=state.phase is Phase.LOWERING,
     )
-    state = replace(state, detector=sight.detector)
     slip = state.slip
+    if slip is not None and sight.detector.base_turn_deg != state.detector.base_turn_deg:
+        # Turns count from another place now: so must those of the last step.
+        slip = replace(slip, turn_deg=sight.turn_deg, slide_mm=sight.slide_mm)
+    state = replace(state, detector=sight.detector, slip=slip)
     if slip is None:
         return _begin(state, sight, seen, params) if sight.slipping else Verdict(state)
     if _calm(state, slip, sight, seen, params):

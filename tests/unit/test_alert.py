@@ -1,0 +1,141 @@
+"""How little counts as slip: at rest in the air, lifting off, and while the arm moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from seen import arm, fused
+
+from slipguard.grasp.alert import LIFT_OFF_MM, NOISE_MAX_DEG, SETTLE_S, Alert, Case, attend, quick_level_deg
+from slipguard.grasp.detector import Detector, Look, look
+from slipguard.grasp.params import GuardParams
+
+PARAMS = GuardParams()
+FRAME_S = 1 / 60
+
+
+class Watched:
+    """Frames one after the other, with the arm as it is."""
+
+    def __init__(self, firm: bool = False, params: GuardParams = PARAMS) -> None:
+        self.detector, self.firm, self.params = Detector(), firm, params
+        self.now_s, self.here = 10.0, arm()
+        self.rate_deg_s = 0.0
+
+    def see(self, turn_deg: float, *, sigma_deg: float = 0.05, fingers: tuple[str, ...] = ("left", "right")) -> Look:
+        self.now_s += FRAME_S
+        view = fused(turn_deg, self.rate_deg_s, at_s=self.now_s, sigma_deg=sigma_deg, fingers=fingers)
+        here = replace(self.here, measured_at_s=self.now_s)
+        sight = look(self.detector, view, self.params, arm=here, firm=self.firm)
+        self.detector = sight.detector
+        return sight
+
+    def rest(self, seconds: float = 0.5, turn_deg: float = 0.0) -> Watched:
+        for _ in range(round(seconds / FRAME_S)):
+            assert not self.see(turn_deg).slipping
+        return self
+
+    def lifts(self, height_mm: float) -> Watched:
+        self.here = arm(height_mm, moving=True)
+        return self
+
+
+def test_half_a_degree_at_rest_is_slip_on_the_first_frame_if_both_fingers_say_so() -> None:
+    assert Watched().rest().see(0.5).slipping
+    one = Watched().rest()
+    assert not one.see(0.5, fingers=("left",)).slipping
+    assert one.see(0.6, fingers=("left",)).slipping
+
+
+def test_a_little_above_the_level_takes_two_frames() -> None:
+    watched = Watched().rest()
+    assert not watched.see(-0.4).slipping
+    assert watched.see(-0.4).slipping
+    flickers = Watched().rest()
+    assert not any(flickers.see(turn).slipping for turn in (0.4, 0.0, 0.4, 0.0, 0.4))
+
+
+def test_an_unsure_turn_needs_three_sigmas() -> None:
+    watched = Watched().rest()
+    assert not any(watched.see(0.8, sigma_deg=0.3).slipping for _ in range(5))
+    assert watched.see(1.5, sigma_deg=0.3).slipping
+
+
+def test_the_level_follows_the_sensors_own_noise() -> None:
+    rng = np.random.default_rng(0)
+    watched = Watched()
+    for _ in range(600):
+        assert not watched.see(float(rng.normal(0.0, 0.2)), sigma_deg=0.2).slipping
+    assert 0.15 < watched.detector.alert.noise_deg < 0.3
+    assert 1.0 < quick_level_deg(watched.detector.alert, PARAMS) < 1.6
+    assert quick_level_deg(Alert(), PARAMS) == pytest.approx(0.36)
+    assert quick_level_deg(Alert(variance_deg2=1e-6), PARAMS) == PARAMS.rest_level_deg
+    assert Alert(variance_deg2=100.0).noise_deg == NOISE_MAX_DEG
+
+
+def test_a_drift_is_followed() -> None:
+    watched = Watched()
+    for k in range(60 * 60):
+        assert not watched.see(0.05 * k * FRAME_S).slipping
+
+
+def test_an_object_wound_up_by_the_lift_is_watched_from_where_it_came_to_rest() -> None:
+    watched = Watched(firm=True).rest().lifts(10.0)
+    watched.rate_deg_s = 20.0
+    for k in range(40):
+        watched.here = arm(2.0 * k, moving=True)
+        assert not watched.see(0.25 * k).slipping
+    watched.here = arm(120.0)
+    watched.rate_deg_s = 0.0
+    watched.rest(2.0, 10.0)
+    assert watched.detector.base_turn_deg == 10.0
+    assert watched.see(10.6).slipping
+
+
+def test_a_gentle_grip_is_not_given_that_time_in_a_lift() -> None:
+    watched = Watched().rest().lifts(10.0)
+    assert watched.see(0.7).slipping
+
+
+def test_after_a_tightening_a_lift_goes_on_with_more_patience() -> None:
+    watched = Watched().rest().lifts(10.0)
+    watched.detector = watched.detector.rebased()
+    assert not any(watched.see(0.2 * k).slipping for k in range(70))
+
+
+@pytest.mark.parametrize(("wound_deg", "swing_deg", "slips"), [(8.0, 3.5, False), (8.0, 4.5, True), (0.0, 2.5, True)])
+def test_what_the_arms_motion_may_swing_depends_on_what_is_wound_up(
+    wound_deg: float, swing_deg: float, slips: bool
+) -> None:
+    watched = Watched(firm=True)
+    watched.rest(0.1)
+    watched.here = arm(LIFT_OFF_MM + 50.0)
+    watched.detector = replace(watched.detector, base_turn_deg=None)
+    for _ in range(60):
+        watched.see(wound_deg)
+    watched.here = arm(LIFT_OFF_MM + 50.0, moving=True)
+    watched.rate_deg_s = 60.0
+    assert any(watched.see(wound_deg + swing_deg).slipping for _ in range(2)) is slips
+
+
+def test_the_gel_is_given_time_to_settle_after_the_arm_has_stopped() -> None:
+    watched = Watched().rest().lifts(LIFT_OFF_MM + 20.0)
+    watched.see(0.0)
+    watched.here = arm(LIFT_OFF_MM + 20.0)
+    stopped_s = watched.now_s
+    for k in range(round((SETTLE_S - 0.02) / FRAME_S)):
+        assert not watched.see(0.8 * (-1) ** k).slipping
+    watched.see(0.0)
+    while watched.now_s < stopped_s + SETTLE_S + 0.2:
+        watched.see(0.0)
+    assert watched.detector.alert.case is Case.REST
+    assert watched.see(0.8).slipping
+
+
+def test_without_an_arm_or_a_turn_nothing_counts_as_sudden() -> None:
+    alert = attend(Alert(), fused(0.0, at_s=1.0), None, PARAMS)
+    assert alert.case is Case.MOVING
+    alert = attend(replace(alert, near_deg=1.0), fused(None, at_s=1.1), arm(at_s=1.1), PARAMS)
+    assert alert.near_deg is None
