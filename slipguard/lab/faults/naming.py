@@ -4,7 +4,7 @@ A fault counts as unnamed when it could be seen for `WITHIN_S`, added up, and no
 its device. It can be seen while the daemon runs, and unless:
 - a graver fault of the same device hides it (`RANKS`), or the sensor is being opened again;
 - light and mirrored pictures: nothing is held, for only then does a finger's word count; mirrored ones also until both
-  fingers have seen more than `TELLING_DEG`;
+  fingers have seen more than `TELLING_DEG`, and if both are, for then they agree;
 - an arm that is stuck: until it has gained no height for `stuck_s` though it was told to, which is what stuck means;
 - an object that was taken: no camera shows the empty fingers, and the jaws have not yet closed or the gripper is not
   heard; nor where the guard was not holding it;
@@ -92,7 +92,7 @@ def _camera(finger: str, fault: str, rig: Rig) -> bool:
     if fault == "light":
         return held
     if fault == "mirrored":
-        return held and _both_turned(rig)
+        return held and len(rig.mirrored) == 1 and _both_turned(rig)
     return True
 
 
