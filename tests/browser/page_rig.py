@@ -106,10 +106,14 @@ class Daemon:
             assert self._process.poll() is None, self.log
             pause(0.05)
 
+    def well(self) -> dict[str, Any]:
+        """No device fails any more; the state then."""
+        self.order("mend")
+        return self.until(lambda state: not state["waiting_for"])
+
     def fresh(self) -> None:
         """Everything well, nothing held, an object between the open jaws."""
-        self.order("mend")
-        self.until(lambda state: not state["waiting_for"])
+        self.well()
         self.client.release()
         self.until(lambda state: state["phase"] == "idle" and not state["gripper"]["moving"])
         self.order("fresh")
@@ -118,8 +122,7 @@ class Daemon:
     def held(self, anew: bool = True) -> None:
         """The object gripped, with both fingers' no-contact images known; anew: just now, on the table."""
         if not anew:
-            self.order("mend")
-            state = self.until(lambda state: not state["waiting_for"])
+            state = self.well()
             if state["phase"] == "holding" and state["guarding"]:
                 return
         self.fresh()

@@ -116,7 +116,7 @@ async def test_a_refusal_is_shown_in_the_daemons_words(running: Daemon, look) ->
 
 
 async def test_everything_by_keyboard(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
-    running.held()
+    running.held(anew=False)
     page = await look()
     keyboard, focus = page.keyboard, page.locator(":focus")
     seen = []
@@ -127,6 +127,7 @@ async def test_everything_by_keyboard(running: Daemon, look) -> None:  # type: i
         assert ring >= 2.0, f"{seen[-1]}: no visible focus"
     names = ["grasp", "lift", "lower", "guard", "clear", "calibrate", "release"]
     assert seen == ["To the commands", *(f"do-{name}" for name in names), "overlay"]
+    at_mm = running.state()["arm"]["height_mm"]
     await page.focus("#do-lift")
     await keyboard.press("Enter")
     await expect(page.locator("#ask-no")).to_be_focused()
@@ -143,4 +144,4 @@ async def test_everything_by_keyboard(running: Daemon, look) -> None:  # type: i
     await expect(page.locator("#ask-yes")).to_be_focused()
     await keyboard.press("Enter")
     await expect(page.locator("#said")).to_have_text("lifting by 45 mm")
-    running.until(lambda state: state["phase"] == "holding" and state["arm"]["height_mm"] > 44.0)
+    running.until(lambda state: state["phase"] == "holding" and state["arm"]["height_mm"] > at_mm + 44.0)

@@ -79,7 +79,11 @@ export class Live {
     }
   }
 
+  /** Somebody looks again, or the network is back: a telephone asleep may hold a connection that is long dead. */
   hurry() {
-    if (!this.socket && document.visibilityState === "visible") this.connect();
+    const old = this.socket;
+    if (document.hidden || this.live || (old && performance.now() - this.openedAt < SILENT_MS)) return;
+    this.connect();
+    old?.close();
   }
 }

@@ -11,6 +11,7 @@ import { armWords, clock, forces, headline, plain, signed, span } from "./words.
 
 const SLOW_MS = 250; // figures that change faster cannot be read
 const SHORT = 13; // longer words of state are set in smaller type
+const ENDED = "The login has ended with a restart of slipguard or of this browser: log in again to command";
 const REMEMBERED = "slipguard: this browser could command";
 
 const view = { live: false, control: false, state: null };
@@ -124,10 +125,7 @@ function showAccess() {
   pill.hidden = false;
   setText(pill, view.control ? "may command" : "read only");
   byId("login").hidden = view.control;
-  setText(
-    byId("login-title"),
-    remembers() ? "slipguard was restarted: log in again to command" : "This page may look, not command",
-  );
+  setText(byId("login-title"), remembers() ? ENDED : "This page may look, not command");
 }
 
 function showNow() {
