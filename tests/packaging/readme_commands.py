@@ -58,6 +58,8 @@ OTHERS = {
     "pytest tests/contract --digit": "tests/contract/conftest.py",
     "pytest tests/wire/test_robotiq_campaign.py": "tests/wire/test_robotiq_campaign.py",
     "pytest tests/wire/test_ur_campaign.py": "tests/wire/test_ur_campaign.py",
+    "pytest tests/wire/test_kill_campaign.py": "tests/wire/test_kill_campaign.py",
+    "mutmut ": "pyproject.toml",
     "pytest tests/browser/test_page_looks.py": "tests/browser/test_page_looks.py",
     "pytest tests/vm": "tests/vm/test_digit_on_linux.py",
     "python tests/vm/build_image.py": "tests/vm/machine.py",
