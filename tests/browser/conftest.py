@@ -23,7 +23,7 @@ QUIET = (
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--no-proxy-server",
 )  # fmt: skip
-PATIENCE_MS = 30_000
+PATIENCE_MS = 45_000
 _LEFT_OUT = pytest.StashKey[int]()
 Open = Callable[..., Awaitable[Page]]
 

@@ -17,7 +17,7 @@ from typing import Any
 from slipguard.daemon.client import Client
 from slipguard.errors import CommandRefused, SlipguardError
 
-PATIENCE_S = 40.0
+PATIENCE_S = 90.0
 CONFIG = """
 [left]
 driver = "fake"

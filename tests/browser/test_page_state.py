@@ -83,7 +83,7 @@ async def test_a_restart_is_survived_and_the_old_login_is_not(running: Daemon, l
     await page.goto(running.client.page_link()["url"])
     await expect(page.locator("#access")).to_have_text("may command")
     await expect(page.locator("#login")).to_be_hidden()
-    await expect(page.locator("#phase")).to_have_text("Holding", timeout=30_000)
+    await expect(page.locator("#phase")).to_have_text("Holding")
 
 
 async def test_without_a_connection_nothing_is_shown_as_if_it_were_so(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
