@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import random
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 
 from slipguard.daemon.controls import Controls
@@ -76,7 +76,7 @@ class Shift:
     async def start(self) -> None:
         """Wait for the devices and take the no-contact images."""
         await self._until(lambda: not self._service.waiting_for, BACK_S, "the devices are not ready")
-        await self._controls.calibrate()
+        await self._patiently(self._controls.calibrate)
 
     async def cycle(self, number: int) -> None:
         """One object. Raises Stuck where something does not come to its end."""
@@ -89,7 +89,7 @@ class Shift:
             self.counts["refused"] += 1
         await self._end_fault()
         self.counts["dropped"] += self._world.truth(now()).dropped is not None
-        await self._controls.release()
+        await self._patiently(self._controls.release)
         await self._until(lambda: service.phase is Phase.IDLE, STEP_S, f"{name}: not released")
         self._world.clear(now())
         self.counts["cycles"] += 1
@@ -129,15 +129,22 @@ class Shift:
 
     async def _end_fault(self) -> None:
         """Clear a latched fault; its cause may take a moment to be gone."""
+        while (fault := self._service.state.fault) is not None:
+            await self._patiently(self._controls.clear)
+            self.counts[f"cleared: {fault.code}"] += 1
+            await asyncio.sleep(LOOK_S)
+
+    async def _patiently(self, command: Callable[[], Awaitable[object]]) -> None:
+        """Give a command until it is not refused: a device, or a busy machine, may need a moment."""
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + BACK_S
-        while (fault := self._service.state.fault) is not None:
+        while True:
             try:
-                await self._controls.clear()
-                self.counts[f"cleared: {fault.code}"] += 1
+                await command()
+                return
             except CommandRefused as refusal:
                 if loop.time() > deadline_s:
-                    raise Stuck(f"a fault could not be cleared ({fault}): {refusal}") from None
+                    raise Stuck(f"still refused after {BACK_S:g} s: {refusal}") from None
             await asyncio.sleep(LOOK_S)
 
     async def _rest(self) -> None:
@@ -146,7 +153,7 @@ class Shift:
         if chance < IDLE_TROUBLE:
             await self._trouble(self._random.choice(IDLE_TROUBLES), "disconnect")
         elif chance < IDLE_TROUBLE + CALIBRATION:
-            await self._controls.calibrate(force=True)
+            await self._patiently(lambda: self._controls.calibrate(force=True))
             self.counts["calibrations"] += 1
         await asyncio.sleep(self._random.uniform(*REST_S))
 
