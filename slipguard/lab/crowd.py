@@ -21,6 +21,7 @@ import numpy as np
 from slipguard.daemon.desk import Desk
 from slipguard.daemon.root import build_service
 from slipguard.daemon.service import Decision
+from slipguard.errors import SlipguardError
 from slipguard.lab.cell_process import CellProcess
 from slipguard.lab.wire_latency import HOST, Spread, every_frame_in_full, grip
 from slipguard.web.host import GONE_S, end, run_api
@@ -44,7 +45,8 @@ class CrowdOptions:
 
 @dataclass(frozen=True, slots=True)
 class Crowd:
-    """alone, crowded: latencies of the loop, frame handed over to decision. got: what the clients received.
+    """alone, crowded: latencies of the loop, frame handed over to decision: the median of the blocks' p50 and p99, so
+    that what the machine does once falls out, and the largest of all. got: what the clients received.
 
     missed: beats of the loop missed meanwhile, alone and crowded. allowed_ms: how much p99 may rise.
     """
@@ -108,7 +110,7 @@ class _Times:
 async def _blocks(
     options: CrowdOptions, port: int, times: _Times, missed: Callable[[], int], tell: Callable[[str, float], None]
 ) -> Crowd:
-    found: tuple[list[float], list[float]] = ([], [])
+    found: tuple[list[list[float]], list[list[float]]] = ([], [])
     lost = [0, 0]
     got: Counter[str] = Counter()
     clients = await asyncio.create_subprocess_exec(
@@ -126,7 +128,8 @@ async def _blocks(
             if here:
                 clients.stdin.write(b"come\n")
             await asyncio.sleep(SETTLE_S)
-            times.into, before = found[here], missed()
+            found[here].append([])
+            times.into, before = found[here][-1], missed()
             await asyncio.sleep(options.block_s)
             times.into = None
             lost[here] += missed() - before
@@ -136,11 +139,14 @@ async def _blocks(
     finally:
         clients.stdin.close()
         await end(clients, GONE_S)
-    alone, crowded = (_spread(one) for one in found)
-    return Crowd(options, len(found[0]) + len(found[1]), alone, crowded, (lost[0], lost[1]), dict(got))
+    alone, crowded = (spread_of_blocks(one) for one in found)
+    decisions = sum(len(block) for one in found for block in one)
+    return Crowd(options, decisions, alone, crowded, (lost[0], lost[1]), dict(got))
 
 
-def _spread(times_s: list[float]) -> Spread:
-    in_ms = np.array(times_s) * 1e3
-    p50, p99 = np.percentile(in_ms, (50, 99))
-    return Spread(float(p50), float(p99), float(in_ms.max()))
+def spread_of_blocks(blocks_s: list[list[float]]) -> Spread:
+    """Medians of the blocks' p50 and p99, and the largest of all. Raises SlipguardError for a block without any."""
+    if not all(blocks_s):
+        raise SlipguardError("nothing was decided in one of the blocks; is the machine busy?")
+    p50, p99 = np.median([np.percentile(block_s, (50, 99)) for block_s in blocks_s], axis=0) * 1e3
+    return Spread(float(p50), float(p99), 1e3 * max(max(block_s) for block_s in blocks_s))

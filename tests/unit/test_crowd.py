@@ -1,0 +1,40 @@
+"""The crowd's arithmetic, and its clients against a served API."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from fake_control import FakeControl, served_on_tcp
+
+from slipguard.errors import SlipguardError
+from slipguard.lab import crowd_clients
+from slipguard.lab.crowd import Crowd, CrowdOptions, spread_of_blocks
+from slipguard.lab.waiting import until
+
+
+def test_one_bad_block_does_not_count_and_a_rise_does() -> None:
+    calm = [0.001 * n for n in range(1, 101)]
+    alone = spread_of_blocks([calm, calm, [5.0, 5.0]])
+    assert (alone.p50_ms, alone.p99_ms) == (pytest.approx(50.5), pytest.approx(99.01))
+    assert alone.largest_ms == 5000.0
+    slower = spread_of_blocks([[2 * one for one in calm]])
+    found = Crowd(CrowdOptions(), 302, alone, slower, (0, 0))
+    assert found.rise_ms == pytest.approx(99.01)
+    assert found.allowed_ms == pytest.approx(9.901)
+    assert Crowd(CrowdOptions(), 2, spread_of_blocks([[0.002]]), slower, (0, 0)).allowed_ms == 1.0
+    with pytest.raises(SlipguardError, match="nothing was decided"):
+        spread_of_blocks([calm, []])
+
+
+async def test_clients_hear_and_poll_and_come_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(crowd_clients, "POLL_S", 0.01)
+    got: Counter[str] = Counter()
+    async with served_on_tcp(FakeControl(), tmp_path) as (port, _):
+        crowd = asyncio.create_task(crowd_clients.crowd("127.0.0.1", port, 4, got))
+        await until(crowd, lambda: got["answers 200"] >= 20 and got["live messages"] >= 6, 30.0, "no answers")
+        crowd.cancel()
+        await asyncio.gather(crowd, return_exceptions=True)
+    assert set(got) == {"answers 200", "live messages"}
