@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import signal
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -102,6 +104,18 @@ def test_a_short_one_with_the_page_open(tmp_path: Path, capfd: pytest.CaptureFix
     assert found["counts"]["page: pictures"] >= 4
     assert found["left_out"] == 0
     assert len(pulses.read_text().splitlines()) == len(found["pulses"])
+
+
+def test_one_that_is_ended_from_outside_says_so(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def short_day(self: object, service: object) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)  # the daemon heeds it by now
+        await asyncio.get_running_loop().create_future()
+
+    monkeypatch.setattr("slipguard.lab.soak.run._Run.day", short_day)
+    assert run(["soak", "--hours", "1"]) == 1
+    assert capfd.readouterr().err == "slipguard: the soak was ended before its time\n"
 
 
 def test_too_short_or_two_things_at_once_is_misuse(capfd: pytest.CaptureFixture[str]) -> None:

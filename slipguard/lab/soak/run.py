@@ -25,6 +25,7 @@ from slipguard.daemon.recording import SEGMENT_S, make_recorder
 from slipguard.daemon.service import Service
 from slipguard.daemon.state_dir import StateDir
 from slipguard.daemon.worker import StatedLatencyWorker
+from slipguard.errors import SlipguardError
 from slipguard.lab.campaign import CampaignSettings, run_campaign
 from slipguard.lab.soak import verdict
 from slipguard.lab.soak.page import PageProcess, look
@@ -71,13 +72,18 @@ class Soak:
 
 
 async def soak(settings: Settings, tell: Callable[[Pulse, str], None]) -> Soak:
-    """Run it; tell: each look, and what was done so far. Raises Stuck where the daemon does not get on any more."""
+    """Run it; tell: each look, and what was done so far.
+
+    Raises Stuck where the daemon does not get on any more, SlipguardError where it is ended from outside.
+    """
     found = Soak(settings)
     began_s = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="slipguard-soak-") as folder:
         run = _Run(settings, soak_config(settings, Path(folder)), found, tell)
         before = run.pulse()
         await root.run(run.config, world=run.world, beside=run.day, build=run.build, recorder=run.record)
+        if not run.over:
+            raise SlipguardError("the soak was ended before its time")
         after = run.pulse()
     limits = verdict.Limits(round(RING_S / SEGMENT_S), RING_MAX_MB, KEPT_MAX_MB)
     beats = round(settings.length_s * 1e3 / run.config.loop.period_ms)
@@ -93,6 +99,7 @@ class _Run:
         self.config = config
         self.world = World(WorldSettings(step_s=WORLD_STEP_S), seed=settings.seed)
         self.missed = 0
+        self.over = False
         self._settings, self._found, self._tell = settings, found, tell
         self._recorder: Recorder | None = None
         self._began_s = asyncio.get_running_loop().time()
@@ -157,6 +164,7 @@ class _Run:
         self._found.counts = dict(shift.counts) | {f"page: {what}": count for what, count in self._page.items()}
         self._found.left_out = self._recorder.left_out if self._recorder is not None else 0
         self.missed = service.deadlines_missed
+        self.over = True
         os.kill(os.getpid(), signal.SIGTERM)
         await loop.create_future()
 
