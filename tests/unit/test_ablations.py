@@ -23,6 +23,7 @@ def test_variants_are_trained_measured_and_tabled(
         ablations.Variant(
             "small", mask=CONTACT, inputs="change", size=(96, 128), widths=(8, 16, 32, 0), settings=short
         ),
+        ablations.Variant("frame alone", inputs="frame", widths=(8, 16, 32, 0), settings=short),
     )
     monkeypatch.setattr(ablations, "VARIANTS", variants)
     monkeypatch.setattr(ablations, "HELD_OUT_FRAMES", 8)
@@ -34,6 +35,7 @@ def test_variants_are_trained_measured_and_tabled(
         "variant",
         "as shipped",
         "small",
+        "frame alone",
         "int8, as shipped else",
         "on the known patch's crop",
     ]
@@ -41,7 +43,7 @@ def test_variants_are_trained_measured_and_tabled(
     weights = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/weights.pt")}
     ablations.main(tmp_path, frames=16, epochs=1)
     assert weights == {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/weights.pt")}, "trained again"
-    assert len(weights) == 2
+    assert len(weights) == 3
 
 
 def test_held_out_objects_are_in_no_training_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
