@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from slipguard.daemon.health import Health
+from slipguard.daemon.health import NOT_TRIED, Health
 from slipguard.grasp.messages import Condition, FingerHealth, Seen, without_figures
 from slipguard.grasp.state import AT_STAKE, Phase
 
@@ -21,7 +21,7 @@ AGAIN_S = 0.3
 WELL_S = 0.5
 """A device that has been well for so long is well again."""
 START_S = 2.0
-"""A device that has not been well yet may take so long to get ready before it is said."""
+"""A device that has said nothing yet, good or bad, may take so long before it is said."""
 SLOW_S = 0.15
 """Gripper and arm are asked every 25 ms; an answer older than this is late."""
 
@@ -112,7 +112,7 @@ class Bulletin:
             device.since_s, device.kind = now_s, kind
             device.began = [began_s for began_s in device.began if now_s - began_s < OFTEN_S] + [now_s]
         device.well_s = None
-        starts = not device.known_well and now_s - (self._first_s or now_s) < START_S
+        starts = why == NOT_TRIED and now_s - (self._first_s or now_s) < START_S
         lasts = now_s - device.since_s >= LASTS_S or len(device.began) >= TIMES
         if kind != device.told and lasts and not starts and now_s - device.told_s >= AGAIN_S:
             device.told, device.told_s = kind, now_s

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+NOT_TRIED = "not tried yet"
+
 
 @dataclass(slots=True)
 class Health:
@@ -14,7 +16,7 @@ class Health:
 
     name: str
     state: str = "waiting"
-    why: str = "not tried yet"
+    why: str = NOT_TRIED
     good_at_s: float | None = None
     """Loop time of the last good answer."""
 

@@ -93,6 +93,12 @@ def test_getting_ready_takes_a_while(wait_s: float, lines: int) -> None:
     assert len(listener.said) == lines
 
 
+def test_a_device_that_is_not_there_at_the_start_is_said_soon() -> None:
+    listener = Listener()
+    listener.look("left: no DIGIT with serial D1; plug it in", 0.3)
+    assert listener.lines == ["left: no DIGIT with serial D1; plug it in"]
+
+
 @pytest.mark.parametrize("phase", Phase)
 def test_a_late_loop_is_said_where_the_law_does_not(phase: Phase) -> None:
     listener = well()

@@ -2,7 +2,7 @@
 
 A fault counts as unnamed when it could be seen for `WITHIN_S`, added up, and no line since its beginning names it with
 its device. It can be seen while the daemon runs, and unless:
-- a graver fault of the same device hides it (`RANKS`), or the sensor is being opened again;
+- a graver fault of the same device hides it (`RANKS`), or one that undoes it, or the sensor is being opened again;
 - light and mirrored pictures: nothing is held, for only then does a finger's word count; mirrored ones also until both
   fingers have seen more than `TELLING_DEG`, and if both are, for then they agree;
 - an arm that is stuck: until it has gained no height for `stuck_s` though it was told to, which is what stuck means;
@@ -98,6 +98,8 @@ def _camera(finger: str, fault: str, rig: Rig) -> bool:
 
 def _hidden(device: str, fault: str, rig: Rig) -> bool:
     active = set(rig.world.faults.active(device))
+    if {"stamps_ahead", "stamps_behind"} <= active and fault.startswith("stamps"):
+        return True  # they cancel
     rank = RANKS[device]
     return fault in rank and any(graver in active for graver in rank[: rank.index(fault)])
 
