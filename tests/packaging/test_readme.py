@@ -16,7 +16,7 @@ from sandbox import ROOT
 from slipguard.cli.app import app
 
 README = (ROOT / "README.md").read_text()
-GATE = (ROOT / ".ci" / "run").read_text()
+GATE = (ROOT / ".ci" / "run").read_text().replace("\\\n", "")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 TOP: Any = typer.main.get_command(app)
 

@@ -18,7 +18,7 @@ TOP: Any = typer.main.get_command(app)
 GROUPS = {name for name, command in TOP.commands.items() if getattr(command, "commands", None)}
 PROGRAMS = (
     "slipguard ", "pytest ", "python ", "python3 ", "pip ", "systemctl ", "journalctl ", "usbip ", "ros2 ", "apt-get ",
-    "curl ", "schemathesis ", ".ci/", ".venv/", "sudo ",
+    "curl ", "schemathesis ", "mutmut ", ".ci/", ".venv/", "sudo ",
 )  # fmt: skip
 
 
