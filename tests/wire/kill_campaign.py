@@ -58,6 +58,8 @@ def running(cell: Cell, number: int) -> Iterator[tuple[Process, Client]]:
         cell.folder, f"run-{number}", "run", "--config", patient_config(cell, MOST_PATIENT, 5000), "--log-json"
     )
     try:
+        # Not before it listens: until it has noticed, the web process of a killed daemon answers for it.
+        until(lambda: "slipguard starts" in process.said, "it does not start", lambda: process.said, every_s=0.01)
         with Client(cell.folder / "slipguard.sock") as client:
             yield process, client
     finally:
