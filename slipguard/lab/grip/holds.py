@@ -16,12 +16,11 @@ from slipguard.grasp.messages import Request, RequestKind
 from slipguard.grasp.params import GuardParams
 from slipguard.grasp.state import Phase
 from slipguard.lab.grip.controllers import Law
-from slipguard.lab.grip.errors import ERRORS
 from slipguard.lab.grip.loop import FINGERS, Loop
-from slipguard.lab.grip.matrix import PERCEIVING_S, ROOM_MM, Trial, trials
-from slipguard.lab.grip.sight import Drift, ModelSight, SightError
+from slipguard.lab.grip.matrix import PERCEIVING_S, Trial, trials
+from slipguard.lab.grip.sight import Drift
+from slipguard.lab.grip.stage import chances, grip, model_sight, world_of
 from slipguard.sim.friction import GRAVITY_M_S2
-from slipguard.sim.world import World, WorldSettings
 
 MARGIN = (1.25, 2.0)
 """True force over the force needed."""
@@ -83,24 +82,11 @@ def hold(plan: Hold, params: GuardParams | None = None) -> Held:
     params = (params or GuardParams()).model_copy(update={"probe_height_mm": 0.0})
     trial = plan.trial
     rng = np.random.default_rng([trial.number, 17])
-    world = World(
-        WorldSettings(step_s=STEP_S, start_width_mm=trial.item.width_mm + ROOM_MM),
-        seed=trial.number,
-        lookup=lambda name: trial.item,
-    )
-    world.place(trial.scenario, 100.0)
-    error = ERRORS.get(trial.item.name, SightError())
-    sights = {
-        finger: ModelSight(error, np.random.default_rng([trial.number, k]), _drift(rng))
-        for k, finger in enumerate(FINGERS)
-    }
+    world = world_of(trial, STEP_S)
     law = Law(params)
-    loop = Loop(world, law, sights, np.random.default_rng([trial.number, 9]), PERCEIVING_S)
-    loop.looking = False
-    force_n = min(plan.margin * trial.needed_n / trial.scenario.gripper.gain, params.force_max_n)
-    loop.ask(Request(RequestKind.GRASP, force_n=force_n))
-    loop.until(lambda: _firm(loop), 6.0)
-    loop.looking = True
+    sights = {finger: model_sight(trial, k, _drift(rng)) for k, finger in enumerate(FINGERS)}
+    loop = Loop(world, law, sights, chances(trial), PERCEIVING_S)
+    grip(loop, min(plan.margin * trial.needed_n / trial.scenario.gripper.gain, params.force_max_n))
     loop.wait(SETTLE_S + trial.latency_s)
     loop.ask(Request(RequestKind.LIFT, height_mm=LIFT_MM, speed_mm_s=trial.lift_speed_mm_s))
     loop.until(lambda: law.guard.law.phase is Phase.HOLDING, 8.0)
@@ -126,11 +112,6 @@ def hold(plan: Hold, params: GuardParams | None = None) -> Held:
         wound_deg=abs(truth.elastic_deg),
         said=tuple(loop.says),
     )
-
-
-def _firm(loop: Loop) -> bool:
-    state = loop.world.gripper_state(loop.now_s)
-    return state.holding and not state.moving
 
 
 def _tightenings(loop: Loop) -> int:

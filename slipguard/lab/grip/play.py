@@ -10,12 +10,10 @@ import numpy as np
 from slipguard.grasp.messages import Request, RequestKind
 from slipguard.grasp.params import GuardParams
 from slipguard.lab.grip.controllers import REACHED_MM, FixedStep, Law, Nobody, Oracle
-from slipguard.lab.grip.errors import ERRORS
 from slipguard.lab.grip.loop import FINGERS, Loop, Sight, Trace
-from slipguard.lab.grip.matrix import PERCEIVING_S, ROOM_MM, Trial
+from slipguard.lab.grip.matrix import PERCEIVING_S, Trial
 from slipguard.lab.grip.rendered import RenderedSight
-from slipguard.lab.grip.sight import ModelSight, SightError
-from slipguard.sim.world import World, WorldSettings
+from slipguard.lab.grip.stage import chances, grip, model_sight, world_of
 
 Who = Literal["law", "nobody", "fixed step", "oracle"]
 EVERYBODY: tuple[Who, ...] = ("law", "fixed step", "oracle", "nobody")
@@ -63,11 +61,7 @@ def play(
     """Play it; the same trial gives the same outcome. rendered: through drawn frames and the shipped network."""
     params = (params or GuardParams()).model_copy(update={"probe_height_mm": 0.0})
     loop = _loop(trial, who, rendered, params)
-    loop.looking = False
-    loop.ask(Request(RequestKind.GRASP, force_n=trial.first_n))
-    firm = loop.until(lambda: loop.world.gripper_state(loop.now_s).holding and not _moves(loop), 6.0)
-    assert firm, f"{trial.name}: the jaws did not close"
-    loop.looking = True
+    grip(loop, trial.first_n)
     loop.wait(QUIET_S + trial.latency_s + 6.0 / trial.fps)
     begun_s = loop.now_s
     _happen(loop, trial)
@@ -76,18 +70,11 @@ def play(
 
 
 def _loop(trial: Trial, who: Who, rendered: bool, params: GuardParams) -> Loop:
-    world = World(
-        WorldSettings(start_width_mm=trial.item.width_mm + ROOM_MM), seed=trial.number, lookup=lambda name: trial.item
-    )
-    world.place(trial.scenario, 100.0)
     deliveries = {"left": trial.scenario.left, "right": trial.scenario.right}
-    sights: dict[str, Sight] = {}
-    for k, finger in enumerate(FINGERS):
-        if rendered:
-            sights[finger] = RenderedSight(2 * trial.number + k, deliveries[finger])
-        else:
-            error = ERRORS.get(trial.item.name, SightError())
-            sights[finger] = ModelSight(error, np.random.default_rng([trial.number, k]))
+    sights: dict[str, Sight] = {
+        finger: RenderedSight(2 * trial.number + k, deliveries[finger]) if rendered else model_sight(trial, k)
+        for k, finger in enumerate(FINGERS)
+    }
     camera_s = deliveries["left"].latency_s + PERCEIVING_S
     controller: Law | Nobody
     if who == "law":
@@ -99,7 +86,7 @@ def _loop(trial: Trial, who: Who, rendered: bool, params: GuardParams) -> Loop:
         controller = Oracle(latency_s=camera_s, gain=gain, force_max_n=params.force_max_n)
     else:
         controller = Nobody()
-    return Loop(world, controller, sights, np.random.default_rng([trial.number, 9]), PERCEIVING_S)
+    return Loop(world_of(trial), controller, sights, chances(trial), PERCEIVING_S)
 
 
 def _moves(loop: Loop) -> bool:
