@@ -16,7 +16,6 @@ from typing import Annotated, Any
 
 import cv2
 import numpy as np
-import onnxruntime as ort
 import torch
 import typer
 from numpy.typing import NDArray
@@ -28,6 +27,7 @@ from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.lab.ablation_frames import CONTACT, Drawn, held_out_frames, training_frames
 from slipguard.lab.frame_cache import RenderedFrames
 from slipguard.lab.networks import Exported, Inputs, SmallNet
+from slipguard.lab.onnx_file import session
 from slipguard.lab.scores import RealFrame, backgrounds_in, dice, iou, no_contact_frames, real_frames
 from slipguard.lab.train import TrainSettings, probabilities, real_scores, train
 from slipguard.sim.label import PRESS_SHARE
@@ -138,14 +138,6 @@ def quantized(path: Path, frames: RenderedFrames) -> Path:
         op_types_to_quantize=["Conv"],
     )
     return out
-
-
-def session(path: Path) -> Any:
-    """onnxruntime on one thread, as in use."""
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
 
 
 def answer(network: Any, frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> NDArray[np.float32]:
