@@ -111,3 +111,9 @@ def test_a_turn_that_is_not_certain_contradicts_nobody(angle_deg: float, opposed
 def test_no_numbers_leave_nothing_behind(bad: dict[str, float]) -> None:
     answer = fuse(replace(LEFT, **bad), None)  # type: ignore[arg-type]
     assert answer == Fused(True, None, 8.0, 7.5, declined="left finger: not a number; right finger: no frames")
+
+
+def test_a_turn_without_a_sigma_is_none() -> None:
+    answer = fuse(replace(LEFT, sigma_deg=None), RIGHT)
+    assert answer is not None
+    assert (answer.fingers, answer.note) == (("right",), "left finger: no reference yet")

@@ -9,10 +9,11 @@ from play import NOW_S, PARAMS, seen_in, state_in
 from seen import arm, ask, estimate, fused, gripper, seen
 
 from slipguard.devices import GripperState
+from slipguard.grasp.detector import Detector
 from slipguard.grasp.fuse import Fused, fuse
 from slipguard.grasp.messages import RequestKind
 from slipguard.grasp.policy import step
-from slipguard.grasp.state import GuardState, Phase, Remembered
+from slipguard.grasp.state import GuardState, Phase, Remembered, Slip
 
 
 def test_what_is_found_held_waits_for_a_finger_but_not_for_the_arm() -> None:
@@ -152,3 +153,10 @@ def test_no_force_is_added_to_what_is_found_until_the_arm_says_that_nobody_is_ne
             if command.hold_force_n is not None:
                 break
         assert (command.hold_force_n is not None) is told
+
+
+def test_guard_off_ends_an_episode_of_slip() -> None:
+    slipping = state_in(Phase.HOLDING, slip=Slip(NOW_S - 1.0, 1, NOW_S - 1.0, 4.0, 20.0, 0.0))
+    state, command = step(slipping, seen_in(Phase.HOLDING, request=ask(RequestKind.GUARD_OFF)), PARAMS)
+    assert (state.slip, state.guarding, state.detector) == (None, False, Detector())
+    assert command.say == "not guarding: slip is not acted on"
