@@ -9,7 +9,7 @@ from typing import Protocol
 
 import structlog
 
-from slipguard.daemon.service import Decision
+from slipguard.daemon.decision import Decision
 from slipguard.daemon.state_dir import LastGrasp
 from slipguard.errors import SlipguardError
 from slipguard.grasp.guard import Guard

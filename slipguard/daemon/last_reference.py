@@ -9,8 +9,8 @@ from typing import Protocol
 
 import structlog
 
+from slipguard.daemon.decision import Decision
 from slipguard.daemon.finger import Finger, Perceiver
-from slipguard.daemon.service import Decision
 from slipguard.errors import InputError
 from slipguard.grasp.state import AT_STAKE, Phase
 from slipguard.perception.recall import KnownReference, RecallingPipeline

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from slipguard.daemon.service import Decision
+from slipguard.daemon.decision import Decision
 
 KEPT = 2000
 """Latencies remembered: the last 15 to 30 s."""

@@ -16,9 +16,10 @@ import cv2
 
 from slipguard import __version__
 from slipguard.config import Config
+from slipguard.daemon.decision import Decision
 from slipguard.daemon.finger import Judgement
 from slipguard.daemon.journal import Event
-from slipguard.daemon.service import Decision, Service
+from slipguard.daemon.service import Service
 from slipguard.errors import InputError
 from slipguard.grasp.state import Phase
 from slipguard.perception.estimate import Estimate

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 
 import structlog
 
@@ -16,6 +15,7 @@ from slipguard.config import Config
 from slipguard.daemon.actuator import Actuator
 from slipguard.daemon.bulletin import Bulletin, troubles
 from slipguard.daemon.calibration import Store
+from slipguard.daemon.decision import Decision
 from slipguard.daemon.finger import Finger, Perceiver
 from slipguard.daemon.finger import Seen as FingerSeen
 from slipguard.daemon.journal import Journal
@@ -43,25 +43,6 @@ REQUEST_TIMEOUT_S = 2.0
 
 Law = Callable[[Guard, Seen, GuardParams], tuple[Guard, Command]]
 log = structlog.get_logger()
-
-
-@dataclass(frozen=True, slots=True)
-class Decision:
-    """What one turn of the loop decided, for observers.
-
-    memory: the law's, before. estimates: by finger, what spoke for it; None where nothing fresh did.
-    new_estimates: those not yet decided on. latencies_s: of each of them, from the frame's being handed over
-    until no command was found needed; empty where one was (see `Service.hold_observers`).
-    """
-
-    now_s: float
-    phase: Phase
-    seen: Seen
-    command: Command
-    memory: Guard
-    estimates: Mapping[str, Estimate | None] = field(default_factory=dict)
-    new_estimates: Mapping[str, Estimate] = field(default_factory=dict)
-    latencies_s: tuple[float, ...] = ()
 
 
 class Service:

@@ -9,9 +9,10 @@ from bisect import bisect_left
 from collections import Counter
 from functools import partial
 
+from slipguard.daemon.decision import Decision
 from slipguard.daemon.finger import Judgement
 from slipguard.daemon.journal import Event
-from slipguard.daemon.service import Decision, Service
+from slipguard.daemon.service import Service
 
 EDGES_MS = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, 250.0)
 """Upper edges of the histograms; the last bucket is open."""

@@ -11,8 +11,9 @@ from pathlib import Path
 
 from slipguard.config import Config, parse_config
 from slipguard.daemon.controls import Controls
+from slipguard.daemon.decision import Decision
 from slipguard.daemon.root import build_service
-from slipguard.daemon.service import Decision, Service
+from slipguard.daemon.service import Service
 from slipguard.daemon.worker import StatedLatencyWorker, ThreadWorker, Worker
 from slipguard.errors import CommandRefused
 from slipguard.grasp.guard import tick

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
+from slipguard.daemon.decision import Decision
 from slipguard.daemon.desk import Desk
 from slipguard.daemon.root import build_service
-from slipguard.daemon.service import Decision
 from slipguard.errors import SlipguardError
 from slipguard.lab.cell_process import CellProcess
 from slipguard.lab.wire_latency import HOST, Spread, every_frame_in_full, grip

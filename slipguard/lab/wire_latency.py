@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 
 from slipguard.config import Config, parse_config
 from slipguard.daemon.controls import Controls
+from slipguard.daemon.decision import Decision
 from slipguard.daemon.root import build_service
-from slipguard.daemon.service import Decision, Service
+from slipguard.daemon.service import Service
 from slipguard.errors import SlipguardError
 from slipguard.grasp.state import Phase
 from slipguard.lab.cell_process import CellProcess

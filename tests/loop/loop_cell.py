@@ -16,7 +16,8 @@ from loop_doubles import FlatSensor, LoggedArm, LoggedGripper, Memory, Oracle, S
 
 from slipguard.config import Config, parse_config
 from slipguard.daemon.controls import Controls
-from slipguard.daemon.service import FINGERS, Decision, Law, Service
+from slipguard.daemon.decision import Decision
+from slipguard.daemon.service import FINGERS, Law, Service
 from slipguard.daemon.virtual_time import run_virtual
 from slipguard.daemon.worker import ThreadWorker, Worker
 from slipguard.devices import DriverContext

@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from slipguard.daemon import root
+from slipguard.daemon.decision import Decision
 from slipguard.daemon.finger import Judgement
 from slipguard.daemon.recording import Taker, Watcher, make_recorder, record
-from slipguard.daemon.service import Decision, Service
+from slipguard.daemon.service import Service
 from slipguard.lab.soak.settings import Settings, soak_config
 from slipguard.lab.soak.shift import Shift
 from slipguard.sim.world import World

@@ -13,7 +13,8 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 
 from slipguard.daemon.controls import Controls
-from slipguard.daemon.service import FINGERS, Decision, Service
+from slipguard.daemon.decision import Decision
+from slipguard.daemon.service import FINGERS, Service
 from slipguard.errors import CommandRefused
 from slipguard.grasp.state import Phase
 from slipguard.lab.waiting import Stuck, until
