@@ -42,10 +42,10 @@ def fitted(object_name: str, grasps: int = FULL_GRASPS) -> SightError:
         if len(told) < SHORTEST:
             continue
         turn, error, sigma = np.asarray(told).T
-        sigmas.append(float(np.median(sigma)))
         noises.append(float(np.median(np.abs(np.diff(error)))) / MEDIAN_OF_A_DIFFERENCE)
         near, far = np.abs(turn) < SMALL_DEG, np.abs(turn) > LARGE_DEG
-        if near.any():
+        if near.any():  # where a slip is noticed; a long turn's sigma comes too late to matter
+            sigmas.append(float(np.median(sigma[near])))
             offsets.append(float(np.mean(error[near])))
         if far.any():
             slopes.append(float(np.median(error[far] / turn[far])))
