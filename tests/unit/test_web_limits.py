@@ -46,7 +46,7 @@ async def test_who_never_ends_a_request_is_not_waited_for(monkeypatch: pytest.Mo
         body = closed_after_s(port, head.replace(b"GET /access", b"POST /clear") + told.encode(), b"{")
         found = await asyncio.gather(silent, drops, unfinished, again, idle, body)
     assert [time_s < 3.0 for time_s, _ in found] == [True] * 6
-    assert [said for _, said in found[:3]] == [b"", b"", b""] or b"400" in found[1][1]
+    assert [said for _, said in found[:3]] == [b"", b"", b""]
     assert found[3][1].count(b"200 OK") == 1
     assert found[4][1].count(b"200 OK") == 1
     assert b"408" in found[5][1]
