@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -187,14 +188,15 @@ def calibrate(
     force: Annotated[
         bool, typer.Option("--force", help="Even if the stored image says that there is contact.")
     ] = False,
+    new_gel: Annotated[bool, typer.Option("--new-gel", help="Gels were replaced; wear counts from now on.")] = False,
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> None:
     """Take and store each finger's no-contact image; the jaws must be open and empty.
 
-    Example: `slipguard ctl calibrate`
+    Example: `slipguard ctl calibrate`, `slipguard ctl calibrate --new-gel`
     """
-    _ask(_where(context, socket), json, lambda client: client.calibrate(force=force))
+    _ask(_where(context, socket), json, lambda client: client.calibrate(force=force, new_gel=new_gel))
 
 
 @app.command()
@@ -206,8 +208,11 @@ def page(
 ) -> None:
     """Make a link to the operator page that gives the browser that opens it first control; it is good for a minute.
 
-    Without a link the page only shows. Example: `slipguard ctl page --open`
+    Without a link the page only shows. As root, which no browser runs as, open the printed link in your own browser.
+    Example: `slipguard ctl page --open`
     """
+    if open_it and os.geteuid() == 0:
+        raise InputError("--open: no browser runs as root; leave --open out and open the link in your own browser")
     with _client(_where(context, socket)) as client:
         answer = client.page_link()
     if json:

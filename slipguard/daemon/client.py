@@ -160,7 +160,7 @@ class Client:
                 probe.connect(str(self._unix))
             except PermissionError:
                 raise SlipguardError(
-                    f"{self._where} belongs to another user; join its group or become that user"
+                    f"{self._where} belongs to another user; ask as that user or as root, with sudo"
                 ) from None
             except OSError:
                 raise NoDaemon(NO_DAEMON.format(self._where)) from None

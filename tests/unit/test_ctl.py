@@ -16,7 +16,7 @@ from slipguard.cli.ctl import app
 from slipguard.daemon import whereabouts
 from slipguard.daemon.client import NoDaemon
 from slipguard.daemon.whereabouts import running_socket
-from slipguard.errors import CommandRefused, SlipguardError
+from slipguard.errors import CommandRefused, InputError, SlipguardError
 
 
 @pytest.fixture
@@ -44,6 +44,7 @@ LINES = [
     (["release", "--yes"], ("release", None)),
     (["clear"], ("clear",)),
     (["calibrate", "--force"], ("calibrate", True)),
+    (["calibrate", "--new-gel"], ("calibrate", False, "new gel")),
 ]
 
 
@@ -162,6 +163,7 @@ async def test_commands_over_tcp(control: FakeControl, nowhere: Path, tmp_path: 
 
 async def test_a_link_to_the_page(control: FakeControl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
     monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) or True)
     _, output = await over_tcp(tmp_path, control, "page")
     assert output.startswith("http://127.0.0.1:")
@@ -174,6 +176,14 @@ async def test_a_link_to_the_page(control: FakeControl, tmp_path: Path, monkeypa
         await over_tcp(tmp_path, control, "page", "--open")
     with pytest.raises(CommandRefused, match="page is not served"):
         await ctl(control, tmp_path, "page")
+
+
+def test_root_opens_no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    monkeypatch.setattr("webbrowser.open", lambda url: pytest.fail("a browser was started"))
+    result = CliRunner().invoke(app, ["page", "--open"])
+    assert isinstance(result.exception, InputError)
+    assert "open the link in your own browser" in str(result.exception)
 
 
 def test_whom_to_ask_is_said_once() -> None:
