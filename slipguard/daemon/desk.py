@@ -50,8 +50,8 @@ class Desk(Control):
         recorder = self._recorder
         if recorder is None or not self._service.config.recording.enabled:
             return {"state": "off", "why": None, "left_out": 0}
-        state = "on" if recorder.stopped is None else "stopped"
-        return {"state": state, "why": recorder.stopped, "left_out": recorder.left_out}
+        why = recorder.stopped or ("the thread that records has ended; restart the daemon" if recorder.dead else None)
+        return {"state": "on" if why is None else "stopped", "why": why, "left_out": recorder.left_out}
 
     async def trouble(self) -> str | None:
         """Why the service is not well, in one line; None if it is."""

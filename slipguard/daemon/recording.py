@@ -44,7 +44,7 @@ def make_recorder(service: Service, folder: Path) -> Recorder:
     return Recorder(
         Ring(folder, limits),
         RecorderSettings(asked.image, asked.jpeg_quality, SEGMENT_S, asked.keep_before_s, asked.keep_after_s),
-        Clock(time.time_ns(), loop.time()),
+        clock=lambda: Clock(time.time_ns(), loop.time()),
         header=lambda: header(service),
         on_trouble=lambda text: _say_in(loop, service.journal.warn, text),
     )
@@ -171,5 +171,5 @@ def config_json(config: Config) -> bytes:
 
 def _say_in(loop: asyncio.AbstractEventLoop, say: Callable[[str], None], text: str) -> None:
     """From the recorder's thread into the loop; nothing once the loop is closed."""
-    if not loop.is_closed():
+    with contextlib.suppress(RuntimeError):
         loop.call_soon_threadsafe(say, text)

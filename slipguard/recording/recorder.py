@@ -1,7 +1,8 @@
 """Writes the ring of recordings in a thread of its own, from values handed over by the loop.
 
 Handing over never waits: a recorder that falls behind leaves pictures out, then everything, and counts it. A disk that
-takes no more ends the recording with one line, and never the guard; it is tried again after a while.
+takes no more, or any other trouble, ends the recording with one line, and never the guard; it is tried again after a
+while.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ class Said:
 
 
 class Recorder:
-    """A thread that writes what it is handed. header: called in that thread for each new file.
+    """A thread that writes what it is handed. clock, header: called in that thread for each new file.
 
     on_trouble: told, in that thread, in one line, that recording has stopped or goes on again.
     """
@@ -90,7 +91,7 @@ class Recorder:
         self,
         ring: Ring,
         settings: RecorderSettings,
-        clock: Clock,
+        clock: Callable[[], Clock],
         header: Callable[[], Header],
         on_trouble: Callable[[str], None],
         opener: Callable[[Path], BinaryIO] = open_new,
@@ -99,6 +100,8 @@ class Recorder:
         """Values that found no room."""
         self.stopped: str | None = None
         """Why nothing is recorded at present."""
+        self.stops = 0
+        """How often the recording stopped."""
         self.path: Path | None = None
         self._ring, self._settings, self._clock, self._header = ring, settings, clock, header
         self._on_trouble, self._opener = on_trouble, opener
@@ -122,6 +125,11 @@ class Recorder:
     def backlog(self) -> int:
         """Values that wait to be written."""
         return len(self._waiting)
+
+    @property
+    def dead(self) -> bool:
+        """Whether its thread was started and has ended; then nothing is recorded any more."""
+        return self._thread.ident is not None and not self._thread.is_alive()
 
     def start(self) -> None:
         """Begin; the first file is opened with the first turn of the loop."""
@@ -159,18 +167,28 @@ class Recorder:
         self._guarded(lambda: self._write(value))
 
     def _guarded(self, action: Callable[[], None]) -> None:
-        """A disk that fails stops the recording, not the guard."""
+        """A disk that fails, and every other trouble, stops the recording, not the guard, and not the thread."""
         try:
             action()
         except OSError as error:
-            why = f"recording stopped: {error.strerror or error} ({self.path or self._ring.ring})"
-            if self._file is not None:
-                self._file.abandon()
-                self._file = None
-            first = self.stopped is None
-            self.stopped, self._try_again_at = why, time.monotonic() + TRY_AGAIN_S
-            if first:
-                self._on_trouble(f"{why}; make room or mend the disk, the guard goes on without")
+            self._stop_for_now(error.strerror or str(error), "make room or mend the disk, the guard goes on without")
+        except Exception as error:
+            self._stop_for_now(
+                f"{type(error).__name__}: {' '.join(str(error).split())}",
+                f"the guard goes on without, it is tried again every {TRY_AGAIN_S:g} s",
+            )
+
+    def _stop_for_now(self, what: str, what_to_do: str) -> None:
+        why = f"recording stopped: {what} ({self.path or self._ring.ring})"
+        file, self._file = self._file, None
+        if file is not None:
+            with contextlib.suppress(OSError):
+                file.abandon()
+        first = self.stopped is None
+        self.stopped, self._try_again_at = why, time.monotonic() + TRY_AGAIN_S
+        if first:
+            self.stops += 1
+            self._on_trouble(f"{why}; {what_to_do}")
 
     def _write(self, value: Seen | Turn | Said) -> None:
         if isinstance(value, Turn):
@@ -202,8 +220,9 @@ class Recorder:
         write_seen(file, seen, self._settings)
 
     def _begin(self, memory: Guard, now_s: float) -> None:
-        self.path = self._ring.new(self._clock.ns(now_s))
-        self._file = RecordingFile(self.path, self._clock, self._header(), memory, now_s, self._opener)
+        clock = self._clock()  # anew: a computer learns the right time some while after its start
+        self.path = self._ring.new(clock.ns(now_s))
+        self._file = RecordingFile(self.path, clock, self._header(), memory, now_s, self._opener)
         self._began_s, self._renew_s = now_s, float("inf")
         self._keep_this = now_s <= self._keep_until_s
         self._ring.tidy(self.path)

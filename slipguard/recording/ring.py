@@ -2,16 +2,23 @@
 
 <folder>/ring/20261121T143012.250Z.mcap    the newest are written, the oldest deleted
 <folder>/kept/20261121T142952.250Z.mcap    around every slip and fault; the oldest deleted beyond the limit
+
+A name tells when a file began, by the wall clock of then; which is older tells the time of its last change, and what
+was changed in the future was written while the clock was wrong: it goes first.
 """
 
 from __future__ import annotations
 
+import contextlib
+import time
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 SUFFIX = ".mcap"
 MAGIC = b"\x89MCAP0\r\n"
+CLOCK_STEP_MAX_S = 60.0
+"""A file changed by so much later than now is no new one: the clock was wrong then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,27 +58,37 @@ class Ring:
 
     def keep_unfinished(self) -> None:
         """Keep what a killed daemon left behind: somebody will ask what happened then."""
-        for path in _newest_first(self.ring):
+        for path, _ in _newest_first(self.ring):
             if not _finished(path):
                 self.keep(path)
 
     def tidy(self, writing: Path | None = None) -> None:
         """Delete what is beyond the limits, the oldest first, but never the file that is being written."""
         limits = self._limits
-        _delete_beyond(_newest_first(self.ring), limits.ring_files, limits.ring_bytes, writing)
+        _delete_beyond(_newest_first(self.ring, writing), limits.ring_files, limits.ring_bytes, writing)
         _delete_beyond(_newest_first(self.kept), None, limits.kept_bytes, writing)
 
 
-def _newest_first(folder: Path) -> list[Path]:
-    return sorted(folder.glob(f"*{SUFFIX}"), reverse=True) if folder.is_dir() else []
+def _newest_first(folder: Path, writing: Path | None = None) -> list[tuple[Path, int]]:
+    """Recordings and their sizes in bytes; the one that is being written is the newest, whatever the clock says."""
+    latest_s = time.time() + CLOCK_STEP_MAX_S
+    found = []
+    for path in folder.glob(f"*{SUFFIX}") if folder.is_dir() else ():
+        with contextlib.suppress(FileNotFoundError):  # somebody takes one away while we look
+            facts = path.stat()
+            age = (path == writing, facts.st_mtime <= latest_s, facts.st_mtime_ns, path.name)
+            found.append((age, path, facts.st_size))
+    return [(path, size) for _, path, size in sorted(found, reverse=True)]
 
 
-def _delete_beyond(newest_first: list[Path], files: int | None, size_bytes: int, spare: Path | None) -> None:
+def _delete_beyond(
+    newest_first: list[tuple[Path, int]], files: int | None, size_bytes: int, spare: Path | None
+) -> None:
     total_bytes = 0
-    for number, path in enumerate(newest_first):
-        total_bytes += path.stat().st_size
+    for number, (path, size) in enumerate(newest_first):
+        total_bytes += size
         if path != spare and ((files is not None and number >= files) or total_bytes > size_bytes):
-            path.unlink()
+            path.unlink(missing_ok=True)
 
 
 def _finished(path: Path) -> bool:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -83,3 +85,22 @@ def test_a_grasp_and_a_fault_as_the_page_and_prometheus_see_them() -> None:
     assert faulty["slipguard_device_ready", (("device", "left"),)] == 0.0
     assert faulty["slipguard_frames_lost_total", (("finger", "left"), ("reason", "stalled"))] >= 1.0
     assert ("slipguard_turn_degrees", ()) not in faulty, "what nobody knows is no number"
+
+
+def test_a_recorder_whose_thread_is_gone_is_not_said_to_record() -> None:
+    told: list[dict[str, Any]] = []
+
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        desk = Desk(cell.service)
+        for dead in (False, True):
+            recorder = SimpleNamespace(stopped=None, dead=dead, left_out=3)
+            desk.noting(lambda service, folder, made=recorder: made)(cell.service, Path())  # type: ignore[misc,arg-type]
+            told.append(json.loads(await desk.state())["recording"])
+
+    cell = Cell("wrench", 1)
+    assert cell.service.config.recording.enabled
+    play(cell, scene)
+    assert told[0] == {"state": "on", "why": None, "left_out": 3}
+    assert told[1]["state"] == "stopped"
+    assert "the thread that records has ended" in told[1]["why"]

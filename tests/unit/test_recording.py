@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import math
 import os
+import shutil
+import time
 from pathlib import Path
 from typing import BinaryIO
 
@@ -58,7 +60,7 @@ def recorder(folder: Path, **settings: object) -> Recorder:
     return Recorder(
         Ring(folder, LIMITS),
         RecorderSettings(**settings),  # type: ignore[arg-type]
-        CLOCK,
+        lambda: CLOCK,
         header=lambda: HEADER,
         on_trouble=lambda text: None,
     )
@@ -158,7 +160,7 @@ def test_around_an_event_files_are_kept_and_others_leave_the_ring(tmp_path: Path
     one = Recorder(
         Ring(tmp_path, limits),
         RecorderSettings("none", 90, segment_s=1.0, keep_before_s=1.5, keep_after_s=1.5),
-        CLOCK,
+        lambda: CLOCK,
         header=lambda: HEADER,
         on_trouble=lambda text: None,
     )
@@ -194,6 +196,68 @@ def test_what_a_killed_daemon_left_is_kept(tmp_path: Path) -> None:
     assert len(list((tmp_path / "ring").iterdir())) == 1
 
 
+def test_files_of_a_future_that_never_was_leave_first(tmp_path: Path) -> None:
+    """The clock of a computer that has just started may be years ahead; what is written later must not go for that."""
+    ring = Ring(tmp_path, Limits(3, 10**9, 2500))
+    ahead_s = time.time() + 5 * 365 * 86400.0
+    for number in range(3):
+        path = ring.new(round(1e9 * (ahead_s + number)))
+        path.write_bytes(bytes(1000))
+        os.utime(path, (ahead_s + number, ahead_s + number))
+        (tmp_path / "kept").mkdir(exist_ok=True)
+        shutil.copy2(path, tmp_path / "kept")
+    new = []
+    for number in range(4):
+        new.append(ring.new(time.time_ns() + number * 10**6))
+        new[-1].write_bytes(bytes(1000))
+        ring.tidy(new[-1])
+        assert all(path.exists() for path in new[-3:])
+    assert sorted((tmp_path / "ring").iterdir()) == new[1:]
+    kept = [ring.keep(path) for path in new[1:3]]
+    ring.tidy()
+    assert sorted((tmp_path / "kept").iterdir()) == kept
+
+
+def test_every_file_reads_the_wall_clock_anew(tmp_path: Path) -> None:
+    clocks = iter((Clock(0, 0.0), *[CLOCK] * 9))  # a computer without the time, until it is told
+    one = Recorder(
+        Ring(tmp_path, LIMITS),
+        RecorderSettings("none", segment_s=1.0),
+        lambda: next(clocks),
+        header=lambda: HEADER,
+        on_trouble=lambda text: None,
+    )
+    play(one, np.arange(0.0, 2.0, 0.25))
+    first, second = sorted((tmp_path / "ring").iterdir())
+    assert (first.name[:8], second.name[:15]) == ("19700101", "20231114T221321")
+    assert next(item.at_ns for item in open_recording(second).items()) == CLOCK.ns(1.0)
+
+
+def test_any_other_trouble_stops_the_recording_and_not_its_thread(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slipguard.recording.recorder.TRY_AGAIN_S", 0.0)
+    said: list[str] = []
+    headers = iter((ValueError("a model\nthat is none"), ValueError("still none"), HEADER))
+
+    def header() -> Header:
+        one = next(headers)
+        if isinstance(one, Exception):
+            raise one
+        return one
+
+    one = Recorder(Ring(tmp_path, LIMITS), RecorderSettings("none"), lambda: CLOCK, header, said.append)
+    assert not one.dead
+    one.start()
+    for number in range(4):
+        one.hand(Turn(tick_at(number / 10), Guard()))
+    one.stop(20.0)
+    assert "recording stopped: ValueError: a model that is none" in said[0]
+    assert said[1:] == ["recording again"]
+    assert (one.stops, one.stopped, one.dead) == (1, None, True)  # it was ended
+    assert len(list((tmp_path / "ring").iterdir())) == 1
+
+
 class FullDisk:
     """A file on a disk that fills up."""
 
@@ -219,7 +283,7 @@ def test_a_full_disk_stops_the_recording_with_one_line(tmp_path: Path) -> None:
     one = Recorder(
         Ring(tmp_path, LIMITS),
         RecorderSettings("jpeg"),
-        CLOCK,
+        lambda: CLOCK,
         header=lambda: HEADER,
         on_trouble=said.append,
         opener=lambda path: FullDisk(path, 300_000),  # type: ignore[arg-type,return-value]
