@@ -14,6 +14,7 @@ from slipguard.errors import SlipguardError
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from slipguard.lab.crowd import CrowdOptions
     from slipguard.lab.wire_latency import Latency
 
 
@@ -25,13 +26,18 @@ def latency(
         int | None,
         typer.Option(min=1, max=60, help="What so many clients of page and API cost the loop, instead: two minutes."),
     ] = None,
+    pairs: Annotated[
+        int, typer.Option(min=1, max=100, help="With --clients: how often alone and with them, turn and turn about.")
+    ] = 6,
+    block_s: Annotated[float, typer.Option(min=0.5, max=600.0, help="With --clients: seconds of each turn.")] = 8.0,
     json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
 ) -> None:
     """Measure from a frame's time stamp to the command's last byte on the serial line, stage by stage.
 
     Runs the daemon and the real gripper driver against an emulated cell: about a minute. Every frame is looked at in
     full, and drawing the emulated cameras' pictures takes its share of this machine. With `--clients` the loop's own
-    latency is measured, alone and with the clients, turn and turn about; it fails where they cost too much.
+    latency is measured, alone and with the clients, turn and turn about; it fails where they cost too much, or were not
+    served.
     Example: `slipguard latency --commands 100`, `slipguard latency --clients 50`
     """
     import json as jsonlib
@@ -45,7 +51,9 @@ def latency(
 
     log.configure(level=logging.CRITICAL)
     if clients is not None:
-        _with_clients(clients, int(fps), json)
+        from slipguard.lab.crowd import CrowdOptions
+
+        _with_clients(CrowdOptions(clients, pairs, block_s, int(fps)), json)
         return
     with progress_bar("latency") as show, left_to_the_loop():
         found = asyncio.run(measure(Options(commands=commands, baud=baud, fps=int(fps)), show))
@@ -55,36 +63,37 @@ def latency(
         _show(Console(highlight=False), found)
 
 
-def _with_clients(clients: int, fps: int, json: bool) -> None:
+def _with_clients(options: CrowdOptions, json: bool) -> None:
     import json as jsonlib
     from dataclasses import asdict
 
     from rich.console import Console
     from rich.table import Table
 
-    from slipguard.lab.crowd import CrowdOptions, measure_crowd
+    from slipguard.lab.crowd import measure_crowd
 
     with progress_bar("latency") as show, left_to_the_loop():
-        found = asyncio.run(measure_crowd(CrowdOptions(clients=clients, fps=fps), show))
+        found = asyncio.run(measure_crowd(options, show))
     told = f"p99 rises by {found.rise_ms:+.2f} ms; {found.allowed_ms:.2f} ms are allowed"
     if json:
         print(jsonlib.dumps(asdict(found) | {"rise_ms": found.rise_ms, "allowed_ms": found.allowed_ms}))
     else:
-        options = found.options
         title = f"{options.pairs} x {options.block_s:g} s each, {options.fps} fps, every frame looked at in full"
         table = Table("frame handed over to decision, ms", title=title, title_justify="left")
         for name in ("p50", "p99", "largest", "beats missed"):
             table.add_column(name, justify="right")
         for what, one, missed in (
             ("alone", found.alone, found.missed[0]),
-            (f"{clients} clients", found.crowded, found.missed[1]),
+            (f"{options.clients} clients", found.crowded, found.missed[1]),
         ):
             table.add_row(what, f"{one.p50_ms:.2f}", f"{one.p99_ms:.2f}", f"{one.largest_ms:.1f}", str(missed))
         console = Console(highlight=False)
         console.print(table)
         console.print(told, "; they got", ", ".join(f"{count} {what}" for what, count in found.got.items()))
+    if found.unserved:
+        raise SlipguardError(found.unserved)
     if found.rise_ms > found.allowed_ms:
-        raise SlipguardError(f"with {clients} clients {told}")
+        raise SlipguardError(f"with {options.clients} clients {told}")
 
 
 def _show(console: Console, found: Latency) -> None:

@@ -30,6 +30,8 @@ from slipguard.web.sockets import bind, bind_tcp
 SETTLE_S = 1.5
 """After clients came or went, before it counts."""
 SHARE_MAX, RISE_MAX_MS = 0.10, 1.0
+TURNED_AWAY_PER = 20
+"""So many good answers at least for each client that was turned away or cut off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +69,20 @@ class Crowd:
     def allowed_ms(self) -> float:
         """A tenth of it, or one millisecond where that is more."""
         return max(SHARE_MAX * self.alone.p99_ms, RISE_MAX_MS)
+
+    @property
+    def unserved(self) -> str | None:
+        """Why it tells nothing of clients: each should have got something in each block, few been turned away."""
+        polling = -(-self.options.clients // 2)
+        wanted = {"answers 200": polling, "live messages": self.options.clients - polling}
+        turned_away = {what: count for what, count in self.got.items() if what not in wanted and count}
+        few = any(self.got.get(what, 0) < self.options.pairs * each for what, each in wanted.items())
+        if not few and sum(turned_away.values()) * TURNED_AWAY_PER <= self.got["answers 200"]:
+            return None
+        told = ", ".join(f"{count} {what}" for what, count in self.got.items()) or "nothing"
+        return (
+            f"the {self.options.clients} clients were not served, they got {told}; this says nothing of what they cost"
+        )
 
 
 async def measure_crowd(options: CrowdOptions, tell: Callable[[str, float], None]) -> Crowd:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import signal
@@ -90,11 +91,21 @@ class Container:
         """A property of the unit."""
         return self.run("systemctl", "show", "--value", f"--property={name}", UNIT, check=True).stdout.strip()
 
+    def written_by_itself(self) -> dict[int, list[str]]:
+        """What the service's own processes wrote into the journal, line by line as it is, by process number."""
+        match = f"_SYSTEMD_UNIT={UNIT}"  # what systemd says of it has another unit's name and its own process number
+        text = self.run("journalctl", "--output=json", "--all", "--no-pager", match, check=True).stdout
+        lines: dict[int, list[str]] = {}
+        for entry in map(json.loads, text.splitlines()):
+            message = entry["MESSAGE"]  # a list of bytes where it is not plain text
+            plain = message if isinstance(message, str) else bytes(message).decode(errors="replace")
+            lines.setdefault(int(entry["_PID"]), []).append(plain)
+        return lines
+
     def journal(self) -> list[dict[str, Any]]:
-        """The service's lines as JSON; what is none is left out."""
-        text = self.run("journalctl", "--output=cat", f"--unit={UNIT}", "--no-pager", check=True).stdout
+        """The service's events; what it wrote beside them, such as where each thread of an aborted one was, is none."""
         lines = []
-        for line in text.splitlines():
+        for line in itertools.chain.from_iterable(self.written_by_itself().values()):
             with contextlib.suppress(ValueError):
                 lines.append(json.loads(line))
         return [line for line in lines if isinstance(line, dict)]

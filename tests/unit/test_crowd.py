@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from fake_control import FakeControl, served_on_tcp
 
+from slipguard.cli.app import run
 from slipguard.errors import SlipguardError
 from slipguard.lab import crowd_clients
 from slipguard.lab.crowd import Crowd, CrowdOptions, spread_of_blocks
@@ -27,6 +28,33 @@ def test_one_bad_block_does_not_count_and_a_rise_does() -> None:
     assert Crowd(CrowdOptions(), 2, spread_of_blocks([[0.002]]), slower, (0, 0)).allowed_ms == 1.0
     with pytest.raises(SlipguardError, match="nothing was decided"):
         spread_of_blocks([calm, []])
+
+
+@pytest.mark.parametrize(
+    ("clients", "got", "served"),
+    [
+        (4, {"answers 200": 40, "live messages": 4}, True),
+        (4, {"answers 200": 40, "live messages": 4, "connections lost": 2}, True),
+        (1, {"answers 200": 2}, True),
+        (4, {}, False),
+        (4, {"answers 503": 400}, False),
+        (4, {"answers 200": 40}, False),
+        (4, {"live messages": 400}, False),
+        (4, {"answers 200": 40, "live messages": 4, "answers 503": 3}, False),
+        (4, {"answers 200": 40, "live messages": 4, "connections lost": 40}, False),
+    ],
+)
+def test_clients_that_got_nothing_measure_nothing(
+    clients: int, got: dict[str, int], served: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calm = spread_of_blocks([[0.002, 0.003]])
+
+    async def measured(options: CrowdOptions, tell: object) -> Crowd:
+        return Crowd(options, 4, calm, calm, (0, 0), got)
+
+    monkeypatch.setattr("slipguard.lab.crowd.measure_crowd", measured)
+    assert run(["latency", "--clients", str(clients), "--pairs", "2", "--json"]) == (0 if served else 1)
+    assert ("were not served" in capsys.readouterr().err) is not served
 
 
 async def test_clients_hear_and_poll_and_come_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

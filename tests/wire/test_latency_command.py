@@ -10,8 +10,19 @@ from slipguard.cli.app import run
 from slipguard.lab.wire_latency import OWN, STAGES, TOTAL
 
 
+def test_two_clients_for_a_moment(capfd: pytest.CaptureFixture[str]) -> None:
+    """Whether a moment's p99 rises is chance; that both were served and the verdict is that of the figures is not."""
+    code = run(["latency", "--clients", "2", "--pairs", "1", "--block-s", "1.5", "--fps", "30", "--json"])
+    told = capfd.readouterr()
+    found = json.loads(told.out)
+    assert code == int(found["rise_ms"] > found["allowed_ms"]), told.err
+    assert found["decisions"] > 20
+    assert found["got"]["answers 200"] >= 1
+    assert found["got"]["live messages"] >= 1
+
+
 def test_a_short_one(capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["latency", "--commands", "4", "--fps", "30", "--json"]) == 0
+    assert run(["latency", "--commands", "4", "--fps", "30", "--baud", "115200", "--json"]) == 0
     found = json.loads(capfd.readouterr().out)
     assert found["commands"] >= 3
     assert set(found["stages"]) == {*STAGES, OWN, TOTAL}
