@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Protocol
@@ -10,6 +9,7 @@ from typing import Protocol
 import structlog
 
 from slipguard.daemon.decision import Decision
+from slipguard.daemon.disk_work import DiskWork
 from slipguard.daemon.state_dir import LastGrasp
 from slipguard.errors import SlipguardError
 from slipguard.grasp.guard import Guard
@@ -47,16 +47,16 @@ class GraspKeeper:
     """Watches decisions and keeps the shelf up to date, in a thread: the loop never waits for the disk."""
 
     def __init__(self, shelf: Shelf, say: Callable[[str], None]) -> None:
-        self._shelf, self._say = shelf, say
+        self._shelf = shelf
+        self._disk = DiskWork("last grasp", "the grip", say)
         self._kept: Remembered | None = None
         self._near = False
         self._known = False
-        self._writing: asyncio.Task[None] | None = None
 
     def decided(self, decision: Decision) -> None:
         """To be called after every turn of the loop."""
         gripper, target_n = decision.seen.gripper, decision.memory.law.target_n
-        if gripper is None or (self._writing is not None and not self._writing.done()):
+        if gripper is None or self._disk.busy:
             return  # not known, or the disk is busy: a later turn will do
         held = decision.phase in AT_STAKE or decision.phase is Phase.FAULT
         if held and gripper.holding and not gripper.moving and target_n > 0.0:
@@ -65,22 +65,20 @@ class GraspKeeper:
             self._keep(None, False)
 
     def _keep(self, grip: Remembered | None, person_near: bool) -> None:
-        if self._known and person_near is self._near and not _differs(grip, self._kept):
+        same = self._known and person_near is self._near and not _differs(grip, self._kept)
+        if same and not self._disk.due:
             return
         self._kept, self._near, self._known = grip, person_near, True
-        self._writing = asyncio.get_running_loop().create_task(self._write(grip, person_near), name="last grasp")
+        self._disk.begin(lambda: self._write(grip, person_near))
 
-    async def _write(self, grip: Remembered | None, person_near: bool) -> None:
-        try:
-            if grip is None:
-                await asyncio.to_thread(self._shelf.forget_last_grasp)
-            else:
-                last = LastGrasp(
-                    saved_at=datetime.now(UTC), force_n=grip.force_n, width_mm=grip.width_mm, person_near=person_near
-                )
-                await asyncio.to_thread(self._shelf.save_last_grasp, last)
-        except (SlipguardError, OSError) as error:
-            self._say(f"the grip could not be noted down for a restart: {error}")
+    def _write(self, grip: Remembered | None, person_near: bool) -> None:
+        if grip is None:
+            self._shelf.forget_last_grasp()
+        else:
+            now, force_n, width_mm = datetime.now(UTC), grip.force_n, grip.width_mm
+            self._shelf.save_last_grasp(
+                LastGrasp(saved_at=now, force_n=force_n, width_mm=width_mm, person_near=person_near)
+            )
 
 
 def _differs(one: Remembered | None, other: Remembered | None) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
@@ -10,6 +9,7 @@ from typing import Protocol
 import structlog
 
 from slipguard.daemon.decision import Decision
+from slipguard.daemon.disk_work import DiskWork
 from slipguard.daemon.finger import Finger, Perceiver
 from slipguard.errors import InputError
 from slipguard.grasp.state import AT_STAKE, Phase
@@ -61,25 +61,27 @@ class ReferenceKeeper:
         self._kept: dict[str, _Kept] = {}
         self._empty = False
         self._told: dict[str, Perceiver] = {}
-        self._writing: asyncio.Task[None] | None = None
+        self._disk = DiskWork("last reference", "the references", say)
 
     def decided(self, decision: Decision) -> None:
         """To be called after every turn of the loop."""
         for name, finger in self._fingers.items():
             self._tell(name, finger)
         gripper = decision.seen.gripper
-        if gripper is None or (self._writing is not None and not self._writing.done()):
-            return  # not known, or the disk is busy: a later turn will do
+        if gripper is None or self._disk.busy or (self._disk.failed and not self._disk.due):
+            return  # not known, or the disk cannot: a later turn will do
+        if self._disk.failed:
+            self._kept, self._empty = {}, False  # nobody knows what of it is on the shelf: all is written again
         if decision.phase in AT_STAKE or decision.phase is Phase.FAULT:
             new = {name: kept for name, finger in self._fingers.items() if (kept := self._news(name, finger))}
             if gripper.holding and new:
                 self._empty = False
                 before, self._kept = self._kept, {**self._kept, **new}
-                self._write(lambda: self._save(new, before))
+                self._disk.begin(lambda: self._save(new, before))
         elif not gripper.holding and not self._empty:
             self._empty = True
             self._kept = {}
-            self._write(self._shelf.forget)
+            self._disk.begin(self._shelf.forget)
 
     def _tell(self, name: str, finger: Finger) -> None:
         pipeline = finger.pipeline
@@ -119,12 +121,3 @@ class ReferenceKeeper:
                 self._shelf.turn(name, kept.serial, kept.known)
             else:
                 self._shelf.save(name, kept.serial, kept.known)
-
-    def _write(self, work: Callable[[], None]) -> None:
-        self._writing = asyncio.get_running_loop().create_task(self._done(work), name="last reference")
-
-    async def _done(self, work: Callable[[], None]) -> None:
-        try:
-            await asyncio.to_thread(work)
-        except OSError as error:
-            self._say(f"the references could not be noted down for a restart: {error.strerror or error}")

@@ -50,7 +50,8 @@ class ReferenceShelf:
         self._sha256: dict[str, str] = {}
 
     def save(self, finger: str, serial: str, known: KnownReference) -> None:
-        """A new reference."""
+        """A new reference. Where that fails, the shelf knows of none of that finger any more."""
+        self._sha256.pop(finger, None)
         _, png = cv2.imencode(".png", known.image)
         picture = png.tobytes()
         write_whole(self._folder / f"{finger}.png", picture)
@@ -58,7 +59,10 @@ class ReferenceShelf:
         self.turn(finger, serial, known)
 
     def turn(self, finger: str, serial: str, known: KnownReference) -> None:
-        """How far the object has turned, of the reference saved or loaded last."""
+        """How far the object has turned, of the reference saved or loaded last; without one it is saved."""
+        if finger not in self._sha256:
+            self.save(finger, serial, known)
+            return
         facts = _Facts(
             serial=serial,
             saved_at=datetime.now(UTC),

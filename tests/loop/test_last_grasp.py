@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from loop_cell import Cell, play
 
+from slipguard.daemon.disk_work import TRY_AGAIN_S
 from slipguard.daemon.last_grasp import GraspKeeper, remembered
 from slipguard.daemon.state_dir import LastGrasp, StateDir
 from slipguard.errors import ConfigError
@@ -61,6 +62,37 @@ def test_a_disk_that_fails_is_said_and_keeps_nothing_from_going_on() -> None:
     play(Cell("wrench", 1), scene)
     assert any("No space left" in line for line in said)
     assert len(said) <= 3
+
+
+def test_a_disk_that_is_mended_gets_the_grip_though_the_force_has_not_changed(tmp_path: Path) -> None:
+    class Mended(StateDir):
+        writes = 0
+
+        def save_last_grasp(self, last: LastGrasp) -> None:
+            self.writes += 1
+            if self.writes <= 2:
+                raise ConfigError("last_grasp.json: cannot be written (No space left on device)")
+            super().save_last_grasp(last)
+
+    shelf, said = Mended(tmp_path), list[str]()
+
+    async def scene(cell: Cell) -> None:
+        cell.service.observers.append(GraspKeeper(shelf, said.append).decided)
+        await cell.grasp()
+        await cell.until(lambda: shelf.writes > 0)
+        before, force_n = shelf.writes, cell.service.state.target_n
+        await asyncio.sleep(1.0)
+        assert (shelf.writes, before) == (1, 1), "not at once again"
+        await asyncio.sleep(3 * TRY_AGAIN_S)
+        last = shelf.load_last_grasp()
+        assert last is not None
+        assert last.force_n == force_n == cell.service.state.target_n
+
+    play(Cell("wrench", 1), scene)
+    assert [line.partition(" for a restart")[0] for line in said] == [
+        "the grip could not be noted down",
+        "the grip can be noted down",
+    ]
 
 
 @pytest.mark.parametrize("content", ['{"format": 1}', "not JSON", '{"format": 3, "force_n": "NaN"}'])

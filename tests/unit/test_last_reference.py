@@ -20,6 +20,7 @@ from slipguard.errors import InputError
 from slipguard.grasp.state import Phase
 from slipguard.perception.recall import KnownReference, RecallingPipeline
 from slipguard.perception.settings import PerceptionSettings
+from slipguard.whole_file import write_whole as really_write
 
 IMAGE = np.random.default_rng(1).integers(0, 255, (320, 240, 3), np.uint8)
 
@@ -101,6 +102,63 @@ async def test_a_full_disk_is_said_once(tmp_path: Path) -> None:
     finger.sees(0.0)
     await settled(keeper, *[decision(Phase.HOLDING)] * 4)
     assert said == ["the references could not be noted down for a restart: No space left on device"]
+
+
+async def test_a_disk_that_is_mended_takes_the_references_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slipguard.daemon.disk_work.TRY_AGAIN_S", 0.15)
+    disk = {"full": True, "writes": 0}
+
+    def write_whole(path: Path, content: bytes) -> None:
+        disk["writes"] += 1
+        if disk["full"]:
+            raise OSError(28, "No space left on device")
+        really_write(path, content)
+
+    monkeypatch.setattr("slipguard.daemon.reference_shelf.write_whole", write_whole)
+    said: list[str] = []
+    finger = Finger(pipeline())
+    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": finger}, said.append)  # type: ignore[dict-item]
+    finger.sees(0.0)
+    await settled(keeper, *[decision(Phase.HOLDING)] * 2)
+    assert disk["writes"] == 1, "not at once again"
+    finger.sees(12.0)
+    disk["full"] = False
+    await settled(keeper, *[decision(Phase.HOLDING)] * 4)
+    known = ReferenceShelf(tmp_path).load("left", "D1")
+    assert known is not None
+    assert known.turn_deg == pytest.approx(12.0, abs=0.5)
+    assert said == [
+        "the references could not be noted down for a restart: No space left on device",
+        "the references can be noted down for a restart again",
+    ]
+    disk["full"] = True
+    await settled(keeper, *[decision(Phase.IDLE, holding=False)] * 2)
+    assert ReferenceShelf(tmp_path).load("left", "D1") is None, "deleting needs no room"
+
+
+def test_a_turn_never_goes_with_the_picture_of_another_reference(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shelf = ReferenceShelf(tmp_path)
+    shelf.turn("left", "D1", KnownReference(IMAGE, 7.0))  # never saved before: as if it were
+    new = KnownReference(IMAGE[::-1].copy(), 0.0)
+    with monkeypatch.context() as failing:
+        failing.setattr("slipguard.daemon.reference_shelf.write_whole", fails)
+        with pytest.raises(OSError, match="No space left"):
+            shelf.save("left", "D1", new)
+    old = ReferenceShelf(tmp_path).load("left", "D1")
+    assert old is not None
+    assert (old.turn_deg, np.array_equal(old.image, IMAGE)) == (7.0, True)
+    shelf.turn("left", "D1", new)
+    known = ReferenceShelf(tmp_path).load("left", "D1")
+    assert known is not None
+    assert (known.turn_deg, np.array_equal(known.image, new.image)) == (0.0, True)
+
+
+def fails(path: Path, content: bytes) -> None:
+    raise OSError(28, "No space left on device")
 
 
 def test_only_the_same_sensor_and_not_for_long(tmp_path: Path) -> None:
