@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from dataclasses import asdict
 from typing import Any
 
@@ -11,12 +12,12 @@ import structlog
 from slipguard.daemon.control import Control
 from slipguard.daemon.journal import Event
 from slipguard.errors import CommandRefused, SlipguardError
-from slipguard.web.wire import packed, receive, view_packed
+from slipguard.web.wire import COMMANDS, packed, receive, view_packed
 
 UNDER_WAY_MAX = 100
 BEHIND_MAX_BYTES = 16 * 1024 * 1024
 """A web process that takes nothing for so long that this much waits for it hears no events."""
-SPOKEN = ("grasp", "lift", "lower", "guard", "gripper", "release", "clear", "calibrate", "go_back", "trouble")
+SPOKEN = (*COMMANDS, "trouble")
 TEXTS = ("state", "tallies", "no_contacts")
 VIEWS = ("frame", "view", "no_contact")
 log = structlog.get_logger()
@@ -56,6 +57,8 @@ async def _answered(control: Control, message: dict[str, Any]) -> list[bytes | m
     number, what, told = message.get("id"), message.get("ask"), message.get("told")
     behind: list[Any] = []
     try:
+        if what in COMMANDS and not time.monotonic() < message.get("until_s", 0.0):
+            raise CommandRefused(f"{what} came to the daemon too late and is not done; ask again")
         if what in TEXTS:
             answer, behind = None, [await getattr(control, what)()]
         elif what in VIEWS:

@@ -12,7 +12,9 @@ from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 
 from slipguard.complaints import first_complaint
+from slipguard.errors import CommandRefused
 from slipguard.web import bodies as b
+from slipguard.web.gone import is_gone
 from slipguard.web.room import Room
 from slipguard.web.words import error, in_words, refusals
 
@@ -79,6 +81,8 @@ def _add(app: FastAPI, room: Room, path: str, kind: type[B], act: Act[B], about:
             except ValidationError as wrong:
                 broken = wrong.errors(include_url=False)[0]["type"] == "json_invalid"
                 return error(400, "the body is not JSON") if broken else error(422, first_complaint(wrong, kind))
+            if is_gone(request.scope):
+                raise CommandRefused(f"{path} was given up by whoever asked for it, and is not done")
             try:
                 return JSONResponse(dict(await act(body)))
             finally:

@@ -10,6 +10,8 @@ from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from slipguard.web.gone import knowing_who_is_gone
+
 REQUEST_S = 10.0
 """From the first byte, or the connection's beginning, to the end of the request's headers."""
 CONNECTIONS_MAX = 128
@@ -26,6 +28,7 @@ class PatientHttp(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
+        self.app = knowing_who_is_gone(self.app, transport)  # type: ignore[assignment, arg-type]
         if len(self.connections) > CONNECTIONS_MAX:
             transport.write(FULL + f"{len(BODY)}\r\n\r\n".encode() + BODY)
             transport.close()

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from slipguard.daemon.control import Control, View
 from slipguard.daemon.journal import Event
 from slipguard.errors import CommandRefused, SlipguardError
-from slipguard.web.wire import packed, receive, view_unpacked
+from slipguard.web.wire import COMMANDS, packed, receive, view_unpacked
 
 ANSWER_S = 5.0
 CALIBRATE_S = 30.0
+COMMAND_S = 2.0
+"""A command that has not reached the daemon by then is not begun: with the loop's own 2 s, nothing is done that was
+reported as failed."""
 Answer = tuple[dict[str, Any], bytes]
 
 
@@ -61,7 +65,10 @@ class RemoteControl(Control):
         answer: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
         self._waiting[number] = answer
         try:
-            self._writer.writelines(packed({"id": number, "ask": what, "told": told or {}}))
+            asked: dict[str, object] = {"id": number, "ask": what, "told": told or {}}
+            if what in COMMANDS:
+                asked["until_s"] = time.monotonic() + COMMAND_S  # one clock for all processes of a machine
+            self._writer.write(b"".join(packed(asked)))
             async with asyncio.timeout(within_s):
                 message, behind = await answer
         except (TimeoutError, ConnectionError):

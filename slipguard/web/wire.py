@@ -21,6 +21,8 @@ from slipguard.perception.regions import ClippedSides
 
 _HEAD = struct.Struct(">II")
 MESSAGE_MAX_BYTES = 4 * 1024 * 1024
+COMMANDS = ("grasp", "lift", "lower", "guard", "gripper", "release", "clear", "calibrate", "go_back")
+"""Of what can be asked, what changes something: such a message says `until_s`, of the monotonic clock."""
 IMAGE_BYTES = FRAME_HEIGHT_PX * FRAME_WIDTH_PX * 3
 
 

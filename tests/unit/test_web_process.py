@@ -6,14 +6,14 @@ import asyncio
 import os
 import signal
 import socket
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, closing
+from contextlib import closing
 from pathlib import Path
 
 import httpx
 import numpy as np
 import pytest
 from fake_control import FakeControl
+from hosted_api import free_port, hosted, web_process
 
 from slipguard.daemon.client import Client, OverTcp
 from slipguard.daemon.control import Contact, View
@@ -23,48 +23,6 @@ from slipguard.perception.regions import ClippedSides
 from slipguard.web.host import run_api
 from slipguard.web.sockets import bind, bind_tcp
 from slipguard.web.wire import MESSAGE_MAX_BYTES, packed, receive, view_packed, view_unpacked
-
-
-class Hosted:
-    """A served daemon: what it warned of, and where it listens."""
-
-    def __init__(self, folder: Path, port: int) -> None:
-        self.socket, self.token_at = folder / "s", folder / "token"
-        self.url = f"http://127.0.0.1:{port}"
-        self.warnings: list[str] = []
-
-    def client(self) -> Client:
-        return Client(self.socket, timeout_s=20.0)
-
-    def over_tcp(self) -> Client:
-        return Client(OverTcp(self.url, self.token_at.read_text().strip()), timeout_s=20.0)
-
-
-def free_port() -> int:
-    with closing(bind_tcp("127.0.0.1", 0)) as probe:
-        return int(probe.getsockname()[1])
-
-
-@asynccontextmanager
-async def hosted(control: FakeControl, folder: Path) -> AsyncIterator[Hosted]:
-    port = free_port()
-    host = Hosted(folder, port)
-    api = run_api(control, bind(host.socket), ("127.0.0.1", port), host.token_at, host.warnings.append)
-    serving = asyncio.create_task(api, name="api")
-    try:
-        yield host
-        assert not serving.done(), serving
-    finally:
-        serving.cancel()
-        await asyncio.gather(serving, return_exceptions=True)
-    assert os.listdir(folder) == []
-
-
-def web_process() -> int:
-    """The process id of our only child that serves."""
-    mine = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
-    (found,) = [int(pid) for pid in mine if b"slipguard.web" in Path(f"/proc/{pid}/cmdline").read_bytes()]
-    return found
 
 
 async def test_everything_goes_through_and_failures_keep_their_words(tmp_path: Path) -> None:
