@@ -93,8 +93,8 @@ class Container:
 
     def written_by_itself(self) -> dict[int, list[str]]:
         """What the service's own processes wrote into the journal, line by line as it is, by process number."""
-        match = f"_SYSTEMD_UNIT={UNIT}"  # what systemd says of it has another unit's name and its own process number
-        text = self.run("journalctl", "--output=json", "--all", "--no-pager", match, check=True).stdout
+        own = (f"_SYSTEMD_UNIT={UNIT}", "_TRANSPORT=stdout")  # what systemd says of it is of another unit
+        text = self.run("journalctl", "--output=json", "--all", "--no-pager", *own, check=True).stdout
         lines: dict[int, list[str]] = {}
         for entry in map(json.loads, text.splitlines()):
             message = entry["MESSAGE"]  # a list of bytes where it is not plain text
