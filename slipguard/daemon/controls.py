@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Mapping
 
 from slipguard.daemon.calibration import TIMEOUT_S, Archive, NoContact, collect, no_contact_of
 from slipguard.daemon.finger import Finger
 from slipguard.daemon.service import Service
 from slipguard.daemon.snapshot import snapshot, trouble
 from slipguard.devices import Frame
-from slipguard.errors import CommandRefused, InputError
+from slipguard.errors import CommandRefused, InputError, SlipguardError
 from slipguard.grasp.messages import Request, RequestKind
 from slipguard.grasp.state import Phase
 
@@ -82,7 +83,7 @@ class Controls:
         return await self._ask(Request(RequestKind.CLEAR))
 
     async def calibrate(self, *, force: bool = False, new_gel: bool = False) -> dict[str, NoContact]:
-        """Take and store both fingers' no-contact images, by serial. Refused while anything is or may be touched.
+        """Take and store both fingers' no-contact images. Refused while anything is or may be touched.
 
         force: also where a stored image says that there is contact (its light may have changed). new_gel: the gels have
         been replaced; wear is counted from now on.
@@ -149,8 +150,8 @@ class Controls:
             return False
 
     async def _take(self, new_gel: bool) -> dict[str, NoContact]:
-        """Both fingers at once; stored only if both are good and nothing has moved meanwhile."""
-        fingers, store = self._service.fingers, self._service.store
+        """Both fingers at once; stored only if both are good and nothing has moved meanwhile. By finger."""
+        fingers = self._service.fingers
         taps: dict[str, asyncio.Queue[Frame]] = {name: asyncio.Queue(maxsize=4) for name in fingers}
         try:
             for name, finger in fingers.items():
@@ -165,15 +166,34 @@ class Controls:
                 raise result
             taken[name] = await asyncio.to_thread(no_contact_of, result, name)
         self._check_idle()
-        for name, finger in fingers.items():
-            if finger.serial is not None:
-                if isinstance(store, Archive):
-                    await asyncio.to_thread(store.save_no_contact, finger.serial, taken[name], new_gel=new_gel)
-                else:
-                    await asyncio.to_thread(store.save_no_contact, finger.serial, taken[name])
-                finger.renew_pipeline()
+        await self._store(taken, new_gel)
         await self._until_seen_anew()
         return taken
+
+    async def _store(self, taken: Mapping[str, NoContact], new_gel: bool) -> None:
+        """All, and then all are used; raises CommandRefused that says which are stored, where a write fails.
+
+        A finger whose image is stored uses it in any case: it is a good one, and a restart would.
+        """
+        fingers, store = self._service.fingers, self._service.store
+        stored: list[str] = []
+        name = ""
+        try:
+            for name, finger in fingers.items():
+                if finger.serial is not None:
+                    if isinstance(store, Archive):
+                        await asyncio.to_thread(store.save_no_contact, finger.serial, taken[name], new_gel=new_gel)
+                    else:
+                        await asyncio.to_thread(store.save_no_contact, finger.serial, taken[name])
+                    stored.append(name)
+        except (SlipguardError, OSError) as error:
+            others = f"the new one of {' and '.join(stored)} is stored and in use" if stored else "nothing was stored"
+            raise CommandRefused(
+                f"the no-contact image of {name} could not be stored ({error}); {others}; calibrate again"
+            ) from None
+        finally:
+            for one in stored:
+                fingers[one].renew_pipeline()
 
     async def _until_seen_anew(self) -> None:
         """The first answers with the new images are there."""

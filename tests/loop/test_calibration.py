@@ -10,7 +10,7 @@ import pytest
 from loop_cell import Cell, play
 
 from slipguard.daemon.calibration import FRAMES, NoContact, no_contact_of
-from slipguard.errors import CommandRefused, InputError
+from slipguard.errors import CommandRefused, ConfigError, InputError
 from slipguard.grasp.messages import Request, RequestKind
 from slipguard.grasp.state import Phase
 
@@ -201,5 +201,35 @@ def test_a_damaged_image_is_no_reason_against_a_new_one() -> None:
         await cell.controls.calibrate()
         cell.store.load_no_contact = known  # type: ignore[method-assign]
         await cell.grasp()
+
+    play(Cell(), scene)
+
+
+@pytest.mark.parametrize(
+    ("room", "stored", "told"),
+    [(0, {}, "of left .*; nothing was stored"), (1, {"left": 1}, "of right .*; the new one of left is stored and in")],
+)
+def test_a_full_disk_is_told_with_what_is_stored_and_that_is_what_is_used(
+    room: int, stored: dict[str, int], told: str
+) -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        really_save, asked = cell.store.save_no_contact, list[str]()
+
+        def save(serial: str, taken: NoContact) -> None:
+            asked.append(serial)
+            if len(asked) > room:
+                raise ConfigError("no_contact-0002.png: cannot be written (No space left on device)")
+            really_save(serial, taken)
+
+        before, made = dict(cell.store.kept), {name: len(one) for name, one in cell.perceivers.items()}
+        cell.store.save_no_contact = save  # type: ignore[method-assign]
+        with pytest.raises(CommandRefused, match=told):
+            await cell.controls.calibrate()
+        await asyncio.sleep(0.5)
+        used = {name: len(one) - made[name] for name, one in cell.perceivers.items() if len(one) > made[name]}
+        assert used == stored
+        new = [serial for serial, one in cell.store.kept.items() if one is not before.get(serial)]
+        assert new == ["SIM-L"][:room]
 
     play(Cell(), scene)

@@ -123,12 +123,10 @@ async def test_a_disk_that_is_mended_takes_the_references_again(
     finger.sees(0.0)
     await settled(keeper, *[decision(Phase.HOLDING)] * 2)
     assert disk["writes"] == 1, "not at once again"
-    finger.sees(12.0)
     disk["full"] = False
     await settled(keeper, *[decision(Phase.HOLDING)] * 4)
     known = ReferenceShelf(tmp_path).load("left", "D1")
     assert known is not None
-    assert known.turn_deg == pytest.approx(12.0, abs=0.5)
     assert said == [
         "the references could not be noted down for a restart: No space left on device",
         "the references can be noted down for a restart again",
