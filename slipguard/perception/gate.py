@@ -1,4 +1,4 @@
-"""Which frames need no network, for there is no contact, and which show no gel of this unit at all.
+"""Which frames need no network, for there is no contact, and which show no gel of this unit, or not sharply.
 
 That is asked of a picture of 30 x 40 block means (8 x 8 pixels each), where the camera's noise is small
 and known. A wrong "maybe contact" costs two milliseconds, a wrong "no contact" costs the object: the gate leans to
@@ -48,6 +48,13 @@ _ORDERS = np.array([[3 * k + c for k, c in enumerate(order)] for order in iterto
 _ALL = np.ones(BLOCKS_WIDE * BLOCKS_HIGH, np.float32)
 _BLIND_SHARE = 0.02
 """A contact with more of its blocks all black or all white lies under a glare or a dead spot that hides its outline."""
+
+_FINE_SHARE = 0.7
+"""A picture with less of its no-contact image's unevenness (from block to block, beside the contact) is out of focus:
+what the gel itself shows, which stays where it is, then outweighs a faint contact. 0.87 and more in real frames, 1.02
+and more in rendered ones of many units; 0.3-0.5, on gels that show little up to 0.75, under a blur of 9 pixels."""
+_FINE_MIN = 60
+"""Fewer blocks than this beside the contact do not tell it."""
 
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
@@ -113,6 +120,7 @@ class Gate:
         """Block means of the no-contact picture."""
         if self.background is not None:
             tints = np.ascontiguousarray((self.background - self.background.mean(axis=0)).T)
+            self._fine = _unevenness(self.background)
             self._tints: NDArray[np.float32] = tints / (np.linalg.norm(tints, axis=1, keepdims=True) + np.float32(1e-6))
         x, y = np.meshgrid(np.linspace(-1, 1, BLOCKS_WIDE), np.linspace(-1, 1, BLOCKS_HIGH))
         drift = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=1)
@@ -162,6 +170,25 @@ class Gate:
             return math.inf
         return math.inf if self._colours_swapped(blocks) else unlike
 
+    def out_of_focus(self, blocks: Blocks, near_patch: NDArray[np.bool_]) -> bool:
+        """Whether a picture shows far less of this unit's gel beside the contact than the no-contact image does.
+
+        Less light shows less of it too, which is allowed for. near_patch: (1200,) bool, the blocks in and around the
+        contact. False where too little is seen beside it, and without a no-contact image.
+        """
+        if self.background is None:
+            return False
+        away = ~near_patch
+        beside = (away[: -2 * BLOCKS_WIDE] & away[BLOCKS_WIDE:-BLOCKS_WIDE] & away[2 * BLOCKS_WIDE :]).astype(
+            np.float32
+        )
+        if float(beside.sum()) < _FINE_MIN:
+            return False
+        middle = slice(BLOCKS_WIDE, -BLOCKS_WIDE)
+        light = float((beside @ blocks[middle]).sum()) / max(float((beside @ self.background[middle]).sum()), 1.0)
+        now, before = float((beside @ _unevenness(blocks)).sum()), float((beside @ self._fine).sum())
+        return now < _FINE_SHARE * min(light, 1.0) * before
+
     def _colours_swapped(self, blocks: Blocks) -> bool:
         """Whether the channels follow those of the no-contact image better in another order."""
         # The no-contact tints have no mean, so that of the picture falls out of the products.
@@ -170,6 +197,15 @@ class Gate:
         alike = (self._tints @ blocks) / deviations
         orders = alike.take(_ORDERS).sum(axis=1)
         return bool(orders[1:].max() > orders[0] + _SWAPPED_MARGIN)
+
+
+def _unevenness(blocks: Blocks) -> Blocks:
+    """How far each block but those of the first and last row is from the mean of those above and below, doubled.
+
+    Neither an even slope of the light nor columns that flicker show in it. (1140, 3) float32, grey levels.
+    """
+    middle = blocks[BLOCKS_WIDE:-BLOCKS_WIDE]
+    return np.abs(blocks[2 * BLOCKS_WIDE :] - middle - middle + blocks[: -2 * BLOCKS_WIDE])
 
 
 def near_patch(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:

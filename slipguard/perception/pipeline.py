@@ -28,6 +28,7 @@ from slipguard.perception.turn import TurnMeter
 NO_CONTACT = "no contact"
 UNCHANGED = "unchanged"
 UNLIKE = "picture unlike the no-contact image"
+BLURRED = "picture out of focus"
 
 LIGHT_FREE_LEVELS = 1.0
 LIGHT_DEG = 0.6
@@ -157,8 +158,8 @@ class Pipeline:
             return answer
         near = near_patch(patch.full_mask())
         unlike = self._gate.unlike_levels(blocks, near)
-        if not math.isfinite(unlike):
-            return self._unlike(frame, patch, clock)
+        if not math.isfinite(unlike) or self._gate.out_of_focus(blocks, near):
+            return self._unlike(frame, patch, BLURRED if math.isfinite(unlike) else UNLIKE, clock)
         axes: dict[str, Orientation] = {}
 
         def axes_of(every: bool) -> dict[str, Orientation]:
@@ -200,7 +201,7 @@ class Pipeline:
         if self._still is not None:
             self._still.forget()
 
-    def _unlike(self, frame: Frame, patch: Patch, clock: StageClock) -> Estimate:
+    def _unlike(self, frame: Frame, patch: Patch, why: str, clock: StageClock) -> Estimate:
         """Contact perhaps, but nothing to measure on, and no reference to take."""
         self._meter.lost()
         self._forget()
@@ -211,7 +212,7 @@ class Pipeline:
             contact=True,
             contact_area_px=patch.area_px,
             method=self._settings.estimator,
-            declined=UNLIKE,
+            declined=why,
             stage_ms=clock.stage_ms,
         )
 

@@ -62,8 +62,12 @@ class RecallingPipeline(Pipeline):
         blocks = block_means(known.image)
         probability = self._segmenter.segment(known.image, self._background)
         patch = find_patch(probability, self._threshold, self._settings.min_area_px, self._frame_px)
-        unlike = math.inf if patch is None else self._gate.unlike_levels(blocks, near_patch(patch.full_mask()))
-        if patch is None or not math.isfinite(unlike):
+        if patch is None:
+            self._differs(known)
+            return
+        near = near_patch(patch.full_mask())
+        unlike = self._gate.unlike_levels(blocks, near)
+        if not math.isfinite(unlike) or self._gate.out_of_focus(blocks, near):
             self._differs(known)
             return
         clock, axes = StageClock(None), dict[str, Orientation]()
