@@ -155,7 +155,8 @@ def _show(console: Console, found: Soak) -> None:
     for one in found.findings:
         share = "growth" in one.what or "share" in one.what
         value, allowed = (f"{number:.2%}" if share else f"{number:.0f}" for number in (one.value, one.allowed))
-        table.add_row(one.what, value, allowed, "good" if one.good else "[bold red]too much[/]")
+        bad = "[bold red]too little[/]" if one.at_least else "[bold red]too much[/]"
+        table.add_row(one.what, value, f"{'≥' if one.at_least else '≤'} {allowed}", "good" if one.good else bad)
     console.print(table)
     console.print("; ".join(f"{what} {count}" for what, count in sorted(found.counts.items())))
     first, last = found.pulses[0], found.pulses[-1]

@@ -87,7 +87,7 @@ async def soak(settings: Settings, tell: Callable[[Pulse, str], None]) -> Soak:
         after = run.pulse()
     limits = verdict.Limits(round(RING_S / SEGMENT_S), RING_MAX_MB, KEPT_MAX_MB)
     beats = round(settings.length_s * 1e3 / run.config.loop.period_ms)
-    found.findings = verdict.judge(found.pulses, before, after, limits, run.missed, beats)
+    found.findings = verdict.judge(found.pulses, before, after, limits, run.work(), run.missed, beats)
     found.took_s = time.monotonic() - began_s
     return found
 
@@ -99,6 +99,7 @@ class _Run:
         self.config = config
         self.world = World(WorldSettings(step_s=WORLD_STEP_S), seed=settings.seed)
         self.missed = 0
+        self._recording_stops = 0
         self.over = False
         self._settings, self._found, self._tell = settings, found, tell
         self._recorder: Recorder | None = None
@@ -134,6 +135,19 @@ class _Run:
         at_s = asyncio.get_running_loop().time() - self._began_s
         return feel(at_s, StateDir(self.config.state.directory).path, root.recordings_path(self.config))
 
+    def work(self) -> verdict.Work:
+        """What was done."""
+        counts, recorded, pages = self._found.counts, self._settings.recording, self._settings.page
+        return verdict.Work(
+            lifts=counts.get("lifts", 0),
+            dropped=counts.get("dropped", 0),
+            calibrations=1 + counts.get("calibrations", 0),
+            recording_stops=self._recording_stops if recorded else None,
+            left_out=self._found.left_out if recorded else None,
+            pictures=self._page["pictures"] if pages else None,
+            connections_lost=self._page["connections lost"] if pages else None,
+        )
+
     async def day(self, service: Service) -> None:
         """Shift work until the time is over; then the daemon is ended as systemd ends it."""
         loop = asyncio.get_running_loop()
@@ -162,7 +176,8 @@ class _Run:
                 self._page.update(await page.close())
         self._end_trace()
         self._found.counts = dict(shift.counts) | {f"page: {what}": count for what, count in self._page.items()}
-        self._found.left_out = self._recorder.left_out if self._recorder is not None else 0
+        if (recorder := self._recorder) is not None:
+            self._found.left_out, self._recording_stops = recorder.left_out, recorder.stops + recorder.dead
         self.missed = service.deadlines_missed
         self.over = True
         os.kill(os.getpid(), signal.SIGTERM)

@@ -1,4 +1,4 @@
-"""Whether a soak was passed: memory flat, nothing left over, the ring within its limits, the beat kept."""
+"""Whether a soak was passed: work done, nothing dropped, memory flat, nothing left over, the ring within its limits."""
 
 from __future__ import annotations
 
@@ -6,26 +6,31 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
+from slipguard.daemon.service import FINGERS
+from slipguard.daemon.state_dir import KEPT
 from slipguard.lab.soak.pulse import Pulse
 
 WARM_UP_SHARE, END_SHARE = 0.15, 0.2
 """Left out at the beginning; compared: the first and the last fifth of what remains."""
 GROWTH_MAX = 0.02
 MISSED_MAX = 0.001
+OTHER_STATE_FILES = 1 + 2 * len(FINGERS)
+"""The last grasp, and of each finger the reference's picture and facts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One figure beside what is allowed."""
+    """One figure beside what is allowed: the most, or with at_least the least."""
 
     what: str
     value: float
     allowed: float
+    at_least: bool = False
 
     @property
     def good(self) -> bool:
         """NaN is not."""
-        return self.value <= self.allowed
+        return self.value >= self.allowed if self.at_least else self.value <= self.allowed
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +40,28 @@ class Limits:
     ring_files: int
     ring_mb: float
     kept_mb: float
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What was done while it ran. calibrations: the first one, too.
+
+    recording_stops, left_out: how often the recorder stopped, for good included, and values it had no room for; None
+    without recordings. pictures, connections_lost: of the page; None without one.
+    """
+
+    lifts: int
+    dropped: int
+    calibrations: int
+    recording_stops: int | None = None
+    left_out: int | None = None
+    pictures: int | None = None
+    connections_lost: int | None = None
+
+    @property
+    def state_files(self) -> int:
+        """How many there may be: of each sensor so many images, each a picture and its facts, and a gel's first."""
+        return 2 * len(FINGERS) * min(self.calibrations, KEPT + 1) + OTHER_STATE_FILES
 
 
 def growth(values: Sequence[float]) -> float:
@@ -48,7 +75,7 @@ def growth(values: Sequence[float]) -> float:
 
 
 def judge(
-    pulses: Sequence[Pulse], before: Pulse, after: Pulse, limits: Limits, missed: int, beats: int
+    pulses: Sequence[Pulse], before: Pulse, after: Pulse, limits: Limits, work: Work, missed: int, beats: int
 ) -> list[Finding]:
     """pulses: while the daemon ran, each with nothing gripped. before, after: without the daemon.
 
@@ -65,7 +92,20 @@ def judge(
     def most(name: str) -> float:
         return max((float(getattr(one, name)) for one in pulses), default=float("nan"))
 
+    done = [Finding("lifts", work.lifts, 1, at_least=True), Finding("dropped", work.dropped, 0)]
+    if work.recording_stops is not None and work.left_out is not None:
+        done += [
+            Finding("recordings in the ring", most("ring_files"), 1, at_least=True),
+            Finding("times the recording stopped", work.recording_stops, 0),
+            Finding("values left out of the recordings", work.left_out, 0),
+        ]
+    if work.pictures is not None and work.connections_lost is not None:
+        done += [
+            Finding("pictures on the page", work.pictures, 1, at_least=True),
+            Finding("connections the page lost", work.connections_lost, 0),
+        ]
     return [
+        *done,
         Finding("memory growth", growth([one.rss_mb for one in pulses]), GROWTH_MAX),
         Finding("growth of what Python has allocated, blocks", growth([one.blocks for one in pulses]), GROWTH_MAX),
         Finding("memory growth of the child processes", growth([one.children_mb for one in pulses]), GROWTH_MAX),
@@ -77,6 +117,7 @@ def judge(
         Finding("threads left", after.threads - before.threads, 0),
         Finding("open files left", after.files - before.files, 0),
         Finding("child processes left", after.children - before.children, 0),
+        Finding("files in the state directory", most("state_files"), work.state_files),
         Finding("files in the ring", most("ring_files"), limits.ring_files + 1),
         Finding("megabytes in the ring", most("ring_mb"), limits.ring_mb),
         Finding("megabytes kept", most("kept_mb"), limits.kept_mb),
