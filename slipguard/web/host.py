@@ -24,6 +24,8 @@ STOP_S = 4.0
 SEND_BYTES = 512 * 1024
 """A frame goes out in one piece, so that the loop is woken for it once."""
 RETRY_S, RETRY_MAX_S = 0.5, 30.0
+WELL_S = 60.0
+"""A web process that lived so long was well: the next one comes after the first pause again."""
 GONE_S = 1.0
 """... and to be gone once nobody talks to it any more."""
 
@@ -50,9 +52,16 @@ async def run_api(
     with contextlib.ExitStack() as stack:
         stack.callback(unix.close)
         tcp = _tcp(stack, listen, token_at, warn)
+        loop = asyncio.get_running_loop()
         while True:
-            ended = await _until_it_ends(control, unix, tcp)
-            warn(f"page and API ended ({ended}) and are started again; the guard goes on")
+            began_s = loop.time()
+            try:
+                why = f"exit status {await _until_it_ends(control, unix, tcp)}"
+            except Exception as trouble:  # whatever it is, it is no reason to let go of the loop
+                why = " ".join(f"{trouble}".split()) or type(trouble).__name__
+            if loop.time() - began_s >= WELL_S:
+                backoff.reset()
+            warn(f"page and API ended ({why}) and are started again; the guard goes on")
             await backoff.wait()
 
 
@@ -76,26 +85,30 @@ def _tcp(
 async def _until_it_ends(control: Control, unix: UnixSocket, tcp: Tcp | None) -> int:
     """Start the web process and answer it until it ends, with its exit status; it is ended where this is cancelled."""
     ours, theirs = socket.socketpair()
-    ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
     served = [unix.listening] + ([] if tcp is None else [tcp.listening])
     with theirs:
-        process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-P",  # the working directory of whoever started the daemon is no place to import from
-            "-m",
-            "slipguard.web",
-            str(theirs.fileno()),
-            pass_fds=(theirs.fileno(), *(one.fileno() for one in served)),
-            stdin=asyncio.subprocess.DEVNULL,
-            process_group=0,  # a Ctrl-C at the terminal is for the daemon alone
-        )
-    reader, writer = await asyncio.open_connection(sock=ours)
-    writer.writelines(packed(_first_words(unix, tcp)))
+        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
+        reader, writer = await asyncio.open_connection(sock=ours)
+        try:
+            process = await asyncio.create_subprocess_exec(
+                sys.executable,
+                "-P",  # the working directory of whoever started the daemon is no place to import from
+                "-m",
+                "slipguard.web",
+                str(theirs.fileno()),
+                pass_fds=(theirs.fileno(), *(one.fileno() for one in served)),
+                stdin=asyncio.subprocess.DEVNULL,
+                process_group=0,  # a Ctrl-C at the terminal is for the daemon alone
+            )
+        except BaseException:
+            writer.close()
+            raise
+    writer.write(b"".join(packed(_first_words(unix, tcp))))
     answering = asyncio.create_task(answer(control, reader, writer), name="web: answers")
     try:
         await asyncio.shield(answering)
     finally:
-        writer.writelines(packed({"stop": True}))  # answers under way are still given
+        writer.write(b"".join(packed({"stop": True})))  # answers under way are still given
         await asyncio.wait((answering,), timeout=STOP_S)
         answering.cancel()
         await asyncio.gather(answering, return_exceptions=True)

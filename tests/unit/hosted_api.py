@@ -22,6 +22,7 @@ class Hosted:
         self.socket, self.token_at = folder / "s", folder / "token"
         self.url = f"http://127.0.0.1:{port}"
         self.warnings: list[str] = []
+        self.serving: asyncio.Task[None]
 
     def client(self) -> Client:
         return Client(self.socket, timeout_s=20.0)
@@ -40,7 +41,7 @@ async def hosted(control: FakeControl, folder: Path) -> AsyncIterator[Hosted]:
     port = free_port()
     host = Hosted(folder, port)
     api = run_api(control, bind(host.socket), ("127.0.0.1", port), host.token_at, host.warnings.append)
-    serving = asyncio.create_task(api, name="api")
+    serving = host.serving = asyncio.create_task(api, name="api")
     try:
         yield host
         assert not serving.done(), serving
