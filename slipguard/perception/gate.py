@@ -205,7 +205,7 @@ def _unevenness(blocks: Blocks) -> Blocks:
     Neither an even slope of the light nor columns that flicker show in it. (1140, 3) float32, grey levels.
     """
     middle = blocks[BLOCKS_WIDE:-BLOCKS_WIDE]
-    return np.abs(blocks[2 * BLOCKS_WIDE :] - middle - middle + blocks[: -2 * BLOCKS_WIDE])
+    return np.asarray(np.abs(blocks[2 * BLOCKS_WIDE :] - middle - middle + blocks[: -2 * BLOCKS_WIDE]), np.float32)
 
 
 def near_patch(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
