@@ -123,7 +123,8 @@ def test_the_cameras_run_at_the_rate_asked_for() -> None:
 
 
 async def test_faults_carry_the_name_of_their_part(tmp_path: Path) -> None:
-    cell = CellEmulator(CellEmulator.Settings(folder=tmp_path))
+    """Set before its start as well, when there is no folder for a port yet."""
+    cell = CellEmulator(CellEmulator.Settings(folder=tmp_path / "cell"))
     assert "until cleared" in cell.control("fault left.stall")
     assert "0.01" in cell.control("fault gripper.late 0.01")
     cell.control("fault arm.freeze 3")

@@ -88,6 +88,7 @@ class RobotiqEmulator(ControlledEmulator):
         """Requests that were heard."""
         self._rng = random.Random(settings.seed + 1)
         self._port = EmulatedPort(settings.link, self._on_bytes)
+        self._started = False
         self._buffer = b""
         self._last_byte_s = 0.0
         self._free_s = 0.0
@@ -105,12 +106,14 @@ class RobotiqEmulator(ControlledEmulator):
         if self.settings.activated:
             self.registers.outputs, self.registers.stage = [RACT << 8, 0, 0], Stage.READY
         self._port.plug()
+        self._started = True
 
     async def stop(self) -> None:
         """Vanish."""
         for timer in self._timers:
             timer.cancel()
         self._timers.clear()
+        self._started = False
         self._port.unplug()
 
     def state(self) -> dict[str, object]:
@@ -141,7 +144,7 @@ class RobotiqEmulator(ControlledEmulator):
         """Unplug and power act at once where they were set until cleared."""
         if self.faults.lasts("unplug"):
             self._port.unplug()
-        elif not self._port.plugged and self._down_until_s <= asyncio.get_running_loop().time():
+        elif self._started and not self._port.plugged and self._down_until_s <= asyncio.get_running_loop().time():
             self._port.plug()
         if self.faults.lasts("power"):
             self.registers.lose_power(asyncio.get_running_loop().time())
