@@ -37,7 +37,7 @@ async def serve(room: Room, unix: socket.socket, tcp: socket.socket | None = Non
     app = make_app(room)
     servers = [(_server(Shield(app)), unix)]
     if tcp is not None and room.access is not None:
-        servers.append((_server(Shield(Gate(app, room.access))), tcp))
+        servers.append((_server(Shield(Gate(app, room.access), room.access.knows)), tcp))
     live = asyncio.create_task(room.run(), name="web: live")
     serving = [asyncio.create_task(server.serve(sockets=[at]), name="web: http") for server, at in servers]
     try:

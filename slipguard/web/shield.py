@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from starlette.datastructures import MutableHeaders
+from collections.abc import Callable
+
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from slipguard.web.words import error
 
 CLIENTS_MAX = 64
+STRANGERS_MAX = 48
+"""Of them without token and cookie: the rest is kept for whoever may command."""
+STRANGE_STREAMS_MAX = 32
+"""Of those on the live stream, which nobody leaves by himself."""
 HEADERS = {
     "content-security-policy": "default-src 'self'; img-src 'self' blob:; frame-ancestors 'none'; base-uri 'none'; "
     "form-action 'none'",
@@ -22,11 +28,16 @@ HEADERS = {
 
 
 class Shield:
-    """ASGI: adds the headers to every answer, and answers 503 beyond `CLIENTS_MAX` requests and streams at once."""
+    """ASGI: adds the headers to every answer, and answers 503 beyond `clients_max` requests and streams at once.
 
-    def __init__(self, app: ASGIApp, clients_max: int = CLIENTS_MAX) -> None:
-        self._app, self._clients_max = app, clients_max
-        self._clients = 0
+    knows: whether a request's headers tell of somebody who may command; None: all may.
+    """
+
+    def __init__(
+        self, app: ASGIApp, knows: Callable[[Headers], bool] | None = None, clients_max: int = CLIENTS_MAX
+    ) -> None:
+        self._app, self._knows, self._clients_max = app, knows, clients_max
+        self._clients, self._strangers, self._strange_streams = 0, 0, 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def sending(message: Message) -> None:
@@ -34,14 +45,31 @@ class Shield:
                 MutableHeaders(raw=message.setdefault("headers", [])).update(HEADERS)
             await send(message)
 
-        if self._clients >= self._clients_max:
-            await refuse(503, f"{self._clients_max} clients are being answered already", scope, receive, sending)
+        strange = self._knows is not None and not self._knows(Headers(scope=scope))
+        streams = strange and scope["type"] == "websocket"
+        full = self._full(strange, streams)
+        if full is not None:
+            await refuse(503, full, scope, receive, sending)
             return
-        self._clients += 1
+        self._count(1, strange, streams)
         try:
             await self._app(scope, receive, sending)
         finally:
-            self._clients -= 1
+            self._count(-1, strange, streams)
+
+    def _full(self, strange: bool, streams: bool) -> str | None:
+        if self._clients >= self._clients_max:
+            return f"{self._clients_max} clients are being answered already"
+        if strange and self._strangers >= STRANGERS_MAX:
+            return f"{STRANGERS_MAX} clients without the token are being answered already"
+        if streams and self._strange_streams >= STRANGE_STREAMS_MAX:
+            return f"{STRANGE_STREAMS_MAX} clients without the token hear the live stream already"
+        return None
+
+    def _count(self, one: int, strange: bool, streams: bool) -> None:
+        self._clients += one
+        self._strangers += one * strange
+        self._strange_streams += one * streams
 
 
 async def refuse(status: int, why: str, scope: Scope, receive: Receive, send: Send) -> None:

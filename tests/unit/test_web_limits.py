@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 from pathlib import Path
 
 import httpx
 import pytest
 from fake_control import FakeControl, served_on_tcp
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
 
-from slipguard.web import commands, patience, serve
+from slipguard.web import commands, patience, serve, shield
 from slipguard.web.shield import Shield
 
 
@@ -63,21 +66,83 @@ async def test_a_request_under_way_is_not_cut_off(monkeypatch: pytest.MonkeyPatc
         assert answer.json() == {"said": "clear, as asked"}
 
 
-async def test_too_many_connections_are_told_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+async def test_one_connection_too_many_ends_the_one_silent_for_longest(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(patience, "CONNECTIONS_MAX", 5)
-    async with served_on_tcp(FakeControl(), tmp_path) as (port, _):
-        held = [await asyncio.open_connection("127.0.0.1", port) for _ in range(5)]
-        await asyncio.sleep(0.05)
+    async with served_on_tcp(FakeControl(), tmp_path) as (port, _), httpx.AsyncClient(trust_env=False) as http:
+        held = []
+        for _ in range(5):
+            held.append(await asyncio.open_connection("127.0.0.1", port))
+            await asyncio.sleep(0.02)
+        assert (await http.get(f"http://127.0.0.1:{port}/access")).status_code == 200
+        async with asyncio.timeout(5.0):
+            with contextlib.suppress(ConnectionError):
+                assert await held[0][0].read() == b""
+        for _, one in held[1:]:
+            one.write(b"GET /access HTTP/1.1\r\n")
+            assert not one.is_closing()
+        for _, one in held:
+            one.close()
+            with contextlib.suppress(ConnectionError):
+                await one.wait_closed()
+
+
+async def test_too_many_connections_that_are_being_answered_are_told_so(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(patience, "CONNECTIONS_MAX", 1)
+    control = FakeControl()
+    control.delay_s = 0.5
+    async with served_on_tcp(control, tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
+        token = {"authorization": f"Bearer {access._token}"}
+        asking = asyncio.create_task(http.post(f"http://127.0.0.1:{port}/clear", headers=token))
+        await control.began.wait()
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         said = await reader.read()
         assert said.startswith(b"HTTP/1.1 503 ")
         assert json.loads(said.partition(b"\r\n\r\n")[2]) == {"error": "too many connections"}
-        for _, one in [*held, (reader, writer)]:
-            one.close()
-            await one.wait_closed()
-        await asyncio.sleep(0.05)
+        writer.close()
+        await writer.wait_closed()
+        assert (await asking).json() == {"said": "clear, as asked"}
+
+
+async def test_whoever_may_command_finds_a_place_among_strangers(tmp_path: Path) -> None:
+    async with served_on_tcp(FakeControl(), tmp_path) as (port, access), contextlib.AsyncExitStack() as stack:
+        live = f"ws://127.0.0.1:{port}/live"
+        for _ in range(shield.STRANGE_STREAMS_MAX):
+            await stack.enter_async_context(connect(live))
+        with pytest.raises(InvalidStatus, match="503"):
+            await stack.enter_async_context(connect(live))
+        token = {"authorization": f"Bearer {access._token}"}
+        await stack.enter_async_context(connect(live, additional_headers=token))
         async with httpx.AsyncClient(trust_env=False) as http:
-            assert (await http.get(f"http://127.0.0.1:{port}/access")).status_code == 200
+            url = f"http://127.0.0.1:{port}"
+            assert (await http.get(f"{url}/state")).status_code == 200
+            assert (await http.post(f"{url}/clear", headers=token)).status_code == 200
+
+
+async def test_strangers_take_no_more_than_their_places() -> None:
+    done = asyncio.Event()
+
+    async def app(scope: object, receive: object, send: object) -> None:
+        await done.wait()
+
+    guarded = Shield(app, lambda headers: "authorization" in headers)  # type: ignore[arg-type]
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(guarded), base_url="http://s") as http:  # type: ignore[arg-type]
+        scope = {"type": "http", "headers": []}
+        under_way = [
+            asyncio.create_task(guarded(scope, None, None))  # type: ignore[arg-type]
+            for _ in range(shield.STRANGERS_MAX)
+        ]
+        await asyncio.sleep(0)
+        assert (await http.get("/state")).status_code == 503
+        token = [(b"authorization", b"Bearer x")]
+        own = asyncio.create_task(guarded(scope | {"headers": token}, None, None))  # type: ignore[arg-type]
+        await asyncio.sleep(0.05)
+        assert not own.done()
+        done.set()
+        await asyncio.gather(own, *under_way)
 
 
 async def test_too_many_at_once_are_told_so() -> None:
@@ -87,10 +152,10 @@ async def test_too_many_at_once_are_told_so() -> None:
         full.set()
         await done.wait()
 
-    shield = Shield(app, clients_max=1)  # type: ignore[arg-type]
-    first = asyncio.create_task(shield({"type": "http"}, None, None))  # type: ignore[arg-type, dict-item]
+    guarded = Shield(app, clients_max=1)  # type: ignore[arg-type]
+    first = asyncio.create_task(guarded({"type": "http"}, None, None))  # type: ignore[arg-type, dict-item]
     await full.wait()
-    async with httpx.AsyncClient(transport=httpx.ASGITransport(shield), base_url="http://s") as http:  # type: ignore[arg-type]
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(guarded), base_url="http://s") as http:  # type: ignore[arg-type]
         answer = await http.get("/state")
         assert (answer.status_code, set(answer.json())) == (503, {"error"})
         assert answer.headers["x-frame-options"] == "DENY"
