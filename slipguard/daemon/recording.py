@@ -40,11 +40,13 @@ def make_recorder(service: Service, folder: Path) -> Recorder:
     """A recorder for a service, into `folder`; not yet started."""
     asked = service.config.recording
     loop = asyncio.get_running_loop()
+    virtual_s = loop.time() - time.monotonic()
+    # That is 0, but for a virtual clock: by it each file goes on where the one before ended.
     limits = Limits(max(round(asked.ring_s / SEGMENT_S), 1), asked.ring_max_mb * 2**20, asked.kept_max_mb * 2**20)
     return Recorder(
         Ring(folder, limits),
         RecorderSettings(asked.image, asked.jpeg_quality, SEGMENT_S, asked.keep_before_s, asked.keep_after_s),
-        clock=lambda: Clock(time.time_ns(), loop.time()),
+        clock=lambda: Clock(time.time_ns(), time.monotonic() + virtual_s),
         header=lambda: header(service),
         on_trouble=lambda text: _say_in(loop, service.journal.warn, text),
     )

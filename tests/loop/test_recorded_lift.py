@@ -84,16 +84,30 @@ def test_a_lift_with_slip_is_kept_and_replays_to_the_same_commands(lift: Path) -
     assert [phase for _, phase in played.phases] == ["idle", "closing", "reference", "holding", "lifting", "holding"]
 
 
+def test_a_clock_that_is_set_right_is_believed_from_the_next_file_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told_ns = iter((10**9, *[1_763_700_000_000_000_000] * 9))
+    monkeypatch.setattr("slipguard.daemon.recording.time.time_ns", lambda: next(told_ns))
+    recorded(Cell("wrench", 1), tmp_path)
+    first, *others = sorted((tmp_path / "kept").iterdir())
+    assert first.name.startswith("1970")
+    assert [path.name[:8] for path in others] == ["20251121"]
+    assert replay([open_recording(first), open_recording(others[0])]).on_recorded.differences == []
+
+
 def test_an_independent_reader_finds_every_turn_of_the_loop(lift: Path) -> None:
-    path = longest(lift)
-    with path.open("rb") as file:
-        reader = make_reader(file)
-        told = [json.loads(message.data) for _, _, message in reader.iter_messages(topics=[m.TICK_TOPIC])]
-        summary = reader.get_summary()
-    assert [one["now_s"] for one in told] == [tick.now_s for tick in ticks(path)]
-    assert any(one["command"]["hold_force_n"] for one in told)
-    assert summary is not None
-    assert {channel.topic for channel in summary.channels.values()} >= {m.TICK_TOPIC, *m.JUDGED_TOPIC.values()}
+    tightened = 0
+    for path in lift.iterdir():
+        with path.open("rb") as file:
+            reader = make_reader(file)
+            told = [json.loads(message.data) for _, _, message in reader.iter_messages(topics=[m.TICK_TOPIC])]
+            summary = reader.get_summary()
+        assert [one["now_s"] for one in told] == [tick.now_s for tick in ticks(path)]
+        tightened += sum(one["command"]["hold_force_n"] is not None for one in told)
+        assert summary is not None
+        assert {channel.topic for channel in summary.channels.values()} >= {m.TICK_TOPIC, *m.JUDGED_TOPIC.values()}
+    assert tightened
 
 
 def test_cut_at_any_byte_it_is_readable_up_to_there_and_plays_up_to_there(lift: Path, tmp_path: Path) -> None:
