@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -29,6 +30,8 @@ class Desk(Control):
         self._controls = Controls(service)
         self._recorder: Recorder | None = None
         self._tally = Tally(service)
+        # One thread of its own: whoever looks at stored images keeps neither frames nor the gripper waiting.
+        self._reading = ThreadPoolExecutor(max_workers=1, thread_name_prefix="slipguard-images")
         self._judged: dict[str, Judgement] = {}
         for name, finger in service.fingers.items():
             finger.observers.append(partial(self._judged.__setitem__, name))
@@ -111,11 +114,11 @@ class Desk(Control):
 
     async def no_contacts(self) -> bytes:
         """What is stored of each finger's sensor."""
-        return json.dumps(await history(self._service)).encode()
+        return json.dumps(await history(self._service, self._reading)).encode()
 
     async def no_contact(self, finger: str, number: int | None = None) -> View:
         """A stored no-contact image."""
-        serial, found, image = await stored_image(self._service, finger, number)
+        serial, found, image = await stored_image(self._service, self._reading, finger, number)
         return View(serial, Frame(image, 0.0, found))
 
     def listen(self, hear: Callable[[Event], None]) -> Callable[[], None]:

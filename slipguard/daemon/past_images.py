@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict
 
 import numpy as np
@@ -14,13 +15,14 @@ from slipguard.daemon.service import Service
 from slipguard.errors import CommandRefused, InputError
 
 
-async def history(service: Service) -> dict[str, object]:
-    """By finger: `serial` (None: not seen yet) and `versions`, oldest first; reads in a thread."""
+async def history(service: Service, pool: Executor) -> dict[str, object]:
+    """By finger: `serial` (None: not seen yet) and `versions`, oldest first; reads in a thread of `pool`."""
+    loop = asyncio.get_running_loop()
     told: dict[str, object] = {}
     for name, finger in service.fingers.items():
         there: Sequence[Version] = ()
         if finger.serial is not None and isinstance(service.store, Archive):
-            there = await asyncio.to_thread(service.store.no_contact_history, finger.serial)
+            there = await loop.run_in_executor(pool, service.store.no_contact_history, finger.serial)
         told[name] = {"serial": finger.serial, "versions": [as_dict(version) for version in there]}
     return told
 
@@ -30,8 +32,10 @@ def as_dict(version: Version) -> dict[str, object]:
     return asdict(version) | {"created_at": version.created_at.isoformat()}
 
 
-async def stored_image(service: Service, name: str, number: int | None) -> tuple[str, int, NDArray[np.uint8]]:
-    """Serial number, number and picture, (320, 240, 3) uint8 BGR; the newest if not told which.
+async def stored_image(
+    service: Service, pool: Executor, name: str, number: int | None
+) -> tuple[str, int, NDArray[np.uint8]]:
+    """Serial number, number and picture, (320, 240, 3) uint8 BGR; the newest if not told which. Reads in `pool`.
 
     Raises CommandRefused where there is none.
     """
@@ -40,10 +44,13 @@ async def stored_image(service: Service, name: str, number: int | None) -> tuple
         raise CommandRefused(f"no finger {name!r}; there are: {', '.join(service.fingers)}")
     if finger.serial is None or not isinstance(store, Archive):
         raise CommandRefused(f"no sensor of the {name} finger was seen yet: {finger.health.why}")
-    versions = await asyncio.to_thread(store.no_contact_history, finger.serial)
+    loop = asyncio.get_running_loop()
+    versions = await loop.run_in_executor(pool, store.no_contact_history, finger.serial)
     chosen = number if number is not None else max((version.number for version in versions), default=None)
     try:
-        found = None if chosen is None else await asyncio.to_thread(store.load_no_contact, finger.serial, chosen)
+        found = (
+            None if chosen is None else await loop.run_in_executor(pool, store.load_no_contact, finger.serial, chosen)
+        )
     except InputError as error:
         raise CommandRefused(str(error)) from None
     if chosen is None or found is None:

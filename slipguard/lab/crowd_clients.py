@@ -18,8 +18,11 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
 POLL_S = 0.25
-"""Each polling client asks this often, for the state and for a picture in turn."""
-PATHS = ("/state", "/picture/left", "/state", "/picture/right")
+"""Each polling client asks this often, in turn for everything that may be seen without the token."""
+PATHS = (
+    *("/state", "/picture/left", "/state", "/picture/right", "/healthz"),
+    *("/state", "/picture/left", "/no-contact", "/picture/right", "/no-contact/left"),
+)
 
 
 async def hear(host: str, port: int, got: Counter[str]) -> None:

@@ -20,7 +20,7 @@ from slipguard.web.access import CONTROL_KEY, COOKIE
 from slipguard.web.commands import add_commands
 from slipguard.web.metrics import exposition
 from slipguard.web.page_routes import add_page
-from slipguard.web.pictures import FINGERS, png_of
+from slipguard.web.pictures import FINGERS
 from slipguard.web.room import Room
 from slipguard.web.words import error, http_error, in_words, refusals
 
@@ -76,7 +76,7 @@ def _add_reads(app: FastAPI, room: Room) -> None:
         """Whether the daemon is well; 503 with the reason where it is not."""
 
         async def look() -> Response:
-            why = await room.control.trouble()
+            why = await room.trouble.get()
             return JSONResponse({"status": "ok"}) if why is None else error(503, why)
 
         return await in_words("/healthz", look())
@@ -96,7 +96,7 @@ def _add_reads(app: FastAPI, room: Room) -> None:
         """What is stored of each finger's sensor: number, time, noise and light of every no-contact image."""
 
         async def look() -> Response:
-            return Response(await room.control.no_contacts(), media_type="application/json")
+            return Response(await room.no_contacts.get(), media_type="application/json")
 
         return await in_words("/no-contact", look())
 
@@ -129,9 +129,9 @@ def _add_pictures(app: FastAPI, room: Room) -> None:
 
         async def look() -> Response:
             _check(finger)
-            view = await room.control.no_contact(finger, number)
-            told = {"x-serial": view.serial, "x-sequence": str(view.frame.sequence), "x-captured-at-s": "0"}
-            return Response(png_of(view), media_type="image/png", headers=told)
+            found = await room.pictures.stored(finger, number)
+            told = {"x-serial": found.serial, "x-sequence": str(found.sequence), "x-captured-at-s": "0"}
+            return Response(found.content, media_type="image/png", headers=told)
 
         return await in_words("/no-contact", look())
 

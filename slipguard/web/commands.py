@@ -86,7 +86,7 @@ def _add(app: FastAPI, room: Room, path: str, kind: type[B], act: Act[B], about:
             try:
                 return JSONResponse(dict(await act(body)))
             finally:
-                room.state.forget()  # what is asked for next is as it is after the command
+                room.forget()
 
         return await in_words(path, do())
 

@@ -44,6 +44,7 @@ class Pictures:
     """Of both fingers, encoded in a thread. All methods raise CommandRefused where there is no picture."""
 
     def __init__(self, control: Control) -> None:
+        self._stored, self._one_stored = control.no_contact, asyncio.Lock()
         self._frames = {name: Shared(partial(control.frame, name), FRAME_KEEP_S) for name in FINGERS}
         self._views = {name: Shared(partial(control.view, name), KEEP_S) for name in FINGERS}
         self._made: dict[tuple[str, str], tuple[View, asyncio.Task[Picture]]] = {}
@@ -57,6 +58,11 @@ class Pictures:
         """The newest judged frame of `left` or `right`, a JPEG; with what was found in it where `overlay`."""
         encode = overlaid_jpeg_of if overlay else jpeg_of
         return await self._once(finger, encode.__name__, await self._views[finger].get(), encode)
+
+    async def stored(self, finger: str, number: int | None) -> Picture:
+        """A stored no-contact image, the newest if not told which, a PNG; one after the other, for the disk is read."""
+        async with self._one_stored:
+            return await self._make(await self._stored(finger, number), png_of)
 
     async def _once(self, finger: str, kind: str, view: View, encode: Callable[[View], bytes]) -> Picture:
         """Encode a view once, however many ask for it."""

@@ -8,6 +8,9 @@ from slipguard.web.live import PERIOD_S, Live
 from slipguard.web.pictures import Pictures
 from slipguard.web.shared import Shared
 
+STORED_S = 1.0
+"""What is stored changes by a command only, or by somebody's hand."""
+
 
 class Room:
     """access: None where no TCP port is listened at."""
@@ -16,9 +19,16 @@ class Room:
         self.control = control
         self.access = access
         self.state = Shared(control.state, PERIOD_S)
+        self.trouble = Shared(control.trouble, PERIOD_S)
         self.tallies = Shared(control.tallies, PERIOD_S)
+        self.no_contacts = Shared(control.no_contacts, STORED_S)
         self.pictures = Pictures(control)
         self.live = Live(self.state.get)
+
+    def forget(self) -> None:
+        """What is asked for next is as it is from now on: something was changed."""
+        for shared in (self.state, self.trouble, self.no_contacts):
+            shared.forget()
 
     async def run(self) -> None:
         """Keep the live stream going until cancelled."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 from loop_cell import Cell, play
 from loop_doubles import SHAPE
 
-from slipguard.daemon.calibration import NoContact
+from slipguard.daemon.calibration import NoContact, Version
 from slipguard.daemon.desk import Desk
 from slipguard.daemon.state_dir import StateDir
 from slipguard.errors import CommandRefused
@@ -101,3 +102,27 @@ def test_a_store_without_a_past_has_none() -> None:
             await desk.go_back("left", 1)
 
     play(Cell(), scene)
+
+
+async def test_what_is_stored_is_read_in_a_thread_of_its_own(tmp_path: Path) -> None:
+    """Whoever looks must not keep the threads waiting that decode frames and speak to the gripper."""
+    threads: set[str] = set()
+
+    class Noting(StateDir):
+        def no_contact_history(self, serial: str) -> list[Version]:
+            threads.add(threading.current_thread().name)
+            return super().no_contact_history(serial)
+
+        def load_no_contact(self, serial: str, number: int | None = None) -> NoContact | None:
+            threads.add(threading.current_thread().name)
+            return super().load_no_contact(serial, number)
+
+    store = Noting(tmp_path)
+    store.save_no_contact("SIM-L", taken(50))
+    threads.clear()
+    desk = Desk(Cell().service)
+    desk._service.store = store
+    desk._service.fingers["left"].serial = "SIM-L"
+    assert [one["number"] for one in json.loads(await desk.no_contacts())["left"]["versions"]] == [1]
+    assert (await desk.no_contact("left")).frame.sequence == 1
+    assert threads == {"slipguard-images_0"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from pathlib import Path
 
 import cv2
@@ -17,7 +18,9 @@ from slipguard.devices import Frame
 from slipguard.errors import CommandRefused
 from slipguard.perception.regions import ClippedSides
 from slipguard.web import pictures as pictures_module
+from slipguard.web.app import make_app
 from slipguard.web.pictures import AXIS_BGR, OUTLINE_BGR, SKELETON_BGR, Pictures, draw
+from slipguard.web.room import Room
 
 GREY = np.full((320, 240, 3), 90, np.uint8)
 
@@ -116,3 +119,39 @@ async def test_over_http(tmp_path: Path) -> None:
 def test_a_view_without_contact_is_the_frame() -> None:
     plain = pictures_module.overlaid_jpeg_of(View("D1", Frame(GREY, 0.0, 1)))
     assert plain == pictures_module.jpeg_of(View("D1", Frame(GREY, 0.0, 1), contact_of(bar(0.0), 0.0)))
+
+
+async def test_many_who_look_at_what_is_stored_ask_the_daemon_as_one() -> None:
+    at_once, most = 0, 0
+    asked: Counter[str] = Counter()
+
+    class Counting(FakeControl):
+        async def trouble(self) -> str | None:
+            asked["trouble"] += 1
+            return await super().trouble()
+
+        async def no_contacts(self) -> bytes:
+            asked["no_contacts"] += 1
+            return await super().no_contacts()
+
+        async def no_contact(self, finger: str, number: int | None = None) -> View:
+            nonlocal at_once, most
+            at_once += 1
+            most = max(most, at_once)
+            await asyncio.sleep(0.01)
+            at_once -= 1
+            return await super().no_contact(finger, number)
+
+    room = Room(Counting())
+    transport = httpx.ASGITransport(make_app(room))
+    async with httpx.AsyncClient(transport=transport, base_url="http://s") as http:
+        paths = ["/healthz", "/no-contact", "/no-contact/left", "/no-contact/right?number=1"] * 5
+        answers = await asyncio.gather(*(http.get(path) for path in paths))
+        assert {answer.status_code for answer in answers} == {200}
+        assert most == 1
+        before = asked["no_contacts"]
+        assert before < 5
+        assert (await http.post("/clear")).status_code == 200
+        assert (await http.get("/no-contact")).status_code == 200
+        assert asked["no_contacts"] == before + 1
+    assert asked["trouble"] < 5
