@@ -36,6 +36,8 @@ def _simple(tree: ast.AST) -> Iterator[ast.AST]:
             yield from node.items
         elif isinstance(node, (ast.If, ast.While)):
             yield node.test
+        elif isinstance(node, (ast.For, ast.AsyncFor)):
+            yield node.iter
         elif isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
             yield from node.decorator_list
         elif isinstance(node, ast.stmt) and not hasattr(node, "body"):
