@@ -18,7 +18,12 @@ def configure(*, json_lines: bool | None = None, level: int = logging.INFO) -> N
     """Set structlog up once, to stderr; `json_lines` None: JSON unless stderr is a terminal."""
     as_json = not sys.stderr.isatty() if json_lines is None else json_lines
     renderer: structlog.typing.Processor = (
-        structlog.processors.JSONRenderer() if as_json else structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty())
+        structlog.processors.JSONRenderer()
+        if as_json
+        else structlog.dev.ConsoleRenderer(
+            colors=sys.stderr.isatty(),
+            exception_formatter=structlog.dev.plain_traceback,  # the rich one prints locals, the token among them
+        )
     )
     structlog.configure(
         processors=[

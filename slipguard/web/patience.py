@@ -30,7 +30,7 @@ class PatientHttp(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        self.app = knowing_who_is_gone(self.app, transport)  # type: ignore[assignment, arg-type]
+        self.app = knowing_who_is_gone(self.app, transport)
         self._heard_at_s = self.loop.time()
         if len(self.connections) > CONNECTIONS_MAX and not self._one_gives_way():
             transport.write(FULL + f"{len(BODY)}\r\n\r\n".encode() + BODY)

@@ -42,6 +42,19 @@ def test_a_journal_gets_json_and_a_terminal_colours(monkeypatch: pytest.MonkeyPa
     assert "\x1b[" not in logged(monkeypatch, io.StringIO(), json_lines=False)
 
 
+def test_a_mistake_is_logged_without_the_values_it_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    for stream in (Terminal(), io.StringIO()):
+        monkeypatch.setattr(sys, "stderr", stream)
+        configure()
+        token = "".join(["sec", "ret"])
+        try:
+            raise KeyError(len(token))
+        except KeyError:
+            structlog.get_logger().exception("a request failed")
+        assert "KeyError: 6" in stream.getvalue()
+        assert "secret" not in stream.getvalue()
+
+
 def test_the_level_can_change_while_it_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     stream = io.StringIO()
     monkeypatch.setattr(sys, "stderr", stream)
