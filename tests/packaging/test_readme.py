@@ -6,7 +6,8 @@ import re
 import shlex
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
+from unittest.mock import Mock
 
 import pytest
 import typer
@@ -14,6 +15,11 @@ from config_table import in_readme, table
 from sandbox import ROOT
 
 from slipguard.cli.app import app
+from slipguard.web.app import make_app
+from slipguard.web.room import Room
+
+if TYPE_CHECKING:
+    from slipguard.daemon.control import Control
 
 README = (ROOT / "README.md").read_text()
 GATE = (ROOT / ".ci" / "run").read_text().replace("\\\n", "")
@@ -90,7 +96,17 @@ def test_every_command_is_in_the_table() -> None:
     assert told == set(TOP.commands)
     (ctl,) = [text for text in TABLE if text.startswith("slipguard ctl")]
     told_ctl = {one.split()[2] for one in alternatives(ctl)}
-    assert told_ctl <= set(TOP.commands["ctl"].commands)
+    assert told_ctl == set(TOP.commands["ctl"].commands)
+
+
+def test_every_path_of_the_api_is_in_its_table() -> None:
+    paths = make_app(Room(cast("Control", Mock()))).openapi()["paths"]
+    there = {(method.upper(), path.replace("{finger}", "left")) for path, asked in paths.items() for method in asked}
+    section = README.partition("## The local API")[2].partition("\n## ")[0]
+    told = set()
+    for methods, cell in re.findall(r"^\| (?:`(GET|POST) |WebSocket )(.*?) \|", section, re.M):
+        told |= {(methods, path.strip("` ")) for path in cell.split("` `")} if methods else set()
+    assert told == there
 
 
 def test_every_path_and_extra_it_names_is_there() -> None:
