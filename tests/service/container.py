@@ -94,7 +94,7 @@ class Container:
     def written_by_itself(self) -> dict[int, list[str]]:
         """What the service's own processes wrote into the journal, line by line as it is, by process number."""
         own = (f"_SYSTEMD_UNIT={UNIT}", "_TRANSPORT=stdout")  # what systemd says of it is of another unit
-        text = self.run("journalctl", "--output=json", "--all", "--no-pager", *own, check=True).stdout
+        text = self.run("journalctl", "--quiet", "--output=json", "--all", "--no-pager", *own, check=True).stdout
         lines: dict[int, list[str]] = {}
         for entry in map(json.loads, text.splitlines()):
             message = entry["MESSAGE"]  # a list of bytes where it is not plain text
