@@ -4,6 +4,9 @@ Every user of this machine, and every page open in the operator's browser, can r
 needs the token (or the cookie that a link made with it has set), and each request must be meant for this server: its
 `Host` is one of ours (a foreign name that points here is refused) and its `Origin`, where a browser tells one, is that
 of our own page.
+
+A browser sends a cookie to every port of a host, so to whatever another user has put on one. The page therefore has a
+second secret, which the login hands it in the address's fragment and which it keeps where only its own origin can read.
 """
 
 from __future__ import annotations
@@ -24,6 +27,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from slipguard.web.shield import refuse
 
 COOKIE = "slipguard"
+SESSION = "x-slipguard-session"
+"""The header in which the page sends the second secret."""
 CODE_S = 60.0
 """How long a link to the page is good."""
 CODES_MAX = 16
@@ -40,6 +45,8 @@ class Access:
     def __init__(self, token: str, address: tuple[str, int], clock: Callable[[], float] = time.monotonic) -> None:
         self._token = token
         self._cookie = hmac.new(token.encode(), b"page", hashlib.sha256).hexdigest()
+        self.session = hmac.new(token.encode(), b"session", hashlib.sha256).hexdigest()
+        """The page's second secret; the cookie alone commands nothing."""
         self._host, self._port = address
         self._clock = clock
         self._codes: dict[str, float] = {}
@@ -67,10 +74,19 @@ class Access:
     # --- each request ---
 
     def knows(self, headers: Headers) -> bool:
-        """Whether the token or the cookie came with it."""
+        """Whether the token or the cookie came with it: enough to be no stranger."""
+        return self._has_token(headers) or self._has_cookie(headers)
+
+    def may_command(self, headers: Headers) -> bool:
+        """Whether the token came with it, or the cookie and the page's second secret."""
+        session = _same(headers.get(SESSION, ""), self.session)
+        return self._has_token(headers) or (session and self._has_cookie(headers))
+
+    def _has_token(self, headers: Headers) -> bool:
         kind, _, given = headers.get("authorization", "").partition(" ")
-        if kind.lower() == "bearer" and _same(given.strip(), self._token):
-            return True
+        return kind.lower() == "bearer" and _same(given.strip(), self._token)
+
+    def _has_cookie(self, headers: Headers) -> bool:
         try:
             cookies = SimpleCookie(headers.get("cookie", ""))
         except CookieError:
@@ -116,13 +132,13 @@ class Gate:
         headers = Headers(scope=scope)
         refusal: tuple[int, str] | None = None
         objection = self._access.objection(scope, headers)
-        knows = self._access.knows(headers)
+        may = self._access.may_command(headers)
         if objection is not None:
             refusal = 403, objection
-        elif scope["type"] == "http" and scope["method"] not in ("GET", "HEAD") and not knows:
+        elif scope["type"] == "http" and scope["method"] not in ("GET", "HEAD") and not may:
             refusal = 401, "this needs the token; `slipguard ctl page` makes a link that gives control"
         if refusal is None:
-            await self._app({**scope, CONTROL_KEY: knows}, receive, send)
+            await self._app({**scope, CONTROL_KEY: may}, receive, send)
             return
         await refuse(*refusal, scope, receive, send)
 

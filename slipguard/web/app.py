@@ -16,7 +16,7 @@ from starlette.exceptions import HTTPException
 
 from slipguard import __version__
 from slipguard.web import bodies as b
-from slipguard.web.access import CONTROL_KEY, COOKIE
+from slipguard.web.access import CONTROL_KEY, COOKIE, SESSION
 from slipguard.web.commands import add_commands
 from slipguard.web.metrics import exposition
 from slipguard.web.page_routes import add_page
@@ -25,7 +25,7 @@ from slipguard.web.room import Room
 from slipguard.web.words import error, http_error, in_words, refusals
 
 ABOUT = """Keeps a robot from dropping what it holds. On the Unix socket, file permissions decide who may ask.
-On TCP every command needs the token in the daemon's runtime directory, or the page's cookie."""
+On TCP every command needs the token in the daemon's runtime directory, or the page's cookie and second secret."""
 TEXT: dict[int | str, dict[str, Any]] = {
     200: {"description": "Prometheus text.", "content": {"text/plain": {"schema": {"type": "string"}}}}
 }
@@ -54,6 +54,7 @@ def make_app(room: Room) -> FastAPI:
         document.setdefault("components", {})["securitySchemes"] = {
             "token": {"type": "http", "scheme": "bearer"},
             "cookie": {"type": "apiKey", "in": "cookie", "name": COOKIE},
+            "session": {"type": "apiKey", "in": "header", "name": SESSION},
         }
         return document
 

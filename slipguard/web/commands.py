@@ -101,7 +101,7 @@ def _add(app: FastAPI, room: Room, path: str, kind: type[B], act: Act[B], about:
     )(endpoint)
 
 
-SECURITY: list[dict[str, list[str]]] = [{"token": []}, {"cookie": []}]
+SECURITY: list[dict[str, list[str]]] = [{"token": []}, {"cookie": [], "session": []}]
 """On TCP; the Unix socket asks for neither."""
 
 

@@ -32,9 +32,9 @@ def add_page(app: FastAPI, room: Room) -> None:
     async def login(token: Annotated[str, Query(max_length=200)]) -> Response:
         """Give the browser that opens a link from `/page-link` control of the page. A link works once."""
         cookie = room.access.redeem(token) if room.access is not None else None
-        if cookie is None:
+        if room.access is None or cookie is None:
             return error(401, "this link was used, or is too old; `slipguard ctl page` makes another")
-        answer = RedirectResponse("/", status_code=303)
+        answer = RedirectResponse(f"/#session={room.access.session}", status_code=303)  # a fragment is sent nowhere
         answer.set_cookie(COOKIE, cookie, httponly=True, samesite="strict", path="/")
         return answer
 

@@ -17,7 +17,7 @@ from slipguard.web.bodies import Refused
 
 MEANS = {
     400: "The body is no JSON.",
-    401: "On TCP: neither token nor cookie came with it.",
+    401: "On TCP: neither the token nor the whole login of the page came with it.",
     403: "On TCP: the request comes from a foreign page, or asks for another host.",
     404: "There is no such thing.",
     408: "The body did not come in time.",

@@ -104,20 +104,30 @@ async def test_no_page_may_frame_or_embed_ours(control: FakeControl, tmp_path: P
 
 
 async def test_a_link_gives_control_once_and_to_a_browser_of_ours(control: FakeControl, tmp_path: Path) -> None:
-    async with served_on_tcp(control, tmp_path) as (port, _):
+    async with served_on_tcp(control, tmp_path) as (port, access):
         url = (await ask(port, "POST", "/page-link", BEARER)).json()["url"]
         async with httpx.AsyncClient(trust_env=False) as browser:
             assert (await browser.get(f"http://127.0.0.1:{port}/access")).json() == {"control": False}
             answer = await browser.get(url)
-            assert (answer.status_code, answer.headers["location"]) == (303, "/")
+            assert (answer.status_code, answer.headers["location"]) == (303, f"/#session={access.session}")
+            session = {"x-slipguard-session": access.session}
             for word in ("HttpOnly", "SameSite=strict", "Path=/"):
                 assert word in answer.headers["set-cookie"]
             assert TOKEN not in answer.headers["set-cookie"]
-            assert (await browser.get(f"http://127.0.0.1:{port}/access")).json() == {"control": True}
-            done = await browser.post(f"http://127.0.0.1:{port}/clear", headers={"origin": f"http://127.0.0.1:{port}"})
+            assert (await browser.get(f"http://127.0.0.1:{port}/access")).json() == {"control": False}
+            stolen = await browser.post(f"http://127.0.0.1:{port}/clear")
+            assert stolen.status_code == 401, "whoever listens at another port of this machine is sent the cookie too"
+            told = await browser.get(f"http://127.0.0.1:{port}/access", headers=session)
+            assert told.json() == {"control": True}
+            origin = {"origin": f"http://127.0.0.1:{port}"}
+            done = await browser.post(f"http://127.0.0.1:{port}/clear", headers=origin | session)
             assert done.json() == {"said": "clear, as asked"}
-            foreign = await browser.post(f"http://127.0.0.1:{port}/clear", headers={"origin": "http://127.0.0.1:1"})
-            assert foreign.status_code == 403, "another port of this machine gets the cookie, but is not our page"
+            foreign = await browser.post(
+                f"http://127.0.0.1:{port}/clear", headers={"origin": "http://127.0.0.1:1"} | session
+            )
+            assert foreign.status_code == 403, "another port of this machine is not our page"
+            browser.cookies.clear()
+            assert (await browser.post(f"http://127.0.0.1:{port}/clear", headers=session)).status_code == 401
         again = await ask(port, "GET", url.partition(str(port))[2])
         assert again.status_code == 401
         assert "set-cookie" not in again.headers

@@ -1,6 +1,7 @@
 // What can be asked of the daemon: the words of each button, of its question, and the request it sends.
 
 import { guards } from "./may.js";
+import { sessionHeaders } from "./session.js";
 import { plain } from "./words.js";
 
 const height = { name: "height_mm", label: "Height", unit: "mm", min: 1, max: 2000, step: 5 };
@@ -117,7 +118,7 @@ export async function send(name, path, body) {
   try {
     const answer = await fetch(path, {
       method: "POST",
-      headers: { "content-type": "application/json" },
+      headers: { "content-type": "application/json", ...sessionHeaders() },
       body: JSON.stringify(body),
       signal: AbortSignal.timeout(ORDERS[name].patience_ms ?? PATIENCE_MS),
     });

@@ -7,6 +7,7 @@ import { Graphs } from "./graphs.js";
 import { History } from "./history.js";
 import { Live } from "./live.js";
 import { Pictures } from "./pictures.js";
+import { sessionHeaders } from "./session.js";
 import { armWords, clock, forces, headline, plain, signed, span } from "./words.js";
 
 const SLOW_MS = 250; // figures that change faster cannot be read
@@ -70,7 +71,11 @@ function dateOf(at_s) {
 
 async function askAccess() {
   try {
-    const answer = await fetch("/access", { cache: "no-store", signal: AbortSignal.timeout(5000) });
+    const answer = await fetch("/access", {
+      cache: "no-store",
+      headers: sessionHeaders(),
+      signal: AbortSignal.timeout(5000),
+    });
     view.control = answer.ok && (await answer.json()).control === true;
   } catch {
     view.control = false;
