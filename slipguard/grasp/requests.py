@@ -10,9 +10,13 @@ from dataclasses import replace
 
 from slipguard.grasp import limits
 from slipguard.grasp.detector import Detector
+from slipguard.grasp.fault import FaultCode
 from slipguard.grasp.messages import ArmLift, Command, RequestKind, Seen
 from slipguard.grasp.params import GuardParams
 from slipguard.grasp.state import GuardState, Phase, emptied, entered, settled, taken_over
+
+MAY_LAST = frozenset({FaultCode.ESTIMATE_UNTRUSTED})
+"""Faults that only a clear can end: it takes a new reference, and what still cannot be told then latches again."""
 
 Outcome = tuple[GuardState, Command]
 
@@ -176,8 +180,9 @@ def _clear(state: GuardState, command: Command, seen: Seen, params: GuardParams)
         return _refuse(state, command, "no fault is latched")
     if state.putting_down:
         return _refuse(state, command, "the object is being put down; clear when the arm stands, or release")
-    if seen.fault is not None:
-        return _refuse(state, command, f"the cause is still there: {seen.fault}")
+    lasting = [fault for fault in (seen.fault, *seen.also) if fault is not None and fault.code not in MAY_LAST]
+    if lasting:
+        return _refuse(state, command, f"the cause is still there: {lasting[0]}")
     if seen.gripper is None:
         return _refuse(state, command, "the gripper is not there, so it is not known what it holds")
     if state.person_near:

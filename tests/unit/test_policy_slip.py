@@ -290,6 +290,24 @@ def test_clear_needs_the_cause_to_be_gone(changes: dict[str, object], says: str)
     assert says in (command.refused or "")
 
 
+UNTRUSTED = replace(FAULT, code=FaultCode.ESTIMATE_UNTRUSTED)
+
+
+def test_clear_takes_a_new_reference_where_the_fingers_contradict_each_other() -> None:
+    view = seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), fault=UNTRUSTED)
+    state, command = step(state_in(Phase.FAULT), view, PARAMS)
+    assert state.phase is Phase.REFERENCE
+    assert command.new_reference
+    assert command.refused is None
+
+
+def test_clear_is_refused_where_something_else_is_wrong_besides() -> None:
+    view = seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), fault=UNTRUSTED, also=(FAULT,))
+    state, command = step(state_in(Phase.FAULT), view, PARAMS)
+    assert state.phase is Phase.FAULT
+    assert "the cause is still there" in (command.refused or "")
+
+
 def test_clear_with_nothing_held_is_idle() -> None:
     view = seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), gripper=gripper(0.0, holding=False))
     assert step(state_in(Phase.FAULT), view, PARAMS)[0].phase is Phase.IDLE
