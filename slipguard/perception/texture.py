@@ -15,8 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.perception.held_back import held_back
 from slipguard.perception.regions import Patch
-from slipguard.perception.relief import HEIGHT_PX, WIDTH_PX, Relief, placed
+from slipguard.perception.relief import HEIGHT_PX, WIDTH_PX, Relief, Window, placed
 from slipguard.perception.template import sampled
 
 SKIRT_PX = 5
@@ -82,7 +83,8 @@ class TextureFit:
     the fit leaves beyond the noise of both pictures.
     lever: change of the relief by a turn of a radian over the relief itself. alike: correlation with the reference.
     deformed: how far below 1 that is for other reasons than noise. strength: of the reference's relief without noise,
-    grey levels a pixel, r.m.s. declined: None, or why there is no turn.
+    grey levels a pixel, r.m.s. declined: None, or why there is no turn. held_deg: how far what has not turned along
+    may have held the turn back.
     """
 
     pose: TexturePose
@@ -94,6 +96,7 @@ class TextureFit:
     deformed: float
     strength: float
     declined: str | None = None
+    held_deg: float = 0.0
 
     @property
     def unlike(self) -> float:
@@ -223,7 +226,10 @@ def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:
         if abs(turn_step) < 8e-4 and abs(move_x) + abs(move_y) < 0.04:
             break
     pose = TexturePose(math.degrees(turn), dx, dy, scale, gain)
-    return _judged(texture, relief.noise, pose, held, difference, value, weight)
+    left, top = (round(at - inside) for at, inside in zip(texture.centre_px, texture.origin_px, strict=True))
+    unmoved, seen = _laid(texture, Relief(Window(left, top, 0, 0), texture.picture), turn, dx, dy, scale)
+    back = held_back(motion, weight * seen, difference, unmoved)
+    return _judged(texture, relief.noise, pose, held, difference, value, weight, back)
 
 
 def _judged(
@@ -234,6 +240,7 @@ def _judged(
     difference: Field,
     value: Field,
     weight: Field,
+    back: float,
 ) -> TextureFit:
     mass = max(float(weight.sum()), 1e-6)
     told = np.linalg.inv(held)[0]
@@ -250,11 +257,6 @@ def _judged(
     noise2 = noise**2 + (pose.gain * texture.noise) ** 2
     left2 = float(weight @ difference**2) / mass - NOISE_LEFT * noise2
     sight = float(np.count_nonzero(weight)) / weight.size
-    declined = None
-    if sight < SIGHT_MIN:
-        declined = CLIPPED
-    elif not alike >= ALIKE_MIN:
-        declined = OTHER
     return TextureFit(
         pose,
         spread_deg=min(max(spread_deg, 1e-3), 180.0),
@@ -264,7 +266,8 @@ def _judged(
         alike=alike,
         deformed=1.0 - min(max(both2 / math.sqrt(clean2 * clean_now2), 0.0), 1.0),
         strength=math.sqrt(clean2),
-        declined=declined,
+        declined=CLIPPED if sight < SIGHT_MIN else None if alike >= ALIKE_MIN else OTHER,
+        held_deg=back * abs(pose.turn_deg) * (1.0 - min(max(alike, 0.0), 1.0)),
     )
 
 

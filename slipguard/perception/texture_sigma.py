@@ -16,11 +16,15 @@ SPREAD, NOISE, GROWTH, MISFIT = 1.25, 0.032, 0.72, 0.25
 """Shares in sigma of what parts of the contact disagree by, and of the turns that would change the relief as much as
 the camera's noise does, as its growth since the reference, and as the deformation that the fit leaves. Chosen by
 `slipguard.lab.sigma_fit` on rendered turns of the training objects and on real presses."""
+HELD, HELD_FREE_DEG = 5.0, 0.05
+"""Share in sigma of what a pattern that stays in its place may have held the turn back by, beyond what is found where
+nothing has: nine of ten real presses stay below. Coarse compression and few grey levels give 0.1-0.4 degrees."""
 
 
 def sigma_deg(answer: TextureFit) -> float:
     """One standard deviation of the turn, degrees."""
-    return math.hypot(FLOOR_DEG, *(share * part for share, part in zip(shares(), parts_deg(answer), strict=True)))
+    parts = (share * part for share, part in zip(shares(), parts_deg(answer), strict=True))
+    return math.hypot(FLOOR_DEG, HELD * max(answer.held_deg - HELD_FREE_DEG, 0.0), *parts)
 
 
 def shares() -> tuple[float, float, float, float]:
