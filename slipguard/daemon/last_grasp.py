@@ -17,6 +17,8 @@ from slipguard.grasp.state import AT_STAKE, GuardState, Phase, Remembered
 
 GOOD_FOR = timedelta(hours=1)
 """A grip older than this is somebody else's by now."""
+AGAIN_S = 300.0
+"""A grip that does not change is noted down again after this time: it is its age that tells it from somebody else's."""
 CHANGE_MM = 0.5
 log = structlog.get_logger()
 
@@ -52,6 +54,7 @@ class GraspKeeper:
         self._kept: Remembered | None = None
         self._near = False
         self._known = False
+        self._noted_at_s = 0.0
 
     def decided(self, decision: Decision) -> None:
         """To be called after every turn of the loop."""
@@ -60,15 +63,16 @@ class GraspKeeper:
             return  # not known, or the disk is busy: a later turn will do
         held = decision.phase in AT_STAKE or decision.phase is Phase.FAULT
         if held and gripper.holding and not gripper.moving and target_n > 0.0:
-            self._keep(Remembered(target_n, gripper.width_mm), decision.memory.law.person_near)
+            self._keep(Remembered(target_n, gripper.width_mm), decision.memory.law.person_near, decision.now_s)
         elif not held and not gripper.holding:
-            self._keep(None, False)
+            self._keep(None, False, decision.now_s)
 
-    def _keep(self, grip: Remembered | None, person_near: bool) -> None:
+    def _keep(self, grip: Remembered | None, person_near: bool, now_s: float) -> None:
         same = self._known and person_near is self._near and not _differs(grip, self._kept)
-        if same and not self._disk.due:
+        old = grip is not None and now_s - self._noted_at_s >= AGAIN_S
+        if same and not old and not self._disk.due:
             return
-        self._kept, self._near, self._known = grip, person_near, True
+        self._kept, self._near, self._known, self._noted_at_s = grip, person_near, True, now_s
         self._disk.begin(lambda: self._write(grip, person_near))
 
     def _write(self, grip: Remembered | None, person_near: bool) -> None:

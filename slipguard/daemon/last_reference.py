@@ -16,7 +16,9 @@ from slipguard.grasp.state import AT_STAKE, Phase
 from slipguard.perception.recall import KnownReference, RecallingPipeline
 
 TURN_DEG = 1.0
-"""A turn that has grown by less is not worth a write."""
+"""A turn that has grown by less is not worth a write,"""
+AGAIN_S = 300.0
+"""... but after this time it is: a reference's age tells it from somebody else's."""
 log = structlog.get_logger()
 
 
@@ -48,6 +50,7 @@ class _Kept:
 
     serial: str
     known: KnownReference
+    noted_at_s: float
 
 
 class ReferenceKeeper:
@@ -73,7 +76,11 @@ class ReferenceKeeper:
         if self._disk.failed:
             self._kept, self._empty = {}, False  # nobody knows what of it is on the shelf: all is written again
         if decision.phase in AT_STAKE or decision.phase is Phase.FAULT:
-            new = {name: kept for name, finger in self._fingers.items() if (kept := self._news(name, finger))}
+            new = {
+                name: kept
+                for name, finger in self._fingers.items()
+                if (kept := self._news(name, finger, decision.now_s))
+            }
             if gripper.holding and new:
                 self._empty = False
                 before, self._kept = self._kept, {**self._kept, **new}
@@ -97,7 +104,7 @@ class ReferenceKeeper:
         if pipeline.recalled in ("matches", "differs"):
             self._told[name] = pipeline
 
-    def _news(self, name: str, finger: Finger) -> _Kept | None:
+    def _news(self, name: str, finger: Finger, now_s: float) -> _Kept | None:
         """What is worth writing of a finger."""
         pipeline, newest = finger.pipeline, finger.newest
         if not isinstance(pipeline, RecallingPipeline) or newest is None or finger.serial is None:
@@ -111,9 +118,10 @@ class ReferenceKeeper:
             before is not None
             and before.known.image is image
             and abs(known.turn_deg - before.known.turn_deg) < TURN_DEG
+            and now_s - before.noted_at_s < AGAIN_S
         ):
             return None
-        return _Kept(finger.serial, known)
+        return _Kept(finger.serial, known, now_s)
 
     def _save(self, new: Mapping[str, _Kept], before: Mapping[str, _Kept]) -> None:
         for name, kept in new.items():

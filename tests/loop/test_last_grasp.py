@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 from loop_cell import Cell, play
 
+from slipguard.daemon.decision import Decision
 from slipguard.daemon.disk_work import TRY_AGAIN_S
 from slipguard.daemon.last_grasp import GraspKeeper, remembered
 from slipguard.daemon.state_dir import LastGrasp, StateDir
@@ -37,6 +39,30 @@ def test_the_grip_is_noted_down_tightened_and_forgotten(tmp_path: Path) -> None:
         await cell.release()
         await asyncio.sleep(0.1)
         assert shelf.load_last_grasp() is None
+
+    play(Cell("wrench", 1), scene)
+
+
+def test_a_grip_that_does_not_change_for_hours_does_not_grow_old(tmp_path: Path) -> None:
+    class Counting(StateDir):
+        writes = 0
+
+        def save_last_grasp(self, last: LastGrasp) -> None:
+            self.writes += 1
+            super().save_last_grasp(last)
+
+    shelf = Counting(tmp_path)
+
+    async def scene(cell: Cell) -> None:
+        keeper = GraspKeeper(shelf, cell.says.append)
+        decisions: list[Decision] = []
+        cell.service.observers.append(decisions.append)
+        await cell.grasp()
+        held = decisions[-1]
+        for minutes in range(0, 21, 4):
+            keeper.decided(replace(held, now_s=held.now_s + 60.0 * minutes))
+            await asyncio.sleep(0.1)
+        assert shelf.writes == 3, "at 0, 8 and 16 minutes"
 
     play(Cell("wrench", 1), scene)
 

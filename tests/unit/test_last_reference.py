@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from datetime import UTC, datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -42,14 +43,26 @@ class Finger:
             self.newest = SimpleNamespace(estimate=answer)  # type: ignore[assignment]
 
 
-def decision(phase: Phase, holding: bool = True) -> Any:
-    return SimpleNamespace(phase=phase, seen=SimpleNamespace(gripper=SimpleNamespace(holding=holding)))
+def decision(phase: Phase, holding: bool = True, now_s: float = 0.0) -> Any:
+    seen = SimpleNamespace(gripper=SimpleNamespace(holding=holding))
+    return SimpleNamespace(phase=phase, seen=seen, now_s=now_s)
 
 
 async def settled(keeper: ReferenceKeeper, *decisions: Any) -> None:
     for one in decisions:
         keeper.decided(one)
         await asyncio.sleep(0.05)
+
+
+async def test_a_reference_that_is_held_for_hours_does_not_grow_old(tmp_path: Path) -> None:
+    finger = Finger(pipeline())
+    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": finger}, [].append)  # type: ignore[dict-item]
+    finger.sees(20.0, frames=12)
+    noted = []
+    for minutes in range(0, 21, 4):
+        await settled(keeper, decision(Phase.HOLDING, now_s=60.0 * minutes))
+        noted.append(json.loads((tmp_path / "left.json").read_text())["saved_at"])
+    assert [one != before for before, one in pairwise(noted)] == [False, True, False, True, False]
 
 
 async def test_a_restart_goes_on_with_the_reference_and_says_so(tmp_path: Path) -> None:
