@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 
 Force = Annotated[float, Field(gt=0.0, le=235.0, description="Newtons per finger.")]
 Height = Annotated[float, Field(gt=0.0, le=2000.0, description="Millimetres.")]
@@ -69,11 +69,16 @@ class Calibrate(Body):
     new_gel: bool = False
 
 
+def _whole(number: object) -> object:
+    """In JSON 3.0 is the integer 3."""
+    return int(number) if isinstance(number, float) and number.is_integer() else number
+
+
 class GoBack(Body):
     """An older no-contact image of a finger's sensor, by its number."""
 
     finger: Literal["left", "right"]
-    number: Annotated[int, Field(ge=1, le=1_000_000)]
+    number: Annotated[int, Field(ge=1, le=1_000_000), BeforeValidator(_whole)]
 
 
 class Answer(BaseModel):

@@ -15,10 +15,12 @@ import httpx
 import numpy as np
 import pytest
 from fake_control import FakeControl, served
+from pydantic import ValidationError
 
 from slipguard.daemon.client import Client, NoDaemon
 from slipguard.errors import CommandRefused, ConfigError, DeviceTimeout, SlipguardError
 from slipguard.web.app import make_app
+from slipguard.web.bodies import GoBack
 from slipguard.web.room import Room
 from slipguard.web.sockets import bind
 
@@ -222,3 +224,15 @@ def _state(path: Path) -> dict[str, Any]:
 def _clear(path: Path) -> dict[str, Any]:
     with Client(path) as client:
         return client.clear()
+
+
+@pytest.mark.parametrize(
+    ("number", "taken"), [("3", True), ("3.0", True), ("3.5", False), ("true", False), ("NaN", False)]
+)
+def test_a_whole_number_is_one_however_it_is_written(number: str, taken: bool) -> None:
+    body = '{"finger": "left", "number": %s}' % number  # noqa: UP031
+    if taken:
+        assert GoBack.model_validate_json(body) == GoBack(finger="left", number=3)
+    else:
+        with pytest.raises(ValidationError):
+            GoBack.model_validate_json(body)
