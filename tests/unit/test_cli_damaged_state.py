@@ -37,7 +37,7 @@ def removed(path: Path) -> None:
 
 @pytest.mark.parametrize("ending", ["png", "json"])
 @pytest.mark.parametrize("damage", [cut_short, emptied, made_a_folder, removed])
-def test_the_finger_runs_without_its_damaged_image(
+async def test_the_finger_runs_without_its_damaged_image(
     damage: Callable[[Path], None], ending: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     state = StateDir(tmp_path)

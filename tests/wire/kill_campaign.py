@@ -89,7 +89,7 @@ def campaign(cell: Cell, kills: int, seed: int) -> Iterator[Kill]:
         started_s = time.time()
         with running(cell, 2 * number + 1) as (process, client):
             guarding_s, cpu_s = guarded_at_s(process) - started_s, process.cpu_s
-            told = wait_for(client, firm, "not firm")["turn"]["turn_deg"]
+            told = wait_for(client, told_firm, "not firm")["turn"]["turn_deg"]
             after = cell.truth()[-1]
             assert len(cell.events("let go")) == let_go, f"kill {number}: the jaws opened"
             assert not after["dropped"], f"kill {number}: it fell: {after}"
@@ -101,6 +101,10 @@ def campaign(cell: Cell, kills: int, seed: int) -> Iterator[Kill]:
 
 def firm(state: dict[str, Any]) -> bool:
     return state["phase"] == "holding" and not state["gripper"]["moving"] and not state["slipping"]
+
+
+def told_firm(state: dict[str, Any]) -> bool:
+    return firm(state) and state["turn"] is not None
 
 
 def guarded_at_s(process: Process) -> float:
