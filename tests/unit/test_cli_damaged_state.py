@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from command_line import slipguard
 
 from slipguard.config import parse_config
 from slipguard.daemon.calibration import NoContact
+from slipguard.daemon.finger import Finger
 from slipguard.daemon.root import build_service
 from slipguard.daemon.state_dir import StateDir
 from slipguard.devices import Frame
@@ -37,7 +39,7 @@ def removed(path: Path) -> None:
 
 @pytest.mark.parametrize("ending", ["png", "json"])
 @pytest.mark.parametrize("damage", [cut_short, emptied, made_a_folder, removed])
-async def test_the_finger_runs_without_its_damaged_image(
+def test_the_finger_runs_without_its_damaged_image(
     damage: Callable[[Path], None], ending: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     state = StateDir(tmp_path)
@@ -51,7 +53,7 @@ async def test_the_finger_runs_without_its_damaged_image(
     try:
         finger = service.fingers["left"]
         finger.serial = "SIM-L"
-        finger.renew_pipeline()
+        asyncio.run(_renew(finger))
         assert finger.pipeline is not None
         finger.pipeline.process(Frame(image, 0.0, 0))
     finally:
@@ -65,6 +67,10 @@ async def test_the_finger_runs_without_its_damaged_image(
     again = state.load_no_contact("SIM-L")
     assert again is not None
     assert np.array_equal(again.image, image)
+
+
+async def _renew(finger: Finger) -> None:
+    finger.renew_pipeline()
 
 
 def test_a_state_directory_that_is_a_file_is_one_line(

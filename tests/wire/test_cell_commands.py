@@ -91,7 +91,7 @@ def _drive(terminal: Terminal, client: Client) -> None:
     wait_for(client, lambda state: state["arm"]["height_mm"] > 35.0 and state["phase"] == "holding", "no lift")
     terminal.patiently("lower")
     wait_for(client, lambda state: state["arm"]["height_mm"] < 1.0 and state["phase"] == "holding", "still up")
-    terminal.ctl("release")
+    terminal.ctl("release", "--yes")
     reach("idle")
 
 
@@ -107,7 +107,7 @@ def _frames(terminal: Terminal, there: Cell, tmp_path: Path) -> None:
 def _replay(terminal: Terminal, there: Cell, tmp_path: Path) -> None:
     """What the daemon recorded gives the very same commands, and comes apart into plain files."""
     recordings = there.folder / "state" / "recordings"
-    folders = [folder for folder in (recordings / "ring", recordings / "kept") if folder.is_dir()]
+    folders = [folder for folder in (recordings / "ring", recordings / "kept") if any(folder.glob("*.mcap"))]
     played = json.loads(terminal.run("replay", *folders, "--json"))
     assert played["ticks"] > 500
     assert (played["commands_differ"], played["damage"]) == (0, [])
