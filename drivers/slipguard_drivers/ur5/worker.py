@@ -26,6 +26,11 @@ from slipguard_drivers.child import PACKET_BYTES
 
 SCRIPT_START_S = 5.0
 POLL_S = 0.005
+LONGEST_CALL_S = 30
+"""A call that lasts longer is ended by the kernel, and this process with it: ur-rtde can wait for a controller that is
+gone for ever, hold the interpreter meanwhile, and take the robot's control when the controller is back. A daemon that
+lives ends it sooner; this is for one that was killed.
+"""
 
 
 class Lost(Exception):
@@ -125,7 +130,10 @@ def main() -> None:
     server = Server(host)
     with socket.socket(fileno=int(fd)) as link:
         while packet := link.recv(PACKET_BYTES):
+            signal.alarm(LONGEST_CALL_S)
             link.send(json.dumps(server.answer(packet)).encode())
+            signal.alarm(0)
+    signal.alarm(LONGEST_CALL_S)
     if server.hands is not None:
         server.hands.stop()
         server.hands.leave()

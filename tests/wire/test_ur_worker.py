@@ -1,0 +1,28 @@
+"""The arm's child process ends when nobody is left who could end it."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+
+HURRIED = "import slipguard_drivers.ur5.worker as worker; worker.LONGEST_CALL_S = 1; worker.main()"
+RTDE_PORT = 30004
+
+
+def test_a_worker_kept_in_a_call_by_a_silent_controller_ends_though_its_daemon_is_gone() -> None:
+    with socket.create_server(("127.0.0.91", RTDE_PORT)) as silent:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        command = [sys.executable, "-P", "-c", HURRIED, str(theirs.fileno()), "127.0.0.91"]
+        worker = subprocess.Popen(command, pass_fds=(theirs.fileno(),))
+        theirs.close()
+        ours.send(json.dumps(["connect", 4.0, 2.5, False]).encode())
+        client, _ = silent.accept()  # it is in the call now
+        ours.close()
+        try:
+            assert worker.wait(30.0) != 0
+        finally:
+            worker.kill()
+            worker.wait()
+            client.close()
