@@ -252,6 +252,7 @@ class Recorder:
             if path.exists():
                 self._ring.keep(path)
         self._finished.clear()
+        self._ring.tidy(self.path)
 
 
 def write_seen(file: RecordingFile, seen: Seen, settings: RecorderSettings) -> None:

@@ -187,6 +187,18 @@ def test_kept_files_have_their_limit_too(tmp_path: Path) -> None:
     ]
 
 
+def test_what_an_event_keeps_is_within_the_limit_at_once(tmp_path: Path) -> None:
+    one = Recorder(
+        Ring(tmp_path, Limits(100, 10**9, 1)),
+        RecorderSettings("none", segment_s=1.0, keep_before_s=5.0),
+        lambda: CLOCK,
+        header=lambda: HEADER,
+        on_trouble=lambda text: None,
+    )
+    play(one, np.arange(0.0, 4.75, 0.25), keep_at=4.5)
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == [one.path.name if one.path else None]
+
+
 def test_what_a_killed_daemon_left_is_kept(tmp_path: Path) -> None:
     ring = Ring(tmp_path, LIMITS)
     written(ring.new(CLOCK.wall_ns), 100).abandon()
