@@ -29,6 +29,7 @@ BACK_S = 40.0
 LOOK_S = 0.05
 HOLD_S, REST_S = (1.0, 10.0), (5.0, 60.0)
 CALM_HOLD_S = 2.0
+BY_HAND_MM_S = 250.0
 TROUBLE_S = (0.2, 6.0)
 HELD_TROUBLES = (
     *(((finger,), kind) for finger in FINGERS for kind in ("disconnect", "stall", "frozen", "corrupt")),
@@ -93,9 +94,16 @@ class Shift:
         await self._patiently(self._controls.release)
         await self._until(lambda: service.phase is Phase.IDLE, STEP_S, f"{name}: not released")
         self._world.clear(now())
+        await self._bring_down()
         self.counts["cycles"] += 1
         if not self._calm:
             await self._rest()
+
+    async def _bring_down(self) -> None:
+        """By hand, as after a fault in the air: an arm that only ever goes up has its ceiling."""
+        now = asyncio.get_running_loop().time
+        self._world.command_lift(now(), -self._world.arm_state(now()).height_mm, BY_HAND_MM_S)
+        await self._until(lambda: not self._world.arm_state(now()).moving, STEP_S, "the arm does not come down")
 
     async def _carry(self, name: str) -> None:
         service, controls = self._service, self._controls
