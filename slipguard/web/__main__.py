@@ -58,8 +58,9 @@ def main() -> None:
     log.configure()
     stopped = False
     with contextlib.suppress(SlipguardError):
-        stopped = asyncio.run(run(socket.socket(fileno=int(sys.argv[1]))))
-    # A daemon that is gone is followed at once: its successor needs the socket that is still listened at here.
+        stopped = asyncio.new_event_loop().run_until_complete(run(socket.socket(fileno=int(sys.argv[1]))))
+    # A daemon that is gone is followed at once, whatever is under way: its successor needs the socket that is still
+    # listened at here.
     os._exit(0 if stopped else 1)
 
 
