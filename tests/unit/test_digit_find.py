@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -77,3 +78,18 @@ def test_a_firmware_number_that_is_none_counts_as_new(sysfs: Sysfs) -> None:
     (found,) = plugged_in(sysfs.folder)
     assert found.firmware is None
     assert found.has_rgb
+
+
+def test_a_camera_that_goes_during_the_look_is_left_out(sysfs: Sysfs, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between two steps of following its links the kernel takes them away."""
+    sysfs.plug("1-1", "D20001")
+    sysfs.plug("1-2", "D20002")
+    readlink = os.readlink
+
+    def unplugged(path: str | Path) -> str:
+        if str(path).endswith("1-1:1.0/video4linux/video0/device"):
+            raise FileNotFoundError(path)
+        return readlink(path)
+
+    monkeypatch.setattr(os, "readlink", unplugged)
+    assert [one.serial for one in plugged_in(sysfs.folder)] == ["D20002"]

@@ -39,7 +39,10 @@ def plugged_in(sysfs: Path = SYSFS, dev: Path = DEV) -> list[Found]:
     """All DIGITs, by serial. A camera's second node, which carries no pictures, is left out."""
     found = []
     for node in sorted(sysfs.glob("video*")):
-        usb = (node / "device").resolve().parent
+        try:
+            usb = (node / "device").resolve().parent
+        except OSError:  # it was unplugged in this moment: a link that was there cannot be read any more
+            continue
         if (_word(usb / "idVendor"), _word(usb / "idProduct")) != (VENDOR_ID, PRODUCT_ID):
             continue
         if _word(node / "index") != "0":
