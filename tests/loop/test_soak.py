@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from slipguard.cli.app import run
+from slipguard.lab.soak.page import PageProcess
 from slipguard.lab.soak.pulse import Pulse, feel
 from slipguard.lab.soak.verdict import Finding, Limits, Work, growth, judge
 
@@ -153,3 +154,10 @@ def test_too_short_or_two_things_at_once_is_misuse(capfd: pytest.CaptureFixture[
     assert "--hours 8" in capfd.readouterr().err
     assert run(["soak", "--minutes", "1", "--recording-cost", "2"]) == 2
     assert "--recording-cost" in capfd.readouterr().err
+
+
+async def test_the_page_in_a_process_of_its_own_ends_and_tells(tmp_path: Path) -> None:
+    page = PageProcess()
+    await page.open(tmp_path / "no daemon here.sock")
+    async with asyncio.timeout(30.0):
+        assert set(await page.close()) <= {"connections lost"}

@@ -84,7 +84,7 @@ class PageProcess:
 
     async def close(self) -> Counter[str]:
         """End it; what it got."""
-        told, _ = await self._process.communicate()
+        told, _ = await self._process.communicate(b"")  # without any input Python 3.11 leaves its pipe open
         return Counter(json.loads(told or b"{}"))
 
 

@@ -137,8 +137,12 @@ class Shift:
         await self._end_fault()
 
     async def _end_fault(self) -> None:
-        """Clear a latched fault; its cause may take a moment to be gone."""
+        """Clear a latched fault; its cause may take a moment to be gone. Raises Stuck where it comes back and back."""
+        loop = asyncio.get_running_loop()
+        deadline_s = loop.time() + BACK_S
         while (fault := self._service.state.fault) is not None:
+            if loop.time() > deadline_s:
+                raise Stuck(f"faults for {BACK_S:g} s, each cleared; the last: {fault}")
             await self._patiently(self._controls.clear)
             self.counts[f"cleared: {fault.code}"] += 1
             await asyncio.sleep(LOOK_S)
