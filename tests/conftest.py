@@ -7,11 +7,14 @@ import importlib.util
 import os
 from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Any
 
 import pytest
-from leaving_out import left_out
+from leaving_out import closing_lines, leave_out, receive, send
 
 REAL_DATA_VARIABLE = "SLIPGUARD_REAL_DATA"
+BESIDE_EACH_OTHER = ("unit", "real")
+"""Folders of tests that compute only."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -33,30 +36,44 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--page-pictures", metavar="DIR", help="keep pictures of the operator page here")
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Without real data the `real` tests are deselected, without MuJoCo its own; the closing lines say so."""
+    """Without real data the `real` tests are deselected, without MuJoCo its own; the closing lines say so.
+
+    With `-n 2 --dist loadgroup` the files of `BESIDE_EACH_OTHER` share the cores, one process for each; all others
+    follow one after the other, for they keep time, or a machine busy.
+    """
     if not os.environ.get(REAL_DATA_VARIABLE):
-        config.stash[_DESELECTED] = left_out(config, items, "real")
+        leave_out(
+            config,
+            items,
+            "real",
+            f"on real sensor images were left out: {REAL_DATA_VARIABLE} is not set "
+            "(it names a folder of DIGIT recordings that is not part of the project)",
+        )
     if importlib.util.find_spec("mujoco") is None:
-        config.stash[_WITHOUT_MUJOCO] = left_out(config, items, "mujoco")
+        leave_out(
+            config, items, "mujoco", "of the mechanics beside MuJoCo were left out: pip install 'slipguard[mujoco]'"
+        )
+    if config.pluginmanager.hasplugin("xdist"):
+        items.sort(key=lambda item: item.path.parent.name not in BESIDE_EACH_OTHER)
+        for item in items:
+            beside = item.path.parent.name in BESIDE_EACH_OTHER
+            item.add_marker(pytest.mark.xdist_group(str(item.path) if beside else "one after the other"))
 
 
-_DESELECTED = pytest.StashKey[int]()
-_WITHOUT_MUJOCO = pytest.StashKey[int]()
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    send(session.config)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    receive(node.config, getattr(node, "workeroutput", {}))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    count = config.stash.get(_DESELECTED, 0)
-    if count:
-        terminalreporter.write_line(
-            f"{count} tests on real sensor images were left out: {REAL_DATA_VARIABLE} is not set "
-            "(it names a folder of DIGIT recordings that is not part of the project)"
-        )
-    count = config.stash.get(_WITHOUT_MUJOCO, 0)
-    if count:
-        terminalreporter.write_line(
-            f"{count} tests of the mechanics beside MuJoCo were left out: pip install 'slipguard[mujoco]'"
-        )
+    for line in closing_lines(config):
+        terminalreporter.write_line(line)
 
 
 @pytest.fixture(scope="session")

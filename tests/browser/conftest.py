@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import pytest_asyncio
+from leaving_out import leave_out
 from playwright.async_api import Browser, ConsoleMessage, Page, async_playwright, expect
 
 sys.path.append(str(Path(__file__).parent))
@@ -24,7 +25,6 @@ QUIET = (
     "--disable-component-update", "--disable-sync", "--no-proxy-server",
 )  # fmt: skip
 PATIENCE_MS = 45_000
-_LEFT_OUT = pytest.StashKey[int]()
 Open = Callable[..., Awaitable[Page]]
 
 
@@ -38,20 +38,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Without a browser its tests are deselected."""
     if chromium():
         return
-    left_out = [item for item in items if item.get_closest_marker("browser")]
-    if left_out:
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item not in left_out]
-        config.stash[_LEFT_OUT] = len(left_out)
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    count = config.stash.get(_LEFT_OUT, 0)
-    if count:
-        terminalreporter.write_line(
-            f"{count} tests of the operator page were left out: no Chromium here; `apt-get install chromium`, "
-            f"or name it in {VARIABLE}"
-        )
+    leave_out(
+        config,
+        items,
+        "browser",
+        f"of the operator page were left out: no Chromium here; `apt-get install chromium`, or name it in {VARIABLE}",
+    )
 
 
 @pytest.fixture(scope="session")

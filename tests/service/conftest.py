@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from leaving_out import left_out
+from leaving_out import leave_out
 
 sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "wire")]
 
@@ -18,7 +18,6 @@ from build_root import root_folder
 from container import PROGRAM, Container
 
 VARIABLE = "SLIPGUARD_SERVICE"
-_LEFT_OUT = pytest.StashKey[int]()
 PROJECT = Path(__file__).parents[2]
 BUILD = "import sys; from hatchling.build import build_wheel; print(build_wheel(sys.argv[1]))"
 
@@ -27,16 +26,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Without a root, and where nobody asks for it, the tests of the service are deselected."""
     if os.environ.get(VARIABLE) or (root_folder().exists() and os.geteuid() == 0):
         return
-    config.stash[_LEFT_OUT] = left_out(config, items, "service")
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    count = config.stash.get(_LEFT_OUT, 0)
-    if count:
-        terminalreporter.write_line(
-            f"{count} tests of the service under systemd were left out: they need root and a machine of their own; "
-            "`python tests/service/build_root.py --install` builds it (root, apt and two minutes)"
-        )
+    leave_out(
+        config,
+        items,
+        "service",
+        "of the service under systemd were left out: they need root and a machine of their own; "
+        "`python tests/service/build_root.py --install` builds it (root, apt and two minutes)",
+    )
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from leaving_out import left_out
+from leaving_out import leave_out
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -16,23 +16,19 @@ from build_image import image_folder
 from machine import Machine
 
 VARIABLE = "SLIPGUARD_VM"
-_LEFT_OUT = pytest.StashKey[int]()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Without an image, and where nobody asks for it, the tests of the machine are deselected."""
     if os.environ.get(VARIABLE) or (image_folder() / "root.ext4").exists():
         return
-    config.stash[_LEFT_OUT] = left_out(config, items, "vm")
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    count = config.stash.get(_LEFT_OUT, 0)
-    if count:
-        terminalreporter.write_line(
-            f"{count} tests of the DIGIT driver on a real kernel were left out: no test machine has been built; "
-            "`python tests/vm/build_image.py --install` builds it (root, apt and two minutes)"
-        )
+    leave_out(
+        config,
+        items,
+        "vm",
+        "of the DIGIT driver on a real kernel were left out: no test machine has been built; "
+        "`python tests/vm/build_image.py --install` builds it (root, apt and two minutes)",
+    )
 
 
 @pytest.fixture(scope="session")
