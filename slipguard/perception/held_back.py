@@ -1,4 +1,4 @@
-"""What stays in its place while the contact turns holds a fit back: dirt, dead lines, coarse compression."""
+"""What stays in its place while the contact turns holds a fit back: dirt, coarse compression."""
 
 from __future__ import annotations
 

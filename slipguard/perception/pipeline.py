@@ -15,6 +15,7 @@ from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import FrameCorrupt, InputError
 from slipguard.perception.angle import estimate, fuse, skeleton_orientation
 from slipguard.perception.axial import wrap_axial_deg
+from slipguard.perception.dead_lines import DeadLines
 from slipguard.perception.estimate import Estimate, Orientation
 from slipguard.perception.gate import Blocks, Gate, block_means, near_patch
 from slipguard.perception.regions import Patch, find_patch
@@ -74,6 +75,8 @@ class Pipeline:
         if not px_per_mm > 0.0:
             raise InputError(f"px_per_mm is {px_per_mm}; the scale of a DIGIT frame is about 18.5")
         try:
+            self._dead = DeadLines(background)
+            background = None if background is None else self._dead.filled(background)
             self._gate = Gate(background, noise, settings.gate_sigma)
         except FrameCorrupt as error:
             raise InputError(f"no-contact image: {error}") from error
@@ -135,7 +138,8 @@ class Pipeline:
         """Measure one frame. Raises `FrameCorrupt` for a frame that is no gel picture."""
         clock = StageClock(self._timer)
         now_s = frame.captured_at_s
-        blocks = block_means(frame.image)
+        image = self._dead.filled(frame.image)
+        blocks = block_means(image)
         if not math.isfinite(now_s):
             raise FrameCorrupt(f"frame {frame.sequence} has no capture time ({now_s}); it is left out")
         if self._skips.no_contact and not self._gate.may_be_contact(blocks):
@@ -147,7 +151,7 @@ class Pipeline:
         clock.mark("gate")
         if reused is not None:
             return replace(reused, stage_ms=clock.stage_ms)
-        probability = self._segmenter.segment(frame.image, self._background)
+        probability = self._segmenter.segment(image, self._background)
         clock.mark("segment")
         patch = find_patch(probability, self._threshold, self._settings.min_area_px, self._frame_px)
         self._patch, self._skeleton = patch, None
@@ -167,7 +171,7 @@ class Pipeline:
             return axes
 
         had_reference = self.has_reference
-        turn, shift_px = self._meter.measure(frame.image, patch, axes_of, now_s, clock)
+        turn, shift_px = self._meter.measure(image, patch, axes_of, now_s, clock)
         if not had_reference:
             self._reference_unlike = unlike
         turn = _in_other_light(turn, unlike - self._reference_unlike)
@@ -203,31 +207,26 @@ class Pipeline:
 
     def _unlike(self, frame: Frame, patch: Patch, why: str, clock: StageClock) -> Estimate:
         """Contact perhaps, but nothing to measure on, and no reference to take."""
-        self._meter.lost()
         self._forget()
-        return Estimate(
-            sequence=frame.sequence,
-            captured_at_s=frame.captured_at_s,
-            measured_at_s=frame.captured_at_s,
-            contact=True,
-            contact_area_px=patch.area_px,
-            method=self._settings.estimator,
-            declined=why,
-            stage_ms=clock.stage_ms,
-        )
+        return self._unmeasured(frame, patch, why, None, clock)
 
     def _without_contact(self, frame: Frame, skipped: str | None, clock: StageClock) -> Estimate:
         self._patch, self._skeleton = None, None
+        return self._unmeasured(frame, None, NO_CONTACT, skipped, clock)
+
+    def _unmeasured(
+        self, frame: Frame, patch: Patch | None, declined: str, skipped: str | None, clock: StageClock
+    ) -> Estimate:
         self._meter.lost()
         return Estimate(
             sequence=frame.sequence,
             captured_at_s=frame.captured_at_s,
             measured_at_s=frame.captured_at_s,
-            contact=False,
-            contact_area_px=0,
+            contact=patch is not None,
+            contact_area_px=0 if patch is None else patch.area_px,
             method=self._settings.estimator,
             skipped=skipped,
-            declined=NO_CONTACT,
+            declined=declined,
             stage_ms=clock.stage_ms,
         )
 

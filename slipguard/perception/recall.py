@@ -59,8 +59,9 @@ class RecallingPipeline(Pipeline):
         """Try `known` on the frames to come. Raises FrameCorrupt for what is no gel picture."""
         self.reset_reference()
         self.recalled, self._known, self.counted_deg = "waiting", known, known.counted_deg
-        blocks = block_means(known.image)
-        probability = self._segmenter.segment(known.image, self._background)
+        image = self._dead.filled(known.image)
+        blocks = block_means(image)
+        probability = self._segmenter.segment(image, self._background)
         patch = find_patch(probability, self._threshold, self._settings.min_area_px, self._frame_px)
         if patch is None:
             self._differs(known)
@@ -76,7 +77,7 @@ class RecallingPipeline(Pipeline):
             self._add_axes(axes, patch, every, clock)
             return axes
 
-        self._meter.refer_to(known.image, patch, axes_of, now_s, clock, known.turn_deg)
+        self._meter.refer_to(image, patch, axes_of, now_s, clock, known.turn_deg)
         self._reference_unlike = unlike
 
     def reset_reference(self) -> None:

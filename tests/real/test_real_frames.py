@@ -9,6 +9,7 @@ import pytest
 
 from slipguard.cli.measure import ReferenceChoice, measure
 from slipguard.lab.scores import RealFrame, iou, no_contact_frames, real_frames
+from slipguard.perception.dead_lines import DeadLines
 
 pytestmark = pytest.mark.real
 
@@ -78,3 +79,10 @@ def test_no_contact_is_reported_on_untouched_gels(
         masks_of([image], background, tmp_path / "masks", independent=True)
         said = json.loads(capsys.readouterr().out)
         assert said["contact"] is False, f"{frame.name}: {said['contact_area_px']} px called contact"
+
+
+def test_no_real_gel_has_a_stuck_line(real_data: Path) -> None:
+    pictures = [cv2.imread(str(path)) for path in sorted(real_data.glob("**/*.png")) if "masks" not in path.parts]
+    frames = [picture for picture in pictures if picture is not None and picture.shape == (320, 240, 3)]
+    assert len(frames) > 50
+    assert all(DeadLines(frame).filled(frame) is frame for frame in frames)
