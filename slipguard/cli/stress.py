@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import json as jsonlib
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from slipguard.cli.progress import progress_bar
 from slipguard.errors import InputError
+from slipguard.whole_file import write_whole
+
+if TYPE_CHECKING:
+    from slipguard.lab.parallel import Workers
+    from slipguard.lab.stress.family import Family
+    from slipguard.lab.stress.run import Outcome
 
 PICTURE = "error-against-noise.png"
 
@@ -24,38 +31,65 @@ def stress(
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
     out: Annotated[Path | None, typer.Option(help=f"Folder for {PICTURE} and stress.json.")] = None,
+    jobs: Annotated[int, typer.Option(min=0, help="Processes for the full list; 0: one for each core.")] = 0,
+    cluster: Annotated[str | None, typer.Option(help="Dask scheduler for the full list: tcp://HOST:8786.")] = None,
 ) -> None:
     """Try what breaks estimators: degenerate masks, noise, seams, circles, reliefs, bad numbers, odd clocks, light.
 
     Exit code 1 where anything crashed, gave NaN, was confidently wrong (more than 5 sigma and 3 degrees) or broke a
-    promise.
+    promise. The full list runs on all cores; stress.json in the --out folder grows with it, and is what an interrupted
+    run has found.
 
-    Example: `slipguard stress --seconds 60 --out stress/`, `slipguard stress --only noise --seed 136 --seconds 1`
+    Example: `slipguard stress --seconds 60 --out stress/`, `slipguard stress --only noise --seed 136 --seconds 1`,
+    `slipguard stress --seconds 0 --out stress/`
     """
     from rich.console import Console
 
+    from slipguard.lab.parallel import Workers
     from slipguard.lab.stress.report import as_json, draw, print_table, summary
     from slipguard.lab.stress.run import chosen, full_hours, run
 
     families = chosen(only or [])
+    workers = Workers(jobs, cluster)
     if out is not None:
         _make_folder(out)
     progress = Console(stderr=True)
-    if seconds == 0.0:
-        progress.print(f"the full list takes about {full_hours(families):.1f} h on one core")
+
+    def note(outcome: Outcome) -> None:
+        if out is not None:
+            _write(out / "stress.json", jsonlib.dumps(as_json(outcome), indent=1) + "\n")
+
     with progress_bar("stress") as show:
-        outcome = run(families, seed, seconds, progress=lambda share, family: show(family, share))
-    found = as_json(outcome)
+        if seconds == 0.0:
+            progress.print(f"the full list takes about {full_hours(families):.1f} h on one core")
+            outcome = _whole(families, seed, workers, lambda share, family: show(family, share), note)
+        else:
+            outcome = run(families, seed, seconds, progress=lambda share, family: show(family, share))
     if json:
         print(jsonlib.dumps(summary(outcome)))
     else:
         print_table(Console(), outcome)
+    note(outcome)
     if out is not None:
-        _write(out / "stress.json", jsonlib.dumps(found, indent=1) + "\n")
         draw(outcome, out / PICTURE)
         progress.print(f"picture: {out / PICTURE}")
     if outcome.failed:
         raise typer.Exit(1)
+
+
+def _whole(
+    families: tuple[Family, ...],
+    seed: int,
+    workers: Workers,
+    progress: Callable[[float, str], None],
+    note: Callable[[Outcome], None],
+) -> Outcome:
+    """All of the list; what has been found is noted now and then."""
+    from slipguard.lab.stress.whole import run_whole
+
+    for outcome in run_whole(families, seed, workers=workers, progress=progress):
+        note(outcome)
+    return outcome
 
 
 def _make_folder(path: Path) -> None:
@@ -67,6 +101,6 @@ def _make_folder(path: Path) -> None:
 
 def _write(path: Path, text: str) -> None:
     try:
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text.encode(), 0o644)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error}") from error

@@ -18,13 +18,15 @@ from slipguard.cli.app import run as cli
 from slipguard.devices import Frame
 from slipguard.errors import InputError
 from slipguard.grasp.fuse import Fused, fuse
-from slipguard.lab.stress.family import Family, Notes
+from slipguard.lab.parallel import Workers
+from slipguard.lab.stress.family import KEPT_FAILURES, Family, Notes
 from slipguard.lab.stress.floats import fitted_ellipse_deg, second_moments_deg
 from slipguard.lab.stress.masks import degenerate, turned, turned_axis_deg
 from slipguard.lab.stress.report import as_json, first_failures
 from slipguard.lab.stress.run import FAMILIES, Outcome, chosen, run, schedule
 from slipguard.lab.stress.shapes import ELONGATED, Pose, soft
 from slipguard.lab.stress.subject import Subject
+from slipguard.lab.stress.whole import parts, run_whole
 from slipguard.perception.angle import estimate
 from slipguard.perception.estimate import Estimate, Orientation
 from slipguard.perception.pipeline import Pipeline
@@ -192,9 +194,61 @@ def test_families_take_turns_in_a_fixed_order_and_the_list_ends() -> None:
     assert order.count(0) == 3
     assert order.count(1) == 40
     assert 8 <= order[: order.index(0) + 1].count(1) <= 10
-    outcome = run((slow, quick_one), 0, 0.0)
+    *_, outcome = run_whole((slow, quick_one), 0, workers=Workers(1))
     assert [notes.tried for notes in outcome.notes] == [3, 40]
     assert as_json(outcome)["share"] == 1.0
+
+
+def short(*names: str) -> tuple[Family, ...]:
+    """Families of six trials that are cut into three parts, where they may be."""
+    return tuple(replace(family, full=6, cost_ms=5_000.0) for family in chosen(names))
+
+
+def test_the_whole_list_in_two_processes_finds_what_one_finds() -> None:
+    families = short("noise", "round", "times", "drift")
+    assert [len([one for one in parts(families) if one.family == family]) for family in families] == [3, 3, 3, 1]
+    alone = as_json(run(families, 7, math.inf))
+    found = [as_json(outcome) for outcome in run_whole(families, 7, workers=Workers(2))]
+    assert len(found) == 10
+    assert {**found[-1], "spent_s": 0} == {**alone, "spent_s": 0}
+    assert sorted(one["share"] for one in found) == [one["share"] for one in found]
+
+
+def test_failures_of_all_parts_are_kept_as_in_one_run() -> None:
+    def begin(subject: Subject) -> Callable[[np.random.Generator, int, Notes], None]:
+        return lambda rng, seed, notes: notes.failed("nan" if seed == 55 else "crash", f"at {seed}")
+
+    family = Family("odd", "", 60, 1_000.0, begin)
+    alone = run((family,), 0, math.inf).notes[0]
+    *_, outcome = run_whole((family,), 0, workers=Workers(1))
+    assert len(parts((family,))) == 6
+    assert outcome.notes[0].counts == alone.counts
+    assert outcome.notes[0].failures == alone.failures
+    assert [one.seed for one in alone.failures] == [*range(KEPT_FAILURES), 55]
+
+
+def test_an_interrupted_whole_list_leaves_what_it_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def begin(subject: Subject) -> Callable[[np.random.Generator, int, Notes], None]:
+        def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+            if seed >= 20:
+                raise KeyboardInterrupt
+
+        return trial
+
+    monkeypatch.setattr("slipguard.lab.stress.run.FAMILIES", (Family("odd", "", 40, 1_000.0, begin),))
+    assert cli(["stress", "--seconds", "0", "--jobs", "1", "--out", str(tmp_path)]) == 1
+    assert "interrupted" in capsys.readouterr().err
+    found = json.loads((tmp_path / "stress.json").read_text())
+    assert (found["tried"], found["share"], found["crashes"]) == (20, 0.5, 0)
+
+
+def test_the_command_tries_the_whole_list(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slipguard.lab.stress.run.FAMILIES", short("times", "fusion"))
+    assert cli(["stress", "--seconds", "0", "--jobs", "1", "--out", str(tmp_path)]) == 0
+    found = json.loads((tmp_path / "stress.json").read_text())
+    assert (found["tried"], found["share"]) == (12, 1.0)
 
 
 def test_what_counts_as_confidently_wrong() -> None:

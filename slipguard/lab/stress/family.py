@@ -136,6 +136,28 @@ class Notes:
         else:
             at.errors_deg.append(error_deg)
 
+    def add(self, later: Notes) -> None:
+        """Take in what later trials of the same family found."""
+        self.tried += later.tried
+        self.answers += later.answers
+        self.declined += later.declined
+        both = [*self.failures, *later.failures]
+        firsts = {one.kind: one for one in reversed(both)}
+        self.failures = [one for k, one in enumerate(both) if k < KEPT_FAILURES or one is firsts[one.kind]]
+        self.counts += later.counts
+        for mine, others in (
+            (self.worst_deg, later.worst_deg),
+            (self.worst_sigmas, later.worst_sigmas),
+            (self.promises, later.promises),
+        ):
+            for what, value in others.items():
+                mine[what] = max(mine.get(what, value), value)
+        for curve, levels in later.curves.items():
+            for place, level in levels.items():
+                at = self.curves.setdefault(curve, {}).setdefault(place, Level())
+                at.errors_deg += level.errors_deg
+                at.declined += level.declined
+
 
 Trial = Callable[[np.random.Generator, int, Notes], None]
 """Runs one trial: its own random numbers, its seed (which picks the case where cases are listed), the notes."""

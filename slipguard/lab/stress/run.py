@@ -1,4 +1,4 @@
-"""Runs the families of trials in turns, for as long as there is time, always in the same order."""
+"""Runs the families of trials in turns for as long as there is time, always in the same order."""
 
 from __future__ import annotations
 
@@ -79,34 +79,31 @@ def run(
     progress: Callable[[float, str], None] | None = None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Outcome:
-    """Run the list from its start until `seconds` are over (0: all of it), each family at least once.
+    """Run the list from its start until `seconds` are over, each family at least once.
 
-    Trial k of a family has the seed `seed + k`. progress: called with the share done (of the time, or of the list)
-    and the name of the family that runs.
+    Trial k of a family has the seed `seed + k`. progress: called with the share of the time that is over and the name
+    of the family that runs.
     """
     subject = Subject() if subject is None else subject
     notes = tuple(Notes(family.name) for family in families)
-    all_ms = sum(family.full * family.cost_ms for family in families)
-    done_ms = 0.0
     started_s = clock()
     with np.errstate(all="ignore"):  # what comes out is checked; an overflow on the way is no failure by itself
         begun: dict[int, Trial] = {}
         for index, number in schedule(families):
             spent_s = clock() - started_s
-            if seconds > 0.0 and spent_s >= seconds and len(begun) == len(families):
+            if spent_s >= seconds and len(begun) == len(families):
                 break
             family = families[index]
             if progress is not None:
-                progress(min(spent_s / seconds, 1.0) if seconds > 0.0 else done_ms / all_ms, family.name)
+                progress(min(spent_s / seconds, 1.0), family.name)
             if index not in begun:
                 begun[index] = family.begin(subject)
-            notes[index].seed = seed if family.continuous else seed + number
-            _try(family, begun[index], seed + number, notes[index])
-            done_ms += family.cost_ms
+            try_one(family, begun[index], seed, number, notes[index])
     return Outcome(seed, clock() - started_s, tuple(families), notes)
 
 
-def _try(family: Family, trial: Trial, seed: int, notes: Notes) -> None:
-    """One trial; what it lets through is a crash too."""
-    notes.attempt("trial", trial, generator(family.name, seed), seed, notes)
+def try_one(family: Family, trial: Trial, seed: int, number: int, notes: Notes) -> None:
+    """Trial `number` of a run that began at `seed`; what it lets through is a crash too."""
+    notes.seed = seed if family.continuous else seed + number
+    notes.attempt("trial", trial, generator(family.name, seed + number), seed + number, notes)
     notes.tried += family.frames
