@@ -96,7 +96,7 @@ def test_phase_against_event(phase: Phase, event: str, outcome: str) -> None:
 
 
 @pytest.mark.parametrize("event", EVENTS)
-@pytest.mark.parametrize("phase", AT_STAKE)
+@pytest.mark.parametrize("phase", sorted(AT_STAKE))
 def test_any_fault_stops_the_arm_and_keeps_the_grip_whatever_else_happens(phase: Phase, event: str) -> None:
     if event == "release":
         return
