@@ -126,15 +126,16 @@ def wait_for_daemon(process: subprocess.Popen[str], socket: Path) -> None:
     raise AssertionError(f"no daemon: {process.communicate()}")
 
 
-def test_a_second_daemon_is_refused_and_a_killed_one_leaves_nothing_in_the_way(tmp_path: Path) -> None:
-    socket = tmp_path / ".local/state/slipguard/slipguard.sock"
-    first = start(tmp_path, "run", "--sim")
+def test_a_second_daemon_is_refused_and_a_killed_one_leaves_nothing_in_the_way(tmp_path_factory: pytest.TempPathFactory) -> None:
+    home = tmp_path_factory.mktemp("two")  # a socket's path has 107 bytes
+    socket = home / ".local/state/slipguard/slipguard.sock"
+    first = start(home, "run", "--sim")
     try:
         wait_for_daemon(first, socket)
         while len(drawing := children(first.pid)) < 2:
             assert first.poll() is None
             pause(0.02)
-        second = start(tmp_path, "run", "--sim")
+        second = start(home, "run", "--sim")
         _, err = second.communicate(timeout=SLOW_S)
         assert second.returncode == 1
         assert err == f"slipguard: another daemon listens at {socket}; stop it first\n"
@@ -145,7 +146,7 @@ def test_a_second_daemon_is_refused_and_a_killed_one_leaves_nothing_in_the_way(t
         first.communicate()
     assert gone(drawing), "the drawing processes outlived a killed daemon"
     assert socket.exists()
-    third = start(tmp_path, "run", "--sim")
+    third = start(home, "run", "--sim")
     try:
         wait_for_daemon(third, socket)
     finally:
