@@ -126,7 +126,7 @@ def wait_for_daemon(process: subprocess.Popen[str], socket: Path) -> None:
     raise AssertionError(f"no daemon: {process.communicate()}")
 
 
-def test_a_second_daemon_is_refused_and_a_killed_one_leaves_nothing_in_the_way(tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_second_daemon_is_refused_a_killed_one_is_replaced(tmp_path_factory: pytest.TempPathFactory) -> None:
     home = tmp_path_factory.mktemp("two")  # a socket's path has 107 bytes
     socket = home / ".local/state/slipguard/slipguard.sock"
     first = start(home, "run", "--sim")
