@@ -43,9 +43,9 @@ def train_paper(asked: Request) -> None:
     import torch
     from rich.console import Console
 
+    from slipguard.lab.int8 import CALIBRATION_FRAMES, quantised
     from slipguard.lab.paper.curves import draw_curves
     from slipguard.lab.paper.export import contract_metadata, export_onnx
-    from slipguard.lab.paper.int8 import quantised
     from slipguard.lab.paper.networks import FrameNet
     from slipguard.lab.paper.precision import chosen
     from slipguard.lab.paper.recipe import FRAMES, RECIPES, Arch
@@ -105,7 +105,7 @@ def train_paper(asked: Request) -> None:
     console.print(f"held out, {asked.out.name}: {score(asked.out, held_out, asked.threshold)}")
     if asked.int8:
         smaller = asked.out.with_name(f"{asked.out.stem}-int8.onnx")
-        quantised(asked.out, smaller, shown)
+        quantised(asked.out, smaller, shown.sample(CALIBRATION_FRAMES))
         size_mb = smaller.stat().st_size / 1e6
         console.print(f"held out, {smaller.name} ({size_mb:.1f} MB): {score(smaller, held_out, asked.threshold)}")
 

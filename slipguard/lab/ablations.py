@@ -19,20 +19,19 @@ import numpy as np
 import torch
 import typer
 from numpy.typing import NDArray
-from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
-from onnxruntime.quantization.shape_inference import quant_pre_process
 from rich.console import Console
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.lab.ablation_frames import CONTACT, Drawn, held_out_frames, training_frames
 from slipguard.lab.frame_cache import RenderedFrames
+from slipguard.lab.int8 import CALIBRATION_FRAMES, CONVOLUTIONS, quantised
 from slipguard.lab.networks import Exported, Inputs, SmallNet
 from slipguard.lab.onnx_file import session
 from slipguard.lab.scores import RealFrame, backgrounds_in, dice, iou, no_contact_frames, real_frames
 from slipguard.lab.train import TrainSettings, probabilities, real_scores, train
 from slipguard.sim.label import PRESS_SHARE
 
-FRAMES, HELD_OUT_FRAMES, CALIBRATION_FRAMES = 3000, 240, 64
+FRAMES, HELD_OUT_FRAMES = 3000, 240
 CROP_MARGIN_PX, CROP_STEP_PX = 12, 16
 """Round the patch that is known, at network resolution; crops are a multiple of the network's strides."""
 TIMED_ROUNDS = 150
@@ -94,18 +93,6 @@ def dice_and_iou(probability: NDArray[np.float32], truth: NDArray[np.bool_]) -> 
     return dice(mask, truth), iou(mask, truth)
 
 
-class _Calibration(CalibrationDataReader):  # type: ignore[misc]
-    def __init__(self, frames: RenderedFrames) -> None:
-        one = np.ones(1, np.float32)
-        self._feeds = iter(
-            {"frame": f[None].copy(), "background": b[None].copy(), "background_known": one}
-            for f, b in zip(frames.frame[:CALIBRATION_FRAMES], frames.background, strict=False)
-        )
-
-    def get_next(self) -> dict[str, Any] | None:
-        return next(self._feeds, None)
-
-
 def written(net: SmallNet, size: tuple[int, int], path: Path) -> Path:
     """The network as an ONNX file that takes pictures of that (width, height)."""
     image = torch.zeros((1, size[1], size[0], 3), dtype=torch.uint8)
@@ -123,20 +110,14 @@ def written(net: SmallNet, size: tuple[int, int], path: Path) -> Path:
     return path
 
 
-def quantized(path: Path, frames: RenderedFrames) -> Path:
+def in_int8(path: Path, frames: RenderedFrames) -> Path:
     """The same network in int8, ranges calibrated on rendered frames."""
-    prepared, out = path.with_suffix(".prepared.onnx"), path.with_suffix(".int8.onnx")
-    quant_pre_process(str(path), str(prepared))
-    quantize_static(
-        str(prepared),
-        str(out),
-        _Calibration(frames),
-        quant_format=QuantFormat.QDQ,
-        activation_type=QuantType.QUInt8,
-        weight_type=QuantType.QInt8,
-        per_channel=True,
-        op_types_to_quantize=["Conv"],
+    out, known = path.with_suffix(".int8.onnx"), np.ones(1, np.float32)
+    sample = (
+        {"frame": frame[None].copy(), "background": background[None].copy(), "background_known": known}
+        for frame, background in zip(frames.frame, frames.background, strict=True)
     )
+    quantised(path, out, sample, CONVOLUTIONS)
     return out
 
 
@@ -245,7 +226,7 @@ def main(
     held_out = drawn.at(base.size, masks)
     eight = "int8, as shipped else"
     calibration = shown.first(CALIBRATION_FRAMES)
-    files[eight] = quantized(files[base.name], calibration.at(base.size, calibration.masks(base.mask)))
+    files[eight] = in_int8(files[base.name], calibration.at(base.size, calibration.masks(base.mask)))
     overlap = on_whole(session(files[eight]), held_out, masks)
     rows.append({"name": eight, "dice": overlap[0], "iou": overlap[1]})
     net = base.net()

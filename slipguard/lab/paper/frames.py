@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -38,6 +38,11 @@ class MaskedFrames:
 
     def __len__(self) -> int:
         return len(self.frame)
+
+    def sample(self, count: int) -> Iterator[dict[str, Image]]:
+        """About `count` evenly chosen frames, each as a network is given it."""
+        step = len(self) // min(count, len(self))
+        return ({"frame": np.array(self.frame[index : index + 1])} for index in range(0, len(self), step))
 
 
 def rendered(

@@ -5,23 +5,26 @@ from __future__ import annotations
 import logging
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import onnx
-
-from slipguard.lab.paper.frames import MaskedFrames
+from numpy.typing import NDArray
 
 CALIBRATION_FRAMES = 64
+"""How many frames tell the range of activations."""
+CONVOLUTIONS = ("Conv",)
+MOST = (*CONVOLUTIONS, "Relu", "MaxPool", "Add")
+
+Feed = Mapping[str, NDArray[Any]]
 
 
-def quantised(path: Path, target: Path, frames: MaskedFrames) -> None:
-    """Write the network of `path` to `target` with weights and activations in int8; frames: a sample of its use.
+def quantised(path: Path, target: Path, sample: Iterable[Feed], operators: Sequence[str] = MOST) -> None:
+    """Write the network of `path` to `target` with weights and activations in int8.
 
-    One scale per output channel of each convolution, activations by their smallest and largest value on evenly chosen
-    frames. The metadata are kept, with ` --int8` after the command.
+    One scale per output channel of each convolution, activations by their smallest and largest value on the sample:
+    inputs by name, one frame each. The metadata are kept, with ` --int8` after the command.
     """
     from onnxruntime.quantization import QuantFormat, QuantType, quantize_static
     from onnxruntime.quantization.shape_inference import quant_pre_process
@@ -37,12 +40,12 @@ def quantised(path: Path, target: Path, frames: MaskedFrames) -> None:
             quantize_static(
                 str(prepared),
                 str(target),
-                _Sample(frames),
+                _Sample(sample),
                 quant_format=QuantFormat.QDQ,
                 activation_type=QuantType.QUInt8,
                 weight_type=QuantType.QInt8,
                 per_channel=True,
-                op_types_to_quantize=["Conv", "Relu", "MaxPool", "Add"],
+                op_types_to_quantize=list(operators),
             )
     finally:
         root.setLevel(level)
@@ -57,16 +60,13 @@ def quantised(path: Path, target: Path, frames: MaskedFrames) -> None:
 class _Sample:
     """What the quantiser asks for input, one frame at a time, until None."""
 
-    def __init__(self, frames: MaskedFrames) -> None:
-        count = min(CALIBRATION_FRAMES, len(frames))
-        self._chosen: Iterator[int] = iter(range(0, len(frames), len(frames) // count))
-        self._frames = frames
+    def __init__(self, sample: Iterable[Feed]) -> None:
+        self._feeds = iter(sample)
 
-    def get_next(self) -> dict[str, Any] | None:
-        index = next(self._chosen, None)
-        return None if index is None else {"frame": np.array(self._frames.frame[index : index + 1])}
+    def get_next(self) -> Feed | None:
+        return next(self._feeds, None)
 
-    def __iter__(self) -> Iterator[dict[str, Any]]:
+    def __iter__(self) -> Iterator[Feed]:
         while (feed := self.get_next()) is not None:
             yield feed
 
