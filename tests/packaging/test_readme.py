@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 README = (ROOT / "README.md").read_text()
 GATE = (ROOT / ".ci" / "run").read_text().replace("\\\n", "")
+ON_BOTH_CORES = ["-n", "2", "--dist", "loadgroup"]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 TOP: Any = typer.main.get_command(app)
 
@@ -48,8 +49,8 @@ def test_the_gate_runs_the_same_lines() -> None:
     (_, install, test) = set_up_lines()[1]
     assert any(step[1:3] == ["-m", "venv"] for step in plain)
     assert ["python", "-m", "pip", *install[1:]] in plain
-    assert ["python", *test[1:]] in plain
-    assert plain.index(["python", "-m", "pip", *install[1:]]) < plain.index(["python", *test[1:]])
+    assert ["python", *test[1:], *ON_BOTH_CORES] in plain
+    assert plain.index(["python", "-m", "pip", *install[1:]]) < plain.index(["python", *test[1:], *ON_BOTH_CORES])
 
 
 def resolve(words: list[str]) -> tuple[Any, list[str]]:
