@@ -13,8 +13,8 @@ import pytest
 from leaving_out import closing_lines, leave_out, receive, send
 
 REAL_DATA_VARIABLE = "SLIPGUARD_REAL_DATA"
-BESIDE_EACH_OTHER = ("unit", "real")
-"""Folders of tests that compute only."""
+BESIDE_EACH_OTHER = ("loop", "packaging", "real", "unit")
+"""Folders of tests that compute only, or wait patiently."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
