@@ -61,7 +61,7 @@ def stress(
 
     with progress_bar("stress") as show:
         if seconds == 0.0:
-            progress.print(f"the full list takes about {full_hours(families):.1f} h on one core")
+            progress.print(f"the full list takes about {full_hours(families):.2g} h of one core")
             outcome = _whole(families, seed, workers, lambda share, family: show(family, share), note)
         else:
             outcome = run(families, seed, seconds, progress=lambda share, family: show(family, share))

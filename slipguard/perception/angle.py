@@ -19,6 +19,8 @@ from slipguard.perception.regions import Patch
 from slipguard.perception.skeleton import Line, middle_line
 
 ESTIMATORS = ("moments", "ellipse", "pca", "skeleton")
+FUSED = ("moments", "ellipse", "skeleton")
+"""Those whose mean `fused` is."""
 ROUND_ASPECT = 1.15
 LINE_SHARE_MIN = 0.3
 """Where most of the thinned patch is corner branches its middle line is no axis."""
@@ -70,7 +72,7 @@ class Axis:
 def estimate(patch: Patch, name: str, round_aspect: float = ROUND_ASPECT) -> Orientation:
     """The axis of a patch by the estimator `name`, one of `ESTIMATORS` or `fused`; never raises on any patch."""
     if name == "fused":
-        return fuse([estimate(patch, each, round_aspect) for each in ("moments", "ellipse", "skeleton")])
+        return fuse([estimate(patch, each, round_aspect) for each in FUSED])
     if name == "skeleton":
         return skeleton_orientation(patch, middle_line(patch), round_aspect)
     axis, reason = _AXES[name](patch)

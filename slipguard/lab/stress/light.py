@@ -154,10 +154,12 @@ def nonsense(rng: np.random.Generator) -> Image:
 def malformed(rng: np.random.Generator) -> object:
     """What is no picture of a DIGIT: other shapes, types, or nothing."""
     good = np.full((320, 240, 3), 96, np.uint8)
-    odd: tuple[object, ...] = (
-        None, good[..., 0], good[..., :1], np.dstack([good, good])[..., :4], good[:160], good.transpose(1, 0, 2),
-        good[:0], good.astype(np.float32), good.astype(np.float32) * np.nan, good.astype(np.int64),
-        good.astype(np.bool_), good[None], np.zeros((), np.uint8), good.tolist(), b"", 7, good[::-1, ::-1, ::-1],
-        np.zeros_like(good), np.full_like(good, 255), good.astype(object),
+    odd: tuple[Callable[[], object], ...] = (
+        lambda: None, lambda: good[..., 0], lambda: good[..., :1], lambda: np.dstack([good, good])[..., :4],
+        lambda: good[:160], lambda: good.transpose(1, 0, 2), lambda: good[:0], lambda: good.astype(np.float32),
+        lambda: good.astype(np.float32) * np.nan, lambda: good.astype(np.int64), lambda: good.astype(np.bool_),
+        lambda: good[None], lambda: np.zeros((), np.uint8), good.tolist, lambda: b"", lambda: 7,
+        lambda: good[::-1, ::-1, ::-1], lambda: np.zeros_like(good), lambda: np.full_like(good, 255),
+        lambda: good.astype(object),
     )  # fmt: skip
-    return odd[int(rng.integers(len(odd)))]
+    return odd[int(rng.integers(len(odd)))]()

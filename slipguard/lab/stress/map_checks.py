@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 from slipguard.lab.stress.family import Notes
 from slipguard.lab.stress.masks import Mask, opencv_thinned, turned, turned_axis_deg
 from slipguard.lab.stress.subject import THRESHOLD, Subject
-from slipguard.perception.angle import ESTIMATORS
+from slipguard.perception.angle import ESTIMATORS, FUSED, fuse
 from slipguard.perception.estimate import Orientation
 from slipguard.perception.regions import Patch
 from slipguard.perception.register import Pose
 from slipguard.perception.template import make_template
 
-READERS = (*ESTIMATORS, "fused")
 Map = NDArray[np.float32]
 
 
@@ -44,10 +43,12 @@ def patch_of(probability: Map, min_area_px: float, frame_px: float, subject: Sub
 
 
 def read(patch: Patch, subject: Subject, notes: Notes) -> dict[str, Orientation]:
-    """The axis by every estimator; an answer must be in range with a sigma, a refusal must say why."""
+    """The axis by every estimator, and fused from these; an answer must be in range with a sigma, a refusal say why."""
+    said = {name: notes.attempt(name, subject.estimate, patch, name) for name in ESTIMATORS}
+    parts = [found for name in FUSED if (found := said[name]) is not None]
+    said["fused"] = notes.attempt("fused", fuse, parts) if len(parts) == len(FUSED) else None
     answers = {}
-    for name in READERS:
-        found = notes.attempt(name, subject.estimate, patch, name)
+    for name, found in said.items():
         if found is None:
             continue
         angle = found.angle_deg
