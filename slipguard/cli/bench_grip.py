@@ -13,28 +13,31 @@ if TYPE_CHECKING:
 
 
 def bench_grip(*, quick: bool, seed: int, json: bool, out: Path | None, workers: Workers) -> None:
-    """Play the campaign; exit code 1 if an object was dropped that could have been held, or gripped for nothing."""
+    """Play the campaign; exit code 1 if anything that is promised of it is not kept."""
     from rich.console import Console
 
     from slipguard.cli.progress import progress_bar
     from slipguard.lab.grip.campaign import Plan, run
-    from slipguard.lab.grip.figures import as_json, failures
+    from slipguard.lab.grip.figures import as_json, scenarios
     from slipguard.lab.grip.report import draw, print_tables
+    from slipguard.lab.grip.verdict import checks, failures
 
     plan = Plan.of(quick=quick, seed=seed)
     progress = Console(stderr=True)
     progress.print(
         f"{len(plan.trials)} lifts gripped too weakly ({plan.rendered} of them through rendered frames), "
-        f"{len(plan.gone)} losses of support, {len(plan.holds)} minutes of stable holds: about "
+        f"{len(plan.gone)} losses of support, {len(plan.tight)} needs close to the budget, "
+        f"{sum(one.seconds for one in plan.holds) / 60.0:.0f} minutes of stable holds: about "
         f"{_spoken(plan.seconds(workers))}",
         highlight=False,
     )
     with progress_bar("grip campaign") as show:
         found = run(plan, workers, lambda share: show("grip campaign", share))
     figures = as_json(found)
+    figures["promised"] = [check.as_json() for check in checks(figures)]
     if out is not None:
         draw(found, out / "grip.png")
-        (out / "grip.json").write_text(jsonlib.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        (out / "grip.json").write_text(jsonlib.dumps(figures | scenarios(found), indent=2) + "\n", encoding="utf-8")
     if json:
         print(jsonlib.dumps(figures))
     else:

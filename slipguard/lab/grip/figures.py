@@ -1,79 +1,32 @@
-"""The campaign in figures.
-
-Slips are compared as ratios; a slip below `FLOOR_DEG` counts as that much, for a ratio of two noughts means nothing.
-"""
+"""The campaign in figures for a program: first the promised ones, then what explains them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from slipguard.lab.grip.campaign import Found, Played
+from slipguard.lab.grip.holds import Held
 from slipguard.lab.grip.matrix import SHARES
-from slipguard.lab.grip.play import Outcome, Who
+from slipguard.lab.grip.play import Outcome
+from slipguard.lab.grip.rows import (
+    FLOOR_DEG,
+    GELS,
+    SHOWN,
+    by_first_grip,
+    by_gel,
+    median,
+    of,
+    of_gel,
+    ratios,
+    rounded,
+    row,
+)
 
-FLOOR_DEG = 0.5
 FINE_FLOOR_DEG = 0.1
 """Below this the oracle itself sees nothing; reported beside the other."""
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """Some trials together. slips: median true slip at the end, degrees; drops: by who. Ratios: medians but p95.
-
-    early: share of the trials in which the law tightened before anything had slipped. None: nothing to compare.
-    """
-
-    title: str
-    count: int
-    slips_deg: dict[Who, float]
-    drops: dict[Who, int]
-    over_oracle: float | None
-    over_oracle_p95: float | None
-    fixed_over_law: float | None
-    force_over_needed: float
-    arrested_s: float | None
-    early: float
-
-
-def ratios(played: Iterable[Played], upper: Who, lower: Who, floor_deg: float = FLOOR_DEG) -> list[float]:
-    """Slip of one over slip of the other, trial by trial; without those that either dropped."""
-    pairs = [(_slip_deg(one, upper), _slip_deg(one, lower)) for one in played]
-    return [max(a, floor_deg) / max(b, floor_deg) for a, b in pairs if a is not None and b is not None]
-
-
-def row(title: str, played: Sequence[Played]) -> Row:
-    """The figures of some trials."""
-    everybody: tuple[Who, ...] = ("law", "oracle", "fixed step", "nobody")
-    over = ratios(played, "law", "oracle")
-    arrests = [one.law.arrested_s for one in played if one.law.arrested_s is not None and one.law.dropped is None]
-    return Row(
-        title=title,
-        count=len(played),
-        slips_deg={who: float(np.median([_outcome(one, who).slip_deg for one in played])) for who in everybody},
-        drops={who: sum(_outcome(one, who).dropped is not None for one in played) for who in everybody},
-        over_oracle=_median(over),
-        over_oracle_p95=float(np.quantile(over, 0.95)) if over else None,
-        fixed_over_law=_median(ratios(played, "fixed step", "law")),
-        force_over_needed=float(np.median([one.law.force_over_needed for one in played])),
-        arrested_s=_median(arrests),
-        early=sum(one.law.early for one in played) / max(len(played), 1),
-    )
-
-
-def rows(played: Sequence[Played]) -> list[Row]:
-    """One for each first grip, each gel, and all together."""
-    found = [
-        row(f"grip {share:.2f}", some)
-        for share in SHARES
-        if (some := [one for one in played if one.trial.share == share])
-    ]
-    for soft in (False, True):
-        some = [one for one in played if one.trial.soft is soft]
-        found += [row("soft gel" if soft else "stiff gel", some)] if some else []
-    return [*found, row("all", played)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,64 +52,125 @@ def agreement(played: Sequence[Played]) -> Agreement | None:
 
 
 def as_json(found: Found) -> dict[str, object]:
-    """The figures a program asks for: first the promised ones, then what explains them."""
-    everything, alike = row("all", found.trials), agreement(found.trials)
-    weakest = [one for one in found.trials if one.trial.share == SHARES[0]]
-    gone = row("support gone", found.gone) if found.gone else None
+    """All of them. Ratios without a group are over the whole matrix, stiff and soft gels together."""
+    everything = row("all", found.trials)
+    alike = agreement(found.trials)
+    blocks = [found.trials, found.gone, found.high_need, found.fragile]
     fine = ratios(found.trials, "law", "oracle", FINE_FLOOR_DEG)
-    seconds = sum(one.seconds for one in found.holds)
     return {
         "scenarios": len(found.trials),
         "rendered": sum(one.rendered is not None for one in found.trials),
-        "drops_avoidable": everything.drops["law"],
-        "turn_over_oracle_median": _rounded(everything.over_oracle),
-        "turn_over_oracle_p95": _rounded(everything.over_oracle_p95),
-        "fixed_step_turn_over_ours_median": _rounded(everything.fixed_over_law),
-        "false_tightenings": sum(one.tightenings for one in found.holds),
-        "force_over_needed_median": _rounded(everything.force_over_needed),
-        "fixed_step_turn_over_ours_at_0_97": _rounded(_median(ratios(weakest, "fixed step", "law"))),
+        "drops_avoidable": sum(row("", block).avoidable for block in blocks if block),
+        "turn_over_oracle_median": rounded(everything.over_oracle),
+        "turn_over_oracle_p95": rounded(everything.over_oracle_p95),
+        "fixed_step_turn_over_ours_median": rounded(everything.fixed_over_law),
+        "false_tightenings": sum(one.false for one in found.holds),
+        "force_over_needed_median": rounded(everything.force_over_needed),
+        "fixed_step_turn_over_ours_at_0_97": _at_weakest(found.trials),
+        "rendered_against_model": rounded(alike.apart if alike is not None else None),
+        "ended_without_need": sum(row("", block).ended for block in blocks if block),
+        "holds_failed": sum(one.failed is not None for one in found.holds),
         "slip_floor_deg": FLOOR_DEG,
-        "turn_over_oracle_median_floor_0_1": _rounded(_median(fine)),
-        "turn_over_oracle_p95_floor_0_1": _rounded(float(np.quantile(fine, 0.95)) if fine else None),
-        "hold_minutes": round(seconds / 60.0, 1),
-        "hold_lifts_tightened": sum(one.lifting > 0 for one in found.holds),
-        "hold_lifts_tightened_stiff": sum(one.lifting > 0 and not one.hold.trial.soft for one in found.holds),
-        "holds": len(found.holds),
-        "rendered_against_model": _rounded(alike.apart if alike is not None else None),
-        "support_gone": None
-        if gone is None
-        else {
-            "scenarios": gone.count,
-            "drops": gone.drops,
-            "turn_over_oracle_median": _rounded(gone.over_oracle),
-            "turn_over_oracle_p95": _rounded(gone.over_oracle_p95),
-            "fixed_step_turn_over_ours_median": _rounded(gone.fixed_over_law),
-        },
+        "turn_over_oracle_median_floor_0_1": rounded(median(fine)),
+        "turn_over_oracle_p95_floor_0_1": rounded(float(np.quantile(fine, 0.95)) if fine else None),
+        "arrest_s_median": rounded(everything.arrested_s),
+        "steps_median": everything.steps_median,
+        "steps_max": everything.steps_max,
+        "by_gel": {gel: _of_gel(found, gel) for gel in GELS if of_gel(found.trials, gel)},
+        "by_first_grip": {one.title.removeprefix("grip "): one.as_json() for one in by_first_grip(found.trials)},
+        "support_gone": _block(found.gone),
+        "high_need": _block(found.high_need),
+        "fragile": _block(found.fragile),
+        "holds": holds_as_json(found.holds),
     }
 
 
-def failures(figures: dict[str, object]) -> list[str]:
-    """What must not be: an object dropped that holding could have kept, a grip tightened for nothing."""
-    found = []
-    if figures["drops_avoidable"]:
-        found.append(f"{figures['drops_avoidable']} objects dropped whose needed force is within the budget")
-    if figures["false_tightenings"]:
-        found.append(f"{figures['false_tightenings']} tightenings in stable holds")
-    return found
+def holds_as_json(held: Sequence[Held]) -> dict[str, object]:
+    """The stable holds. false: a tightening while nothing slipped; in the lift into the hold, or in the hold itself."""
+    return {
+        "count": len(held),
+        "rendered": sum(one.hold.rendered for one in held),
+        "minutes": round(sum(one.seconds for one in held) / 60.0, 1),
+        "false_while_holding": sum(one.false - one.false_lifting for one in held),
+        "false_while_lifted": sum(one.false_lifting for one in held),
+        "lifts_tightened": sum(one.lifting > 0 for one in held),
+        "tightened_while_slipping": sum(one.tightenings + one.lifting - one.false for one in held),
+    }
 
 
-def _outcome(one: Played, who: Who) -> Outcome:
-    return one.law if who == "law" else one.outcomes[who]
+def scenarios(found: Found) -> dict[str, object]:
+    """Each trial and each hold, for the file beside the picture."""
+    played = [*found.trials, *found.gone, *found.high_need, *found.fragile]
+    return {
+        "trials": [_trial(one) for one in played],
+        "stable_holds": [_hold(one) for one in found.holds],
+    }
 
 
-def _slip_deg(one: Played, who: Who) -> float | None:
-    outcome = _outcome(one, who)
-    return None if outcome.dropped is not None else outcome.slip_deg
+def _of_gel(found: Found, gel: str) -> dict[str, object]:
+    """One gel's figures under the names of those of the whole."""
+    played = of_gel(found.trials, gel)
+    alike = agreement(played)
+    held = [one for one in found.holds if one.hold.trial.soft is GELS[gel]]
+    return row(gel, played).as_json() | {
+        "fixed_step_turn_over_ours_at_0_97": _at_weakest(played),
+        "rendered_against_model": rounded(alike.apart if alike is not None else None),
+        "false_tightenings": sum(one.false for one in held),
+        "holds": holds_as_json(held),
+        "by_first_grip": {one.title.removeprefix("grip "): one.as_json() for one in by_first_grip(played)},
+    }
 
 
-def _median(values: list[float]) -> float | None:
-    return float(np.median(values)) if values else None
+def _block(played: Sequence[Played]) -> dict[str, object] | None:
+    if not played:
+        return None
+    gels = {one.title.removesuffix(" gel"): one.as_json() for one in by_gel(played)}
+    return row("all", played).as_json() | {"by_gel": gels}
 
 
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(value, 3)
+def _at_weakest(played: Sequence[Played]) -> float | None:
+    """Where the first grip lacks least, so that the slip begins slowly."""
+    return rounded(median(ratios([one for one in played if one.trial.share == SHARES[0]], "fixed step", "law")))
+
+
+def _trial(one: Played) -> dict[str, object]:
+    trial = one.trial
+    told: dict[str, object] = {
+        "number": trial.number,
+        "block": trial.block,
+        "event": trial.event,
+        "object": trial.item.name,
+        "first_grip": trial.share,
+        "gel": "soft" if trial.soft else "stiff",
+        "latency_s": trial.latency_s,
+        "fps": trial.fps,
+        "needed_n": round(trial.needed_n, 2),
+        "force_max_n": trial.force_max_n,
+        "gain": round(trial.scenario.gripper.gain, 3),
+        "lift_speed_mm_s": round(trial.lift_speed_mm_s, 1),
+    }
+    told |= {who.replace(" ", "_"): _outcome(of(one, who)) for who in SHOWN}
+    if one.rendered is not None:
+        told["law_with_error_model"] = _outcome(one.outcomes["law"])
+    return told
+
+
+def _outcome(outcome: Outcome) -> dict[str, object]:
+    return {
+        "slip_deg": round(outcome.slip_deg, 3),
+        "turn_deg": round(outcome.turn_deg, 3),
+        "force_over_needed": round(outcome.force_over_needed, 3),
+        "arrest_s": rounded(outcome.arrested_s),
+        "tightenings": outcome.tightenings,
+        "before_any_slip": outcome.early,
+        "dropped": outcome.dropped,
+        "fault": outcome.fault,
+        "up": outcome.up,
+    }
+
+
+def _hold(held: Held) -> dict[str, object]:
+    trial = held.hold.trial
+    named = {"number": trial.number, "object": trial.item.name, "gel": "soft" if trial.soft else "stiff"}
+    plan = {"rendered": held.hold.rendered, "margin": round(held.hold.margin, 3)}
+    return named | plan | {key: value for key, value in asdict(held).items() if key != "hold"}

@@ -14,8 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
+from slipguard.daemon.service import STALE_S
 from slipguard.grasp.fuse import fuse
-from slipguard.grasp.messages import ArmLift, Command, FingerHealth, Request, Seen
+from slipguard.grasp.messages import ArmLift, Command, Condition, FingerHealth, Request, Seen
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.view import GelView
 from slipguard.sim.world import Truth, World
@@ -23,6 +24,8 @@ from slipguard.sim.world import Truth, World
 TICK_S = 0.01
 FINGERS = ("left", "right")
 NOTHING = Request()
+SLIDES_MM_S = 0.5
+"""Truly slipping and going down faster than this is sliding; what is slower ends within a micrometre or so."""
 
 
 class Sight(Protocol):
@@ -48,6 +51,7 @@ class Trace:
     time_s: list[float] = field(default_factory=list)
     turn_deg: list[float] = field(default_factory=list)
     slip_deg: list[float] = field(default_factory=list)
+    sliding: list[bool] = field(default_factory=list)
     force_n: list[float] = field(default_factory=list)
     target_n: list[float] = field(default_factory=list)
 
@@ -55,6 +59,7 @@ class Trace:
         self.time_s.append(truth.time_s)
         self.turn_deg.append(truth.turn_deg)
         self.slip_deg.append(truth.slip_deg)
+        self.sliding.append(truth.slipping and abs(truth.slide_rate_mm_s) > SLIDES_MM_S)
         self.force_n.append(truth.force_n)
         self.target_n.append(truth.applied_n)
 
@@ -63,8 +68,8 @@ class Trace:
 class Loop:
     """One run. sights: by finger; perceiving_s: from a frame's arrival to its estimate. now_s: the world's clock.
 
-    looking: cameras expose only while it is set. says: what the controller said, with the time. commands: all that
-    told a device something.
+    looking: cameras expose only while it is set. blind: whether a finger's frames fail to come at a time. says: what
+    the controller said, with the time. commands: all that told a device something.
     """
 
     world: World
@@ -75,6 +80,7 @@ class Loop:
     trip_s: float = 0.0
     now_s: float = 100.0
     looking: bool = True
+    blind: Callable[[str, float], bool] = lambda finger, now_s: False
     commands: list[tuple[float, Command]] = field(default_factory=list)
     says: list[str] = field(default_factory=list)
     trace: Trace = field(default_factory=Trace)
@@ -144,7 +150,7 @@ class Loop:
         if finger == FINGERS[0]:
             self.controller.exposed(self.world.truth(self.now_s))
         camera = self.world.camera(finger)
-        if self.rng.random() < camera.drop_probability:
+        if self.rng.random() < camera.drop_probability or self.blind(finger, self.now_s):
             return
         limit_s = 0.4 / camera.fps
         stamp_s = self.now_s + min(max(float(self.rng.normal(0.0, camera.jitter_s)), -limit_s), limit_s)
@@ -159,19 +165,27 @@ class Loop:
             self._decide()
 
     def _decide(self) -> None:
-        left, right = (self._estimates[finger] for finger in FINGERS)
-        health = [FingerHealth(age_s=self.now_s - e.captured_at_s if e else 0.0) for e in (left, right)]
+        (left, left_health), (right, right_health) = (self._fresh(finger) for finger in FINGERS)
         request, self._request = self._request, NOTHING
         seen = Seen(
             now_s=self.now_s,
             fused=fuse(left, right),
-            left=health[0],
-            right=health[1],
+            left=left_health,
+            right=right_health,
             gripper=self.world.gripper_state(self.now_s),
             arm=self.world.arm_state(self.now_s),
             request=request,
         )
         self._obey(self.controller.decide(seen))
+
+    def _fresh(self, finger: str) -> tuple[Estimate | None, FingerHealth]:
+        """As the daemon has it: a finger whose newest frame is old says nothing. One that has not begun is well."""
+        estimate = self._estimates[finger]
+        if estimate is None:
+            return None, FingerHealth()
+        age_s = self.now_s - estimate.captured_at_s
+        stale = age_s > STALE_S
+        return None if stale else estimate, FingerHealth(Condition.STALE if stale else Condition.FRESH, age_s)
 
     def _obey(self, command: Command) -> None:
         if command != Command(fault=command.fault):

@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from slipguard.grasp.limits import budget
 from slipguard.grasp.params import GuardParams
 from slipguard.sim.friction import Gel, needed_force_n
 from slipguard.sim.gripper_plant import GripperModel
@@ -20,8 +21,6 @@ from slipguard.sim.scenario import Delivery, Scenario
 
 TEST_OBJECTS = ("bar", "wedge", "wrench", "knife_edge", "key", "screwdriver", "cap", "ball", "hook")
 """All test objects whose turn can be seen; the ring has neither axis nor texture and is gripped blindly."""
-TUNING_OBJECTS = ("egg", "bracket", "tee", "pins", "pen", "banana", "hammer", "arrow", "crescent")
-"""Of the training objects, so that what is chosen on them is tested on others."""
 SHARES = (0.97, 0.90, 0.75, 0.50)
 """First grip over the force needed."""
 LATENCIES_S = (0.060, 0.100, 0.150, 0.250)
@@ -29,6 +28,10 @@ LATENCIES_S = (0.060, 0.100, 0.150, 0.250)
 FRAME_RATES = (60.0, 30.0)
 NEEDED_MIN_N, NEEDED_MAX_SHARE = 45.0, 0.6
 """The force needed lies between this and this share of `force_max_n`: a 2F-85 cannot grip under 20 N."""
+TIGHT_SHARES = (0.75, 0.95)
+"""Beside the matrix: the force needed over what the budget really applies, so that one step is not enough."""
+FRAGILE_MAX_N = 57.0
+"""`force_max_n` of something that breaks."""
 FRICTION = (0.4, 1.0)
 PERCEIVING_S = 0.006
 CAMERA_SHARE = 0.4
@@ -39,6 +42,9 @@ ROOM_MM = 2.0
 SPEED_MM_S = (30.0, 120.0)
 """Another program's lift, without slipguard's slow beginning."""
 Event = Literal["support gone", "lifted"]
+Block = Literal["matrix", "high need", "fragile"]
+BLOCK_NUMBERS: dict[Block, int] = {"matrix": 0, "high need": 6_000, "fragile": 7_000}
+"""Trials of a block are numbered from here on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +66,12 @@ class Trial:
     event: Event = "lifted"
     lift_speed_mm_s: float = 50.0
     rendered: bool = False
+    block: Block = "matrix"
+
+    @property
+    def force_max_n(self) -> float:
+        """The budget, as commanded."""
+        return budget_n(self.block)
 
     @property
     def name(self) -> str:
@@ -68,16 +80,33 @@ class Trial:
         return f"trial {self.number}: {self.item.name}, {self.share:g} of {self.needed_n:.0f} N, {gel} gel"
 
 
-def trials(count: int | None, rendered: int, seed: int = 0, objects: tuple[str, ...] = TEST_OBJECTS) -> list[Trial]:
+def budget_n(block: Block) -> float:
+    """`force_max_n` in a block."""
+    return FRAGILE_MAX_N if block == "fragile" else GuardParams().force_max_n
+
+
+def needed_range_n(block: Block, gain: float) -> tuple[float, float]:
+    """Between which true forces per finger a trial's need lies, with a gripper of this gain."""
+    if block == "matrix":
+        return NEEDED_MIN_N, NEEDED_MAX_SHARE * budget_n(block)
+    model = GripperModel()
+    within = budget(budget_n(block), (model.force_min_n, model.force_max_n))
+    assert within is not None, "a budget below the gripper's weakest grip"
+    low, high = TIGHT_SHARES
+    return low * gain * within.high_n, high * gain * within.high_n
+
+
+def trials(count: int | None, rendered: int, seed: int = 0, block: Block = "matrix") -> list[Trial]:
     """The matrix, or `count` of it spread evenly over every axis; `rendered` of them spread evenly, too.
 
-    The same seed gives the same trials; a smaller count gives some of those of a larger one.
+    The same seed gives the same trials; a smaller count gives some of those of a larger one. block: other needs and
+    another budget, everything else alike.
     """
-    cells = list(product(objects, SHARES, LATENCIES_S, (False, True), FRAME_RATES))
+    cells = list(product(TEST_OBJECTS, SHARES, LATENCIES_S, (False, True), FRAME_RATES))
     order = np.random.default_rng(seed).permutation(len(cells))
     chosen = _balanced([cells[index] for index in order], len(cells) if count is None else min(count, len(cells)))
-    drawn = [draw(number, *cell, seed=seed) for number, cell in enumerate(chosen)]
-    return [replace(trial, rendered=number < rendered) for number, trial in enumerate(drawn)]
+    drawn = [draw(BLOCK_NUMBERS[block] + k, *cell, seed=seed, block=block) for k, cell in enumerate(chosen)]
+    return [replace(trial, rendered=k < rendered) for k, trial in enumerate(drawn)]
 
 
 Cell = tuple[str, float, float, bool, float]
@@ -97,7 +126,17 @@ def _balanced(cells: list[Cell], count: int) -> list[Cell]:
     return chosen
 
 
-def draw(number: int, name: str, share: float, latency_s: float, soft: bool, fps: float, *, seed: int = 0) -> Trial:
+def draw(
+    number: int,
+    name: str,
+    share: float,
+    latency_s: float,
+    soft: bool,
+    fps: float,
+    *,
+    seed: int = 0,
+    block: Block = "matrix",
+) -> Trial:
     """One trial: what the matrix does not fix is drawn."""
     rng = np.random.default_rng([seed, number, 5])
     friction = float(rng.uniform(*FRICTION))
@@ -108,8 +147,8 @@ def draw(number: int, name: str, share: float, latency_s: float, soft: bool, fps
         relaxation_s = float(rng.uniform(0.01, 0.03))
         gel = Gel(torsion_n_m_rad=torsion, stiffening=3.0, relaxation_s=relaxation_s, viscous_n_m_s=viscous)
     gripper = _gripper(rng, latency_s)
-    highest_n = NEEDED_MAX_SHARE * GuardParams().force_max_n
-    wanted_n = float(rng.uniform(NEEDED_MIN_N, highest_n))
+    lowest_n, highest_n = needed_range_n(block, gripper.gain)
+    wanted_n = float(rng.uniform(lowest_n, highest_n))
     first_n = gripper.quantised_force_n(share * wanted_n / gripper.gain)
     if first_n * gripper.gain / share > highest_n:
         first_n -= gripper.force_step_n
@@ -129,7 +168,9 @@ def draw(number: int, name: str, share: float, latency_s: float, soft: bool, fps
         right=_delivery(rng, fps, latency_s),
     )
     speed = float(np.exp(rng.uniform(*np.log(SPEED_MM_S))))
-    return Trial(number, item, share, latency_s, soft, fps, needed_n, first_n, scenario, lift_speed_mm_s=speed)
+    return Trial(
+        number, item, share, latency_s, soft, fps, needed_n, first_n, scenario, lift_speed_mm_s=speed, block=block
+    )
 
 
 def scaled(item: SimObject, needed_n: float, friction: float, gel: Gel) -> SimObject:

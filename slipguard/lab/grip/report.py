@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +13,12 @@ from rich.console import Console
 from rich.table import Table
 
 from slipguard.lab import figures as drawings
-from slipguard.lab.grip.campaign import Found
-from slipguard.lab.grip.figures import FLOOR_DEG, Row, agreement, as_json, rows
-from slipguard.lab.grip.matrix import SHARES
-from slipguard.lab.grip.play import Outcome, Who, play
+from slipguard.lab.grip.campaign import Found, Played
+from slipguard.lab.grip.figures import agreement, as_json
+from slipguard.lab.grip.matrix import FRAGILE_MAX_N, SHARES
+from slipguard.lab.grip.play import HIGH_MM, Outcome, Who, play
+from slipguard.lab.grip.rows import FLOOR_DEG, GELS, SHOWN, Row, by_first_grip, by_gel, of, of_gel, row
+from slipguard.lab.grip.verdict import GROUPS, checks, failures, remarks
 
 COLOURS: dict[Who, str] = {
     "law": "tab:blue",
@@ -27,47 +31,107 @@ NAMES: dict[Who, str] = {"law": "slipguard", "oracle": "oracle", "fixed step": "
 
 def print_tables(console: Console, found: Found) -> None:
     """For people."""
-    console.print(_table(f"lifted too weakly gripped: {len(found.trials)} trials", rows(found.trials)))
+    console.print(_table(f"lifted too weakly gripped: {len(found.trials)} trials", _all_rows(found.trials)))
+    tight = [*_split("need high", found.high_need), *_split(f"budget {FRAGILE_MAX_N:g} N", found.fragile)]
+    if tight:
+        count = len(found.high_need) + len(found.fragile)
+        title = f"the need at 0.75 to 0.95 of the budget, lifted {HIGH_MM:g} mm: {count} trials beside the matrix"
+        console.print(_table(title, tight))
     if found.gone:
-        console.print(_table(f"the support goes away at once: {len(found.gone)} trials", rows(found.gone)))
+        console.print(_table(f"the support goes away at once: {len(found.gone)} trials", _split("", found.gone)))
     figures, alike = as_json(found), agreement(found.trials)
-    console.print(
-        f"stable holds: {figures['false_tightenings']} tightenings in {figures['hold_minutes']} minutes after the "
-        f"lift; of the {figures['holds']} lifts into them {figures['hold_lifts_tightened']} were tightened while the "
-        f"gel wound up, {figures['hold_lifts_tightened_stiff']} of these on a stiff gel"
-    )
     if alike is not None:
         console.print(
             f"rendered frames against the error model, the same {alike.count} trials: mean slip "
             f"{alike.rendered_deg:.2f}° and {alike.model_deg:.2f}°, {100 * alike.apart:.0f} % apart; "
             f"median difference {alike.differs_deg:.2f}°"
         )
+    console.print(_said_of_holds(found, figures))
     console.print(
         "slip: true turn at the end less the gel's wind-up, median; ratios of slips trial by trial, "
-        f"less than {FLOOR_DEG:g}° counted as that; force: highest true over needed; early: tightened before any slip; "
-        "dropped: slipguard/oracle/fixed step/no guard",
+        f"less than {FLOOR_DEG:g}° counted as that; force: highest true over needed; arrest: from the first slip to "
+        "the last, median; steps: forces commanded after the first, median/most; early: tightened before any slip; "
+        "dropped: slipguard/oracle/fixed step/no guard; ended: in a fault or too low, though the budget sufficed",
         style="dim",
     )
+    console.print(_verdict(figures))
+    for line in remarks(figures):
+        console.print(line, style="yellow")
+    if not failures(figures):
+        console.print("held on the whole" + (", not everywhere: see above" if remarks(figures) else ""))
+
+
+def _all_rows(played: Sequence[Played]) -> list[Row]:
+    """By first grip and all together: of all gels, then of each."""
+    found = [*by_first_grip(played), row("all", played)]
+    for gel in GELS:
+        some = of_gel(played, gel)
+        found += (
+            [_titled(one, f"{gel}, {one.title}") for one in (*by_first_grip(some), row("all", some))] if some else []
+        )
+    return found
+
+
+def _split(title: str, played: Sequence[Played]) -> list[Row]:
+    """By gel and all together."""
+    rows = [*by_gel(played), row("all", played)] if played else []
+    return [_titled(one, f"{title}, {one.title}" if title else one.title) for one in rows]
+
+
+def _titled(one: Row, title: str) -> Row:
+    return replace(one, title=title)
+
+
+def _said_of_holds(found: Found, figures: dict[str, Any]) -> str:
+    held = figures["holds"]
+    text = (
+        f"stable holds, {held['count']} of {held['minutes']} minutes in all, {held['rendered']} of them rendered: "
+        f"{held['false_while_holding']} tightenings after the lift while nothing slipped, "
+        f"{held['false_while_lifted']} in the lifts into them, as the gel wound up; "
+        f"{held['tightened_while_slipping']} while something did slip"
+    )
+    failed = [f"{one.hold.trial.name}: {one.failed}" for one in found.holds if one.failed is not None]
+    return "; ".join([text, *failed])
 
 
 def _table(title: str, lines: list[Row]) -> Table:
-    table = Table(
-        title=title, box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, title_justify="left", padding=(0, 1, 0, 0)
-    )
-    heads = ("", "n", "slip", "oracle", "fixed", "none", "/orac", "p95", "fix/", "force", "early", "dropped")
-    for name in heads:
-        table.add_column(name, justify="right" if name else "left", no_wrap=True)
+    heads = (
+        "", "n", "slip", "oracle", "fixed", "none", "/orac", "p95", "fix/", "force", "arrest", "steps", "early",
+        "dropped", "ended",
+    )  # fmt: skip
+    table = _plain(title, heads)
     for one in lines:
-        drops = "/".join(str(one.drops[who]) for who in ("law", "oracle", "fixed step", "nobody"))
         table.add_row(
             one.title,
             str(one.count),
-            *(f"{one.slips_deg[who]:.1f}°" for who in ("law", "oracle", "fixed step", "nobody")),
+            *(f"{one.slips_deg[who]:.1f}°" for who in SHOWN),
             *(_ratio(value) for value in (one.over_oracle, one.over_oracle_p95, one.fixed_over_law)),
             _ratio(one.force_over_needed),
+            "–" if one.arrested_s is None else f"{one.arrested_s:.2f} s",
+            f"{one.steps_median:g}/{one.steps_max}",
             f"{100 * one.early:.0f}%",
-            drops,
+            "/".join(str(one.drops[who]) for who in SHOWN),
+            str(one.ended),
         )
+    return table
+
+
+def _verdict(figures: dict[str, Any]) -> Table:
+    """Every promise: what is allowed, and what was found on the whole and by group."""
+    table = _plain("promised", ("", "allowed", "all", *GROUPS, "held"))
+    for check in checks(figures):
+        values = [check.value, *(check.groups[group] for group in GROUPS)]
+        shown = ["–" if value is None else f"{value:g}" for value in values]
+        table.add_row(check.bound.title, check.bound.allowed, *shown, "yes" if check.held else "NO")
+    return table
+
+
+def _plain(title: str, heads: Sequence[str]) -> Table:
+    table = Table(
+        title=title, box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, title_justify="left", padding=(0, 1, 0, 0)
+    )
+    for name in heads:
+        table.add_column(name, justify="right" if name else "left", no_wrap=True)
     return table
 
 
@@ -91,7 +155,7 @@ def draw(found: Found, path: Path) -> None:
 def _scatter(axes: Any, found: Found) -> None:
     for k, who in enumerate(COLOURS):
         points = [
-            (share + 0.012 * (k - 1.5), (one.law if who == "law" else one.outcomes[who]).slip_deg)
+            (share + 0.012 * (k - 1.5), of(one, who).slip_deg)
             for share in SHARES
             for one in found.trials
             if one.trial.share == share

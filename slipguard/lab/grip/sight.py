@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,11 +50,20 @@ class Drift:
         return self.deg * math.sin(2.0 * math.pi * (now_s / self.period_s) + self.phase)
 
 
+@dataclass(frozen=True, slots=True)
+class Outliers:
+    """Single frames that are off by `deg`: the first one captured at or after each of these times, in their order."""
+
+    times_s: Sequence[float] = ()
+    deg: float = 0.0
+
+
 class ModelSight:
     """One finger of one trial. Same calls as `RenderedSight`."""
 
     def __init__(self, error: SightError, rng: np.random.Generator, drift: Drift | None = None) -> None:
         self._error, self._rng, self._drift = error, rng, drift or Drift()
+        self._off: deque[tuple[float, float]] = deque()
         self._bias_per_deg = float(rng.normal(0.0, error.bias_per_deg))
         self._bias_deg = float(rng.normal(0.0, error.bias_deg))
         self._areas: deque[float] = deque(maxlen=REFERENCE_FRAMES)
@@ -65,6 +75,10 @@ class ModelSight:
         self._reference = None
         self._areas.clear()
 
+    def err_at(self, outliers: Outliers) -> None:
+        """From now on these frames are off."""
+        self._off = deque((time_s, outliers.deg) for time_s in outliers.times_s)
+
     def look(self, view: GelView, captured_at_s: float, sequence: int) -> Estimate:
         """What the pipeline might say of the frame exposed now."""
         contact = view.depth_mm > 0.0 and view.object_name != ""
@@ -74,6 +88,8 @@ class ModelSight:
             return plain
         self._areas.append(view.depth_mm)
         seen_deg = view.angle_deg + float(self._rng.normal(0.0, self._error.noise_deg)) + self._drift.at(captured_at_s)
+        if self._off and captured_at_s >= self._off[0][0]:
+            seen_deg += self._off.popleft()[1]
         if self._reference is None:
             if len(self._areas) < REFERENCE_FRAMES:
                 return plain
