@@ -22,7 +22,7 @@ from slipguard.lab.bench.paper import FrameNetwork, PaperPipeline
 from slipguard.lab.bench.picture import picture
 from slipguard.lab.bench.rows import Bench, Row, Skip, Thinning, on_the_front
 from slipguard.lab.bench.subjects import Subject, network_files, ours
-from slipguard.lab.bench.tally import Errors, Tally, quarters
+from slipguard.lab.bench.tally import Errors, Tally, quarters, within_se
 from slipguard.lab.bench.thinning import thinning
 from slipguard.lab.minute import Minute
 from slipguard.lab.peer import PEER_MODEL
@@ -36,7 +36,7 @@ KEYS = [
 MORE_KEYS = {
     "mean_ms_per_frame_grasp", "round_textured_error_mean_deg", "round_plain_declined_share", "within_1_sigma",
     "within_2_sigma", "turn_error_sd_deg", "turn_error_p95_deg", "turn_error_by_quartile_deg", "stage_ms", "pareto",
-    "cpu_s_per_minute_grasp",
+    "cpu_s_per_minute_grasp", "within_1_sigma_se", "within_2_sigma_se",
 }  # fmt: skip
 PEER_PATH = default_model_path().with_name(PEER_MODEL)
 
@@ -212,3 +212,18 @@ def test_network_files_are_told_apart(tmp_path: Path) -> None:
         network_files(tmp_path)
     with pytest.raises(ModelError, match="no such folder"):
         network_files(tmp_path / "nowhere")
+
+
+def test_shares_within_sigma_are_as_uncertain_as_grasps_differ() -> None:
+    def grasp(inside: int, outside: int) -> Errors:
+        found = [(0.5, 1.0, 1.0)] * inside + [(1.5, 1.0, 1.0)] * outside + [(9.0, 9.0, None)]
+        return Errors("bar", True, 0.0, len(found), found)
+
+    alike = [grasp(8, 2)] * 9
+    assert within_se(alike, 1.0) == 0.0
+    assert within_se([grasp(10, 0), grasp(0, 10)], 1.0) == pytest.approx(0.5)
+    shares = [1.0, 0.8, 0.6, 0.2]
+    differing = [grasp(round(20 * share), 20 - round(20 * share)) for share in shares]
+    assert within_se(differing, 1.0) == pytest.approx(np.std(shares, ddof=1) / 2.0)
+    assert within_se(differing, 2.0) == 0.0
+    assert within_se(alike[:1], 1.0) is None

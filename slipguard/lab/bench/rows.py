@@ -33,13 +33,14 @@ class Row:
 
     skipped_p50_ms: of frames left out, for want of contact or of change. turn errors: absolute, in degrees, over frames
     after the reference with an angle, of the objects of the test manifest; worst object: the largest mean of one;
-    readable: of the objects that have an axis, the ones that the paper's way is meant for.
-    declined_share: of such frames of objects with a readable axis, those without an angle. quartiles: means over the
-    grasps from the easiest quarter to the hardest. within_n_sigma: share of errors no larger than n times the sigma
-    stated. round textured, round plain: objects without an axis, with and without texture; confident: a turn stated
-    that is larger than three of its sigmas. mean_ms_per_frame_grasp, cpu_s_per_minute_grasp: over a minute of holding.
-    stage_ms: stage -> (p50, p99) of the frames that needed it, and its mean over all. pareto: no other row is both
-    faster (mean over the grasp) and more accurate.
+    readable: of the objects that have an axis, the ones that the paper's way is meant for. declined_share: of such
+    frames of objects with a readable axis, those without an angle. quartiles: means over the grasps from the easiest
+    quarter to the hardest. within_n_sigma: share of errors no larger than n times the sigma stated; its _se: standard
+    error, told by how much grasps differ, for the errors of one grasp are alike. round textured, round plain: objects
+    without an axis, with and without texture; confident: a turn stated that is larger than three of its sigmas.
+    mean_ms_per_frame_grasp, cpu_s_per_minute_grasp: over a minute of holding. stage_ms: stage -> (p50, p99) of the
+    frames that needed it, and its mean over all. pareto: no other row is both faster (mean over the grasp) and more
+    accurate.
     """
 
     name: str
@@ -68,6 +69,8 @@ class Row:
     turn_error_by_quartile_deg: tuple[float | None, ...] | None = None
     within_1_sigma: float | None = None
     within_2_sigma: float | None = None
+    within_1_sigma_se: float | None = None
+    within_2_sigma_se: float | None = None
     round_textured_error_mean_deg: float | None = None
     round_textured_declined_share: float | None = None
     round_plain_declined_share: float | None = None

@@ -107,7 +107,11 @@ def cells_of(row: Row, found: Bench) -> list[str]:
         _text(row.declined_share, "{:.0%}"),
         _text(row.round_textured_error_mean_deg),
         _text(row.round_plain_declined_share, "{:.0%}"),
-        "–" if row.within_1_sigma is None else f"{row.within_1_sigma:.0%}, {_text(row.within_2_sigma, '{:.0%}')}",
+        "–"
+        if row.within_1_sigma is None
+        else ", ".join(
+            (_share(row.within_1_sigma, row.within_1_sigma_se), _share(row.within_2_sigma, row.within_2_sigma_se))
+        ),
         _text(row.dice, "{:.3f}"),
         _text(row.iou, "{:.3f}"),
         _text(ratio, "{:.1f}"),
@@ -116,3 +120,8 @@ def cells_of(row: Row, found: Bench) -> list[str]:
 
 def _text(value: float | None, form: str = "{:.2f}") -> str:
     return "–" if value is None else form.format(value)
+
+
+def _share(value: float | None, se: float | None) -> str:
+    """A share in per cent, with its standard error where that is known."""
+    return _text(value, "{:.0%}") if value is None or se is None else f"{100 * value:.0f} ± {100 * se:.0f}%"

@@ -136,6 +136,8 @@ class Tally:
             turn_error_by_quartile_deg=quarters(manifest) if errors else None,
             within_1_sigma=mean(float(error <= sigma) for error, sigma in sure),
             within_2_sigma=mean(float(error <= 2.0 * sigma) for error, sigma in sure),
+            within_1_sigma_se=within_se(manifest, 1.0),
+            within_2_sigma_se=within_se(manifest, 2.0),
             round_textured_error_mean_deg=mean(error for one in textured for error, _, _ in one.found),
             round_textured_declined_share=declined(textured),
             round_plain_declined_share=declined(plain),
@@ -162,6 +164,20 @@ def confident(grasps: list[Errors]) -> float | None:
     asked = sum(one.compared for one in grasps)
     sure = [abs(turn) > CONFIDENT_SIGMAS * (sigma or 0.0) for one in grasps for _, turn, sigma in one.found]
     return sum(sure) / asked if asked else None
+
+
+def within_se(grasps: list[Errors], sigmas: float) -> float | None:
+    """Standard error of the share of errors within so many sigmas, by how much it differs from grasp to grasp.
+
+    That of a ratio of two sums over grasps; None for fewer than two grasps with a sigma.
+    """
+    inside = [[error <= sigmas * sigma for error, _, sigma in one.found if sigma is not None] for one in grasps]
+    counts = np.array([(sum(one), len(one)) for one in inside if one])
+    if len(counts) < 2:
+        return None
+    held, asked = counts[:, 0], counts[:, 1]
+    apart = held - asked * held.sum() / asked.sum()
+    return float(np.sqrt(np.square(apart).sum() * len(counts) / (len(counts) - 1)) / asked.sum())
 
 
 def quarters(grasps: list[Errors]) -> tuple[float | None, ...]:
