@@ -77,6 +77,10 @@ def test_a_lift_given_up_without_need_counts(outcome: Outcome) -> None:
         "a drop, told as such"
     )
     assert figures.as_json(found(played(outcome, made(1.0))))["ended_without_need"] == 1
+    gone = replace(trial(), event="support gone")
+    assert rows.ended_for_nothing(played(outcome, made(40.0), gone))
+    assert not rows.ended_for_nothing(played(outcome, made(50.0), gone)), "the oracle's, too, had turned too far"
+    assert rows.ended_for_nothing(played(outcome, made(50.0))), "no excuse in a lift"
 
 
 def test_gels_and_first_grips_are_told_beside_the_whole() -> None:
@@ -92,7 +96,7 @@ def test_gels_and_first_grips_are_told_beside_the_whole() -> None:
     assert told["by_gel"]["stiff"]["by_first_grip"]["0.50"]["scenarios"] == 1
     assert told["false_tightenings"] == told["by_gel"]["soft"]["false_tightenings"] == 2
     assert (told["holds"]["false_while_holding"], told["holds"]["false_while_lifted"]) == (1, 1)
-    assert any("stiff alone" in line and "95th" in line for line in verdict.remarks(told))
+    assert any("stiff alone" in line and "p95" in line for line in verdict.remarks(told))
 
 
 def fine() -> dict[str, Any]:
@@ -122,4 +126,4 @@ def test_every_promise_is_checked_and_a_group_that_misses_it_is_told(bound: Boun
 def test_a_hold_that_never_began_fails_the_campaign() -> None:
     told = figures.as_json(found(played(made(1.0), made(1.0)), holds=(held(failed="not holding"), held())))
     assert told["holds_failed"] == 1
-    assert any("never began" in line for line in verdict.failures(told))
+    assert any("holds that failed" in line for line in verdict.failures(told))

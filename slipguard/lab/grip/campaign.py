@@ -55,7 +55,7 @@ class Plan:
         drawn, each_s = QUICK_RENDERED_HOLDS, QUICK_RENDERED_HOLD_S
         if not quick:
             drawn, each_s = FULL_RENDERED_HOLDS, FULL_RENDERED_HOLD_S
-        seen = holds(drawn * each_s / 60.0, seed, each_s, rendered=True)
+        seen = holds(drawn * each_s / 60.0, seed, each_s, rendered=True) if drawn else []
         return cls(tuple(lifted), tuple(dropped), tuple(tight), (*held, *seen))
 
     @property

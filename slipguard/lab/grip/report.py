@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from rich.table import Table
 from slipguard.lab import figures as drawings
 from slipguard.lab.grip.campaign import Found, Played
 from slipguard.lab.grip.figures import agreement, as_json
-from slipguard.lab.grip.matrix import FRAGILE_MAX_N, SHARES
+from slipguard.lab.grip.matrix import FRAGILE_MAX_N, SHARES, TIGHT_SHARES
 from slipguard.lab.grip.play import HIGH_MM, Outcome, Who, play
 from slipguard.lab.grip.rows import FLOOR_DEG, GELS, SHOWN, Row, by_first_grip, by_gel, of, of_gel, row
 from slipguard.lab.grip.verdict import GROUPS, checks, failures, remarks
@@ -29,16 +29,47 @@ COLOURS: dict[Who, str] = {
 NAMES: dict[Who, str] = {"law": "slipguard", "oracle": "oracle", "fixed step": "fixed step", "nobody": "no guard"}
 
 
+WIDE = 130
+
+
+def _ratio(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
+
+
+SLIP: dict[str, Callable[[Row], str]] = {
+    "slip": lambda one: f"{one.slips_deg['law']:.1f}°",
+    "oracle": lambda one: f"{one.slips_deg['oracle']:.1f}°",
+    "fixed": lambda one: f"{one.slips_deg['fixed step']:.1f}°",
+    "none": lambda one: f"{one.slips_deg['nobody']:.1f}°",
+    "/oracle": lambda one: _ratio(one.over_oracle),
+    "p95": lambda one: _ratio(one.over_oracle_p95),
+    "fixed/": lambda one: _ratio(one.fixed_over_law),
+}
+GRIP: dict[str, Callable[[Row], str]] = {
+    "force": lambda one: _ratio(one.force_over_needed),
+    "arrest": lambda one: "–" if one.arrested_s is None else f"{one.arrested_s:.2f} s",
+    "steps": lambda one: f"{one.steps_median:g}/{one.steps_max}",
+    "early": lambda one: f"{100 * one.early:.0f}%",
+    "dropped": lambda one: "/".join(str(one.drops[who]) for who in SHOWN),
+    "given up": lambda one: str(one.ended),
+}
+
+
 def print_tables(console: Console, found: Found) -> None:
-    """For people."""
-    console.print(_table(f"lifted too weakly gripped: {len(found.trials)} trials", _all_rows(found.trials)))
-    tight = [*_split("need high", found.high_need), *_split(f"budget {FRAGILE_MAX_N:g} N", found.fragile)]
+    """For people; two narrow tables for one wide one where the terminal is narrow."""
+    blocks = [(f"lifted too weakly gripped: {len(found.trials)} trials", _all_rows(found.trials))]
+    tight = [*_split("high need", found.high_need), *_split("fragile", found.fragile)]
     if tight:
-        count = len(found.high_need) + len(found.fragile)
-        title = f"the need at 0.75 to 0.95 of the budget, lifted {HIGH_MM:g} mm: {count} trials beside the matrix"
-        console.print(_table(title, tight))
+        count, most_n = len(found.high_need) + len(found.fragile), FRAGILE_MAX_N
+        low, high = TIGHT_SHARES
+        title = f"need {low:g} to {high:g} of the budget (fragile: {most_n:g} N), lifted {HIGH_MM:g} mm: {count} trials"
+        blocks.append((title, tight))
     if found.gone:
-        console.print(_table(f"the support goes away at once: {len(found.gone)} trials", _split("", found.gone)))
+        blocks.append((f"the support goes away at once: {len(found.gone)} trials", _split("", found.gone)))
+    for title, lines in blocks:
+        parts = [SLIP, GRIP] if console.width < WIDE else [SLIP | GRIP]
+        for columns in parts:
+            console.print(_table(title if columns is parts[0] else "", lines, columns))
     figures, alike = as_json(found), agreement(found.trials)
     if alike is not None:
         console.print(
@@ -51,7 +82,7 @@ def print_tables(console: Console, found: Found) -> None:
         "slip: true turn at the end less the gel's wind-up, median; ratios of slips trial by trial, "
         f"less than {FLOOR_DEG:g}° counted as that; force: highest true over needed; arrest: from the first slip to "
         "the last, median; steps: forces commanded after the first, median/most; early: tightened before any slip; "
-        "dropped: slipguard/oracle/fixed step/no guard; ended: in a fault or too low, though the budget sufficed",
+        "dropped: slipguard/oracle/fixed step/no guard; given up: in a fault or too low, though the budget sufficed",
         style="dim",
     )
     console.print(_verdict(figures))
@@ -94,25 +125,10 @@ def _said_of_holds(found: Found, figures: dict[str, Any]) -> str:
     return "; ".join([text, *failed])
 
 
-def _table(title: str, lines: list[Row]) -> Table:
-    heads = (
-        "", "n", "slip", "oracle", "fixed", "none", "/orac", "p95", "fix/", "force", "arrest", "steps", "early",
-        "dropped", "ended",
-    )  # fmt: skip
-    table = _plain(title, heads)
+def _table(title: str, lines: list[Row], columns: dict[str, Callable[[Row], str]]) -> Table:
+    table = _plain(title, ("", "n", *columns))
     for one in lines:
-        table.add_row(
-            one.title,
-            str(one.count),
-            *(f"{one.slips_deg[who]:.1f}°" for who in SHOWN),
-            *(_ratio(value) for value in (one.over_oracle, one.over_oracle_p95, one.fixed_over_law)),
-            _ratio(one.force_over_needed),
-            "–" if one.arrested_s is None else f"{one.arrested_s:.2f} s",
-            f"{one.steps_median:g}/{one.steps_max}",
-            f"{100 * one.early:.0f}%",
-            "/".join(str(one.drops[who]) for who in SHOWN),
-            str(one.ended),
-        )
+        table.add_row(one.title, str(one.count), *(column(one) for column in columns.values()))
     return table
 
 
@@ -121,7 +137,7 @@ def _verdict(figures: dict[str, Any]) -> Table:
     table = _plain("promised", ("", "allowed", "all", *GROUPS, "held"))
     for check in checks(figures):
         values = [check.value, *(check.groups[group] for group in GROUPS)]
-        shown = ["–" if value is None else f"{value:g}" for value in values]
+        shown = ["–" if value is None else f"{value:.3g}" for value in values]
         table.add_row(check.bound.title, check.bound.allowed, *shown, "yes" if check.held else "NO")
     return table
 
@@ -133,10 +149,6 @@ def _plain(title: str, heads: Sequence[str]) -> Table:
     for name in heads:
         table.add_column(name, justify="right" if name else "left", no_wrap=True)
     return table
-
-
-def _ratio(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f}"
 
 
 def draw(found: Found, path: Path) -> None:

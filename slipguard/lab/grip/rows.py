@@ -5,11 +5,13 @@ Slips are compared as ratios; a slip below `FLOOR_DEG` counts as that much, for 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from slipguard.grasp.params import GuardParams
 from slipguard.lab.grip.campaign import Played
 from slipguard.lab.grip.matrix import SHARES
 from slipguard.lab.grip.play import Outcome, Who
@@ -130,13 +132,17 @@ def dropped_for_nothing(one: Played) -> bool:
 
 
 def ended_for_nothing(one: Played) -> bool:
-    """The law ended in a fault, or never lifted it as high as told, though the force needed is within the budget."""
+    """The law ended in a fault, or never lifted it as high as told, though the force needed is within the budget.
+
+    Where the support goes at once only if the oracle's turn stayed within what the law gives up at.
+    """
     ended = any(law.dropped is None and (law.fault is not None or not law.up) for law in _laws(one))
-    return ended and not _beyond_help(one)
+    return ended and not _beyond_help(one, GuardParams().give_up_turn_deg)
 
 
-def _beyond_help(one: Played) -> bool:
-    return one.trial.event == "support gone" and one.outcomes["oracle"].dropped is not None
+def _beyond_help(one: Played, turn_deg: float = math.inf) -> bool:
+    oracle = one.outcomes["oracle"]
+    return one.trial.event == "support gone" and (oracle.dropped is not None or oracle.turn_deg > turn_deg)
 
 
 def _laws(one: Played) -> list[Outcome]:

@@ -33,16 +33,16 @@ class Bound:
 
 
 BOUNDS = (
-    Bound("drops_avoidable", "drops that holding could have prevented", at_most=0),
-    Bound("turn_over_oracle_median", "slip over the oracle's, median", at_most=1.25),
-    Bound("turn_over_oracle_p95", "slip over the oracle's, 95th percentile", at_most=1.6),
-    Bound("fixed_step_turn_over_ours_median", "a fixed step's slip over ours, median", at_least=1.2),
-    Bound("fixed_step_turn_over_ours_at_0_97", "... gripped with 0.97 of the need", at_least=1.5),
-    Bound("false_tightenings", "tightenings in stable holds while nothing slips", at_most=0),
-    Bound("force_over_needed_median", "peak force over needed, median", at_most=1.6),
-    Bound("rendered_against_model", "rendered frames against the error model, apart", at_most=0.15),
-    Bound("ended_without_need", "lifts given up though the budget sufficed", at_most=0),
-    Bound("holds_failed", "stable holds that never began or ended in a fault", at_most=0),
+    Bound("drops_avoidable", "avoidable drops", at_most=0),
+    Bound("turn_over_oracle_median", "slip / oracle's, median", at_most=1.25),
+    Bound("turn_over_oracle_p95", "slip / oracle's, p95", at_most=1.6),
+    Bound("fixed_step_turn_over_ours_median", "fixed step's / ours", at_least=1.2),
+    Bound("fixed_step_turn_over_ours_at_0_97", "... gripped at 0.97", at_least=1.5),
+    Bound("false_tightenings", "false tightenings", at_most=0),
+    Bound("force_over_needed_median", "peak force / needed", at_most=1.6),
+    Bound("rendered_against_model", "rendered / model, apart", at_most=0.15),
+    Bound("ended_without_need", "given up without need", at_most=0),
+    Bound("holds_failed", "holds that failed", at_most=0),
 )
 
 
