@@ -12,8 +12,9 @@ from cell_rig import cell
 from kill_campaign import campaign, report
 
 GUARDING_S = 2.0
-SHORT = 10
-"""Fewer kills than this are the short version, on a machine that runs other tests as well: no time is asked of it."""
+PATIENT_S = 10.0
+SHORT = 20
+"""Fewer kills than this are the short version, on a machine that runs other tests as well: it may take `PATIENT_S`."""
 OPTIONS = ("--object", "wrench", "--seed", 0, "--fps", 30, "--height-mm", 80)
 
 
@@ -30,5 +31,6 @@ def test_the_object_is_still_held_and_soon_guarded_again(
     with capsys.disabled():
         print(f"\n{report(kills, tmp_path)}")
     assert len(kills) == count
-    if count >= SHORT:
-        assert max(kill.guarding_s for kill in kills) <= GUARDING_S
+    allowed_s = GUARDING_S if count >= SHORT else PATIENT_S
+    assert [kill for kill in kills if kill.guarding_s > allowed_s] == []
+    assert [kill for kill in kills if not kill.turn_kept] == []
