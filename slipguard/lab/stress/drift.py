@@ -84,13 +84,13 @@ def _begin_holding(subject: Subject) -> Trial:
 
 
 TRACKING = Family(
-    "drift", "a million tracked frames over every seam", 1000, 13.0, _begin_tracking, STRETCH_FRAMES, continuous=True
+    "drift", "a million tracked frames over every seam", 1000, 9.0, _begin_tracking, STRETCH_FRAMES, continuous=True
 )
 HOLD = Family(
     "holding",
     "ten minutes of 60 frames a second, held still under a creeping force",
     36_000 // HOLDING_FRAMES,
-    44.0,
+    40.0,
     _begin_holding,
     HOLDING_FRAMES,
     continuous=True,

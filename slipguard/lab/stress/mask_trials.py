@@ -73,7 +73,7 @@ DEGENERATE = Family(
     "degenerate",
     "every mask that is hardly one, turned eight ways",
     DEGENERATE_MASKS * 8 * STYLES,
-    50.0,
+    30.0,
     _begin_degenerate,
 )
-RANDOM = Family("random", "random masks: thinned as OpenCV does, read alike in mirrors", 1_000_000, 3.0, _begin_random)
+RANDOM = Family("random", "random masks: thinned as OpenCV does, read alike in mirrors", 1_000_000, 1.8, _begin_random)

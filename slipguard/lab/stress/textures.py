@@ -89,4 +89,4 @@ def _spoiled(
             notes.angle("pipeline, spoiled", answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
 
 
-TEXTURES = Family("relief", "reliefs turned, grown, shifted and spoiled under lights that stay", 6_000, 150.0, _begin)
+TEXTURES = Family("relief", "reliefs turned, grown, shifted and spoiled under lights that stay", 6_000, 100.0, _begin)
