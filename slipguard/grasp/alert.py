@@ -1,10 +1,10 @@
-"""How little may count as slip now: the sensor's own noise, what the arm does, and how firm the grip is already.
+"""How little may count as slip now: the sensor's own noise, what the arm does, and how firm the grip is.
 
 An object at rest in the air turns for one reason only, so a fraction of a degree is enough there. While the arm moves,
 the gel winds up and down with the load: by as much as it is wound up already, times the load's change. And while an
 object leaves the table, the gel winds up for the first time: nothing in the picture tells that from slip, for the far
-end still rests on the table and leads the turn. A grip that is well within the budget is raised at once then, for that
-costs little; one that uses most of the budget is believed to hold for longer.
+end still rests on the table and leads the turn. So the grip is raised at once then, once, for that costs little; after
+that it is believed to hold for some degrees more.
 """
 
 from __future__ import annotations
@@ -30,6 +30,10 @@ NOISE_START_DEG = 0.06
 NOISE_MAX_DEG = 0.5
 NOISE_TIMES = 6.0
 """A turn of so many standard deviations of what the sensor shows at rest is none of its noise."""
+FIRM_TIMES = 2.5
+"""A firm grip bears more load before it slips, and the gel winds up the further: a stiff pad up to 0.8 degrees."""
+GROWTH_MAX = 4.0
+"""However often it was tightened, no level grows beyond so many times its own."""
 SWING_SHARE = 0.5
 """Arms stop with 2.5 m/s2, a quarter of gravity, and a gel without much damping answers with twice that."""
 
@@ -88,15 +92,31 @@ def attend(alert: Alert, fused: Fused, arm: ArmState | None, params: GuardParams
     away_deg = fused.turn_deg - alert.near_deg
     if abs(away_deg) > quick_level_deg(alert, params):
         return replace(alert, measured_s=fused.measured_at_s)
-    near_deg = alert.near_deg + (1.0 - math.exp(-passed_s / FOLLOW_S)) * away_deg
-    variance = alert.variance_deg2 + (away_deg**2 - alert.variance_deg2) / NOISE_FRAMES
-    return replace(alert, near_deg=near_deg, variance_deg2=variance, measured_s=fused.measured_at_s)
+    drift_deg = (1.0 - math.exp(-passed_s / FOLLOW_S)) * away_deg
+    return replace(
+        alert,
+        near_deg=alert.near_deg + drift_deg,
+        variance_deg2=alert.variance_deg2 + (away_deg**2 - alert.variance_deg2) / NOISE_FRAMES,
+        measured_s=fused.measured_at_s,
+    )
 
 
-def quick_level_deg(alert: Alert, params: GuardParams) -> float:
-    """What counts as slip where nothing else should turn the object: at rest, or gently held and lifting off."""
-    given_deg = params.lift_off_level_deg if alert.case is Case.LIFT_OFF else params.rest_level_deg
+def quick_level_deg(alert: Alert, params: GuardParams, *, firm: bool = False) -> float:
+    """What counts as slip where nothing else should turn the object: at rest, or lifting off for the first time."""
+    given_deg = params.rest_level_deg
+    if alert.case is Case.LIFT_OFF:
+        given_deg = params.lift_off_level_deg * (FIRM_TIMES if firm else 1.0)
     return max(given_deg, NOISE_TIMES * alert.noise_deg)
+
+
+def growth(episodes: int, params: GuardParams) -> float:
+    """What the levels are multiplied by after so many episodes that were answered with force."""
+    return min(params.level_growth**episodes, GROWTH_MAX)
+
+
+def level_deg(sigma_deg: float, episodes: int, params: GuardParams) -> float:
+    """The turn below which nothing counts as slip after so many episodes of it."""
+    return max(params.level_deg, min(params.level_sigmas * sigma_deg, params.level_max_deg)) * growth(episodes, params)
 
 
 def _case(alert: Alert, fused: Fused, arm: ArmState | None) -> Case:

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 from slipguard.devices import ArmState
-from slipguard.grasp.alert import SWING_SHARE, Alert, Case, attend, quick_level_deg
+from slipguard.grasp.alert import SWING_SHARE, Alert, Case, attend, growth, level_deg, quick_level_deg
 from slipguard.grasp.fuse import Fused
 from slipguard.grasp.params import GuardParams
 
@@ -24,14 +24,20 @@ PLAIN_TIMES = 1.5
 
 @dataclass(frozen=True, slots=True)
 class Detector:
-    """What is remembered between frames. base: where the object was when it was last calm. episodes: of slip so far."""
+    """What is remembered between frames.
+
+    base: where the object was when it was last calm. turns, slides: episodes of either that were answered with force.
+    patient: one of turning is over, answered or not.
+    """
 
     base_turn_deg: float | None = None
     base_shift_mm: float | None = None
     measured_s: float = -math.inf
     captured_s: float = -math.inf
     frames: int = 0
-    episodes: int = 0
+    turns: int = 0
+    slides: int = 0
+    patient: bool = False
     smooth_shift_mm: float | None = None
     slide_rate_mm_s: float = 0.0
     rest_turn_deg: float | None = None
@@ -39,10 +45,18 @@ class Detector:
     rest_since_s: float | None = None
     alert: Alert = field(default_factory=Alert)
 
-    def rebased(self) -> Detector:
-        """An episode is over: from here on only what moves further counts."""
-        alert = replace(self.alert, near_deg=None)
-        return replace(self, base_turn_deg=None, base_shift_mm=None, frames=0, episodes=self.episodes + 1, alert=alert)
+    def rebased(self, *, turned: bool, slid: bool, raised: bool) -> Detector:
+        """An episode is over: from here on only what moves further counts. raised: it was answered with force."""
+        return replace(
+            self,
+            base_turn_deg=None,
+            base_shift_mm=None,
+            frames=0,
+            turns=self.turns + (turned and raised),
+            slides=self.slides + (slid and raised),
+            patient=self.patient or turned,
+            alert=replace(self.alert, near_deg=None),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +64,8 @@ class Look:
     """What one look saw.
 
     turn_deg: away from the base, without sign. rate_deg_s: positive while that grows. slide_mm, slide_rate_mm_s:
-    downwards. moving: one of the rates is that of slip. slipping: slip, in enough frames. still_s: at rest for so long.
+    downwards. moving: one of the rates is that of slip. turns, slides: this frame shows slip of that kind.
+    slipping: slip, in enough frames. still_s: at rest for so long.
     """
 
     detector: Detector
@@ -59,21 +74,16 @@ class Look:
     slide_mm: float = 0.0
     slide_rate_mm_s: float = 0.0
     moving: bool = False
+    turns: bool = False
+    slides: bool = False
     slipping: bool = False
     still_s: float = 0.0
-    new: bool = False
 
     @property
     def what(self) -> str:
         """In words, with figures."""
         turn = f"turned {self.turn_deg:.1f}° at {self.rate_deg_s:.0f}°/s"
         return f"{turn}, slid {self.slide_mm:.1f} mm" if self.slide_mm > CALM_SHIFT_MM else turn
-
-
-def level_deg(sigma_deg: float, episodes: int, params: GuardParams) -> float:
-    """The turn below which nothing counts as slip after so many episodes of it."""
-    level = max(params.level_deg, min(params.level_sigmas * sigma_deg, params.level_max_deg))
-    return level * params.level_growth**episodes
 
 
 def look(
@@ -91,9 +101,10 @@ def look(
     only_outward: a turn back towards the reference is no slip, as when an object is put down.
     """
     new = fused.measured_at_s > detector.measured_s
-    rested_deg = detector.alert.near_deg
-    detector = replace(_follow_shift(detector, fused), alert=attend(detector.alert, fused, arm, params))
-    anew = detector.alert.anew  # what the arm's motion has wound up stays
+    near_deg = detector.alert.near_deg
+    alert = attend(detector.alert, fused, arm, params)
+    detector = replace(_follow_shift(detector, fused), alert=alert)
+    anew = alert.anew  # what the arm's motion has wound up stays
     detector = replace(
         detector,
         base_turn_deg=fused.turn_deg if anew or detector.base_turn_deg is None else detector.base_turn_deg,
@@ -102,12 +113,12 @@ def look(
         captured_s=max(fused.captured_at_s, detector.captured_s),
     )
     detector = _follow_rest(detector, fused, params)
-    turn, rate, turning = _turning(detector, fused, params, firm, only_outward)
-    suddenly = 0 if anew else _suddenly(detector, fused, params, rested_deg, firm, only_outward)
+    turn, rate, turning = _turning(detector, fused, params, only_outward)
+    suddenly = 0 if anew else _suddenly(detector, fused, params, near_deg, firm, only_outward)
     slide = (fused.shift_mm or 0.0) - (detector.base_shift_mm or 0.0) if fused.shift_mm is not None else 0.0
     slides_fast = detector.slide_rate_mm_s >= params.slide_rate_mm_s
-    growth = params.level_growth**detector.episodes
-    sliding = slide > params.slide_mm * growth and (slides_fast or slide > params.slide_creep_mm * growth)
+    times = growth(detector.slides, params)
+    sliding = slide > params.slide_mm * times and (slides_fast or slide > params.slide_creep_mm * times)
     if new:
         counts = max(int(turning or sliding), suddenly)
         detector = replace(detector, frames=detector.frames + counts if counts else 0)
@@ -118,15 +129,14 @@ def look(
         slide_mm=slide,
         slide_rate_mm_s=detector.slide_rate_mm_s,
         moving=rate >= params.rate_deg_s or slides_fast,
+        turns=turning or suddenly > 0,
+        slides=sliding,
         slipping=detector.frames >= params.frames,
         still_s=detector.captured_s - detector.rest_since_s if detector.rest_since_s is not None else 0.0,
-        new=new,
     )
 
 
-def _turning(
-    detector: Detector, fused: Fused, params: GuardParams, firm: bool, only_outward: bool
-) -> tuple[float, float, bool]:
+def _turning(detector: Detector, fused: Fused, params: GuardParams, only_outward: bool) -> tuple[float, float, bool]:
     """Turn from the base, rate away from it, and whether that is slip whatever the arm does."""
     if fused.turn_deg is None or fused.sigma_deg is None or detector.base_turn_deg is None:
         return 0.0, 0.0, False
@@ -135,36 +145,32 @@ def _turning(
     rate_deg_s = math.copysign(1.0, away_deg) * (fused.rate_deg_s or 0.0)
     if only_outward and away_deg * fused.turn_deg < 0.0:
         return turn_deg, 0.0, False
-    growth = params.level_growth**detector.episodes
-    level, creep_deg = level_deg(fused.sigma_deg, detector.episodes, params), params.creep_deg * growth
+    level = level_deg(fused.sigma_deg, detector.turns, params)
+    creep_deg = params.creep_deg * growth(detector.turns, params)
     if detector.alert.case is Case.MOVING:
         level = max(level, SWING_SHARE * abs(detector.base_turn_deg))
-    if detector.alert.case is Case.LIFT_OFF and (firm or detector.episodes):
-        level = max(level, params.firm_level_deg)
+    if detector.alert.case is Case.LIFT_OFF and detector.patient:
+        # The far end still on its table leads the turn: its rate is the arm's.
+        return turn_deg, rate_deg_s, turn_deg > params.firm_level_deg
     fast = rate_deg_s >= params.rate_deg_s
     return turn_deg, rate_deg_s, turn_deg > level and (fast or turn_deg > max(creep_deg, level))
 
 
 def _suddenly(
-    detector: Detector,
-    fused: Fused,
-    params: GuardParams,
-    rested_deg: float | None,
-    firm: bool,
-    only_outward: bool,
+    detector: Detector, fused: Fused, params: GuardParams, near_deg: float | None, firm: bool, only_outward: bool
 ) -> int:
     """For how many frames a turn from where the object rested counts, where nothing but slip should turn it.
 
-    rested_deg: where it rested before this look.
+    near_deg: where it rested before this look.
     """
     alert = detector.alert
-    if fused.turn_deg is None or fused.sigma_deg is None or rested_deg is None or only_outward:
+    if fused.turn_deg is None or fused.sigma_deg is None or near_deg is None or only_outward:
         return 0
-    if alert.case is Case.MOVING or (alert.case is Case.LIFT_OFF and (firm or detector.episodes)):
+    if alert.case is Case.MOVING or (alert.case is Case.LIFT_OFF and detector.patient):
         return 0
-    away_deg = abs(fused.turn_deg - rested_deg)
+    away_deg = abs(fused.turn_deg - near_deg)
     unsure_deg = min(params.level_sigmas * fused.sigma_deg, params.level_max_deg)
-    level = max(quick_level_deg(alert, params), unsure_deg) * params.level_growth**detector.episodes
+    level = max(quick_level_deg(alert, params, firm=firm), unsure_deg) * growth(detector.turns, params)
     if away_deg <= level:
         return 0
     return 2 if away_deg > PLAIN_TIMES * level and len(fused.fingers) == 2 else 1

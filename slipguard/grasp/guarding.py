@@ -62,7 +62,8 @@ def guard(state: GuardState, seen: Seen, params: GuardParams) -> Verdict:
     if slip is None:
         return _begin(state, sight, seen, params) if sight.slipping else Verdict(state)
     if _calm(state, slip, sight, seen, params):
-        state = replace(state, slip=None, detector=sight.detector.rebased())
+        detector = sight.detector.rebased(turned=slip.turns, slid=slip.slides, raised=slip.raised)
+        state = replace(state, slip=None, detector=detector)
         return Verdict(state, say=f"calm at {state.target_n:.0f} N")
     return _go_on(state, slip, sight, seen, params)
 
@@ -122,6 +123,9 @@ def _step(
     slip = replace(
         slip,
         steps=slip.steps + 1,
+        turns=slip.turns or sight.turns,
+        slides=slip.slides or sight.slides,
+        raised=slip.raised or target_n > state.target_n,
         stepped_s=seen.now_s,
         turn_deg=sight.turn_deg,
         rate_deg_s=sight.rate_deg_s,
@@ -131,7 +135,8 @@ def _step(
         said = f"slip: {sight.what}: tightening from {state.target_n:.0f} N to {target_n:.0f} N"
         state = replace(state, slip=slip, target_n=target_n, commanded_s=seen.now_s)
         return Verdict(state, hold_n=target_n, stop=True, say=said)
-    return Verdict(replace(state, slip=slip), stop=True)
+    said = f"slip: {sight.what}: {state.target_n:.0f} N is all the force there is"
+    return Verdict(replace(state, slip=slip), stop=True, say=said)
 
 
 def _spent(state: GuardState, sight: Look, params: GuardParams) -> Fault:

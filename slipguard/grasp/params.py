@@ -56,7 +56,7 @@ class GuardParams(BaseModel):
     rest_level_deg: Annotated[float, Field(ge=0.1, le=10.0)] = 0.3
     """A turn beyond this, and beyond the sensor's own noise, is slip while the arm stands."""
     lift_off_level_deg: Annotated[float, Field(ge=0.1, le=10.0)] = 0.4
-    """... and beyond this while the arm takes a gently gripped object off its table. A stiff pad gives 0.3-0.6."""
+    """... and beyond this (2.5 times, in a firm grip) while it lifts off, until tightened once. Stiff pads: 0.3-0.6."""
     level_deg: Annotated[float, Field(ge=0.5, le=10.0)] = 2.0
     """A turn below this is never slip while the arm moves."""
     level_sigmas: Annotated[float, Field(ge=1.0, le=10.0)] = 3.0
@@ -64,7 +64,7 @@ class GuardParams(BaseModel):
     level_max_deg: Annotated[float, Field(ge=0.5, le=20.0)] = 5.0
     """... but an unsure estimate does not raise the level beyond this."""
     level_growth: Annotated[float, Field(ge=1.0, le=3.0)] = 2.0
-    """Each tightening multiplies the level: the firmer the grip, the likelier a turn is only the gel winding up."""
+    """Each tightening multiplies the level, by 4 at most: the firmer the grip, the likelier the gel only winds up."""
     rate_deg_s: Annotated[float, Field(ge=0.5, le=100.0)] = 8.0
     """Slip turns at least this fast; a wound-up gel comes to rest."""
     creep_deg: Annotated[float, Field(ge=1.0, le=30.0)] = 6.0
@@ -79,8 +79,8 @@ class GuardParams(BaseModel):
 
     firm_share: Annotated[float, Field(ge=0.1, le=1.0)] = 0.7
     """First tightening, at least to this share of `force_max_n`: a budget leaves room over what the object needs."""
-    firm_level_deg: Annotated[float, Field(ge=1.0, le=30.0)] = 15.0
-    """A grip as firm as that may let the gel wind up so far when it takes over the weight."""
+    firm_level_deg: Annotated[float, Field(ge=1.0, le=30.0)] = 6.0
+    """Tightened once, a grip may let the gel wind up so far when it takes over the weight."""
     first_step: Annotated[float, Field(ge=1.05, le=3.0)] = 1.3
     """... and as a multiple of the present force: one large step loses less angle than many small ones."""
     next_step: Annotated[float, Field(ge=1.02, le=3.0)] = 1.25

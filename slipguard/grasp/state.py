@@ -37,7 +37,10 @@ MOVING = frozenset({Phase.LIFTING, Phase.LOWERING})
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """One episode of slip, from the trigger until all is calm. turn, rate and slide: when it was last tightened."""
+    """One episode of slip, from the trigger until all is calm. turn, rate and slide: when it was last tightened.
+
+    turns, slides: which of the two it was, or both. raised: the force was raised.
+    """
 
     began_s: float
     steps: int
@@ -45,6 +48,9 @@ class Slip:
     turn_deg: float
     rate_deg_s: float
     slide_mm: float
+    turns: bool = False
+    slides: bool = False
+    raised: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from slipguard.grasp.params import GuardParams
 from slipguard.grasp.state import GuardState, Phase
 
 COARSE = {
-    "rest_level_deg": 10.0, "lift_off_level_deg": 10.0, "firm_level_deg": 1.0, "firm_share": 0.1, "first_step": 1.5,
+    "rest_level_deg": 10.0, "lift_off_level_deg": 10.0, "firm_share": 0.1, "first_step": 1.5,
 }  # fmt: skip
 """No level but those that hold whatever the arm does, and steps that follow from the present force alone."""
 PARAMS = GuardParams(**COARSE)  # type: ignore[arg-type]

@@ -137,7 +137,7 @@ def test_what_the_jaws_took_to_close_is_what_a_step_takes() -> None:
 def test_slides_have_levels_too(episodes: int, slid_mm: float, at_once: bool, slips: bool) -> None:
     """Fast beyond 0.5 mm or at any rate beyond 2 mm; twice that after each episode."""
     start_mm = 5.0
-    detector = replace(PRIMED, episodes=episodes, base_shift_mm=start_mm, smooth_shift_mm=start_mm)
+    detector = replace(PRIMED, slides=episodes, base_shift_mm=start_mm, smooth_shift_mm=start_mm)
     if not at_once:
         detector = replace(detector, smooth_shift_mm=start_mm + slid_mm)
     view = seen_in(Phase.HOLDING, fused=fused(0.0, 0.0, at_s=NOW_S, shift_mm=start_mm + slid_mm))
@@ -186,6 +186,45 @@ def test_the_budget_spent_is_a_fault_that_keeps_the_grip() -> None:
     assert play.law.fault.code is FaultCode.BUDGET_SPENT
     assert play.law.target_n <= 60.0
     assert any(command.arm == "stop" for command in play.commands)
+
+
+def test_with_the_whole_budget_applied_the_arm_waits_and_it_is_said() -> None:
+    play = Play(PARAMS.model_copy(update={"force_max_n": 40.0, "blind_force_n": 40.0, "first_force_n": 40.0})).held()
+    strongest_n = play.law.target_n
+    command = play.slips()
+    assert (command.hold_force_n, command.arm) == (None, "stop")
+    assert "slip: turned 4.0° at 30°/s: 39 N is all the force there is" in (command.say or "")
+    play.view = replace(play.view, rate_deg_s=0.0)
+    play.ticks(0.6)
+    assert play.law.slip is None
+    assert (play.law.detector.turns, play.law.detector.patient) == (0, True)
+    assert play.law.target_n == strongest_n
+
+
+def test_a_firm_grip_that_turns_while_it_lifts_off_is_tightened_too() -> None:
+    play = Play(GuardParams(force_max_n=57.0, blind_force_n=57.0)).held()
+    play.tick(RequestKind.LIFT)
+    play.here = arm(5.0, moving=True)
+    play.view = replace(play.view, sigma_deg=0.1)
+    play.tick()
+    command = play.slips(1.1, 5.0)
+    assert command.hold_force_n == pytest.approx(40.0 * 1.3, abs=1.7)
+    assert command.arm == "stop"
+
+
+def test_what_slid_and_what_turned_is_remembered_until_all_is_calm() -> None:
+    play = Play().held()
+    play.view = replace(play.view, shift_mm=2.5)
+    assert play.slips(0.0, 0.0).hold_force_n is not None
+    assert play.law.slip is not None
+    assert (play.law.slip.turns, play.law.slip.slides, play.law.slip.raised) == (False, True, True)
+    play.ticks(0.24)
+    play.view = replace(play.view, shift_mm=2.6)
+    assert play.slips(7.0, 30.0, frames=1).hold_force_n is not None
+    assert (play.law.slip.turns, play.law.slip.slides) == (True, True)
+    play.view = replace(play.view, rate_deg_s=0.0)
+    play.ticks(0.8)
+    assert (play.law.detector.turns, play.law.detector.slides) == (1, 1)
 
 
 def test_turned_too_far_takes_all_the_force_there_is() -> None:

@@ -128,6 +128,30 @@ def test_a_restart_in_the_middle_of_a_lift_keeps_the_object(seed: int) -> None:
     assert all(command.release_width_mm is None for _, command in run.commands[commands:])
 
 
+FRAGILE = GuardParams(force_max_n=57.0, blind_force_n=57.0)
+
+
+@pytest.mark.parametrize("gel", [STIFF, SOFT], ids=["stiff", "soft"])
+@pytest.mark.parametrize("needed_n", [44.0, 50.0])
+def test_a_firm_grip_that_is_not_enough_is_tightened_while_it_lifts_off(gel: Gel, needed_n: float) -> None:
+    """40 N of the 57 allowed: most of the budget from the start."""
+    run = grasp_and_lift(placed(bar(needed_n, gel, 70.0), Scenario("bar", gel=gel), FRAGILE))
+    truth = run.world.truth(run.now_s)
+    assert run.phase is Phase.HOLDING
+    assert abs(truth.slip_deg) < 5.0
+    assert truth.applied_n <= FRAGILE.force_max_n
+
+
+def test_a_soft_gel_wound_up_by_all_of_the_budget_stops_the_lift_a_few_times_at_most() -> None:
+    spent = FRAGILE.model_copy(update={"first_force_n": 57.0})
+    gel = Gel(torsion_n_m_rad=0.1, stiffening=3.0, relaxation_s=0.02)
+    run = grasp_and_lift(placed(bar(50.0, gel, 70.0), Scenario("bar", gel=gel), spent))
+    assert run.phase is Phase.HOLDING
+    assert run.peak_deg > 8.0
+    assert tightenings(run) == 0
+    assert 1 <= sum("is all the force there is" in said for said in run.says) <= 3
+
+
 def test_lowered_and_released_on_the_table() -> None:
     run, _ = drawn(3)
     grasp_and_lift(run)
