@@ -1,4 +1,4 @@
-"""How little may count as slip now: the sensor's own noise, what the arm does, and how firm the grip is.
+"""How little may count as slip now: the sensor's own noise, what the arm does, and where the object rested before.
 
 An object at rest in the air turns for one reason only, so a fraction of a degree is enough there. While the arm moves,
 the gel winds up and down with the load: by as much as it is wound up already, times the load's change. And while an
@@ -53,6 +53,8 @@ class Alert:
     start_mm: height of the arm when watching began. moved_s: when it last moved, by its own account. near_deg: where
     the object rests, slowly followed; where it rested last while the arm moves. variance_deg2: of the turns around
     that. measured_s: the newest frame used. anew: what the arm's motion has wound up until now is the new rest.
+    rested_deg: where it rested before the arm's motions, for as long as none of them has turned it; None: the next rest
+    says. aloft: the object has left the table since it was gripped or put down.
     """
 
     start_mm: float | None = None
@@ -62,6 +64,8 @@ class Alert:
     measured_s: float = -math.inf
     case: Case = Case.MOVING
     anew: bool = False
+    rested_deg: float | None = None
+    aloft: bool = False
 
     @property
     def noise_deg(self) -> float:
@@ -69,7 +73,9 @@ class Alert:
         return min(math.sqrt(self.variance_deg2), NOISE_MAX_DEG)
 
 
-def attend(alert: Alert, fused: Fused, arm: ArmState | None, params: GuardParams) -> Alert:
+def attend(
+    alert: Alert, fused: Fused, arm: ArmState | None, params: GuardParams, *, putting_down: bool = False
+) -> Alert:
     """What is known after one more look. Without an arm nobody knows what the load does: it may move."""
     if arm is not None:
         alert = replace(
@@ -79,7 +85,12 @@ def attend(alert: Alert, fused: Fused, arm: ArmState | None, params: GuardParams
         )
     case = _case(alert, fused, arm)
     anew = case is not alert.case and (case is Case.REST or alert.case is Case.LIFT_OFF)
-    alert = replace(alert, case=case, anew=anew)
+    rises = case is Case.MOVING and alert.case is Case.LIFT_OFF and not alert.aloft
+    alert = replace(alert, case=case, anew=anew, aloft=(alert.aloft or rises) and not putting_down)
+    if rises or putting_down:
+        alert = replace(alert, rested_deg=None)
+    elif case is Case.REST and alert.rested_deg is None:
+        alert = replace(alert, rested_deg=fused.turn_deg)
     if fused.turn_deg is None:
         return replace(alert, near_deg=None)
     if alert.near_deg is None or anew:
@@ -96,6 +107,7 @@ def attend(alert: Alert, fused: Fused, arm: ArmState | None, params: GuardParams
     return replace(
         alert,
         near_deg=alert.near_deg + drift_deg,
+        rested_deg=None if alert.rested_deg is None else alert.rested_deg + drift_deg,
         variance_deg2=alert.variance_deg2 + (away_deg**2 - alert.variance_deg2) / NOISE_FRAMES,
         measured_s=fused.measured_at_s,
     )

@@ -28,6 +28,7 @@ class Detector:
 
     base: where the object was when it was last calm. turns, slides: episodes of either that were answered with force.
     patient: one of turning is over, answered or not.
+    far_frames: measured frames in a row beyond the turn at which it is given up.
     """
 
     base_turn_deg: float | None = None
@@ -35,6 +36,7 @@ class Detector:
     measured_s: float = -math.inf
     captured_s: float = -math.inf
     frames: int = 0
+    far_frames: int = 0
     turns: int = 0
     slides: int = 0
     patient: bool = False
@@ -55,7 +57,7 @@ class Detector:
             turns=self.turns + (turned and raised),
             slides=self.slides + (slid and raised),
             patient=self.patient or turned,
-            alert=replace(self.alert, near_deg=None),
+            alert=replace(self.alert, near_deg=None, rested_deg=None),
         )
 
 
@@ -102,7 +104,7 @@ def look(
     """
     new = fused.measured_at_s > detector.measured_s
     near_deg = detector.alert.near_deg
-    alert = attend(detector.alert, fused, arm, params)
+    alert = attend(detector.alert, fused, arm, params, putting_down=only_outward)
     detector = replace(_follow_shift(detector, fused), alert=alert)
     anew = alert.anew  # what the arm's motion has wound up stays
     detector = replace(
@@ -112,6 +114,9 @@ def look(
         measured_s=max(fused.measured_at_s, detector.measured_s),
         captured_s=max(fused.captured_at_s, detector.captured_s),
     )
+    strayed_from_deg = _strayed_from(detector, fused, params)
+    if strayed := strayed_from_deg is not None:
+        detector = replace(detector, base_turn_deg=strayed_from_deg)
     detector = _follow_rest(detector, fused, params)
     turn, rate, turning = _turning(detector, fused, params, only_outward)
     suddenly = 0 if anew else _suddenly(detector, fused, params, near_deg, firm, only_outward)
@@ -120,8 +125,13 @@ def look(
     times = growth(detector.slides, params)
     sliding = slide > params.slide_mm * times and (slides_fast or slide > params.slide_creep_mm * times)
     if new:
-        counts = max(int(turning or sliding), suddenly)
-        detector = replace(detector, frames=detector.frames + counts if counts else 0)
+        counts = max(int(turning or strayed or sliding), suddenly)
+        far = abs(fused.turn_deg or 0.0) > params.give_up_turn_deg and fused.conflict is None
+        detector = replace(
+            detector,
+            frames=detector.frames + counts if counts else 0,
+            far_frames=detector.far_frames + 1 if far else 0,
+        )
     return Look(
         detector=detector,
         turn_deg=turn,
@@ -129,11 +139,30 @@ def look(
         slide_mm=slide,
         slide_rate_mm_s=detector.slide_rate_mm_s,
         moving=rate >= params.rate_deg_s or slides_fast,
-        turns=turning or suddenly > 0,
+        turns=turning or strayed or suddenly > 0,
         slides=sliding,
         slipping=detector.frames >= params.frames,
         still_s=detector.captured_s - detector.rest_since_s if detector.rest_since_s is not None else 0.0,
     )
+
+
+def _strayed_from(detector: Detector, fused: Fused, params: GuardParams) -> float | None:
+    """Where an object was that rests further out than at its last rest: what turned it in between has come to stay.
+
+    None if it does not. At rest the same load winds the gel up by the same angle, but for the first time the arm has
+    lifted it.
+    """
+    alert, base_deg = detector.alert, detector.base_turn_deg
+    if fused.turn_deg is None or fused.sigma_deg is None or base_deg is None:
+        return None
+    if alert.rested_deg is None or alert.case is not Case.REST:
+        return None
+    turn_deg, away_deg = fused.turn_deg, fused.turn_deg - alert.rested_deg
+    level = level_deg(fused.sigma_deg, detector.turns, params)
+    level = level if alert.aloft else max(level, params.firm_level_deg)
+    if abs(away_deg) <= level or away_deg * turn_deg <= 0.0:
+        return None
+    return max(alert.rested_deg, base_deg, key=lambda place_deg: abs(turn_deg - place_deg))
 
 
 def _turning(detector: Detector, fused: Fused, params: GuardParams, only_outward: bool) -> tuple[float, float, bool]:

@@ -59,6 +59,9 @@ def guard(state: GuardState, seen: Seen, params: GuardParams) -> Verdict:
         # Turns count from another place now: so must those of the last step.
         slip = replace(slip, turn_deg=sight.turn_deg, slide_mm=sight.slide_mm)
     state = replace(state, detector=sight.detector, slip=slip)
+    far_frames = 1 if slip is not None and sight.moving else params.frames
+    if state.referenced and sight.detector.far_frames >= far_frames:
+        return _give_up(state, sight, seen, params)
     if slip is None:
         return _begin(state, sight, seen, params) if sight.slipping else Verdict(state)
     if _calm(state, slip, sight, seen, params):
@@ -78,9 +81,6 @@ def _begin(state: GuardState, sight: Look, seen: Seen, params: GuardParams) -> V
 def _go_on(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: GuardParams) -> Verdict:
     """Another step if the last one has had its time and does not help; a fault if there is nothing left to do."""
     waiting = Verdict(state, stop=True)
-    far = state.referenced and _turned_deg(seen) > params.give_up_turn_deg
-    if far and sight.moving:
-        return _give_up(state, sight, seen, params)
     if sight.detector.captured_s < slip.stepped_s + _felt_s(state, params):
         # What is seen is from before the step could help: progress counts from here on.
         slip = replace(slip, turn_deg=sight.turn_deg, rate_deg_s=sight.rate_deg_s, slide_mm=sight.slide_mm)
@@ -149,9 +149,10 @@ def _spent(state: GuardState, sight: Look, params: GuardParams) -> Fault:
 
 def _give_up(state: GuardState, sight: Look, seen: Seen, params: GuardParams) -> Verdict:
     """It is not being held: all the force there is, and a fault."""
+    still = f" and still turning at {sight.rate_deg_s:.0f}°/s" if sight.moving else ""
     fault = Fault(
         FaultCode.TURNED_TOO_FAR,
-        f"turned {_turned_deg(seen):.0f}° since it was gripped and still turning at {sight.rate_deg_s:.0f}°/s",
+        f"turned {_turned_deg(seen):.0f}° since it was gripped{still}",
         "support the object and release it; grip it nearer to its centre of mass",
     )
     within = limits.budget(params.force_max_n, seen.gripper_limits_n)

@@ -94,7 +94,7 @@ class GuardParams(BaseModel):
     on_budget_spent: Literal["stop", "lower"] = "stop"
     """Where all of `force_max_n` does not hold: stop the arm, or (lift mode) go back slowly to where the lift began."""
     give_up_turn_deg: Annotated[float, Field(ge=5.0, le=90.0)] = 45.0
-    """An object still turning beyond this is not being held: grip to the budget, stop the arm, say so."""
+    """An object turned beyond this is not being held: grip to the budget, stop the arm, say so."""
     calm_s: Annotated[float, Field(ge=0.05, le=5.0)] = 0.3
     """Slip is over when nothing has moved for so long and the gripper is at rest."""
     calm_deg: Annotated[float, Field(ge=0.1, le=5.0)] = 1.0

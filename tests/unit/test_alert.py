@@ -144,7 +144,7 @@ def test_what_the_arms_motion_may_swing_depends_on_what_is_wound_up(
     watched = Watched(patient=True)
     watched.rest(0.1)
     watched.here = arm(LIFT_OFF_MM + 50.0)
-    watched.detector = replace(watched.detector, base_turn_deg=None, alert=Alert(start_mm=0.0))
+    watched.detector = replace(watched.detector, base_turn_deg=None, alert=Alert(start_mm=0.0, aloft=True))
     for _ in range(60):
         watched.see(wound_deg)
     watched.here = arm(LIFT_OFF_MM + 50.0, moving=True)
@@ -174,6 +174,89 @@ def test_without_an_arm_or_a_turn_nothing_counts_as_sudden() -> None:
     assert alert.near_deg is None
 
 
+# --- rest against rest ---
+
+
+def aloft(turn_deg: float = 0.0) -> Watched:
+    """At rest in the air, after a lift that wound the gel up."""
+    watched = Watched(patient=True).rest().lifts(10.0)
+    watched.see(turn_deg)
+    watched.lifts(200.0).see(turn_deg)
+    watched.here = arm(200.0)
+    return watched.rest(1.0, turn_deg)
+
+
+def travels(watched: Watched, to_deg: float) -> bool:
+    """The arm moves for a moment and rests; whether what it turned meanwhile counts as slip."""
+    from_deg, height_mm = watched.detector.rest_turn_deg or 0.0, watched.here.height_mm
+    watched.here = arm(height_mm + 20.0, moving=True)
+    slips = [watched.see(from_deg + (to_deg - from_deg) * k / 20).slipping for k in range(21)]
+    watched.here = arm(height_mm + 20.0)
+    return any(slips) or any(watched.see(to_deg).slipping for _ in range(40))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_the_motions_turn_bit_by_bit_adds_up(sign: float) -> None:
+    watched = aloft(5.0 * sign)
+    assert not travels(watched, 6.0 * sign)
+    assert not travels(watched, 6.9 * sign)
+    assert travels(watched, 7.1 * sign)
+    assert watched.see(7.1 * sign).turn_deg == pytest.approx(2.1)
+
+
+def test_what_was_wound_up_when_the_object_left_its_table_does_not() -> None:
+    watched = Watched(patient=True).rest().lifts(10.0)
+    for k in range(40):
+        watched.here = arm(2.4 * k, moving=True)
+        watched.see(0.14 * k)
+    watched.here = arm(120.0)
+    watched.rest(1.0, 5.6)
+    assert not travels(watched, 7.5)
+
+
+def test_a_lift_in_pieces_is_given_the_turn_of_one() -> None:
+    watched = Watched(patient=True).rest()
+    assert not travels(watched, 2.0)
+    assert not travels(watched, 4.0)
+    assert not travels(watched, 5.9)
+    assert travels(watched, 6.1)
+
+
+def test_a_turn_back_to_the_reference_between_two_rests_is_no_slip() -> None:
+    watched = aloft(8.0)
+    assert not travels(watched, 4.0)
+    assert not travels(watched, 8.0)
+    assert travels(watched, 10.2)
+
+
+def test_after_an_episode_the_next_rest_counts() -> None:
+    watched = aloft(5.0)
+    assert travels(watched, 7.5)
+    watched.detector = watched.detector.rebased(turned=True, slid=False, raised=False)
+    watched.rest(1.0, 7.5)
+    assert not travels(watched, 9.4)
+    assert travels(watched, 9.6)
+
+
+def test_a_drift_at_rest_is_no_turn_between_two_rests() -> None:
+    watched = aloft(5.0)
+    for k in range(50 * 60):
+        assert not watched.see(5.0 + 0.04 * k * FRAME_S).slipping
+    assert not travels(watched, 8.5)
+
+
+def test_what_is_put_down_is_lifted_anew() -> None:
+    watched = aloft(5.0)
+    watched.putting_down = True
+    watched.here = arm(0.0, moving=True)
+    watched.see(1.0)
+    assert not watched.detector.alert.aloft
+    watched.putting_down = False
+    watched.here = arm(0.0)
+    watched.rest(1.0, 1.0)
+    assert not travels(watched, 6.5)
+
+
 # --- how often it was tightened ---
 
 
@@ -199,4 +282,4 @@ def test_each_kind_of_slip_raises_its_own_levels_and_only_if_the_force_was_raise
 ) -> None:
     after = Detector(turns=2, slides=5, frames=2).rebased(turned=turned, slid=slid, raised=raised)
     assert (after.turns, after.slides, after.patient, after.frames) == (turns, slides, patient, 0)
-    assert after.alert.near_deg is after.base_turn_deg is after.base_shift_mm is None
+    assert after.alert.near_deg is after.alert.rested_deg is after.base_turn_deg is after.base_shift_mm is None

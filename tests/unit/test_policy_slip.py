@@ -227,6 +227,37 @@ def test_what_slid_and_what_turned_is_remembered_until_all_is_calm() -> None:
     assert (play.law.detector.turns, play.law.detector.slides) == (1, 1)
 
 
+@pytest.mark.parametrize(("turn_deg", "gives_up"), [(44.5, False), (45.5, True), (-45.5, True)])
+def test_an_object_turned_too_far_is_given_up_though_it_rests(turn_deg: float, gives_up: bool) -> None:
+    play = Play().held()
+    detector = replace(play.law.detector, base_turn_deg=turn_deg, rest_turn_deg=turn_deg)
+    detector = replace(detector, alert=replace(detector.alert, near_deg=turn_deg, rested_deg=turn_deg))
+    play.guard = replace(play.guard, law=replace(play.law, detector=detector))
+    assert play.slips(turn_deg, 0.0, frames=1).fault is None
+    command = play.slips(turn_deg, 0.0, frames=1)
+    assert (command.fault is not None) is gives_up
+    if gives_up:
+        assert play.law.fault is not None
+        assert play.law.fault.code is FaultCode.TURNED_TOO_FAR
+        assert play.law.fault.seen == "turned 46° since it was gripped"
+        assert command.hold_force_n == pytest.approx(130.0, abs=0.85)
+        assert command.arm == "stop"
+
+
+def test_fingers_that_contradict_each_other_give_nothing_up_nor_does_a_single_frame() -> None:
+    play = Play().held()
+    for turn_deg in (50.0, 0.0, 50.0, 0.0):
+        assert play.slips(turn_deg, 0.0, frames=1).fault is None
+    play.view = replace(play.view, conflict="both pictures turn the same way")
+    assert all(play.slips(50.0, 0.0, frames=1).fault is None for _ in range(5))
+
+
+def test_without_a_reference_no_turn_is_too_far() -> None:
+    play = Play().held()
+    play.guard = replace(play.guard, law=replace(play.law, referenced=False))
+    assert all(play.slips(50.0, 0.0, frames=1).fault is None for _ in range(5))
+
+
 def test_turned_too_far_takes_all_the_force_there_is() -> None:
     play = Play().held()
     play.slips(30.0, 300.0)
