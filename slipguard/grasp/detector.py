@@ -19,7 +19,11 @@ SHIFT_TAU_S = 0.05
 CALM_SHIFT_MM = 0.3
 """A patch centre that wanders less than this is at rest; its noise is about 0.05 mm."""
 PLAIN_TIMES = 1.5
-"""A turn beyond so many times its level, told by both fingers, counts as two frames."""
+"""A turn beyond so many times its level, told by both fingers, counts as two frames,"""
+BEGUN_SHARE = 0.25
+"""if the frame before had begun it by this share of the level: one that leaps alone is a flash of light or a knock."""
+HANDOVER_DEG, HANDOVER_MM = 2.0, 0.5
+"""Two fingers tell the same turn and the same slide no further apart than this; more is motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +31,7 @@ class Detector:
     """What is remembered between frames.
 
     base: where the object was when it was last calm. turns, slides: episodes of either that were answered with force.
-    patient: one of turning is over, answered or not.
+    patient: one of turning is over, answered or not. fingers, told: who told the turn last, what and when.
     far_frames: measured frames in a row beyond the turn at which it is given up.
     """
 
@@ -40,6 +44,9 @@ class Detector:
     turns: int = 0
     slides: int = 0
     patient: bool = False
+    fingers: tuple[str, ...] = ()
+    told_deg: float = 0.0
+    told_s: float = 0.0
     smooth_shift_mm: float | None = None
     slide_rate_mm_s: float = 0.0
     rest_turn_deg: float | None = None
@@ -103,6 +110,7 @@ def look(
     only_outward: a turn back towards the reference is no slip, as when an object is put down.
     """
     new = fused.measured_at_s > detector.measured_s
+    detector = _handed_over(detector, fused)
     near_deg = detector.alert.near_deg
     alert = attend(detector.alert, fused, arm, params, putting_down=only_outward)
     detector = replace(_follow_shift(detector, fused), alert=alert)
@@ -131,6 +139,8 @@ def look(
             detector,
             frames=detector.frames + counts if counts else 0,
             far_frames=detector.far_frames + 1 if far else 0,
+            told_deg=detector.told_deg if fused.turn_deg is None else fused.turn_deg,
+            told_s=detector.told_s if fused.turn_deg is None else fused.captured_at_s,
         )
     return Look(
         detector=detector,
@@ -144,6 +154,46 @@ def look(
         slipping=detector.frames >= params.frames,
         still_s=detector.captured_s - detector.rest_since_s if detector.rest_since_s is not None else 0.0,
     )
+
+
+def _handed_over(detector: Detector, fused: Fused) -> Detector:
+    """Other fingers than before tell the turn: what is remembered moves by the difference between them.
+
+    What the object has turned and slid in between, by its rates, is no part of that, nor what is beyond all difference.
+    """
+    if fused.turn_deg is None or fused.fingers == detector.fingers:
+        return detector
+    now = replace(detector, fingers=fused.fingers)
+    if not detector.fingers:
+        return now
+    turned_deg = (fused.rate_deg_s or 0.0) * (fused.captured_at_s - detector.told_s)
+    by_deg = _within(fused.turn_deg - detector.told_deg - turned_deg, HANDOVER_DEG)
+    alert = now.alert
+    near_deg, rested_deg = _moved(alert.near_deg, by_deg), _moved(alert.rested_deg, by_deg)
+    now = replace(
+        now,
+        told_deg=now.told_deg + by_deg,
+        base_turn_deg=_moved(now.base_turn_deg, by_deg),
+        rest_turn_deg=_moved(now.rest_turn_deg, by_deg),
+        alert=replace(alert, near_deg=near_deg, rested_deg=rested_deg),
+    )
+    if fused.shift_mm is None or now.smooth_shift_mm is None:
+        return now
+    by_mm = _within(fused.shift_mm - now.smooth_shift_mm - now.slide_rate_mm_s * SHIFT_TAU_S, HANDOVER_MM)
+    return replace(
+        now,
+        base_shift_mm=_moved(now.base_shift_mm, by_mm),
+        rest_shift_mm=_moved(now.rest_shift_mm, by_mm),
+        smooth_shift_mm=now.smooth_shift_mm + by_mm,
+    )
+
+
+def _within(value: float, most: float) -> float:
+    return min(max(value, -most), most)
+
+
+def _moved(place: float | None, by: float) -> float | None:
+    return None if place is None else place + by
 
 
 def _strayed_from(detector: Detector, fused: Fused, params: GuardParams) -> float | None:
@@ -197,12 +247,13 @@ def _suddenly(
         return 0
     if alert.case is Case.MOVING or (alert.case is Case.LIFT_OFF and detector.patient):
         return 0
-    away_deg = abs(fused.turn_deg - near_deg)
+    away_deg = fused.turn_deg - near_deg
     unsure_deg = min(params.level_sigmas * fused.sigma_deg, params.level_max_deg)
     level = max(quick_level_deg(alert, params, firm=firm), unsure_deg) * growth(detector.turns, params)
-    if away_deg <= level:
+    if abs(away_deg) <= level:
         return 0
-    return 2 if away_deg > PLAIN_TIMES * level and len(fused.fingers) == 2 else 1
+    begun = math.copysign(1.0, away_deg) * (detector.told_deg - near_deg) > BEGUN_SHARE * level
+    return 2 if abs(away_deg) > PLAIN_TIMES * level and begun and len(fused.fingers) == 2 else 1
 
 
 def _follow_shift(detector: Detector, fused: Fused) -> Detector:

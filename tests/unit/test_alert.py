@@ -19,7 +19,7 @@ from slipguard.grasp.alert import (
     level_deg,
     quick_level_deg,
 )
-from slipguard.grasp.detector import Detector, Look, look
+from slipguard.grasp.detector import HANDOVER_DEG, HANDOVER_MM, Detector, Look, look
 from slipguard.grasp.params import GuardParams
 
 PARAMS = GuardParams()
@@ -57,13 +57,28 @@ class Watched:
         return self
 
 
-def test_half_a_degree_at_rest_is_slip_on_the_first_frame_if_both_fingers_say_so() -> None:
-    assert Watched().rest().see(0.5).slipping
+def test_plain_slip_at_rest_is_told_by_one_frame_if_the_one_before_had_begun_it() -> None:
+    begun = Watched().rest()
+    assert not begun.see(0.1).slipping
+    assert begun.see(0.6).slipping
+    leaps = Watched().rest()
+    assert not leaps.see(0.6).slipping
+    assert leaps.see(0.6).slipping
     one = Watched()
     one.left_alone = True
-    one.rest()
-    assert not one.see(0.5).slipping
+    one.rest().see(0.1)
+    assert not one.see(0.6).slipping
     assert one.see(0.6).slipping
+
+
+@pytest.mark.parametrize("leap_deg", [0.6, -0.6, 3.0])
+def test_a_single_frame_that_leaps_in_both_fingers_is_no_slip(leap_deg: float) -> None:
+    for height_mm in (None, 10.0):
+        watched = Watched().rest()
+        if height_mm is not None:
+            watched.lifts(height_mm)
+        assert not watched.see(leap_deg).slipping
+        assert not any(watched.see(0.0).slipping for _ in range(10))
 
 
 def test_a_little_above_the_level_takes_two_frames() -> None:
@@ -188,7 +203,7 @@ def aloft(turn_deg: float = 0.0) -> Watched:
 
 def travels(watched: Watched, to_deg: float) -> bool:
     """The arm moves for a moment and rests; whether what it turned meanwhile counts as slip."""
-    from_deg, height_mm = watched.detector.rest_turn_deg or 0.0, watched.here.height_mm
+    from_deg, height_mm = watched.detector.told_deg, watched.here.height_mm
     watched.here = arm(height_mm + 20.0, moving=True)
     slips = [watched.see(from_deg + (to_deg - from_deg) * k / 20).slipping for k in range(21)]
     watched.here = arm(height_mm + 20.0)
@@ -283,3 +298,49 @@ def test_each_kind_of_slip_raises_its_own_levels_and_only_if_the_force_was_raise
     after = Detector(turns=2, slides=5, frames=2).rebased(turned=turned, slid=slid, raised=raised)
     assert (after.turns, after.slides, after.patient, after.frames) == (turns, slides, patient, 0)
     assert after.alert.near_deg is after.alert.rested_deg is after.base_turn_deg is after.base_shift_mm is None
+
+
+# --- a finger more or less ---
+
+
+@pytest.mark.parametrize("apart_deg", [0.4, -0.4, 1.9])
+def test_a_finger_that_drops_out_turns_nothing(apart_deg: float) -> None:
+    for height_mm in (None, 10.0):
+        watched = Watched().rest()
+        if height_mm is not None:
+            watched.lifts(height_mm)
+        watched.left_alone = True
+        assert not any(watched.see(apart_deg).slipping for _ in range(10))
+        watched.left_alone = False
+        assert not any(watched.see(0.0).slipping for _ in range(10))
+
+
+def test_what_no_two_fingers_differ_by_is_slip_though_one_drops_out() -> None:
+    watched = Watched().rest()
+    watched.left_alone = True
+    watched.see(HANDOVER_DEG + 0.6)
+    assert watched.see(HANDOVER_DEG + 0.6).slipping
+
+
+def test_slip_is_seen_though_a_finger_comes_and_goes() -> None:
+    watched = Watched().rest()
+    watched.rate_deg_s, slips = 24.0, []
+    for k in range(1, 8):
+        watched.left_alone = not watched.left_alone
+        slips.append(watched.see(0.4 * k).slipping)
+    assert any(slips)
+
+
+@pytest.mark.parametrize(("slid_mm", "slips"), [(HANDOVER_MM, False), (-HANDOVER_MM, False), (1.2, True)])
+def test_nor_does_it_slide_anything(slid_mm: float, slips: bool) -> None:
+    watched = Watched().rest()
+    watched.left_alone, watched.shift_mm = True, slid_mm
+    assert any(watched.see(0.0).slipping for _ in range(10)) is slips
+
+
+def test_a_finger_that_comes_back_tells_no_shift_yet() -> None:
+    watched = Watched().rest()
+    watched.left_alone, watched.shift_mm = True, None  # type: ignore[assignment]
+    assert not any(watched.see(0.3).slipping for _ in range(5))
+    watched.left_alone, watched.shift_mm = False, 0.4
+    assert not any(watched.see(0.0).slipping for _ in range(5))

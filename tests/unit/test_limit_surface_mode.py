@@ -58,7 +58,7 @@ def test_a_grasp_uses_it_and_so_does_the_first_step() -> None:
     gentle.view = replace(gentle.view, fingers=("left", "right"), shift_mm=0.0, declined=None)
     gentle.ticks(0.6)
     gentle.here = arm()
-    assert gentle.slips(1.0, 10.0, frames=1).hold_force_n == pytest.approx(params.modelled_n or 0.0, abs=0.85)
+    assert gentle.slips(1.0, 10.0).hold_force_n == pytest.approx(params.modelled_n or 0.0, abs=0.85)
 
 
 @pytest.mark.parametrize(
