@@ -21,6 +21,9 @@ from slipguard.grasp.state import AT_STAKE, GuardState, Phase, emptied, entered,
 
 FORCE_TOLERANCE_N = 0.5
 
+LOST_ALONE_TIMES = 3.0
+"""One finger's word for a loss, where the other says nothing and the gripper knows nothing of it, must last so long."""
+
 SPOKEN_OF = AT_STAKE - {Phase.CLOSING, Phase.REFERENCE}
 """Phases in which a finger that goes blind is said; in FAULT, too, while something is held."""
 
@@ -62,7 +65,7 @@ def _watch_object(state: GuardState, seen: Seen, params: GuardParams) -> tuple[G
         return (state if state.lost_since_s is None else replace(state, lost_since_s=None)), seen
     since_s = state.lost_since_s if state.lost_since_s is not None else seen.now_s
     state = replace(state, lost_since_s=since_s)
-    if seen.now_s - since_s < params.lost_s:
+    if seen.now_s - since_s < params.lost_s * (LOST_ALONE_TIMES if _in_doubt(seen) else 1.0):
         return state, seen
     lost = Fault(FaultCode.OBJECT_LOST, why, "take the object away, release, and clear")
     return state, replace(seen, fault=lost) if seen.fault is None else replace(seen, also=(*seen.also, lost))
@@ -77,6 +80,14 @@ def _loss(seen: Seen) -> str | None:
     if seen.fused is not None and seen.fused.none_touches:
         return "no finger sees contact any more"
     return None
+
+
+def _in_doubt(seen: Seen) -> bool:
+    """Whether a loss rests on one finger's word alone."""
+    fused, gripper = seen.fused, seen.gripper
+    if gripper is not None and not gripper.holding:
+        return False
+    return fused is not None and (fused.left_contact is None or fused.right_contact is None)
 
 
 def _latch(state: GuardState, seen: Seen, fault: Fault, command: Command) -> Outcome:
@@ -170,6 +181,8 @@ def _moving(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     arm = seen.arm
     if state.phase is Phase.FAULT or arm is None or state.goal_mm is None or state.slip is not None:
         return state, command
+    if state.lost_since_s is not None:
+        return state, command
     if not motion.ended(state, arm, seen.now_s):
         return state, command
     way_mm = state.goal_mm - arm.height_mm
@@ -187,7 +200,8 @@ def _guarded(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     state, command = verdict.state, Command(hold_force_n=verdict.hold_n, say=verdict.say)
     if verdict.fault is not None:
         return motion.put_down(_latch(state, seen, verdict.fault, command), seen, params)
-    if verdict.stop and params.stop_on_slip:
+    perhaps_lost = state.lost_since_s is not None and seen.now_s - state.lost_since_s >= params.lost_s
+    if (verdict.stop and params.stop_on_slip) or perhaps_lost:
         first = state.slip is not None and state.slip.began_s == seen.now_s
         state, command = motion.stop(replace(state, paused=True), seen, command, at_once=first)
     return state, command

@@ -77,6 +77,10 @@ EVENTS: dict[str, View] = {
     "round": sight(turn_deg=None, declined="left finger: round contact; right finger: round contact"),
     "conflict": sight(conflict="both pictures turn the same way (left +2.0°, right +2.1°)"),
     "no contact": sight(turn_deg=None, contact=False, shift_mm=None, declined="no contact"),
+    "no contact, one finger": lambda view: replace(
+        view, fused=replace(fused(None, at_s=view.now_s, contact=False, shift_mm=None), left_contact=None)
+    ),
+    "turned far": sight(turn_deg=60.0),
     "told": sight(),
 }
 WISHES: dict[str, Request] = {

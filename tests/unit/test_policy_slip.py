@@ -8,6 +8,7 @@ import pytest
 from play import FAULT, NOW_S, PARAMS, PRIMED, Play, seen_in, state_in
 from seen import arm, ask, fused, gripper, seen
 
+from slipguard.devices import GripperState
 from slipguard.grasp.fault import FaultCode
 from slipguard.grasp.messages import ArmLift, RequestKind
 from slipguard.grasp.params import GuardParams
@@ -325,6 +326,55 @@ def test_a_passing_loss_of_contact_does_not() -> None:
         play.view = fused()
         play.ticks(0.04)
     assert play.law.phase is Phase.HOLDING
+
+
+NO_CONTACT = replace(fused(None, contact=False, shift_mm=None), left_contact=None)
+"""One finger sees no contact, the other says nothing at all."""
+
+
+def test_one_fingers_word_for_a_loss_stops_the_arm_and_must_last_three_times_as_long() -> None:
+    play = Play().held()
+    play.tick(RequestKind.LIFT)
+    play.here = arm(7.0, moving=True)
+    play.view = NO_CONTACT
+    assert all(command.arm is None for command in play.ticks(0.1))
+    assert "stop" in [command.arm for command in play.ticks(0.06)]
+    play.here = arm(8.0)
+    commands = play.ticks(0.12)
+    assert all(command.fault is None and not isinstance(command.arm, ArmLift) for command in commands)
+    command = play.ticks(0.06)[-1]
+    assert command.fault is not None
+    assert command.fault.code is FaultCode.OBJECT_LOST
+
+
+def test_a_lift_goes_on_when_the_only_finger_sees_contact_again() -> None:
+    play = Play().held()
+    play.tick(RequestKind.LIFT)
+    play.here = arm(7.0, moving=True)
+    play.view = NO_CONTACT
+    play.ticks(0.2)
+    play.here = arm(8.0)
+    play.view = fused(fingers=("right",))
+    commands = play.ticks(0.6)
+    assert any(isinstance(command.arm, ArmLift) for command in commands)
+    assert play.law.fault is None
+
+
+@pytest.mark.parametrize(
+    "jaws", [gripper(40.0, holding=False, moving=True), gripper(40.0, holding=False, nothing=True)]
+)
+def test_a_gripper_that_no_longer_holds_bears_one_finger_out(jaws: GripperState) -> None:
+    play = Play().held()
+    play.view, play.jaws = NO_CONTACT, jaws
+    command = play.ticks(0.14)[-1]
+    assert command.fault is not None
+    assert command.fault.code is FaultCode.OBJECT_LOST
+
+
+def test_without_a_gripper_one_finger_is_in_doubt_too() -> None:
+    play = Play().held()
+    play.view, play.jaws = NO_CONTACT, None  # type: ignore[assignment]
+    assert all(command.fault is None for command in play.ticks(0.28))
 
 
 def test_in_a_fault_slip_is_still_answered_with_force() -> None:
