@@ -165,20 +165,19 @@ def draw(found: Found, path: Path) -> None:
 
 
 def _scatter(axes: Any, found: Found) -> None:
+    """A dot for a trial on a stiff gel, a cross for one on a soft gel."""
     for k, who in enumerate(COLOURS):
-        points = [
-            (share + 0.012 * (k - 1.5), of(one, who).slip_deg)
-            for share in SHARES
-            for one in found.trials
-            if one.trial.share == share
-        ]
-        x, y = np.asarray(points).T
-        axes.plot(x, np.maximum(y, 0.01), ".", ms=4, alpha=0.5, color=COLOURS[who], label=NAMES[who])
+        for soft, marker in ((False, "."), (True, "x")):
+            played = [one for one in found.trials if one.trial.soft is soft]
+            x = np.asarray([one.trial.share + 0.012 * (k - 1.5) for one in played])
+            y = np.asarray([of(one, who).slip_deg for one in played])
+            label = None if soft else NAMES[who]
+            axes.plot(x, np.maximum(y, 0.01), marker, ms=4, alpha=0.5, color=COLOURS[who], label=label)
     axes.set_yscale("log")
-    axes.set_xlabel("first grip / grip needed")
+    axes.set_xlabel("first grip / grip needed (crosses: soft gel)")
     axes.set_ylabel("true slip at the end / °")
     axes.grid(alpha=0.3)
-    axes.legend()
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(COLOURS), fontsize=8)
 
 
 def _arrest(upper: Any, lower: Any, outcomes: dict[Who, Outcome], needed_n: float) -> None:
