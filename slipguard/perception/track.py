@@ -22,6 +22,10 @@ STEP_MIN_S = 0.002
 """Frames closer together than this tell no rate: their noise over so short a time is hundreds of degrees a second."""
 AGREE_SIGMA = 3.0
 DISAGREE_DEG = 8.0
+ALONE_DEG = 4.0
+"""An outline that no axis bears out and that is less sure than this fits as well further on (a ring cut by the frame):
+it would be found wherever it is looked for, each time a little further."""
+UNSURE_ALONE = "outline too uncertain alone"
 IMPLAUSIBLE = "implausible jump"
 NO_NUMBER = "not a number"
 DISAGREE = "estimators disagree"
@@ -52,12 +56,13 @@ def checked(laid: Turn, axial: Turn) -> Turn:
 
     Both come from one mask and err together, so their mean would be no better than the surer: that is registration's
     unless its sigma is half as large again. Where they differ by more than both sigmas allow, sigma covers both;
-    far apart, there is no turn. One alone is taken as it is; where both are declined, registration's reason counts.
+    far apart, there is no turn. An axis alone is taken as it is, registration alone up to a sigma of `ALONE_DEG`; where
+    both are declined, registration's reason counts.
     """
     if laid.turn_deg is None or laid.sigma_deg is None:
         return axial if axial.turn_deg is not None else laid
     if axial.turn_deg is None or axial.sigma_deg is None:
-        return laid
+        return laid if laid.sigma_deg <= ALONE_DEG else Turn(None, None, UNSURE_ALONE)
     apart = abs(laid.turn_deg - axial.turn_deg)
     surer = laid if laid.sigma_deg <= 1.5 * axial.sigma_deg else axial
     if apart <= AGREE_SIGMA * math.hypot(laid.sigma_deg, axial.sigma_deg):

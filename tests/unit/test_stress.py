@@ -176,6 +176,11 @@ def test_a_quick_run_tries_every_family_and_finds_nothing_wrong(quick: Outcome) 
     assert found["drift_deg"] <= 0.1
 
 
+def test_a_ring_cut_by_the_frame_does_not_turn_by_and_by() -> None:
+    notes = tried("round", 1, seed=9028).notes[0]
+    assert not notes.failures, notes.failures
+
+
 def test_the_same_seed_finds_the_same() -> None:
     def without_time(outcome: Outcome) -> dict[str, Any]:
         return {key: value for key, value in as_json(outcome).items() if key != "spent_s"}

@@ -111,6 +111,8 @@ def test_one_turn_is_enough_and_none_keeps_its_reason() -> None:
     assert checked(Turn(None, None, "round contact"), Turn(3.0, 1.0)).turn_deg == 3.0
     assert checked(Turn(3.0, 1.0), Turn(None, None, "round contact")).turn_deg == 3.0
     assert checked(Turn(None, None, "a"), Turn(None, None, "b")).declined == "a"
+    assert checked(Turn(24.7, 4.1), Turn(None, None, "clipped by the frame")).turn_deg is None
+    assert checked(Turn(24.7, 4.1), Turn(24.0, 4.1)).turn_deg == 24.7
     assert pooled([Turn(None, None, "a"), Turn(None, None, "b")]).declined == "a"
 
 
