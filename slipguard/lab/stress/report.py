@@ -103,8 +103,8 @@ def print_table(console: Console, outcome: Outcome) -> None:
     hours = full_hours(outcome.families)
     share = 100.0 * _done_hours(outcome) / hours
     console.print(
-        f"{sum(notes.tried for notes in outcome.notes):,} trials in {outcome.spent_s:.0f} s: {share:.2g} % of the full "
-        f"list, which takes about {hours:.1f} h on one core (--seconds 0)"
+        f"{sum(notes.tried for notes in outcome.notes):,} trials in {outcome.spent_s:.0f} s: {share:.3g} % of the full "
+        f"list, which takes about {hours:.2g} h of one core (--seconds 0)"
     )
     firsts = first_failures(outcome)
     for one in firsts[:SHOWN_FAILURES]:
