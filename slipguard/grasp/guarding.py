@@ -73,7 +73,7 @@ def guard(state: GuardState, seen: Seen, params: GuardParams) -> Verdict:
 
 def _begin(state: GuardState, sight: Look, seen: Seen, params: GuardParams) -> Verdict:
     """The first, large step."""
-    slip = Slip(seen.now_s, 0, seen.now_s, sight.turn_deg, sight.rate_deg_s, sight.slide_mm)
+    slip = Slip(seen.now_s, seen.now_s, sight.turn_deg, sight.rate_deg_s, sight.slide_mm)
     firm_n = limits.firm_n(params, seen.gripper_limits_n)
     return _step(replace(state, slip=slip), slip, sight, seen, params, params.first_step, firm_n)
 
@@ -122,7 +122,6 @@ def _step(
         target_n = limits.allowed(least_n, limits.raised(state.target_n, multiple, within), within)
     slip = replace(
         slip,
-        steps=slip.steps + 1,
         turns=slip.turns or sight.turns,
         slides=slip.slides or sight.slides,
         raised=slip.raised or target_n > state.target_n,

@@ -43,7 +43,6 @@ class Slip:
     """
 
     began_s: float
-    steps: int
     stepped_s: float
     turn_deg: float
     rate_deg_s: float

@@ -19,7 +19,7 @@ from slipguard.grasp.supervisor import Watch
 TICK_S = 0.04
 LASTS_S = 2.4
 GONE = FingerHealth(Condition.LOST, 1.0, "unplugged")
-SLIPS = Slip(NOW_S - 2.0, 3, NOW_S - 2.0, 20.0, 40.0, 0.0)
+SLIPS = Slip(NOW_S - 2.0, NOW_S - 2.0, 20.0, 40.0, 0.0)
 HELD = AT_STAKE - {Phase.CLOSING}
 GUARDED = frozenset({Phase.LIFTING, Phase.HOLDING, Phase.LOWERING})
 SEEN = GUARDED | {Phase.REFERENCE}

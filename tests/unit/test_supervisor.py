@@ -17,7 +17,7 @@ PARAMS = GuardParams()
 TICK_S = 0.01
 HOLDING = GuardState(phase=Phase.HOLDING, referenced=True, target_n=40.0)
 LIFTING = GuardState(phase=Phase.LIFTING, referenced=True, target_n=40.0, goal_mm=100.0, ground_mm=0.0)
-SLIPPING = GuardState(phase=Phase.HOLDING, referenced=True, slip=Slip(0.0, 1, 0.0, 2.0, 20.0, 0.0))
+SLIPPING = GuardState(phase=Phase.HOLDING, referenced=True, slip=Slip(0.0, 0.0, 2.0, 20.0, 0.0))
 LOST = FingerHealth(Condition.LOST, 0.5, "unplugged")
 STALE = FingerHealth(Condition.STALE, 0.2, "frozen")
 
