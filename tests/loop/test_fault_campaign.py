@@ -136,3 +136,16 @@ def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
 
 def test_an_empty_campaign_has_nothing_to_show() -> None:
     assert Campaign().as_json()["runs"] == 0
+
+
+def test_each_kind_is_told_with_how_long_it_took() -> None:
+    found = Campaign()
+    for seed, named_s in ((1, 0.1), (2, 0.3), (3, 0.4)):
+        plans = planned(("arm.timeout", 1.0, np.inf))
+        found.count(Outcome(seed, "cap", plans, named=(("arm.timeout", named_s),), due=("arm.timeout",)))
+    kinds = found.as_json()["kinds"]
+    assert isinstance(kinds, dict)
+    assert kinds["arm.timeout"] == {
+        "runs": 3, "could_be_seen": 3, "unnamed": 0, "named_s_median": 0.3, "named_s_max": 0.4,
+    }  # fmt: skip
+    assert kinds["arm.stuck"]["named_s_max"] is None

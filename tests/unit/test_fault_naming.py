@@ -74,7 +74,8 @@ def test_without_an_excuse_a_fault_can_be_seen_at_once(name: str) -> None:
 def test_a_frame_sent_twice_is_borne_in_silence(finger: str) -> None:
     one = watched(f"{finger}.duplicate", rig())
     one.seen_s = 60.0
-    assert not one.unnamed
+    one.hear("left: whatever is said")
+    assert (one.due, one.unnamed, one.named_after_s) == (False, False, None)
 
 
 @pytest.mark.parametrize("device", list(RANKS))
@@ -191,6 +192,14 @@ def test_only_time_in_which_it_could_be_seen_counts_until_it_is_named() -> None:
     one.look(cell, 10.0)
     assert one.named_after_s == pytest.approx(0.4)
     assert not one.unnamed
+
+
+def test_what_is_named_before_anybody_looked_counts_as_seen() -> None:
+    one = watched("daemon.killed", rig())
+    assert not one.due
+    one.hear("an object is held with 60 N already: taken over as it is")
+    assert one.due
+    assert one.named_after_s == 0.0
 
 
 def test_a_fault_named_too_late_or_never_is_unnamed() -> None:

@@ -22,6 +22,17 @@ class KindTally:
     unnamed: int = 0
     named_s: list[float] = field(default_factory=list)
 
+    def as_json(self) -> dict[str, object]:
+        """The same in figures."""
+        in_order = sorted(self.named_s)
+        return {
+            "runs": self.runs,
+            "could_be_seen": self.due,
+            "unnamed": self.unnamed,
+            "named_s_median": round(in_order[len(in_order) // 2], 3) if in_order else None,
+            "named_s_max": round(in_order[-1], 3) if in_order else None,
+        }
+
 
 @dataclass(slots=True)
 class Campaign:
@@ -68,6 +79,7 @@ class Campaign:
             "leaked_tasks": self.leaked_tasks,
             "drops": self.drops,
             "failed_seeds": [outcome.seed for outcome in self.failures],
+            "kinds": {name: tally.as_json() for name, tally in self.kinds.items()},
         }
 
 

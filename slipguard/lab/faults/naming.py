@@ -49,15 +49,20 @@ class Watched:
     standing: Standing = field(default_factory=Standing)
 
     @property
+    def due(self) -> bool:
+        """It had to be named: it could be seen, were it for no longer than it took to name it."""
+        return self.plan.kind.needs_a_name and (self.seen_s > 0.0 or self.named_after_s is not None)
+
+    @property
     def unnamed(self) -> bool:
         """Could be seen for long enough, and was not named in that time."""
-        due = self.plan.kind.needs_a_name
         after_s = self.seen_s if self.named_after_s is None else self.named_after_s
-        return due and after_s > WITHIN_S + SLACK_S
+        return self.due and after_s > WITHIN_S + SLACK_S
 
     def hear(self, line: str) -> None:
         """A line of the log."""
-        if self.named_after_s is None and self.plan.kind.words.search(line):
+        kind = self.plan.kind
+        if kind.needs_a_name and self.named_after_s is None and kind.words.search(line):
             self.named_after_s = self.seen_s
 
     def look(self, rig: Rig, passed_s: float) -> None:

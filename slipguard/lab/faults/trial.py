@@ -211,7 +211,7 @@ async def _run(seed: int, object_name: str, guard: dict[str, object], plans: tup
         run.openings + max(0, rig.releases - asked * rig.releases),
         tuple((one.plan.kind.name, one.named_after_s) for one in run.watched if one.named_after_s is not None),
         tuple(one.plan.kind.name for one in run.watched if one.unnamed),
-        tuple(one.plan.kind.name for one in run.watched if one.plan.kind.needs_a_name and one.seen_s > 0.0),
+        tuple(one.plan.kind.name for one in run.watched if one.due),
         tuple(rig.crashes),
         tuple(left),
         tuple(lines),
