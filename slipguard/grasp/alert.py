@@ -51,15 +51,16 @@ class Alert:
     """What is remembered for it.
 
     start_mm: height of the arm when watching began. moved_s: when it last moved, by its own account. near_deg: where
-    the object rests, slowly followed; where it rested last while the arm moves. variance_deg2: of the turns around
-    that. measured_s: the newest frame used. anew: what the arm's motion has wound up until now is the new rest.
-    rested_deg: where it rested before the arm's motions, for as long as none of them has turned it; None: the next rest
-    says. aloft: the object has left the table since it was gripped or put down.
+    the object rests, slowly followed; where it rested last while the arm moves. before_deg: the frame before, at rest.
+    variance_deg2: of a turn at rest. measured_s: the newest frame used. anew: what the arm's motion has wound up until
+    now is the new rest. rested_deg: where it rested before the arm's motions, for as long as none of them has turned
+    it; None: the next rest says. aloft: the object has left the table since it was gripped or put down.
     """
 
     start_mm: float | None = None
     moved_s: float = -math.inf
     near_deg: float | None = None
+    before_deg: float | None = None
     variance_deg2: float = NOISE_START_DEG**2
     measured_s: float = -math.inf
     case: Case = Case.MOVING
@@ -71,6 +72,15 @@ class Alert:
     def noise_deg(self) -> float:
         """One standard deviation of a turn at rest."""
         return min(math.sqrt(self.variance_deg2), NOISE_MAX_DEG)
+
+    def handed_over(self, by_deg: float) -> Alert:
+        """The same places, as other fingers tell them."""
+        return replace(
+            self,
+            near_deg=moved(self.near_deg, by_deg),
+            before_deg=moved(self.before_deg, by_deg),
+            rested_deg=moved(self.rested_deg, by_deg),
+        )
 
 
 def attend(
@@ -94,23 +104,33 @@ def attend(
     if fused.turn_deg is None:
         return replace(alert, near_deg=None)
     if alert.near_deg is None or anew:
-        return replace(alert, near_deg=fused.turn_deg, measured_s=fused.measured_at_s)
+        return replace(alert, near_deg=fused.turn_deg, before_deg=None, measured_s=fused.measured_at_s)
     if case is not Case.REST:
         return replace(alert, measured_s=fused.measured_at_s)
     passed_s = fused.measured_at_s - alert.measured_s
     if passed_s <= 0.0:
         return alert
-    away_deg = fused.turn_deg - alert.near_deg
+    near_deg = alert.near_deg
+    away_deg = fused.turn_deg - near_deg
     if abs(away_deg) > quick_level_deg(alert, params):
-        return replace(alert, measured_s=fused.measured_at_s)
+        return replace(alert, before_deg=None, measured_s=fused.measured_at_s)
+    if alert.before_deg is not None:
+        # From frame to frame: the way of a slow slip is none of the sensor's noise.
+        leap_deg2 = 0.5 * (fused.turn_deg - alert.before_deg) ** 2
+        alert = replace(alert, variance_deg2=alert.variance_deg2 + (leap_deg2 - alert.variance_deg2) / NOISE_FRAMES)
     drift_deg = (1.0 - math.exp(-passed_s / FOLLOW_S)) * away_deg
     return replace(
         alert,
-        near_deg=alert.near_deg + drift_deg,
-        rested_deg=None if alert.rested_deg is None else alert.rested_deg + drift_deg,
-        variance_deg2=alert.variance_deg2 + (away_deg**2 - alert.variance_deg2) / NOISE_FRAMES,
+        near_deg=near_deg + drift_deg,
+        before_deg=fused.turn_deg,
+        rested_deg=moved(alert.rested_deg, drift_deg),
         measured_s=fused.measured_at_s,
     )
+
+
+def moved(place: float | None, by: float) -> float | None:
+    """A place, if there is one."""
+    return None if place is None else place + by
 
 
 def quick_level_deg(alert: Alert, params: GuardParams, *, firm: bool = False) -> float:

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 from slipguard.devices import ArmState
-from slipguard.grasp.alert import SWING_SHARE, Alert, Case, attend, growth, level_deg, quick_level_deg
+from slipguard.grasp.alert import SWING_SHARE, Alert, Case, attend, growth, level_deg, moved, quick_level_deg
 from slipguard.grasp.fuse import Fused
 from slipguard.grasp.params import GuardParams
 
@@ -23,7 +23,7 @@ PLAIN_TIMES = 1.5
 BEGUN_SHARE = 0.25
 """if the frame before had begun it by this share of the level: one that leaps alone is a flash of light or a knock."""
 HANDOVER_DEG, HANDOVER_MM = 2.0, 0.5
-"""Two fingers tell the same turn and the same slide no further apart than this; more is motion."""
+"""Two fingers tell the same turn and the same slide no further apart than this, all in all; more is motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +31,9 @@ class Detector:
     """What is remembered between frames.
 
     base: where the object was when it was last calm. turns, slides: episodes of either that were answered with force.
-    patient: one of turning is over, answered or not. fingers, told: who told the turn last, what and when.
-    far_frames: measured frames in a row beyond the turn at which it is given up.
+    patient: one of turning is over, answered or not. told: who told the turn last, what and when.
+    handed: by how much all changes of finger have moved it. far_frames: measured frames in a row beyond the turn at
+    which it is given up.
     """
 
     base_turn_deg: float | None = None
@@ -44,9 +45,11 @@ class Detector:
     turns: int = 0
     slides: int = 0
     patient: bool = False
-    fingers: tuple[str, ...] = ()
+    told_by: tuple[str, ...] = ()
     told_deg: float = 0.0
     told_s: float = 0.0
+    handed_deg: float = 0.0
+    handed_mm: float = 0.0
     smooth_shift_mm: float | None = None
     slide_rate_mm_s: float = 0.0
     rest_turn_deg: float | None = None
@@ -109,7 +112,7 @@ def look(
     arm: its newest state; without it no turn is as suspicious as it is at rest. firm: the grip uses most of the budget.
     only_outward: a turn back towards the reference is no slip, as when an object is put down.
     """
-    new = fused.measured_at_s > detector.measured_s
+    new = fused.measured_at_s > detector.measured_s  # both fingers: what one frame shows counts once
     detector = _handed_over(detector, fused)
     near_deg = detector.alert.near_deg
     alert = attend(detector.alert, fused, arm, params, putting_down=only_outward)
@@ -119,7 +122,7 @@ def look(
         detector,
         base_turn_deg=fused.turn_deg if anew or detector.base_turn_deg is None else detector.base_turn_deg,
         base_shift_mm=fused.shift_mm if anew or detector.base_shift_mm is None else detector.base_shift_mm,
-        measured_s=max(fused.measured_at_s, detector.measured_s),
+        measured_s=max(fused.measured_at_s, fused.newest_at_s) if new else detector.measured_s,
         captured_s=max(fused.captured_at_s, detector.captured_s),
     )
     strayed_from_deg = _strayed_from(detector, fused, params)
@@ -159,41 +162,41 @@ def look(
 def _handed_over(detector: Detector, fused: Fused) -> Detector:
     """Other fingers than before tell the turn: what is remembered moves by the difference between them.
 
-    What the object has turned and slid in between, by its rates, is no part of that, nor what is beyond all difference.
+    What the object has turned and slid in between, by its rates, is no part of that, nor what is beyond all difference:
+    a finger that comes and goes hides no slip.
     """
-    if fused.turn_deg is None or fused.fingers == detector.fingers:
+    if fused.turn_deg is None or fused.fingers == detector.told_by:
         return detector
-    now = replace(detector, fingers=fused.fingers)
-    if not detector.fingers:
+    now = replace(detector, told_by=fused.fingers)
+    if not detector.told_by:
         return now
     turned_deg = (fused.rate_deg_s or 0.0) * (fused.captured_at_s - detector.told_s)
-    by_deg = _within(fused.turn_deg - detector.told_deg - turned_deg, HANDOVER_DEG)
-    alert = now.alert
-    near_deg, rested_deg = _moved(alert.near_deg, by_deg), _moved(alert.rested_deg, by_deg)
+    handed_deg = _within(now.handed_deg + fused.turn_deg - now.told_deg - turned_deg, HANDOVER_DEG)
+    by_deg = handed_deg - now.handed_deg
     now = replace(
         now,
+        handed_deg=handed_deg,
         told_deg=now.told_deg + by_deg,
-        base_turn_deg=_moved(now.base_turn_deg, by_deg),
-        rest_turn_deg=_moved(now.rest_turn_deg, by_deg),
-        alert=replace(alert, near_deg=near_deg, rested_deg=rested_deg),
+        base_turn_deg=moved(now.base_turn_deg, by_deg),
+        rest_turn_deg=moved(now.rest_turn_deg, by_deg),
+        alert=now.alert.handed_over(by_deg),
     )
     if fused.shift_mm is None or now.smooth_shift_mm is None:
         return now
-    by_mm = _within(fused.shift_mm - now.smooth_shift_mm - now.slide_rate_mm_s * SHIFT_TAU_S, HANDOVER_MM)
+    slid_mm = now.slide_rate_mm_s * SHIFT_TAU_S
+    handed_mm = _within(now.handed_mm + fused.shift_mm - now.smooth_shift_mm - slid_mm, HANDOVER_MM)
+    by_mm = handed_mm - now.handed_mm
     return replace(
         now,
-        base_shift_mm=_moved(now.base_shift_mm, by_mm),
-        rest_shift_mm=_moved(now.rest_shift_mm, by_mm),
+        handed_mm=handed_mm,
+        base_shift_mm=moved(now.base_shift_mm, by_mm),
+        rest_shift_mm=moved(now.rest_shift_mm, by_mm),
         smooth_shift_mm=now.smooth_shift_mm + by_mm,
     )
 
 
 def _within(value: float, most: float) -> float:
     return min(max(value, -most), most)
-
-
-def _moved(place: float | None, by: float) -> float | None:
-    return None if place is None else place + by
 
 
 def _strayed_from(detector: Detector, fused: Fused, params: GuardParams) -> float | None:
@@ -246,6 +249,8 @@ def _suddenly(
     if fused.turn_deg is None or fused.sigma_deg is None or near_deg is None or only_outward:
         return 0
     if alert.case is Case.MOVING or (alert.case is Case.LIFT_OFF and detector.patient):
+        return 0
+    if fused.conflict is not None:  # it is the larger of two turns then, a leap in itself
         return 0
     away_deg = fused.turn_deg - near_deg
     unsure_deg = min(params.level_sigmas * fused.sigma_deg, params.level_max_deg)

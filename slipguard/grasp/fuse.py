@@ -31,7 +31,8 @@ class Fused:
     turn_deg: of the object since the reference, positive counter-clockwise in the left picture; None: see `declined`.
     sigma_deg: one standard deviation, widened when the fingers disagree; None exactly where turn_deg is None.
     shift_mm: downwards since the reference, mean of the fingers that know it.
-    captured_at_s: the moment `turn_deg` speaks of. measured_at_s: the oldest measurement used.
+    captured_at_s: the moment `turn_deg` speaks of. measured_at_s, newest_at_s: the oldest and the newest measurement
+    used.
     fingers: whose turn was used. conflict: the fingers contradict each other. note: what is worth telling.
     """
 
@@ -47,6 +48,7 @@ class Fused:
     conflict: str | None = None
     note: str | None = None
     declined: str | None = None
+    newest_at_s: float = -math.inf
 
     @property
     def both_touch(self) -> bool:
@@ -93,6 +95,7 @@ def fuse(left: Estimate | None, right: Estimate | None) -> Fused | None:
         right_contact=right.contact if right is not None else None,
         captured_at_s=min(estimate.captured_at_s for estimate in said),
         measured_at_s=min(estimate.measured_at_s for estimate in said),
+        newest_at_s=max(estimate.measured_at_s for estimate in said),
         shift_mm=sum(shifts_mm) / len(shifts_mm) if shifts_mm else None,
     )
     if not turns:
@@ -102,6 +105,7 @@ def fuse(left: Estimate | None, right: Estimate | None) -> Fused | None:
         base,
         captured_at_s=turns[0].captured_at_s,
         measured_at_s=min(turn.measured_at_s for turn in turns),
+        newest_at_s=max(turn.measured_at_s for turn in turns),
         fingers=tuple(turn.finger for turn in turns),
         turn_deg=turn_deg,
         sigma_deg=sigma_deg,

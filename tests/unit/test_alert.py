@@ -35,13 +35,15 @@ class Watched:
         self.now_s, self.here = 10.0, arm()
         self.rate_deg_s, self.shift_mm = 0.0, 0.0
         self.putting_down = False
+        self.conflict: str | None = None
 
     def see(self, turn_deg: float, *, sigma_deg: float = 0.05) -> Look:
         self.now_s += FRAME_S
         fingers = ("left",) if self.left_alone else ("left", "right")
         view = fused(
-            turn_deg, self.rate_deg_s, at_s=self.now_s, sigma_deg=sigma_deg, fingers=fingers, shift_mm=self.shift_mm
-        )
+            turn_deg, self.rate_deg_s, at_s=self.now_s, sigma_deg=sigma_deg, fingers=fingers, shift_mm=self.shift_mm,
+            conflict=self.conflict,
+        )  # fmt: skip
         here = replace(self.here, measured_at_s=self.now_s)
         sight = look(self.detector, view, self.params, arm=here, firm=self.firm, only_outward=self.putting_down)
         self.detector = sight.detector
@@ -106,6 +108,19 @@ def test_the_level_follows_the_sensors_own_noise() -> None:
     assert quick_level_deg(Alert(), PARAMS) == pytest.approx(0.36)
     assert quick_level_deg(Alert(variance_deg2=1e-6), PARAMS) == PARAMS.rest_level_deg
     assert Alert(variance_deg2=100.0).noise_deg == NOISE_MAX_DEG
+
+
+@pytest.mark.parametrize("rate_deg_s", [0.3, 1.0, 3.0, 6.0, 12.0])
+@pytest.mark.parametrize("noise_deg", [0.0, 0.03])
+def test_slow_slip_at_rest_does_not_pass_for_the_sensors_noise(rate_deg_s: float, noise_deg: float) -> None:
+    rng = np.random.default_rng(1)
+    watched = Watched()
+    for _ in range(120):
+        watched.see(float(rng.normal(0.0, noise_deg)))
+    watched.rate_deg_s = min(rate_deg_s, PARAMS.rate_deg_s - 1.0)
+    turns = [rate_deg_s * k * FRAME_S for k in range(1, 300)]
+    found = next(turn for turn in turns if watched.see(turn + float(rng.normal(0.0, noise_deg))).slipping)
+    assert PARAMS.rest_level_deg < found < 0.8
 
 
 def test_a_drift_is_followed() -> None:
@@ -329,6 +344,43 @@ def test_slip_is_seen_though_a_finger_comes_and_goes() -> None:
         watched.left_alone = not watched.left_alone
         slips.append(watched.see(0.4 * k).slipping)
     assert any(slips)
+
+
+def test_fingers_that_begin_to_contradict_each_other_turn_nothing_by_that() -> None:
+    watched = Watched().rest(0.5, 0.2)
+    watched.conflict = "both pictures turn the same way"
+    assert not any(watched.see(turn).slipping for turn in (0.9, 0.9, -0.8, -0.8, 0.9, 0.9))
+    watched.conflict = None
+    assert not any(watched.see(0.2).slipping for _ in range(5))
+    watched.conflict = "both pictures turn the same way"
+    watched.rate_deg_s = 20.0
+    assert any(watched.see(4.0).slipping for _ in range(2))
+
+
+def test_what_one_frame_shows_counts_once_though_the_fingers_tell_it_one_after_the_other() -> None:
+    """The left picture is taken first: left new with right old, then both new."""
+    watched = Watched().rest()
+    for moment, turn_deg in enumerate((0.3, 0.6, 0.3, 0.0, 0.0)):
+        watched.now_s += 0.5 * FRAME_S
+        view = fused(turn_deg, 0.0, at_s=watched.now_s - 0.5 * FRAME_S, sigma_deg=0.05)
+        view = replace(view, newest_at_s=watched.now_s)
+        sight = look(watched.detector, view, PARAMS, arm=replace(watched.here, measured_at_s=watched.now_s))
+        watched.detector = sight.detector
+        assert not sight.slipping, moment
+
+
+def test_nor_is_slow_slip_hidden_by_it_where_no_rate_is_known() -> None:
+    watched = Watched().rest()
+    watched.rate_deg_s, slips, turns = None, [], [0.1 * k for k in range(1, 30)]  # type: ignore[assignment]
+    for turn_deg in turns:
+        watched.left_alone = not watched.left_alone
+        slips.append(watched.see(turn_deg).slipping)
+    assert HANDOVER_DEG < turns[slips.index(True)] < HANDOVER_DEG + 0.8
+    slides = Watched().rest()
+    for k in range(1, 60):
+        slides.left_alone, slides.shift_mm = not slides.left_alone, 0.05 * k
+        slips.append(slides.see(0.0).slipping)
+    assert slips[-1]
 
 
 @pytest.mark.parametrize(("slid_mm", "slips"), [(HANDOVER_MM, False), (-HANDOVER_MM, False), (1.2, True)])

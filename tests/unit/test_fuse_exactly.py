@@ -24,19 +24,20 @@ def test_both() -> None:
         sigma_deg=pytest.approx(5.0**-0.5),
         rate_deg_s=pytest.approx((4.0 * 16.0 + 6.0) / 5.0),
         shift_mm=2.0,
+        newest_at_s=7.5,
     )
 
 
 def test_one_declines() -> None:
     blind = replace(RIGHT, angle_deg=None, sigma_deg=None, declined="round contact")
     assert fuse(LEFT, blind) == Fused(
-        True, True, 8.0, 7.5, ("left",), 4.0, 0.5, 16.0, 2.0, None, "right finger: round contact"
+        True, True, 8.0, 7.5, ("left",), 4.0, 0.5, 16.0, 2.0, None, "right finger: round contact", newest_at_s=7.5
     )
 
 
 def test_one_is_silent() -> None:
     assert fuse(None, RIGHT) == Fused(
-        None, True, 8.0, 7.25, ("right",), 6.0, 1.0, 6.0, 3.0, None, "left finger: no frames"
+        None, True, 8.0, 7.25, ("right",), 6.0, 1.0, 6.0, 3.0, None, "left finger: no frames", newest_at_s=7.25
     )
 
 
@@ -44,7 +45,13 @@ def test_both_decline() -> None:
     blind = [replace(one, angle_deg=None, sigma_deg=None, declined=None) for one in (LEFT, RIGHT)]
     away = replace(blind[1], contact=False, shift_mm=None)
     assert fuse(blind[0], away) == Fused(
-        True, False, 8.0, 7.25, shift_mm=1.0, declined="left finger: no reference yet; right finger: no contact"
+        True,
+        False,
+        8.0,
+        7.25,
+        shift_mm=1.0,
+        declined="left finger: no reference yet; right finger: no contact",
+        newest_at_s=7.5,
     )
 
 
@@ -110,7 +117,9 @@ def test_a_turn_that_is_not_certain_contradicts_nobody(angle_deg: float, opposed
 @pytest.mark.parametrize("bad", [{"angle_deg": float("nan")}, {"sigma_deg": -1.0}])
 def test_no_numbers_leave_nothing_behind(bad: dict[str, float]) -> None:
     answer = fuse(replace(LEFT, **bad), None)  # type: ignore[arg-type]
-    assert answer == Fused(True, None, 8.0, 7.5, declined="left finger: not a number; right finger: no frames")
+    assert answer == Fused(
+        True, None, 8.0, 7.5, declined="left finger: not a number; right finger: no frames", newest_at_s=7.5
+    )
 
 
 def test_a_turn_without_a_sigma_is_none() -> None:

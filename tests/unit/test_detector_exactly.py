@@ -1,0 +1,193 @@
+"""One look at a time: every field of what is remembered and of what was seen, at and beside the limits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from seen import arm, fused
+
+from slipguard.devices import ArmState
+from slipguard.grasp.alert import Alert, Case
+from slipguard.grasp.detector import Detector, Look, look
+from slipguard.grasp.fuse import Fused
+from slipguard.grasp.params import GuardParams
+
+PARAMS = GuardParams()
+NOW_S = 10.05
+BEFORE = Detector(
+    base_turn_deg=4.0, base_shift_mm=1.0, measured_s=10.0, captured_s=10.0, turns=0, slides=0,
+    told_by=("left", "right"), told_deg=5.0, told_s=10.0, handed_deg=0.1, handed_mm=0.05, smooth_shift_mm=1.2,
+    slide_rate_mm_s=2.0, rest_turn_deg=4.9, rest_shift_mm=1.1, rest_since_s=9.0,
+    alert=Alert(start_mm=0.0, near_deg=4.5, before_deg=4.6, rested_deg=4.4, measured_s=10.0),
+)  # fmt: skip
+"""The arm moves, or nobody knows."""
+
+
+def seen(turn_deg: float | None = 5.0, rate_deg_s: float | None = 0.0, **changes: object) -> Fused:
+    told = fused(turn_deg, rate_deg_s, at_s=NOW_S, shift_mm=1.3, sigma_deg=0.1)
+    return replace(told, **changes)  # type: ignore[arg-type]
+
+
+def at_rest(turn_deg: float = 5.0, **changes: object) -> Detector:
+    """At rest in the air for a while, at that turn."""
+    alert = Alert(
+        start_mm=0.0, near_deg=turn_deg, before_deg=turn_deg, rested_deg=turn_deg, measured_s=10.0, case=Case.REST,
+        aloft=True,
+    )  # fmt: skip
+    before = replace(BEFORE, base_turn_deg=turn_deg, told_deg=turn_deg, rest_turn_deg=turn_deg, alert=alert)
+    return replace(before, **changes)  # type: ignore[arg-type]
+
+
+def stands(height_mm: float = 200.0) -> ArmState:
+    return arm(height_mm, at_s=NOW_S)
+
+
+def test_a_change_of_finger_moves_every_place_that_is_remembered() -> None:
+    """0.8 degrees further, of which the object has turned 0.6; 0.3 mm, of which it has slid 0.1."""
+    sight = look(BEFORE, seen(5.8, 12.0, fingers=("left",), shift_mm=1.5), PARAMS)
+    smooth_mm = 1.4 + (1.0 - math.exp(-1.0)) * 0.1
+    rate_mm_s = (1.5 - smooth_mm) / 0.05
+    assert sight == Look(
+        detector=Detector(
+            base_turn_deg=pytest.approx(4.2),
+            base_shift_mm=pytest.approx(1.2),
+            measured_s=NOW_S,
+            captured_s=NOW_S,
+            told_by=("left",),
+            told_deg=5.8,
+            told_s=NOW_S,
+            handed_deg=pytest.approx(0.3),
+            handed_mm=pytest.approx(0.25),
+            smooth_shift_mm=pytest.approx(smooth_mm),
+            slide_rate_mm_s=pytest.approx(rate_mm_s),
+            rest_turn_deg=pytest.approx(5.1),
+            rest_shift_mm=pytest.approx(1.3),
+            rest_since_s=9.0,
+            alert=Alert(
+                start_mm=0.0,
+                near_deg=pytest.approx(4.7),
+                before_deg=pytest.approx(4.8),
+                rested_deg=pytest.approx(4.6),
+                measured_s=NOW_S,
+            ),
+        ),
+        turn_deg=pytest.approx(1.6),
+        rate_deg_s=12.0,
+        slide_mm=pytest.approx(0.3),
+        slide_rate_mm_s=pytest.approx(rate_mm_s),
+        moving=True,
+        still_s=pytest.approx(NOW_S - 9.0),
+    )
+
+
+def test_told_anew_without_a_new_measurement_it_is_the_same_frame() -> None:
+    before = replace(BEFORE, measured_s=NOW_S, frames=1, far_frames=1)
+    after = look(before, seen(5.8, 12.0, fingers=("left",), shift_mm=1.5), PARAMS).detector
+    assert (after.told_deg, after.told_s) == (pytest.approx(5.2), 10.0)
+    assert (after.frames, after.far_frames, after.measured_s) == (1, 1, NOW_S)
+
+
+def test_a_finger_without_rate_or_shift_is_taken_as_it_is() -> None:
+    after = look(BEFORE, seen(5.3, None, fingers=("right",), shift_mm=None), PARAMS).detector
+    assert (after.base_turn_deg, after.handed_deg) == (pytest.approx(4.3), pytest.approx(0.4))
+    assert (after.base_shift_mm, after.handed_mm, after.smooth_shift_mm) == (1.0, 0.05, None)
+
+
+def test_no_turn_leaves_everything_where_it_is() -> None:
+    sight = look(BEFORE, seen(None), PARAMS)
+    assert (sight.turn_deg, sight.rate_deg_s, sight.slide_mm) == (0.0, 0.0, pytest.approx(0.3))
+    assert (sight.detector.told_deg, sight.detector.told_s) == (5.0, 10.0)
+    assert (sight.detector.told_by, sight.detector.base_turn_deg) == (BEFORE.told_by, 4.0)
+    assert look(BEFORE, seen(shift_mm=None), PARAMS).slide_mm == 0.0
+    assert look(replace(BEFORE, base_shift_mm=0.0, smooth_shift_mm=1.3), seen(), PARAMS).slide_mm == 1.3
+
+
+def test_where_the_arm_comes_to_rest_is_where_turns_and_slides_count_from() -> None:
+    lifting = replace(BEFORE, alert=replace(BEFORE.alert, case=Case.LIFT_OFF, rested_deg=None))
+    after = look(lifting, seen(), PARAMS, arm=stands()).detector
+    assert (after.base_turn_deg, after.base_shift_mm, after.alert.rested_deg) == (5.0, 1.3, 5.0)
+    kept = look(BEFORE, seen(), PARAMS).detector
+    assert (kept.base_turn_deg, kept.base_shift_mm) == (4.0, 1.0)
+    first = look(Detector(), seen(), PARAMS).detector
+    assert (first.base_turn_deg, first.base_shift_mm) == (5.0, 1.3)
+
+
+def test_an_end_of_an_episode_forgets_the_places_and_nothing_else() -> None:
+    before = replace(BEFORE, frames=2, far_frames=1)
+    assert before.rebased(turned=False, slid=False, raised=True) == replace(
+        before,
+        base_turn_deg=None,
+        base_shift_mm=None,
+        frames=0,
+        alert=replace(before.alert, near_deg=None, rested_deg=None),
+    )
+
+
+def test_a_grip_is_not_firm_and_a_turn_back_no_exception_unless_said_so() -> None:
+    lifting = at_rest(0.0, alert=Alert(start_mm=0.0, near_deg=0.0, measured_s=10.0, case=Case.LIFT_OFF))
+    rising = arm(10.0, moving=True, at_s=NOW_S)
+    assert look(lifting, seen(0.8), PARAMS, arm=rising).turns
+    assert not look(lifting, seen(0.8), PARAMS, arm=rising, firm=True).turns
+    assert look(at_rest(5.0), seen(4.0), PARAMS, arm=stands()).turns
+    assert not look(at_rest(5.0), seen(4.0), PARAMS, arm=stands(), only_outward=True).turns
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "told_deg", "fingers", "frames"),
+    [
+        (5.35, 5.2, ("left", "right"), 0),
+        (5.37, 5.2, ("left", "right"), 1),
+        (5.53, 5.2, ("left", "right"), 1),
+        (5.55, 5.2, ("left", "right"), 2),
+        (4.45, 4.8, ("left", "right"), 2),
+        (5.55, 5.08, ("left", "right"), 1),
+        (5.55, 5.1, ("left", "right"), 2),
+        (5.55, 4.8, ("left", "right"), 1),
+        (5.55, 5.2, ("left",), 1),
+    ],
+)
+def test_what_a_sudden_turn_counts(turn_deg: float, told_deg: float, fingers: tuple[str, ...], frames: int) -> None:
+    sight = look(
+        at_rest(5.0, told_deg=told_deg, told_by=fingers), seen(turn_deg, fingers=fingers), PARAMS, arm=stands()
+    )
+    assert sight.detector.frames == frames
+    assert sight.turns is (frames > 0)
+    assert sight.slipping is (frames >= 2)
+
+
+@pytest.mark.parametrize(
+    ("slide_mm", "smooth_mm", "slides"), [(0.5, 0.0, False), (0.51, 0.0, True), (2.0, 2.0, False), (2.01, 2.01, True)]
+)
+def test_a_slide_counts_beyond_its_level(slide_mm: float, smooth_mm: float, slides: bool) -> None:
+    before = replace(BEFORE, base_shift_mm=0.0, smooth_shift_mm=smooth_mm)
+    sight = look(before, seen(4.0, shift_mm=slide_mm), PARAMS)
+    assert sight.slides is slides
+    assert sight.detector.frames == int(slides)
+    assert not sight.turns
+
+
+@pytest.mark.parametrize(("turn_deg", "far"), [(45.0, 0), (-45.0, 0), (45.1, 3), (-45.1, 3)])
+def test_frames_beyond_the_turn_at_which_it_is_given_up_are_counted(turn_deg: float, far: int) -> None:
+    before = at_rest(turn_deg, far_frames=2)
+    assert look(before, seen(turn_deg), PARAMS).detector.far_frames == far
+    assert look(before, seen(turn_deg, conflict="the same way"), PARAMS).detector.far_frames == 0
+    assert look(at_rest(0.0, far_frames=2), seen(None), PARAMS).detector.far_frames == 0
+
+
+@pytest.mark.parametrize(("rate_deg_s", "moving"), [(8.0, True), (7.9, False), (-8.0, False)])
+def test_it_moves_from_the_rate_of_slip_on(rate_deg_s: float, moving: bool) -> None:
+    calm = replace(BEFORE, smooth_shift_mm=1.3)
+    assert look(calm, seen(5.0, rate_deg_s), PARAMS).moving is moving
+
+
+def test_what_has_strayed_counts_from_its_last_rest() -> None:
+    strayed = at_rest(5.0, base_turn_deg=7.2, told_deg=7.2, alert=replace(at_rest(5.0).alert, near_deg=7.2))
+    sight = look(strayed, seen(7.2), PARAMS, arm=stands())
+    assert (sight.detector.base_turn_deg, sight.turn_deg) == (5.0, pytest.approx(2.2))
+    assert (sight.turns, sight.detector.frames) == (True, 1)
+    further = look(replace(strayed, base_turn_deg=4.0), seen(7.2), PARAMS, arm=stands())
+    assert further.detector.base_turn_deg == 4.0
+    near = look(replace(strayed, told_deg=6.9), seen(6.9), PARAMS, arm=stands())
+    assert (near.detector.base_turn_deg, near.turns) == (7.2, False)
