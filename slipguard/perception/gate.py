@@ -47,7 +47,9 @@ _ORDERS = np.array([[3 * k + c for k, c in enumerate(order)] for order in iterto
 """The six orders of three channels, as places in a 3 x 3 table; the right one first."""
 _ALL = np.ones(BLOCKS_WIDE * BLOCKS_HIGH, np.float32)
 _BLIND_SHARE = 0.02
-"""A contact with more of its blocks all black or all white lies under a glare or a dead spot that hides its outline."""
+"""A contact with more of its blocks all black or all white lies under a glare or a dead spot that hides its outline. Where
+the no-contact image has more pixels at the end of a colour's range a contact shows edges that stay while it turns; nine
+real units have none."""
 
 _FINE_SHARE = 0.7
 """A picture with less of its no-contact image's unevenness (from block to block, beside the contact) is out of focus:
@@ -118,6 +120,7 @@ class Gate:
         self._limit = gate_sigma**2
         self.background: Blocks | None = None if background is None else block_means(background)
         """Block means of the no-contact picture."""
+        self._clipped = None if background is None else _clipped_share(background)
         if self.background is not None:
             tints = np.ascontiguousarray((self.background - self.background.mean(axis=0)).T)
             self._fine = _unevenness(self.background)
@@ -157,6 +160,8 @@ class Gate:
                 return math.inf
         if self.background is None:
             return 0.0
+        if self._clipped is not None and self._clipped[near_patch].mean(axis=0).max() > _BLIND_SHARE:
+            return math.inf
         difference = blocks - self.background
         brighter = (outside @ difference) / count
         if np.abs(brighter).max() > _BRIGHTER_LEVELS:
@@ -197,6 +202,15 @@ class Gate:
         alike = (self._tints @ blocks) / deviations
         orders = alike.take(_ORDERS).sum(axis=1)
         return bool(orders[1:].max() > orders[0] + _SWAPPED_MARGIN)
+
+
+def _clipped_share(image: NDArray[np.uint8]) -> Blocks | None:
+    """(1200, 3): the share of each block's pixels that are as dark or as bright as can be; None where no pixel is."""
+    clipped = (image == 0) | (image == 255)
+    if not clipped.any():
+        return None
+    shares = clipped.reshape(BLOCKS_HIGH, 8, BLOCKS_WIDE, 8, 3).mean(axis=(1, 3), dtype=np.float32)
+    return np.asarray(shares.reshape(-1, 3), np.float32)
 
 
 def _unevenness(blocks: Blocks) -> Blocks:
