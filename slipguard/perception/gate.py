@@ -47,9 +47,9 @@ _ORDERS = np.array([[3 * k + c for k, c in enumerate(order)] for order in iterto
 """The six orders of three channels, as places in a 3 x 3 table; the right one first."""
 _ALL = np.ones(BLOCKS_WIDE * BLOCKS_HIGH, np.float32)
 _BLIND_SHARE = 0.02
-"""A contact with more of its blocks all black or all white lies under a glare or a dead spot that hides its outline. Where
-the no-contact image has more pixels at the end of a colour's range a contact shows edges that stay while it turns; nine
-real units have none."""
+"""A contact with more of its blocks all black or all white lies under a glare or a dead spot that hides its outline.
+Where the no-contact image has more pixels at the end of a colour's range a contact shows edges that stay while it
+turns; nine real units have none."""
 
 _FINE_SHARE = 0.7
 """A picture with less of its no-contact image's unevenness (from block to block, beside the contact) is out of focus:
