@@ -191,3 +191,20 @@ def test_what_has_strayed_counts_from_its_last_rest() -> None:
     assert further.detector.base_turn_deg == 4.0
     near = look(replace(strayed, told_deg=6.9), seen(6.9), PARAMS, arm=stands())
     assert (near.detector.base_turn_deg, near.turns) == (7.2, False)
+
+
+def test_after_a_tightening_a_sudden_turn_must_be_twice_as_large() -> None:
+    for turn_deg, counts in ((5.7, 0), (5.75, 1)):
+        sight = look(at_rest(5.0, turns=1), seen(turn_deg), PARAMS, arm=stands())
+        assert sight.detector.frames == counts
+    assert look(at_rest(5.0), seen(5.4), PARAMS, arm=stands()).detector.frames == 1
+
+
+def test_fingers_that_speak_in_turns_show_a_frame_each_time_both_have_spoken() -> None:
+    detector, counted = at_rest(5.0), []
+    for number in range(1, 9):
+        at_s = 10.0 + number / 128
+        view = seen(5.4, captured_at_s=at_s, measured_at_s=at_s, newest_at_s=at_s + 1 / 128)
+        detector = look(detector, view, PARAMS, arm=stands()).detector
+        counted.append(detector.frames)
+    assert counted == [1, 1, 2, 2, 3, 3, 4, 4]

@@ -86,6 +86,12 @@ def test_the_first_step_is_remembered_as_it_was() -> None:
     assert verdict.stop
 
 
+def test_the_first_step_is_as_large_as_most_of_the_budget() -> None:
+    params = GuardParams()
+    verdict = look(state(), view(7.0, 60.0), params)
+    assert verdict.hold_n == pytest.approx(limits.firm_n(params, (20.0, 235.0)), abs=0.85)
+
+
 def test_near_a_person_it_is_remembered_without_a_step() -> None:
     verdict = look(state(person_near=True), view(7.0, 60.0, 0.4))
     assert verdict == Verdict(verdict.state, stop=True)
@@ -118,7 +124,7 @@ def test_a_step_is_followed_by_another_only_if_the_object_moved_on(
     turn_deg: float, shift_mm: float, steps: bool
 ) -> None:
     before = slipping(4.0)
-    verdict = look(state(before), view(turn_deg, 60.0, shift_mm))
+    verdict = look(state(before), view(turn_deg, 70.0, shift_mm))
     assert (verdict.hold_n is not None) is steps
     assert verdict.stop
     if not steps:
@@ -127,7 +133,7 @@ def test_a_step_is_followed_by_another_only_if_the_object_moved_on(
         assert verdict.state.slip is not None
         assert verdict.state.slip.stepped_s == verdict.state.commanded_s == NOW_S
         assert verdict.state.slip.began_s == before.began_s
-        assert (verdict.state.slip.turn_deg, verdict.state.slip.rate_deg_s) == (turn_deg, 60.0)
+        assert (verdict.state.slip.turn_deg, verdict.state.slip.rate_deg_s) == (turn_deg, 70.0)
         assert verdict.state.slip.slide_mm == shift_mm
 
 
