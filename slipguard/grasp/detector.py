@@ -210,10 +210,10 @@ def _strayed_from(detector: Detector, fused: Fused, params: GuardParams) -> floa
         return None
     if alert.rested_deg is None or alert.case is not Case.REST:
         return None
-    turn_deg, away_deg = fused.turn_deg, fused.turn_deg - alert.rested_deg
+    turn_deg = fused.turn_deg
     level = level_deg(fused.sigma_deg, detector.turns, params)
     level = level if alert.aloft else max(level, params.firm_level_deg)
-    if abs(away_deg) <= level or away_deg * turn_deg <= 0.0:
+    if abs(turn_deg - alert.rested_deg) <= level or abs(turn_deg) <= abs(alert.rested_deg):
         return None
     return max(alert.rested_deg, base_deg, key=lambda place_deg: abs(turn_deg - place_deg))
 
@@ -225,7 +225,7 @@ def _turning(detector: Detector, fused: Fused, params: GuardParams, only_outward
     away_deg = fused.turn_deg - detector.base_turn_deg
     turn_deg = abs(away_deg)
     rate_deg_s = math.copysign(1.0, away_deg) * (fused.rate_deg_s or 0.0)
-    if only_outward and away_deg * fused.turn_deg < 0.0:
+    if only_outward and abs(fused.turn_deg) <= abs(detector.base_turn_deg):
         return turn_deg, 0.0, False
     level = level_deg(fused.sigma_deg, detector.turns, params)
     creep_deg = params.creep_deg * growth(detector.turns, params)

@@ -208,3 +208,20 @@ def test_fingers_that_speak_in_turns_show_a_frame_each_time_both_have_spoken() -
         detector = look(detector, view, PARAMS, arm=stands()).detector
         counted.append(detector.frames)
     assert counted == [1, 1, 2, 2, 3, 3, 4, 4]
+
+
+def test_a_turn_all_the_way_back_is_neither_slip_nor_an_error() -> None:
+    for turn_deg in (0.0, -0.5):
+        rested = replace(at_rest(5.0).alert, near_deg=turn_deg)
+        back = at_rest(5.0, base_turn_deg=turn_deg, told_deg=turn_deg, alert=rested)
+        assert not look(back, seen(turn_deg), PARAMS, arm=stands()).turns
+        put_down = look(replace(BEFORE, told_deg=turn_deg), seen(turn_deg, -30.0), PARAMS, only_outward=True)
+        assert (put_down.turns, put_down.rate_deg_s, put_down.turn_deg) == (False, 0.0, 4.0 - turn_deg)
+    beyond = look(replace(BEFORE, told_deg=-4.1), seen(-4.1, -30.0), PARAMS, only_outward=True)
+    assert (beyond.turns, beyond.rate_deg_s) == (True, 30.0)
+
+
+def test_creep_too_must_be_larger_after_a_tightening() -> None:
+    for turns, turn_deg, creeps in ((0, 10.0, False), (0, 10.1, True), (1, 15.9, False), (1, 16.1, True)):
+        before = replace(BEFORE, turns=turns, told_deg=turn_deg)
+        assert look(before, seen(turn_deg, 1.0), PARAMS).turns is creeps
