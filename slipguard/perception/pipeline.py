@@ -25,11 +25,10 @@ from slipguard.perception.stages import StageClock
 from slipguard.perception.still import Stillness
 from slipguard.perception.track import Turn
 from slipguard.perception.turn import TurnMeter
+from slipguard.perception.unfit import unfit
 
 NO_CONTACT = "no contact"
 UNCHANGED = "unchanged"
-UNLIKE = "picture unlike the no-contact image"
-BLURRED = "picture out of focus"
 
 LIGHT_FREE_LEVELS = 1.0
 LIGHT_DEG = 0.6
@@ -161,9 +160,9 @@ class Pipeline:
             self._note(blocks, None, unchanged, answer)
             return answer
         near = near_patch(patch.full_mask())
-        unlike = self._gate.unlike_levels(blocks, near)
-        if not math.isfinite(unlike) or self._gate.out_of_focus(blocks, near):
-            return self._unlike(frame, patch, BLURRED if math.isfinite(unlike) else UNLIKE, clock)
+        why, unlike = unfit(self._gate, image, blocks, near)
+        if why is not None:
+            return self._unfit(frame, patch, why, clock)
         axes: dict[str, Orientation] = {}
 
         def axes_of(every: bool) -> dict[str, Orientation]:
@@ -205,7 +204,7 @@ class Pipeline:
         if self._still is not None:
             self._still.forget()
 
-    def _unlike(self, frame: Frame, patch: Patch, why: str, clock: StageClock) -> Estimate:
+    def _unfit(self, frame: Frame, patch: Patch, why: str, clock: StageClock) -> Estimate:
         """Contact perhaps, but nothing to measure on, and no reference to take."""
         self._forget()
         return self._unmeasured(frame, patch, why, None, clock)

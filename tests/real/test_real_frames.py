@@ -9,6 +9,7 @@ import pytest
 
 from slipguard.cli.measure import ReferenceChoice, measure
 from slipguard.lab.scores import RealFrame, iou, no_contact_frames, real_frames
+from slipguard.perception.compressed import coarsely_compressed
 from slipguard.perception.dead_lines import DeadLines
 
 pytestmark = pytest.mark.real
@@ -86,3 +87,11 @@ def test_no_real_gel_has_a_stuck_line(real_data: Path) -> None:
     frames = [picture for picture in pictures if picture is not None and picture.shape == (320, 240, 3)]
     assert len(frames) > 50
     assert all(DeadLines(frame).filled(frame) is frame for frame in frames)
+
+
+def test_no_real_frame_is_called_coarsely_compressed_even_as_a_camera_compresses_them(real_data: Path) -> None:
+    images = [cv2.imread(str(path)) for path in sorted(real_data.rglob("*.png")) if path.parent.name != "masks"]
+    images = [image for image in images if image.shape == (320, 240, 3)]
+    assert len(images) >= 90
+    packed = [cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 75])[1], 1) for image in images]
+    assert not [k for k, image in enumerate(images + packed) if coarsely_compressed(image)]

@@ -17,11 +17,12 @@ from slipguard.lab.stress.pictures import grasp
 from slipguard.perception.angle import estimate
 from slipguard.perception.gate import DEFAULT_NOISE_BGR, Gate, block_means, near_patch
 from slipguard.perception.outline import ragged_px
-from slipguard.perception.pipeline import UNLIKE, Pipeline
+from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.regions import find_patch
 from slipguard.perception.segment import Segmenter
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.track import RATE_STALE_S, Tracker, Turn
+from slipguard.perception.unfit import UNLIKE
 
 
 def turning(tracker: Tracker, from_s: float, rate_deg_s: float, frames: int) -> float | None:

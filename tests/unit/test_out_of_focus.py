@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from slipguard.devices import Frame
 from slipguard.lab.stress.pictures import grasp
 from slipguard.perception.gate import BLOCKS_HIGH, BLOCKS_WIDE, Gate, block_means, near_patch
-from slipguard.perception.pipeline import BLURRED, Pipeline
+from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.segment import Segmenter
 from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.unfit import BLURRED
 
 NEAR = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
 

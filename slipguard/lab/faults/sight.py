@@ -9,7 +9,7 @@ import numpy as np
 from slipguard.devices import Frame
 from slipguard.lab.grip.sight import ModelSight, SightError
 from slipguard.perception.estimate import Estimate
-from slipguard.perception.pipeline import UNLIKE
+from slipguard.perception.unfit import UNLIKE
 from slipguard.sim.told_view import read
 
 BRIGHT_LEVELS = 30.0

@@ -1,0 +1,30 @@
+"""Why no turn may be measured on a picture of a contact, in words."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.perception.compressed import coarsely_compressed
+from slipguard.perception.gate import Blocks, Gate
+
+UNLIKE = "picture unlike the no-contact image"
+BLURRED = "picture out of focus"
+COMPRESSED = "picture coarsely compressed"
+
+
+def unfit(
+    gate: Gate, image: NDArray[np.uint8], blocks: Blocks, near_patch: NDArray[np.bool_]
+) -> tuple[str | None, float]:
+    """Why a picture is not fit to be measured, None where it is; and its `Gate.unlike_levels`.
+
+    image: (320, 240, 3) uint8 BGR. blocks: its `block_means`. near_patch: (1200,) bool, in and near the contact.
+    """
+    unlike = gate.unlike_levels(blocks, near_patch)
+    if not math.isfinite(unlike):
+        return UNLIKE, unlike
+    if gate.out_of_focus(blocks, near_patch):
+        return BLURRED, unlike
+    return (COMPRESSED if coarsely_compressed(image) else None), unlike
