@@ -22,8 +22,9 @@ Lines = NDArray[np.int16]
 def coarsely_compressed(image: NDArray[np.uint8]) -> bool:
     """Whether rows and columns both break at the borders of blocks. image: (320, 240, 3) uint8 BGR."""
     green = image[..., 1]
-    rows, columns = green[::EVERY_PX].astype(np.int16), green[:, ::EVERY_PX].T.astype(np.int16)
-    return min(blockiness(rows), blockiness(columns)) > COARSE_TIMES
+    if blockiness(green[::EVERY_PX].astype(np.int16)) <= COARSE_TIMES:
+        return False
+    return blockiness(green[:, ::EVERY_PX].T.astype(np.int16)) > COARSE_TIMES
 
 
 def blockiness(lines: Lines) -> float:
