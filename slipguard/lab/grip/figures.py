@@ -64,7 +64,7 @@ def as_json(found: Found) -> dict[str, object]:
         "turn_over_oracle_median": rounded(everything.over_oracle),
         "turn_over_oracle_p95": rounded(everything.over_oracle_p95),
         "fixed_step_turn_over_ours_median": rounded(everything.fixed_over_law),
-        "false_tightenings": sum(one.false for one in found.holds),
+        "false_tightenings": _false_while_holding(found.holds),
         "force_over_needed_median": rounded(everything.force_over_needed),
         "fixed_step_turn_over_ours_at_0_97": _at_weakest(found.trials),
         "rendered_against_model": rounded(alike.apart if alike is not None else None),
@@ -86,16 +86,24 @@ def as_json(found: Found) -> dict[str, object]:
 
 
 def holds_as_json(held: Sequence[Held]) -> dict[str, object]:
-    """The stable holds. false: a tightening while nothing slipped; in the lift into the hold, or in the hold itself."""
+    """The stable holds. false: a tightening while nothing slipped; in the lift into the hold, or in the hold itself.
+
+    Those in the lift are told, but no promise: as long as the far end lies on its table the turn is that of the lift,
+    whether the gel winds up or slips, and no picture tells one from the other.
+    """
     return {
         "count": len(held),
         "rendered": sum(one.hold.rendered for one in held),
         "minutes": round(sum(one.seconds for one in held) / 60.0, 1),
-        "false_while_holding": sum(one.false - one.false_lifting for one in held),
+        "false_while_holding": _false_while_holding(held),
         "false_while_lifted": sum(one.false_lifting for one in held),
         "lifts_tightened": sum(one.lifting > 0 for one in held),
         "tightened_while_slipping": sum(one.tightenings + one.lifting - one.false for one in held),
     }
+
+
+def _false_while_holding(held: Sequence[Held]) -> int:
+    return sum(one.false - one.false_lifting for one in held)
 
 
 def scenarios(found: Found) -> dict[str, object]:
@@ -115,7 +123,7 @@ def _of_gel(found: Found, gel: str) -> dict[str, object]:
     return row(gel, played).as_json() | {
         "fixed_step_turn_over_ours_at_0_97": _at_weakest(played),
         "rendered_against_model": rounded(alike.apart if alike is not None else None),
-        "false_tightenings": sum(one.false for one in held),
+        "false_tightenings": _false_while_holding(held),
         "holds": holds_as_json(held),
         "by_first_grip": {one.title.removeprefix("grip "): one.as_json() for one in by_first_grip(played)},
     }
