@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.compressed import coarsely_compressed
+from slipguard.perception.few_levels import few_levels
 from slipguard.perception.gate import Blocks, Gate
 
 UNLIKE = "picture unlike the no-contact image"
 BLURRED = "picture out of focus"
 COMPRESSED = "picture coarsely compressed"
+FEW_LEVELS = "picture of too few grey levels"
 
 
 def unfit(
@@ -27,4 +29,6 @@ def unfit(
         return UNLIKE, unlike
     if gate.out_of_focus(blocks, near_patch):
         return BLURRED, unlike
-    return (COMPRESSED if coarsely_compressed(image) else None), unlike
+    if coarsely_compressed(image):
+        return COMPRESSED, unlike
+    return (FEW_LEVELS if few_levels(image) else None), unlike
