@@ -10,9 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 from leaving_out import closing_lines, leave_out, receive, send
 
 REAL_DATA_VARIABLE = "SLIPGUARD_REAL_DATA"
+settings.register_profile("no test is timed", deadline=None)
+settings.load_profile("no test is timed")
 BESIDE_EACH_OTHER = ("loop", "packaging", "real", "unit")
 """Folders of tests that compute only, or wait patiently."""
 
