@@ -34,6 +34,8 @@ FIRM_TIMES = 2.5
 """A firm grip bears more load before it slips, and the gel winds up the further: a stiff pad up to 0.8 degrees."""
 GROWTH_MAX = 4.0
 """However often it was tightened, no level grows beyond so many times its own."""
+STEADY_DEG_S = 3.0
+"""A frame that tells a faster turn is no place to rest at: the turn goes on, or this frame or one before it leapt."""
 SWING_SHARE = 0.5
 """Arms stop with 2.5 m/s2, a quarter of gravity, and a gel without much damping answers with twice that."""
 
@@ -104,7 +106,9 @@ def attend(
     if fused.turn_deg is None:
         return replace(alert, near_deg=None)
     if alert.near_deg is None or anew:
-        return replace(alert, near_deg=fused.turn_deg, before_deg=None, measured_s=fused.measured_at_s)
+        steady = case is not Case.REST or abs(fused.rate_deg_s or 0.0) <= STEADY_DEG_S
+        near_deg = fused.turn_deg if steady else None
+        return replace(alert, near_deg=near_deg, before_deg=None, measured_s=fused.measured_at_s)
     if case is not Case.REST:
         return replace(alert, measured_s=fused.measured_at_s)
     passed_s = fused.measured_at_s - alert.measured_s

@@ -19,9 +19,14 @@ SHIFT_TAU_S = 0.05
 CALM_SHIFT_MM = 0.3
 """A patch centre that wanders less than this is at rest; its noise is about 0.05 mm."""
 PLAIN_TIMES = 1.5
-"""A turn beyond so many times its level, told by both fingers, counts as two frames,"""
+"""In a lift-off a turn beyond so many times its level, told by both fingers, counts as two frames,"""
 BEGUN_SHARE = 0.25
 """if the frame before had begun it by this share of the level: one that leaps alone is a flash of light or a knock."""
+APART_S = 0.02
+"""At rest there is time for a second look: both fingers' frames so much later than the first one's, or one flash of
+light that falls on a frame of each counts twice."""
+CHANGE_SHARE = 0.5
+"""Half of a turn's sigma is alike from frame to frame: it falls out of a change."""
 HANDOVER_DEG, HANDOVER_MM = 2.0, 0.5
 """Two fingers tell the same turn and the same slide no further apart than this, all in all; more is motion."""
 
@@ -32,7 +37,8 @@ class Detector:
 
     base: where the object was when it was last calm. turns, slides: episodes of either that were answered with force.
     patient: one of turning is over, answered or not. told: who told the turn last, what and when.
-    handed: by how much all changes of finger have moved it. far_frames: measured frames in a row beyond the turn at
+    handed: by how much all changes of finger have moved it. frames, counted_s: how many in a row showed slip, and the
+    newest measurement of the last of them. far_frames: measured frames in a row beyond the turn at
     which it is given up.
     """
 
@@ -41,6 +47,7 @@ class Detector:
     measured_s: float = -math.inf
     captured_s: float = -math.inf
     frames: int = 0
+    counted_s: float = -math.inf
     far_frames: int = 0
     turns: int = 0
     slides: int = 0
@@ -136,11 +143,15 @@ def look(
     times = growth(detector.slides, params)
     sliding = slide > params.slide_mm * times and (slides_fast or slide > params.slide_creep_mm * times)
     if new:
-        counts = max(int(turning or strayed or sliding), suddenly)
+        plainly = turning or strayed or sliding
+        counts = max(int(plainly), suddenly)
+        at_rest_again = alert.case is Case.REST and detector.frames > 0 and not plainly
+        waits = counts > 0 and at_rest_again and fused.measured_at_s < detector.counted_s + APART_S
         far = abs(fused.turn_deg or 0.0) > params.give_up_turn_deg and fused.conflict is None
         detector = replace(
             detector,
-            frames=detector.frames + counts if counts else 0,
+            frames=detector.frames if waits else detector.frames + counts if counts else 0,
+            counted_s=fused.newest_at_s if counts and not waits else detector.counted_s,
             far_frames=detector.far_frames + 1 if far else 0,
             told_deg=detector.told_deg if fused.turn_deg is None else fused.turn_deg,
             told_s=detector.told_s if fused.turn_deg is None else fused.captured_at_s,
@@ -253,10 +264,12 @@ def _suddenly(
     if fused.conflict is not None:  # it is the larger of two turns then, a leap in itself
         return 0
     away_deg = fused.turn_deg - near_deg
-    unsure_deg = min(params.level_sigmas * fused.sigma_deg, params.level_max_deg)
+    unsure_deg = CHANGE_SHARE * min(params.level_sigmas * fused.sigma_deg, params.level_max_deg)
     level = max(quick_level_deg(alert, params, firm=firm), unsure_deg) * growth(detector.turns, params)
     if abs(away_deg) <= level:
         return 0
+    if alert.case is Case.REST:
+        return 1
     begun = math.copysign(1.0, away_deg) * (detector.told_deg - near_deg) > BEGUN_SHARE * level
     return 2 if abs(away_deg) > PLAIN_TIMES * level and begun and len(fused.fingers) == 2 else 1
 

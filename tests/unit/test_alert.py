@@ -59,18 +59,41 @@ class Watched:
         return self
 
 
-def test_plain_slip_at_rest_is_told_by_one_frame_if_the_one_before_had_begun_it() -> None:
-    begun = Watched().rest()
-    assert not begun.see(0.1).slipping
-    assert begun.see(0.6).slipping
-    leaps = Watched().rest()
-    assert not leaps.see(0.6).slipping
-    assert leaps.see(0.6).slipping
+def test_slip_at_rest_is_told_by_two_frames_however_plain() -> None:
+    watched = Watched().rest()
+    watched.see(0.1)
+    assert not watched.see(3.0).slipping
+    assert watched.see(3.0).slipping
+
+
+def test_plain_slip_in_a_lift_off_is_told_by_one_frame_if_the_one_before_had_begun_it() -> None:
+    begun = Watched().rest().lifts(10.0)
+    assert not begun.see(0.15).slipping
+    assert begun.see(0.7).slipping
+    leaps = Watched().rest().lifts(10.0)
+    assert not leaps.see(0.7).slipping
+    assert leaps.see(0.7).slipping
     one = Watched()
     one.left_alone = True
-    one.rest().see(0.1)
-    assert not one.see(0.6).slipping
-    assert one.see(0.6).slipping
+    one.rest().lifts(10.0).see(0.15)
+    assert not one.see(0.7).slipping
+    assert one.see(0.7).slipping
+
+
+def test_where_it_comes_to_rest_is_where_it_turns_no_more() -> None:
+    """One leaping frame at the end of the arm's motion is no place to turn away from."""
+    watched = aloft(10.0)
+    watched.lifts(130.0).see(10.0)
+    watched.here = arm(130.0)
+    while watched.now_s + FRAME_S < watched.detector.alert.moved_s + SETTLE_S:
+        watched.see(10.0)
+    watched.rate_deg_s = -6.0
+    watched.see(9.4)
+    assert watched.detector.alert.case is Case.REST
+    assert watched.detector.alert.near_deg is None
+    watched.rate_deg_s = 0.0
+    assert not any(watched.see(10.0).slipping for _ in range(5))
+    assert watched.detector.alert.near_deg == 10.0
 
 
 @pytest.mark.parametrize("leap_deg", [0.6, -0.6, 3.0])
@@ -91,10 +114,11 @@ def test_a_little_above_the_level_takes_two_frames() -> None:
     assert not any(flickers.see(turn).slipping for turn in (0.4, 0.0, 0.4, 0.0, 0.4))
 
 
-def test_an_unsure_turn_needs_three_sigmas() -> None:
+def test_an_unsure_turn_needs_three_times_what_may_change_of_its_sigma() -> None:
     watched = Watched().rest()
-    assert not any(watched.see(0.8, sigma_deg=0.3).slipping for _ in range(5))
-    assert watched.see(1.5, sigma_deg=0.3).slipping
+    assert not any(watched.see(0.85, sigma_deg=0.6).slipping for _ in range(5))
+    watched.see(0.95, sigma_deg=0.6)
+    assert watched.see(0.95, sigma_deg=0.6).slipping
     assert not any(Watched().rest().see(1.5, sigma_deg=6.0).slipping for _ in range(5))
 
 
@@ -139,7 +163,7 @@ def test_an_object_wound_up_by_the_lift_is_watched_from_where_it_came_to_rest() 
     watched.rate_deg_s = 0.0
     watched.rest(2.0, 10.0)
     assert watched.detector.base_turn_deg == 10.0
-    watched.see(10.1)
+    watched.see(10.6)
     assert watched.see(10.6).slipping
 
 
@@ -193,7 +217,7 @@ def test_the_gel_is_given_time_to_settle_after_the_arm_has_stopped() -> None:
     while watched.now_s < stopped_s + SETTLE_S + 0.2:
         watched.see(0.0)
     assert watched.detector.alert.case is Case.REST
-    watched.see(0.2)
+    watched.see(0.8)
     assert watched.see(0.8).slipping
 
 

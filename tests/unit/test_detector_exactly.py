@@ -137,21 +137,23 @@ def test_a_grip_is_not_firm_and_a_turn_back_no_exception_unless_said_so() -> Non
 @pytest.mark.parametrize(
     ("turn_deg", "told_deg", "fingers", "frames"),
     [
-        (5.35, 5.2, ("left", "right"), 0),
-        (5.37, 5.2, ("left", "right"), 1),
-        (5.53, 5.2, ("left", "right"), 1),
-        (5.55, 5.2, ("left", "right"), 2),
-        (4.45, 4.8, ("left", "right"), 2),
-        (5.55, 5.08, ("left", "right"), 1),
-        (5.55, 5.1, ("left", "right"), 2),
-        (5.55, 4.8, ("left", "right"), 1),
-        (5.55, 5.2, ("left",), 1),
+        (5.39, 5.2, ("left", "right"), 0),
+        (5.41, 5.2, ("left", "right"), 1),
+        (5.59, 5.2, ("left", "right"), 1),
+        (5.61, 5.2, ("left", "right"), 2),
+        (4.39, 4.8, ("left", "right"), 2),
+        (5.61, 5.09, ("left", "right"), 1),
+        (5.61, 5.11, ("left", "right"), 2),
+        (5.61, 4.8, ("left", "right"), 1),
+        (5.61, 5.2, ("left",), 1),
     ],
 )
-def test_what_a_sudden_turn_counts(turn_deg: float, told_deg: float, fingers: tuple[str, ...], frames: int) -> None:
-    sight = look(
-        at_rest(5.0, told_deg=told_deg, told_by=fingers), seen(turn_deg, fingers=fingers), PARAMS, arm=stands()
-    )
+def test_what_a_sudden_turn_counts_in_a_lift_off(
+    turn_deg: float, told_deg: float, fingers: tuple[str, ...], frames: int
+) -> None:
+    lifting = Alert(start_mm=0.0, near_deg=5.0, measured_s=10.0, case=Case.LIFT_OFF)
+    before = at_rest(5.0, told_deg=told_deg, told_by=fingers, alert=lifting)
+    sight = look(before, seen(turn_deg, fingers=fingers), PARAMS, arm=arm(10.0, moving=True, at_s=NOW_S))
     assert sight.detector.frames == frames
     assert sight.turns is (frames > 0)
     assert sight.slipping is (frames >= 2)
@@ -200,12 +202,26 @@ def test_after_a_tightening_a_sudden_turn_must_be_twice_as_large() -> None:
     assert look(at_rest(5.0), seen(5.4), PARAMS, arm=stands()).detector.frames == 1
 
 
+@pytest.mark.parametrize(("turn_deg", "frames"), [(5.35, 0), (5.37, 1), (4.63, 1), (5.9, 1)])
+def test_what_a_sudden_turn_counts_at_rest(turn_deg: float, frames: int) -> None:
+    assert look(at_rest(5.0, told_deg=5.2), seen(turn_deg), PARAMS, arm=stands()).detector.frames == frames
+
+
+def test_at_rest_another_frame_counts_if_it_is_later_than_any_flash() -> None:
+    first = look(at_rest(5.0), seen(5.6, newest_at_s=NOW_S), PARAMS, arm=stands()).detector
+    for later_s, frames in ((0.0195, 1), (0.0205, 2)):
+        at_s = NOW_S + later_s
+        again = look(first, seen(5.6, captured_at_s=at_s, measured_at_s=at_s, newest_at_s=at_s), PARAMS, arm=stands())
+        assert again.detector.frames == frames
+
+
 def test_fingers_that_speak_in_turns_show_a_frame_each_time_both_have_spoken() -> None:
-    detector, counted = at_rest(5.0), []
+    lifting = Alert(start_mm=0.0, near_deg=5.0, measured_s=10.0, case=Case.LIFT_OFF)
+    detector, counted = at_rest(5.0, alert=lifting), []
     for number in range(1, 9):
         at_s = 10.0 + number / 128
-        view = seen(5.4, captured_at_s=at_s, measured_at_s=at_s, newest_at_s=at_s + 1 / 128)
-        detector = look(detector, view, PARAMS, arm=stands()).detector
+        view = seen(5.5, captured_at_s=at_s, measured_at_s=at_s, newest_at_s=at_s + 1 / 128)
+        detector = look(detector, view, PARAMS, arm=arm(10.0, moving=True, at_s=at_s)).detector
         counted.append(detector.frames)
     assert counted == [1, 1, 2, 2, 3, 3, 4, 4]
 
