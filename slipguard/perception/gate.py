@@ -122,9 +122,7 @@ class Gate:
         """Block means of the no-contact picture."""
         self._clipped = None if background is None else _clipped_share(background)
         if self.background is not None:
-            tints = np.ascontiguousarray((self.background - self.background.mean(axis=0)).T)
             self._fine = _unevenness(self.background)
-            self._tints: NDArray[np.float32] = tints / (np.linalg.norm(tints, axis=1, keepdims=True) + np.float32(1e-6))
         x, y = np.meshgrid(np.linspace(-1, 1, BLOCKS_WIDE), np.linspace(-1, 1, BLOCKS_HIGH))
         drift = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=1)
         self._drift: NDArray[np.float32] = np.linalg.qr(drift)[0].astype(np.float32)
@@ -173,7 +171,7 @@ class Gate:
         steps = np.abs(difference[1:] - difference[:-1])
         if float((beside @ steps).sum()) >= 3.0 * _NOISY_LEVELS * float(beside.sum()):
             return math.inf
-        return math.inf if self._colours_swapped(blocks) else unlike
+        return math.inf if self._colours_swapped(blocks, self.background, outside / count) else unlike
 
     def out_of_focus(self, blocks: Blocks, near_patch: NDArray[np.bool_]) -> bool:
         """Whether a picture shows far less of this unit's gel beside the contact than the no-contact image does.
@@ -194,13 +192,16 @@ class Gate:
         now, before = float((beside @ _unevenness(blocks)).sum()), float((beside @ self._fine).sum())
         return now < _FINE_SHARE * min(light, 1.0) * before
 
-    def _colours_swapped(self, blocks: Blocks) -> bool:
-        """Whether the channels follow those of the no-contact image better in another order."""
-        # The no-contact tints have no mean, so that of the picture falls out of the products.
-        sums, squares = _ALL @ blocks, _ALL @ np.square(blocks)
-        deviations = np.sqrt(np.maximum(squares - sums**2 / len(blocks), 1.0))
-        alike = (self._tints @ blocks) / deviations
-        orders = alike.take(_ORDERS).sum(axis=1)
+    @staticmethod
+    def _colours_swapped(blocks: Blocks, background: Blocks, weights: NDArray[np.float32]) -> bool:
+        """Whether the channels follow those of the no-contact image better in another order.
+
+        weights: (1200,), nothing in the contact, whose own colours follow no order; their sum is one.
+        """
+        here, there = blocks - weights @ blocks, background - weights @ background
+        weighed = here * weights[:, np.newaxis]
+        deviations = np.sqrt(np.outer(weights @ np.square(there), (weighed * here).sum(axis=0)) + np.float32(1e-3))
+        orders = ((there.T @ weighed) / deviations).take(_ORDERS).sum(axis=1)
         return bool(orders[1:].max() > orders[0] + _SWAPPED_MARGIN)
 
 
