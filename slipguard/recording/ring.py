@@ -50,10 +50,12 @@ class Ring:
         return path
 
     def keep(self, path: Path) -> Path:
-        """Move a finished recording out of the ring; returns where it is now."""
+        """Move a finished recording out of the ring; returns where it is now. Older ones make room for it before."""
         if path.parent == self.kept:
             return path
         self.kept.mkdir(parents=True, exist_ok=True)
+        room_bytes = max(0, self._limits.kept_bytes - path.stat().st_size)
+        _delete_beyond(_newest_first(self.kept), None, room_bytes, path)
         return path.rename(self.kept / path.name)
 
     def keep_unfinished(self) -> None:
