@@ -29,7 +29,7 @@ from slipguard.errors import SlipguardError
 from slipguard.lab.campaign import CampaignSettings, run_campaign
 from slipguard.lab.soak import verdict
 from slipguard.lab.soak.page import PageProcess, look
-from slipguard.lab.soak.pulse import Pulse, feel
+from slipguard.lab.soak.pulse import Pulse, feel, give_back
 from slipguard.lab.soak.settings import KEPT_MAX_MB, RING_MAX_MB, RING_S, Settings, soak_config
 from slipguard.lab.soak.shift import Shift, place
 from slipguard.lab.soak.truthful import Truthful
@@ -84,6 +84,7 @@ async def soak(settings: Settings, tell: Callable[[Pulse, str], None]) -> Soak:
         await root.run(run.config, world=run.world, beside=run.day, build=run.build, recorder=run.record)
         if not run.over:
             raise SlipguardError("the soak was ended before its time")
+        await asyncio.get_running_loop().shutdown_default_executor()  # idle threads end with the loop, not the daemon
         after = run.pulse()
     limits = verdict.Limits(round(RING_S / SEGMENT_S), RING_MAX_MB, KEPT_MAX_MB)
     beats = round(settings.length_s * 1e3 / run.config.loop.period_ms)
@@ -164,9 +165,9 @@ class _Run:
                 await shift.cycle(number)
                 number += 1
                 self._trace(at_s)
-                if at_s >= pulse_at_s:
-                    self._found.pulses.append(self.pulse())
-                    self._tell(self._found.pulses[-1], f"{shift.counts['cycles']} cycles")
+                if self._settings.virtual and at_s >= pulse_at_s:
+                    give_back()
+                    self._look(shift)
                     pulse_at_s = at_s + self._settings.length_s / PULSES
         finally:
             for task in tasks:
@@ -183,9 +184,24 @@ class _Run:
         os.kill(os.getpid(), signal.SIGTERM)
         await loop.create_future()
 
+    def _look(self, shift: Shift) -> None:
+        self._found.pulses.append(self.pulse())
+        self._tell(self._found.pulses[-1], f"{shift.counts['cycles']} cycles")
+
+    async def _look_again(self, shift: Shift) -> None:
+        """On the real clock, whatever is held: a cycle takes most of a minute. Freed memory is given back in a thread,
+        for the loop does not wait.
+        """
+        while True:
+            await asyncio.to_thread(give_back)
+            self._look(shift)
+            await asyncio.sleep(self._settings.length_s / PULSES)
+
     def _beside(self, shift: Shift) -> Iterator[Coroutine[None, None, None]]:
-        """What else goes on in this process on the virtual clock."""
-        if self._settings.virtual:
+        """What else goes on in this process."""
+        if not self._settings.virtual:
+            yield self._look_again(shift)
+        else:
             yield self._drawn_lifts(shift)
             yield self._keep_pace()
             if self._settings.page:
