@@ -16,7 +16,9 @@ WIDE = 190
 def bench(
     quick: Annotated[bool, typer.Option("--quick/--full", help="One grasp of each object: under a minute.")] = True,
     json: Annotated[bool, typer.Option("--json", help="One JSON object instead of the tables.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for bench.json and bench.png; with --grip for grip.json and grip.png.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for bench.json and bench.png; with --grip for grip.json and grip.png.")
+    ] = None,
     model: Annotated[Path | None, typer.Option(help="Another network (.onnx) in place of the shipped one.")] = None,
     models: Annotated[Path | None, typer.Option(help="Folder of further networks, such as the paper's.")] = None,
     table: Annotated[
