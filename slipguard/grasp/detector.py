@@ -7,17 +7,14 @@ what the arm does says how much of it is to be expected (`alert`).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from slipguard.devices import ArmState
-from slipguard.grasp.alert import SWING_SHARE, Alert, Case, attend, growth, level_deg, moved, quick_level_deg
+from slipguard.grasp.alert import SWING_SHARE, Case, attend, growth, level_deg, quick_level_deg
 from slipguard.grasp.fuse import Fused
 from slipguard.grasp.params import GuardParams
+from slipguard.grasp.tracked import CALM_SHIFT_MM, Detector, follow_rest, follow_shift, handed_over
 
-SHIFT_TAU_S = 0.05
-"""Time constant of the filtered derivative of the shift: three frames at 60 fps."""
-CALM_SHIFT_MM = 0.3
-"""A patch centre that wanders less than this is at rest; its noise is about 0.05 mm."""
 PLAIN_TIMES = 1.5
 """In a lift-off a turn beyond so many times its level, told by both fingers, counts as two frames,"""
 BEGUN_SHARE = 0.25
@@ -27,55 +24,6 @@ APART_S = 0.02
 light that falls on a frame of each counts twice."""
 CHANGE_SHARE = 0.5
 """Half of a turn's sigma is alike from frame to frame: it falls out of a change."""
-HANDOVER_DEG, HANDOVER_MM = 2.0, 0.5
-"""Two fingers tell the same turn and the same slide no further apart than this, all in all; more is motion."""
-
-
-@dataclass(frozen=True, slots=True)
-class Detector:
-    """What is remembered between frames.
-
-    base: where the object was when it was last calm. turns, slides: episodes of either that were answered with force.
-    patient: one of turning is over, answered or not. told: who told the turn last, what and when.
-    handed: by how much all changes of finger have moved it. frames, counted_s: how many in a row showed slip, and the
-    newest measurement of the last of them. far_frames: measured frames in a row beyond the turn at
-    which it is given up.
-    """
-
-    base_turn_deg: float | None = None
-    base_shift_mm: float | None = None
-    measured_s: float = -math.inf
-    captured_s: float = -math.inf
-    frames: int = 0
-    counted_s: float = -math.inf
-    far_frames: int = 0
-    turns: int = 0
-    slides: int = 0
-    patient: bool = False
-    told_by: tuple[str, ...] = ()
-    told_deg: float = 0.0
-    told_s: float = 0.0
-    handed_deg: float = 0.0
-    handed_mm: float = 0.0
-    smooth_shift_mm: float | None = None
-    slide_rate_mm_s: float = 0.0
-    rest_turn_deg: float | None = None
-    rest_shift_mm: float | None = None
-    rest_since_s: float | None = None
-    alert: Alert = field(default_factory=Alert)
-
-    def rebased(self, *, turned: bool, slid: bool, raised: bool) -> Detector:
-        """An episode is over: from here on only what moves further counts. raised: it was answered with force."""
-        return replace(
-            self,
-            base_turn_deg=None,
-            base_shift_mm=None,
-            frames=0,
-            turns=self.turns + (turned and raised),
-            slides=self.slides + (slid and raised),
-            patient=self.patient or turned,
-            alert=replace(self.alert, near_deg=None, rested_deg=None),
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,10 +68,10 @@ def look(
     only_outward: a turn back towards the reference is no slip, as when an object is put down.
     """
     new = fused.measured_at_s > detector.measured_s  # both fingers: what one frame shows counts once
-    detector = _handed_over(detector, fused)
+    detector = handed_over(detector, fused)
     near_deg = detector.alert.near_deg
     alert = attend(detector.alert, fused, arm, params, putting_down=only_outward)
-    detector = replace(_follow_shift(detector, fused), alert=alert)
+    detector = replace(follow_shift(detector, fused), alert=alert)
     anew = alert.anew  # what the arm's motion has wound up stays
     detector = replace(
         detector,
@@ -135,7 +83,7 @@ def look(
     strayed_from_deg = _strayed_from(detector, fused, params)
     if strayed := strayed_from_deg is not None:
         detector = replace(detector, base_turn_deg=strayed_from_deg)
-    detector = _follow_rest(detector, fused, params)
+    detector = follow_rest(detector, fused, params)
     turn, rate, turning = _turning(detector, fused, params, only_outward)
     suddenly = 0 if anew else _suddenly(detector, fused, params, near_deg, firm, only_outward)
     slide = (fused.shift_mm or 0.0) - (detector.base_shift_mm or 0.0) if fused.shift_mm is not None else 0.0
@@ -168,46 +116,6 @@ def look(
         slipping=detector.frames >= params.frames,
         still_s=detector.captured_s - detector.rest_since_s if detector.rest_since_s is not None else 0.0,
     )
-
-
-def _handed_over(detector: Detector, fused: Fused) -> Detector:
-    """Other fingers than before tell the turn: what is remembered moves by the difference between them.
-
-    What the object has turned and slid in between, by its rates, is no part of that, nor what is beyond all difference:
-    a finger that comes and goes hides no slip.
-    """
-    if fused.turn_deg is None or fused.fingers == detector.told_by:
-        return detector
-    now = replace(detector, told_by=fused.fingers)
-    if not detector.told_by:
-        return now
-    turned_deg = (fused.rate_deg_s or 0.0) * (fused.captured_at_s - detector.told_s)
-    handed_deg = _within(now.handed_deg + fused.turn_deg - now.told_deg - turned_deg, HANDOVER_DEG)
-    by_deg = handed_deg - now.handed_deg
-    now = replace(
-        now,
-        handed_deg=handed_deg,
-        told_deg=now.told_deg + by_deg,
-        base_turn_deg=moved(now.base_turn_deg, by_deg),
-        rest_turn_deg=moved(now.rest_turn_deg, by_deg),
-        alert=now.alert.handed_over(by_deg),
-    )
-    if fused.shift_mm is None or now.smooth_shift_mm is None:
-        return now
-    slid_mm = now.slide_rate_mm_s * SHIFT_TAU_S
-    handed_mm = _within(now.handed_mm + fused.shift_mm - now.smooth_shift_mm - slid_mm, HANDOVER_MM)
-    by_mm = handed_mm - now.handed_mm
-    return replace(
-        now,
-        handed_mm=handed_mm,
-        base_shift_mm=moved(now.base_shift_mm, by_mm),
-        rest_shift_mm=moved(now.rest_shift_mm, by_mm),
-        smooth_shift_mm=now.smooth_shift_mm + by_mm,
-    )
-
-
-def _within(value: float, most: float) -> float:
-    return min(max(value, -most), most)
 
 
 def _strayed_from(detector: Detector, fused: Fused, params: GuardParams) -> float | None:
@@ -272,38 +180,3 @@ def _suddenly(
         return 1
     begun = math.copysign(1.0, away_deg) * (detector.told_deg - near_deg) > BEGUN_SHARE * level
     return 2 if abs(away_deg) > PLAIN_TIMES * level and begun and len(fused.fingers) == 2 else 1
-
-
-def _follow_shift(detector: Detector, fused: Fused) -> Detector:
-    """Filtered derivative of the shift; the first shift after none starts it anew."""
-    if fused.shift_mm is None:
-        return replace(detector, smooth_shift_mm=None, slide_rate_mm_s=0.0)
-    if detector.smooth_shift_mm is None:
-        return replace(detector, smooth_shift_mm=fused.shift_mm)
-    passed_s = fused.captured_at_s - detector.captured_s
-    if passed_s <= 0.0:
-        return detector
-    share = 1.0 - math.exp(-passed_s / SHIFT_TAU_S)
-    smooth_mm = detector.smooth_shift_mm + share * (fused.shift_mm - detector.smooth_shift_mm)
-    return replace(detector, smooth_shift_mm=smooth_mm, slide_rate_mm_s=(fused.shift_mm - smooth_mm) / SHIFT_TAU_S)
-
-
-def _follow_rest(detector: Detector, fused: Fused, params: GuardParams) -> Detector:
-    """Where the object rests and since when: within `calm_deg` (or two sigma) and 0.3 mm of one place."""
-    calm_deg = max(params.calm_deg, min(2.0 * (fused.sigma_deg or 0.0), params.level_max_deg))
-    rests = _near(fused.turn_deg, detector.rest_turn_deg, calm_deg) and _near(
-        fused.shift_mm, detector.rest_shift_mm, CALM_SHIFT_MM
-    )
-    if rests and detector.rest_since_s is not None:
-        return replace(
-            detector,
-            rest_turn_deg=fused.turn_deg if detector.rest_turn_deg is None else detector.rest_turn_deg,
-            rest_shift_mm=fused.shift_mm if detector.rest_shift_mm is None else detector.rest_shift_mm,
-        )
-    return replace(
-        detector, rest_turn_deg=fused.turn_deg, rest_shift_mm=fused.shift_mm, rest_since_s=fused.captured_at_s
-    )
-
-
-def _near(value: float | None, place: float | None, within: float) -> bool:
-    return value is None or place is None or abs(value - place) <= within

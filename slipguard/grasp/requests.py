@@ -9,11 +9,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from slipguard.grasp import limits
-from slipguard.grasp.detector import Detector
 from slipguard.grasp.fault import FaultCode
 from slipguard.grasp.messages import ArmLift, Command, RequestKind, Seen
 from slipguard.grasp.params import GuardParams
 from slipguard.grasp.state import GuardState, Phase, emptied, entered, settled, taken_over
+from slipguard.grasp.tracked import Detector
 
 MAY_LAST = frozenset({FaultCode.ESTIMATE_UNTRUSTED})
 """Faults that only a clear can end: it takes a new reference, and what still cannot be told then latches again."""

@@ -8,8 +8,8 @@ from enum import StrEnum
 
 from slipguard.devices import GripperState
 from slipguard.grasp.delay import GripperDelay
-from slipguard.grasp.detector import Detector
 from slipguard.grasp.fault import Fault, FaultCode
+from slipguard.grasp.tracked import Detector
 
 
 class Phase(StrEnum):

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipguard.devices import Frame
-from slipguard.grasp.detector import Detector, look
+from slipguard.grasp.detector import look
 from slipguard.grasp.fuse import fuse
 from slipguard.grasp.params import GuardParams
+from slipguard.grasp.tracked import Detector
 from slipguard.lab.sequences import FRAME_S, Sequence, Shot
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.gel import GelCamera

@@ -7,12 +7,12 @@ from dataclasses import replace
 from seen import arm, ask, fused, gripper, seen
 
 from slipguard.grasp.alert import Alert, Case
-from slipguard.grasp.detector import Detector
 from slipguard.grasp.fault import Fault, FaultCode
 from slipguard.grasp.guard import Guard, tick
 from slipguard.grasp.messages import ArmLift, Command, RequestKind, Seen
 from slipguard.grasp.params import GuardParams
 from slipguard.grasp.state import GuardState, Phase
+from slipguard.grasp.tracked import Detector
 
 COARSE = {
     "rest_level_deg": 10.0, "lift_off_level_deg": 10.0, "firm_share": 0.1, "first_step": 1.5,

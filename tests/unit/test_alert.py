@@ -19,8 +19,9 @@ from slipguard.grasp.alert import (
     level_deg,
     quick_level_deg,
 )
-from slipguard.grasp.detector import HANDOVER_DEG, HANDOVER_MM, Detector, Look, look
+from slipguard.grasp.detector import Look, look
 from slipguard.grasp.params import GuardParams
+from slipguard.grasp.tracked import HANDOVER_DEG, HANDOVER_MM, Detector
 
 PARAMS = GuardParams()
 FRAME_S = 1 / 60

@@ -10,9 +10,10 @@ from seen import arm, fused
 
 from slipguard.devices import ArmState
 from slipguard.grasp.alert import Alert, Case
-from slipguard.grasp.detector import Detector, Look, look
+from slipguard.grasp.detector import Look, look
 from slipguard.grasp.fuse import Fused
 from slipguard.grasp.params import GuardParams
+from slipguard.grasp.tracked import Detector
 
 PARAMS = GuardParams()
 NOW_S = 10.05

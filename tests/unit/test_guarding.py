@@ -11,12 +11,12 @@ from seen import arm, fused, gripper
 from slipguard.grasp import limits
 from slipguard.grasp.alert import Case
 from slipguard.grasp.delay import GripperDelay
-from slipguard.grasp.detector import Detector
 from slipguard.grasp.fault import FaultCode
 from slipguard.grasp.guarding import Verdict, guard
 from slipguard.grasp.messages import Seen
 from slipguard.grasp.params import GuardParams
 from slipguard.grasp.state import GuardState, Phase, Slip
+from slipguard.grasp.tracked import Detector
 
 FELT_S = 0.25
 """200 ms until a step is felt, 50 until a rate shows it."""

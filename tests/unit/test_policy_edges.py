@@ -9,11 +9,11 @@ from play import NOW_S, PARAMS, seen_in, state_in
 from seen import arm, ask, estimate, fused, gripper, seen
 
 from slipguard.devices import GripperState
-from slipguard.grasp.detector import Detector
 from slipguard.grasp.fuse import Fused, fuse
 from slipguard.grasp.messages import RequestKind
 from slipguard.grasp.policy import step
 from slipguard.grasp.state import GuardState, Phase, Remembered, Slip
+from slipguard.grasp.tracked import Detector
 
 
 def test_what_is_found_held_waits_for_a_finger_but_not_for_the_arm() -> None:

@@ -16,10 +16,10 @@ import pytest
 from mcap.reader import make_reader
 
 from slipguard.errors import InputError
-from slipguard.grasp.detector import Detector
 from slipguard.grasp.guard import Guard
 from slipguard.grasp.messages import ArmLift, Command, Seen
 from slipguard.grasp.state import GuardState, Phase
+from slipguard.grasp.tracked import Detector
 from slipguard.perception.estimate import Estimate
 from slipguard.recording import messages as m
 from slipguard.recording.reader import Line, Picture, open_recording

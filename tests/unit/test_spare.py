@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slipguard.grasp.detector import Detector, look
+from slipguard.grasp.detector import look
 from slipguard.grasp.fuse import fuse
 from slipguard.grasp.params import GuardParams
+from slipguard.grasp.tracked import Detector
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.spare import OTHER_FINGER, adds_nothing, again
 

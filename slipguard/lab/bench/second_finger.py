@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slipguard.grasp.detector import Detector, look
+from slipguard.grasp.detector import look
 from slipguard.grasp.fuse import fuse
+from slipguard.grasp.tracked import Detector
 from slipguard.lab.bench.rows import Skip
 from slipguard.lab.bench.subjects import Subject
 from slipguard.lab.minute import Minute
