@@ -31,6 +31,12 @@ def test_what_stays_the_same_is_good() -> None:
     assert too_much([replace(STILL, at_s=float(at)) for at in range(50)], missed=1) == []
 
 
+def test_a_file_that_is_once_not_open_makes_the_others_no_growth() -> None:
+    pulses = [replace(STILL, at_s=float(at)) for at in range(50)]
+    pulses[9] = replace(pulses[9], files=STILL.files - 1)
+    assert too_much(pulses) == []
+
+
 @pytest.mark.parametrize(
     ("name", "step", "what"),
     [

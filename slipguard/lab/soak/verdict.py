@@ -77,7 +77,7 @@ def growth(values: Sequence[float]) -> float:
 def judge(
     pulses: Sequence[Pulse], before: Pulse, after: Pulse, limits: Limits, work: Work, missed: int, beats: int
 ) -> list[Finding]:
-    """pulses: while the daemon ran, each with nothing gripped. before, after: without the daemon.
+    """pulses: while the daemon ran. before, after: without the daemon.
 
     missed, beats: deadlines of the loop missed, and how many there were.
     """
@@ -85,9 +85,9 @@ def judge(
     part = max(1, round(END_SHARE * len(steady)))
 
     def more(name: str) -> float:
-        """The least of the last fifth above the least of the first: what comes and goes does not count."""
+        """The last fifth's median above the first's: what comes and goes, or is once not there, does not count."""
         counts = [float(getattr(one, name)) for one in steady]
-        return min(counts[-part:]) - min(counts[:part]) if counts else float("nan")
+        return median(counts[-part:]) - median(counts[:part]) if counts else float("nan")
 
     def most(name: str) -> float:
         return max((float(getattr(one, name)) for one in pulses), default=float("nan"))
