@@ -17,7 +17,7 @@ REAL_DATA_VARIABLE = "SLIPGUARD_REAL_DATA"
 settings.register_profile("no test is timed", deadline=None)
 settings.load_profile("no test is timed")
 BESIDE_EACH_OTHER = ("loop", "packaging", "real", "unit")
-"""Folders of tests that compute only, or wait patiently."""
+"""Folders of tests that compute only, or wait patiently; the others keep time, or a machine busy."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -39,13 +39,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--page-pictures", metavar="DIR", help="keep pictures of the operator page here")
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Without real data the `real` tests are deselected, without MuJoCo its own; the closing lines say so.
-
-    With `-n 2 --dist loadgroup` the files of `BESIDE_EACH_OTHER` share the cores, one process for each; all others
-    follow one after the other, for they keep time, or a machine busy.
-    """
+    """Without real data the `real` tests are deselected, without MuJoCo its own; the closing lines say so."""
     if not os.environ.get(REAL_DATA_VARIABLE):
         leave_out(
             config,
@@ -58,11 +53,21 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         leave_out(
             config, items, "mujoco", "of the mechanics beside MuJoCo were left out: pip install 'slipguard[mujoco]'"
         )
-    if config.pluginmanager.hasplugin("xdist"):
-        items.sort(key=lambda item: item.path.parent.name not in BESIDE_EACH_OTHER)
-        for item in items:
-            beside = item.path.parent.name in BESIDE_EACH_OTHER
-            item.add_marker(pytest.mark.xdist_group(str(item.path) if beside else "one after the other"))
+    items.sort(key=lambda item: item.path.parent.name not in BESIDE_EACH_OTHER)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """With `-n 2` the files of `BESIDE_EACH_OTHER` share the cores; then all others follow one after the other."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class OneAfterTheOther(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            path = nodeid.partition("::")[0]
+            return path if Path(path).parent.name in BESIDE_EACH_OTHER else "one after the other"
+
+    config.option.loadscopereorder = False
+    return OneAfterTheOther(config, log)
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

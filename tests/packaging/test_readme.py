@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 README = (ROOT / "README.md").read_text()
 GATE = (ROOT / ".ci" / "run").read_text().replace("\\\n", "")
-ON_BOTH_CORES = ["-n", "2", "--dist", "loadgroup"]
+ON_BOTH_CORES = ["-n", "2"]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 TOP: Any = typer.main.get_command(app)
 
