@@ -23,7 +23,8 @@ APART_S = 0.02
 """At rest there is time for a second look: both fingers' frames so much later than the first one's, or one flash of
 light that falls on a frame of each counts twice."""
 CHANGE_SHARE = 0.5
-"""Half of a turn's sigma is alike from frame to frame: it falls out of a change."""
+"""Half of a turn's sigma is alike from frame to frame and falls out of a change; the rest was learnt at rest, before
+the lift. At rest itself there is time to be sure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +173,8 @@ def _suddenly(
     if fused.conflict is not None:  # it is the larger of two turns then, a leap in itself
         return 0
     away_deg = fused.turn_deg - near_deg
-    unsure_deg = CHANGE_SHARE * min(params.level_sigmas * fused.sigma_deg, params.level_max_deg)
+    may_change = CHANGE_SHARE if alert.case is Case.LIFT_OFF else 1.0
+    unsure_deg = may_change * min(params.level_sigmas * fused.sigma_deg, params.level_max_deg)
     level = max(quick_level_deg(alert, params, firm=firm), unsure_deg) * growth(detector.turns, params)
     if abs(away_deg) <= level:
         return 0

@@ -115,11 +115,11 @@ def test_a_little_above_the_level_takes_two_frames() -> None:
     assert not any(flickers.see(turn).slipping for turn in (0.4, 0.0, 0.4, 0.0, 0.4))
 
 
-def test_an_unsure_turn_needs_three_times_what_may_change_of_its_sigma() -> None:
-    watched = Watched().rest()
-    assert not any(watched.see(0.85, sigma_deg=0.6).slipping for _ in range(5))
-    watched.see(0.95, sigma_deg=0.6)
-    assert watched.see(0.95, sigma_deg=0.6).slipping
+def test_an_unsure_turn_needs_three_sigmas_or_half_of_that_in_a_lift_off() -> None:
+    for watched, least_deg in ((Watched().rest(), 1.8), (Watched().rest().lifts(10.0), 0.9)):
+        assert not any(watched.see(least_deg - 0.05, sigma_deg=0.6).slipping for _ in range(5))
+        watched.see(least_deg + 0.05, sigma_deg=0.6)
+        assert watched.see(least_deg + 0.05, sigma_deg=0.6).slipping
     assert not any(Watched().rest().see(1.5, sigma_deg=6.0).slipping for _ in range(5))
 
 
