@@ -10,14 +10,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import settings
 from leaving_out import closing_lines, leave_out, receive, send
 
 REAL_DATA_VARIABLE = "SLIPGUARD_REAL_DATA"
-settings.register_profile("no test is timed", deadline=None)
-settings.load_profile("no test is timed")
 BESIDE_EACH_OTHER = ("loop", "packaging", "real", "unit")
 """Folders of tests that compute only, or wait patiently; the others keep time, or a machine busy."""
+
+
+def pytest_configure() -> None:
+    """No test is timed. The test machine, which runs contract suites only, has no hypothesis."""
+    if importlib.util.find_spec("hypothesis") is not None:
+        from hypothesis import settings
+
+        settings.register_profile("untimed", deadline=None)
+        settings.load_profile("untimed")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
