@@ -54,8 +54,7 @@ class Ring:
         if path.parent == self.kept:
             return path
         self.kept.mkdir(parents=True, exist_ok=True)
-        room_bytes = max(0, self._limits.kept_bytes - path.stat().st_size)
-        _delete_beyond(_newest_first(self.kept), None, room_bytes, path)
+        _delete_beyond(_newest_first(self.kept, also=path), None, self._limits.kept_bytes, path)
         return path.rename(self.kept / path.name)
 
     def keep_unfinished(self) -> None:
@@ -71,11 +70,15 @@ class Ring:
         _delete_beyond(_newest_first(self.kept), None, limits.kept_bytes, writing)
 
 
-def _newest_first(folder: Path, writing: Path | None = None) -> list[tuple[Path, int]]:
-    """Recordings and their sizes in bytes; the one that is being written is the newest, whatever the clock says."""
+def _newest_first(folder: Path, writing: Path | None = None, also: Path | None = None) -> list[tuple[Path, int]]:
+    """Recordings and their sizes in bytes; the one that is being written is the newest, whatever the clock says.
+
+    also: one from elsewhere, in its place among them.
+    """
     latest_s = time.time() + CLOCK_STEP_MAX_S
     found = []
-    for path in folder.glob(f"*{SUFFIX}") if folder.is_dir() else ():
+    here = folder.glob(f"*{SUFFIX}") if folder.is_dir() else ()
+    for path in (*here, also) if also is not None else here:
         with contextlib.suppress(FileNotFoundError):  # somebody takes one away while we look
             facts = path.stat()
             age = (path == writing, facts.st_mtime <= latest_s, facts.st_mtime_ns, path.name)

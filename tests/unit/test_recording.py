@@ -179,12 +179,18 @@ def test_kept_files_have_their_limit_too(tmp_path: Path) -> None:
     for number in range(5):
         path = ring.new(CLOCK.wall_ns + number * 10**9)
         path.write_bytes(bytes(1000))
+        os.utime(path, (number, number))
         ring.keep(path)
+        assert len(list((tmp_path / "kept").iterdir())) <= 2, "room is made before"
     ring.tidy()
-    assert [path.name for path in sorted((tmp_path / "kept").iterdir())] == [
-        "20231114T221323.000Z.mcap",
-        "20231114T221324.000Z.mcap",
-    ]
+    kept = ["20231114T221323.000Z.mcap", "20231114T221324.000Z.mcap"]
+    assert [path.name for path in sorted((tmp_path / "kept").iterdir())] == kept
+    older = ring.new(CLOCK.wall_ns - 10**9)
+    older.write_bytes(bytes(1000))
+    os.utime(older, (0, 0))
+    ring.keep(older)
+    ring.tidy()
+    assert [path.name for path in sorted((tmp_path / "kept").iterdir())] == kept, "none makes room for an older one"
 
 
 def test_what_an_event_keeps_is_within_the_limit_at_once(tmp_path: Path) -> None:
