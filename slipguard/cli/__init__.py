@@ -13,6 +13,8 @@ def main() -> None:
     """Run the command line. Exit codes: 0 fine, 1 failed or interrupted, 2 misused."""
     interrupt = Interrupt()
     signal.signal(signal.SIGINT, interrupt)
+    # A frame's matrices are small. OpenBLAS would wait for its helpers in a busy loop: at real-time priority for ever.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         from slipguard.cli.app import run
 

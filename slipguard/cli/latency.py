@@ -10,6 +10,7 @@ import typer
 from slipguard.cli.interrupt import left_to_the_loop
 from slipguard.cli.progress import progress_bar
 from slipguard.errors import SlipguardError
+from slipguard.priority import go_first
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,6 +31,9 @@ def latency(
         int, typer.Option(min=1, max=100, help="With --clients: how often alone and with them, turn and turn about.")
     ] = 6,
     block_s: Annotated[float, typer.Option(min=0.5, max=600.0, help="With --clients: seconds of each turn.")] = 8.0,
+    as_service: Annotated[
+        bool, typer.Option("--as-service", help="With the real-time priority that the service has; needs root.")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
 ) -> None:
     """Measure from a frame's time stamp to the command's last byte on the serial line, stage by stage.
@@ -50,6 +54,8 @@ def latency(
     from slipguard.lab.wire_latency import Options, measure
 
     log.configure(level=logging.CRITICAL)
+    if as_service:
+        go_first()
     if clients is not None:
         from slipguard.lab.crowd import CrowdOptions
 

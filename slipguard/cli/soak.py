@@ -11,6 +11,7 @@ import typer
 from slipguard.cli.interrupt import left_to_the_loop
 from slipguard.cli.progress import progress_bar
 from slipguard.errors import InputError
+from slipguard.priority import go_first
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -43,6 +44,9 @@ def soak(
         int | None,
         typer.Option(min=1, help="Instead: lift so many objects with and without recordings, and compare."),
     ] = None,
+    as_service: Annotated[
+        bool, typer.Option("--as-service", help="With the real-time priority that the service has; needs root.")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
 ) -> None:
     """Run the daemon on the fakes for hours and tell whether anything grows, leaks or comes late.
@@ -52,7 +56,7 @@ def soak(
     simulated world tells the turn, and a lift with drawn pictures through the network comes every half hour. On the
     real clock all is as with `slipguard run --sim`.
 
-    Example: `slipguard soak --hours 8`, `slipguard soak --minutes 10 --clock real --page`,
+    Example: `slipguard soak --hours 8`, `slipguard soak --minutes 10 --clock real --page --as-service`,
     `slipguard soak --recording-cost 10`
     """
     import logging
@@ -60,6 +64,8 @@ def soak(
     from slipguard.daemon import log
 
     log.configure(level=logging.CRITICAL)
+    if as_service:
+        go_first()
     length_s = 3600.0 * hours + 60.0 * minutes
     if recording_cost is not None:
         if length_s:

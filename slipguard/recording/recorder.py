@@ -8,7 +8,6 @@ while.
 from __future__ import annotations
 
 import contextlib
-import os
 import threading
 import time
 from collections import deque
@@ -34,7 +33,6 @@ WAIT_S = 0.05
 TRY_AGAIN_S = 60.0
 SETTLE_S = 1.0
 """A new no-contact image begins a new file, once the other finger has had the time to get its own."""
-NICENESS = 10
 FINISHED_MAX = 100
 
 
@@ -151,8 +149,6 @@ class Recorder:
         self._thread.join(timeout_s)
 
     def _run(self) -> None:
-        with contextlib.suppress(OSError):  # Linux gives every thread a priority of its own
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
         self._guarded(self._ring.keep_unfinished)
         ending = False
         while not ending:

@@ -16,6 +16,7 @@ import cv2
 
 from slipguard.daemon import log
 from slipguard.errors import SlipguardError
+from slipguard.priority import stand_back
 from slipguard.web.access import Access
 from slipguard.web.remote import RemoteControl
 from slipguard.web.room import Room
@@ -51,9 +52,7 @@ async def run(link: socket.socket) -> bool:
 def main() -> None:
     """Deaf to the terminal's Ctrl-C: the daemon says when to stop."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with contextlib.suppress(OSError):
-        os.nice(NICENESS)
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))  # whoever it wakes for, it interrupts nobody
+    stand_back(NICENESS)
     cv2.setNumThreads(1)
     log.configure()
     stopped = False

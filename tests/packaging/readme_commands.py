@@ -55,6 +55,8 @@ EXECUTED = {
 """slipguard's own."""
 
 OPTIONS = {
+    "latency --as-service": "tests/unit/test_priority.py::test_where_it_is_refused_it_says_what_to_do",
+    "soak --as-service": "tests/unit/test_priority.py::test_where_it_is_refused_it_says_what_to_do",
     "run --sim": "tests/unit/test_cli_interrupt.py",
     "ctl --socket": CELL,
     "ctl --url": "tests/unit/test_ctl.py",

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from slipguard.priority import FIRST
+
 UNIT = Path(__file__).parents[2] / "systemd" / "slipguard.service"
 ANALYZE = shutil.which("systemd-analyze")
 
@@ -29,6 +31,7 @@ def test_it_starts_the_daemon_and_watches_over_it() -> None:
     assert unit["Restart"] == ["on-failure"]
     assert unit["ExecReload"] == ["/bin/kill -HUP $MAINPID"]
     assert "network-online" not in "".join(unit["After"])  # the grip is not left alone for an arm that is late
+    assert (unit["CPUSchedulingPolicy"], unit["CPUSchedulingPriority"]) == (["rr"], [f"{FIRST}"])
     assert "ORT_DISABLE_TELEMETRY=1" in unit["Environment"]
 
 

@@ -123,6 +123,10 @@ def test_it_grips_and_is_confined_while_it_works(
     with capsys.disabled():
         print(f" exposure {exposure}", end="")
     assert exposure <= 2.0
+    policies = container.run("ps", "-eLo", "cls=,comm=,args=").stdout.splitlines()
+    running = [line.split(None, 2) for line in policies if "slipguard" in line and "emulate" not in line]
+    assert {policy for policy, _, words in running if " run " in words} == {"RR"}
+    assert {policy for policy, _, words in running if "slipguard.web" in words} == {"B"}
     assert container.run("stat", "--format=%U %a", "/run/slipguard/slipguard.sock").stdout.split()[0] != "root"
 
 

@@ -8,7 +8,6 @@ Started as `python -m slipguard_drivers.digit.draw_worker SOCKET_FD MEMORY_FD UN
 from __future__ import annotations
 
 import mmap
-import os
 import pickle
 import signal
 import socket
@@ -19,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.priority import stand_back
 from slipguard.sim.gel import GelCamera
 from slipguard.sim.relief import relief_of
 from slipguard.sim.unit import Light, random_unit
@@ -84,7 +84,7 @@ def _receive(link: socket.socket) -> bytes:
 def main() -> None:
     """Stay out of the loop's way: nice, on one thread, and deaf to its Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(NICENESS)
+    stand_back(NICENESS)
     cv2.setNumThreads(1)
     link_fd, memory_fd, unit_seed = (int(text) for text in sys.argv[1:4])
     with (

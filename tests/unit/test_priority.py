@@ -1,0 +1,66 @@
+"""Whose time it is: real-time priority is asked for in one place, and whoever stands back does so alone."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from slipguard.cli.app import run
+from slipguard.errors import SlipguardError
+from slipguard.priority import FIRST, go_first, stand_back
+
+
+def standing() -> tuple[int, int]:
+    return os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+
+
+def test_one_thread_stands_back_and_what_it_starts_with_it() -> None:
+    before = standing()
+    with ThreadPoolExecutor(1) as back:
+        back.submit(stand_back, 7).result()
+        policy, niceness = back.submit(standing).result()
+        child = back.submit(subprocess.check_output, ("cat", "/proc/self/stat"), text=True).result()
+    assert (policy, niceness) == (os.SCHED_BATCH, min(before[1] + 7, 19))
+    told = child.rpartition(")")[2].split()  # from the third value on, its state
+    assert (int(told[41 - 3]), int(told[19 - 3])) == (policy, niceness)
+    assert standing() == before
+
+
+def test_what_the_system_forbids_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = standing()
+    monkeypatch.setattr(os, "sched_setscheduler", forbidden)
+    stand_back(7)
+    assert standing() == before
+
+
+def test_the_guard_goes_first_by_the_least_that_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, int, int]] = []
+
+    def noted(pid: int, policy: int, how: os.sched_param) -> None:
+        asked.append((pid, policy, how.sched_priority))
+
+    monkeypatch.setattr(os, "sched_setscheduler", noted)
+    go_first()
+    assert asked == [(0, os.SCHED_RR, FIRST)]
+    assert os.sched_get_priority_min(os.SCHED_RR) == FIRST
+
+
+def test_where_it_is_refused_it_says_what_to_do(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(os, "sched_setscheduler", forbidden)
+    with pytest.raises(SlipguardError, match=r"Operation not permitted.*root"):
+        go_first()
+    for command in (["latency", "--as-service"], ["soak", "--minutes", "1", "--as-service"]):
+        assert run(command) != 0
+        (line,) = capsys.readouterr().err.strip().splitlines()
+        assert "ulimit -r 1" in line
+
+
+def forbidden(*asked: object) -> None:
+    raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
