@@ -92,19 +92,7 @@ def look(
     times = growth(detector.slides, params)
     sliding = slide > params.slide_mm * times and (slides_fast or slide > params.slide_creep_mm * times)
     if new:
-        plainly = turning or strayed or sliding
-        counts = max(int(plainly), suddenly)
-        at_rest_again = alert.case is Case.REST and detector.frames > 0 and not plainly
-        waits = counts > 0 and at_rest_again and fused.measured_at_s < detector.counted_s + APART_S
-        far = abs(fused.turn_deg or 0.0) > params.give_up_turn_deg and fused.conflict is None
-        detector = replace(
-            detector,
-            frames=detector.frames if waits else detector.frames + counts if counts else 0,
-            counted_s=fused.newest_at_s if counts and not waits else detector.counted_s,
-            far_frames=detector.far_frames + 1 if far else 0,
-            told_deg=detector.told_deg if fused.turn_deg is None else fused.turn_deg,
-            told_s=detector.told_s if fused.turn_deg is None else fused.captured_at_s,
-        )
+        detector = _counted(detector, fused, turning or strayed or sliding, suddenly, params)
     return Look(
         detector=detector,
         turn_deg=turn,
@@ -116,6 +104,25 @@ def look(
         slides=sliding,
         slipping=detector.frames >= params.frames,
         still_s=detector.captured_s - detector.rest_since_s if detector.rest_since_s is not None else 0.0,
+    )
+
+
+def _counted(detector: Detector, fused: Fused, plainly: bool, suddenly: int, params: GuardParams) -> Detector:
+    """What a new answer adds to the frames that show slip, or that none is left of them.
+
+    plainly: it shows slip whatever the arm does. suddenly: for how many frames it counts where nothing should move.
+    """
+    counts = max(int(plainly), suddenly)
+    at_rest_again = detector.alert.case is Case.REST and detector.frames > 0 and not plainly
+    waits = counts > 0 and at_rest_again and fused.measured_at_s < detector.counted_s + APART_S
+    far = abs(fused.turn_deg or 0.0) > params.give_up_turn_deg and fused.conflict is None
+    return replace(
+        detector,
+        frames=detector.frames if waits else detector.frames + counts if counts else 0,
+        counted_s=fused.newest_at_s if counts and not waits else detector.counted_s,
+        far_frames=detector.far_frames + 1 if far else 0,
+        told_deg=detector.told_deg if fused.turn_deg is None else fused.turn_deg,
+        told_s=detector.told_s if fused.turn_deg is None else fused.captured_at_s,
     )
 
 
