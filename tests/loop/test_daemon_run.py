@@ -1,0 +1,38 @@
+"""The daemon as a process of its own: what holds for all of it while it runs, and is undone at its end."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+from slipguard.config import parse_config
+from slipguard.daemon import root
+from slipguard.sim.world import World, WorldSettings
+
+
+def test_no_collection_of_garbage_looks_at_what_stays(tmp_path: Path) -> None:
+    frozen: list[int] = []
+
+    async def beside(service: Any) -> None:
+        turned = asyncio.Event()
+        service.observers.append(lambda decision: turned.set())
+        await turned.wait()
+        frozen.append(gc.get_freeze_count())
+        os.kill(os.getpid(), signal.SIGTERM)
+        await asyncio.Event().wait()
+
+    told = {"state": {"directory": str(tmp_path)}}
+
+    async def main() -> None:
+        async with asyncio.timeout(30.0):
+            await root.run(
+                parse_config(told, where="test", sim=True), world=World(WorldSettings(), seed=0), beside=beside
+            )
+
+    asyncio.run(main())
+    assert frozen[0] > 10_000
+    assert gc.get_freeze_count() == 0
