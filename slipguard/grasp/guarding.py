@@ -19,7 +19,10 @@ SLOWING = 0.8
 """A rate below this share of that at the last step says that the step helps."""
 PROGRESS_DEG = 1.0
 PROGRESS_MM = 0.2
-"""A step is answered by another only if the object has moved this much further since."""
+"""A step is answered by another only if the object has moved this much further since, at the rate of slip,"""
+CREPT_DEG = 3.0
+CREPT_MM = 0.5
+"""... or this much however slowly: friction that has once been overcome may creep."""
 SPENT_DEG = 5.0
 SPENT_MM = 1.0
 """With the whole budget applied and the arm stopped, moving this much further is no wind-up of the gel."""
@@ -86,7 +89,8 @@ def _go_on(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: Guard
         slip = replace(slip, turn_deg=sight.turn_deg, rate_deg_s=sight.rate_deg_s, slide_mm=sight.slide_mm)
         return Verdict(replace(state, slip=slip), stop=True)
     turned_deg, slid_mm = sight.turn_deg - slip.turn_deg, sight.slide_mm - slip.slide_mm
-    if not (sight.moving and (turned_deg > PROGRESS_DEG or slid_mm > PROGRESS_MM)):
+    slips_on = sight.moving and (turned_deg > PROGRESS_DEG or slid_mm > PROGRESS_MM)
+    if not (slips_on or turned_deg > _crept_deg(seen, params) or slid_mm > CREPT_MM):
         return waiting
     at_rest = seen.gripper is not None and settled(state, seen.gripper)
     within = limits.budget(params.force_max_n, seen.gripper_limits_n)
@@ -101,6 +105,12 @@ def _go_on(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: Guard
     if not (at_rest or late):
         return waiting
     return _step(state, slip, sight, seen, params, params.next_step)
+
+
+def _crept_deg(seen: Seen, params: GuardParams) -> float:
+    """How much further is no noise of the estimate."""
+    sigma_deg = seen.fused.sigma_deg if seen.fused is not None and seen.fused.sigma_deg is not None else 0.0
+    return max(CREPT_DEG, min(params.level_sigmas * sigma_deg, params.level_max_deg))
 
 
 def _felt_s(state: GuardState, params: GuardParams) -> float:

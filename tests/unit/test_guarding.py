@@ -137,6 +137,26 @@ def test_a_step_is_followed_by_another_only_if_the_object_moved_on(
         assert verdict.state.slip.slide_mm == shift_mm
 
 
+@pytest.mark.parametrize(
+    ("sigma_deg", "turn_deg", "steps"),
+    [(0.1, 7.0, False), (0.1, 7.01, True), (1.5, 8.5, False), (1.5, 8.51, True), (9.0, 9.0, False), (9.0, 9.01, True)],
+)
+def test_a_step_is_followed_by_another_where_the_object_creeps_on(
+    sigma_deg: float, turn_deg: float, steps: bool
+) -> None:
+    creeping = fused(turn_deg, 4.0, at_s=NOW_S, sigma_deg=sigma_deg)
+    assert (look(state(slipping(4.0, 4.0)), view(fused=creeping)).hold_n is not None) is steps
+
+
+@pytest.mark.parametrize(("slid_mm", "steps"), [(0.5, False), (0.51, True)])
+@pytest.mark.parametrize("turn_deg", [None, 4.0])
+def test_so_where_it_slides_on_slowly(turn_deg: float | None, slid_mm: float, steps: bool) -> None:
+    slow = replace(PRIMED, smooth_shift_mm=slid_mm - 0.01, captured_s=NOW_S - 0.02)
+    verdict = look(state(slipping(4.0, 0.0), slow), view(turn_deg, 0.0, slid_mm))
+    assert verdict.stop
+    assert (verdict.hold_n is not None) is steps
+
+
 def test_what_slid_before_the_last_step_is_no_progress() -> None:
     assert look(state(slipping(4.0, slide_mm=0.3)), view(4.5, 60.0, 0.4)).hold_n is None
 

@@ -179,6 +179,25 @@ def test_without_stop_on_slip_the_arm_goes_on() -> None:
     assert command.arm is None
 
 
+@pytest.mark.parametrize(("deg_s", "mm_s"), [(4.0, 0.0), (7.9, 0.0), (0.0, 1.2), (0.0, 2.9)])
+def test_slip_too_slow_to_be_told_by_its_rate_takes_all_the_force_and_then_is_a_fault(
+    deg_s: float, mm_s: float
+) -> None:
+    play = Play(GuardParams()).held()
+    forces = [play.law.target_n]
+    for tick in range(round(5.0 / 0.02)):
+        passed_s = 0.02 * tick
+        play.view = replace(
+            play.view, turn_deg=deg_s * passed_s, rate_deg_s=deg_s, shift_mm=mm_s * passed_s, sigma_deg=0.1
+        )
+        forces.append(play.tick().hold_force_n or forces[-1])
+    assert forces == sorted(forces)
+    assert forces[-1] == pytest.approx(130.0, abs=1.0)
+    assert play.law.fault is not None
+    assert play.law.fault.code is FaultCode.BUDGET_SPENT
+    assert play.law.slip is not None
+
+
 def test_the_budget_spent_is_a_fault_that_keeps_the_grip() -> None:
     play = Play(GuardParams(force_max_n=60.0, blind_force_n=60.0)).held()
     for turn_deg in range(4, 40, 2):
