@@ -46,8 +46,9 @@ def test_holds_are_spread_and_some_are_rendered() -> None:
 def test_a_tightening_counts_as_false_where_nothing_slipped_since_the_one_before() -> None:
     trace = Trace(time_s=[0.1 * k for k in range(100)], sliding=[k == 90 for k in range(100)])
     trace.slip_deg = [0.02 + 0.3 * (time_s >= 3.0) for time_s in trace.time_s]
-    told = [2.0, 5.0, 8.0, 9.5]
+    told = [2.0, 4.0, 8.0, 9.5]
     assert holds._for_nothing(told, trace, 0.0) == [2.0, 8.0]
+    assert holds._for_nothing([3.0 + holds.LATELY_S + 0.2], trace, 0.0) == [3.0 + holds.LATELY_S + 0.2]
 
 
 def test_one_frame_is_off_and_its_turn_is_common_to_both_fingers() -> None:

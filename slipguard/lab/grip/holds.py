@@ -35,7 +35,9 @@ STEP_S = 2e-3
 LIFTS_WITHIN_S = 8.0
 HOLD_NUMBERS, RENDERED_NUMBERS = 10_000, 11_000
 TRULY_DEG = 0.1
-"""Less true slip than this since the grip, or since the last tightening, and no sliding: nothing slips."""
+LATELY_S = 2.0
+"""Less true slip than this in so long a time (or since the last tightening, or the grip), and no sliding: nothing
+slips."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,11 +149,14 @@ def _held(plan: Hold, loop: Loop, lifted_s: float, begun_s: float, failed: str |
 
 
 def _for_nothing(told_s: list[float], trace: Trace, from_s: float) -> list[float]:
-    """Those of the tightenings before which the object had truly neither slipped nor slid since the one before."""
+    """Those of the tightenings shortly before which the object had truly neither slipped nor slid, nor since the last.
+
+    A slip that was answered, or is long over, is no reason for another.
+    """
     times_s, slips_deg, slides = np.asarray(trace.time_s), np.asarray(trace.slip_deg), np.asarray(trace.sliding)
     found = []
     for at_s in told_s:
-        since = (times_s >= from_s) & (times_s <= at_s)
+        since = (times_s >= max(from_s, at_s - LATELY_S)) & (times_s <= at_s)
         slipped = since.any() and np.ptp(slips_deg[since]) >= TRULY_DEG
         if not (slipped or slides[since].any()):
             found.append(at_s)
