@@ -83,15 +83,9 @@ def first_seen(process: Callable[[Frame], Estimate], frames: Iterable[Frame]) ->
     return None
 
 
-def frames_later(
-    skipping: Callable[[Frame], Estimate], measuring: Callable[[Frame], Estimate], frames: list[Frame]
-) -> int | None:
-    """How many frames later the slip is seen by `skipping`; None where `measuring` does not see it at all.
+def later_by(skipping: int | None, measuring: int | None, frames: int) -> int | None:
+    """How many frames later the slip is seen by skipping; None where measuring does not see it at all.
 
     Negative where it is seen earlier. A slip that skipping alone overlooks counts as seen after the last frame.
     """
-    without = first_seen(measuring, frames)
-    if without is None:
-        return None
-    seen = first_seen(skipping, frames)
-    return (len(frames) if seen is None else seen) - without
+    return None if measuring is None else (frames if skipping is None else skipping) - measuring

@@ -9,8 +9,10 @@ from io import StringIO
 from pathlib import Path
 from typing import cast
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from rich.console import Console
 
 from slipguard.devices import Frame
@@ -26,6 +28,7 @@ from slipguard.lab.bench.tally import Errors, Tally, quarters, within_se
 from slipguard.lab.bench.thinning import thinning
 from slipguard.lab.minute import Minute
 from slipguard.lab.peer import PEER_MODEL
+from slipguard.lab.scores import dice
 from slipguard.lab.sequences import EMPTY_FRAMES, TURN_DEG, Sequence, sequence
 from slipguard.perception.segment import default_model_path
 
@@ -36,9 +39,10 @@ KEYS = [
 MORE_KEYS = {
     "mean_ms_per_frame_grasp", "round_textured_error_mean_deg", "round_plain_declined_share", "within_1_sigma",
     "within_2_sigma", "turn_error_sd_deg", "turn_error_p95_deg", "turn_error_by_quartile_deg", "stage_ms", "pareto",
-    "cpu_s_per_minute_grasp", "within_1_sigma_se", "within_2_sigma_se",
+    "cpu_s_per_minute_grasp", "within_1_sigma_se", "within_2_sigma_se", "turns", "turn_sequences",
 }  # fmt: skip
 PEER_PATH = default_model_path().with_name(PEER_MODEL)
+PAPER_PATH = Path(__file__).resolve().parents[2] / "models" / "deeplabv3plus-resnet18.onnx"
 
 
 def found() -> Bench:
@@ -48,7 +52,7 @@ def found() -> Bench:
         stage_ms={"segment": (1.3, 1.5, 1.4), "thin": (0.3, 0.4, 0.1)},
     )  # fmt: skip
     peer = Row("paper", "peer", "skeleton", 150.0, 160.0, None, None, None, None, None, None, 24, None,
-               mean_ms_per_frame_grasp=150.0)  # fmt: skip
+               resolution="240×320", mean_ms_per_frame_grasp=150.0)  # fmt: skip
     plain = replace(ours, name="subtraction + pca", network="subtraction", estimator="pca", pareto=False)
     ratios = {"cv2": 5.0, "scikit-image thin": 20.0, "scikit-image skeletonize": 1.5}
     thin = [Thinning(size, 9, 1.0, ratios, {**ratios, "cv2": ratio}, 0) for size, ratio in (("a", 18.0), ("b", 5.0))]
@@ -78,6 +82,22 @@ def test_the_table_tells_the_ratio_to_the_peer_and_the_picture_is_drawn(tmp_path
         assert "as published" in text
     picture(found(), tmp_path / "bench.png")
     assert (tmp_path / "bench.png").stat().st_size > 5_000
+
+
+def test_times_are_compared_with_the_first_network_of_a_size_on_its_best_number_of_threads() -> None:
+    bench = found()
+    one, row = bench.peers[0], bench.pipelines[0]
+    two = replace(one, name="paper, 2 threads", threads=2, p50_ms=90.0)
+    other = replace(one, name="paper, other", network="quicker", p50_ms=10.0)
+    small = replace(one, name="paper, small", resolution="120×160", p50_ms=60.0, turn_error_mean_deg=13.0)
+    bench = replace(bench, peers=(small, one, two, other, bench.peers[1]))
+    assert bench.reference("240×320") == two
+    assert bench.reference("96×128") is None
+    assert table.cells_of(row, bench)[-2:] == ["30.0", "20.0"]
+    assert table.cells_of(row, replace(bench, peers=()))[-2:] == ["–", "–"]
+    text = " ".join(table.notes(bench))
+    assert "90.00 ms on 2 threads, its best number (made-up weights, time only)" in text
+    assert "60.00 ms on one thread, its best number (learnt weights)" in text
 
 
 def test_a_table_goes_between_the_markers_and_nowhere_else(tmp_path: Path) -> None:
@@ -132,6 +152,8 @@ def test_a_tally_of_one_grasp_fills_a_row() -> None:
     assert row.skipped_p50_ms < (row.p50_ms or 0.0)
     assert row.round_plain_declined_share is None
     assert {"gate", "segment"} < set(row.stage_ms)
+    assert row.turns == len(tally.grasps[0].found) > 0
+    assert row.turn_sequences == 1
 
 
 def test_background_subtraction_turns_the_right_way() -> None:
@@ -198,9 +220,30 @@ def test_the_paper_pipeline_runs_on_dense_weights() -> None:
     said = [pipeline.process(shot.frame) for shot in grasp.shots[-3:]]
     assert all(one.contact and one.angle_deg is not None and one.sigma_deg is None for one in said)
     assert network.segment(grasp.shots[0].frame.image, None).shape == (160, 120)
+    assert pipeline.last_mask.shape == (320, 240)
     subject = Subject("paper", "peer", "skeleton", PEER_PATH, "frame", "240×320")
     tally = Tally(busy_ms=[80.0])
     assert tally.row(subject, tally, 80.0, 288.0).turn_error_mean_deg is None
+
+
+def test_the_paper_pipeline_thins_at_the_size_of_its_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    grasp = short(sequence("bar", 2, with_masks=True), 10)
+    thinned: list[tuple[int, ...]] = []
+    whole = cv2.ximgproc.thinning
+
+    def counted(mask: NDArray[np.uint8], thinningType: int) -> NDArray[np.uint8]:
+        thinned.append(mask.shape)
+        return cast("NDArray[np.uint8]", whole(mask, thinningType=thinningType))
+
+    monkeypatch.setattr(cv2.ximgproc, "thinning", counted)
+    network = FrameNetwork(PAPER_PATH)
+    pipeline = PaperPipeline(network)
+    shot = grasp.shots[-1]
+    seen = pipeline.process(shot.frame)
+    assert thinned == [(network.height, network.width)] == [(160, 120)]
+    assert shot.mask is not None
+    assert dice(pipeline.last_mask > 0, shot.mask > 0) > 0.7
+    assert seen.contact_area_px == np.count_nonzero(pipeline.last_mask)
 
 
 def test_network_files_are_told_apart(tmp_path: Path) -> None:

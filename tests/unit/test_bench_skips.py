@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
+from slipguard.grasp.tracked import Detector
 from slipguard.lab import minute
 from slipguard.lab.bench import second_finger as second
+from slipguard.lab.bench import skipping
 from slipguard.lab.bench.clock import CLOCK
 from slipguard.lab.bench.cropping import CroppedSegmenter
 from slipguard.lab.bench.holding import hold
 from slipguard.lab.bench.remembering import Remembering
 from slipguard.lab.bench.subjects import NO_SKIP, Subject, ours
 from slipguard.lab.minute import Minute
+from slipguard.lab.onset import Onset
 from slipguard.lab.scores import dice
 from slipguard.lab.sequences import sequence
 from slipguard.perception.segment import Segmenter
@@ -20,6 +25,29 @@ from slipguard.perception.segment import Segmenter
 
 def default() -> Subject:
     return next(one for one in ours(None, every=False) if one.estimator == "fused" and one.skips != NO_SKIP)
+
+
+@dataclass
+class Blind:
+    """A law that never sees a slip."""
+
+    detector: Detector
+    slipping: bool = False
+
+
+def test_how_much_later_a_slip_is_seen_is_measured_for_the_gate_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = iter((9, 7, 9, None, None, 3))
+    monkeypatch.setattr(skipping, "first_seen", lambda process, frames: next(answers))
+    tried = skipping._Tried(Onset("key", 7000, 60.0), default())
+    assert skipping._later(tried) == skipping._Later(no_contact=2, unchanged=0)
+    later = skipping._later(tried)
+    assert later.no_contact is None
+    assert later.unchanged is not None
+    assert later.unchanged > 90
+    worth = skipping._no_contact(default(), 1, [None, later.unchanged, 0])
+    assert worth.frames_later == later.unchanged
+    assert worth.how.endswith("2 slips after rest (1 that nobody sees aside)")
+    assert skipping._most([None]) is None
 
 
 def test_a_crop_shows_what_the_whole_shows() -> None:
@@ -44,6 +72,8 @@ def test_a_spared_finger_is_cheaper_and_no_slip_is_overlooked(monkeypatch: pytes
     worth = second.second_finger(default())
     assert worth.frames_later is not None
     assert worth.frames_later <= 1
+    monkeypatch.setattr(second, "look", lambda detector, fused, law: Blind(detector))
+    assert second.second_finger(default()).frames_later is None
     assert not worth.how.startswith("0 of")
     assert abs(worth.error_added_deg or 0.0) < 0.3
 

@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 
 from slipguard.devices import Frame
-from slipguard.lab.onset import Onset, first_seen, frames_later
+from slipguard.lab.onset import Onset, first_seen, later_by
 from slipguard.lab.sequences import Sequence
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
@@ -48,7 +48,8 @@ def test_a_slip_after_rest_is_seen_no_more_than_one_frame_later(onset: Onset) ->
         return answer
 
     skipping = pipeline(grasp, EVERY_SKIP)
-    later = frames_later(counted, pipeline(grasp, Skips(unchanged=False)).process, frames)
+    measuring = pipeline(grasp, Skips(unchanged=False))
+    later = later_by(first_seen(counted, frames), first_seen(measuring.process, frames), len(frames))
     assert later is not None
     assert later <= 1
     assert reused > 20  # or nothing was tried
@@ -63,5 +64,5 @@ def test_what_is_overlooked_counts_as_seen_after_the_end() -> None:
     assert seen is not None
     stuck = answers[frames[60].sequence]
     assert first_seen(lambda _frame: stuck, frames) is None
-    assert frames_later(lambda _frame: stuck, lambda frame: answers[frame.sequence], frames) == len(frames) - seen
-    assert frames_later(lambda frame: answers[frame.sequence], lambda _frame: stuck, frames) is None
+    assert later_by(None, seen, len(frames)) == len(frames) - seen
+    assert later_by(seen, None, len(frames)) is None

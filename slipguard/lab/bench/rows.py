@@ -38,9 +38,11 @@ class Row:
     quarter to the hardest. within_n_sigma: share of errors no larger than n times the sigma stated; its _se: standard
     error, told by how much grasps differ, for the errors of one grasp are alike. round textured, round plain: objects
     without an axis, with and without texture; confident: a turn stated that is larger than three of its sigmas.
-    mean_ms_per_frame_grasp, cpu_s_per_minute_grasp: over a minute of holding. stage_ms: stage -> (p50, p99) of the
-    frames that needed it, and its mean over all. pareto: no other row is both faster (mean over the grasp) and more
-    accurate.
+    mean_ms_per_frame_grasp, cpu_s_per_minute_grasp: over a minute of holding; of a large network with slipguard's
+    estimators reckoned from its own frames and the share of frames that the default leaves out. stage_ms: stage ->
+    (p50, p99) of the frames that needed it, and its mean over all. pareto: no other row is both faster (mean over the
+    grasp) and more accurate. frames, sequences: asked of a turn; turns, turn_sequences: those that the turn errors are
+    taken over, without declined ones and without the two plain objects that are in no manifest.
     """
 
     name: str
@@ -77,6 +79,8 @@ class Row:
     round_plain_confident_share: float | None = None
     stage_ms: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     pareto: bool = False
+    turns: int | None = None
+    turn_sequences: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +125,14 @@ class Bench:
     thinning: tuple[Thinning, ...] = ()
     skips: tuple[Skip, ...] = ()
     notes: tuple[str, ...] = ()
+
+    def reference(self, resolution: str) -> Row | None:
+        """The paper's pipeline of this size that times are compared with: the first such network of the peers, on as
+        many threads as it is quickest with. None where there is none.
+        """
+        theirs = [row for row in self.peers if row.estimator == "skeleton" and row.resolution == resolution]
+        alike = [row for row in theirs if row.network == theirs[0].network and row.p50_ms is not None]
+        return min(alike, key=lambda row: row.p50_ms or math.inf, default=None)
 
     @property
     def thinning_vs_cv2(self) -> float | None:

@@ -73,6 +73,6 @@ def second_finger(default: Subject) -> Skip:
         saved_ms * len(plain.spent_s) / max(spared.spared, 1),
         saved_ms,
         float(np.mean(spared.errors_deg) - np.mean(plain.errors_deg)),
-        max(later, default=0),
+        max(later, default=None),
         f"{spared.spared} of {len(plain.spent_s)} frames of the finger that is pressed less; {len(plain.seen)} slips",
     )

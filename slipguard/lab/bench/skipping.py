@@ -13,7 +13,7 @@ from slipguard.lab.bench.second_finger import second_finger
 from slipguard.lab.bench.subjects import Subject
 from slipguard.lab.bench.tally import Tally
 from slipguard.lab.minute import Minute
-from slipguard.lab.onset import SLIDE_RATES_MM_S, TURN_RATES_DEG_S, Onset, frames_later
+from slipguard.lab.onset import SLIDE_RATES_MM_S, TURN_RATES_DEG_S, Onset, first_seen, later_by
 from slipguard.lab.parallel import Workers, each
 from slipguard.lab.sequences import ROUND_PLAIN, sequence
 from slipguard.perception.settings import EVERY_SKIP, Skips
@@ -31,6 +31,14 @@ class _Tried:
     subject: Subject
 
 
+@dataclass(frozen=True, slots=True)
+class _Later:
+    """How many frames later one slip is seen because of each skip; None where it is not seen without the skip."""
+
+    no_contact: int | None
+    unchanged: int | None
+
+
 def onsets(quick: bool) -> list[Onset]:
     """Slips after rest: quick ones and slow, turning and sliding, of every test object."""
     if quick:
@@ -46,9 +54,11 @@ def onsets(quick: bool) -> list[Onset]:
 
 def skips(quick: bool, default: Subject, held: dict[str, Held], workers: Workers) -> tuple[Skip, ...]:
     """Every skip of the default pipeline, measured."""
+    tried = [_Tried(onset, default) for onset in onsets(quick)]
+    later = list(each(_later, tried, Workers(jobs=1) if quick else workers))
     found = [
-        _no_contact(default, 1 if quick else 6),
-        _unchanged(quick, default, held, workers),
+        _no_contact(default, 1 if quick else 6, [one.no_contact for one in later]),
+        _unchanged(quick, default, held, [one.unchanged for one in later]),
         _round(default, ROUND_PLAIN[:1] if quick else ROUND_PLAIN),
     ]
     if not quick:
@@ -58,7 +68,7 @@ def skips(quick: bool, default: Subject, held: dict[str, Held], workers: Workers
     return tuple(found)
 
 
-def _no_contact(default: Subject, objects: int) -> Skip:
+def _no_contact(default: Subject, objects: int, later: list[int | None]) -> Skip:
     """Frames without contact, with the gate's answer and with the network's."""
     gated, plain = Tally(), Tally()
     missed = frames = 0
@@ -76,33 +86,45 @@ def _no_contact(default: Subject, objects: int) -> Skip:
             frames += 1
     # Without the gate a frame without contact costs what it takes to find nothing.
     saved = float(np.median(plain.busy_ms + plain.empty_ms + plain.other_ms)) - float(np.median(gated.empty_ms))
-    how = f"{len(gated.empty_ms)} frames without contact; {missed} of {frames} frames that the network finds contact in"
-    return Skip("no contact: no network", True, saved, None, None, 0, how)
+    how = (
+        f"{len(gated.empty_ms)} frames without contact; {missed} of {frames} frames that the network finds contact in; "
+        f"{_seen(later)}"
+    )
+    return Skip("no contact: no network", True, saved, None, None, _most(later), how)
 
 
-def _unchanged(quick: bool, default: Subject, held: dict[str, Held], workers: Workers) -> Skip:
+def _unchanged(quick: bool, default: Subject, held: dict[str, Held], later: list[int | None]) -> Skip:
     """A minute of holding with and without, and slips after rest."""
     without = replace(default, skips=replace(EVERY_SKIP, unchanged=False))
     other = hold([without], Minute(), {without.name: 10} if quick else {without.name: 1})[without.name]
     own = held[default.name]
     left_out = own.skipped.get("unchanged", 0)
     saved_a_frame = (other.cpu_s_per_minute - own.cpu_s_per_minute) / 3.6
-    tried = [_Tried(onset, default) for onset in onsets(quick)]
-    later = [found for found in each(_later, tried, Workers(jobs=1) if quick else workers) if found is not None]
     error = float(np.mean(own.errors_deg) - np.mean(other.errors_deg))
-    how = (
-        f"{left_out} of {own.frames} frames of a minute of holding; {len(later)} slips after rest "
-        f"({len(tried) - len(later)} that nobody sees aside)"
-    )
+    how = f"{left_out} of {own.frames} frames of a minute of holding; {_seen(later)}"
     saved = saved_a_frame * own.frames / max(left_out, 1)
-    return Skip("unchanged: the last answer", True, saved, saved_a_frame, error, max(later, default=None), how)
+    return Skip("unchanged: the last answer", True, saved, saved_a_frame, error, _most(later), how)
 
 
-def _later(tried: _Tried) -> int | None:
+def _later(tried: _Tried) -> _Later:
     grasp = tried.onset.grasp()
-    without = replace(tried.subject, skips=replace(EVERY_SKIP, unchanged=False))
     frames = [shot.frame for shot in grasp.shots]
-    return frames_later(tried.subject.open(grasp).process, without.open(grasp).process, frames)
+
+    def seen(skips: Skips) -> int | None:
+        return first_seen(replace(tried.subject, skips=skips).open(grasp).process, frames)
+
+    skipping = seen(EVERY_SKIP)
+    without = [seen(replace(EVERY_SKIP, no_contact=False)), seen(replace(EVERY_SKIP, unchanged=False))]
+    return _Later(*(later_by(skipping, one, len(frames)) for one in without))
+
+
+def _most(later: list[int | None]) -> int | None:
+    return max((one for one in later if one is not None), default=None)
+
+
+def _seen(later: list[int | None]) -> str:
+    unseen = later.count(None)
+    return f"{len(later) - unseen} slips after rest ({unseen} that nobody sees aside)"
 
 
 def _round(default: Subject, objects: tuple[str, ...]) -> Skip:

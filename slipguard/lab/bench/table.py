@@ -12,9 +12,12 @@ from slipguard.lab.bench.rows import PUBLISHED, Bench, Row
 BEGIN, END = "<!-- bench table: begin -->", "<!-- bench table: end -->"
 COLUMNS = (
     "front", "pipeline", "p50", "p99", "skipped", "mean over a grasp", "CPU s a minute", "turn error", "p95", "worst",
-    "with an axis", "declined", "round textured", "round plain declined", "in 1, 2 sigma", "Dice", "IoU", "× peer",
+    "with an axis", "turns", "declined", "round textured", "round plain declined", "in 1, 2 sigma", "Dice", "IoU",
+    "× 240×320", "× 120×160",
 )  # fmt: skip
-BRIEF = ("p50", "p99", "grasp", "error", "worst", "declined", "Dice", "× peer")
+BRIEF = ("p50", "p99", "grasp", "error", "worst", "declined", "Dice", "× 240×320")
+SIZES = ("240×320", "120×160")
+"""Of the paper's network: as published, and as it could be trained here."""
 
 
 def tables(found: Bench, brief: bool) -> list[Table]:
@@ -26,8 +29,8 @@ def tables(found: Bench, brief: bool) -> list[Table]:
         name = f"[bold]{cells[1]}[/]" if row.name == found.default else cells[1]
         picked = [cells[0], name, *cells[2:]]
         if brief:
-            picked = [picked[0], name, cells[2], cells[3], cells[5], cells[7].split(" ± ")[0], cells[9], cells[11],
-                      cells[15], cells[17]]  # fmt: skip
+            picked = [picked[0], name, cells[2], cells[3], cells[5], cells[7].split(" ± ")[0], cells[9], cells[12],
+                      cells[16], cells[18]]  # fmt: skip
         shown.add_row(*picked)
     thinned = Table("thinning", "masks", "ms", "cv2, ×", "scikit-image thin, ×", "skeletonize, ×", "pixels not cv2's")
     for one in found.thinning:
@@ -51,7 +54,22 @@ def notes(found: Bench) -> list[str]:
         f"Dice {PUBLISHED['dice']}, IoU {PUBLISHED['iou']}:",
         "another machine and other objects, not comparable figure by figure",
     ]
-    return [*found.notes, " ".join(published)]
+    return [*found.notes, *_compared(found), " ".join(published)]
+
+
+def _compared(found: Bench) -> list[str]:
+    """What the last columns divide by."""
+    lines = []
+    for size in SIZES:
+        peer = found.reference(size)
+        if peer is not None:
+            threads = "one thread" if peer.threads == 1 else f"{peer.threads} threads"
+            error = "made-up weights, time only" if peer.turn_error_mean_deg is None else "learnt weights"
+            lines.append(
+                f"× {size}: how many times as long (p50) the paper's pipeline takes with {peer.network}, "
+                f"{_text(peer.p50_ms)} ms on {threads}, its best number ({error})"
+            )
+    return lines
 
 
 def markdown(found: Bench, command: str) -> str:
@@ -89,8 +107,6 @@ def write_into(path: Path, text: str) -> None:
 
 def cells_of(row: Row, found: Bench) -> list[str]:
     """One row as texts, in the order of COLUMNS."""
-    peer_ms = next((peer.p50_ms for peer in found.peers if peer.p50_ms is not None), None)
-    ratio = None if peer_ms is None or not row.p50_ms else peer_ms / row.p50_ms
     error, sd = _text(row.turn_error_mean_deg), _text(row.turn_error_sd_deg)
     return [
         "◆" if row.pareto else "",
@@ -104,6 +120,7 @@ def cells_of(row: Row, found: Bench) -> list[str]:
         _text(row.turn_error_p95_deg),
         _text(row.turn_error_worst_object_deg),
         _text(row.turn_error_readable_mean_deg),
+        _text(row.turns, "{:,}"),
         _text(row.declined_share, "{:.0%}"),
         _text(row.round_textured_error_mean_deg),
         _text(row.round_plain_declined_share, "{:.0%}"),
@@ -114,8 +131,13 @@ def cells_of(row: Row, found: Bench) -> list[str]:
         ),
         _text(row.dice, "{:.3f}"),
         _text(row.iou, "{:.3f}"),
-        _text(ratio, "{:.1f}"),
+        *(_text(_ratio(found.reference(size), row), "{:.1f}") for size in SIZES),
     ]
+
+
+def _ratio(peer: Row | None, row: Row) -> float | None:
+    """How many times as long the peer takes."""
+    return None if peer is None or peer.p50_ms is None or not row.p50_ms else peer.p50_ms / row.p50_ms
 
 
 def _text(value: float | None, form: str = "{:.2f}") -> str:

@@ -53,26 +53,29 @@ class Tally:
         self.grasps.append(errors)
         return errors
 
-    def take(self, processor: Processor, shot: Shot, errors: Errors, timed: bool = True) -> Estimate:
-        """Run a processor over the next shot of a grasp."""
+    def take(self, processor: Processor, shot: Shot, errors: Errors) -> Estimate:
+        """Run a processor over the next shot of a grasp. A contact that was skipped as none overlaps nothing."""
         start_s = CLOCK()
         seen = processor.process(shot.frame)
-        if timed:
-            self._time(seen, 1e3 * (CLOCK() - start_s))
-        if shot.contact and shot.mask is not None and seen.skipped is None:
-            found, label = processor.last_mask > 0, shot.mask > 0
-            self.overlaps.append((dice(found, label), iou(found, label)))
+        self._time(seen, 1e3 * (CLOCK() - start_s))
+        if shot.contact and shot.mask is not None:
+            label = shot.mask > 0
+            if seen.skipped is None:
+                found = processor.last_mask > 0
+                self.overlaps.append((dice(found, label), iou(found, label)))
+            elif seen.skipped == "no contact" and label.any():
+                self.overlaps.append((0.0, 0.0))
         if shot.compared:
             errors.compared += 1
             if seen.angle_deg is not None:
                 errors.found.append((abs(seen.angle_deg - shot.turn_deg), seen.angle_deg, seen.sigma_deg))
         return seen
 
-    def run(self, processor: Processor, grasp: Sequence, shots: Iterable[Shot], timed: bool = True) -> None:
+    def run(self, processor: Processor, grasp: Sequence, shots: Iterable[Shot]) -> None:
         """All shots of a grasp."""
         errors = self.begin(grasp)
         for shot in shots:
-            self.take(processor, shot, errors, timed)
+            self.take(processor, shot, errors)
 
     def _time(self, seen: Estimate, spent_ms: float) -> None:
         if seen.skipped == "no contact":
@@ -126,6 +129,8 @@ class Tally:
             resolution=subject.resolution,
             skipping=subject.skips.unchanged,
             threads=subject.threads,
+            turns=len(errors) if known else None,
+            turn_sequences=sum(bool(one.found) for one in manifest) if known else None,
             mean_ms_per_frame_grasp=grasp_ms,
             cpu_s_per_minute_grasp=cpu_s,
             no_contact_p50_ms=quantile(times.empty_ms, 0.5),
