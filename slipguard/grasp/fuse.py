@@ -16,6 +16,12 @@ SIGMA_FLOOR_DEG = 0.1
 """No estimate counts as surer than this."""
 AGREE_SIGMAS = 3.0
 """Turns further apart than this many combined standard deviations disagree."""
+DIFFER_SIGMAS = 5.0
+"""Two fingers contradict each other where they are further apart than so many combined standard deviations,"""
+DIFFER_DEG = 3.0
+"""and than this: twice what two fingers differ by in lifts, soft pads that wind up included (1.6 degrees at most),"""
+DIFFER_SHARE = 0.1
+"""and this share of the larger turn: a finger's error grows with the turn, by up to 4.5 % (one standard deviation)."""
 GAP_MAX_S = 0.1
 """A finger further behind the other than this is left out; frames come every 17-33 ms."""
 SIGMA_MAX_DEG = 180.0
@@ -33,7 +39,8 @@ class Fused:
     shift_mm: downwards since the reference, mean of the fingers that know it.
     captured_at_s: the moment `turn_deg` speaks of. measured_at_s, newest_at_s: the oldest and the newest measurement
     used.
-    fingers: whose turn was used. conflict: the fingers contradict each other. note: what is worth telling.
+    fingers: who tells a turn. conflict: the two contradict each other, and only the larger turn and its rate and
+    measurement are used. note: what is worth telling.
     """
 
     left_contact: bool | None
@@ -100,16 +107,18 @@ def fuse(left: Estimate | None, right: Estimate | None) -> Fused | None:
     )
     if not turns:
         return replace(base, declined="; ".join(notes))
-    turn_deg, sigma_deg, conflict = _weigh(turns)
+    conflict = _conflict(*turns) if len(turns) == 2 else None
+    used = turns if conflict is None else [max(turns, key=lambda turn: abs(turn.turn_deg))]
+    turn_deg, sigma_deg = _weigh(used)
     return replace(
         base,
         captured_at_s=turns[0].captured_at_s,
-        measured_at_s=min(turn.measured_at_s for turn in turns),
-        newest_at_s=max(turn.measured_at_s for turn in turns),
+        measured_at_s=min(turn.measured_at_s for turn in used),
+        newest_at_s=max(turn.measured_at_s for turn in used),
         fingers=tuple(turn.finger for turn in turns),
         turn_deg=turn_deg,
         sigma_deg=sigma_deg,
-        rate_deg_s=_rate(turns),
+        rate_deg_s=_rate(used),
         conflict=conflict,
         note="; ".join(notes) or None,
     )
@@ -163,28 +172,38 @@ def _together(one: _Turn, other: _Turn) -> tuple[list[_Turn], list[str]]:
     return [back if turn is newer else turn for turn in (one, other)], []
 
 
-def _weigh(turns: list[_Turn]) -> tuple[float, float, str | None]:
-    """Weighted turn, its sigma, and the conflict if the fingers turn the same way in their pictures.
+def _conflict(left: _Turn, right: _Turn) -> str | None:
+    """How the fingers contradict each other, if they do: one object cannot turn both like that.
 
-    Disagreement widens sigma (Birge ratio). In a conflict the larger turn is taken: tightening for nothing costs less
-    than a drop.
+    The larger turn is believed then: tightening for nothing costs less than a drop. So a finger that sees an imprint of
+    its own, or whose pad turns with the object, hides nothing by being sure that nothing turns.
     """
-    if len(turns) == 1:
-        return turns[0].turn_deg, turns[0].sigma_deg, None
-    left, right = turns
-    combined_deg = math.hypot(left.sigma_deg, right.sigma_deg)
-    apart = abs(left.turn_deg - right.turn_deg) / combined_deg
+    apart_deg = abs(left.turn_deg - right.turn_deg)
+    apart = apart_deg / math.hypot(left.sigma_deg, right.sigma_deg)
     if apart > AGREE_SIGMAS and _opposed(left, right):
-        larger = max(turns, key=lambda turn: abs(turn.turn_deg))
-        conflict = (
+        return (
             f"both pictures turn the same way (left {left.turn_deg:+.1f}°, right {-right.turn_deg:+.1f}°): "
             "a fault of one finger, or the object rolls"
         )
-        return larger.turn_deg, larger.sigma_deg, conflict
+    larger_deg = max(abs(left.turn_deg), abs(right.turn_deg))
+    if apart > DIFFER_SIGMAS and apart_deg > DIFFER_DEG + DIFFER_SHARE * larger_deg:
+        return (
+            f"the fingers contradict each other (the left one says {left.turn_deg:+.1f}°, the right one "
+            f"{right.turn_deg:+.1f}°): one is stuck or wrong, the larger turn is believed"
+        )
+    return None
+
+
+def _weigh(turns: list[_Turn]) -> tuple[float, float]:
+    """Weighted turn and its sigma; disagreement widens sigma (Birge ratio)."""
+    if len(turns) == 1:
+        return turns[0].turn_deg, turns[0].sigma_deg
+    left, right = turns
+    apart = abs(left.turn_deg - right.turn_deg) / math.hypot(left.sigma_deg, right.sigma_deg)
     weights = [turn.sigma_deg**-2 for turn in turns]
     mean_deg = sum(w * turn.turn_deg for w, turn in zip(weights, turns, strict=True)) / sum(weights)
     sigma_deg = sum(weights) ** -0.5
-    return mean_deg, sigma_deg * (apart if apart > AGREE_SIGMAS else 1.0), None
+    return mean_deg, sigma_deg * (apart if apart > AGREE_SIGMAS else 1.0)
 
 
 def _opposed(left: _Turn, right: _Turn) -> bool:

@@ -2,11 +2,13 @@
 
 One object turns in both pictures at once. While the surer finger has just looked and found its picture unchanged, the
 other adds nothing: its last answer stands, as old as it is, and is renewed every `refresh_s`, and with the next frame
-after any change in the surer one.
+after any change in the surer one. Where its last answer tells another turn than the surer one's, it is looked at each
+time: one of the two is wrong, and the surer one may be the one that is stuck.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from slipguard.perception.estimate import Estimate
@@ -16,12 +18,16 @@ OTHER_FINGER = "other finger"
 ABREAST_S = 0.05
 """The other finger's frame must not be further away in time than this: three frames at 60 fps."""
 
+APART_SIGMAS, APART_DEG = 3.0, 1.0
+"""Two fingers tell another turn where they are further apart than so many combined standard deviations, and this."""
+
 
 def adds_nothing(own: Estimate | None, other: Estimate | None, captured_at_s: float, refresh_s: float) -> bool:
     """Whether a finger's frame of `captured_at_s` need not be looked at.
 
-    own: its last answer. other: the other finger's. Never where own knows no reference, is surer than the other, or was
-    measured `refresh_s` ago; nor where the other finger did not itself look and find nothing new.
+    own: its last answer. other: the other finger's. Never where own knows no reference, is surer than the other, tells
+    another turn, or would be older than `refresh_s` at its next frame; nor where the other finger did not itself look
+    and find nothing new.
     """
     if own is None or other is None or not (own.contact and other.contact):
         return False
@@ -29,8 +35,19 @@ def adds_nothing(own: Estimate | None, other: Estimate | None, captured_at_s: fl
         return False
     if own.sigma_deg is not None and own.sigma_deg < other.sigma_deg:
         return False
-    young = 0.0 <= captured_at_s - own.measured_at_s < refresh_s
+    if _apart(own, other):
+        return False
+    next_s = 2.0 * captured_at_s - own.captured_at_s
+    young = own.measured_at_s <= captured_at_s and next_s - own.measured_at_s <= refresh_s
     return young and abs(captured_at_s - other.captured_at_s) <= ABREAST_S
+
+
+def _apart(own: Estimate, other: Estimate) -> bool:
+    """Whether the two tell another turn; one object turns the other way in the other picture."""
+    if own.angle_deg is None or own.sigma_deg is None or other.angle_deg is None or other.sigma_deg is None:
+        return False
+    apart_deg = abs(own.angle_deg + other.angle_deg)
+    return apart_deg > max(APART_DEG, APART_SIGMAS * math.hypot(own.sigma_deg, other.sigma_deg))
 
 
 def again(own: Estimate, captured_at_s: float, sequence: int) -> Estimate:

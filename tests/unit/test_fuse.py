@@ -112,19 +112,19 @@ def test_the_same_way_in_both_pictures_is_a_conflict_and_the_larger_turn_is_take
 
 
 def test_opposed_within_the_noise_is_no_conflict() -> None:
-    for left, right in ((1.0, 1.0), (9.0, 1.0), (1.0, 9.0)):
+    for left, right in ((1.0, 1.0), (2.0, 1.0), (1.0, 2.0)):
         both = fuse(estimate(left), estimate(right))
         assert both is not None
         assert both.conflict is None
 
 
 def test_disagreement_widens_sigma() -> None:
-    apart = fuse(estimate(10.0), estimate(-4.0))
+    apart = fuse(estimate(10.0), estimate(-7.0))
     assert apart is not None
-    assert apart.turn_deg == pytest.approx(7.0)
+    assert apart.turn_deg == pytest.approx(8.5)
     assert apart.conflict is None
     # Birge: sigma / sqrt(2) times the disagreement over its own sigma.
-    assert apart.sigma_deg == pytest.approx(0.5 / math.sqrt(2) * 6.0 / math.hypot(0.5, 0.5))
+    assert apart.sigma_deg == pytest.approx(0.5 / math.sqrt(2) * 3.0 / math.hypot(0.5, 0.5))
 
 
 def test_the_newer_turn_is_moved_back_to_the_moment_of_the_older() -> None:

@@ -88,12 +88,12 @@ def test_without_a_rate_only_the_newer_counts() -> None:
 
 
 def test_disagreement_is_worth_less() -> None:
-    far = replace(RIGHT, angle_deg=-14.0, sigma_deg=0.5)
+    far = replace(RIGHT, angle_deg=-7.0, sigma_deg=0.5)
     answer = fuse(LEFT, far)
     assert answer is not None
     assert answer.conflict is None
-    assert answer.turn_deg == pytest.approx(9.0)
-    assert answer.sigma_deg == pytest.approx(0.5 / 2**0.5 * 10.0 / (0.5 * 2**0.5))
+    assert answer.turn_deg == pytest.approx(5.5)
+    assert answer.sigma_deg == pytest.approx(0.5 / 2**0.5 * 3.0 / (0.5 * 2**0.5))
 
 
 @pytest.mark.parametrize(("angle_deg", "turn_deg", "sigma_deg"), [(6.0, -6.0, 0.25), (3.0, 4.0, 0.5)])
@@ -109,9 +109,43 @@ def test_the_same_way_in_both_pictures(angle_deg: float, turn_deg: float, sigma_
 
 @pytest.mark.parametrize(("angle_deg", "opposed"), [(1.5, False), (1.625, True)])
 def test_a_turn_that_is_not_certain_contradicts_nobody(angle_deg: float, opposed: bool) -> None:
-    answer = fuse(LEFT, replace(RIGHT, angle_deg=angle_deg, sigma_deg=0.5))
+    answer = fuse(replace(LEFT, angle_deg=1.75), replace(RIGHT, angle_deg=angle_deg, sigma_deg=0.5))
     assert answer is not None
     assert (answer.conflict is not None) is opposed
+
+
+@pytest.mark.parametrize(
+    ("left_deg", "right_deg", "sigma_deg", "turn_deg"),
+    [
+        (0.0, -3.5, 0.125, 3.5),
+        (0.0, -3.25, 0.125, None),
+        (0.0, 3.5, 0.125, -3.5),
+        (-3.5, 0.0, 0.125, -3.5),
+        (20.0, -14.75, 0.125, 20.0),
+        (20.0, -15.25, 0.125, None),
+        (0.0, -3.75, 0.5, 3.75),
+        (0.0, -3.5, 0.5, None),
+    ],
+)
+def test_one_that_turns_alone(left_deg: float, right_deg: float, sigma_deg: float, turn_deg: float | None) -> None:
+    """Beyond 3 degrees, a tenth of the turn, and five combined standard deviations; all of the larger one is used."""
+    left = replace(LEFT, angle_deg=left_deg, sigma_deg=sigma_deg)
+    right = replace(RIGHT, angle_deg=right_deg, sigma_deg=sigma_deg)
+    answer = fuse(left, right)
+    assert answer is not None
+    assert answer.fingers == ("left", "right")
+    if turn_deg is None:
+        assert answer.conflict is None
+        return
+    assert answer.conflict == (
+        f"the fingers contradict each other (the left one says {left_deg:+.1f}°, the right one {-right_deg:+.1f}°): "
+        "one is stuck or wrong, the larger turn is believed"
+    )
+    used = left if abs(left_deg) > abs(right_deg) else right
+    assert (answer.turn_deg, answer.sigma_deg) == (turn_deg, sigma_deg)
+    assert answer.rate_deg_s == (16.0 if used is left else 6.0)
+    assert answer.measured_at_s == answer.newest_at_s == used.measured_at_s
+    assert answer.captured_at_s == 8.0
 
 
 @pytest.mark.parametrize("bad", [{"angle_deg": float("nan")}, {"sigma_deg": -1.0}])

@@ -38,11 +38,14 @@ def answer(sigma_deg: float | None, at_s: float = 1.0, skipped: str | None = Non
 
 
 SURE = answer(0.3, 1.02, "unchanged")
+SURE_LATER = replace(SURE, captured_at_s=1.24)
 
 
 def test_a_less_sure_or_blind_finger_is_spared() -> None:
-    for own in (answer(0.5), answer(0.3), answer(None)):
+    for own in (answer(0.5), answer(0.3), answer(None), answer(0.5, angle_deg=1.5), answer(0.3, angle_deg=1.0)):
         assert adds_nothing(own, SURE, 1.02, REFRESH_S)
+    assert adds_nothing(answer(0.3, angle_deg=8.0), replace(SURE, angle_deg=-8.0), 1.02, REFRESH_S)
+    assert adds_nothing(answer(0.5, captured_at_s=1.235), SURE_LATER, 1.24, REFRESH_S)
 
 
 @pytest.mark.parametrize(
@@ -55,6 +58,9 @@ def test_a_less_sure_or_blind_finger_is_spared() -> None:
         (answer(0.5), replace(SURE, captured_at_s=0.9), 1.02),
         (answer(0.5), answer(None, 1.02, "unchanged"), 1.02),
         (answer(0.5), SURE, 1.26),
+        (answer(0.5, captured_at_s=1.225), SURE_LATER, 1.24),
+        (answer(0.3, angle_deg=1.5), SURE, 1.02),
+        (answer(0.3, angle_deg=-1.5), SURE, 1.02),
         (answer(0.5), SURE, 0.9),
         (answer(0.5, contact=False), SURE, 1.02),
         (answer(0.5, shift_mm=None), SURE, 1.02),
