@@ -24,6 +24,8 @@ FUSED = ("moments", "ellipse", "skeleton")
 ROUND_ASPECT = 1.15
 LINE_SHARE_MIN = 0.3
 """Where most of the thinned patch is corner branches its middle line is no axis."""
+LINE_SIGMA_MAX_DEG = 6.0
+"""A middle line less sure than this is none: which of a torn patch's branches it follows is chance."""
 CUT_SHARE_MAX = 0.25
 """A patch with more of its outline drawn by the frame's edge shows no axis of its own."""
 CUT_ASPECT = 2.5
@@ -82,7 +84,10 @@ def estimate(patch: Patch, name: str, round_aspect: float = ROUND_ASPECT) -> Ori
 def skeleton_orientation(patch: Patch, line: Line, round_aspect: float = ROUND_ASPECT) -> Orientation:
     """The axis by a line that is already thinned (the pipeline times thinning apart)."""
     axis, reason = _skeleton_axis(patch, line)
-    return _orientation(patch, "skeleton", axis, reason, round_aspect)
+    told = _orientation(patch, "skeleton", axis, reason, round_aspect)
+    if told.sigma_deg is None or told.sigma_deg <= LINE_SIGMA_MAX_DEG:
+        return told
+    return Orientation("skeleton", None, None, told.centre_px, _NO_LINE)
 
 
 def fuse(answers: list[Orientation]) -> Orientation:

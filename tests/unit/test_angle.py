@@ -10,7 +10,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from slipguard.perception.angle import ESTIMATORS, estimate, fuse
+from slipguard.lab.stress.family import Notes, generator
+from slipguard.lab.stress.mask_trials import RANDOM
+from slipguard.lab.stress.subject import Subject
+from slipguard.perception.angle import ESTIMATORS, LINE_SIGMA_MAX_DEG, estimate, fuse
 from slipguard.perception.axial import axial_difference_deg
 from slipguard.perception.estimate import Orientation
 from slipguard.perception.regions import Patch, find_patch
@@ -94,6 +97,13 @@ def test_any_map_gives_an_answer_in_range_or_a_reason(probability: NDArray[np.fl
             assert -90.0 < found.angle_deg <= 90.0
             assert np.isfinite(found.sigma_deg)
             assert found.sigma_deg > 0.0
+            assert name != "skeleton" or found.sigma_deg <= LINE_SIGMA_MAX_DEG
+
+
+def test_a_torn_patch_has_no_middle_line() -> None:
+    notes = Notes("random")
+    RANDOM.begin(Subject())(generator("random", 471737), 471737, notes)
+    assert not notes.failures, notes.failures
 
 
 @pytest.mark.parametrize("shape", [(1, 40), (40, 1), (2, 2), (3, 60), (160, 120)])
