@@ -23,17 +23,11 @@ from slipguard.perception.settings import EVERY_SKIP, PerceptionSettings, Skips
 from slipguard.perception.skeleton import middle_line
 from slipguard.perception.stages import StageClock
 from slipguard.perception.still import Stillness
-from slipguard.perception.track import Turn
 from slipguard.perception.turn import TurnMeter
-from slipguard.perception.unfit import unfit
+from slipguard.perception.unfit import in_other_light, unfit
 
 NO_CONTACT = "no contact"
 UNCHANGED = "unchanged"
-
-LIGHT_FREE_LEVELS = 1.0
-LIGHT_DEG = 0.6
-"""Light that changes after the reference was taken moves outlines: one standard deviation of the turn a grey level of
-mean difference from the no-contact image, from the first on. A slope of 6 levels over the picture gives 2."""
 
 
 class SegmentsContact(Protocol):
@@ -146,6 +140,8 @@ class Pipeline:
             clock.mark("gate")
             return self._without_contact(frame, NO_CONTACT, clock)
         unchanged = self._still is not None and self._still.unchanged(blocks)
+        if self._still is not None and self._still.restored:
+            self._measured = None
         reused = self._reused(frame) if unchanged else None
         clock.mark("gate")
         if reused is not None:
@@ -173,7 +169,7 @@ class Pipeline:
         turn, shift_px = self._meter.measure(image, patch, axes_of, now_s, clock)
         if not had_reference:
             self._reference_unlike = unlike
-        turn = _in_other_light(turn, unlike - self._reference_unlike)
+        turn = in_other_light(turn, unlike - self._reference_unlike)
         shown = fuse(list(axes_of(False).values())).angle_deg
         answer = Estimate(
             sequence=frame.sequence,
@@ -193,6 +189,10 @@ class Pipeline:
         clock.mark("track")
         self._note(blocks, near, unchanged, answer)
         return answer
+
+    def stands(self, captured_at_s: float) -> None:
+        """A frame that is not handed in, the other finger's having shown that nothing turns."""
+        self._meter.stands(captured_at_s)
 
     def _note(self, blocks: Blocks, near: NDArray[np.bool_] | None, unchanged: bool, answer: Estimate) -> None:
         self._measured = answer
@@ -282,13 +282,6 @@ class Pipeline:
         c, s = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}[self._rotation_deg]
         right, up = shift_px[0] / self._px_per_mm, -shift_px[1] / self._px_per_mm
         return (c * right - s * up, s * right + c * up)
-
-
-def _in_other_light(turn: Turn, levels: float) -> Turn:
-    """A turn whose picture is further from the no-contact image than the reference's was: the network errs apart."""
-    if turn.turn_deg is None or turn.sigma_deg is None or levels <= LIGHT_FREE_LEVELS:
-        return turn
-    return Turn(turn.turn_deg, math.hypot(turn.sigma_deg, LIGHT_DEG * (levels - LIGHT_FREE_LEVELS)))
 
 
 def at_frame_size(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:

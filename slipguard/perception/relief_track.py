@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from slipguard.perception.pitch import LEAP_SHARE, LOOK_DEG, pitch_deg
 from slipguard.perception.regions import Patch
 from slipguard.perception.relief import REDUCTION, Relief
-from slipguard.perception.texture import Texture, TextureFit, TexturePose, fit, make_texture, repeats
+from slipguard.perception.texture import Texture, TextureFit, TexturePose, fit, make_texture
 from slipguard.perception.texture_sigma import sigma_deg
 
 SURE_DEG = 1.5
@@ -24,6 +25,7 @@ KEY_ALIKE = 0.93
 """... and only where the relief has become this unlike the reference's."""
 KEY_STEP = 1.2
 """... and less certain than the last key by this."""
+LOST_COUNT = "lost count of a relief that repeats itself"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,29 +58,39 @@ class ReliefTrack:
 
     def __init__(self, texture: Texture) -> None:
         self._first = texture
-        self._repeats: bool | None = None
+        self._pitch: tuple[float | None] | None = None
         self._pose = TexturePose()
         self._key: _Key | None = None
         self._key_pose = TexturePose()
 
     @property
-    def repeats(self) -> bool:
-        """Whether the relief looks like itself after a small turn; found out when it is first asked."""
-        if self._repeats is None:
-            self._repeats = repeats(self._first)
-        return self._repeats
+    def pitch_deg(self) -> float | None:
+        """The turn after which the relief looks like itself, None for no such turn; found when it is first asked."""
+        if self._pitch is None:
+            self._pitch = (pitch_deg(self._first),)
+        return self._pitch[0]
 
-    def follow(self, relief: Relief, patch: Patch, predicted_deg: float) -> Followed:
-        """The turn since the reference, from where the track leads."""
-        answer = fit(self._first, relief, replace(self._pose, turn_deg=predicted_deg))
+    def follow(
+        self, relief: Relief, patch: Patch, predicted_deg: float, start: tuple[float, tuple[float, float]] | None = None
+    ) -> Followed:
+        """The turn since the reference, from where the track leads.
+
+        start: another turn and shift (frame pixels right and down) to look from; None: from where the track leads.
+        """
+        pose = replace(self._pose, turn_deg=predicted_deg)
+        if start is not None:
+            pose = TexturePose(start[0], start[1][0] / REDUCTION, start[1][1] / REDUCTION)
+        answer = fit(self._first, relief, pose)
         found = _followed(answer, (answer.pose.dx_px, answer.pose.dy_px), answer.pose.turn_deg, 0.0)
         laid = answer
         if found.sigma_deg is None or found.sigma_deg > SURE_DEG:
-            by_key = self._by_key(relief, predicted_deg)
+            by_key = self._by_key(relief, pose.turn_deg)
             if by_key is not None and (found.sigma_deg is None or (by_key[0].sigma_deg or 180.0) < found.sigma_deg):
                 found, laid = by_key
         if found.turn_deg is None or found.sigma_deg is None or found.shift_px is None:
             return found
+        if self._leaps(found.turn_deg - predicted_deg):
+            return Followed(None, None, None, 1.0, LOST_COUNT)
         shift = (found.shift_px[0] / REDUCTION, found.shift_px[1] / REDUCTION)
         if laid is not answer:
             self._pose = TexturePose(found.turn_deg, shift[0], shift[1])
@@ -88,6 +100,12 @@ class ReliefTrack:
         if laid is answer and newer and laid.alike < KEY_ALIKE and found.sigma_deg < KEY_SIGMA_DEG:
             self._take_key(relief, patch, found.turn_deg, found.sigma_deg, shift)
         return found
+
+    def _leaps(self, by_deg: float) -> bool:
+        """Whether what repeats has been found so far from where the track led that it may be the next step."""
+        if abs(by_deg) < LEAP_SHARE * LOOK_DEG:
+            return False
+        return self.pitch_deg is not None and abs(by_deg) >= LEAP_SHARE * self.pitch_deg
 
     def _by_key(self, relief: Relief, predicted_deg: float) -> tuple[Followed, TextureFit] | None:
         key = self._key

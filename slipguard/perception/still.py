@@ -77,6 +77,9 @@ class Stillness:
         self._kept: _Kept | None = None
         self._before: _Kept | None = None
         self._doubtful = 0
+        self.restored = False
+        """Whether the last picture looks as before the last change, which was a glitch: what was measured since is not
+        of it."""
 
     def forget(self) -> None:
         """Nothing is known: the next picture is a change."""
@@ -84,7 +87,8 @@ class Stillness:
 
     def unchanged(self, blocks: Blocks) -> bool:
         """Whether a picture, (1200, 3) block means, differs from the kept one by no more than noise."""
-        if self._before is not None and self._alike(blocks, self._before):
+        self.restored = self._before is not None and self._alike(blocks, self._before)
+        if self.restored:
             self._kept, self._before = self._before, None
             return True
         return self._kept is not None and self._alike(blocks, self._kept)

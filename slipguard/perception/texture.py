@@ -45,9 +45,6 @@ ALIKE_MIN = 0.7
 """Correlation of the reference's relief with what now lies there."""
 SIGHT_MIN = 0.45
 """Share of the reference's relief that must be in the picture."""
-REPEATS_DEG = 36.0
-REPEATS_SHARE = 0.4
-"""A relief whose mean square difference from itself falls below this share of its highest within this turn repeats."""
 _PRIOR_STD = np.array([10.0, 6.0, 6.0, 0.1, 0.5])
 """Turn (rad), shift from the start (relief pixels), scale and gain (shares): weak, for what it does not tell."""
 NOISE_LEFT = 0.85
@@ -169,24 +166,6 @@ def make_texture(relief: Relief, patch: Patch) -> Texture | None:
         relief.curvature,
         (centre_x, centre_y),
     )
-
-
-def repeats(texture: Texture) -> bool:
-    """Whether the relief comes to look like itself after a small turn, as teeth and rays do.
-
-    That is, whether turned by up to `REPEATS_DEG` it differs less from itself again after it has differed.
-    """
-    dx, dy, (centre_x, centre_y) = texture.x_px, texture.y_px, texture.origin_px
-    highest = 0.0
-    for turn_deg in np.arange(2.0, REPEATS_DEG + 0.1, 2.0):
-        c, s = np.float32(math.cos(math.radians(turn_deg))), np.float32(math.sin(math.radians(turn_deg)))
-        x, y = dx * c + dy * s + np.float32(centre_x), dy * c - dx * s + np.float32(centre_y)
-        away = sampled(texture.picture, x, y, cv2.BORDER_REPLICATE) - texture.value
-        square = float(away @ away)
-        if square < REPEATS_SHARE * highest:
-            return True
-        highest = max(highest, square)
-    return False
 
 
 def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:

@@ -114,6 +114,20 @@ def pooled(turns: Sequence[Turn]) -> Turn:
     return Turn(total / weights, widened)
 
 
+def less_sure(by_outline: Turn, unlike: float) -> Turn:
+    """The outline of a contact that has deformed is off by more than it shows."""
+    if by_outline.sigma_deg is None:
+        return by_outline
+    return Turn(by_outline.turn_deg, unlike * by_outline.sigma_deg)
+
+
+def agree(by_relief: Turn, axial: Turn) -> bool:
+    """Whether the patch's axis, where it has one, does not contradict the relief."""
+    if by_relief.turn_deg is None or by_relief.sigma_deg is None or axial.turn_deg is None or axial.sigma_deg is None:
+        return True
+    return abs(by_relief.turn_deg - axial.turn_deg) <= AGREE_SIGMA * math.hypot(by_relief.sigma_deg, axial.sigma_deg)
+
+
 class Tracker:
     """Remembers the turns of one finger since its reference."""
 

@@ -12,15 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.estimate import Orientation
+from slipguard.perception.pitch import LOOK_DEG, unseen_deg
 from slipguard.perception.regions import Patch
 from slipguard.perception.register import NOT_SAME, Pose, Registrar, Registration
-from slipguard.perception.relief import ReliefReader
-from slipguard.perception.relief_track import Followed, ReliefTrack
+from slipguard.perception.relief import Relief, ReliefReader
+from slipguard.perception.relief_track import LOST_COUNT, Followed, ReliefTrack
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stages import StageClock
 from slipguard.perception.template import Template, make_template
 from slipguard.perception.texture import make_texture
-from slipguard.perception.track import AGREE_SIGMA, Tracker, Turn, axis_turn, checked, combined, pooled
+from slipguard.perception.track import (
+    AGREE_SIGMA,
+    Tracker,
+    Turn,
+    agree,
+    axis_turn,
+    checked,
+    combined,
+    less_sure,
+    pooled,
+)
 
 STABLE_FRAMES = 5
 STABLE_SHARE = 0.05
@@ -29,9 +40,8 @@ MISFIT_SIGMAS = 1.5
 """An axis whose outline is not the reference's any more is off by so many times the turn that fits the misfit."""
 SURE_DEG = 0.8
 """A turn told by the relief this surely, and not contradicted by the patch's axis, needs no outline."""
-LOST_COUNT_S = 0.3
-"""After a longer gap a relief that repeats itself (teeth, rays) may have turned by one of its steps unseen."""
-LOST_COUNT = "lost count of a relief that repeats itself"
+AGAIN_DEG = 4.0
+"""An outline turned by so much more than the relief tells where the relief is looked for once more."""
 NO_RELIEF = "no relief without a no-contact image"
 NO_REFERENCE = "no reference yet"
 UNSURE = "too uncertain"
@@ -75,11 +85,17 @@ class TurnMeter:
         self._template: Template | None = None
         self._pose = Pose()
         self._lost_count = False
+        self._stands_at_s = -math.inf
         self._areas: deque[int] = deque(maxlen=STABLE_FRAMES)
 
     def lost(self) -> None:
         """There is no contact: a reference not yet taken needs a new run of stable frames."""
         self._areas.clear()
+
+    def stands(self, now_s: float) -> None:
+        """The frame of `now_s` is not measured, and the turn is known to be as it was: a count goes on."""
+        self._keep_count(now_s)
+        self._stands_at_s = now_s
 
     def measure(
         self,
@@ -99,15 +115,18 @@ class TurnMeter:
         if reference is None:
             return Turn(None, None, NO_REFERENCE), None
         predicted = self.tracker.predicted_deg(now_s)
+        turn = self._axial(reference, axes_of(False), predicted)
+        self._keep_count(now_s)
         followed = Followed(None, None, None, 1.0, NO_RELIEF)
+        relief: Relief | None = None
         if self._settings.estimator in ("fused", "registration"):
-            followed = self._by_relief(reference, image, patch, predicted, now_s)
+            relief = self._read(reference, image, patch)
+            followed = self._by_relief(reference, relief, patch, predicted, turn)
             clock.mark("relief")
         by_relief = Turn(followed.turn_deg, followed.sigma_deg, followed.declined)
-        turn = self._axial(reference, axes_of(False), predicted)
         shift_px = followed.shift_px or _difference(_centre_px(patch), reference.centre_px)
         sure = by_relief.sigma_deg is not None and by_relief.sigma_deg <= SURE_DEG
-        if sure and _agree(by_relief, turn):
+        if sure and agree(by_relief, turn):
             turn = combined(by_relief, turn) if self._settings.estimator == "fused" else by_relief
         else:
             # A sure relief needs but one witness against the axis: its own turn, tried on the outline.
@@ -115,10 +134,13 @@ class TurnMeter:
             by_outline = turn
             if self._settings.estimator in ("fused", "registration"):
                 near = predicted if by_relief.turn_deg is None else by_relief.turn_deg
-                by_outline, outline_shift_px = self._by_outline(reference, patch, turn, near, only_near=sure)
+                by_outline, laid, outline_shift_px = self._by_outline(reference, patch, turn, near, only_near=sure)
                 clock.mark("register")
-                shift_px = outline_shift_px if by_relief.turn_deg is None else shift_px
-            turn = combined(by_relief, _less_sure(by_outline, followed.unlike))
+                followed = self._again(reference, relief, patch, predicted, followed, laid, outline_shift_px)
+                by_relief = Turn(followed.turn_deg, followed.sigma_deg, followed.declined)
+                clock.mark("relief")
+                shift_px = followed.shift_px or outline_shift_px
+            turn = combined(by_relief, less_sure(by_outline, followed.unlike))
         if turn.sigma_deg is not None and turn.sigma_deg > self._settings.sigma_max_deg:
             turn = Turn(None, None, UNSURE)
         return self.tracker.accept(now_s, turn), shift_px
@@ -165,29 +187,66 @@ class TurnMeter:
         self.tracker.start(now_s, turn_deg or 0.0)
         self._template = None
         self._pose = Pose(turn_deg or 0.0)
-        self._lost_count = turn_deg is not None and relief is not None and relief.repeats
+        self._lost_count = turn_deg is not None and relief is not None and relief.pitch_deg is not None
+        self._stands_at_s = -math.inf
 
     def _axial(self, reference: Reference, axes: Mapping[str, Orientation], predicted_deg: float) -> Turn:
         known = reference.axes
         return pooled([_between(known[name], axis, predicted_deg) for name, axis in axes.items() if name in known])
 
-    def _by_relief(
-        self, reference: Reference, image: NDArray[np.uint8], patch: Patch, predicted_deg: float, now_s: float
-    ) -> Followed:
-        """The turn by the relief in the contact, from where the track leads."""
-        relief = reference.relief
-        if self._reader is None or relief is None:
-            return Followed(None, None, None, 1.0, NO_RELIEF)
-        if now_s - self.tracker.known_at_s > LOST_COUNT_S and relief.repeats:
+    def _keep_count(self, now_s: float) -> None:
+        """What repeats itself may have turned by half a step or more since it was last seen: its count is lost."""
+        relief = None if self.reference is None else self.reference.relief
+        if relief is None or self._lost_count:
+            return
+        tracker = self.tracker
+        known_at_s = tracker.known_at_s
+        if known_at_s < self._stands_at_s <= now_s:
+            known_at_s = self._stands_at_s
+        unseen = unseen_deg(now_s - known_at_s, tracker.rate_deg_s(tracker.known_at_s) or 0.0)
+        if unseen >= 0.5 * LOOK_DEG and relief.pitch_deg is not None and unseen >= 0.5 * relief.pitch_deg:
             self._lost_count = True
-        if self._lost_count:
+
+    def _read(self, reference: Reference, image: NDArray[np.uint8], patch: Patch) -> Relief | None:
+        """The relief in the contact, None where the reference has none."""
+        return None if self._reader is None or reference.relief is None else self._reader.read(image, patch)
+
+    def _by_relief(
+        self, reference: Reference, relief: Relief | None, patch: Patch, predicted_deg: float, axial: Turn
+    ) -> Followed:
+        """The turn by the relief in the contact, from where the track leads, or the axis where a count is lost."""
+        track = reference.relief
+        if relief is None or track is None:
+            return Followed(None, None, None, 1.0, NO_RELIEF)
+        if not self._lost_count:
+            return track.follow(relief, patch, predicted_deg)
+        step_deg = track.pitch_deg or 0.0
+        if axial.turn_deg is None or axial.sigma_deg is None or AGREE_SIGMA * axial.sigma_deg >= 0.5 * step_deg:
             return Followed(None, None, None, 1.0, LOST_COUNT)
-        return relief.follow(self._reader.read(image, patch), patch, predicted_deg)
+        found = track.follow(relief, patch, axial.turn_deg)
+        self._lost_count = found.turn_deg is None
+        return found
+
+    def _again(
+        self, reference: Reference, relief: Relief | None, patch: Patch, predicted_deg: float, found: Followed,
+        outline: Turn, shift_px: tuple[float, float],
+    ) -> Followed:  # fmt: skip
+        """The relief looked for once more where the outline is, where that is far from where it was looked for."""
+        track = reference.relief
+        before_deg = predicted_deg if found.turn_deg is None else found.turn_deg
+        if relief is None or track is None or self._lost_count or outline.turn_deg is None:
+            return found
+        if abs(outline.turn_deg - before_deg) <= AGAIN_DEG:
+            return found
+        again = track.follow(relief, patch, predicted_deg, (outline.turn_deg, shift_px))
+        if again.sigma_deg is None or again.sigma_deg >= (found.sigma_deg or 180.0):
+            return found
+        return again
 
     def _by_outline(
         self, reference: Reference, patch: Patch, turn: Turn, near_deg: float, only_near: bool
-    ) -> tuple[Turn, tuple[float, float]]:
-        """The turn and shift by the outline, checked by the one that the axes show.
+    ) -> tuple[Turn, Turn, tuple[float, float]]:
+        """The turn by the outline, checked by the one that the axes show; unchecked, or the axes' alone; the shift.
 
         near_deg: where to look for it first. only_near: and not from where the axes point.
         """
@@ -201,8 +260,11 @@ class TurnMeter:
             self._pose = laid.pose
             registered = Turn(laid.pose.turn_deg, laid.sigma_deg)
             shift_px = (laid.pose.dx_px * self._frame_px, laid.pose.dy_px * self._frame_px)
+        if self._lost_count and turn.turn_deg is None:
+            registered = Turn(None, None, LOST_COUNT)  # a nut's outline repeats with its relief
         only = self._settings.estimator == "registration"
-        return registered if only else checked(registered, turn), shift_px
+        laid_turn = turn if registered.turn_deg is None else registered
+        return registered if only else checked(registered, turn), laid_turn, shift_px
 
     def _laid_over(self, reference: Reference, patch: Patch, turn: Turn, near_deg: float) -> Registration:
         """The patch laid over the reference, from a turn that is likely or from where its axis points."""
@@ -216,20 +278,6 @@ class TurnMeter:
         other = registrar.fit(Pose(turn.turn_deg, dx / self._frame_px, dy / self._frame_px))
         better = other.declined is None and (best.declined is not None or other.residual < best.residual)
         return other if better else best
-
-
-def _less_sure(by_outline: Turn, unlike: float) -> Turn:
-    """The outline of a contact that has deformed is off by more than it shows."""
-    if by_outline.sigma_deg is None:
-        return by_outline
-    return Turn(by_outline.turn_deg, unlike * by_outline.sigma_deg)
-
-
-def _agree(by_relief: Turn, axial: Turn) -> bool:
-    """Whether the patch's axis, where it has one, does not contradict the relief."""
-    if by_relief.turn_deg is None or by_relief.sigma_deg is None or axial.turn_deg is None or axial.sigma_deg is None:
-        return True
-    return abs(by_relief.turn_deg - axial.turn_deg) <= AGREE_SIGMA * math.hypot(by_relief.sigma_deg, axial.sigma_deg)
 
 
 def _between(reference: Orientation, now: Orientation, near_deg: float) -> Turn:

@@ -1,4 +1,4 @@
-"""Why no turn may be measured on a picture of a contact, in words."""
+"""Why no turn may be measured on a picture of a contact, in words; and what other light than the reference's adds."""
 
 from __future__ import annotations
 
@@ -10,11 +10,18 @@ from numpy.typing import NDArray
 from slipguard.perception.compressed import coarsely_compressed
 from slipguard.perception.few_levels import few_levels
 from slipguard.perception.gate import Blocks, Gate
+from slipguard.perception.noisy import noisy
+from slipguard.perception.track import Turn
 
 UNLIKE = "picture unlike the no-contact image"
 BLURRED = "picture out of focus"
 COMPRESSED = "picture coarsely compressed"
 FEW_LEVELS = "picture of too few grey levels"
+NOISY = "picture noisy"
+LIGHT_FREE_LEVELS = 1.0
+LIGHT_DEG = 0.6
+"""Light that changes after the reference was taken moves outlines: one standard deviation of the turn a grey level of
+mean difference from the no-contact image, from the first on. A slope of 6 levels over the picture gives 2."""
 
 
 def unfit(
@@ -31,4 +38,13 @@ def unfit(
         return BLURRED, unlike
     if coarsely_compressed(image):
         return COMPRESSED, unlike
-    return (FEW_LEVELS if few_levels(image) else None), unlike
+    if few_levels(image):
+        return FEW_LEVELS, unlike
+    return (NOISY if noisy(image) else None), unlike
+
+
+def in_other_light(turn: Turn, levels: float) -> Turn:
+    """A turn whose picture is further from the no-contact image than the reference's was: the network errs apart."""
+    if turn.turn_deg is None or turn.sigma_deg is None or levels <= LIGHT_FREE_LEVELS:
+        return turn
+    return Turn(turn.turn_deg, math.hypot(turn.sigma_deg, LIGHT_DEG * (levels - LIGHT_FREE_LEVELS)))

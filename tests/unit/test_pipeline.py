@@ -172,6 +172,20 @@ def test_an_unchanged_picture_reuses_the_answer_for_a_quarter_second_at_most() -
     assert turned.angle_deg == pytest.approx(1.5, abs=0.4)
 
 
+@pytest.mark.parametrize("knock", [3.0, 70.0])
+def test_after_a_knock_of_one_frame_the_answer_is_that_of_the_picture(knock: float) -> None:
+    pipe = pipeline()
+    for k in range(90):
+        pipe.process(frame(drawn("bar", 20), k))
+    struck = pipe.process(frame(drawn("bar", 20 + knock), 90))
+    assert struck.skipped is None
+    after = [pipe.process(frame(drawn("bar", 20), k)) for k in range(91, 121)]
+    assert after[0].skipped is None
+    assert {answer.skipped for answer in after} == {None, "unchanged"}
+    assert [answer.angle_deg for answer in after] == pytest.approx([0.0] * 30, abs=0.5)
+    assert [answer.rate_deg_s for answer in after[10:]] == pytest.approx([0.0] * 20, abs=2.0)
+
+
 def test_a_slow_turn_is_seen_within_half_a_degree_in_spite_of_skips() -> None:
     pipe = pipeline()
     run(pipe, "bar", [20.0] * 6)

@@ -87,8 +87,12 @@ def test_a_glitch_does_not_end_the_rest_and_a_change_that_stays_does() -> None:
     same, other = (block_means(camera(scene, rng)) for scene in (DENT, turned(5.0)))
     still.note(other, NEAR, 2.0, still.unchanged(other))
     assert not still.at_rest(2.01)
+    assert not still.restored
     assert still.unchanged(same)
+    assert still.restored  # what was measured on the other picture is not of this one
     assert still.at_rest(2.02)
+    assert still.unchanged(same)
+    assert not still.restored
     for k in range(6):
         other = block_means(camera(turned(5.0), rng))
         still.note(other, NEAR, 3.0 + k * FRAME_S, still.unchanged(other))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from slipguard.perception import relief
 from slipguard.perception.regions import Patch, find_patch
 from slipguard.perception.relief import ReliefReader
-from slipguard.perception.texture import Texture, TextureFit, TexturePose, fit, make_texture, repeats
+from slipguard.perception.texture import Texture, TextureFit, TexturePose, fit, make_texture
 from slipguard.perception.texture_sigma import sigma_deg
 
 Height = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
@@ -131,11 +131,6 @@ def test_lights_in_the_other_sense_are_recognised() -> None:
 @pytest.mark.parametrize("gains", [(1.0, 1.0, 1.0), (1.0, 0.6, 1.5)])
 def test_a_plain_ball_declines_under_any_light(gains: tuple[float, float, float]) -> None:
     assert {answer.declined for answer in followed(dome, TURNS, gains=gains)} == {"round contact"}
-
-
-def test_ribs_all_around_repeat_and_letters_do_not() -> None:
-    assert repeats(referenced(gear)[1])
-    assert not repeats(referenced(lettered)[1])
 
 
 def test_relief_of_another_object_declines() -> None:

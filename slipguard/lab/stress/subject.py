@@ -84,10 +84,12 @@ class SeeingFinger:
         settings = PerceptionSettings(reference="first", skip_unchanged=False)
         self._pipeline = subject.pipeline(self._segmenter, settings, background, None, PX_PER_MM)
         self._frames = 0
+        self._now_s = 0.0
 
-    def see(self, image: NDArray[np.uint8], probability: NDArray[np.float32]) -> Estimate:
-        """The estimate of the next frame, 1/60 s after the last one. Errors are the pipeline's."""
+    def see(self, image: NDArray[np.uint8], probability: NDArray[np.float32], after_s: float = FRAME_S) -> Estimate:
+        """The estimate of a frame so long after the last one. Errors are the pipeline's."""
         self._frames += 1
+        self._now_s += after_s
         self._segmenter.map = probability
-        answer: Estimate = self._pipeline.process(Frame(image, self._frames * FRAME_S, self._frames))
+        answer: Estimate = self._pipeline.process(Frame(image, self._now_s, self._frames))
         return answer

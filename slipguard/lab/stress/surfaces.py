@@ -62,6 +62,14 @@ def gear(u: Heights, v: Heights) -> Heights:
     return np.asarray(ball(u, v) + ribs, np.float32)
 
 
+def nut(u: Heights, v: Heights) -> Heights:
+    """A hexagon's face with a hole: it repeats every 60 degrees."""
+    sides = [np.abs(u * math.cos(a) + v * math.sin(a)) for a in np.radians((0.0, 60.0, 120.0))]
+    away = np.maximum(np.maximum(np.maximum(sides[0], sides[1]), sides[2]) - 32.0, 0.0)
+    hole = np.exp(-(u * u + v * v) / (2.0 * 11.0**2))
+    return np.asarray(9.0 * np.exp(-away * away / 100.0) - 7.0 * hole, np.float32)
+
+
 def heights(surface: Surface, turn_deg: float, at: tuple[float, float], force: float) -> Heights:
     """A surface turned counter-clockwise about `at` (frame pixels right and down), (320, 240) float32."""
     rows, columns = np.mgrid[0:FRAME_HEIGHT_PX, 0:FRAME_WIDTH_PX].astype(np.float32)

@@ -1,4 +1,7 @@
-"""Reliefs turned, shifted and pressed harder under lights that stay: followed, or declined where they are round."""
+"""Reliefs turned, shifted and pressed harder under lights that stay: followed, or declined where they are round.
+
+And turned while nobody looks, as fast as things begin to fall: teeth and nuts have then lost their count.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import numpy as np
 
 from slipguard.lab.stress.family import Family, Notes, Trial
 from slipguard.lab.stress.light import SPOILS, nonsense
-from slipguard.lab.stress.subject import SeeingFinger, Subject
+from slipguard.lab.stress.subject import FRAME_S, SeeingFinger, Subject
 from slipguard.lab.stress.surfaces import (
     LEVEL,
     Lamps,
@@ -17,15 +20,21 @@ from slipguard.lab.stress.surfaces import (
     gear,
     heights,
     lettered,
+    nut,
     plate,
     ring,
 )
+from slipguard.perception.pitch import ACCELERATION_DEG_S2
 
 NOISES = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0)
 STEP_DEG = 4.0
 TELLING: tuple[Surface, ...] = (lettered, plate, gear)
 ROUND: tuple[Surface, ...] = (ball, ring)
 HELD_FRAMES = 6
+LEFT: tuple[Surface, ...] = (gear, nut, lettered, plate)
+LEFT_S = (2.0 * FRAME_S, 0.05, 0.1, 0.25, 0.5, 2.0)
+LEFT_MAX_DEG = 80.0
+"""Beyond a right angle an axis is another turn's."""
 
 
 def _lamps(rng: np.random.Generator) -> Lamps:
@@ -42,13 +51,16 @@ def _begin(subject: Subject) -> Trial:
     background = np.full((320, 240, 3), round(LEVEL), np.uint8)
 
     def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
-        seed, kind = divmod(seed, 4)
+        seed, kind = divmod(seed, 5)
         finger = SeeingFinger(subject, background)
         lamps, noise = _lamps(rng), NOISES[seed % len(NOISES)]
         at = (float(rng.uniform(90, 150)), float(rng.uniform(110, 210)))
         start = float(rng.uniform(-180, 180))
         if kind == 3:
             _spoiled(finger, lamps, noise, at, start, rng, notes)
+            return
+        if kind == 4:
+            _left(finger, LEFT[seed % len(LEFT)], lamps, noise, at, start, rng, notes)
             return
         surface = TELLING[seed % len(TELLING)] if kind < 2 else ROUND[seed % len(ROUND)]
         way = float(rng.choice((-1.0, 1.0)))
@@ -89,4 +101,28 @@ def _spoiled(
             notes.angle("pipeline, spoiled", answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
 
 
-TEXTURES = Family("relief", "reliefs turned, grown, shifted and spoiled under lights that stay", 6_000, 100.0, _begin)
+def _left(
+    finger: SeeingFinger, surface: Surface, lamps: Lamps, noise: float, at: tuple[float, float], start: float,
+    rng: np.random.Generator, notes: Notes,
+) -> None:  # fmt: skip
+    """Held still, out of sight, and turned meanwhile by up to what can fall: told, or the count is known to be lost."""
+    gap_s = float(rng.choice(LEFT_S))
+    turn = float(rng.uniform(-1.0, 1.0)) * min(0.5 * ACCELERATION_DEG_S2 * gap_s**2, LEFT_MAX_DEG)
+    for k in range(HELD_FRAMES):
+        truth = 0.0 if k < 2 else turn
+        height = heights(surface, start + truth, at, 1.0)
+        image = drawn(height, lamps, noise, rng)
+        answer = notes.attempt("pipeline", finger.see, image, contact(height), gap_s if k == 2 else FRAME_S)
+        if answer is None:
+            return
+        notes.angle(f"{surface.__name__}, left", answer.angle_deg, answer.sigma_deg, truth, axial=False)
+
+
+TEXTURES = Family(
+    "relief",
+    "reliefs turned, grown, shifted, spoiled and left unseen under lights that stay",
+    6_000,
+    100.0,
+    _begin,
+    told=0.45,
+)
