@@ -209,13 +209,24 @@ def short(*names: str) -> tuple[Family, ...]:
     return tuple(replace(family, full=6, cost_ms=5_000.0) for family in chosen(names))
 
 
+def alike(one: Any, other: Any) -> None:
+    """Equal, numbers nearly so: another process adds single precision up in another order."""
+    assert type(one) is type(other)
+    if isinstance(one, dict):
+        assert list(one) == list(other)
+        for key, value in one.items():
+            alike(value, other[key])
+    else:
+        assert one == (pytest.approx(other, rel=0.03) if isinstance(one, float) else other)
+
+
 def test_the_whole_list_in_two_processes_finds_what_one_finds() -> None:
     families = short("noise", "round", "times", "drift")
     assert [len([one for one in parts(families) if one.family == family]) for family in families] == [3, 3, 3, 1]
     alone = as_json(run(families, 7, math.inf))
     found = [as_json(outcome) for outcome in run_whole(families, 7, workers=Workers(2))]
     assert len(found) == 10
-    assert {**found[-1], "spent_s": 0} == {**alone, "spent_s": 0}
+    alike({**found[-1], "spent_s": 0}, {**alone, "spent_s": 0})
     assert sorted(one["share"] for one in found) == [one["share"] for one in found]
 
 

@@ -51,5 +51,5 @@ def _begin(subject: Subject) -> Trial:
 
 
 EQUIVARIANCE = Family(
-    "equivariance", "shapes turned, shifted, scaled, mirrored, cut by the frame", 20_000, 11.0, _begin
+    "equivariance", "shapes turned, shifted, scaled, mirrored, cut by the frame", 20_000, 11.0, _begin, told=0.85
 )

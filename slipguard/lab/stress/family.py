@@ -170,7 +170,8 @@ class Family:
     full: trials in the full list. cost_ms: what one trial takes on one core of a 2.5 GHz server; it sets the order in
     which families take turns, and the hours stated for the full list. begin: makes the trial function.
     frames: what one trial counts for (a stretch of frames counts each). continuous: each trial goes on where the last
-    one ended, so that a failure is reproduced from the first seed on.
+    one ended, so that a failure is reproduced from the first seed on. told: the least share of what is asked that must
+    be answered, for an estimator that says nothing is never wrong; judged once enough has been tried.
     """
 
     name: str
@@ -180,6 +181,7 @@ class Family:
     begin: Callable[[Subject], Trial]
     frames: int = 1
     continuous: bool = False
+    told: float = 0.0
 
 
 def generator(family: str, seed: int) -> np.random.Generator:

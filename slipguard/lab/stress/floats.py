@@ -107,4 +107,6 @@ def _check_poisoned(clean: Map, poisoned: Map, subject: Subject, notes: Notes) -
             notes.angle("pipeline", answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
 
 
-FLOATS = Family("floats", "float32 to float64, denormal, huge, NaN and infinite probabilities", 4_800, 13.0, _begin)
+FLOATS = Family(
+    "floats", "float32 to float64, denormal, huge, NaN and infinite probabilities", 4_800, 13.0, _begin, told=0.65
+)

@@ -62,4 +62,6 @@ def _check_odd(rng: np.random.Generator, pair: list[Estimate | None], subject: S
         notes.failed("limit", f"{said}: sigma is {fused.sigma_deg:g}°")
 
 
-FUSION = Family("fusion", "two fingers with missing, odd, stale and contradicting estimates", 200_000, 0.18, _begin)
+FUSION = Family(
+    "fusion", "two fingers with missing, odd, stale and contradicting estimates", 200_000, 0.18, _begin, told=0.9
+)

@@ -75,5 +75,8 @@ DEGENERATE = Family(
     DEGENERATE_MASKS * 8 * STYLES,
     30.0,
     _begin_degenerate,
+    told=0.2,
 )
-RANDOM = Family("random", "random masks: thinned as OpenCV does, read alike in mirrors", 1_000_000, 1.8, _begin_random)
+RANDOM = Family(
+    "random", "random masks: thinned as OpenCV does, read alike in mirrors", 1_000_000, 1.8, _begin_random, told=0.8
+)

@@ -53,4 +53,4 @@ def _grey(probability: Map, sigma: float, rng: np.random.Generator) -> Map:
     return np.clip(probability + noise, 0.0, 1.0).astype(np.float32)
 
 
-NOISE = Family("noise", "outlines and probabilities with growing noise", 12_000, 11.0, _begin)
+NOISE = Family("noise", "outlines and probabilities with growing noise", 12_000, 11.0, _begin, told=0.75)

@@ -134,5 +134,5 @@ def _look_at_nonsense(pipeline: Any, shown: Grasp, rng: np.random.Generator, not
 
 
 PICTURES = Family(
-    "pictures", "extreme light, hot pixels, saturated frames, swapped colours, nonsense", 10_000, 85.0, _begin
+    "pictures", "extreme light, hot pixels, saturated frames, swapped colours, nonsense", 10_000, 85.0, _begin, told=0.3
 )

@@ -11,8 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from slipguard.lab import figures
-from slipguard.lab.stress.drift import DRIFT, HOLDING
+from slipguard.lab.stress.drift import DRIFT
 from slipguard.lab.stress.family import Failure, Family, Kind, Level, Notes
+from slipguard.lab.stress.holding import HOLDING
 from slipguard.lab.stress.rounds import ASPECT
 from slipguard.lab.stress.run import Outcome, full_hours
 
@@ -41,7 +42,7 @@ def as_json(outcome: Outcome) -> dict[str, Any]:
         "crashes": _count(outcome, "crash"),
         "nan": _count(outcome, "nan"),
         "confident_wrong": _count(outcome, "confident wrong"),
-        "broken_promises": _count(outcome, "limit"),
+        "broken_promises": _count(outcome, "limit") + len(outcome.silent),
         "worst": {notes.family: _rounded(max(notes.worst_deg.values(), default=0.0)) for notes in outcome.notes},
         "drift_deg": _promise(outcome, DRIFT),
         "holding_drift_deg": _promise(outcome, HOLDING),
@@ -49,7 +50,7 @@ def as_json(outcome: Outcome) -> dict[str, Any]:
         "seed": outcome.seed,
         "spent_s": round(outcome.spent_s, 2),
         "full_hours": _rounded(total_h),
-        "families": {family.name: _family(family.full * family.frames, notes) for family, notes in _pairs(outcome)},
+        "families": {family.name: _family(family, notes) for family, notes in _pairs(outcome)},
         "failures": [
             {"family": one.family, "kind": one.kind, "seed": one.seed, "what": one.what, "again": again(one)}
             for one in first_failures(outcome)
@@ -58,8 +59,8 @@ def as_json(outcome: Outcome) -> dict[str, Any]:
 
 
 def first_failures(outcome: Outcome) -> list[Failure]:
-    """The first failure of each kind in each family."""
-    firsts = []
+    """The first failure of each kind in each family, and the families that answered too little."""
+    firsts = [*outcome.silent]
     for notes in outcome.notes:
         seen: set[Kind] = set()
         for one in notes.failures:
@@ -80,7 +81,9 @@ def print_table(console: Console, outcome: Outcome) -> None:
     for name in ("family", "tried", "of list", "told", "crash", "NaN", "wrong", "broken", "worst", "sigmas"):
         table.add_column(name, justify="left" if name == "family" else "right", no_wrap=True)
     for family, notes in _pairs(outcome):
-        counts = [_coloured(notes.counts[kind]) for kind in ("crash", "nan", "confident wrong", "limit")]
+        silent = sum(one.family == family.name for one in outcome.silent)
+        broken = notes.counts["limit"] + silent
+        counts = [*(_coloured(notes.counts[kind]) for kind in ("crash", "nan", "confident wrong")), _coloured(broken)]
         worst, sigmas = max(notes.worst_deg.values(), default=None), max(notes.worst_sigmas.values(), default=None)
         asked = notes.answers + notes.declined
         table.add_row(
@@ -94,7 +97,8 @@ def print_table(console: Console, outcome: Outcome) -> None:
         )
     console.print(table)
     console.print(
-        "told: of what was asked; wrong: by more than 5 sigma and 3°; broken: the promises below; worst: sure or not",
+        "told: of what was asked; wrong: by more than 5 sigma and 3°; broken: the promises below, or too little told; "
+        "worst: sure or not",
         style="dim",
     )
     promises = {what: value for notes in outcome.notes for what, value in notes.promises.items()}
@@ -161,10 +165,11 @@ def draw(outcome: Outcome, path: Path) -> None:
     figures.save(drawing, path)
 
 
-def _family(full: int, notes: Notes) -> dict[str, Any]:
+def _family(family: Family, notes: Notes) -> dict[str, Any]:
     return {
         "tried": notes.tried,
-        "full": full,
+        "full": family.full * family.frames,
+        "least_told": family.told,
         "answers": notes.answers,
         "declined": notes.declined,
         "failures": {kind: count for kind, count in notes.counts.items() if count},

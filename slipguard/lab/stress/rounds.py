@@ -73,4 +73,4 @@ def _hold_round(
         notes.angle("pipeline", answer.angle_deg, answer.sigma_deg, None, axial=False)
 
 
-ROUNDS = Family("round", "near-circles, polygons, rings, discs at the edge", 8_400, 10.0, _begin)
+ROUNDS = Family("round", "near-circles, polygons, rings, discs at the edge", 8_400, 10.0, _begin, told=0.18)

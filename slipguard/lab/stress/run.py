@@ -10,11 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipguard.errors import InputError
-from slipguard.lab.stress.drift import HOLD, TRACKING
+from slipguard.lab.stress.drift import TRACKING
 from slipguard.lab.stress.equivariance import EQUIVARIANCE
-from slipguard.lab.stress.family import Family, Notes, Trial, generator
+from slipguard.lab.stress.family import Failure, Family, Notes, Trial, generator
 from slipguard.lab.stress.floats import FLOATS
 from slipguard.lab.stress.fusion import FUSION
+from slipguard.lab.stress.holding import HOLD
 from slipguard.lab.stress.mask_trials import DEGENERATE, RANDOM
 from slipguard.lab.stress.noise import NOISE
 from slipguard.lab.stress.pictures import PICTURES
@@ -29,6 +30,10 @@ FAMILIES: tuple[Family, ...] = (
 )  # fmt: skip
 
 
+JUDGED_FROM = 60
+"""So many trials or frames of a family, in any order of the list, tell whether it answers often enough."""
+
+
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """All that was tried. families and notes go together."""
@@ -40,7 +45,18 @@ class Outcome:
 
     @property
     def failed(self) -> bool:
-        return any(notes.counts for notes in self.notes)
+        return any(notes.counts for notes in self.notes) or bool(self.silent)
+
+    @property
+    def silent(self) -> tuple[Failure, ...]:
+        """The families that answered less often than they must."""
+        found = []
+        for family, notes in zip(self.families, self.notes, strict=True):
+            asked = notes.answers + notes.declined
+            if family.told and notes.tried >= JUDGED_FROM and (not asked or notes.answers < family.told * asked):
+                what = f"told {notes.answers:,} of {asked:,} that were asked, at least {family.told:.0%} is promised"
+                found.append(Failure(family.name, "limit", self.seed, what))
+        return tuple(found)
 
 
 def chosen(names: Sequence[str]) -> tuple[Family, ...]:

@@ -60,4 +60,4 @@ def _check_axial(rng: np.random.Generator, notes: Notes) -> None:
 
 
 CASES = len(ALONG_U) * len(SEAMS_DEG) * len(OFFSETS_DEG)
-SEAMS = Family("seams", "axes on and next to ±90°, turns across", 5 * CASES, 10.0, _begin)
+SEAMS = Family("seams", "axes on and next to ±90°, turns across", 5 * CASES, 10.0, _begin, told=0.9)
