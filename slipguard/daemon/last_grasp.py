@@ -1,8 +1,12 @@
-"""How an object is held, kept on the disk for whoever starts next: a killed daemon comes back and knows the force."""
+"""How an object is held, and the fault latched, kept on the disk for whoever starts next.
+
+A killed daemon comes back, knows the force and whether the gripper had taken it, and is still in FAULT if it was.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import Protocol
 
@@ -12,14 +16,16 @@ from slipguard.daemon.decision import Decision
 from slipguard.daemon.disk_work import DiskWork
 from slipguard.daemon.state_dir import LastGrasp
 from slipguard.errors import SlipguardError
+from slipguard.grasp.fault import Fault
 from slipguard.grasp.guard import Guard
-from slipguard.grasp.state import AT_STAKE, GuardState, Phase, Remembered
+from slipguard.grasp.state import AT_STAKE, GuardState, Phase, Remembered, taken
 
 GOOD_FOR = timedelta(hours=1)
-"""A grip older than this is somebody else's by now."""
+"""A grip older than this is somebody else's by now; a fault stays latched until it is cleared, however old."""
 AGAIN_S = 300.0
 """A grip that does not change is noted down again after this time: it is its age that tells it from somebody else's."""
 CHANGE_MM = 0.5
+NOTHING = Remembered(0.0, 0.0)
 log = structlog.get_logger()
 
 
@@ -40,9 +46,24 @@ def remembered(shelf: Shelf, now: datetime | None = None) -> Guard:
     except SlipguardError as error:
         log.error("last grasp", why=str(error))
         return Guard()
-    if last is None or (now or datetime.now(UTC)) - last.saved_at > GOOD_FOR:
+    if last is None:
         return Guard()
-    return Guard(GuardState(remembered=Remembered(last.force_n, last.width_mm), person_near=last.person_near))
+    law = GuardState()
+    if (now or datetime.now(UTC)) - last.saved_at <= GOOD_FOR:
+        grip = Remembered(last.force_n, last.width_mm, last.taken) if last.force_n > 0.0 else None
+        law = replace(law, remembered=grip, person_near=last.person_near)
+    if last.fault is not None:
+        law = replace(law, phase=Phase.FAULT, fault=last.fault)
+    return Guard(law)
+
+
+@dataclass(frozen=True, slots=True)
+class _Note:
+    """What the shelf is to hold: of the grip only where there is one."""
+
+    grip: Remembered | None = None
+    person_near: bool = False
+    fault: Fault | None = None
 
 
 class GraspKeeper:
@@ -51,41 +72,52 @@ class GraspKeeper:
     def __init__(self, shelf: Shelf, say: Callable[[str], None]) -> None:
         self._shelf = shelf
         self._disk = DiskWork("last grasp", "the grip", say)
-        self._kept: Remembered | None = None
-        self._near = False
+        self._kept = _Note()
         self._known = False
         self._noted_at_s = 0.0
 
     def decided(self, decision: Decision) -> None:
         """To be called after every turn of the loop."""
-        gripper, target_n = decision.seen.gripper, decision.memory.law.target_n
-        if gripper is None or self._disk.busy:
-            return  # not known, or the disk is busy: a later turn will do
+        if self._disk.busy:
+            return  # a later turn will do
+        law, gripper, fault = decision.memory.law, decision.seen.gripper, decision.command.fault
         held = decision.phase in AT_STAKE or decision.phase is Phase.FAULT
-        if held and gripper.holding and not gripper.moving and target_n > 0.0:
-            self._keep(Remembered(target_n, gripper.width_mm), decision.memory.law.person_near, decision.now_s)
-        elif not held and not gripper.holding:
-            self._keep(None, False, decision.now_s)
+        note = _Note(None, law.person_near, fault)
+        if held and gripper is not None and gripper.holding and not gripper.moving and law.target_n > 0.0:
+            self._keep(replace(note, grip=Remembered(law.target_n, gripper.width_mm, taken(law, gripper))), decision)
+        elif not held and gripper is not None and not gripper.holding:
+            self._keep(_Note(), decision)
+        elif fault != self._kept.fault:
+            # What is held cannot be told just now; what was held is as good as before.
+            self._keep(replace(note, grip=self._kept.grip if self._known else law.remembered), decision)
 
-    def _keep(self, grip: Remembered | None, person_near: bool, now_s: float) -> None:
-        same = self._known and person_near is self._near and not _differs(grip, self._kept)
-        old = grip is not None and now_s - self._noted_at_s >= AGAIN_S
+    def _keep(self, note: _Note, decision: Decision) -> None:
+        same = self._known and not _differs(note, self._kept)
+        old = note.grip is not None and decision.now_s - self._noted_at_s >= AGAIN_S
         if same and not old and not self._disk.due:
             return
-        self._kept, self._near, self._known, self._noted_at_s = grip, person_near, True, now_s
-        self._disk.begin(lambda: self._write(grip, person_near))
+        self._kept, self._known, self._noted_at_s = note, True, decision.now_s
+        self._disk.begin(lambda: self._write(note))
 
-    def _write(self, grip: Remembered | None, person_near: bool) -> None:
-        if grip is None:
+    def _write(self, note: _Note) -> None:
+        if note.grip is None and note.fault is None:
             self._shelf.forget_last_grasp()
-        else:
-            now, force_n, width_mm = datetime.now(UTC), grip.force_n, grip.width_mm
-            self._shelf.save_last_grasp(
-                LastGrasp(saved_at=now, force_n=force_n, width_mm=width_mm, person_near=person_near)
+            return
+        grip = note.grip or NOTHING
+        self._shelf.save_last_grasp(
+            LastGrasp(
+                saved_at=datetime.now(UTC),
+                force_n=grip.force_n,
+                width_mm=grip.width_mm,
+                taken=grip.taken,
+                person_near=note.person_near,
+                fault=note.fault,
             )
+        )
 
 
-def _differs(one: Remembered | None, other: Remembered | None) -> bool:
-    if one is None or other is None:
-        return one is not other
-    return one.force_n != other.force_n or abs(one.width_mm - other.width_mm) > CHANGE_MM
+def _differs(one: _Note, other: _Note) -> bool:
+    if one.grip is None or other.grip is None:
+        return one != other
+    moved_mm = abs(one.grip.width_mm - other.grip.width_mm)
+    return moved_mm > CHANGE_MM or replace(one, grip=replace(one.grip, width_mm=other.grip.width_mm)) != other

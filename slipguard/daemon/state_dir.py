@@ -1,4 +1,5 @@
-"""What survives a restart: each sensor's no-contact images by serial, and how the last object was held.
+"""What survives a restart: each sensor's no-contact images by serial, and how the last object was held
+under which fault.
 
     <state>/sensors/<serial>/no_contact-0003.png    mean picture, 240 x 320 BGR; older ones are kept
     <state>/sensors/<serial>/no_contact-0003.json   noise, light, frames, when, sha256 of the picture
@@ -26,6 +27,7 @@ from slipguard.complaints import first_complaint
 from slipguard.daemon.calibration import NoContact, Version
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import ConfigError, InputError
+from slipguard.grasp.fault import Fault
 from slipguard.whole_file import write_whole
 
 SOCKET_NAME = "slipguard.sock"
@@ -53,14 +55,17 @@ class _ImageFacts(_Stored):
 class LastGrasp(_Stored):
     """How an object was held when last looked at: force per finger, width of the jaws; saved_at with time zone.
 
-    person_near: the arm was in a protective or emergency stop, so no force was to be added.
+    force_n: as last commanded; 0 where nothing was held. taken: the gripper had applied that force, and said so.
+    person_near: the arm was in a protective or emergency stop, so no force was to be added. fault: latched then.
     """
 
-    format: Literal[3] = 3
+    format: Literal[4] = 4
     saved_at: datetime
-    force_n: Annotated[float, Field(ge=0.0, le=1000.0)]
-    width_mm: Annotated[float, Field(ge=0.0, le=1000.0)]
+    force_n: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
+    width_mm: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
+    taken: bool = True
     person_near: bool = False
+    fault: Fault | None = None
 
 
 _S = TypeVar("_S", bound=_Stored)

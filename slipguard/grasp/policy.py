@@ -10,16 +10,13 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from slipguard.devices import GripperState
-from slipguard.grasp import delay, limits, motion, requests
+from slipguard.grasp import adopting, delay, limits, motion, requests
 from slipguard.grasp.fault import Fault, FaultCode
 from slipguard.grasp.guarding import guard
 from slipguard.grasp.messages import Command, RequestKind, Seen, in_one_line, without_figures
 from slipguard.grasp.motion import REACHED_MM, REPEAT_S
 from slipguard.grasp.params import GuardParams
-from slipguard.grasp.state import AT_STAKE, GuardState, Phase, emptied, entered, taken_over
-
-FORCE_TOLERANCE_N = 0.5
+from slipguard.grasp.state import AT_STAKE, FORCE_TOLERANCE_N, GuardState, Phase, emptied, entered, taken_over, waiting
 
 LOST_ALONE_TIMES = 3.0
 """One finger's word for a loss, where the other says nothing and the gripper knows nothing of it, must last so long."""
@@ -43,7 +40,8 @@ def step(state: GuardState, seen: Seen, params: GuardParams) -> tuple[GuardState
     if seen.request.kind is RequestKind.RELEASE:
         return _release(state, seen, params)
     state, watched = _watch_object(state, seen, params)
-    if watched.fault is not None and state.phase in AT_STAKE:
+    at_stake = state.phase in AT_STAKE or (state.phase is Phase.IDLE and waiting(state))
+    if watched.fault is not None and at_stake:
         return _latch(state, watched, watched.fault, Command())
     state, command = _PHASES[state.phase](state, watched, params)
     state, command = _keep_force(state, seen, command)
@@ -106,24 +104,15 @@ def _idle(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     if gripper is None:
         return state, Command()
     if gripper.holding and not state.adopted:
-        return _adopt(state, gripper, seen)
+        return adopting.adopt(state, gripper, seen, params)
+    if adopting.undecided(state, gripper):
+        return state, Command()
     state = replace(state, adopted=True, remembered=None)
     touched = seen.fused is not None and seen.fused.both_touch
     if params.mode == "guard" and state.guarding and gripper.holding and touched:
         said = f"an object is held with {gripper.force_n:.0f} N: guarding"
         return taken_over(state, gripper, seen.now_s), Command(new_reference=True, say=said)
     return state, Command()
-
-
-def _adopt(state: GuardState, gripper: GripperState, seen: Seen) -> Outcome:
-    """An object held since before the start is taken over once a finger speaks; a slow arm keeps nothing unguarded."""
-    held = f"an object is held with {gripper.force_n:.0f} N already"
-    if seen.fused is not None:
-        state = taken_over(state, gripper, seen.now_s)
-        known = f", with the {state.target_n:.0f} N of before the restart" if state.target_n > gripper.force_n else ""
-        return state, Command(say=f"{held}: taken over as it is{known}")
-    first = not state.found
-    return replace(state, found=True), Command(say=f"{held}: waiting for a finger" if first else None)
 
 
 def _closing(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
@@ -229,8 +218,9 @@ def _released(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
 
 def _faulty(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     """The arm stands and the grip is kept; slip is still answered with force where that is allowed and possible."""
+    state, found = adopting.adopt_in_fault(state, seen, params)
     verdict = guard(state, seen, params)
-    state, command = verdict.state, Command(hold_force_n=verdict.hold_n, say=verdict.say)
+    state, command = verdict.state, Command(hold_force_n=verdict.hold_n, say=in_one_line(found, verdict.say))
     state, command = _tell_besides(state, seen, command, verdict.fault)
     if seen.gripper is not None and seen.gripper.holding and not state.gripped:
         state = replace(state, gripped=True)

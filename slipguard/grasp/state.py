@@ -54,12 +54,17 @@ class Slip:
 
 @dataclass(frozen=True, slots=True)
 class Remembered:
-    """How an object was held before a restart: the force per finger last commanded, and the jaws' width then."""
+    """How an object was held before a restart: the force per finger last commanded, and the jaws' width then.
+
+    taken: the gripper had applied that force, and said so; else nobody knows whether it was told in time.
+    """
 
     force_n: float
     width_mm: float
+    taken: bool = True
 
 
+FORCE_TOLERANCE_N = 0.5
 SAME_WIDTH_MM = 1.0
 """Jaws within this of where they were still hold the same thing: a self-locking gripper does not creep."""
 
@@ -113,6 +118,25 @@ def settled(state: GuardState, gripper: GripperState) -> bool:
     return not gripper.moving and gripper.measured_at_s > state.commanded_s
 
 
+def taken(state: GuardState, gripper: GripperState) -> bool:
+    """The gripper applies the force it was last told, as it said at rest; one taken over was told nothing."""
+    if state.commanded_s == -math.inf:
+        return True
+    return settled(state, gripper) and gripper.force_n >= state.target_n - FORCE_TOLERANCE_N
+
+
+def waiting(state: GuardState) -> bool:
+    """Something was held before a restart, or a fault latched, and nobody has seen yet what the gripper holds now."""
+    if state.phase is Phase.IDLE:
+        return not state.adopted and state.remembered is not None
+    return not state.adopted and state.phase is Phase.FAULT
+
+
+def as_wide(before: Remembered, gripper: GripperState) -> bool:
+    """The jaws still are where they held what is remembered."""
+    return abs(before.width_mm - gripper.width_mm) <= SAME_WIDTH_MM
+
+
 def entered(state: GuardState, phase: Phase, now_s: float) -> GuardState:
     """The same memory at the beginning of another phase."""
     return replace(state, phase=phase, since_s=now_s, paused=False, putting_down=False)
@@ -127,9 +151,9 @@ def taken_over(state: GuardState, gripper: GripperState, now_s: float) -> GuardS
     """The object the gripper holds, with the grip it has, is guarded from a new reference on.
 
     A gripper that has been asked nothing since its connection was opened knows no force: where the jaws are as wide as
-    before the restart, the object is held with the force it was held with then.
+    before the restart, the object is held with the force that it had taken by then.
     """
     force_n, before = gripper.force_n, state.remembered
-    if before is not None and abs(before.width_mm - gripper.width_mm) <= SAME_WIDTH_MM:
+    if before is not None and before.taken and as_wide(before, gripper):
         force_n = max(force_n, before.force_n)
     return replace(emptied(state, Phase.REFERENCE, now_s), target_n=force_n, gripped=True)

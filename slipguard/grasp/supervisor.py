@@ -12,12 +12,14 @@ from dataclasses import dataclass, replace
 from slipguard.grasp.fault import Fault, FaultCode
 from slipguard.grasp.messages import Condition, FingerHealth, Seen
 from slipguard.grasp.params import GuardParams
-from slipguard.grasp.state import AT_STAKE, MOVING, GuardState, Phase
+from slipguard.grasp.state import AT_STAKE, MOVING, GuardState, Phase, waiting
 
 HELP_DEG = 5.0
 """An object that has turned this much further after it was tightened, and still turns, is not helped."""
 ARM_WAIT_S = 5.0
 """An arm not yet heard since the start may take so long to appear; a UR's control program starts within 2 s."""
+FIRST_WAIT_S = 2.0
+"""Sensors and gripper not yet heard may take so long from the start, or their time-out where that is longer."""
 GAIN_MM = 1.0
 """Less height than this gained counts as none."""
 
@@ -26,16 +28,19 @@ GAIN_MM = 1.0
 class Watch:
     """What the supervisor remembers. Times are None while all is well.
 
-    arm_known: it has been heard since the start. help_turn_deg, help_since_s: the first tightening of the present
-    episode. mark_mm, mark_s: last progress of the arm, while it should move.
+    began_s: the first tick. arm_known, gripper_known, frames_known: heard since then. help_turn_deg, help_since_s: the
+    first tightening of the present episode. mark_mm, mark_s: last progress of the arm, while it should move.
     """
 
+    began_s: float = -math.inf
     tick_s: float | None = None
     frames_since_s: float | None = None
     untrusted_since_s: float | None = None
     gripper_since_s: float | None = None
     arm_since_s: float | None = None
     arm_known: bool = False
+    gripper_known: bool = False
+    frames_known: bool = False
     help_turn_deg: float | None = None
     help_since_s: float | None = None
     mark_mm: float | None = None
@@ -43,26 +48,42 @@ class Watch:
 
 
 def watch(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> tuple[Watch, tuple[Fault, ...]]:
-    """What is wrong now, the gravest first; nothing while nothing is at stake."""
+    """What is wrong now, the gravest first; nothing while nothing is at stake.
+
+    While what was held before a restart is still to be found, only what would find it is looked at.
+    """
     now_s = seen.now_s
     late_s = now_s - memory.tick_s if memory.tick_s is not None else 0.0
-    if state.phase not in AT_STAKE and state.phase is not Phase.FAULT:
-        return Watch(tick_s=now_s, arm_known=memory.arm_known or seen.arm is not None), ()
+    known = Watch(
+        began_s=now_s if memory.tick_s is None else memory.began_s,
+        tick_s=now_s,
+        arm_known=memory.arm_known or seen.arm is not None,
+        gripper_known=memory.gripper_known or seen.gripper is not None,
+        frames_known=memory.frames_known or math.isfinite(min(seen.left.age_s, seen.right.age_s)),
+    )
+    held = state.phase in AT_STAKE or state.phase is Phase.FAULT
+    if not held and not waiting(state):
+        return known, ()
     memory = replace(
         memory,
+        began_s=known.began_s,
         tick_s=now_s,
+        arm_known=known.arm_known,
+        gripper_known=known.gripper_known,
+        frames_known=known.frames_known,
         frames_since_s=_since(memory.frames_since_s, _no_frames(seen, params), now_s),
         untrusted_since_s=_since(memory.untrusted_since_s, _untrusted(state, seen) is not None, now_s),
         gripper_since_s=_since(memory.gripper_since_s, seen.gripper is None, now_s),
         arm_since_s=_since(memory.arm_since_s, seen.arm is None, now_s),
-        arm_known=memory.arm_known or seen.arm is not None,
     )
+    finders = _gripper(memory, seen, params), _frames(memory, seen, params)
+    if not held:
+        return memory, tuple(fault for fault in finders if fault is not None)
     memory = _follow_help(memory, state, seen)
     memory = _follow_arm(memory, state, seen)
     checks = (
         _arm_stop(seen),
-        _gripper(memory, seen, params),
-        _frames(memory, seen, params),
+        *finders,
         _arm(memory, state, seen, params),
         _arm_stuck(memory, state, seen, params),
         _no_help(memory, seen, params),
@@ -90,6 +111,11 @@ def _silent_s(measured_at_s: float | None, since_s: float | None, now_s: float) 
     return now_s - since_s if since_s is not None else 0.0
 
 
+def _starts(memory: Watch, known: bool, now_s: float, timeout_s: float) -> bool:
+    """A device that has said nothing yet still has the time to appear."""
+    return not known and now_s - memory.began_s < max(timeout_s, FIRST_WAIT_S)
+
+
 def _arm_stop(seen: Seen) -> Fault | None:
     if seen.arm is None or not (seen.arm.emergency_stop or seen.arm.protective_stop):
         return None
@@ -104,7 +130,8 @@ def _arm_stop(seen: Seen) -> Fault | None:
 def _gripper(memory: Watch, seen: Seen, params: GuardParams) -> Fault | None:
     gripper = seen.gripper
     silent_s = _silent_s(gripper.measured_at_s if gripper else None, memory.gripper_since_s, seen.now_s)
-    if silent_s >= params.gripper_timeout_s:
+    starts = _starts(memory, memory.gripper_known, seen.now_s, params.gripper_timeout_s)
+    if silent_s >= params.gripper_timeout_s and not starts:
         return Fault(
             FaultCode.GRIPPER_SILENT,
             f"no answer for {silent_s:.1f} s",
@@ -131,7 +158,8 @@ def _frames(memory: Watch, seen: Seen, params: GuardParams) -> Fault | None:
     if memory.frames_since_s is None:
         return None
     silent_s = max(min(seen.left.age_s, seen.right.age_s), seen.now_s - memory.frames_since_s)
-    if silent_s < params.frames_timeout_s:
+    starts = _starts(memory, memory.frames_known, seen.now_s, params.frames_timeout_s)
+    if silent_s < params.frames_timeout_s or starts:
         return None
     both = " and ".join(
         f"{name}: {finger.why or finger.condition}" for name, finger in (("left", seen.left), ("right", seen.right))

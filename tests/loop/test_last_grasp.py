@@ -15,8 +15,10 @@ from slipguard.daemon.disk_work import TRY_AGAIN_S
 from slipguard.daemon.last_grasp import GraspKeeper, remembered
 from slipguard.daemon.state_dir import LastGrasp, StateDir
 from slipguard.errors import ConfigError
+from slipguard.grasp.fault import Fault, FaultCode
 from slipguard.grasp.guard import Guard
-from slipguard.grasp.state import GuardState, Remembered
+from slipguard.grasp.messages import Command, Seen
+from slipguard.grasp.state import GuardState, Phase, Remembered
 
 
 def test_the_grip_is_noted_down_tightened_and_forgotten(tmp_path: Path) -> None:
@@ -34,7 +36,7 @@ def test_the_grip_is_noted_down_tightened_and_forgotten(tmp_path: Path) -> None:
         tightened = shelf.load_last_grasp()
         assert tightened is not None
         assert tightened.force_n == cell.service.state.target_n > first.force_n
-        assert remembered(shelf).law.remembered == Remembered(tightened.force_n, tightened.width_mm)
+        assert remembered(shelf).law.remembered == Remembered(tightened.force_n, tightened.width_mm, taken=True)
         await cell.lower()
         await cell.release()
         await asyncio.sleep(0.1)
@@ -121,7 +123,102 @@ def test_a_disk_that_is_mended_gets_the_grip_though_the_force_has_not_changed(tm
     ]
 
 
-@pytest.mark.parametrize("content", ['{"format": 1}', "not JSON", '{"format": 3, "force_n": "NaN"}'])
+def test_a_force_counts_as_taken_once_the_gripper_says_so(tmp_path: Path) -> None:
+    """A daemon killed between a command and its effect must leave nothing behind that looks like a firm grip."""
+    shelf = StateDir(tmp_path)
+
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        cell.service.observers.append(GraspKeeper(shelf, cell.says.append).decided)
+        await cell.grasp()
+        await asyncio.sleep(0.1)
+        assert cell.service.state.target_n == pytest.approx(40.0, abs=0.85)
+        assert (await noted(shelf)).taken
+        cell.world.faults.fail("gripper", "timeout")
+        await cell.controls.gripper(None, 120.0)
+        await asyncio.sleep(0.15)
+        untaken = await noted(shelf)
+        assert untaken.force_n == pytest.approx(120.0, abs=0.85)
+        assert not untaken.taken
+        cell.world.faults.mend("gripper")
+        await cell.until(lambda: cell.truth.force_n > 115.0)
+        await asyncio.sleep(0.3)
+        assert (await noted(shelf)).taken
+
+    play(Cell("wrench", 1), scene)
+
+
+async def noted(shelf: StateDir) -> Remembered:
+    """What a daemon started now would know of the grip."""
+    await asyncio.sleep(0.05)
+    grip = remembered(shelf).law.remembered
+    assert grip is not None
+    return grip
+
+
+def test_a_latched_fault_is_noted_until_it_is_cleared(tmp_path: Path) -> None:
+    shelf = StateDir(tmp_path)
+
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        cell.service.observers.append(GraspKeeper(shelf, cell.says.append).decided)
+        await cell.grasp()
+        grip = await noted(shelf)
+        cell.world.faults.fail("gripper", "disconnect")
+        await cell.until(lambda: cell.phase is Phase.FAULT)
+        await asyncio.sleep(0.1)
+        law = remembered(shelf).law
+        assert (law.phase, law.fault) == (Phase.FAULT, cell.service.state.fault)
+        assert law.remembered == grip, "as it was when the gripper was last heard"
+        old = remembered(shelf, datetime.now(UTC) + timedelta(days=3)).law
+        assert (old.phase, old.fault, old.remembered) == (Phase.FAULT, law.fault, None)
+        cell.world.faults.mend("gripper")
+        await cell.ready()
+        await cell.controls.clear()
+        await cell.until(cell.steady)
+        assert await noted(shelf) == grip
+        assert remembered(shelf).law.fault is None
+        cell.world.clear(cell.now_s)
+        await cell.until(lambda: cell.phase is Phase.FAULT)
+        await cell.until(lambda: remembered(shelf).law.fault is not None)
+        await cell.controls.release()
+        await asyncio.sleep(0.1)
+        assert remembered(shelf).law.fault is None
+        await cell.until(lambda: cell.phase is Phase.IDLE)
+        await asyncio.sleep(0.1)
+        assert shelf.load_last_grasp() is None
+
+    play(Cell("wrench", 1, watched=False), scene)
+
+
+def test_a_fault_without_a_gripper_is_noted_with_the_grip_of_before_the_restart(tmp_path: Path) -> None:
+    shelf = StateDir(tmp_path)
+    grip = Remembered(90.0, 18.0, taken=False)
+    fault = Fault(FaultCode.GRIPPER_SILENT, "no answer for 2.0 s", "check its cable")
+
+    async def scene() -> None:
+        keeper = GraspKeeper(shelf, list[str]().append)
+        before = Guard(GuardState(remembered=grip, person_near=True))
+        turn = Decision(1.0, Phase.IDLE, Seen(1.0), Command(), before)
+        keeper.decided(turn)
+        await asyncio.sleep(0.1)
+        assert shelf.load_last_grasp() is None, "nothing is known yet"
+        keeper.decided(replace(turn, phase=Phase.FAULT, command=Command(fault=fault)))
+        await asyncio.sleep(0.1)
+
+    asyncio.run(scene())
+    assert remembered(shelf).law == GuardState(Phase.FAULT, remembered=grip, person_near=True, fault=fault)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        '{"format": 1}',
+        "not JSON",
+        '{"format": 4, "saved_at": "2026-01-01T00:00:00Z", "force_n": "NaN"}',
+        '{"format": 4, "saved_at": "2026-01-01T00:00:00Z", "fault": {"code": "x", "seen": "", "what_to_do": ""}}',
+    ],
+)
 def test_a_damaged_note_counts_as_none(tmp_path: Path, content: str) -> None:
     (tmp_path / "last_grasp.json").write_text(content)
     assert remembered(StateDir(tmp_path)) == Guard()

@@ -15,6 +15,7 @@ from slipguard.grasp.supervisor import Watch, watch
 
 PARAMS = GuardParams()
 TICK_S = 0.01
+KNOWN = Watch(arm_known=True, gripper_known=True, frames_known=True)
 HOLDING = GuardState(phase=Phase.HOLDING, referenced=True, target_n=40.0)
 LIFTING = GuardState(phase=Phase.LIFTING, referenced=True, target_n=40.0, goal_mm=100.0, ground_mm=0.0)
 SLIPPING = GuardState(phase=Phase.HOLDING, referenced=True, slip=Slip(0.0, 0.0, 2.0, 20.0, 0.0))
@@ -26,7 +27,7 @@ def first_fault(
     state: GuardState, view: Callable[[float], Seen], seconds: float = 3.0, params: GuardParams = PARAMS
 ) -> tuple[float, Fault | None]:
     """When the supervisor first says something, and what."""
-    memory = Watch(arm_known=True)
+    memory = KNOWN
     ticks = round(seconds / TICK_S)
     for number in range(ticks):
         now_s = number * TICK_S
@@ -114,7 +115,7 @@ def test_nothing_at_stake_nothing_wrong(phase: Phase) -> None:
 def test_what_has_passed_is_no_longer_said() -> None:
     """So that it can be cleared."""
     state = GuardState(phase=Phase.FAULT)
-    memory, faults = watch(Watch(), state, seen(0.0, gripper=None), PARAMS)
+    memory, faults = watch(KNOWN, state, seen(0.0, gripper=None), PARAMS)
     memory, faults = watch(memory, state, seen(0.45, gripper=None), PARAMS)
     assert faults
     memory, faults = watch(memory, state, seen(0.46), PARAMS)

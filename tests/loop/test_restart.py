@@ -1,0 +1,124 @@
+"""The daemon killed as by `kill -9` with something held, and started again on the same cell."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+import pytest
+
+from slipguard.daemon.virtual_time import run_virtual
+from slipguard.errors import CommandRefused
+from slipguard.grasp.fault import FaultCode
+from slipguard.grasp.state import Phase
+from slipguard.lab.faults.rig import Rig
+
+DEAD_S = 0.5
+ASKED_N = 130.0
+
+
+async def until(reached: Callable[[], bool], within_s: float = 10.0) -> None:
+    deadline_s = asyncio.get_running_loop().time() + within_s
+    while not reached():
+        assert asyncio.get_running_loop().time() < deadline_s
+        await asyncio.sleep(0.01)
+
+
+def play(scene: Callable[[Rig], Awaitable[None]], guard: dict[str, object] | None = None) -> list[str]:
+    """A scene that begins with an object gripped; returns the log."""
+    lines: list[str] = []
+
+    async def main() -> None:
+        rig = Rig("wrench", 3, guard or {}, lines.append)
+        rig.place()
+        rig.start()
+        await until(lambda: not rig.service.waiting_for)
+        await (rig.controls.grasp() if not guard else rig.controls.gripper(0.0, 40.0))
+        await until(lambda: rig.service.firm)
+        await asyncio.sleep(0.5)
+        await scene(rig)
+        assert rig.truth.dropped is None
+        assert (rig.releases, rig.crashes) == (0, [])
+        await rig.stop()
+
+    run_virtual(main())
+    return lines
+
+
+@pytest.mark.parametrize("arrived", [False, True])
+def test_a_force_on_its_way_when_the_daemon_was_killed_is_applied_after_all(arrived: bool) -> None:
+    async def scene(rig: Rig) -> None:
+        if not arrived:
+            rig.world.faults.fail("gripper", "timeout")
+        await rig.controls.gripper(None, ASKED_N)
+        await asyncio.sleep(0.1)
+        await rig.kill()
+        await asyncio.sleep(DEAD_S)
+        assert (rig.truth.force_n > 100.0) is arrived
+        rig.world.faults.mend("gripper")
+        rig.start()
+        await until(lambda: rig.service.firm)
+        await asyncio.sleep(0.5)
+        assert rig.truth.force_n > 120.0
+        rig.world.take_table(rig.now_s)
+        await asyncio.sleep(4.0)
+        assert abs(rig.truth.turn_deg) < 15.0
+
+    lines = play(scene)
+    assert any("asked for again" in line for line in lines) is not arrived
+
+
+def test_a_latched_fault_outlives_the_daemon() -> None:
+    async def scene(rig: Rig) -> None:
+        rig.world.faults.fail("gripper", "fault")
+        await until(lambda: rig.service.phase is Phase.FAULT)
+        fault = rig.service.state.fault
+        await asyncio.sleep(0.2)
+        await rig.kill()
+        rig.world.faults.mend("gripper")
+        await asyncio.sleep(DEAD_S)
+        rig.start()
+        await until(lambda: rig.service.state.gripped)
+        assert (rig.service.phase, rig.service.state.fault) == (Phase.FAULT, fault)
+        assert fault is not None
+        assert fault.code is FaultCode.GRIPPER_FAULT
+        await asyncio.sleep(1.0)
+        with pytest.raises(CommandRefused, match="cannot lift while fault"):
+            await rig.controls.lift()
+        await rig.controls.clear()
+        await until(lambda: rig.service.firm)
+        await rig.controls.lift()
+
+    lines = play(scene)
+    assert sum("fault: gripper fault" in line for line in lines) == 2, "named by both daemons"
+    assert not any("frames lost" in line for line in lines), "sensors are given the time to start"
+
+
+@pytest.mark.parametrize(
+    ("gone", "code"),
+    [(("left", "right"), FaultCode.FRAMES_LOST), (("gripper",), FaultCode.GRIPPER_SILENT)],
+)
+def test_what_does_not_come_back_with_the_daemon_stops_the_arm(gone: tuple[str, ...], code: FaultCode) -> None:
+    async def scene(rig: Rig) -> None:
+        await rig.kill()
+        await asyncio.sleep(DEAD_S)
+        for device in gone:
+            rig.world.faults.fail(device, "disconnect")
+        rig.start()
+        rig.world.command_lift(rig.now_s, 200.0, 20.0)  # the other program knows of nothing
+        await asyncio.sleep(1.0)
+        assert rig.service.phase is Phase.IDLE
+        await until(lambda: rig.service.phase is Phase.FAULT, 1.5)
+        assert rig.service.state.fault is not None
+        assert rig.service.state.fault.code is code
+        await asyncio.sleep(0.3)
+        assert not rig.world.arm_state(rig.now_s).moving
+        for device in gone:
+            rig.world.faults.mend(device)
+        await until(lambda: not rig.service.waiting_for)
+        await asyncio.sleep(0.5)
+        assert rig.service.phase is Phase.FAULT
+        await rig.controls.clear()
+        await until(lambda: rig.service.firm)
+
+    play(scene, {"mode": "guard"})
