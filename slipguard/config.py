@@ -13,14 +13,15 @@ the driver's own `Settings`:
 from __future__ import annotations
 
 import ipaddress
+import json
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError, field_validator
 
-from slipguard.complaints import first_complaint
+from slipguard.complaints import first_complaint, no_such_key, shown
 from slipguard.errors import ConfigError
 from slipguard.grasp.params import GuardParams
 from slipguard.perception.settings import PerceptionSettings
@@ -28,9 +29,20 @@ from slipguard.registry import load_driver
 
 
 class Section(BaseModel):
-    """Base of all sections: frozen, no unknown keys, no infinities."""
+    """Base of all sections: frozen, no unknown keys, no infinities; true is no number and "40" neither."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+
+SomePath = Annotated[Path, Strict(False)]
+"""A string in the file: TOML has no paths."""
+
+
+def _whole(given: Any) -> Any:
+    """`Literal` alone takes false for 0."""
+    if type(given) is not int:
+        raise ValueError("a whole number is needed")
+    return given
 
 
 class DeviceSection(Section):
@@ -43,7 +55,7 @@ class DeviceSection(Section):
 class FingerSection(DeviceSection):
     """One fingertip camera and how it is mounted."""
 
-    rotation_deg: Literal[0, 90, 180, 270] = 0
+    rotation_deg: Annotated[Literal[0, 90, 180, 270], BeforeValidator(_whole)] = 0
     px_per_mm: Annotated[float, Field(ge=5.0, le=60.0)] = 18.5
 
 
@@ -68,7 +80,7 @@ class LoopSection(Section):
 class ApiSection(Section):
     """The local API."""
 
-    socket: Path | None = None
+    socket: SomePath | None = None
     """Unix socket; None: `slipguard.sock` in the runtime or state directory."""
     listen: str = "127.0.0.1:8470"
     """Address and port of page and API over TCP; empty: none. Commands need the token there."""
@@ -102,7 +114,7 @@ def _address(listen: str) -> tuple[str, int] | None:
 class StateSection(Section):
     """What survives a restart."""
 
-    directory: Path | None = None
+    directory: SomePath | None = None
     """None: $STATE_DIRECTORY under systemd, else ~/.local/state/slipguard."""
 
 
@@ -110,7 +122,7 @@ class RecordingSection(Section):
     """The ring of recordings (MCAP): the last minutes, and what is kept around every slip and fault."""
 
     enabled: bool = True
-    directory: Path | None = None
+    directory: SomePath | None = None
     """None: `recordings` in the state directory."""
     image: Literal["jpeg", "png", "none"] = "jpeg"
     """png replays to the very same turns, and costs ten times the time and space; none keeps estimates only."""
@@ -152,6 +164,12 @@ GROUP_OF = {
     "gripper": "slipguard.gripper",
     "arm": "slipguard.arm",
 }
+_SECTIONS: dict[str, type[DeviceSection]] = {
+    "left": FingerSection,
+    "right": FingerSection,
+    "gripper": GripperSection,
+    "arm": ArmSection,
+}
 USUAL_DRIVER = {"left": "digit", "right": "digit", "gripper": "robotiq", "arm": "ur5"}
 
 
@@ -166,7 +184,7 @@ def read_config(path: Path, *, sim: bool = False) -> Config:
         raise ConfigError(f"{path}: no such file; config.toml in the project is a commented start") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from error
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from error
     return parse_config(raw, where=str(path), sim=sim)
 
@@ -176,30 +194,49 @@ def parse_config(raw: Mapping[str, Any], *, where: str, sim: bool = False) -> Co
     values = dict(raw)
     for name in GROUP_OF:
         values[name] = _with_driver(values.get(name, {}), name, where, sim)
+    _nothing_used_twice(values, where)
     try:
         return Config.model_validate(values)
     except ValidationError as error:
         raise ConfigError(f"{where}: {first_complaint(error, Config)}") from None
 
 
+def _nothing_used_twice(devices: Mapping[str, Any], where: str) -> None:
+    """No two devices are the same thing on this machine: their drivers' `Settings` name the keys in `only_one`."""
+    users: dict[tuple[str, object], str] = {}
+    for name in GROUP_OF:
+        driver, settings = devices[name]["driver"], devices[name]["settings"]
+        for key in getattr(settings, "only_one", ()):
+            value = getattr(settings, key)
+            user = users.setdefault((key, value), f"{name}.{driver}.{key}")
+            if user != f"{name}.{driver}.{key}":
+                raise ConfigError(f"{where}: {name}.{driver}.{key} = {shown(value)}: {user} has it; only one can")
+
+
 def _with_driver(section: Any, name: str, where: str, sim: bool) -> dict[str, Any]:
     """Let the driver check its own table, and put the result under `settings`."""
     if not isinstance(section, Mapping):
-        raise ConfigError(f"{where}: {name} = {section!r}: a table is needed, [{name}]")
+        raise ConfigError(f"{where}: {name} = {shown(section)}: a table is needed, [{name}]")
     named = section.get("driver", USUAL_DRIVER[name])
     if not isinstance(named, str):
-        raise ConfigError(f'{where}: {name}.driver = {named!r}: the name of a driver is needed, such as "digit"')
+        raise ConfigError(f'{where}: {name}.driver = {shown(named)}: the name of a driver is needed, such as "digit"')
     if "settings" in section:
         raise ConfigError(f"{where}: {name}.settings: no such key; the driver's table is [{name}.{named}]")
+    known = [key for key in _SECTIONS[name].model_fields if key != "settings"]
+    for key in section:
+        if key not in (named, *known) and not (sim and key == "fake"):
+            raise ConfigError(f"{where}: {name}.{key}: {no_such_key(key, [*known, named])}")
     chosen = "fake" if sim else named
     try:
         driver = load_driver(GROUP_OF[name], chosen)
     except ConfigError as error:
         raise ConfigError(f"{where}: {name}.driver = {chosen!r}: {error}") from None
     try:
-        settings = driver.Settings.model_validate(section.get(chosen, {}))
+        # As JSON: strict, a string is still a path there, and an array a tuple.
+        settings = driver.Settings.model_validate_json(json.dumps(section.get(chosen, {}), default=str), strict=True)
     except ValidationError as error:
-        raise ConfigError(f"{where}: {name}.{chosen}.{first_complaint(error, driver.Settings)}") from None
+        told = first_complaint(error, driver.Settings, under=f"{name}.{chosen}")
+        raise ConfigError(f"{where}: {told}") from None
     rest = {key: value for key, value in section.items() if key not in (named, chosen)}
     return rest | {"driver": chosen, "settings": settings}
 

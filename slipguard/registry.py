@@ -17,7 +17,10 @@ EMULATORS = "slipguard.emulator"
 
 
 class Driver(Protocol):
-    """What an entry point must name: a class that owns its section of the configuration."""
+    """What an entry point must name: a class that owns its section of the configuration.
+
+    `Settings` may have `only_one: ClassVar = ("serial",)`: keys whose value only one device can have.
+    """
 
     Settings: type[BaseModel]
 

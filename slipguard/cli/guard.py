@@ -5,12 +5,16 @@ from __future__ import annotations
 import asyncio
 import faulthandler
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from slipguard.cli.interrupt import left_to_the_loop
+
+if TYPE_CHECKING:
+    from slipguard.config import Config
 
 USUAL_FILE = Path("config.toml")
 ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The configuration file.")]
@@ -64,12 +68,13 @@ def check(
     from slipguard.perception.segment import Segmenter
 
     settings = read_config(config)
+    wrong = next(_cannot_work(settings), None)
+    if wrong is not None:
+        raise ConfigError(f"{config}: {wrong}")
+    segmenter = Segmenter(settings.perception.model)
     if json:
         print(settings.model_dump_json(indent=2, serialize_as_any=True))
         return
-    if settings.perception.model is not None and not settings.perception.model.is_file():
-        raise ConfigError(f"{config}: perception.model = {settings.perception.model}: no such file")
-    segmenter = Segmenter(settings.perception.model)
     console = Console()
     table = Table("device", "driver", "settings", title=str(config), title_justify="left")
     for name in ("left", "right", "gripper", "arm"):
@@ -85,6 +90,43 @@ def check(
     width, height = segmenter.input_size
     console.print(f"network {segmenter.path.name} at {width}×{height}, estimator {settings.perception.estimator!r}")
     console.print("the configuration is fine")
+
+
+def _cannot_work(config: Config) -> Iterator[str]:
+    """What is well formed and fails as soon as the daemon starts, or at the first grasp; opens no device."""
+    from slipguard.config import GROUP_OF
+    from slipguard.daemon.root import recordings_path
+    from slipguard.daemon.state_dir import StateDir
+    from slipguard.daemon.whereabouts import socket_path
+    from slipguard.devices import DriverContext
+    from slipguard.errors import SlipguardError
+    from slipguard.registry import load_driver
+
+    model = config.perception.model
+    if model is not None and not model.is_file():
+        yield f"perception.model = {model}: " + ("a folder; name the .onnx file" if model.is_dir() else "no such file")
+    folders = {"state.directory": StateDir(config.state.directory).path}
+    if config.recording.enabled:
+        folders["recording.directory"] = recordings_path(config)
+    folders["api.socket"] = socket_path(config).parent
+    for key, folder in folders.items():
+        there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        if not there.is_dir():
+            yield f"{key}: {there} is no folder; move it away, or set {key} to another place"
+    if socket_path(config).is_dir():
+        yield f"api.socket = {socket_path(config)}: a folder; name a file in it"
+    devices: dict[str, Any] = {}
+    for name, group in GROUP_OF.items():
+        section = getattr(config, name)
+        try:
+            driver = load_driver(group, section.driver)
+            devices[name] = driver(section.settings, DriverContext(name, mode=config.guard.mode))
+        except SlipguardError as error:
+            yield str(error)
+            return
+    softest_n, _ = devices["gripper"].force_limits_n
+    if config.guard.force_max_n < softest_n:
+        yield f"guard.force_max_n = {config.guard.force_max_n:g}: this gripper grips with {softest_n:g} N at least"
 
 
 def version(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from slipguard.complaints import at_key
 from slipguard.limit_surface import GRAVITY_M_S2, Pad, force_needed_n
 
 Force = Annotated[float, Field(ge=1.0, le=235.0)]
@@ -13,6 +14,12 @@ Force = Annotated[float, Field(ge=1.0, le=235.0)]
 FINGERS = 2
 MODEL_RESERVE = 1.3
 """Over the force of the limit surface: a gripper may be a tenth weaker than it says, a lift adds a tenth of load."""
+BLIND_FORCE_N = 100.0
+
+
+def _blind_force_n(given: dict[str, Any]) -> float:
+    """Where none is given: 100 N, but no softer than the first grip and never above the budget."""
+    return float(min(max(BLIND_FORCE_N, given.get("first_force_n", 0.0)), given.get("force_max_n", BLIND_FORCE_N)))
 
 
 class GuardParams(BaseModel):
@@ -21,7 +28,7 @@ class GuardParams(BaseModel):
     "turn" is the turn since the reference taken when the object was gripped.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
 
     mode: Literal["lift", "guard"] = "lift"
     """lift: slipguard closes, lifts, guards, lowers. guard: another program moves the arm; it is only paused."""
@@ -30,8 +37,8 @@ class GuardParams(BaseModel):
     """First grip; gentle, for the guard tightens where it is not enough."""
     force_max_n: Force = 130.0
     """Never grip harder: the budget of gel and object. No limit of the gel is published; this holds 1 kg at 100 mm."""
-    blind_force_n: Force = 100.0
-    """Grip before lifting where the turn cannot be seen (a round contact)."""
+    blind_force_n: Force = Field(default_factory=_blind_force_n)
+    """Grip before lifting where the turn cannot be seen (a round contact). Not given: 100, `force_max_n` at most."""
     on_blind: Literal["grip", "refuse"] = "grip"
     """Where the turn cannot be seen: grip to `blind_force_n`, or refuse to lift."""
 
@@ -130,27 +137,31 @@ class GuardParams(BaseModel):
     @model_validator(mode="after")
     def _model_whole(self) -> GuardParams:
         if (self.friction is None) is not (self.mass_kg is None):
-            raise ValueError("friction and mass_kg go together: give both, or neither")
+            missing, given = ("friction", "mass_kg") if self.friction is None else ("mass_kg", "friction")
+            raise at_key(missing, None, f"missing; it and {given} go together: give both, or neither")
         needed_n = self.modelled_n
         if needed_n is not None and needed_n > self.force_max_n:
-            raise ValueError(
+            raise at_key(
+                "force_max_n",
+                self.force_max_n,
                 f"friction ({self.friction:g}), mass_kg ({self.mass_kg:g}) and lever_mm ({self.lever_mm:g}) ask for "
-                f"{needed_n:.0f} N, which force_max_n ({self.force_max_n:g}) does not allow"
+                f"{needed_n:.0f} N; raise it where object and gel bear that, or leave friction and mass_kg out",
             )
         return self
 
     @model_validator(mode="after")
     def _forces_in_order(self) -> GuardParams:
-        if not self.first_force_n <= self.blind_force_n <= self.force_max_n:
-            raise ValueError(
-                f"first_force_n ({self.first_force_n:g}) <= blind_force_n ({self.blind_force_n:g}) "
-                f"<= force_max_n ({self.force_max_n:g}) must hold"
-            )
+        for key, force_n in (("first_force_n", self.first_force_n), ("blind_force_n", self.blind_force_n)):
+            if force_n > self.force_max_n:
+                raise at_key(key, force_n, f"at most force_max_n ({self.force_max_n:g}); lower it, too")
+        if self.blind_force_n < self.first_force_n:
+            raise at_key("blind_force_n", self.blind_force_n, f"at least first_force_n ({self.first_force_n:g})")
         if self.level_max_deg < self.level_deg:
-            raise ValueError(f"level_max_deg ({self.level_max_deg:g}) must be at least level_deg ({self.level_deg:g})")
+            raise at_key("level_max_deg", self.level_max_deg, f"at least level_deg ({self.level_deg:g})")
         if self.on_budget_spent == "lower" and self.mode == "guard":
-            raise ValueError(
-                'on_budget_spent = "lower" is for mode = "lift"; in guard mode the arm belongs to another program: '
-                'leave it at "stop"'
+            raise at_key(
+                "on_budget_spent",
+                self.on_budget_spent,
+                'for mode = "lift"; in guard mode the arm belongs to another program: leave it at "stop"',
             )
         return self

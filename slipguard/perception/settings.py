@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, Strict
 
 EstimatorName = Literal["fused", "registration", "moments", "ellipse", "pca", "skeleton"]
 
@@ -14,9 +14,9 @@ EstimatorName = Literal["fused", "registration", "moments", "ellipse", "pca", "s
 class PerceptionSettings(BaseModel):
     """Frozen, unknown keys refused. Areas are in frame pixels (240 x 320), angles in degrees."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
 
-    model: Path | None = None
+    model: Annotated[Path, Strict(False)] | None = None
     """Segmentation network (.onnx); None: the one shipped."""
     estimator: EstimatorName = "fused"
     """How the turn is told: one of the four orientation estimators, registration to the reference, or all fused."""

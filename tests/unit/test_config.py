@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+import functools
+import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import slipguard
+from hypothesis import given
+from hypothesis import strategies as st
 
 from slipguard.config import parse_config, read_config, sim_config
 from slipguard.errors import ConfigError
+from slipguard.registry import load_driver
 
 SHIPPED = Path(__file__).parents[2] / "config.toml"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _drivers_looked_up_once() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("slipguard.config.load_driver", functools.cache(load_driver))
+        yield
 
 
 def complaint(raw: dict[str, Any], *, sim: bool = True) -> str:
@@ -23,18 +37,18 @@ def complaint(raw: dict[str, Any], *, sim: bool = True) -> str:
 
 
 def test_the_shipped_file_is_fine_and_complete() -> None:
-    config = read_config(SHIPPED)
-    assert (config.left.driver, config.gripper.driver, config.arm.driver) == ("digit", "robotiq", "ur5")
+    made = read_config(SHIPPED)
+    assert (made.left.driver, made.gripper.driver, made.arm.driver) == ("digit", "robotiq", "ur5")
     text = SHIPPED.read_text()
     for section in ("guard", "perception", "loop", "api", "state"):
-        for key in getattr(config, section).__class__.model_fields:
+        for key in getattr(made, section).__class__.model_fields:
             assert f"{key} = " in text, f"config.toml does not explain {section}.{key}"
-        assert getattr(config, section) == type(getattr(config, section))(), f"[{section}] differs from the defaults"
+        assert getattr(made, section) == type(getattr(made, section))(), f"[{section}] differs from the defaults"
 
 
 def test_sim_replaces_all_four_drivers() -> None:
-    config = read_config(SHIPPED, sim=True)
-    assert [getattr(config, name).driver for name in ("left", "right", "gripper", "arm")] == ["fake"] * 4
+    made = read_config(SHIPPED, sim=True)
+    assert [getattr(made, name).driver for name in ("left", "right", "gripper", "arm")] == ["fake"] * 4
     assert sim_config().left.driver == "fake"
 
 
@@ -63,10 +77,26 @@ def test_a_typo_in_a_drivers_table_names_that_table() -> None:
         ({"loop": {"period_ms": 0}}, "loop.period_ms = 0"),
         ({"perception": {"estimator": "magic"}}, "perception.estimator = 'magic'"),
         ({"unknown": 1}, "unknown: no such key"),
+        ({"guard": {"first_force_n": True}}, "guard.first_force_n = true"),
+        ({"guard": {"first_force_n": "40"}}, "guard.first_force_n = '40'"),
+        ({"guard": {"stop_on_slip": "off"}}, "guard.stop_on_slip = 'off'"),
+        ({"guard": {"stop_on_slip": 1}}, "guard.stop_on_slip = 1"),
+        ({"guard": {"frames": 2.0}}, "guard.frames = 2:"),
+        ({"guard": {"level_deg": list(range(999))}}, "guard.level_deg = [0, 1, 2"),
+        ({"left": {"rotation_deg": False}}, "left.rotation_deg = false: a whole number"),
+        ({"left": {"rotation_deg": 0.0}}, "left.rotation_deg = 0: a whole number"),
+        ({"left": {"fake": {"stall_ms": "250"}}}, "left.fake.stall_ms = '250'"),
+        ({"left": {"fake": 5}}, "left.fake = 5"),
+        ({"left": {"fak": {}}}, "left.fak: no such key"),
+        ({"recording": {"enabled": "yes"}}, "recording.enabled = 'yes'"),
+        ({"state": {"directory": 3}}, "state.directory = 3"),
+        ({"guard": {"first_force_n": {"a": 1}}}, "guard.first_force_n: input should be a valid number"),
     ],
 )
 def test_a_wrong_value_is_shown_with_its_key(raw: dict[str, Any], expected: str) -> None:
-    assert expected in complaint(raw)
+    text = complaint(raw)
+    assert expected in text
+    assert len(text) < 250
 
 
 def test_an_unknown_driver_lists_those_there_are() -> None:
@@ -103,8 +133,8 @@ def test_a_missing_file_and_a_folder_say_so(tmp_path: Path) -> None:
     ],
 )
 def test_addresses_to_listen_at(listen: str, address: tuple[str, int] | None) -> None:
-    config = parse_config({"api": {"listen": listen}}, where="test", sim=True)
-    assert config.api.address == address
+    made = parse_config({"api": {"listen": listen}}, where="test", sim=True)
+    assert made.api.address == address
 
 
 @pytest.mark.parametrize(
@@ -113,3 +143,135 @@ def test_addresses_to_listen_at(listen: str, address: tuple[str, int] | None) ->
 def test_addresses_that_are_none(listen: str) -> None:
     with pytest.raises(ConfigError, match=r"api\.listen = .*(by number|port after)"):
         parse_config({"api": {"listen": listen}}, where="test", sim=True)
+
+
+@pytest.mark.parametrize(
+    ("guard", "expected"),
+    [
+        ({"force_max_n": 60, "blind_force_n": 100}, "blind_force_n = 100: at most force_max_n (60); lower it, too"),
+        ({"force_max_n": 30}, "first_force_n = 40: at most force_max_n (30); lower it, too"),
+        ({"blind_force_n": 30}, "blind_force_n = 30: at least first_force_n (40)"),
+        ({"level_max_deg": 1}, "level_max_deg = 1: at least level_deg (2)"),
+        ({"friction": 0.5}, "mass_kg: missing; it and friction go together: give both, or neither"),
+        ({"mass_kg": 0.5}, "friction: missing; it and mass_kg go together: give both, or neither"),
+        ({"friction": 0.4, "mass_kg": 2, "lever_mm": 100}, "force_max_n = 130: friction (0.4), mass_kg (2) and"),
+        ({"mode": "guard", "on_budget_spent": "lower"}, "on_budget_spent = 'lower': for mode = \"lift\""),
+        ({"force_max_n": 500}, "force_max_n = 500: input should be less than or equal to 235"),
+    ],
+)
+def test_what_does_not_go_together_names_the_key_to_change(guard: dict[str, Any], expected: str) -> None:
+    text = complaint({"guard": guard})
+    assert text.startswith(f"c.toml: guard.{expected}")
+    assert len(text) < 250
+    assert "more after this one" not in text
+
+
+def test_a_drivers_table_that_does_not_go_together_is_not_printed() -> None:
+    devices = {name: {"driver": "fake"} for name in ("left", "right", "gripper")}
+    text = complaint(devices | {"arm": {"ur5": {"host": "cell", "stop_by": "digital_output"}}}, sim=False)
+    assert text == 'c.toml: arm.ur5: stop_by = "digital_output" needs its number: digital_output = 0 to 7'
+
+
+def test_one_sensor_for_both_fingers_is_refused() -> None:
+    devices = {name: {"driver": "fake"} for name in ("gripper", "arm")}
+    digits = {name: {"digit": {"serial": "D20479", "fps": fps}} for name, fps in (("left", 30), ("right", 60))}
+    text = complaint(devices | digits, sim=False)
+    assert text == "c.toml: right.digit.serial = 'D20479': left.digit.serial has it; only one can"
+    sockets = {name: {"driver": "socket", "socket": {"path": "/run/a.sock"}} for name in ("left", "right")}
+    assert "right.socket.path = " in complaint(devices | sockets, sim=False)
+
+
+@given(
+    first=st.none() | st.integers(1, 235),
+    most=st.none() | st.floats(1.0, 235.0),
+    key=st.sampled_from(["first_force_n", "force_max_n", "frames", "stop_on_slip", "level_deg", "mode"]),
+)
+def test_a_grip_that_is_not_given_fits_those_that_are(first: int | None, most: float | None, key: str) -> None:
+    forces = {"first_force_n": first, "force_max_n": most}
+    guard = {name: force for name, force in forces.items() if force is not None}
+    if (first or 40) > (most or 130.0):
+        assert "first_force_n = " in complaint({"guard": guard})
+        return
+    made = parse_config({"guard": guard}, where="c.toml", sim=True).guard
+    assert made.first_force_n <= made.blind_force_n <= made.force_max_n
+    assert made.blind_force_n == 100.0 or made.blind_force_n in (made.first_force_n, made.force_max_n)
+    quoted = str(getattr(made, key))
+    assert key == "mode" or f"guard.{key} = {quoted!r}" in complaint({"guard": guard | {key: quoted}})
+
+
+def leaves(table: dict[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from leaves(value, (*path, key))
+        else:
+            yield (*path, key), value
+
+
+def test_every_key_of_the_shipped_file_refuses_another_type() -> None:
+    """A number in quotes, a truth for a number and a number for a truth, a number for a word, a list of one."""
+    for path, value in leaves(tomllib.loads(SHIPPED.read_text())):
+        for wrong in ([value], 7 if isinstance(value, str) else str(value), 1 if isinstance(value, bool) else True):
+            raw = tomllib.loads(SHIPPED.read_text())
+            table = raw
+            for name in path[:-1]:
+                table = table[name]
+            table[path[-1]] = wrong
+            assert complaint(raw, sim=False).startswith(f"c.toml: {'.'.join(path)}")
+
+
+UNWORKABLE = [
+    ("force_max_n = 130", "force_max_n = 15\nblind_force_n = 15", "first_force_n = 40: at most force_max_n (15)"),
+    ("first_force_n = 40\n", "first_force_n = 9\n", None),
+    ('# model = "models/tsnn-small.onnx"', 'model = "{here}"', "perception.model = {here}: a folder"),
+    ('# model = "models/tsnn-small.onnx"', 'model = "{here}/no.onnx"', "perception.model = {here}/no.onnx: no such"),
+    (
+        '# directory = "/var/lib/slipguard"',
+        'directory = "{here}/c.toml"',
+        "state.directory: {here}/c.toml is no folder",
+    ),
+    (
+        '# directory = "/var/lib/slipguard/recordings"',
+        'directory = "{here}/c.toml/x"',
+        "recording.directory: {here}/c.toml is no folder",
+    ),
+    ('# socket = "/run/slipguard/slipguard.sock"', 'socket = "{here}"', "api.socket = {here}: a folder"),
+    (
+        '[left]\ndriver = "digit"',
+        '[left]\ndriver = "replay"\nreplay = {{path = "{here}"}}',
+        "left.digit: no such key",
+    ),
+]
+
+
+@pytest.mark.parametrize(("before", "after", "expected"), UNWORKABLE)
+def test_check_fails_on_what_could_not_work(
+    before: str, after: str, expected: str | None, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    text = SHIPPED.read_text()
+    assert text.count(before) == 1
+    path = tmp_path / "c.toml"
+    path.write_text(text.replace(before, after.format(here=tmp_path)))
+    for words in ([], ["--json"]):
+        ran = slipguard(capfd, "check", "--config", path, *words)
+        if expected is None:
+            assert ran.code == 0
+        else:
+            assert (ran.code, ran.out) == (2, "")
+            assert expected.format(here=tmp_path) in ran.err
+            assert ran.err.count("\n") == 1
+
+
+def test_check_knows_the_grippers_own_limits_and_looks_for_a_replays_frames(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "c.toml"
+    text = SHIPPED.read_text().replace("force_max_n = 130", "force_max_n = 15")
+    path.write_text(text.replace("first_force_n = 40", "first_force_n = 15"))
+    assert "guard.force_max_n = 15: this gripper grips with 20 N at least" in slipguard(capfd, "check", "-c", path).err
+    path.write_text(
+        f'[left]\ndriver = "replay"\nreplay.path = "{tmp_path}"\n'
+        + "".join(f'[{name}]\ndriver = "fake"\n' for name in ("right", "gripper", "arm"))
+    )
+    ran = slipguard(capfd, "check", "-c", path)
+    assert ran.code == 2
+    assert "holds no .png files" in ran.err

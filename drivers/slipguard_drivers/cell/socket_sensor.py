@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -39,6 +39,7 @@ class SocketSensor(TactileSensor):
 
         model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+        only_one: ClassVar = ("path",)
         path: Path
         stall_ms: Annotated[float, Field(ge=50.0, le=5000.0)] = 250.0
 

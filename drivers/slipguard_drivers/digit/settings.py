@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -15,6 +15,7 @@ class DigitSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    only_one: ClassVar = ("serial",)
     serial: Annotated[str, Field(pattern=r"^[A-Za-z0-9]+$")]
     fps: Literal[30, 60] = 60
     pixels: Literal["auto", "YUYV", "MJPG"] = "auto"

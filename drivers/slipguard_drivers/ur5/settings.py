@@ -12,7 +12,7 @@ class Ur5Settings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    host: str
+    host: Annotated[str, Field(min_length=1)]
     """The controller's address."""
 
     speed_max_mm_s: Annotated[float, Field(gt=0.0, le=250.0)] = 250.0
