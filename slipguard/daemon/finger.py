@@ -15,6 +15,7 @@ from slipguard.daemon.worker import Worker
 from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen, SlipguardError
 from slipguard.perception.estimate import Estimate
+from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.regions import Patch
 from slipguard.perception.spare import adds_nothing, again
 
@@ -240,6 +241,8 @@ class Finger:
         seen = None if self.other is None or self.other.newest is None else self.other.newest.estimate
         if own is None or not adds_nothing(own, seen, frame.captured_at_s, self.refresh_s):
             return None
+        if isinstance(self.pipeline, Pipeline):
+            self.pipeline.stands(frame.captured_at_s)
         return again(own, frame.captured_at_s, frame.sequence)
 
     def _observe(self, judgement: Judgement) -> None:

@@ -170,6 +170,7 @@ class _Player:
         spared = judged.estimate is not None and judged.estimate.skipped == OTHER_FINGER
         last = next(reversed(self._now[finger].values()), None)
         if spared and last is not None:
+            self._pipeline(finger).stands(judged.captured_at_s)
             return again(last, judged.captured_at_s, judged.sequence)
         try:
             frame = Frame(picture.pixels(), judged.captured_at_s, judged.sequence)
