@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from typing import Generic, Protocol, TypeGuard, TypeVar
 
+from slipguard.cancelled import heed_cancel
 from slipguard.daemon.backoff import Backoff
 from slipguard.daemon.health import Health
 from slipguard.daemon.latest import Latest
@@ -71,8 +72,10 @@ class Actuator(Generic[S]):
         """Command and poll until cancelled; the device is left as it is."""
         try:
             while True:
+                heed_cancel()
                 try:
                     await self._device.open()
+                    heed_cancel()
                     self._told = None
                     pending = self._commands.take()
                     if self._is_stop(pending):
@@ -96,6 +99,7 @@ class Actuator(Generic[S]):
         waiting.add_done_callback(lambda _: self._wake.set())
         try:
             while not waiting.done():
+                heed_cancel()
                 self._wake.clear()
                 action = self._commands.take()
                 if self._is_stop(action):
@@ -141,6 +145,7 @@ class Actuator(Generic[S]):
                 self.health.troubled(str(error))
                 self._on_news()
                 next_poll_s = loop.time() + self._poll_s
+            heed_cancel()
             timer = loop.call_at(next_poll_s, self._wake.set)
             try:
                 await self._wake.wait()

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from slipguard.cancelled import heed_cancel
 from slipguard.daemon.backoff import Backoff
 from slipguard.daemon.gel import Gel
 from slipguard.daemon.health import Health
@@ -163,6 +164,7 @@ class Finger:
                 self.health.lost(str(error))
                 self._on_news()
                 await self.sensor.close()
+                heed_cancel()
                 await self._backoff.wait()
 
     async def _stream(self) -> None:
@@ -177,6 +179,7 @@ class Finger:
         good_at_s = loop.time()
         sequence: int | None = None
         while True:
+            heed_cancel()
             try:
                 frame = await self.sensor.next_frame()
             except (FrameCorrupt, FrameFrozen, DeviceTimeout) as error:

@@ -19,6 +19,7 @@ from slipguard import __version__
 from slipguard.config import GROUP_OF, Config
 from slipguard.daemon.calibration import NoContact
 from slipguard.daemon.desk import Desk
+from slipguard.daemon.ending import Ending
 from slipguard.daemon.finger import Perceiver
 from slipguard.daemon.gel_watch import GelWatch
 from slipguard.daemon.last_grasp import GraspKeeper, remembered
@@ -142,7 +143,7 @@ async def run(
     unix = bind(path)  # before any device is opened: a second daemon must not touch what the first one owns
     log.info("slipguard starts", version=__version__, mode=config.guard.mode, socket=str(path))
     stop, hung_up, changed = asyncio.Event(), asyncio.Event(), asyncio.Event()
-    loop = asyncio.get_running_loop()
+    loop, ending = asyncio.get_running_loop(), Ending()
     handlers = {signal.SIGINT: stop.set, signal.SIGTERM: stop.set}
     if reread is not None:
         handlers[signal.SIGHUP] = hung_up.set
@@ -151,6 +152,7 @@ async def run(
 
     async def until_stopped() -> None:
         await stop.wait()
+        ending.begin()
         raise _Stopped
 
     try:
@@ -172,6 +174,7 @@ async def run(
     except* _Stopped:
         log.info("slipguard stops; the grip stays as it is")
     finally:
+        ending.over()
         gc.unfreeze()
         for number in handlers:
             loop.remove_signal_handler(number)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from slipguard.cancelled import heed_cancel
 from slipguard.daemon.backoff import Backoff
 from slipguard.daemon.control import Control
 from slipguard.errors import ConfigError, SlipguardError
@@ -59,6 +60,7 @@ async def run_api(
                 why = f"exit status {await _until_it_ends(control, unix, tcp)}"
             except Exception as trouble:  # whatever it is, it is no reason to let go of the loop
                 why = " ".join(f"{trouble}".split()) or type(trouble).__name__
+            heed_cancel()
             if loop.time() - began_s >= WELL_S:
                 backoff.reset()
             warn(f"page and API ended ({why}) and are started again; the guard goes on")
