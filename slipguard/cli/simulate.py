@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from slipguard.lab.campaign import CampaignSettings, Live
+    from slipguard.lab.lift_record import LiftRecord
 
 LIFT_TAKES_S = 7
 """One lift on the real clock: close 1 s, lift 3 s, hold 1 s, lower and open 2 s."""
@@ -32,7 +33,7 @@ class Speed(StrEnum):
 
 
 def simulate(*, seed: int, lifts: int | None, guarded: bool, json: bool, out: Path | None, speed: Speed) -> None:
-    """Run the campaign; exit code 1 if an object was dropped."""
+    """Run the campaign; exit code 1 if an object was dropped, or the machine was too slow to show anything."""
     import logging
 
     from rich.console import Console
@@ -65,8 +66,25 @@ def simulate(*, seed: int, lifts: int | None, guarded: bool, json: bool, out: Pa
         progress.print(f"picture: {picture}", highlight=False, soft_wrap=True)
     if not json:
         console.print(_what_next(settings, out), style="dim")
-    if any(record.outcome == "dropped" for record in records):
+    slow = _too_slow(records) if realtime else None
+    if slow is not None:
+        progress.print(slow, style="yellow", highlight=False, soft_wrap=True)
+    if slow is not None or any(record.outcome == "dropped" for record in records):
         raise typer.Exit(1)
+
+
+def _too_slow(records: list[LiftRecord]) -> str | None:
+    """What to say where the simulated cameras or the loop did not get the time they need; None where they did."""
+    from slipguard.grasp.fault import FaultCode
+
+    late = [record for record in records if record.why in (FaultCode.FRAMES_LOST, FaultCode.LOOP_LATE)]
+    if not late:
+        return None
+    return (
+        f"{len(late)} of {len(records)} lifts ended early ({late[0].why}): this machine is too busy or too slow to "
+        "draw two cameras and watch them at once, so they show nothing; end what else runs and try again, or add "
+        "--speed fast, which takes the time it needs"
+    )
 
 
 def _announcement(settings: CampaignSettings) -> str:

@@ -112,6 +112,22 @@ def test_only_a_dropped_object_is_a_failure(
     assert sim(capfd, monkeypatch, outcome, "--json").code == code
 
 
+@pytest.mark.parametrize("why", ["frames lost", "loop late"])
+def test_a_machine_too_slow_to_show_anything_is_a_failure_and_said(
+    why: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def campaign_of_two(settings: object, show: object) -> list[LiftRecord]:
+        return [record("bar", "held"), record("ball", "refused", why)]
+
+    monkeypatch.setattr(campaign, "run_campaign", campaign_of_two)
+    for words in ((), ("--json",)):
+        ran = slipguard(capfd, "--sim", *words)
+        assert ran.code == 1
+        assert ran.err.count("\n") == 1
+        assert ran.err.startswith(f"1 of 2 lifts ended early ({why}): this machine is too busy or too slow")
+    assert slipguard(capfd, "--sim", "--speed", "fast").code == 0  # where time is no machine's
+
+
 def test_it_says_what_will_happen_and_what_to_try_next(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
