@@ -213,7 +213,7 @@ def alike(one: Any, other: Any) -> None:
     """Equal, numbers nearly so: another process adds single precision up in another order."""
     assert type(one) is type(other)
     if isinstance(one, dict):
-        assert list(one) == list(other)
+        assert set(one) == set(other)
         for key, value in one.items():
             alike(value, other[key])
     else:
