@@ -2,12 +2,13 @@
 
 Handing over never waits: a recorder that falls behind leaves pictures out, then everything, and counts it. A disk that
 takes no more, or any other trouble, ends the recording with one line, and never the guard; it is tried again after a
-while.
+while. The guard needs room on the disk first: the ring gives back what is missing, and then nothing is recorded.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import threading
 import time
 from collections import deque
@@ -23,7 +24,8 @@ from numpy.typing import NDArray
 from slipguard.grasp.guard import Guard
 from slipguard.perception.pipeline import at_frame_size
 from slipguard.recording import messages as m
-from slipguard.recording.ring import Ring
+from slipguard.recording.keeping import Keeping
+from slipguard.recording.ring import NoRoom, Ring
 from slipguard.recording.writer import Clock, Header, RecordingFile, open_new
 
 BACKLOG_MAX = 2000
@@ -33,7 +35,7 @@ WAIT_S = 0.05
 TRY_AGAIN_S = 60.0
 SETTLE_S = 1.0
 """A new no-contact image begins a new file, once the other finger has had the time to get its own."""
-FINISHED_MAX = 100
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,10 +110,10 @@ class Recorder:
         self._file: RecordingFile | None = None
         self._began_s = self._last_s = 0.0
         self._renew_s = float("inf")
-        self._finished: deque[tuple[Path, float]] = deque(maxlen=FINISHED_MAX)
-        self._keep_until_s = float("-inf")
-        self._keep_this = False
+        self._keeping = Keeping(ring, settings.keep_before_s, settings.keep_after_s)
+        self._full_bytes = 0
         self._try_again_at = 0.0
+        self._no_room = False
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
 
     @property
@@ -150,6 +152,7 @@ class Recorder:
 
     def _run(self) -> None:
         self._guarded(self._ring.keep_unfinished)
+        self._guarded(lambda: self._keeping.look_back(self._clock))
         ending = False
         while not ending:
             ending = self._ending.wait(WAIT_S)
@@ -158,6 +161,8 @@ class Recorder:
         self._guarded(self._finish)
 
     def _take(self, value: Seen | Turn | Said) -> None:
+        if isinstance(value, Turn) and value.keep:  # also while nothing is recorded
+            self._guarded(lambda: self._keep_around(value.tick.now_s))
         if self.stopped is not None and time.monotonic() < self._try_again_at:
             return
         self._guarded(lambda: self._write(value))
@@ -167,6 +172,9 @@ class Recorder:
         try:
             action()
         except OSError as error:
+            if error.errno in DISK_FULL and self._gave_back():
+                return  # the next turn begins a new file
+            self._no_room = isinstance(error, NoRoom)
             self._stop_for_now(error.strerror or str(error), "make room or mend the disk, the guard goes on without")
         except Exception as error:
             self._stop_for_now(
@@ -174,17 +182,31 @@ class Recorder:
                 f"the guard goes on without, it is tried again every {TRY_AGAIN_S:g} s",
             )
 
+    def _gave_back(self) -> bool:
+        """End the present file as it is; whether the ring gave an older one back."""
+        self._abandon()
+        with contextlib.suppress(OSError):
+            return self._ring.give_back(spare=self.path)
+        return False
+
     def _stop_for_now(self, what: str, what_to_do: str) -> None:
-        why = f"recording stopped: {what} ({self.path or self._ring.ring})"
-        file, self._file = self._file, None
-        if file is not None:
-            with contextlib.suppress(OSError):
-                file.abandon()
+        why = f"recording stopped: {what} ({self._ring.ring if self._file is None else self._file.path})"
+        self._abandon()
         first = self.stopped is None
         self.stopped, self._try_again_at = why, time.monotonic() + TRY_AGAIN_S
         if first:
             self.stops += 1
             self._on_trouble(f"{why}; {what_to_do}")
+
+    def _abandon(self) -> None:
+        """End the present file without another byte; if it is to be kept it is, for a move needs no room."""
+        file, self._file = self._file, None
+        if file is not None:
+            with contextlib.suppress(OSError):
+                file.abandon()
+            self._keeping.ended(file.path, self._last_s)
+        with contextlib.suppress(OSError):
+            self._keeping.move()
 
     def _write(self, value: Seen | Turn | Said) -> None:
         if isinstance(value, Turn):
@@ -198,33 +220,43 @@ class Recorder:
 
     def _turn(self, turn: Turn) -> None:
         now_s = turn.tick.now_s
-        if turn.keep:
-            self._keep_until_s = now_s + self._settings.keep_after_s
-            self._keep_this = True
-            self._keep_what_was(now_s - self._settings.keep_before_s)
-        if self._file is not None and now_s >= min(self._renew_s, self._began_s + self._settings.segment_s):
-            self._finish()
-        if self._file is None:
-            self._begin(turn.memory, now_s)
-        assert self._file is not None
+        if self._file is not None:
+            self._see_that_there_is_room()
+            if (
+                now_s >= min(self._renew_s, self._began_s + self._settings.segment_s)
+                or self._file.size_bytes >= self._full_bytes
+            ):
+                self._finish()
+        file = self._file or self._begin(turn.memory, now_s)
         self._last_s = now_s
-        self._file.tick(turn.tick)
+        file.tick(turn.tick)
+
+    def _see_that_there_is_room(self) -> None:
+        try:
+            self._ring.make_room(self.path)
+        except NoRoom:
+            self._finish()  # whole, there is room for its index
+            raise
 
     def _seen(self, file: RecordingFile, seen: Seen) -> None:
         if seen.judged.new_pipeline:
             self._renew_s = seen.at_s + SETTLE_S  # the file's no-contact images are those of its beginning
         write_seen(file, seen, self._settings)
 
-    def _begin(self, memory: Guard, now_s: float) -> None:
+    def _begin(self, memory: Guard, now_s: float) -> RecordingFile:
         clock = self._clock()  # anew: a computer learns the right time some while after its start
-        self.path = self._ring.new(clock.ns(now_s))
-        self._file = RecordingFile(self.path, clock, self._header(), memory, now_s, self._opener)
-        self._began_s, self._renew_s = now_s, float("inf")
-        self._keep_this = now_s <= self._keep_until_s
-        self._ring.tidy(self.path)
+        path = self._ring.new(clock.ns(now_s))
+        self._ring.make_room(reserves=2 if self._no_room else 1)  # no stop a moment after every beginning
+        self._full_bytes = self._ring.file_bytes()
+        self._file = RecordingFile(path, clock, self._header(), memory, now_s, self._opener)
+        self.path, self._no_room = path, False
+        self._began_s, self._last_s, self._renew_s = now_s, now_s, float("inf")
+        self._keeping.begun(now_s)
+        self._ring.tidy(path)
         if self.stopped is not None:
             self.stopped = None
             self._on_trouble("recording again")
+        return self._file
 
     def _finish(self) -> None:
         """Close the present file, and move it if it is kept."""
@@ -234,20 +266,11 @@ class Recorder:
         try:
             file.close()
         finally:
-            if self._keep_this and self.path is not None:
-                self._ring.keep(self.path)
-            elif self.path is not None:
-                self._finished.append((self.path, self._last_s))
+            self._keeping.ended(file.path, self._last_s)
+            self._keeping.move()
 
-    def _keep_what_was(self, from_s: float) -> None:
-        """Keep the finished files that reach beyond `from_s`."""
-        while self._finished:
-            path, ended_s = self._finished.pop()
-            if ended_s < from_s:
-                break
-            if path.exists():
-                self._ring.keep(path)
-        self._finished.clear()
+    def _keep_around(self, now_s: float) -> None:
+        self._keeping.event(now_s)
         self._ring.tidy(self.path)
 
 

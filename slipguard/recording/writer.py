@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 from collections.abc import Callable, Mapping
@@ -36,6 +37,10 @@ class Clock:
         """Wall clock, nanoseconds since 1970."""
         return max(self.wall_ns + round(1e9 * (at_s - self.monotonic_s)), 0)
 
+    def s(self, wall_ns: int) -> float:
+        """The event loop's seconds then."""
+        return self.monotonic_s + 1e-9 * (wall_ns - self.wall_ns)
+
 
 @dataclass(frozen=True, slots=True)
 class Header:
@@ -51,9 +56,9 @@ def open_new(path: Path) -> BinaryIO:
 
 
 class RecordingFile:
-    """An open recording. Every method may raise OSError, a full disk above all; then only `close` is of use.
+    """An open recording. Every method may raise OSError, a full disk above all; then only `abandon` is of use.
 
-    opener: opens a new file unbuffered, for the tests' full disks.
+    One that cannot be begun leaves no file. opener: opens a new file unbuffered, for the tests' full disks.
     """
 
     def __init__(
@@ -69,14 +74,23 @@ class RecordingFile:
         self._clock = clock
         self._stream = _Stream(opener(path))
         self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)  # type: ignore[arg-type]
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        try:
+            self._begin(header, memory, now_s)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                self._stream.close()
+            path.unlink(missing_ok=True)
+            raise
+
+    def _begin(self, header: Header, memory: Guard, now_s: float) -> None:
         self._writer.start(profile="", library="slipguard")
         self._writer.add_metadata(m.HEADER, {"format": m.FORMAT, **header.facts})
-        now_ns = clock.ns(now_s)
+        now_ns = self._clock.ns(now_s)
         for name, content in header.attachments.items():
             kind = "image/png" if name.endswith(".png") else "application/json"
             self._writer.add_attachment(now_ns, now_ns, name, kind, content)
-        self._schemas: dict[str, int] = {}
-        self._channels: dict[str, int] = {}
         self._json(m.MEMORY_TOPIC, m.MEMORY, memory, now_s)
 
     @property

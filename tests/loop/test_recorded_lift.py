@@ -177,4 +177,4 @@ def test_a_disk_that_fills_up_ends_the_recording_and_not_the_guard(tmp_path: Pat
     assert len(said) == 1
     assert "the guard goes on without" in said[0]
     assert any("tightening" in line for line in cell.says), "the object slipped and nobody tightened"
-    assert ticks(longest(tmp_path / "ring"))
+    assert ticks(longest(tmp_path / "kept")), "the slip came after, what was before it is kept"
