@@ -20,6 +20,8 @@ ARM_WAIT_S = 5.0
 """An arm not yet heard since the start may take so long to appear; a UR's control program starts within 2 s."""
 FIRST_WAIT_S = 2.0
 """Sensors and gripper not yet heard may take so long from the start, or their time-out where that is longer."""
+MOMENT_S = 0.6
+"""A contradiction is not settled by one finger saying nothing for so long: one left out is asked again each 0.25 s."""
 GAIN_MM = 1.0
 """Less height than this gained counts as none."""
 
@@ -28,14 +30,18 @@ GAIN_MM = 1.0
 class Watch:
     """What the supervisor remembers. Times are None while all is well.
 
-    began_s: the first tick. arm_known, gripper_known, frames_known: heard since then. help_turn_deg, help_since_s: the
-    first tightening of the present episode. mark_mm, mark_s: last progress of the arm, while it should move.
+    began_s: the first tick. arm_known, gripper_known, frames_known: heard since then. untrusted, untrusted_since_s:
+    why the turn cannot be believed, and since when; contradicted_s: when the fingers contradicted each other last.
+    help_turn_deg, help_since_s: the first tightening of the present episode. mark_mm, mark_s: last progress of the
+    arm, while it should move.
     """
 
     began_s: float = -math.inf
     tick_s: float | None = None
     frames_since_s: float | None = None
+    untrusted: str | None = None
     untrusted_since_s: float | None = None
+    contradicted_s: float = -math.inf
     gripper_since_s: float | None = None
     arm_since_s: float | None = None
     arm_known: bool = False
@@ -72,13 +78,13 @@ def watch(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> 
         gripper_known=known.gripper_known,
         frames_known=known.frames_known,
         frames_since_s=_since(memory.frames_since_s, _no_frames(seen, params), now_s),
-        untrusted_since_s=_since(memory.untrusted_since_s, _untrusted(state, seen) is not None, now_s),
         gripper_since_s=_since(memory.gripper_since_s, seen.gripper is None, now_s),
         arm_since_s=_since(memory.arm_since_s, seen.arm is None, now_s),
     )
     finders = _gripper(memory, seen, params), _frames(memory, seen, params)
     if not held:
         return memory, tuple(fault for fault in finders if fault is not None)
+    memory = _follow_trust(memory, state, seen)
     memory = _follow_help(memory, state, seen)
     memory = _follow_arm(memory, state, seen)
     checks = (
@@ -171,13 +177,17 @@ def _frames(memory: Watch, seen: Seen, params: GuardParams) -> Fault | None:
     )
 
 
-def _untrusted(state: GuardState, seen: Seen) -> str | None:
-    """Why the turn cannot be believed though it could be read when the object was gripped."""
-    if seen.fused is None or not state.referenced or state.phase is Phase.REFERENCE:
-        return None
-    if seen.fused.conflict is not None:
-        return seen.fused.conflict
-    return seen.fused.declined if seen.fused.turn_deg is None else None
+def _follow_trust(memory: Watch, state: GuardState, seen: Seen) -> Watch:
+    """Why the turn cannot be believed though it could be read when the object was gripped, and since when."""
+    fused = seen.fused
+    if fused is None or not state.referenced or state.phase is Phase.REFERENCE:
+        return replace(memory, untrusted=None, untrusted_since_s=None)
+    why = fused.conflict if fused.conflict is not None or fused.turn_deg is not None else fused.declined
+    contradicted_s = memory.contradicted_s if fused.conflict is None else seen.now_s
+    if why is None and len(fused.fingers) == 1 and seen.now_s - contradicted_s < MOMENT_S:
+        why = memory.untrusted
+    since_s = _since(memory.untrusted_since_s, why is not None, seen.now_s)
+    return replace(memory, untrusted=why, untrusted_since_s=since_s, contradicted_s=contradicted_s)
 
 
 def _trust(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> Fault | None:
@@ -185,7 +195,7 @@ def _trust(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) ->
         return None
     return Fault(
         FaultCode.ESTIMATE_UNTRUSTED,
-        f"for {params.untrusted_s:g} s: {_untrusted(state, seen)}",
+        f"for {params.untrusted_s:g} s: {memory.untrusted}",
         "look at both fingers; clear takes a new reference, release lets go",
     )
 

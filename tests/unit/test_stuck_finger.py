@@ -34,6 +34,8 @@ class Pair:
     rate_deg_s: float
     spare: bool = False
     rests_deg: float = 12.0
+    declines_every: int = 0
+    silent_s: tuple[float, float] = (math.inf, math.inf)
     phase_s: float = 0.0
     left_measured_s: float = 0.0
     right: Estimate | None = None
@@ -41,6 +43,15 @@ class Pair:
 
     def turn_deg(self, now_s: float) -> float:
         return min(max(now_s - CALM_S - self.phase_s, 0.0) * self.rate_deg_s, self.rests_deg)
+
+    def look(self, now_s: float) -> Estimate:
+        self.looks.append(now_s)
+        silent = self.silent_s[0] <= now_s < self.silent_s[1]
+        if silent or (self.declines_every and len(self.looks) % self.declines_every == 0):
+            return estimate(None, at_s=now_s, shift_mm=(0.0, 0.0), declined="estimators disagree")
+        turn_deg = self.turn_deg(now_s)
+        rate_deg_s = -self.rate_deg_s * (0.0 < turn_deg < self.rests_deg)
+        return estimate(-turn_deg, self.sigma_deg, at_s=now_s, rate_deg_s=rate_deg_s, shift_mm=(0.0, 0.0))
 
     def see(self, now_s: float) -> Fused:
         skips = now_s - self.left_measured_s < NOTICED_S
@@ -50,11 +61,7 @@ class Pair:
         if self.spare and self.right is not None and adds_nothing(self.right, left, now_s, NOTICED_S):
             self.right = again(self.right, now_s, 1)
         else:
-            rate_deg_s = -self.rate_deg_s * (0.0 < self.turn_deg(now_s) < self.rests_deg)
-            self.right = estimate(
-                -self.turn_deg(now_s), self.sigma_deg, at_s=now_s, rate_deg_s=rate_deg_s, shift_mm=(0.0, 0.0)
-            )
-            self.looks.append(now_s)
+            self.right = self.look(now_s)
         both = fuse(left, self.right)
         assert both is not None
         return both
@@ -111,6 +118,30 @@ def test_a_stuck_finger_is_said_though_the_object_rests_turned() -> None:
     guard, _ = played(Pair(0.2, 4000.0), CALM_S + 1.5)
     assert guard.law.fault is not None
     assert guard.law.fault.code is FaultCode.ESTIMATE_UNTRUSTED
+
+
+@pytest.mark.parametrize(("every", "spare"), [(2, False), (5, False), (10, False), (2, True), (10, True)])
+def test_a_contradiction_is_not_settled_by_a_moment_of_silence(every: int, spare: bool) -> None:
+    """The finger that sees the turn declines now and then; the stuck one alone is believed until it is asked again."""
+    guard, log = played(Pair(0.2, 20.0, spare, declines_every=every), CALM_S + 2.0)
+    assert guard.law.fault is not None
+    assert guard.law.fault.code is FaultCode.ESTIMATE_UNTRUSTED
+    assert sum("for 1 s" in (command.say or "") for _, _, command in log) == 1
+
+
+@pytest.mark.parametrize(("silent_for_s", "from_the_start"), [(0.5, True), (0.7, False)])
+def test_how_long_a_moment_is(silent_for_s: float, from_the_start: bool) -> None:
+    silent_s = (CALM_S + 0.4, CALM_S + 0.4 + silent_for_s)
+    _, log = played(Pair(0.2, 20.0, silent_s=silent_s), CALM_S + 3.0)
+    begun_s = next(now_s for now_s, view, _ in log if view.conflict is not None)
+    fault_s = next(now_s for now_s, _, command in log if command.fault is not None)
+    counted_from_s = begun_s if from_the_start else silent_s[1]
+    assert fault_s - counted_from_s == pytest.approx(PARAMS.untrusted_s, abs=2 * FRAME_S)
+
+
+def test_a_finger_that_is_silent_for_good_leaves_the_other_one_to_be_believed() -> None:
+    guard, _ = played(Pair(0.2, 20.0, silent_s=(CALM_S + 0.3, math.inf)), CALM_S + 3.0)
+    assert guard.law.phase is Phase.HOLDING
 
 
 @pytest.mark.parametrize("name", ERRORS)
