@@ -115,7 +115,10 @@ class Held:
         return self.pipe.process(Frame(image, self.now_s, self._frames))
 
 
-@pytest.mark.parametrize(("surface", "gap_s", "turn_deg"), [(gear, 0.1, 22.0), (nut, 0.12, 50.0), (nut, 2.0, 44.0)])
+@pytest.mark.parametrize(
+    ("surface", "gap_s", "turn_deg"),
+    [(gear, 0.1, 22.0), (nut, 0.12, 50.0), (nut, 2.0, 44.0), (polygon(4), 2.0, 75.0), (polygon(5), 0.12, 50.0)],
+)
 def test_a_gap_long_enough_for_half_a_step_loses_the_count(surface: Surface, gap_s: float, turn_deg: float) -> None:
     held = Held(surface)
     for _ in range(3):
