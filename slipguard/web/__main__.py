@@ -1,66 +1,26 @@
 """The web process: `python -m slipguard.web SOCKET_FD`, started by the daemon and ended with it.
 
-Page, API and pictures cost the loop's process nothing but short answers, and a mistake here costs no grip.
+It stands back before anything else, for the imports alone take most of a second.
 """
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
-import os
 import signal
-import socket
 import sys
 
-import cv2
-
-from slipguard.daemon import log
-from slipguard.errors import SlipguardError
 from slipguard.priority import stand_back
-from slipguard.web.access import Access
-from slipguard.web.remote import RemoteControl
-from slipguard.web.room import Room
-from slipguard.web.serve import serve
-from slipguard.web.wire import receive
 
 NICENESS = 5
 """The loop comes first where there are too few cores."""
-
-
-async def run(link: socket.socket) -> bool:
-    """Serve as the first message says; True where the daemon asked to stop, False where it is gone."""
-    reader, writer = await asyncio.open_connection(sock=link)
-    received = await receive(reader)
-    if received is None:
-        return False
-    told, _ = received
-    access = None if told["token"] is None else Access(told["token"], (told["host"], told["port"]))
-    unix = socket.socket(fileno=told["unix_fd"])
-    tcp = None if told["tcp_fd"] is None else socket.socket(fileno=told["tcp_fd"])
-    control = RemoteControl(reader, writer)
-    serving = asyncio.create_task(serve(Room(control, access), unix, tcp), name="serve")
-    hearing = asyncio.create_task(control.run(), name="hear")
-    stopping = asyncio.create_task(control.stop.wait(), name="stop")
-    await asyncio.wait((serving, hearing, stopping), return_when=asyncio.FIRST_COMPLETED)
-    if not stopping.done():
-        return False
-    serving.cancel()
-    await asyncio.wait((serving, hearing), return_when=asyncio.FIRST_COMPLETED)
-    return True
 
 
 def main() -> None:
     """Deaf to the terminal's Ctrl-C: the daemon says when to stop."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     stand_back(NICENESS)
-    cv2.setNumThreads(1)
-    log.configure()
-    stopped = False
-    with contextlib.suppress(SlipguardError):
-        stopped = asyncio.new_event_loop().run_until_complete(run(socket.socket(fileno=int(sys.argv[1]))))
-    # A daemon that is gone is followed at once, whatever is under way: its successor needs the socket that is still
-    # listened at here.
-    os._exit(0 if stopped else 1)
+    from slipguard.web.process import serve_and_exit
+
+    serve_and_exit(int(sys.argv[1]))
 
 
 if __name__ == "__main__":

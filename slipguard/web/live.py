@@ -12,6 +12,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import asdict
 from typing import Any
 
+import structlog
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from slipguard.daemon.journal import KEPT, Event
@@ -23,6 +24,7 @@ HISTORY = 600
 """A minute of samples."""
 SEND_S = 10.0
 """A client that takes nothing for so long is dropped."""
+log = structlog.get_logger()
 
 
 class Listener:
@@ -74,13 +76,17 @@ class Live:
     async def run(self) -> None:
         """Look ten times a second, until cancelled."""
         ticker = Ticker(PERIOD_S)
+        told: str | None = None
         while True:
             await ticker.wait()
             try:
-                raw = await self._state()
+                self.look(await self._state())
             except SlipguardError:
                 continue  # a daemon that does not answer shows nothing new
-            self.look(raw)
+            except Exception as mistake:  # a page that stays as it is for ever would look alive
+                if repr(mistake) != told:
+                    told = repr(mistake)
+                    log.exception("the page has missed a state")
 
     def look(self, raw: bytes) -> None:
         """Keep a sample of a state, a JSON object, and show the state to all."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import subprocess
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -13,6 +14,16 @@ import pytest
 from slipguard.cli.app import run
 from slipguard.errors import SlipguardError
 from slipguard.priority import FIRST, go_first, stand_back
+
+UNTIL_IT_STANDS_BACK = """
+import os, runpy, sys
+module, *heavy = sys.argv[1:]
+def stands_back(*asked):
+    print("stands back, with", [name for name in heavy if name in sys.modules], flush=True)
+    os._exit(0)
+os.sched_setscheduler = stands_back
+runpy.run_module(module, run_name="__main__")
+"""
 
 
 def standing() -> tuple[int, int]:
@@ -29,6 +40,13 @@ def test_one_thread_stands_back_and_what_it_starts_with_it() -> None:
     told = child.rpartition(")")[2].split()  # from the third value on, its state
     assert (int(told[41 - 3]), int(told[19 - 3])) == (policy, niceness)
     assert standing() == before
+
+
+@pytest.mark.parametrize("module", ["slipguard.web", "slipguard_drivers.digit.draw_process"])
+def test_a_process_that_stands_back_does_so_before_it_imports_anything_heavy(module: str) -> None:
+    heavy = ("asyncio", "cv2", "fastapi", "numpy", "slipguard.sim", "starlette", "structlog", "uvicorn")
+    told = subprocess.check_output((sys.executable, "-c", UNTIL_IT_STANDS_BACK, module, *heavy), text=True)
+    assert told == "stands back, with []\n"
 
 
 def test_what_the_system_forbids_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:

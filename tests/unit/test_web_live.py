@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import structlog
 from fake_control import FakeControl, served_on_tcp
 from starlette.websockets import WebSocketDisconnect
+from structlog.testing import capture_logs
 from websockets.asyncio.client import connect
 
 from slipguard.daemon.journal import KEPT, Event
@@ -17,6 +19,7 @@ from slipguard.daemon.virtual_time import run_virtual
 from slipguard.errors import SlipguardError
 from slipguard.web import live as live_module
 from slipguard.web.live import HISTORY, Live
+from slipguard.web.remote import Mistake
 
 
 class Client:
@@ -161,6 +164,29 @@ def test_the_daemon_is_asked_once_for_all_and_may_fail() -> None:
 
     played(Silent(), silence)
     assert len(patient.told("state")) == 6
+
+
+def test_a_mistake_in_one_state_ends_nothing_and_is_said_once() -> None:
+    class Mistaken(FakeControl):
+        async def state(self) -> bytes:
+            self.looked += 1
+            if self.looked < 3:
+                raise Mistake("KeyError in the daemon")
+            return b"[]" if self.looked == 3 else json.dumps(self.snapshot()).encode()
+
+    client = Client()
+
+    async def scene(live: Live) -> None:
+        serving = asyncio.create_task(live.serve(client))  # type: ignore[arg-type]
+        await asyncio.sleep(1.05)
+        client.gone.set()
+        await serving
+
+    structlog.reset_defaults()
+    with capture_logs() as said:
+        played(Mistaken(), scene)
+    assert len(client.told("state")) == 7
+    assert [line["event"] for line in said] == 2 * ["the page has missed a state"]
 
 
 async def test_over_a_real_socket_and_what_clients_say_is_not_listened_to(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from slipguard_drivers.digit.draw_worker import IMAGE_BYTES, SLOTS, Draughtsman,
 from slipguard_drivers.digit.stream import SHAPE
 
 Image = NDArray[np.uint8]
-WORKER = "slipguard_drivers.digit.draw_worker"
+WORKER = "slipguard_drivers.digit.draw_process"
 PLAIN_PICTURES = 16
 START_TIMEOUT_S = 30.0
 """Python, numpy and OpenCV starting on a loaded small machine; 0.5 s on an idle one."""

@@ -1,7 +1,6 @@
-"""Draws gel images in a process of its own.
+"""Draws gel images, in a process of its own (`slipguard_drivers.digit.draw_process`).
 
-Started as `python -m slipguard_drivers.digit.draw_worker SOCKET_FD MEMORY_FD UNIT_SEED`. One packet in,
-`(slot, shot)`, is one image in that slot of the shared memory and one packet back, `(slot, None)` or
+One packet in, `(slot, shot)`, is one image in that slot of the shared memory and one packet back, `(slot, None)` or
 `(slot, complaint)`. An end of file, which the parent's death is too, ends the process.
 """
 
@@ -9,16 +8,13 @@ from __future__ import annotations
 
 import mmap
 import pickle
-import signal
 import socket
-import sys
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.priority import stand_back
 from slipguard.sim.gel import GelCamera
 from slipguard.sim.relief import relief_of
 from slipguard.sim.unit import Light, random_unit
@@ -27,7 +23,6 @@ from slipguard_drivers.child import PACKET_BYTES
 
 IMAGE_BYTES = 320 * 240 * 3
 SLOTS = 4
-NICENESS = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,18 +76,11 @@ def _receive(link: socket.socket) -> bytes:
         return b""
 
 
-def main() -> None:
-    """Stay out of the loop's way: nice, on one thread, and deaf to its Ctrl-C."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    stand_back(NICENESS)
+def serve_to_the_end(link_fd: int, memory_fd: int, unit_seed: int) -> None:
+    """All of the process's work, on one thread."""
     cv2.setNumThreads(1)
-    link_fd, memory_fd, unit_seed = (int(text) for text in sys.argv[1:4])
     with (
         socket.socket(fileno=link_fd) as link,
         mmap.mmap(memory_fd, SLOTS * IMAGE_BYTES) as memory,
     ):
         serve(link, memory, Draughtsman(unit_seed))
-
-
-if __name__ == "__main__":
-    main()
