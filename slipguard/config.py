@@ -222,15 +222,15 @@ def _with_driver(section: Any, name: str, where: str, sim: bool) -> dict[str, An
         raise ConfigError(f'{where}: {name}.driver = {shown(named)}: the name of a driver is needed, such as "digit"')
     if "settings" in section:
         raise ConfigError(f"{where}: {name}.settings: no such key; the driver's table is [{name}.{named}]")
-    known = [key for key in _SECTIONS[name].model_fields if key != "settings"]
-    for key in section:
-        if key not in (named, *known) and not (sim and key == "fake"):
-            raise ConfigError(f"{where}: {name}.{key}: {no_such_key(key, [*known, named])}")
     chosen = "fake" if sim else named
     try:
         driver = load_driver(GROUP_OF[name], chosen)
     except ConfigError as error:
         raise ConfigError(f"{where}: {name}.driver = {chosen!r}: {error}") from None
+    known = [key for key in _SECTIONS[name].model_fields if key != "settings"]
+    for key in section:
+        if key not in (named, *known) and not (sim and key == "fake"):
+            raise ConfigError(f"{where}: {name}.{key}: {no_such_key(key, [*known, named])}")
     try:
         # As JSON: strict, a string is still a path there, and an array a tuple.
         settings = driver.Settings.model_validate_json(json.dumps(section.get(chosen, {}), default=str), strict=True)

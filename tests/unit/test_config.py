@@ -59,6 +59,13 @@ def test_a_typo_names_the_nearest_key() -> None:
     assert "left.rotation: no such key; did you mean 'rotation_deg'?" in complaint({"left": {"rotation": 0}})
 
 
+def test_a_typo_in_the_name_of_a_drivers_table_or_of_the_driver() -> None:
+    digit = {"serial": "D20479"}
+    assert "left.digitt: no such key; did you mean 'digit'?" in complaint({"left": {"digitt": digit}}, sim=False)
+    text = complaint({"left": {"driver": "dgit", "digit": digit}}, sim=False)
+    assert "left.driver = 'dgit': no driver" in text
+
+
 def test_a_typo_in_a_drivers_table_names_that_table() -> None:
     text = complaint({"left": {"driver": "fake", "fake": {"drow": "inline"}}})
     assert "left.fake.drow: no such key; did you mean 'draw'?" in text
