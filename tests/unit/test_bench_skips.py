@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
 
+from slipguard.devices import Frame
 from slipguard.grasp.tracked import Detector
 from slipguard.lab import minute
 from slipguard.lab.bench import second_finger as second
@@ -21,6 +23,7 @@ from slipguard.lab.onset import Onset
 from slipguard.lab.scores import dice
 from slipguard.lab.sequences import sequence
 from slipguard.perception.segment import Segmenter
+from slipguard.perception.settings import EVERY_SKIP, Skips
 
 
 def default() -> Subject:
@@ -37,9 +40,16 @@ class Blind:
 
 def test_how_much_later_a_slip_is_seen_is_measured_for_the_gate_too(monkeypatch: pytest.MonkeyPatch) -> None:
     answers = iter((9, 7, 9, None, None, 3))
-    monkeypatch.setattr(skipping, "first_seen", lambda process, frames: next(answers))
+    asked: list[Skips] = []
+
+    def first_seen(process: Any, frames: list[Frame]) -> int | None:
+        asked.append(process.__self__._skips)
+        return next(answers)
+
+    monkeypatch.setattr(skipping, "first_seen", first_seen)
     tried = skipping._Tried(Onset("key", 7000, 60.0), default())
     assert skipping._later(tried) == skipping._Later(no_contact=2, unchanged=0)
+    assert asked == [EVERY_SKIP, Skips(no_contact=False), Skips(unchanged=False)]
     later = skipping._later(tried)
     assert later.no_contact is None
     assert later.unchanged is not None

@@ -24,5 +24,13 @@ def test_the_card_names_the_papers_network_and_its_command() -> None:
     assert not segmenter.needs_background
 
 
+def test_every_model_is_named_with_its_checksum() -> None:
+    card = (MODELS / "README.md").read_text()
+    listed = dict(re.findall(r"^\| `([^`]+\.onnx)` \|.*\| `([0-9a-f]{64})` \|$", card, re.MULTILINE))
+    for name in ("tsnn-small.onnx", NAME, "peer-deeplabv3plus-resnet18-timing.onnx"):
+        assert listed.pop(name) == hashlib.sha256((MODELS / name).read_bytes()).hexdigest()
+    assert not listed
+
+
 def test_it_is_not_in_the_wheel() -> None:
     assert f'"models/{NAME}" =' not in (MODELS.parent / "pyproject.toml").read_text()
