@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 from slipguard.perception.compressed import coarsely_compressed
 from slipguard.perception.few_levels import few_levels
 from slipguard.perception.gate import Blocks, Gate
+from slipguard.perception.noisy import noisy
 from slipguard.perception.track import Turn
 
 UNLIKE = "picture unlike the no-contact image"
 BLURRED = "picture out of focus"
 COMPRESSED = "picture coarsely compressed"
 FEW_LEVELS = "picture of too few grey levels"
+NOISY = "picture noisy"
 LIGHT_FREE_LEVELS = 1.0
 LIGHT_DEG = 0.6
 """Light that changes after the reference was taken moves outlines: one standard deviation of the turn a grey level of
@@ -36,7 +38,9 @@ def unfit(
         return BLURRED, unlike
     if coarsely_compressed(image):
         return COMPRESSED, unlike
-    return (FEW_LEVELS if few_levels(image) else None), unlike
+    if few_levels(image):
+        return FEW_LEVELS, unlike
+    return (NOISY if noisy(image) else None), unlike
 
 
 def in_other_light(turn: Turn, levels: float) -> Turn:
