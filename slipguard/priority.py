@@ -11,8 +11,9 @@ import os
 
 from slipguard.errors import SlipguardError
 
-FIRST = 1
-"""The lowest real-time priority comes before everything that has none, and behind what the kernel itself needs."""
+FIRST, SECOND = 2, 1
+"""The loop's real-time priority, and that of all who work for it: else a loop that wakes would wait for one of them to
+pause. The two lowest there are: before everything that has none, and behind what the kernel itself needs."""
 
 
 def go_first() -> None:
@@ -20,8 +21,15 @@ def go_first() -> None:
     try:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(FIRST))
     except OSError as error:
-        why = f"real-time priority is refused here ({error.strerror}); run it as root, or allow it with `ulimit -r 1`"
-        raise SlipguardError(why) from None
+        why = f"real-time priority is refused here ({error.strerror})"
+        raise SlipguardError(f"{why}; run it as root, or allow it with `ulimit -r {FIRST}`") from None
+
+
+def let_the_loop_first() -> None:
+    """This thread, and those it will start, come behind the loop from now on; without real-time priority none does."""
+    with contextlib.suppress(OSError):
+        if os.sched_getscheduler(0) == os.SCHED_RR:
+            os.sched_setparam(0, os.sched_param(SECOND))  # no other call is allowed to the service
 
 
 def stand_back(niceness: int) -> None:

@@ -19,6 +19,7 @@ from slipguard.daemon.tally import Tally
 from slipguard.devices import Frame
 from slipguard.errors import CommandRefused
 from slipguard.perception.axial import wrap_axial_deg
+from slipguard.priority import let_the_loop_first
 from slipguard.recording.recorder import Recorder
 
 
@@ -31,7 +32,7 @@ class Desk(Control):
         self._recorder: Recorder | None = None
         self._tally = Tally(service)
         # One thread of its own: whoever looks at stored images keeps neither frames nor the gripper waiting.
-        self._reading = ThreadPoolExecutor(max_workers=1, thread_name_prefix="slipguard-images")
+        self._reading = ThreadPoolExecutor(1, "slipguard-images", initializer=let_the_loop_first)
         self._judged: dict[str, Judgement] = {}
         for name, finger in service.fingers.items():
             finger.observers.append(partial(self._judged.__setitem__, name))

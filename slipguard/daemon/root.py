@@ -9,6 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ from slipguard.grasp.guard import tick
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.recall import RecallingPipeline
 from slipguard.perception.segment import Segmenter
+from slipguard.priority import let_the_loop_first
 from slipguard.recording.recorder import Recorder
 from slipguard.registry import load_driver
 from slipguard.web.host import run_api
@@ -144,6 +146,7 @@ async def run(
     log.info("slipguard starts", version=__version__, mode=config.guard.mode, socket=str(path))
     stop, hung_up, changed = asyncio.Event(), asyncio.Event(), asyncio.Event()
     loop, ending = asyncio.get_running_loop(), Ending()
+    loop.set_default_executor(ThreadPoolExecutor(thread_name_prefix="slipguard", initializer=let_the_loop_first))
     handlers = {signal.SIGINT: stop.set, signal.SIGTERM: stop.set}
     if reread is not None:
         handlers[signal.SIGHUP] = hung_up.set

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from slipguard.grasp.guard import Guard
 from slipguard.perception.pipeline import at_frame_size
+from slipguard.priority import let_the_loop_first
 from slipguard.recording import messages as m
 from slipguard.recording.keeping import Keeping
 from slipguard.recording.ring import NoRoom, Ring
@@ -151,6 +152,7 @@ class Recorder:
         self._thread.join(timeout_s)
 
     def _run(self) -> None:
+        let_the_loop_first()
         self._guarded(self._ring.keep_unfinished)
         self._guarded(lambda: self._keeping.look_back(self._clock))
         ending = False

@@ -16,6 +16,7 @@ import pytest
 from cell_rig import PATIENT_GUARD
 from container import PROGRAM, UNIT, Container, until
 
+from slipguard.priority import FIRST, SECOND
 from slipguard_drivers.cell.cell_config import CellPlaces, text
 
 pytestmark = pytest.mark.service
@@ -123,10 +124,13 @@ def test_it_grips_and_is_confined_while_it_works(
     with capsys.disabled():
         print(f" exposure {exposure}", end="")
     assert exposure <= 2.0
-    policies = container.run("ps", "-eLo", "cls=,comm=,args=").stdout.splitlines()
-    running = [line.split(None, 2) for line in policies if "slipguard" in line and "emulate" not in line]
-    assert {policy for policy, _, words in running if " run " in words} == {"RR"}
-    assert {policy for policy, _, words in running if "slipguard.web" in words} == {"B"}
+    policies = container.run("ps", "-eLo", "cls=,rtprio=,pid=,lwp=,comm=,args=").stdout.splitlines()
+    running = [line.split(None, 5) for line in policies if "slipguard" in line and "emulate" not in line]
+    threads = [line for line in running if " run " in line[5]]
+    assert {line[0] for line in threads} == {"RR"}
+    assert {line[1] for line in threads if line[2] == line[3]} == {f"{FIRST}"}
+    assert len([line for line in threads if line[1] == f"{SECOND}"]) >= 3, "both fingers and the recorder"
+    assert {line[0] for line in running if "slipguard.web" in line[5]} == {"B"}
     assert container.run("stat", "--format=%U %a", "/run/slipguard/slipguard.sock").stdout.split()[0] != "root"
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from slipguard.cli.app import run
 from slipguard.errors import SlipguardError
-from slipguard.priority import FIRST, go_first, stand_back
+from slipguard.priority import FIRST, SECOND, go_first, let_the_loop_first, stand_back
 
 UNTIL_IT_STANDS_BACK = """
 import os, runpy, sys
@@ -65,7 +65,20 @@ def test_the_guard_goes_first_by_the_least_that_does(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(os, "sched_setscheduler", noted)
     go_first()
     assert asked == [(0, os.SCHED_RR, FIRST)]
-    assert os.sched_get_priority_min(os.SCHED_RR) == FIRST
+    assert os.sched_get_priority_min(os.SCHED_RR) == SECOND < FIRST
+
+
+def test_whoever_works_for_the_loop_comes_one_behind_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, int]] = []
+    monkeypatch.setattr(os, "sched_setparam", lambda pid, how: asked.append((pid, how.sched_priority)))
+    let_the_loop_first()
+    assert asked == [], "nothing of it without real-time priority"
+    monkeypatch.setattr(os, "sched_getscheduler", lambda pid: os.SCHED_RR)
+    with ThreadPoolExecutor(1, initializer=let_the_loop_first) as pool:
+        pool.submit(standing).result()
+    assert asked == [(0, SECOND)]
+    monkeypatch.setattr(os, "sched_setparam", forbidden)
+    let_the_loop_first()
 
 
 def test_where_it_is_refused_it_says_what_to_do(
@@ -77,7 +90,7 @@ def test_where_it_is_refused_it_says_what_to_do(
     for command in (["latency", "--as-service"], ["soak", "--minutes", "1", "--as-service"]):
         assert run(command) != 0
         (line,) = capsys.readouterr().err.strip().splitlines()
-        assert "ulimit -r 1" in line
+        assert "ulimit -r 2" in line
 
 
 def forbidden(*asked: object) -> None:
