@@ -134,6 +134,15 @@ class Gripper(Protocol):
         """
 
     @abstractmethod
+    async def halt(self) -> None:
+        """Stop the fingers where they are, with the grip they have; nothing happens where they rest.
+
+        For closing and tightening while a person may be near. Never lets go. What was reached is not known: until the
+        next `hold`, `force_n` is 0 (at most the lowest limit, where something was held), and `holding` is true wherever
+        something may be between the fingers. A gripper that cannot be halted raises `CommandRefused`.
+        """
+
+    @abstractmethod
     async def release(self, width_mm: float) -> None:
         """Open to `width_mm`, or as far as the stroke goes. The one command that lets go."""
 

@@ -160,6 +160,50 @@ async def test_while_it_tightens_it_is_said_to_hold(rig: Rig, held: Gripper) -> 
     assert state.holding
 
 
+async def test_a_closing_that_is_halted_stays_where_it_is(rig: Rig, gripper: Gripper) -> None:
+    rig.put_object()
+    await gripper.hold(60.0)
+    await gripper.halt()
+    halted = await gripper.state()
+    assert not halted.moving
+    assert not halted.closed_on_nothing
+    assert halted.force_n == 0.0, "what it has reached is not known"
+    assert halted.width_mm > 1.0
+    await asyncio.sleep(0.2)
+    later = await gripper.state()
+    assert later.width_mm == pytest.approx(halted.width_mm, abs=STEP_MM)
+    assert not later.moving
+    await gripper.hold(40.0)
+    state = await eventually(gripper.state, lambda state: state.holding and not state.moving)
+    assert state.force_n >= 40.0
+
+
+async def test_a_tightening_that_is_halted_keeps_the_force_it_has(rig: Rig, held: Gripper) -> None:
+    before_n = rig.pressed_with_n()
+    await held.hold(200.0)
+    await held.halt()
+    halted_n = rig.pressed_with_n()
+    assert before_n <= halted_n < 200.0
+    await asyncio.sleep(0.3)
+    assert rig.pressed_with_n() == pytest.approx(halted_n)
+    state = await held.state()
+    assert state.holding
+    assert not state.moving
+    assert state.force_n <= held.force_limits_n[0], "what it has reached is not known"
+    assert await held.hold(220.0) >= 220.0
+    await eventually(held.state, lambda state: state.holding and not state.moving)
+    assert rig.pressed_with_n() == pytest.approx(220.0, abs=STEP_N)
+
+
+async def test_halting_what_rests_changes_nothing(rig: Rig, held: Gripper) -> None:
+    before = await held.state()
+    await held.halt()
+    after = await held.state()
+    assert (after.holding, after.moving, after.force_n, after.width_mm) == (
+        before.holding, before.moving, before.force_n, before.width_mm,
+    )  # fmt: skip
+
+
 async def test_release_lets_go(rig: Rig, held: Gripper) -> None:
     await held.release(85.0)
     await eventually(held.state, lambda state: state.width_mm > 84.0 and not state.holding)

@@ -144,6 +144,10 @@ class LoggedGripper(FakeGripper):
         self._note("move", width_mm)
         return await super().move(width_mm, force_n)
 
+    async def halt(self) -> None:
+        self._note("halt", 0.0)
+        await super().halt()
+
     async def release(self, width_mm: float) -> None:
         self._note("release", width_mm)
         await super().release(width_mm)

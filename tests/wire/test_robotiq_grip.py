@@ -116,6 +116,23 @@ async def test_a_grip_that_was_stopped_half_way_is_taken_up_again(
     assert words_written(emulator)[-1].startswith("0900 00FF")
 
 
+async def test_a_halt_is_a_stop_with_the_goal_as_it_is(emulator: RobotiqEmulator) -> None:
+    """What the fingers met before is not known: they close on it no faster than the first time."""
+    put(emulator, 41.2)
+    slow = settings(emulator).model_copy(update={"approach_speed": 0.25})
+    gripper = RobotiqGripper(slow, DriverContext("gripper"))
+    await gripper.open()
+    await gripper.hold(60.0)
+    await gripper.halt()
+    assert words_written(emulator)[-1] == "0100 00FF 4000"
+    assert (await gripper.state()).holding, "it may have met something"
+    await gripper.halt()
+    writes = len(words_written(emulator))
+    await gripper.hold(40.0)
+    assert words_written(emulator)[writes:][-1].split()[2].startswith("40")
+    await gripper.close()
+
+
 @pytest.mark.parametrize("after_s", [0.001, 0.006, 0.011, 0.016, 0.021])
 async def test_a_tightening_whose_caller_gives_up_is_finished(
     emulator: RobotiqEmulator, held: RobotiqGripper, after_s: float

@@ -89,6 +89,10 @@ class FakeGripper(Gripper):
 
         return await self._round_trip(order)
 
+    async def halt(self) -> None:
+        """Stop the fingers where they are."""
+        await self._round_trip(self._world.command_halt)
+
     async def release(self, width_mm: float) -> None:
         """Open to `width_mm`."""
         width_to_count(width_mm, MODEL_2F85)

@@ -117,6 +117,10 @@ class RobotiqGripper(Gripper):
         position = registers.width_to_count(width_mm, self._model)
         return await self._finish(self._move(position, registers.force_to_count(force_n, self._model), self._by_s()))
 
+    async def halt(self) -> None:
+        """Stop the fingers where they are; a gripper that is being activated is let finish."""
+        await self._finish(self._halt(self._by_s()))
+
     async def release(self, width_mm: float) -> None:
         """Open, activating the gripper first where it needs that; the fingers then move all the way."""
         await self._finish(self._release(registers.width_to_count(width_mm, self._model), self._by_s()))
@@ -173,7 +177,7 @@ class RobotiqGripper(Gripper):
                 force = max(force, self._applied)
             if not status.may_hold or status.motion is Motion.MOVING:
                 self._applied = None  # there was no grip, or it is stopped half-way
-            speed = registers.FULL_SPEED if status.may_hold else self._approach
+            speed = registers.FULL_SPEED if self._gripped_at is not None else self._approach
             if status.may_hold or closing:
                 await self._write(by_s, go=False, position=CLOSED_COUNT, speed=speed, force=force)
                 await self._expect(by_s, CLOSED_COUNT, going=False)
@@ -198,6 +202,16 @@ class RobotiqGripper(Gripper):
             await self._expect(by_s, position, going=True)
             self._applied = force
             return registers.count_to_width(position, self._model)
+
+    async def _halt(self, by_s: float) -> None:
+        """rGTO = 0, the goal as it is: what was closing is told to have been."""
+        async with self._in_turn(by_s):
+            status = await self._status(by_s)
+            if not (status.ready and status.going and status.motion is Motion.MOVING):
+                return
+            position, self._applied = status.position_echo, None
+            await self._write(by_s, go=False, position=position, speed=self._approach, force=0)
+            await self._expect(by_s, position, going=False)
 
     async def _release(self, position: int, by_s: float) -> None:
         async with self._in_turn(by_s):
