@@ -33,10 +33,11 @@ class Device(Protocol[S_co]):
 class Actuator(Generic[S]):
     """Runs one device for as long as the daemon lives; a missing one is waited for.
 
-    A command is any coroutine function; a newer one replaces one not yet begun, one begun is let finish. A command that
-    could not be carried out is not tried again, nor is one given while the device was gone: the law sees the state and
-    commands anew. Only the device's own `stop` is tried even then, for it may need less than all of the device; what it
-    says is told once. `on_news` is called when the device's health changes, and with the state that follows a command.
+    A command is any coroutine function; a newer one replaces one not yet begun (a firm one only if it is firm too), one
+    begun is let finish. A command that could not be carried out is not tried again, nor is one given while the device
+    was gone: the law sees the state and commands anew. Only the device's own `stop` is tried even then, for it may need
+    less than all of the device; what it says is told once. `on_news` is called when the device's health changes, and
+    with the state that follows a command.
     """
 
     def __init__(
@@ -58,15 +59,24 @@ class Actuator(Generic[S]):
         self._poll_s = poll_s
         self._backoff = Backoff(retry_s / 5, longest_s=retry_s / 2)  # what is held or moved waits for it
         self._commands: Latest[Action] = Latest()
+        self._firm = False
+        """Only a firm command may replace what was commanded last."""
         self._wake = asyncio.Event()
         self._told: str | None = None
         self._on_news = on_news
         self._on_event = on_event
 
-    def command(self, action: Action) -> None:
-        """Carry out `action` as soon as the device is free."""
+    def command(self, action: Action, *, firm: bool = False) -> None:
+        """Carry out `action` as soon as the device is free. firm: no command that is not may take its place."""
+        if self._firm and not firm:
+            return
+        self._firm = firm
         self._commands.put(action)
         self._wake.set()
+
+    def _next(self) -> Action | None:
+        self._firm = False
+        return self._commands.take()
 
     async def run(self) -> None:
         """Command and poll until cancelled; the device is left as it is."""
@@ -77,7 +87,7 @@ class Actuator(Generic[S]):
                     await self._device.open()
                     heed_cancel()
                     self._told = None
-                    pending = self._commands.take()
+                    pending = self._next()
                     if self._is_stop(pending):
                         self._commands.put(pending)
                     await self._serve()
@@ -101,7 +111,7 @@ class Actuator(Generic[S]):
             while not waiting.done():
                 heed_cancel()
                 self._wake.clear()
-                action = self._commands.take()
+                action = self._next()
                 if self._is_stop(action):
                     await self._try(action)
                 elif not waiting.done():
@@ -123,7 +133,7 @@ class Actuator(Generic[S]):
         next_poll_s = loop.time()
         while True:
             self._wake.clear()
-            action = self._commands.take()
+            action = self._next()
             try:
                 if action is not None:
                     await action()

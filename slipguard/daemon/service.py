@@ -261,7 +261,9 @@ class Service:
 
         if command.release_width_mm is not None:
             width_mm = command.release_width_mm
-            self.gripper.command(lambda: gripper.release(width_mm))
+            self.gripper.command(lambda: gripper.release(width_mm), firm=True)
+        elif command.halt:
+            self.gripper.command(gripper.halt)
         elif command.hold_force_n is not None:
             force_n = command.hold_force_n
             self.gripper.command(lambda: hold(force_n))

@@ -96,12 +96,14 @@ class ArmLift:
 class Command:
     """What the devices should do now; None: nothing new.
 
-    hold_force_n: `Gripper.hold`. move_width_mm with move_force_n: `Gripper.move`. release_width_mm: `Gripper.release`.
-    arm: `Arm.stop` or `Arm.lift`. new_reference: both fingers take a new reference from the next stable contact on.
+    hold_force_n: `Gripper.hold`. halt: `Gripper.halt`. move_width_mm with move_force_n: `Gripper.move`.
+    release_width_mm: `Gripper.release`. arm: `Arm.stop` or `Arm.lift`. new_reference: both fingers take a new
+    reference from the next stable contact on.
     say: one line for log and page. refused: why this tick's request was not granted. fault: latched now or before.
     """
 
     hold_force_n: float | None = None
+    halt: bool = False
     move_width_mm: float | None = None
     move_force_n: float | None = None
     release_width_mm: float | None = None

@@ -37,6 +37,17 @@ def stop(state: GuardState, seen: Seen, command: Command, *, at_once: bool = Fal
     return state, command
 
 
+def brake(state: GuardState, seen: Seen, command: Command) -> Outcome:
+    """Stop an arm that is to stand before the jaws open, until it has once said that it does; then it is free."""
+    arm = seen.arm
+    known = arm is not None and arm.measured_at_s > state.arm_sent_s and seen.now_s - arm.measured_at_s <= FRESH_S
+    if arm is not None and known and not arm.moving:
+        return (replace(state, braking=False) if state.braking else state), command
+    if not state.braking or seen.now_s - state.arm_sent_s < REPEAT_S:
+        return state, command
+    return replace(state, arm_sent_s=seen.now_s), replace(command, arm="stop")
+
+
 def ended(state: GuardState, arm: ArmState, now_s: float) -> bool:
     """The arm rests, as it has said just now, and has had the time to take up what it was told last."""
     known = arm.measured_at_s > state.arm_sent_s and now_s - arm.measured_at_s <= FRESH_S

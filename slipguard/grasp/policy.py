@@ -10,9 +10,9 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from slipguard.grasp import adopting, delay, limits, motion, requests
+from slipguard.grasp import adopting, delay, halt, limits, motion, release, requests
 from slipguard.grasp.fault import Fault, FaultCode
-from slipguard.grasp.guarding import guard
+from slipguard.grasp.guarding import Verdict, guard
 from slipguard.grasp.messages import Command, RequestKind, Seen, in_one_line, without_figures
 from slipguard.grasp.motion import REACHED_MM, REPEAT_S
 from slipguard.grasp.params import GuardParams
@@ -33,18 +33,19 @@ def step(state: GuardState, seen: Seen, params: GuardParams) -> tuple[GuardState
     Pure; meant to be called every few milliseconds and on every new estimate.
     """
     if seen.arm is not None:
-        person_near = seen.arm.protective_stop or seen.arm.emergency_stop
-        state = state if person_near is state.person_near else replace(state, person_near=person_near)
+        state = halt.near(state, seen.arm.protective_stop or seen.arm.emergency_stop)
     elif state.ground_mm is not None:
         state = replace(state, ground_mm=None)  # an arm that comes back counts its height from where it is found
     if seen.request.kind is RequestKind.RELEASE:
-        return _release(state, seen, params)
+        return release.ask(state, seen, params)
     state, watched = _watch_object(state, seen, params)
     at_stake = state.phase in AT_STAKE or (state.phase is Phase.IDLE and waiting(state))
     if watched.fault is not None and at_stake:
-        return _latch(state, watched, watched.fault, Command())
+        state, command = _latch(state, watched, watched.fault, Command())
+        return halt.jaws(state, seen, command)
     state, command = _PHASES[state.phase](state, watched, params)
     state, command = _keep_force(state, seen, command)
+    state, command = halt.jaws(state, seen, command)
     state, command = _tell_notes(state, seen, command)
     state, command = requests.answer(state, command, seen, params)
     return state, command if command.fault is state.fault else replace(command, fault=state.fault)
@@ -109,7 +110,7 @@ def _idle(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
         return state, Command()
     state = replace(state, adopted=True, remembered=None)
     touched = seen.fused is not None and seen.fused.both_touch
-    if params.mode == "guard" and state.guarding and gripper.holding and touched:
+    if params.mode == "guard" and state.guarding and gripper.holding and touched and not state.cut_short:
         said = f"an object is held with {gripper.force_n:.0f} N: guarding"
         return taken_over(state, gripper, seen.now_s), Command(new_reference=True, say=said)
     return state, Command()
@@ -120,7 +121,7 @@ def _closing(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     gripper = seen.gripper
     state = replace(state, delay=delay.closing(state.delay, state.commanded_s, gripper))
     if gripper is not None and gripper.measured_at_s > state.since_s:
-        if gripper.holding and not gripper.moving:
+        if gripper.holding and not gripper.moving and gripper.force_n > 0.0:  # 0: halted by an earlier stop
             state = replace(entered(state, Phase.REFERENCE, seen.now_s), gripped=True)
             return state, Command(new_reference=True, say="gripped")
         if gripper.closed_on_nothing:
@@ -198,31 +199,17 @@ def _guarded(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
 
 def _released(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     """Opening as asked; said again if nothing happens, given up after `stuck_s`."""
-    gripper = seen.gripper
-    if gripper is not None and gripper.measured_at_s > state.commanded_s:
-        if not gripper.holding and not gripper.moving:
-            return emptied(state, Phase.IDLE, seen.now_s), Command(say="released")
-        if gripper.holding and not gripper.moving and seen.now_s - state.commanded_s >= REPEAT_S:
-            return replace(state, commanded_s=seen.now_s), Command(release_width_mm=state.goal_mm)
-    if seen.now_s - state.since_s <= params.stuck_s + params.closing_timeout_s * (
-        gripper is not None and gripper.moving
-    ):
-        return state, Command()
-    fault = Fault(
-        FaultCode.GRIPPER_STUCK,
-        f"not open {seen.now_s - state.since_s:.1f} s after the release",
-        "look at the gripper, then release again",
-    )
-    return _latch(state, seen, fault, Command())
+    state, command, fault = release.go_on(state, seen, params)
+    return (state, command) if fault is None else _latch(state, seen, fault, command)
 
 
 def _faulty(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     """The arm stands and the grip is kept; slip is still answered with force where that is allowed and possible."""
     state, found = adopting.adopt_in_fault(state, seen, params)
-    verdict = guard(state, seen, params)
+    verdict = guard(state, seen, params) if not state.hands_off else Verdict(state)
     state, command = verdict.state, Command(hold_force_n=verdict.hold_n, say=in_one_line(found, verdict.say))
     state, command = _tell_besides(state, seen, command, verdict.fault)
-    if seen.gripper is not None and seen.gripper.holding and not state.gripped:
+    if seen.gripper is not None and seen.gripper.holding and not state.gripped and not state.hands_off:
         state = replace(state, gripped=True)
     if state.putting_down:
         return motion.go_on_down(state, seen, command, params)
@@ -251,19 +238,10 @@ _PHASES: dict[Phase, Callable[[GuardState, Seen, GuardParams], Outcome]] = {
 # --- in every phase ---
 
 
-def _release(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
-    """Open; the arm stops first, for a moving arm throws."""
-    width_mm = seen.request.width_mm if seen.request.width_mm is not None else params.release_width_mm
-    state = emptied(state, Phase.RELEASED, seen.now_s)
-    state = replace(state, goal_mm=width_mm, commanded_s=seen.now_s)
-    stands = seen.arm is not None and not seen.arm.moving
-    return state, Command(release_width_mm=width_mm, arm=None if stands else "stop", say="releasing, as asked")
-
-
 def _keep_force(state: GuardState, seen: Seen, command: Command) -> Outcome:
     """Say the force again if the gripper did not take it: a lost message must not leave the grip weak."""
     gripper = seen.gripper
-    held = state.phase in AT_STAKE or state.phase is Phase.FAULT
+    held = (state.phase in AT_STAKE or state.phase is Phase.FAULT) and not state.hands_off
     if not held or gripper is None or state.person_near or command.hold_force_n is not None:
         return state, command
     if state.commanded_s == -math.inf:

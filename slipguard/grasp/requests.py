@@ -5,6 +5,7 @@ Releasing is not here: it is granted in every phase, before anything else is loo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -54,7 +55,7 @@ def _grasp(state: GuardState, command: Command, seen: Seen, params: GuardParams)
         return _refuse(state, command, "the gripper is not there; see its health in `slipguard ctl state`")
     if seen.gripper.fault is not None or not seen.gripper.active:
         return _refuse(state, command, f"the gripper is not ready ({seen.gripper.fault or 'not activated'})")
-    if seen.gripper.holding:
+    if seen.gripper.holding and not state.cut_short:
         return _refuse(state, command, "something is held already; `guard on` guards it, `release` lets it go")
     if state.person_near:
         return _refuse(state, command, "the arm is in a protective or emergency stop; end that first")
@@ -129,6 +130,8 @@ def _no_motion(state: GuardState, seen: Seen, params: GuardParams, verb: str) ->
 
 def _guard_on(state: GuardState, command: Command, seen: Seen, params: GuardParams) -> Outcome:
     state = replace(state, guarding=True)
+    if state.phase is Phase.FAULT and state.hands_off:
+        return _guard_again(state, command, seen)
     if state.phase is not Phase.IDLE:
         return state, replace(command, say="guarding")
     if seen.gripper is None or not seen.gripper.holding:
@@ -137,6 +140,17 @@ def _guard_on(state: GuardState, command: Command, seen: Seen, params: GuardPara
         return _refuse(state, command, "nothing is held; grasp something first")
     said = f"guarding what is held with {seen.gripper.force_n:.0f} N"
     return taken_over(state, seen.gripper, seen.now_s), replace(command, new_reference=True, say=said)
+
+
+def _guard_again(state: GuardState, command: Command, seen: Seen) -> Outcome:
+    """In a fault, what was to be let go or was not gripped to the end is guarded from here on; the fault stays."""
+    if seen.gripper is None or not seen.gripper.holding:
+        return _refuse(state, command, "nothing is held; clear, then grasp something first")
+    force_n = seen.gripper.force_n
+    state = replace(
+        state, let_go=False, cut_short=False, gripped=True, target_n=force_n, commanded_s=-math.inf, detector=Detector()
+    )
+    return state, replace(command, new_reference=True, say=f"guarding what is held with {force_n:.0f} N")
 
 
 def _guard_off(state: GuardState, command: Command, seen: Seen, params: GuardParams) -> Outcome:
@@ -191,6 +205,9 @@ def _clear(state: GuardState, command: Command, seen: Seen, params: GuardParams)
         return _refuse(state, command, "the gripper is moving, so it is not known what it will hold; ask again")
     if not seen.gripper.holding:
         return emptied(state, Phase.IDLE, seen.now_s), replace(command, say="cleared; nothing is held")
+    if state.cut_short:
+        said = "cleared; the closing was cut short: grasp again, or release"
+        return replace(emptied(state, Phase.IDLE, seen.now_s), cut_short=True), replace(command, say=said)
     ground_mm, target_n = state.ground_mm, max(state.target_n, seen.gripper.force_n)
     commanded_s = state.commanded_s
     state = taken_over(state, seen.gripper, seen.now_s)

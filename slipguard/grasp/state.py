@@ -81,6 +81,9 @@ class GuardState:
     gripped: the jaws have met something since they closed.
     referenced: the turn could be read when the object was gripped. blind: why it could not.
     person_near: the arm was last seen in a protective or emergency stop, so no force is added.
+    halted_s: when the jaws were last halted for that; -inf: not in this stop.
+    cut_short: they were halted before they had met something, so the grasp must be asked for again.
+    let_go: a release was asked for. braking: the arm has not said since then that it stands.
     adopted: the gripper's first state has been looked at. found: it was seen to hold something already.
     remembered: the grip before a restart, until the gripper's first state has been looked at.
     besides: what is wrong and has been said while a fault is latched.
@@ -104,6 +107,10 @@ class GuardState:
     referenced: bool = False
     blind: str | None = None
     person_near: bool = False
+    halted_s: float = -math.inf
+    cut_short: bool = False
+    let_go: bool = False
+    braking: bool = False
     lost_since_s: float | None = None
     adopted: bool = False
     found: bool = False
@@ -111,6 +118,11 @@ class GuardState:
     note: str | None = None
     besides: frozenset[FaultCode] = frozenset()
     fault: Fault | None = None
+
+    @property
+    def hands_off(self) -> bool:
+        """What may be between the jaws is not to be tightened or guarded until a person says so."""
+        return self.let_go or self.cut_short
 
 
 def settled(state: GuardState, gripper: GripperState) -> bool:

@@ -87,6 +87,31 @@ def test_a_newer_command_replaces_one_not_yet_begun() -> None:
     assert drive(scenario).done == ["slow", "new"]
 
 
+def test_a_firm_command_is_replaced_by_firm_ones_only() -> None:
+    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
+        await asyncio.sleep(0.1)
+
+        def does(what: str) -> Callable[[], Awaitable[None]]:
+            async def act() -> None:
+                motor.done.append(what)
+                await asyncio.sleep(0.05)
+
+            return act
+
+        actuator.command(does("hold"))
+        await asyncio.sleep(0.01)
+        actuator.command(does("tighten"))
+        actuator.command(does("release"), firm=True)
+        actuator.command(does("tighten"))
+        actuator.command(does("release wider"), firm=True)
+        actuator.command(does("halt"))
+        await asyncio.sleep(0.2)
+        actuator.command(does("hold again"))
+        await asyncio.sleep(0.1)
+
+    assert drive(scenario).done == ["hold", "release wider", "hold again"]
+
+
 def test_a_lost_device_is_waited_for_and_taken_up_again() -> None:
     async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
         motor.failure = DeviceLost("motor: unplugged; plug it in")

@@ -93,6 +93,10 @@ def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
         await cell.until(lambda: not cell.service.waiting_for and not cell.service.gripper.newest.moving)  # type: ignore[union-attr]
         await cell.controls.clear()
         await cell.until(lambda: cell.phase in (Phase.HOLDING, Phase.IDLE))
+        if reach is closing and kind in STANDS:  # cut short: to be asked for again
+            assert cell.phase is Phase.IDLE
+            await cell.grasp()
+            await cell.until(lambda: cell.phase is Phase.HOLDING)
         assert cell.phase is Phase.HOLDING
         assert cell.truth.in_contact
         assert cell.truth.dropped is None

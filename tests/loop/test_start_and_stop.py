@@ -43,7 +43,8 @@ def test_with_no_device_at_all_the_service_waits_and_says_for_what() -> None:
         await asyncio.sleep(3.0)
         assert [line.split(":")[0] for line in cell.service.waiting_for] == list(DEVICES)
         assert cell.phase is Phase.IDLE
-        assert await cell.controls.release() == "releasing, as asked"
+        said = await cell.controls.release()
+        assert said == "releasing, as asked: when the arm stands, 0.5 s from now at the latest"
 
     play(Cell(), scene)
 

@@ -37,7 +37,7 @@ def state_in(phase: Phase, **changes: object) -> GuardState:
         phase=phase, since_s=NOW_S - 0.5, adopted=True, target_n=40.0 if held else 0.0, commanded_s=NOW_S - 0.5,
         detector=PRIMED, referenced=held, ground_mm=0.0 if held else None, arm_sent_s=NOW_S - 0.5,
         goal_mm={Phase.LIFTING: 100.0, Phase.LOWERING: 0.0, Phase.RELEASED: 85.0}.get(phase),
-        fault=FAULT if phase is Phase.FAULT else None,
+        fault=FAULT if phase is Phase.FAULT else None, let_go=phase is Phase.RELEASED,
     )  # fmt: skip
     return replace(base, **changes)  # type: ignore[arg-type]
 

@@ -188,9 +188,11 @@ def test_a_release_on_the_way_stops_the_arm_and_opens() -> None:
     play.spend()
     play.ticks(0.5)
     command = play.tick(RequestKind.RELEASE)
-    assert command.release_width_mm == 85.0
     assert command.arm == "stop"
+    assert command.release_width_mm is None
     assert not play.law.putting_down
+    play.here = replace(play.here, moving=False)
+    assert play.tick().release_width_mm == 85.0
 
 
 @pytest.mark.parametrize(

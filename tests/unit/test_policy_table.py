@@ -17,6 +17,7 @@ def describe(before: Phase, state: GuardState, command: Command) -> str:
     """An outcome in a few letters, for the table."""
     words = [] if state.phase is before else [state.phase.value]
     words += ["hold"] if command.hold_force_n is not None else []
+    words += ["halt"] if command.halt else []
     words += ["move"] if command.move_width_mm is not None else []
     words += ["open"] if command.release_width_mm is not None else []
     words += ["stop"] if command.arm == "stop" else []
@@ -62,7 +63,7 @@ guard on       | refused      | -             | -                 | -           
 guard off      | -            | -             | -                 | -             | -             | -             | -             | refused
 jaws open      | move         | refused       | refused           | refused       | refused       | refused       | refused       | refused
 jaws tighter   | move         | refused       | hold              | hold          | hold          | hold          | refused       | refused
-release        | released open| released open | released open     | released open stop | released open | released open stop | open     | released open
+release        | released open| released open | released open     | released stop | released open | released stop | open          | released open
 clear          | refused      | refused       | refused           | refused       | refused       | refused       | refused       | reference reference
 turn           | -            | -             | holding           | hold stop     | hold stop     | hold stop     | -             | hold
 slide          | -            | -             | holding           | hold stop     | hold stop     | hold stop     | -             | hold
@@ -70,7 +71,7 @@ turn back      | -            | -             | holding           | -           
 fault          | -            | fault stop    | fault stop        | fault stop    | fault stop    | fault stop    | -             | -
 no devices     | -            | -             | -                 | -             | -             | -             | -             | stop
 on nothing     | -            | idle          | -                 | -             | -             | -             | idle          | -
-turn in a stop | -            | -             | holding           | stop          | stop          | stop          | -             | -
+turn in a stop | -            | halt          | holding           | stop          | stop          | stop          | -             | -
 """  # noqa: E501
 CASES = [
     (phase, row.split("|")[0].strip(), cell.strip())

@@ -202,6 +202,8 @@ class Loop:
             self.later(self.now_s + self.trip_s, lambda: self._hold(force_n))
         if width_mm is not None:
             self.later(self.now_s + self.trip_s, lambda: self.world.command_release(self.now_s, width_mm))
+        if command.halt:
+            self.later(self.now_s + self.trip_s, lambda: self.world.command_halt(self.now_s))
         if command.arm == "stop":
             self.world.command_stop(self.now_s)
         elif isinstance(command.arm, ArmLift):
