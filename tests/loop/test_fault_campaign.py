@@ -71,6 +71,20 @@ def test_it_sees_jaws_that_open(monkeypatch: pytest.MonkeyPatch) -> None:
     assert outcome.failed
 
 
+def test_it_sees_jaws_that_go_on_in_a_stop_of_the_arm(monkeypatch: pytest.MonkeyPatch) -> None:
+    def goes_on(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
+        guard, command = tick(guard, seen, params)
+        return guard, replace(command, halt=False)
+
+    plan = ("arm.emergency_stop", 0.3, np.inf)
+    assert with_plans(monkeypatch, plan).presses == 0
+    monkeypatch.setattr(rig, "tick", goes_on)
+    outcome = with_plans(monkeypatch, plan)
+    assert outcome.presses
+    assert outcome.failed
+    assert "pressed harder" in why(outcome)
+
+
 def test_it_sees_a_drop_that_holding_would_have_prevented(monkeypatch: pytest.MonkeyPatch) -> None:
     def lets_slip(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
         guard, command = tick(guard, seen, params)

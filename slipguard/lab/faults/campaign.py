@@ -42,6 +42,7 @@ class Campaign:
     drops: int = 0
     drops_avoidable: int = 0
     openings: int = 0
+    presses: int = 0
     unnamed_faults: int = 0
     crashes: int = 0
     leaked_tasks: int = 0
@@ -54,6 +55,7 @@ class Campaign:
         self.drops += outcome.dropped is not None
         self.drops_avoidable += outcome.avoidable
         self.openings += outcome.openings
+        self.presses += outcome.presses
         self.unnamed_faults += len(outcome.unnamed)
         self.crashes += len(outcome.crashes)
         self.leaked_tasks += len(outcome.leaked)
@@ -74,6 +76,7 @@ class Campaign:
             "runs": self.runs,
             "drops_avoidable": self.drops_avoidable,
             "openings": self.openings,
+            "presses_near_a_person": self.presses,
             "unnamed_faults": self.unnamed_faults,
             "crashes": self.crashes,
             "leaked_tasks": self.leaked_tasks,

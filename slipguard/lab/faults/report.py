@@ -17,9 +17,10 @@ SHOWN = 10
 def show(console: Console, found: Campaign) -> None:
     """The tables."""
     head = Table(title=f"{found.runs} runs with one to three faults each")
-    for name in ("avoidable drops", "openings", "unnamed faults", "crashes", "leaked tasks"):
+    for name in ("avoidable drops", "openings", "presses", "unnamed faults", "crashes", "leaked tasks"):
         head.add_column(name, justify="right")
-    figures = (found.drops_avoidable, found.openings, found.unnamed_faults, found.crashes, found.leaked_tasks)
+    safe = (found.drops_avoidable, found.openings, found.presses)
+    figures = (*safe, found.unnamed_faults, found.crashes, found.leaked_tasks)
     head.add_row(*(str(figure) for figure in figures))
     console.print(head)
     kinds = Table(title="named in the log, from when it could be seen")
@@ -46,6 +47,7 @@ def why(outcome: Outcome) -> str:
     what = [
         f"dropped ({outcome.dropped})" if outcome.avoidable else "",
         f"{outcome.openings} openings" if outcome.openings else "",
+        f"pressed harder in a stop of the arm, {outcome.presses} times" if outcome.presses else "",
         f"not named: {', '.join(outcome.unnamed)}" if outcome.unnamed else "",
         *outcome.crashes,
         f"tasks left: {', '.join(outcome.leaked)}" if outcome.leaked else "",

@@ -25,6 +25,10 @@ LOOSER_N = 0.01
 WIDER_MM = 0.01
 HINDERED_S = 1.0
 """A drop so soon after a fault that keeps the guard from seeing or gripping is not the law's."""
+NEAR = frozenset({"arm.protective_stop", "arm.emergency_stop"})
+"""Stops in which a person may be near: nothing may press harder."""
+HALTED_S = 0.15
+"""The jaws rest so long after such a stop began, or after what kept slipguard from halting them has ended."""
 HARMLESS = frozenset({"duplicate", "late", "stuck"})
 """Faults that keep the guard from nothing: it still sees, grips and stops."""
 
@@ -34,7 +38,8 @@ class Outcome:
     """What came of one run. named: kind and how long it took to be named; unnamed: which were not, in time.
 
     avoidable: dropped, though holding still would have kept it, or the guard could have. openings: how often the jaws
-    opened or loosened unasked. lines: the log, with its times.
+    opened or loosened unasked. presses: for how many ticks of an arm's own stop the force rose. lines: the log, with
+    its times.
     """
 
     seed: int
@@ -43,6 +48,7 @@ class Outcome:
     dropped: str | None = None
     avoidable: bool = False
     openings: int = 0
+    presses: int = 0
     named: tuple[tuple[str, float], ...] = ()
     unnamed: tuple[str, ...] = ()
     due: tuple[str, ...] = ()
@@ -53,7 +59,7 @@ class Outcome:
     @property
     def failed(self) -> bool:
         """Whether anything happened that must not."""
-        return bool(self.avoidable or self.openings or self.unnamed or self.crashes or self.leaked)
+        return bool(self.avoidable or self.openings or self.presses or self.unnamed or self.crashes or self.leaked)
 
 
 @dataclass
@@ -66,6 +72,11 @@ class _Trial:
     before: list[World] = field(default_factory=list)
     """The world as it was when a fault began."""
     openings: int = 0
+    presses: int = 0
+    near_s: float = np.inf
+    """Since when a person may be near, with nothing that keeps slipguard from halting the jaws."""
+    near_n: float = np.inf
+    looked_s: float = -np.inf
     taken: bool = False
     hindered_s: float = -np.inf
     tightest_n: float = 0.0
@@ -143,7 +154,23 @@ class _Trial:
         looser = truth.force_n < self.tightest_n - LOOSER_N
         wider = truth.in_contact and width_mm > self.narrowest_mm + WIDER_MM
         self.openings += looser or wider
+        self._look_near(truth.force_n)
         self.tightest_n, self.narrowest_mm = max(self.tightest_n, truth.force_n), min(self.narrowest_mm, width_mm)
+
+    def _look_near(self, force_n: float) -> None:
+        """The force against what it was when the arm's own stop had just halted the jaws."""
+        now_s, stood_still = self.rig.now_s, self.rig.now_s - self.looked_s > 2 * TICK_S
+        self.looked_s = now_s
+        active = {one.plan.kind.name for one in self.watched if one.active} - MOMENTS
+        hindered = any(name.startswith(("gripper.", "arm.")) for name in active - NEAR)
+        if not active & NEAR or hindered or stood_still or not self.rig.alive:
+            self.near_s = self.near_n = np.inf
+            return
+        self.near_s = min(self.near_s, now_s)
+        if now_s - self.near_s < HALTED_S:
+            return
+        self.near_n = min(self.near_n, force_n)
+        self.presses += force_n > self.near_n + LOOSER_N
 
     def _drop(self, why: str) -> None:
         """Would it have stayed if nothing had moved since one of the faults, or was the guard free to hold it?"""
@@ -209,6 +236,7 @@ async def _run(seed: int, object_name: str, guard: dict[str, object], plans: tup
         run.dropped,
         run.avoidable,
         run.openings + max(0, rig.releases - asked * rig.releases),
+        run.presses,
         tuple((one.plan.kind.name, one.named_after_s) for one in run.watched if one.named_after_s is not None),
         tuple(one.plan.kind.name for one in run.watched if one.unnamed),
         tuple(one.plan.kind.name for one in run.watched if one.due),
