@@ -121,7 +121,8 @@ class Service:
     @property
     def waiting_for(self) -> list[str]:
         """One line for each device that is not ready."""
-        return [f"{name}: {one.health.why}" for name, one in self.devices.items() if not one.health.ready]
+        whys = {name: one.health.why for name, one in self.devices.items() if not one.health.ready}
+        return [f"{name}: {why.removeprefix(f'{name}: ')}" for name, why in whys.items()]
 
     async def request(self, request: Request) -> str:
         """Hand a wish to the law; returns what it says to it. Raises CommandRefused with its reason."""

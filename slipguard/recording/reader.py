@@ -119,9 +119,9 @@ def open_recording(path: Path) -> Recording:
                     break
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    except _DAMAGE as error:
+    except _DAMAGE:
         if not recording.facts:
-            raise InputError(f"{path}: not an MCAP recording ({str(error) or type(error).__name__})") from None
+            raise InputError(f"{path}: not an MCAP recording, or cut off at its very start") from None
     if "format" not in recording.facts:
         raise InputError(f"{path}: no recording of slipguard, or cut off before its header")
     if recording.facts["format"] != m.FORMAT:

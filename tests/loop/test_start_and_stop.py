@@ -24,8 +24,8 @@ def test_a_device_missing_at_the_start_is_waited_for_by_name(device: str) -> Non
         cell.world.faults.fail(device, "disconnect")
         await asyncio.sleep(7.0)
         (line,) = cell.service.waiting_for
-        assert line.startswith(f"{device}: {device}: no ")
-        with pytest.raises(CommandRefused, match=f"cannot grasp: not ready: {device}: "):
+        assert line.startswith(f"{device}: no ")
+        with pytest.raises(CommandRefused, match=f"cannot grasp: not ready: {device}: (?!{device}: )"):
             await cell.controls.grasp()
         cell.world.faults.mend(device)
         await cell.until(lambda: not cell.service.waiting_for, 5.1)  # ten times the first pause is the longest
