@@ -53,7 +53,7 @@ def remembered(shelf: Shelf, now: datetime | None = None) -> Guard:
         grip = Remembered(last.force_n, last.width_mm, last.taken) if last.force_n > 0.0 else None
         law = replace(law, remembered=grip, person_near=last.person_near)
     if last.fault is not None:
-        law = replace(law, phase=Phase.FAULT, fault=last.fault)
+        law = replace(law, phase=Phase.FAULT, fault=last.fault, let_go=last.let_go, cut_short=last.cut_short)
     return Guard(law)
 
 
@@ -64,6 +64,13 @@ class _Note:
     grip: Remembered | None = None
     person_near: bool = False
     fault: Fault | None = None
+    let_go: bool = False
+    cut_short: bool = False
+
+    @property
+    def latched(self) -> tuple[Fault | None, bool, bool]:
+        """The fault, and what goes with it."""
+        return self.fault, self.let_go, self.cut_short
 
 
 class GraspKeeper:
@@ -82,12 +89,14 @@ class GraspKeeper:
             return  # a later turn will do
         law, gripper, fault = decision.memory.law, decision.seen.gripper, decision.command.fault
         held = decision.phase in AT_STAKE or decision.phase is Phase.FAULT
-        note = _Note(None, law.person_near, fault)
+        note = _Note(None, law.person_near)
+        if fault is not None:
+            note = replace(note, fault=fault, let_go=law.let_go, cut_short=law.cut_short)
         if held and gripper is not None and gripper.holding and not gripper.moving and law.target_n > 0.0:
             self._keep(replace(note, grip=Remembered(law.target_n, gripper.width_mm, taken(law, gripper))), decision)
         elif not held and gripper is not None and not gripper.holding:
             self._keep(_Note(), decision)
-        elif fault != self._kept.fault:
+        elif note.latched != self._kept.latched:
             # What is held cannot be told just now; what was held is as good as before.
             self._keep(replace(note, grip=self._kept.grip if self._known else law.remembered), decision)
 
@@ -112,6 +121,8 @@ class GraspKeeper:
                 taken=grip.taken,
                 person_near=note.person_near,
                 fault=note.fault,
+                let_go=note.let_go,
+                cut_short=note.cut_short,
             )
         )
 

@@ -57,6 +57,7 @@ class LastGrasp(_Stored):
 
     force_n: as last commanded; 0 where nothing was held. taken: the gripper had applied that force, and said so.
     person_near: the arm was in a protective or emergency stop, so no force was to be added. fault: latched then.
+    let_go, cut_short: under it what the jaws had met was not to be guarded (see `GuardState`).
     """
 
     format: Literal[4] = 4
@@ -66,6 +67,8 @@ class LastGrasp(_Stored):
     taken: bool = True
     person_near: bool = False
     fault: Fault | None = None
+    let_go: bool = False
+    cut_short: bool = False
 
 
 _S = TypeVar("_S", bound=_Stored)

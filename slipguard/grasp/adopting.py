@@ -43,7 +43,7 @@ def adopt_in_fault(state: GuardState, seen: Seen, params: GuardParams) -> tuple[
         return (replace(state, referenced=True) if told else state), None
     if state.adopted or gripper is None or undecided(state, gripper):
         return state, None
-    if not gripper.holding:
+    if not gripper.holding or state.hands_off:
         return replace(state, adopted=True, remembered=None), None
     held, said = _held(state, gripper, seen, params)
     return replace(

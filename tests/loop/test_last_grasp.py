@@ -210,6 +210,20 @@ def test_a_fault_without_a_gripper_is_noted_with_the_grip_of_before_the_restart(
     assert remembered(shelf).law == GuardState(Phase.FAULT, remembered=grip, person_near=True, fault=fault)
 
 
+def test_what_was_to_be_let_go_is_noted_with_its_fault(tmp_path: Path) -> None:
+    shelf = StateDir(tmp_path)
+    fault = Fault(FaultCode.GRIPPER_STUCK, "not open 2.0 s after the release", "look at the gripper")
+
+    async def scene() -> None:
+        keeper = GraspKeeper(shelf, list[str]().append)
+        law = GuardState(Phase.FAULT, let_go=True, cut_short=True, fault=fault)
+        keeper.decided(Decision(1.0, Phase.FAULT, Seen(1.0), Command(fault=fault), Guard(law)))
+        await asyncio.sleep(0.1)
+
+    asyncio.run(scene())
+    assert remembered(shelf).law == GuardState(Phase.FAULT, let_go=True, cut_short=True, fault=fault)
+
+
 @pytest.mark.parametrize(
     "content",
     [

@@ -191,6 +191,14 @@ def test_with_empty_jaws_it_is_still_a_fault(before: Remembered | None) -> None:
     assert play.tick(RequestKind.CLEAR).say == "cleared; nothing is held"
 
 
+def test_what_was_to_be_let_go_is_left_alone() -> None:
+    play = latched(let_go=True)
+    play.ticks(0.5)
+    play.slips(20.0, 50.0)
+    assert forces(play.commands) == []
+    assert not play.law.gripped
+
+
 # --- what does not come back ---
 
 
