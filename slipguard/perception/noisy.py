@@ -17,4 +17,4 @@ def noisy(image: NDArray[np.uint8]) -> bool:
     """Whether the green of a picture, (320, 240, 3) uint8 BGR, is mostly noise from pixel to pixel."""
     levels = image[::EVERY_PX, :, 1].astype(np.int16)
     bent = np.abs(levels[:, 2:] - 2 * levels[:, 1:-1] + levels[:, :-2]) > BENT_LEVELS
-    return 2 * int(np.count_nonzero(bent)) > bent.size
+    return bool(2 * np.count_nonzero(bent) > bent.size)
