@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from slipguard.daemon.finger import Finger, Seen
 from slipguard.devices import Frame
 from slipguard.lab.sequences import bench_object
 from slipguard.lab.stress.subject import FRAME_S, Scripted
@@ -23,7 +26,7 @@ from slipguard.lab.stress.surfaces import (
     plate,
 )
 from slipguard.perception.estimate import Estimate
-from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.pipeline import UNCHANGED, Pipeline
 from slipguard.perception.pitch import ACCELERATION_DEG_S2, pitch_deg, unseen_deg
 from slipguard.perception.regions import find_patch
 from slipguard.perception.relief import ReliefReader
@@ -173,6 +176,23 @@ def test_another_finger_that_sees_no_change_keeps_the_count() -> None:
         told[kept] = held.see(0.5, 13.0 * FRAME_S)
     assert told[True].angle_deg == pytest.approx(0.5, abs=0.3)
     assert told[False].declined == LOST_COUNT
+
+
+def test_a_finger_that_the_daemon_spares_keeps_its_count() -> None:
+    held = Held(gear)
+    seen = [held.see(0.0) for _ in range(3)][-1]
+    none = cast(Any, None)  # no frame comes of a sensor here, and none goes to a worker
+    finger, other = (Finger(name, none, none, lambda _: held.pipe, 1.0, lambda: None) for name in ("left", "right"))
+    finger.pipeline, finger.other, finger.refresh_s = held.pipe, other, 0.25
+    finger.newest = Seen(seen, seen.captured_at_s, seen.captured_at_s)
+    picture = np.zeros((320, 240, 3), np.uint8)
+    for k in range(1, 13):
+        at_s = held.now_s + k * FRAME_S
+        other.newest = Seen(replace(seen, captured_at_s=at_s, skipped=UNCHANGED), at_s, at_s)
+        spared = finger._spared(Frame(picture, at_s, k))
+        assert spared is not None
+        finger.newest = Seen(spared, at_s, at_s)
+    assert held.see(0.5, 13.0 * FRAME_S).angle_deg == pytest.approx(0.5, abs=0.3)
 
 
 def test_a_frame_left_out_does_not_mend_a_count_that_a_gap_has_lost() -> None:
