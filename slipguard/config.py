@@ -19,9 +19,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError, field_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    Strict,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
-from slipguard.complaints import first_complaint, no_such_key, shown
+from slipguard.complaints import at_key, first_complaint, no_such_key, shown
 from slipguard.errors import ConfigError
 from slipguard.grasp.params import GuardParams
 from slipguard.perception.settings import PerceptionSettings
@@ -134,6 +143,12 @@ class RecordingSection(Section):
     keep_after_s: Annotated[float, Field(ge=0.0, le=600.0)] = 20.0
     kept_max_mb: Annotated[int, Field(ge=10, le=1_000_000)] = 4000
     """Beyond this the oldest kept recordings are deleted."""
+
+    @model_validator(mode="after")
+    def _ring_long_enough(self) -> RecordingSection:
+        if self.keep_before_s > self.ring_s:
+            raise at_key("keep_before_s", self.keep_before_s, f"at most ring_s ({self.ring_s:g}): older is not there")
+        return self
 
 
 class LogSection(Section):

@@ -173,6 +173,11 @@ def test_what_does_not_go_together_names_the_key_to_change(guard: dict[str, Any]
     assert "more after this one" not in text
 
 
+def test_no_more_is_kept_than_the_ring_holds() -> None:
+    text = complaint({"recording": {"ring_s": 30, "keep_before_s": 60}})
+    assert text == "c.toml: recording.keep_before_s = 60: at most ring_s (30): older is not there"
+
+
 def test_a_drivers_table_that_does_not_go_together_is_not_printed() -> None:
     devices = {name: {"driver": "fake"} for name in ("left", "right", "gripper")}
     text = complaint(devices | {"arm": {"ur5": {"host": "cell", "stop_by": "digital_output"}}}, sim=False)
