@@ -124,6 +124,7 @@ OTHERS = {
         "tests/wire/test_ur_campaign.py",
         'getoption("--arm-campaign")',
     ),
+    "pytest tests/real/test_false_turns.py -s": ("tests/real/test_false_turns.py", "pytest.mark.real"),
     "pytest tests/wire/test_kill_campaign.py --kills 100 -s": (
         "tests/wire/test_kill_campaign.py",
         'getoption("--kills")',
