@@ -32,7 +32,8 @@ async def look(socket: Path, got: Counter[str], picture_every_s: float = PICTURE
 async def _listen(socket: Path, got: Counter[str]) -> None:
     while True:
         try:
-            async with unix_connect(str(socket), uri="ws://slipguard/live", max_size=None) as live:
+            # A virtual clock would have waited long enough before a process has started.
+            async with unix_connect(str(socket), uri="ws://slipguard/live", max_size=None, open_timeout=None) as live:
                 async for message in live:
                     got[json.loads(message)["type"]] += 1
         except (OSError, ConnectionClosed):

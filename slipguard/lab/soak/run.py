@@ -45,6 +45,7 @@ PULSES = 100
 TRACED_SHARE = 0.1
 """How much of the end runs with every allocation traced; that makes it half as fast."""
 BACKLOG_MAX = 200
+PAGE_THERE_S = 60.0
 PACE_S = 0.25
 TOP = 8
 
@@ -158,6 +159,8 @@ class _Run:
         try:
             if page is not None:
                 await page.open(whereabouts.socket_path(self.config))
+            if self._settings.page and self._settings.virtual:
+                await self._page_there()
             await shift.start()
             pulse_at_s = 0.0
             number = 0
@@ -217,6 +220,14 @@ class _Run:
             shift.counts["drawn lifts by a second daemon"] += 1
             number += 1
             await asyncio.sleep(DRAWN_LIFT_EVERY_S)
+
+    async def _page_there(self) -> None:
+        """The web process starts on the real clock: until it has answered, the virtual one goes no faster."""
+        nobody_wakes = threading.Event()
+        given_up_s = asyncio.get_running_loop().time() + PAGE_THERE_S
+        while not self._page["history"] and asyncio.get_running_loop().time() < given_up_s:
+            nobody_wakes.wait(PACE_S)
+            await asyncio.sleep(PACE_S)
 
     async def _keep_pace(self) -> None:
         """The recorder's thread lives on the real clock: the virtual one waits for it."""
