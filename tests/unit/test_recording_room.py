@@ -159,11 +159,11 @@ def test_a_disk_without_room_takes_of_the_ring_first_and_goes_on(
 ) -> None:
     """Free by its own account, as under a quota."""
     room = iter((400_000, 10**9))
-    one = playing(Ring(tmp_path, LIMITS), opener=lambda path: FullDisk(path, next(room)))
     (tmp_path / "ring").mkdir(exist_ok=True)
     for number in range(3):
         written(tmp_path / "ring" / f"{number}.mcap", 1).close()
         os.utime(tmp_path / "ring" / f"{number}.mcap", (number, number))
+    one = playing(Ring(tmp_path, LIMITS), opener=lambda path: FullDisk(path, next(room)))
     one.play(0.0, 2.0)
     one.recorder.stop()
     assert one.said == []
@@ -182,11 +182,11 @@ def test_what_could_not_be_begun_leaves_no_file_and_takes_none_with_it(
     def opener(path: Path) -> BinaryIO:
         return open_new(path) if works else Broken(path, error)  # type: ignore[return-value]
 
-    one = playing(ring, opener=opener)
     good = [f"{number}.mcap" for number in range(3)] if error == errno.EIO else []
     (tmp_path / "ring").mkdir(exist_ok=True)
     for name in good:
         written(tmp_path / "ring" / name, 1).close()
+    one = playing(ring, opener=opener)
     one.play(0.0, 3.0)
     assert names(tmp_path / "ring") == good
     assert len(one.said) == 1
