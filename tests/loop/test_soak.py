@@ -130,7 +130,7 @@ async def test_a_pulse_sees_a_task_a_thread_a_file_and_a_child(tmp_path: Path) -
 
 def test_a_short_one_with_the_page_open(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     pulses = tmp_path / "pulses.jsonl"
-    code = run(["soak", "--minutes", "0.4", "--page", "--pulses", str(pulses), "--json"])
+    code = run(["soak", "--minutes", "0.6", "--page", "--pulses", str(pulses), "--json"])
     found = json.loads(capfd.readouterr().out)
     assert [one["what"] for one in found["findings"] if not Finding(**one).good] == []
     assert (code, found["good"]) == (0, True)
