@@ -126,7 +126,12 @@ async def end(process: asyncio.subprocess.Process, within_s: float) -> int:
             return await process.wait()
     except TimeoutError:
         process.kill()  # not before: a kill that meets a process just gone takes its status from who waits for it
-        return await process.wait()
+        killed = asyncio.ensure_future(process.wait())
+        try:
+            return await asyncio.shield(killed)
+        except asyncio.CancelledError:
+            await killed  # it is gone in no time, and else its transport would be left open
+            raise
 
 
 def _first_words(unix: UnixSocket, tcp: Tcp | None) -> dict[str, object]:

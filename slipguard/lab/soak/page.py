@@ -32,8 +32,11 @@ async def look(socket: Path, got: Counter[str], picture_every_s: float = PICTURE
 async def _listen(socket: Path, got: Counter[str]) -> None:
     while True:
         try:
-            # A virtual clock would have waited long enough before a process has started.
-            async with unix_connect(str(socket), uri="ws://slipguard/live", max_size=None, open_timeout=None) as live:
+            # No time-outs: on a virtual clock they are over before another process has had its turn.
+            patient = unix_connect(
+                str(socket), uri="ws://slipguard/live", max_size=None, open_timeout=None, ping_interval=None
+            )
+            async with patient as live:
                 async for message in live:
                     got[json.loads(message)["type"]] += 1
         except (OSError, ConnectionClosed):
