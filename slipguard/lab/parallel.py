@@ -112,7 +112,11 @@ def _in_processes(task: Callable[[T], R], items: Sequence[T], jobs: int) -> Gene
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     pool = Parallel(n_jobs=jobs, return_as="generator")
-    results = pool(delayed(_in_worker)(task, item) for item in items)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # the workers start with it: no Ctrl-C is theirs
+    try:
+        results = pool(delayed(_in_worker)(task, item) for item in items)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     try:
         for result in results:  # noqa: UP028 - `yield from` would close them itself, with a warning
             yield result
@@ -127,8 +131,7 @@ def _in_processes(task: Callable[[T], R], items: Sequence[T], jobs: int) -> Gene
 
 
 def _in_worker(task: Callable[[T], R], item: T) -> R:
-    """The worker's share: one thread, because the cores are shared out already, and Ctrl-C left to the parent."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """The worker's share: one thread, because the cores are shared out already."""
     cv2.setNumThreads(1)
     return task(item)
 
