@@ -16,7 +16,6 @@ from slipguard.daemon.worker import Worker
 from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen, SlipguardError
 from slipguard.perception.estimate import Estimate
-from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.regions import Patch
 from slipguard.perception.spare import adds_nothing, again
 
@@ -28,6 +27,8 @@ class Perceiver(Protocol):
     """What a finger needs of `slipguard.perception.pipeline.Pipeline`."""
 
     def process(self, frame: Frame) -> Estimate: ...
+
+    def stands(self, captured_at_s: float) -> None: ...
 
     def reset_reference(self) -> None: ...
 
@@ -216,7 +217,7 @@ class Finger:
             if new_reference:
                 pipeline.reset_reference()
             try:
-                estimate = self._spared(frame)
+                estimate = self._spared(frame, pipeline)
                 if estimate is None:
                     estimate = await self._worker.run(pipeline.process, frame)
             except SlipguardError as error:
@@ -238,14 +239,13 @@ class Finger:
             self.answered.set()
             self._on_news()
 
-    def _spared(self, frame: Frame) -> Estimate | None:
+    def _spared(self, frame: Frame, pipeline: Perceiver) -> Estimate | None:
         """The last answer, where the other finger makes this look needless."""
         own = None if self.newest is None else self.newest.estimate
         seen = None if self.other is None or self.other.newest is None else self.other.newest.estimate
         if own is None or not adds_nothing(own, seen, frame.captured_at_s, self.refresh_s):
             return None
-        if isinstance(self.pipeline, Pipeline):
-            self.pipeline.stands(frame.captured_at_s)
+        pipeline.stands(frame.captured_at_s)
         return again(own, frame.captured_at_s, frame.sequence)
 
     def _observe(self, judgement: Judgement) -> None:

@@ -150,9 +150,14 @@ def growth(episodes: int, params: GuardParams) -> float:
     return min(params.level_growth**episodes, GROWTH_MAX)
 
 
+def unsure_deg(sigma_deg: float, params: GuardParams) -> float:
+    """The turn that may be no more than the estimate's error."""
+    return min(params.level_sigmas * sigma_deg, params.level_max_deg)
+
+
 def level_deg(sigma_deg: float, episodes: int, params: GuardParams) -> float:
     """The turn below which nothing counts as slip after so many episodes of it."""
-    return max(params.level_deg, min(params.level_sigmas * sigma_deg, params.level_max_deg)) * growth(episodes, params)
+    return max(params.level_deg, unsure_deg(sigma_deg, params)) * growth(episodes, params)
 
 
 def _case(alert: Alert, fused: Fused, arm: ArmState | None) -> Case:

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, replace
 
 from slipguard.devices import ArmState
-from slipguard.grasp.alert import SWING_SHARE, Case, attend, growth, level_deg, quick_level_deg
+from slipguard.grasp.alert import SWING_SHARE, Case, attend, growth, level_deg, quick_level_deg, unsure_deg
 from slipguard.grasp.fuse import Fused
 from slipguard.grasp.params import GuardParams
 from slipguard.grasp.tracked import CALM_SHIFT_MM, Detector, follow_rest, follow_shift, handed_over
@@ -181,8 +181,8 @@ def _suddenly(
         return 0
     away_deg = fused.turn_deg - near_deg
     may_change = CHANGE_SHARE if alert.case is Case.LIFT_OFF else 1.0
-    unsure_deg = may_change * min(params.level_sigmas * fused.sigma_deg, params.level_max_deg)
-    level = max(quick_level_deg(alert, params, firm=firm), unsure_deg) * growth(detector.turns, params)
+    quick_deg = quick_level_deg(alert, params, firm=firm)
+    level = max(quick_deg, may_change * unsure_deg(fused.sigma_deg, params)) * growth(detector.turns, params)
     if abs(away_deg) <= level:
         return 0
     if alert.case is Case.REST:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from slipguard.grasp import limits
+from slipguard.grasp.alert import unsure_deg
 from slipguard.grasp.detector import Look, look
 from slipguard.grasp.fault import Fault, FaultCode
 from slipguard.grasp.messages import Seen
@@ -110,7 +111,7 @@ def _go_on(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: Guard
 def _crept_deg(seen: Seen, params: GuardParams) -> float:
     """How much further is no noise of the estimate."""
     sigma_deg = seen.fused.sigma_deg if seen.fused is not None and seen.fused.sigma_deg is not None else 0.0
-    return max(CREPT_DEG, min(params.level_sigmas * sigma_deg, params.level_max_deg))
+    return max(CREPT_DEG, unsure_deg(sigma_deg, params))
 
 
 def _felt_s(state: GuardState, params: GuardParams) -> float:

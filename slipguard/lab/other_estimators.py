@@ -41,6 +41,10 @@ class PatchKeeper:
             self._kept.append(SeenPatch(self._finger, frame.captured_at_s, patch))
         return answer
 
+    def stands(self, captured_at_s: float) -> None:
+        """A frame that is not handed in, the other finger's having shown that nothing turns."""
+        self._pipeline.stands(captured_at_s)
+
     def reset_reference(self) -> None:
         """Forget the reference."""
         self._pipeline.reset_reference()

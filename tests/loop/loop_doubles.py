@@ -91,6 +91,9 @@ class Oracle:
         self.sequence = 0
         self.reset_reference()
 
+    def stands(self, captured_at_s: float) -> None:
+        return
+
     def reset_reference(self) -> None:
         self.stable = 0
         self.reference: tuple[float, float] | None = None

@@ -24,6 +24,9 @@ class ToldSight:
         self.last_patch = None
         self._sight = ModelSight(error, rng)
 
+    def stands(self, captured_at_s: float) -> None:
+        """A frame that is not handed in: nothing here counts frames."""
+
     def reset_reference(self) -> None:
         """The next stable contact is the new one."""
         self._sight.reset()

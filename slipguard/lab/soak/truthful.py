@@ -38,6 +38,10 @@ class Truthful:
         """None with contact: nobody has looked for its outline."""
         return self._pipeline.last_patch
 
+    def stands(self, captured_at_s: float) -> None:
+        """A frame that is not handed in, the other finger's having shown that nothing turns."""
+        self._pipeline.stands(captured_at_s)
+
     def reset_reference(self) -> None:
         """Take a new one from the next stable contact."""
         self._pipeline.reset_reference()

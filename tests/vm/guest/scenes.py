@@ -238,6 +238,9 @@ class Perceiving:
     def process(self, frame: Frame) -> Estimate:
         return Estimate(frame.sequence, frame.captured_at_s, frame.captured_at_s, False, 0, "none")
 
+    def stands(self, captured_at_s: float) -> None:
+        return
+
     def reset_reference(self) -> None:
         return
 
