@@ -18,12 +18,26 @@ HANDOVER_DEG, HANDOVER_MM = 2.0, 0.5
 
 
 @dataclass(frozen=True, slots=True)
+class Handover:
+    """Others tell the turn since a moment ago.
+
+    told: what was told before, and when. by: what it moved. newest_at_s: of the measurements that moved it.
+    """
+
+    told_deg: float
+    told_s: float
+    by_deg: float
+    newest_at_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Detector:
     """What is remembered between frames.
 
     base: where the object was when it was last calm. turns, slides: episodes of either that were answered with force.
     patient: one of turning is over, answered or not. told: who told the turn last, what and when.
-    handed: by how much all changes of finger have moved it. frames, counted_s: how many in a row showed slip, and the
+    handed: by how much all changes of finger have moved it. handover: the last one, until it has been looked at twice.
+    frames, counted_s: how many in a row showed slip, and the
     newest measurement of the last of them. far_frames: measured frames in a row beyond the turn at
     which it is given up.
     """
@@ -43,6 +57,7 @@ class Detector:
     told_s: float = 0.0
     handed_deg: float = 0.0
     handed_mm: float = 0.0
+    handover: Handover | None = None
     smooth_shift_mm: float | None = None
     slide_rate_mm_s: float = 0.0
     rest_turn_deg: float | None = None
@@ -70,22 +85,16 @@ def handed_over(detector: Detector, fused: Fused) -> Detector:
     What the object has turned and slid in between, by its rates, is no part of that, nor what is beyond all difference:
     a finger that comes and goes hides no slip.
     """
-    if fused.turn_deg is None or fused.fingers == detector.told_by:
+    if fused.turn_deg is None:
         return detector
-    now = replace(detector, told_by=fused.fingers)
+    if fused.fingers == detector.told_by:
+        return _seen_twice(detector, fused)
+    now = replace(detector, told_by=fused.fingers, handover=None)
     if not detector.told_by:
         return now
-    turned_deg = (fused.rate_deg_s or 0.0) * (fused.captured_at_s - detector.told_s)
-    handed_deg = _within(now.handed_deg + fused.turn_deg - now.told_deg - turned_deg, HANDOVER_DEG)
-    by_deg = handed_deg - now.handed_deg
-    now = replace(
-        now,
-        handed_deg=handed_deg,
-        told_deg=now.told_deg + by_deg,
-        base_turn_deg=moved(now.base_turn_deg, by_deg),
-        rest_turn_deg=moved(now.rest_turn_deg, by_deg),
-        alert=now.alert.handed_over(by_deg),
-    )
+    by_deg = _differ_by(now.handed_deg, now.told_deg, now.told_s, fused)
+    handover = Handover(now.told_deg, now.told_s, by_deg, fused.newest_at_s)
+    now = replace(_moved_by(now, by_deg), told_deg=now.told_deg + by_deg, handover=handover)
     if fused.shift_mm is None or now.smooth_shift_mm is None:
         return now
     slid_mm = now.slide_rate_mm_s * SHIFT_TAU_S
@@ -97,6 +106,33 @@ def handed_over(detector: Detector, fused: Fused) -> Detector:
         base_shift_mm=moved(now.base_shift_mm, by_mm),
         rest_shift_mm=moved(now.rest_shift_mm, by_mm),
         smooth_shift_mm=now.smooth_shift_mm + by_mm,
+    )
+
+
+def _seen_twice(detector: Detector, fused: Fused) -> Detector:
+    """The first frame after a change of fingers may have been off by itself: the smaller of two differences counts."""
+    first = detector.handover
+    if first is None or fused.measured_at_s <= first.newest_at_s:
+        return detector
+    second_deg = _differ_by(detector.handed_deg - first.by_deg, first.told_deg, first.told_s, fused)
+    by_deg = min(first.by_deg, second_deg, key=abs)
+    return replace(_moved_by(detector, by_deg - first.by_deg), handover=None)
+
+
+def _differ_by(handed_deg: float, told_deg: float, told_s: float, fused: Fused) -> float:
+    """How far these fingers are from what the others told, but for what the object has turned since."""
+    turned_deg = (fused.rate_deg_s or 0.0) * (fused.captured_at_s - told_s)
+    return _within(handed_deg + (fused.turn_deg or 0.0) - told_deg - turned_deg, HANDOVER_DEG) - handed_deg
+
+
+def _moved_by(detector: Detector, by_deg: float) -> Detector:
+    """The places that are remembered, moved to where these fingers would have seen them."""
+    return replace(
+        detector,
+        handed_deg=detector.handed_deg + by_deg,
+        base_turn_deg=moved(detector.base_turn_deg, by_deg),
+        rest_turn_deg=moved(detector.rest_turn_deg, by_deg),
+        alert=detector.alert.handed_over(by_deg),
     )
 
 

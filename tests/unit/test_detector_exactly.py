@@ -13,7 +13,7 @@ from slipguard.grasp.alert import Alert, Case
 from slipguard.grasp.detector import Look, look
 from slipguard.grasp.fuse import Fused
 from slipguard.grasp.params import GuardParams
-from slipguard.grasp.tracked import Detector
+from slipguard.grasp.tracked import Detector, Handover
 
 PARAMS = GuardParams()
 NOW_S = 10.05
@@ -28,7 +28,7 @@ BEFORE = Detector(
 
 def seen(turn_deg: float | None = 5.0, rate_deg_s: float | None = 0.0, **changes: object) -> Fused:
     told = fused(turn_deg, rate_deg_s, at_s=NOW_S, shift_mm=1.3, sigma_deg=0.1)
-    return replace(told, **changes)  # type: ignore[arg-type]
+    return replace(told, **{"newest_at_s": NOW_S, **changes})  # type: ignore[arg-type]
 
 
 def at_rest(turn_deg: float = 5.0, **changes: object) -> Detector:
@@ -61,6 +61,7 @@ def test_a_change_of_finger_moves_every_place_that_is_remembered() -> None:
             told_s=NOW_S,
             handed_deg=pytest.approx(0.3),
             handed_mm=pytest.approx(0.25),
+            handover=Handover(5.0, 10.0, pytest.approx(0.2), NOW_S),
             smooth_shift_mm=pytest.approx(smooth_mm),
             slide_rate_mm_s=pytest.approx(rate_mm_s),
             rest_turn_deg=pytest.approx(5.1),
@@ -94,6 +95,44 @@ def test_a_finger_without_rate_or_shift_is_taken_as_it_is() -> None:
     after = look(BEFORE, seen(5.3, None, fingers=("right",), shift_mm=None), PARAMS).detector
     assert (after.base_turn_deg, after.handed_deg) == (pytest.approx(4.3), pytest.approx(0.4))
     assert (after.base_shift_mm, after.handed_mm, after.smooth_shift_mm) == (1.0, 0.05, None)
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "rate_deg_s", "by_deg"),
+    [(5.05, 0.0, 0.05), (5.5, 0.0, 0.2), (4.9, 0.0, -0.1), (4.7, 0.0, 0.2), (6.25, 12.0, 0.05)],
+)
+def test_what_a_change_of_finger_moves_is_the_smaller_of_two_looks(
+    turn_deg: float, rate_deg_s: float, by_deg: float
+) -> None:
+    """The first frame said 0.2; by the second's rate the object may have turned since."""
+    first = look(BEFORE, seen(5.2, fingers=("left",)), PARAMS).detector
+    again = seen(turn_deg, rate_deg_s, fingers=("left",), captured_at_s=NOW_S + 0.05, measured_at_s=NOW_S + 0.05)
+    second = look(first, again, PARAMS).detector
+    assert (second.base_turn_deg, second.handed_deg) == (pytest.approx(4.0 + by_deg), pytest.approx(0.1 + by_deg))
+    assert second.alert.rested_deg == pytest.approx(4.4 + by_deg)
+    assert second.handover is None
+
+
+def test_both_looks_together_move_no_further_than_all_difference() -> None:
+    handed = replace(BEFORE, handed_deg=1.9)
+    first = look(handed, seen(7.0, fingers=("left",)), PARAMS).detector
+    assert (first.base_turn_deg, first.handed_deg) == (pytest.approx(4.1), pytest.approx(2.0))
+    second = look(first, seen(4.95, fingers=("left",), measured_at_s=NOW_S + 0.01), PARAMS).detector
+    assert (second.base_turn_deg, second.handed_deg) == (pytest.approx(3.95), pytest.approx(1.85))
+
+
+def test_the_second_look_is_at_another_measurement_of_every_finger() -> None:
+    first = look(BEFORE, seen(5.2, fingers=("left",), newest_at_s=NOW_S + 0.01), PARAMS).detector
+    for measured_s in (NOW_S + 0.005, NOW_S + 0.01):
+        same = look(first, seen(5.0, fingers=("left",), measured_at_s=measured_s), PARAMS).detector
+        assert (same.base_turn_deg, same.handover) == (pytest.approx(4.2), first.handover)
+
+
+def test_fingers_that_change_again_are_looked_at_anew() -> None:
+    first = look(BEFORE, seen(5.2, fingers=("left",)), PARAMS).detector
+    again = look(first, seen(5.3, fingers=("right",), measured_at_s=NOW_S + 0.05), PARAMS).detector
+    assert again.handover == Handover(5.2, NOW_S, pytest.approx(0.1), NOW_S)
+    assert look(Detector(), seen(5.2), PARAMS).detector.handover is None
 
 
 def test_no_turn_leaves_everything_where_it_is() -> None:
