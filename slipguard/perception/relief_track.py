@@ -32,7 +32,8 @@ LOST_COUNT = "lost count of a relief that repeats itself"
 class Followed:
     """Turn since the reference, shift of the reference's centre (frame pixels right and down); declined: why not.
 
-    unlike: 1 where the contact is as it was, more the more it has deformed.
+    unlike: 1 where the contact is as it was, more the more it has deformed. smooth: the direction (right, down; of
+    length 1) along which the relief tells no shift; None where there is none.
     """
 
     turn_deg: float | None
@@ -40,6 +41,17 @@ class Followed:
     shift_px: tuple[float, float] | None
     unlike: float
     declined: str | None = None
+    smooth: tuple[float, float] | None = None
+
+    def shift(self, outline_px: tuple[float, float]) -> tuple[float, float]:
+        """The shift; what the relief does not tell of it is the outline's, frame pixels right and down."""
+        if self.shift_px is None:
+            return outline_px
+        if self.smooth is None:
+            return self.shift_px
+        (dx, dy), (along_x, along_y) = self.shift_px, self.smooth
+        missing = (outline_px[0] - dx) * along_x + (outline_px[1] - dy) * along_y
+        return dx + missing * along_x, dy + missing * along_y
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +93,7 @@ class ReliefTrack:
         if start is not None:
             pose = TexturePose(start[0], start[1][0] / REDUCTION, start[1][1] / REDUCTION)
         answer = fit(self._first, relief, pose)
-        found = _followed(answer, (answer.pose.dx_px, answer.pose.dy_px), answer.pose.turn_deg, 0.0)
+        found = _followed(self._first, answer, (answer.pose.dx_px, answer.pose.dy_px), answer.pose.turn_deg, 0.0)
         laid = answer
         if found.sigma_deg is None or found.sigma_deg > SURE_DEG:
             by_key = self._by_key(relief, pose.turn_deg)
@@ -122,7 +134,7 @@ class ReliefTrack:
             key.shift_px[0] + laid.pose.dx_px + c * x + s * y - x,
             key.shift_px[1] + laid.pose.dy_px + c * y - s * x - y,
         )
-        return _followed(laid, shift, key.turn_deg + laid.pose.turn_deg, key.sigma_deg), laid
+        return _followed(key.texture, laid, shift, key.turn_deg + laid.pose.turn_deg, key.sigma_deg), laid
 
     def _take_key(
         self, relief: Relief, patch: Patch, turn_deg: float, sigma: float, shift_px: tuple[float, float]
@@ -136,8 +148,17 @@ class ReliefTrack:
         self._key_pose = TexturePose()
 
 
-def _followed(laid: TextureFit, shift_px: tuple[float, float], turn_deg: float, key_sigma_deg: float) -> Followed:
+def _followed(
+    texture: Texture, laid: TextureFit, shift_px: tuple[float, float], turn_deg: float, key_sigma_deg: float
+) -> Followed:
     if laid.declined is not None:
         return Followed(None, None, None, laid.unlike, laid.declined)
     shift = (REDUCTION * shift_px[0], REDUCTION * shift_px[1])
-    return Followed(turn_deg, math.hypot(key_sigma_deg, sigma_deg(laid)), shift, laid.unlike)
+    smooth = None if texture.smooth is None else _turned(texture.smooth, laid.pose.turn_deg)
+    return Followed(turn_deg, math.hypot(key_sigma_deg, sigma_deg(laid)), shift, laid.unlike, smooth=smooth)
+
+
+def _turned(way: tuple[float, float], turn_deg: float) -> tuple[float, float]:
+    """A direction (right, down) turned counter-clockwise as seen."""
+    c, s = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
+    return c * way[0] + s * way[1], c * way[1] - s * way[0]

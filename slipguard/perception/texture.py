@@ -45,6 +45,9 @@ ALIKE_MIN = 0.7
 """Correlation of the reference's relief with what now lies there."""
 SIGHT_MIN = 0.45
 """Share of the reference's relief that must be in the picture."""
+SMOOTH = 0.8
+"""Change of the relief per pixel along a shaft over the camera's noise, r.m.s., below which it is that noise: 0.53-0.7
+for featureless shafts, from 1 for what has an end or a face."""
 _PRIOR_STD = np.array([10.0, 6.0, 6.0, 0.1, 0.5])
 """Turn (rad), shift from the start (relief pixels), scale and gain (shares): weak, for what it does not tell."""
 NOISE_LEFT = 0.85
@@ -106,9 +109,10 @@ class Texture:
     """The reference's relief: points around its centre, their values and how each motion changes them.
 
     x_px, y_px, value: (N,) float32. motion: (N, 5) float32, change per turn, shift x, shift y, scale, gain.
-    block: (N,) which neighbourhood each point belongs to. coarse_lever: what `ROUND_LEVER` judges.
-    strength: r.m.s. of the values. noise: what of it the camera's noise makes. picture, origin_px: what the points were
-    taken from, and the centre in it.
+    block: (N,) which neighbourhood each point belongs to. smooth: the direction (right, down; of length 1) along which
+    nothing but noise changes, so that it tells no shift; None where there is none. coarse_lever: what `ROUND_LEVER`
+    judges. strength: r.m.s. of the values. noise: what of it the camera's noise makes. picture, origin_px: what the
+    points were taken from, and the centre in it.
     """
 
     x_px: Field
@@ -116,6 +120,7 @@ class Texture:
     value: Field
     motion: Field
     block: NDArray[np.intp]
+    smooth: tuple[float, float] | None
     centre_px: tuple[float, float]
     coarse_lever: float
     strength: float
@@ -152,13 +157,18 @@ def make_texture(relief: Relief, patch: Patch) -> Texture | None:
     dx, dy = (x - centre_x).astype(np.float32), (y - centre_y).astype(np.float32)
     blur = cv2.GaussianBlur(relief.curvature, (0, 0), COARSE_PX)
     coarse = _motion(np.asarray(blur, np.float32), x, y, dx, dy)
+    motion = _motion(relief.curvature, x, y, dx, dy)
+    smooth = _smooth(motion[:, 1:3], relief.noise)
+    if smooth is not None:  # shift by noise would wander, frame after frame
+        motion[:, 1:3] -= np.outer(motion[:, 1:3] @ smooth, smooth)
     block = np.floor(dx / BLOCK_PX).astype(np.intp) * 64 + np.floor(dy / BLOCK_PX).astype(np.intp)
     return Texture(
         dx,
         dy,
         relief.curvature[y, x],
-        _motion(relief.curvature, x, y, dx, dy),
+        motion,
         np.unique(block, return_inverse=True)[1],
+        None if smooth is None else (float(smooth[0]), float(smooth[1])),
         (centre_x + window.left_px, centre_y + window.top_px),
         _lever(coarse.T @ coarse),
         math.sqrt(float(np.mean(np.square(relief.curvature[y, x])))),
@@ -269,6 +279,12 @@ def _motion(picture: Field, x: NDArray[np.intp], y: NDArray[np.intp], dx: Field,
     # A turn counter-clockwise as seen moves (dx, dy), y down, by (dy, -dx) a radian.
     # Motion by motion in memory: that is how a fit runs over them.
     return np.asarray(np.stack([gx * dy - gy * dx, gx, gy, -(gx * dx + gy * dy), picture[y, x]]), np.float32).T
+
+
+def _smooth(shifts: Field, noise: float) -> Field | None:
+    """The direction in which a shift changes least, where that is no more than noise does. shifts: (N, 2)."""
+    square, axes = np.linalg.eigh(shifts.T @ shifts / len(shifts))
+    return None if square[0] >= (SMOOTH * noise) ** 2 else np.asarray(axes[:, 0], np.float32)
 
 
 def _lever(normal: NDArray[np.float32]) -> float:

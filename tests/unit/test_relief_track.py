@@ -14,6 +14,7 @@ from slipguard.perception.relief_track import Followed, ReliefTrack
 from slipguard.perception.texture import make_texture
 
 BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
+NOISE = 2.0
 
 
 def becoming(share: float) -> Surface:
@@ -26,12 +27,13 @@ def becoming(share: float) -> Surface:
 
 
 class Held:
-    """One contact followed frame by frame."""
+    """One contact followed frame by frame. way_deg: how it lies at first."""
 
-    def __init__(self) -> None:
-        self._reader = ReliefReader(BACKGROUND)
+    def __init__(self, surface: Surface = lettered, way_deg: float = 15.0) -> None:
+        self._way_deg = way_deg
+        self._reader = ReliefReader(BACKGROUND, (NOISE, NOISE, NOISE))
         self._frames = 0
-        image, patch = self._shown(lettered, 0.0, (120.0, 160.0))
+        image, patch = self._shown(surface, 0.0, (120.0, 160.0))
         self._reader.learn(image, patch)
         texture = make_texture(self._reader.read(image, patch), patch)
         assert texture is not None
@@ -46,10 +48,16 @@ class Held:
 
     def _shown(self, surface: Surface, turn_deg: float, at: tuple[float, float]) -> tuple[np.ndarray, Patch]:
         self._frames += 1
-        height = heights(surface, 15.0 + turn_deg, at, 1.0)
+        height = heights(surface, self._way_deg + turn_deg, at, 1.0)
         patch = find_patch(contact(height), 0.5, 100, 2.0)
         assert patch is not None
-        return drawn(height, Lamps(), 2.0, np.random.default_rng(self._frames)), patch
+        return drawn(height, Lamps(), NOISE, np.random.default_rng(self._frames)), patch
+
+
+def shaft(u: Heights, v: Heights) -> Heights:
+    """Longer than the picture, and the same all along."""
+    away = np.maximum(np.abs(v) - 20, 0)
+    return np.asarray(9.0 * np.exp(-away * away / 120.0) + 0.0 * u, np.float32)
 
 
 SHARES = [0.05 * k for k in range(19)]
@@ -90,3 +98,29 @@ def test_shift_is_told_in_frame_pixels() -> None:
     held = Held()
     found = [held.see(lettered, 2.0 * k, (120.0 + 2 * k, 160.0 - k)) for k in range(1, 6)][-1]
     assert found.shift_px == pytest.approx((10.0, -5.0), abs=0.5)
+
+
+def test_a_shaft_cut_by_the_frame_turns_but_tells_no_shift_along_itself() -> None:
+    """At 70 degrees: along (0.34, -0.94), across (0.94, 0.34) right and down. It slides along, unseen, and across."""
+    held = Held(shaft, 70.0)
+    for k in range(1, 121):
+        found = held.see(
+            shaft, 0.05 * k, (120.0 + 0.05 * 0.94 * k + 0.1 * 0.34 * k, 160.0 + 0.05 * 0.34 * k - 0.1 * 0.94 * k)
+        )
+        assert found.turn_deg == pytest.approx(0.05 * k, abs=0.3)
+    assert found.shift_px is not None
+    assert found.smooth is not None
+    along = np.array(found.smooth)
+    assert abs(along @ (np.cos(np.radians(76.0)), -np.sin(np.radians(76.0)))) == pytest.approx(1.0, abs=1e-3)
+    assert found.shift_px == pytest.approx((6 * 0.94, 6 * 0.34), abs=1.5)
+    outline = (50.0, -40.0)
+    whole = np.array(found.shift(outline))
+    assert whole @ along == pytest.approx(along @ outline, abs=1e-4)
+    assert whole - (whole @ along) * along == pytest.approx(found.shift_px - (found.shift_px @ along) * along, abs=1e-4)
+
+
+def test_what_has_a_face_tells_all_of_its_shift() -> None:
+    found = Held().see(lettered, 1.0, (121.0, 160.0))
+    assert found.smooth is None
+    assert found.shift((50.0, 50.0)) == found.shift_px
+    assert Followed(None, None, None, 1.0).shift((2.0, 3.0)) == (2.0, 3.0)
