@@ -11,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import math
 import random
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -22,6 +21,7 @@ from slipguard_drivers.digit.draw import Image, InlinePainter, Painter, PlainPai
 from slipguard_drivers.digit.draw_worker import Shot
 from slipguard_drivers.digit.stream import FrameStream
 from slipguard_drivers.shared_world import world_of
+from slipguard_drivers.timers import Timers
 
 if TYPE_CHECKING:
     from slipguard.sim.scenario import CameraModel
@@ -56,7 +56,7 @@ class FakeSensor(TactileSensor):
         self._random = random.Random(self._model.noise_seed)
         self._stream: FrameStream | None = None
         self._painter = self._make_painter(settings.draw, self._model.unit_seed)
-        self._timers: set[asyncio.TimerHandle] = set()
+        self._timers = Timers()
         self._started_at_s = 0.0
         self._last_image: Image | None = None
 
@@ -108,23 +108,11 @@ class FakeSensor(TactileSensor):
             self._stream.lose(why)
 
     def _halt(self) -> None:
-        for timer in self._timers:
-            timer.cancel()
-        self._timers.clear()
-
-    def _at(self, when_s: float, call: Callable[[], None]) -> None:
-        """Call at an absolute time of the loop, unless the stream has ended by then."""
-
-        def fire() -> None:
-            self._timers.discard(timer)
-            call()
-
-        timer = asyncio.get_running_loop().call_at(when_s, fire)
-        self._timers.add(timer)
+        self._timers.take_back()
 
     def _expose_at(self, sequence: int) -> None:
         due_s = self._started_at_s + sequence / self._model.fps
-        self._at(due_s, lambda: self._expose(sequence))
+        self._timers.at(due_s, lambda: self._expose(sequence))
 
     def _expose(self, sequence: int) -> None:
         """Take one picture; those that a late loop has slept through are lost, as in a camera."""
@@ -147,12 +135,12 @@ class FakeSensor(TactileSensor):
         stream = self._stream
         assert stream is not None
         if "corrupt" in faults:
-            self._at(arrives_at_s, lambda: stream.damaged("only part of its bytes arrived"))
+            self._timers.at(arrives_at_s, lambda: stream.damaged("only part of its bytes arrived"))
             return
 
         def deliver(image: Image) -> None:
             self._last_image = image
-            self._at(arrives_at_s, lambda: stream.put(image, stamp_s, sequence))
+            self._timers.at(arrives_at_s, lambda: stream.put(image, stamp_s, sequence))
 
         again = twice < model.duplicate_probability or ("duplicate" in faults and sequence % 2 == 0)
         if self._last_image is not None and ("frozen" in faults or again):

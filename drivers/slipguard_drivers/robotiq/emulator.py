@@ -18,6 +18,7 @@ from slipguard_drivers.robotiq.emulated_frames import Request, answer, crc16, fr
 from slipguard_drivers.robotiq.emulated_jaws import Jaws, PlainJaws
 from slipguard_drivers.robotiq.emulated_port import EmulatedPort
 from slipguard_drivers.robotiq.emulated_registers import FIGURES, RACT, Registers, Stage
+from slipguard_drivers.timers import Timers
 
 BITS_PER_BYTE = 10
 FORGET_S = 0.02
@@ -94,7 +95,7 @@ class RobotiqEmulator(ControlledEmulator):
         self._free_s = 0.0
         """When the last answer will have been sent; none overtakes another."""
         self._down_until_s = 0.0
-        self._timers: set[asyncio.TimerHandle] = set()
+        self._timers = Timers()
 
     @property
     def address(self) -> str:
@@ -110,9 +111,7 @@ class RobotiqEmulator(ControlledEmulator):
 
     async def stop(self) -> None:
         """Vanish."""
-        for timer in self._timers:
-            timer.cancel()
-        self._timers.clear()
+        self._timers.take_back()
         self._started = False
         self._port.unplug()
 
@@ -273,14 +272,7 @@ class RobotiqEmulator(ControlledEmulator):
 
     def _at(self, due_s: float, act: Callable[[], object]) -> None:
         """Do it then, or at once where that has passed."""
-        loop = asyncio.get_running_loop()
-        if due_s <= loop.time():
+        if due_s <= asyncio.get_running_loop().time():
             act()
-            return
-
-        def fire() -> None:
-            self._timers.discard(timer)
-            act()
-
-        timer = loop.call_at(due_s, fire)
-        self._timers.add(timer)
+        else:
+            self._timers.at(due_s, act)

@@ -14,8 +14,8 @@ WARM_UP_SHARE, END_SHARE = 0.15, 0.2
 """Left out at the beginning; compared: the first and the last fifth of what remains."""
 GROWTH_MAX = 0.02
 MISSED_MAX = 0.001
-OTHER_STATE_FILES = 1 + 2 * len(FINGERS)
-"""The last grasp, and of each finger the reference's picture and facts."""
+OTHER_STATE_FILES = 1 + 2 * len(FINGERS) + 1
+"""The last grasp, of each finger the reference's picture and facts, and one that is just being written."""
 
 
 @dataclass(frozen=True, slots=True)
