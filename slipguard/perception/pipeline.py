@@ -113,10 +113,11 @@ class Pipeline:
 
     @property
     def last_mask(self) -> NDArray[np.uint8]:
-        """The contact found last, (320, 240) uint8, 0 or 1."""
+        """The contact found last, (320, 240) uint8, 0 or 1: of the probability enlarged, its outline is finer."""
         if self._patch is None:
             return np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.uint8)
-        return at_frame_size(self._patch.full_mask())
+        probability = cv2.resize(self._patch.full_probability(), (FRAME_WIDTH_PX, FRAME_HEIGHT_PX))
+        return np.asarray(probability > self._threshold, np.uint8)
 
     @property
     def last_skeleton(self) -> NDArray[np.uint8]:

@@ -6,6 +6,7 @@ Regions of a rigid object turn together, so those of comparable size are measure
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -21,6 +22,7 @@ NEAR_SHARE = 0.08
 NEAR_PX = 6
 """A region this close to the largest (network pixels between the boxes) belongs to it from a smaller share on."""
 
+_Value = TypeVar("_Value", np.uint8, np.float32)
 _NEAR = np.ones((2 * MARGIN_PX - 1, 2 * MARGIN_PX - 1), np.uint8)
 
 
@@ -74,10 +76,17 @@ class Patch:
 
     def full_mask(self) -> NDArray[np.uint8]:
         """The mask in the network's picture: (height, width) uint8, 0 or 1."""
+        return self._whole(self.mask)
+
+    def full_probability(self) -> NDArray[np.float32]:
+        """The probability in the network's picture: (height, width) float32, 0 away from the contact."""
+        return self._whole(self.probability)
+
+    def _whole(self, part: NDArray[_Value]) -> NDArray[_Value]:
         width, height = self.picture_size
-        full = np.zeros((height, width), np.uint8)
-        rows, columns = self.mask.shape
-        full[self.top_px : self.top_px + rows, self.left_px : self.left_px + columns] = self.mask
+        full = np.zeros((height, width), part.dtype)
+        rows, columns = part.shape
+        full[self.top_px : self.top_px + rows, self.left_px : self.left_px + columns] = part
         return full
 
 

@@ -228,6 +228,16 @@ def test_the_mask_and_the_skeleton_are_those_of_the_last_frame() -> None:
     assert not (skeleton & ~mask & 1).any()
 
 
+def test_the_mask_is_finer_than_the_networks_pixels() -> None:
+    pipe = pipeline()
+    shape = drawn("bar", 30.0)
+    pipe.process(frame(shape, 0))
+    true = cv2.resize(shape, (240, 320)) > 0.6 / 1.1  # half of what `ReadsBlue` makes of it
+    assert pipe.last_patch is not None
+    doubled = pipe.last_patch.full_mask().repeat(2, axis=0).repeat(2, axis=1)
+    assert np.count_nonzero(pipe.last_mask != true) < 0.5 * np.count_nonzero(doubled != true)
+
+
 def test_stage_times_come_from_the_injected_timer() -> None:
     ticks = itertools.count()
     pipe = Pipeline(ReadsBlue(), PerceptionSettings(), BACKGROUND, None, 18.5, timer=lambda: 0.001 * next(ticks))
