@@ -55,7 +55,7 @@ def no_such_key(unknown: str, known: list[str]) -> str:
 
 
 def _one(problem: Any, model: type[BaseModel] | None, under: str) -> str:
-    path = [part for part in (under, *map(str, problem["loc"])) if part]
+    path = ([under] if under else []) + [str(part) or '""' for part in problem["loc"]]
     key = ".".join(path) or "the table"
     kind, given, context = problem["type"], problem["input"], problem.get("ctx", {})
     if kind == _AT_KEY:
@@ -68,7 +68,7 @@ def _one(problem: Any, model: type[BaseModel] | None, under: str) -> str:
         return f"{key}: missing; it must be given"
     message = str(context.get("error", problem["msg"]))
     value = "" if isinstance(given, Mapping | BaseModel) else f" = {shown(given)}"
-    return f"{key}{value}: {message[0].lower()}{message[1:]}"
+    return f"{key}{value}: {message[:1].lower()}{message[1:]}"
 
 
 def _keys_beside(location: tuple[int | str, ...], model: type[BaseModel]) -> list[str]:

@@ -84,6 +84,8 @@ def test_a_typo_in_a_drivers_table_names_that_table() -> None:
         ({"loop": {"period_ms": 0}}, "loop.period_ms = 0"),
         ({"perception": {"estimator": "magic"}}, "perception.estimator = 'magic'"),
         ({"unknown": 1}, "unknown: no such key"),
+        ({"": 1}, '"": no such key'),
+        ({"state": {"": 1}}, 'state."": no such key'),
         ({"guard": {"first_force_n": True}}, "guard.first_force_n = true"),
         ({"guard": {"first_force_n": "40"}}, "guard.first_force_n = '40'"),
         ({"guard": {"stop_on_slip": "off"}}, "guard.stop_on_slip = 'off'"),
