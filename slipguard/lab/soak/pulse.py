@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ctypes
+import functools
 import os
 import sys
 import threading
@@ -40,7 +41,13 @@ class Pulse:
 def give_back() -> None:
     """Give freed memory back to the system: what is resident afterwards is held. Nothing where there is no glibc."""
     with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL("libc.so.6").malloc_trim(0)
+        _libc().malloc_trim(0)
+
+
+@functools.cache
+def _libc() -> ctypes.CDLL:
+    """Opened once: each time it is, it leaves a class of a hundred blocks to the garbage collector."""
+    return ctypes.CDLL("libc.so.6")
 
 
 def feel(at_s: float, state: Path, recordings: Path) -> Pulse:
