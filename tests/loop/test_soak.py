@@ -67,7 +67,7 @@ def test_what_is_left_at_the_end_is_named(name: str) -> None:
 def test_missed_deadlines_and_a_soak_without_a_look_are_no_good() -> None:
     assert too_much([STILL] * 50, missed=2) == ["deadlines missed, share"]
     assert "memory growth" in too_much([])
-    assert "recordings in the ring" in too_much([])
+    assert "megabytes recorded" in too_much([])
 
 
 @pytest.mark.parametrize(
@@ -87,8 +87,10 @@ def test_a_daemon_that_does_not_do_its_work_does_not_pass(name: str, value: int,
 
 def test_without_recordings_and_page_nothing_is_asked_of_them() -> None:
     without = Work(lifts=1, dropped=0, calibrations=1)
-    assert too_much([replace(STILL, ring_files=0)] * 50, work=without) == []
-    assert too_much([replace(STILL, ring_files=0)] * 50) == ["recordings in the ring"]
+    unrecorded = replace(STILL, ring_files=0, ring_mb=0.0, kept_mb=0.0)
+    assert too_much([unrecorded] * 50, work=without) == []
+    assert too_much([unrecorded] * 50) == ["megabytes recorded"]
+    assert too_much([replace(unrecorded, kept_mb=1.0)] * 50) == []
 
 
 def test_every_calibration_leaves_two_files_a_finger_until_the_oldest_go() -> None:

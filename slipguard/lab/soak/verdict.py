@@ -95,7 +95,7 @@ def judge(
     done = [Finding("lifts", work.lifts, 1, at_least=True), Finding("dropped", work.dropped, 0)]
     if work.recording_stops is not None and work.left_out is not None:
         done += [
-            Finding("recordings in the ring", most("ring_files"), 1, at_least=True),
+            Finding("megabytes recorded", most("ring_mb") + most("kept_mb"), 0.1, at_least=True),
             Finding("times the recording stopped", work.recording_stops, 0),
             Finding("values left out of the recordings", work.left_out, 0),
         ]
