@@ -6,9 +6,10 @@ viewer needs no set-up. Numbers survive to the last bit: a replay must find the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+import json
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import to_json
@@ -87,9 +88,10 @@ class Json(Generic[T]):
         self._kind = kind
         self._adapter: TypeAdapter[T] = TypeAdapter(kind)
 
-    def schema(self) -> Mapping[str, Any]:
-        """JSON schema of the messages."""
-        return self._adapter.json_schema()
+    @functools.cached_property
+    def schema(self) -> bytes:
+        """JSON schema of the messages; made once, for every recording has it."""
+        return json.dumps(self._adapter.json_schema()).encode()
 
     def encode(self, value: T) -> bytes:
         """Compact JSON; floats come back to the last bit."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import CompressionType, Writer
-from mcap_protobuf.schema import register_schema
+from mcap_protobuf.schema import build_file_descriptor_set
 
 from slipguard.grasp.guard import Guard
 from slipguard.recording import messages as m
@@ -147,8 +146,7 @@ class RecordingFile:
     def _json(self, topic: str, kind: m.Json[Any], value: Any, at_s: float) -> None:
         if topic not in self._channels:
             if kind.name not in self._schemas:
-                schema = json.dumps(kind.schema()).encode()
-                self._schemas[kind.name] = self._writer.register_schema(kind.name, "jsonschema", schema)
+                self._schemas[kind.name] = self._writer.register_schema(kind.name, "jsonschema", kind.schema)
             self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[kind.name])
         at_ns = self._clock.ns(at_s)
         self._writer.add_message(self._channels[topic], at_ns, kind.encode(value), at_ns)
@@ -157,9 +155,16 @@ class RecordingFile:
         if topic not in self._channels:
             name = kind.DESCRIPTOR.full_name
             if name not in self._schemas:
-                self._schemas[name] = register_schema(self._writer, kind)
+                self._schemas[name] = self._writer.register_schema(name, "protobuf", _descriptors(kind))
             self._channels[topic] = self._writer.register_channel(topic, "protobuf", self._schemas[name])
         self._writer.add_message(self._channels[topic], at_ns, data, at_ns)
+
+
+@functools.cache
+def _descriptors(kind: Any) -> bytes:
+    """What tells a reader how messages of a protobuf kind are laid out."""
+    descriptors: bytes = build_file_descriptor_set(kind).SerializeToString()
+    return descriptors
 
 
 class _Stream:
