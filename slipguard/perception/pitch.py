@@ -20,10 +20,12 @@ LOOK_DEG = 2.0
 SHARE = 0.33
 """A relief whose mean square difference from itself falls below this share of its highest repeats. Teeth and regular
 polygons reach 0.02-0.27, other contacts of tools 0.4 (a tapered square's edge, at 90 degrees) and more."""
-ACCELERATION_DEG_S2 = 10_000.0
-"""What begins to turn unseen turns no faster: a rod of 8 cm, held at its end, that begins to fall."""
+ACCELERATION_DEG_S2 = 5_000.0
+"""What begins to turn unseen turns no faster: a rod of 8 cm, held at its end, in a grip of half the force it needs."""
 LEAP_SHARE = 0.4
 """Found this share of a step or more from where it should be, half a step being the limit, it may be the next one."""
+WHOLE_SHARE = 0.9
+"""It may also be where what can have turned so far unseen has come to the next step's place, as sure as that is."""
 
 
 def pitch_deg(texture: Texture) -> float | None:
@@ -45,6 +47,11 @@ def pitch_deg(texture: Texture) -> float | None:
             found = square, float(turn_deg)
         highest = max(highest, square)
     return None if found is None else found[1]
+
+
+def may_be_next(by_deg: float, unseen_deg: float, step_deg: float) -> bool:
+    """Whether what was found so far from where it was expected, and may have turned so far unseen, is a step on."""
+    return abs(by_deg) >= min(LEAP_SHARE * step_deg, WHOLE_SHARE * step_deg - unseen_deg)
 
 
 def unseen_deg(since_s: float, rate_deg_s: float) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from slipguard.perception.pitch import LEAP_SHARE, LOOK_DEG, pitch_deg
+from slipguard.perception.pitch import LOOK_DEG, may_be_next, pitch_deg
 from slipguard.perception.regions import Patch
 from slipguard.perception.relief import REDUCTION, Relief
 from slipguard.perception.texture import Texture, TextureFit, TexturePose, fit, make_texture
@@ -83,11 +83,18 @@ class ReliefTrack:
         return self._pitch[0]
 
     def follow(
-        self, relief: Relief, patch: Patch, predicted_deg: float, start: tuple[float, tuple[float, float]] | None = None
+        self,
+        relief: Relief,
+        patch: Patch,
+        predicted_deg: float,
+        start: tuple[float, tuple[float, float]] | None = None,
+        *,
+        unseen_deg: float = 0.0,
     ) -> Followed:
         """The turn since the reference, from where the track leads.
 
         start: another turn and shift (frame pixels right and down) to look from; None: from where the track leads.
+        unseen_deg: how far from there the contact may have come since it was last seen.
         """
         pose = replace(self._pose, turn_deg=predicted_deg)
         if start is not None:
@@ -101,7 +108,7 @@ class ReliefTrack:
                 found, laid = by_key
         if found.turn_deg is None or found.sigma_deg is None or found.shift_px is None:
             return found
-        if self._leaps(found.turn_deg - predicted_deg):
+        if self.leaps(found.turn_deg - predicted_deg, unseen_deg):
             return Followed(None, None, None, 1.0, LOST_COUNT)
         shift = (found.shift_px[0] / REDUCTION, found.shift_px[1] / REDUCTION)
         if laid is not answer:
@@ -113,11 +120,11 @@ class ReliefTrack:
             self._take_key(relief, patch, found.turn_deg, found.sigma_deg, shift)
         return found
 
-    def _leaps(self, by_deg: float) -> bool:
-        """Whether what repeats has been found so far from where the track led that it may be the next step."""
-        if abs(by_deg) < LEAP_SHARE * LOOK_DEG:
+    def leaps(self, by_deg: float, unseen_deg: float) -> bool:
+        """Whether what repeats, found so far from where the track led, may be a step on."""
+        if not may_be_next(by_deg, unseen_deg, LOOK_DEG):  # not even of the finest
             return False
-        return self.pitch_deg is not None and abs(by_deg) >= LEAP_SHARE * self.pitch_deg
+        return self.pitch_deg is not None and may_be_next(by_deg, unseen_deg, self.pitch_deg)
 
     def _by_key(self, relief: Relief, predicted_deg: float) -> tuple[Followed, TextureFit] | None:
         key = self._key

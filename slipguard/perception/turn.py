@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.estimate import Orientation
-from slipguard.perception.pitch import LOOK_DEG, unseen_deg
+from slipguard.perception.pitch import unseen_deg
 from slipguard.perception.regions import Patch
 from slipguard.perception.register import NOT_SAME, Pose, Registrar, Registration
 from slipguard.perception.relief import Relief, ReliefReader
@@ -85,6 +85,7 @@ class TurnMeter:
         self._template: Template | None = None
         self._pose = Pose()
         self._lost_count = False
+        self._unseen_deg = 0.0
         self._stands_at_s = -math.inf
         self._areas: deque[int] = deque(maxlen=STABLE_FRAMES)
 
@@ -195,7 +196,7 @@ class TurnMeter:
         return pooled([_between(known[name], axis, predicted_deg) for name, axis in axes.items() if name in known])
 
     def _keep_count(self, now_s: float) -> None:
-        """What repeats itself may have turned by half a step or more since it was last seen: its count is lost."""
+        """What repeats itself may have turned by a step since it was last seen: its count is lost."""
         relief = None if self.reference is None else self.reference.relief
         if relief is None or self._lost_count:
             return
@@ -203,9 +204,8 @@ class TurnMeter:
         known_at_s = tracker.known_at_s
         if known_at_s < self._stands_at_s <= now_s:
             known_at_s = self._stands_at_s
-        unseen = unseen_deg(now_s - known_at_s, tracker.rate_deg_s(tracker.known_at_s) or 0.0)
-        if unseen >= 0.5 * LOOK_DEG and relief.pitch_deg is not None and unseen >= 0.5 * relief.pitch_deg:
-            self._lost_count = True
+        self._unseen_deg = unseen_deg(now_s - known_at_s, tracker.rate_deg_s(tracker.known_at_s) or 0.0)
+        self._lost_count = relief.leaps(0.0, self._unseen_deg)
 
     def _read(self, reference: Reference, image: NDArray[np.uint8], patch: Patch) -> Relief | None:
         """The relief in the contact, None where the reference has none."""
@@ -219,7 +219,7 @@ class TurnMeter:
         if relief is None or track is None:
             return Followed(None, None, None, 1.0, NO_RELIEF)
         if not self._lost_count:
-            return track.follow(relief, patch, predicted_deg)
+            return track.follow(relief, patch, predicted_deg, unseen_deg=self._unseen_deg)
         step_deg = track.pitch_deg or 0.0
         if axial.turn_deg is None or axial.sigma_deg is None or AGREE_SIGMA * axial.sigma_deg >= 0.5 * step_deg:
             return Followed(None, None, None, 1.0, LOST_COUNT)
@@ -238,7 +238,7 @@ class TurnMeter:
             return found
         if abs(outline.turn_deg - before_deg) <= AGAIN_DEG:
             return found
-        again = track.follow(relief, patch, predicted_deg, (outline.turn_deg, shift_px))
+        again = track.follow(relief, patch, predicted_deg, (outline.turn_deg, shift_px), unseen_deg=self._unseen_deg)
         if again.sigma_deg is None or again.sigma_deg >= (found.sigma_deg or 180.0):
             return found
         return again

@@ -1,4 +1,4 @@
-"""What repeats itself is counted from frame to frame, and the count is lost where half a step may have been missed."""
+"""What repeats itself is counted from frame to frame, and the count is lost where a step may have been missed."""
 
 from __future__ import annotations
 
@@ -49,6 +49,16 @@ def polygon(corners: int) -> Surface:
     def surface(u: Heights, v: Heights) -> Heights:
         sides = np.max([u * math.cos(a) + v * math.sin(a) for a in normals], axis=0)
         return np.asarray(9.0 * np.exp(-(np.maximum(sides - 26.0, 0.0) ** 2) / 100.0), np.float32)
+
+    return surface
+
+
+def toothed(teeth: int) -> Surface:
+    """The rim of a cap with so many teeth."""
+
+    def surface(u: Heights, v: Heights) -> Heights:
+        ribs = 3.0 * np.cos(teeth * np.arctan2(v, u)) * np.exp(-((np.hypot(u, v) - 42.0) ** 2) / 120.0)
+        return np.asarray(9.0 * np.exp(-((np.hypot(u, v) - 38.0) ** 2) / 400.0) + ribs, np.float32)
 
     return surface
 
@@ -120,13 +130,13 @@ class Held:
 
 @pytest.mark.parametrize(
     ("surface", "gap_s", "turn_deg"),
-    [(gear, 0.1, 22.0), (nut, 0.12, 50.0), (nut, 2.0, 44.0), (polygon(4), 2.0, 75.0), (polygon(5), 0.12, 50.0)],
+    [(gear, 0.1, 22.0), (nut, 0.145, 50.0), (nut, 2.0, 44.0), (polygon(4), 2.0, 75.0), (polygon(5), 0.145, 50.0)],
 )
-def test_a_gap_long_enough_for_half_a_step_loses_the_count(surface: Surface, gap_s: float, turn_deg: float) -> None:
+def test_a_gap_long_enough_for_a_step_loses_the_count(surface: Surface, gap_s: float, turn_deg: float) -> None:
     held = Held(surface)
     for _ in range(3):
         assert held.see(0.0).angle_deg == pytest.approx(0.0, abs=0.5)
-    after = [held.see(turn_deg, gap_s), *(held.see(turn_deg) for _ in range(5))]
+    after = [held.see(turn_deg, gap_s), *(held.see(turn_deg) for _ in range(10))]
     assert {one.declined for one in after} == {LOST_COUNT}
     assert {one.angle_deg for one in after} == {None}
 
@@ -147,12 +157,24 @@ def test_what_does_not_repeat_is_told_after_any_gap() -> None:
     assert held.see(8.0, 5.0).angle_deg == pytest.approx(8.0, abs=0.5)
 
 
-def test_what_turns_fast_may_have_stopped() -> None:
+@pytest.mark.parametrize(("gap_s", "on_deg", "told"), [(0.045, 14.0, True), (0.045, 0.0, False), (0.09, 28.0, False)])
+def test_what_turns_fast_may_have_stopped(gap_s: float, on_deg: float, told: bool) -> None:
     held = Held(gear)
     turns = [0.0, 0.0, *(6.0 * k for k in range(1, 7))]
     assert held.see(0.0).angle_deg is not None
     assert [held.see(turn).angle_deg for turn in turns] == pytest.approx(turns, abs=0.5)
-    assert held.see(turns[-1] + 14.0, 0.045).declined == LOST_COUNT
+    after = held.see(turns[-1] + on_deg, gap_s).angle_deg
+    assert after == (pytest.approx(turns[-1] + on_deg, abs=0.5) if told else None)
+
+
+def test_one_frame_of_thirty_a_second_that_is_lost_loses_no_count_of_fine_teeth() -> None:
+    """A cap with 26 teeth."""
+    held = Held(toothed(26))
+    for _ in range(3):
+        assert held.see(0.0, 1.0 / 30.0).angle_deg == pytest.approx(0.0, abs=0.5)
+    assert held.see(0.0, 2.0 / 30.0).angle_deg == pytest.approx(0.0, abs=0.5)
+    assert held.see(1.0, 2.0 / 30.0).angle_deg == pytest.approx(1.0, abs=0.5)
+    assert held.see(1.0, 3.0 / 30.0).declined == LOST_COUNT
 
 
 def test_a_leap_to_the_edge_of_a_step_is_none_and_the_count_goes_on_with_the_next_frame() -> None:
