@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from slipguard.grasp.alert import Alert, moved
+from slipguard.grasp.alert import Alert, Case, moved
 from slipguard.grasp.fuse import Fused
 from slipguard.grasp.params import GuardParams
 
@@ -21,13 +21,15 @@ HANDOVER_DEG, HANDOVER_MM = 2.0, 0.5
 class Handover:
     """Others tell the turn since a moment ago.
 
-    told: what was told before, and when. by: what it moved. newest_at_s: of the measurements that moved it.
+    told: what was told before, and when. rested: where the object was at rest then, None where it was not. by: what it
+    moved. newest_at_s: of the measurements that moved it.
     """
 
     told_deg: float
     told_s: float
-    by_deg: float
-    newest_at_s: float
+    rested_deg: float | None
+    by_deg: float = 0.0
+    newest_at_s: float = -math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +85,8 @@ def handed_over(detector: Detector, fused: Fused) -> Detector:
     """Other fingers than before tell the turn: what is remembered moves by the difference between them.
 
     What the object has turned and slid in between, by its rates, is no part of that, nor what is beyond all difference:
-    a finger that comes and goes hides no slip.
+    a finger that comes and goes hides no slip. What a single frame is off by would stay for good: the smallest
+    difference counts, of two frames, and from where the object rested as from where it was told last.
     """
     if fused.turn_deg is None:
         return detector
@@ -92,8 +95,10 @@ def handed_over(detector: Detector, fused: Fused) -> Detector:
     now = replace(detector, told_by=fused.fingers, handover=None)
     if not detector.told_by:
         return now
-    by_deg = _differ_by(now.handed_deg, now.told_deg, now.told_s, fused)
-    handover = Handover(now.told_deg, now.told_s, by_deg, fused.newest_at_s)
+    rested_deg = now.alert.near_deg if now.alert.case is Case.REST else None
+    first = Handover(now.told_deg, now.told_s, rested_deg)
+    by_deg = _differ_by(first, fused, now.handed_deg)
+    handover = replace(first, by_deg=by_deg, newest_at_s=fused.newest_at_s)
     now = replace(_moved_by(now, by_deg), told_deg=now.told_deg + by_deg, handover=handover)
     if fused.shift_mm is None or now.smooth_shift_mm is None:
         return now
@@ -110,19 +115,23 @@ def handed_over(detector: Detector, fused: Fused) -> Detector:
 
 
 def _seen_twice(detector: Detector, fused: Fused) -> Detector:
-    """The first frame after a change of fingers may have been off by itself: the smaller of two differences counts."""
+    """The first frame after a change of fingers may have been off by itself."""
     first = detector.handover
     if first is None or fused.measured_at_s <= first.newest_at_s:
         return detector
-    second_deg = _differ_by(detector.handed_deg - first.by_deg, first.told_deg, first.told_s, fused)
+    second_deg = _differ_by(first, fused, detector.handed_deg - first.by_deg)
     by_deg = min(first.by_deg, second_deg, key=abs)
     return replace(_moved_by(detector, by_deg - first.by_deg), handover=None)
 
 
-def _differ_by(handed_deg: float, told_deg: float, told_s: float, fused: Fused) -> float:
+def _differ_by(before: Handover, fused: Fused, handed_deg: float) -> float:
     """How far these fingers are from what the others told, but for what the object has turned since."""
-    turned_deg = (fused.rate_deg_s or 0.0) * (fused.captured_at_s - told_s)
-    return _within(handed_deg + (fused.turn_deg or 0.0) - told_deg - turned_deg, HANDOVER_DEG) - handed_deg
+    turn_deg = fused.turn_deg or 0.0
+    turned_deg = (fused.rate_deg_s or 0.0) * (fused.captured_at_s - before.told_s)
+    by_deg = turn_deg - before.told_deg - turned_deg
+    if before.rested_deg is not None:
+        by_deg = min(by_deg, turn_deg - before.rested_deg, key=abs)
+    return _within(handed_deg + by_deg, HANDOVER_DEG) - handed_deg
 
 
 def _moved_by(detector: Detector, by_deg: float) -> Detector:

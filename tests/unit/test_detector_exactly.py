@@ -61,7 +61,7 @@ def test_a_change_of_finger_moves_every_place_that_is_remembered() -> None:
             told_s=NOW_S,
             handed_deg=pytest.approx(0.3),
             handed_mm=pytest.approx(0.25),
-            handover=Handover(5.0, 10.0, pytest.approx(0.2), NOW_S),
+            handover=Handover(5.0, 10.0, None, pytest.approx(0.2), NOW_S),
             smooth_shift_mm=pytest.approx(smooth_mm),
             slide_rate_mm_s=pytest.approx(rate_mm_s),
             rest_turn_deg=pytest.approx(5.1),
@@ -113,6 +113,20 @@ def test_what_a_change_of_finger_moves_is_the_smaller_of_two_looks(
     assert second.handover is None
 
 
+@pytest.mark.parametrize(
+    ("told_deg", "turn_deg", "rate_deg_s", "by_deg"),
+    [(5.0, 5.4, 0.0, 0.4), (5.3, 5.4, 0.0, 0.1), (4.8, 5.1, 0.0, 0.1), (5.3, 5.0, 0.0, 0.0), (5.0, 5.6, 10.0, 0.1)],
+)
+def test_at_rest_what_fingers_differ_by_is_the_smaller_from_where_it_rested_and_was_told(
+    told_deg: float, turn_deg: float, rate_deg_s: float, by_deg: float
+) -> None:
+    """At rest at 5 degrees, told last with some noise."""
+    before = at_rest(5.0, told_deg=told_deg)
+    after = look(before, seen(turn_deg, rate_deg_s, fingers=("left",)), PARAMS, arm=stands()).detector
+    assert after.base_turn_deg == pytest.approx(5.0 + by_deg)
+    assert after.handover == Handover(told_deg, 10.0, 5.0, pytest.approx(by_deg), NOW_S)
+
+
 def test_both_looks_together_move_no_further_than_all_difference() -> None:
     handed = replace(BEFORE, handed_deg=1.9)
     first = look(handed, seen(7.0, fingers=("left",)), PARAMS).detector
@@ -131,7 +145,7 @@ def test_the_second_look_is_at_another_measurement_of_every_finger() -> None:
 def test_fingers_that_change_again_are_looked_at_anew() -> None:
     first = look(BEFORE, seen(5.2, fingers=("left",)), PARAMS).detector
     again = look(first, seen(5.3, fingers=("right",), measured_at_s=NOW_S + 0.05), PARAMS).detector
-    assert again.handover == Handover(5.2, NOW_S, pytest.approx(0.1), NOW_S)
+    assert again.handover == Handover(5.2, NOW_S, None, pytest.approx(0.1), NOW_S)
     assert look(Detector(), seen(5.2), PARAMS).detector.handover is None
 
 
