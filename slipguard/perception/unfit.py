@@ -18,6 +18,10 @@ BLURRED = "picture out of focus"
 COMPRESSED = "picture coarsely compressed"
 FEW_LEVELS = "picture of too few grey levels"
 NOISY = "picture noisy"
+DARK = "picture too dark"
+DARK_LEVELS = 25.0
+"""Mean grey level, over the picture and its colours. Real gels have 90 and more; at 9, the three lights spread over a
+few levels, a relief turns back by a fifth."""
 LIGHT_FREE_LEVELS = 1.0
 LIGHT_DEG = 0.6
 """Light that changes after the reference was taken moves outlines: one standard deviation of the turn a grey level of
@@ -36,6 +40,8 @@ def unfit(
         return UNLIKE, unlike
     if gate.out_of_focus(blocks, near_patch):
         return BLURRED, unlike
+    if blocks.mean() < DARK_LEVELS:
+        return DARK, unlike
     if coarsely_compressed(image):
         return COMPRESSED, unlike
     if few_levels(image):
