@@ -74,9 +74,10 @@ def look(
     alert = attend(detector.alert, fused, arm, params, putting_down=only_outward)
     detector = replace(follow_shift(detector, fused), alert=alert)
     anew = alert.anew  # what the arm's motion has wound up stays
+    rebased = anew or detector.base_turn_deg is None
     detector = replace(
         detector,
-        base_turn_deg=fused.turn_deg if anew or detector.base_turn_deg is None else detector.base_turn_deg,
+        base_turn_deg=fused.turn_deg if rebased else detector.base_turn_deg,
         base_shift_mm=fused.shift_mm if anew or detector.base_shift_mm is None else detector.base_shift_mm,
         measured_s=max(fused.measured_at_s, fused.newest_at_s) if new else detector.measured_s,
         captured_s=max(fused.captured_at_s, detector.captured_s),
@@ -84,6 +85,8 @@ def look(
     strayed_from_deg = _strayed_from(detector, fused, params)
     if strayed := strayed_from_deg is not None:
         detector = replace(detector, base_turn_deg=strayed_from_deg)
+    if strayed or rebased or near_deg is None:  # these fingers' own places move by no second look
+        detector = replace(detector, handover=None)
     detector = follow_rest(detector, fused, params)
     turn, rate, turning = _turning(detector, fused, params, only_outward)
     suddenly = 0 if anew else _suddenly(detector, fused, params, near_deg, firm, only_outward)

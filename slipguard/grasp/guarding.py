@@ -59,7 +59,7 @@ def guard(state: GuardState, seen: Seen, params: GuardParams) -> Verdict:
         only_outward=state.phase is Phase.LOWERING,
     )
     slip = state.slip
-    if slip is not None and sight.detector.base_turn_deg != state.detector.base_turn_deg:
+    if slip is not None and sight.detector.elsewhere(state.detector):
         # Turns count from another place now: so must those of the last step.
         slip = replace(slip, turn_deg=sight.turn_deg, slide_mm=sight.slide_mm)
     state = replace(state, detector=sight.detector, slip=slip)

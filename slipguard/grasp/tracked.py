@@ -15,19 +15,23 @@ CALM_SHIFT_MM = 0.3
 """A patch centre that wanders less than this is at rest; its noise is about 0.05 mm."""
 HANDOVER_DEG, HANDOVER_MM = 2.0, 0.5
 """Two fingers tell the same turn and the same slide no further apart than this, all in all; more is motion."""
+SAME_DEG = 1e-6
+"""Places no further apart are one, but for rounding."""
+SECOND_LOOK_S = 0.1
+"""A later frame is no second look at a change of finger: the object may have turned."""
 
 
 @dataclass(frozen=True, slots=True)
 class Handover:
-    """Others tell the turn since a moment ago.
+    """Others, of whom nothing is known yet, tell the turn since a moment ago.
 
-    told: what was told before, and when. rested: where the object was at rest then, None where it was not. by: what it
-    moved. newest_at_s: of the measurements that moved it.
+    told: what was told before, and when. near: where the turn was on average while the arm stood, None while it moved.
+    by: what it moved. newest_at_s: of the measurements that moved it.
     """
 
     told_deg: float
     told_s: float
-    rested_deg: float | None
+    near_deg: float | None
     by_deg: float = 0.0
     newest_at_s: float = -math.inf
 
@@ -38,7 +42,8 @@ class Detector:
 
     base: where the object was when it was last calm. turns, slides: episodes of either that were answered with force.
     patient: one of turning is over, answered or not. told: who told the turn last, what and when.
-    handed: by how much all changes of finger have moved it. handover: the last one, until it has been looked at twice.
+    handed: by how much all changes of finger have moved it. known: how much that is with which fingers, of those who
+    have told. handover: the last change, until it has been looked at twice.
     frames, counted_s: how many in a row showed slip, and the
     newest measurement of the last of them. far_frames: measured frames in a row beyond the turn at
     which it is given up.
@@ -59,6 +64,7 @@ class Detector:
     told_s: float = 0.0
     handed_deg: float = 0.0
     handed_mm: float = 0.0
+    known: tuple[tuple[tuple[str, ...], float], ...] = ()
     handover: Handover | None = None
     smooth_shift_mm: float | None = None
     slide_rate_mm_s: float = 0.0
@@ -67,6 +73,13 @@ class Detector:
     rest_since_s: float | None = None
     alert: Alert = field(default_factory=Alert)
 
+    def elsewhere(self, before: Detector) -> bool:
+        """Whether turns count from another place than before, whichever fingers tell them."""
+        if self.base_turn_deg is None or before.base_turn_deg is None:
+            return self.base_turn_deg is not before.base_turn_deg
+        moved_deg = (self.base_turn_deg - self.handed_deg) - (before.base_turn_deg - before.handed_deg)
+        return abs(moved_deg) > SAME_DEG
+
     def rebased(self, *, turned: bool, slid: bool, raised: bool) -> Detector:
         """An episode is over: from here on only what moves further counts. raised: it was answered with force."""
         return replace(
@@ -74,6 +87,7 @@ class Detector:
             base_turn_deg=None,
             base_shift_mm=None,
             frames=0,
+            handover=None,
             turns=self.turns + (turned and raised),
             slides=self.slides + (slid and raised),
             patient=self.patient or turned,
@@ -84,22 +98,27 @@ class Detector:
 def handed_over(detector: Detector, fused: Fused) -> Detector:
     """Other fingers than before tell the turn: what is remembered moves by the difference between them.
 
-    What the object has turned and slid in between, by its rates, is no part of that, nor what is beyond all difference:
-    a finger that comes and goes hides no slip. What a single frame is off by would stay for good: the smallest
-    difference counts, of two frames, and from where the object rested as from where it was told last.
+    What the object has turned and slid in between, by its rates, is no part of that, nor what is beyond all difference.
+    A finger that comes and goes hides no slip: by what it differs is settled when it first tells alone, and undone when
+    it does no longer. What a single frame is off by would stay for good: the smallest difference counts, of two
+    frames, and from where the turn was on average as from where it was told last.
     """
     if fused.turn_deg is None:
-        return detector
+        return replace(detector, handover=None)
     if fused.fingers == detector.told_by:
         return _seen_twice(detector, fused)
     now = replace(detector, told_by=fused.fingers, handover=None)
     if not detector.told_by:
         return now
-    rested_deg = now.alert.near_deg if now.alert.case is Case.REST else None
-    first = Handover(now.told_deg, now.told_s, rested_deg)
-    by_deg = _differ_by(first, fused, now.handed_deg)
-    handover = replace(first, by_deg=by_deg, newest_at_s=fused.newest_at_s)
-    now = replace(_moved_by(now, by_deg), told_deg=now.told_deg + by_deg, handover=handover)
+    known = {**dict(now.known), detector.told_by: now.handed_deg}
+    now = replace(now, known=tuple(known.items()))
+    if fused.fingers in known:
+        by_deg = known[fused.fingers] - now.handed_deg
+    else:
+        first = Handover(now.told_deg, now.told_s, now.alert.near_deg if now.alert.case is Case.REST else None)
+        by_deg = _differ_by(first, fused, now.handed_deg)
+        now = replace(now, handover=replace(first, by_deg=by_deg, newest_at_s=fused.newest_at_s))
+    now = replace(_moved_by(now, by_deg), told_deg=now.told_deg + by_deg)
     if fused.shift_mm is None or now.smooth_shift_mm is None:
         return now
     slid_mm = now.slide_rate_mm_s * SHIFT_TAU_S
@@ -119,6 +138,8 @@ def _seen_twice(detector: Detector, fused: Fused) -> Detector:
     first = detector.handover
     if first is None or fused.measured_at_s <= first.newest_at_s:
         return detector
+    if fused.captured_at_s - first.newest_at_s > SECOND_LOOK_S:
+        return replace(detector, handover=None)
     second_deg = _differ_by(first, fused, detector.handed_deg - first.by_deg)
     by_deg = min(first.by_deg, second_deg, key=abs)
     return replace(_moved_by(detector, by_deg - first.by_deg), handover=None)
@@ -129,8 +150,8 @@ def _differ_by(before: Handover, fused: Fused, handed_deg: float) -> float:
     turn_deg = fused.turn_deg or 0.0
     turned_deg = (fused.rate_deg_s or 0.0) * (fused.captured_at_s - before.told_s)
     by_deg = turn_deg - before.told_deg - turned_deg
-    if before.rested_deg is not None:
-        by_deg = min(by_deg, turn_deg - before.rested_deg, key=abs)
+    if before.near_deg is not None:
+        by_deg = min(by_deg, turn_deg - before.near_deg, key=abs)
     return _within(handed_deg + by_deg, HANDOVER_DEG) - handed_deg
 
 

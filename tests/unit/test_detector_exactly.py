@@ -61,6 +61,7 @@ def test_a_change_of_finger_moves_every_place_that_is_remembered() -> None:
             told_s=NOW_S,
             handed_deg=pytest.approx(0.3),
             handed_mm=pytest.approx(0.25),
+            known=((("left", "right"), 0.1),),
             handover=Handover(5.0, 10.0, None, pytest.approx(0.2), NOW_S),
             smooth_shift_mm=pytest.approx(smooth_mm),
             slide_rate_mm_s=pytest.approx(rate_mm_s),
@@ -142,9 +143,71 @@ def test_the_second_look_is_at_another_measurement_of_every_finger() -> None:
         assert (same.base_turn_deg, same.handover) == (pytest.approx(4.2), first.handover)
 
 
+def follow(before: Detector, told: list[tuple[tuple[str, ...], float]]) -> list[Look]:
+    """Frame after frame at 60 a second, at rest: who tells it, and what."""
+    looks: list[Look] = []
+    for k, (fingers, turn_deg) in enumerate(told, 1):
+        at_s = NOW_S + k / 60.0
+        one = seen(turn_deg, fingers=fingers, captured_at_s=at_s, measured_at_s=at_s, newest_at_s=at_s)
+        looks.append(look(before, one, PARAMS, arm=arm(200.0, at_s=at_s)))
+        before = looks[-1].detector
+    return looks
+
+
+BOTH, LEFT = ("left", "right"), ("left",)
+
+
+@pytest.mark.parametrize("slip_deg", [0.7, 0.9, -1.5])
+def test_a_finger_that_drops_out_and_returns_hides_no_slip(slip_deg: float) -> None:
+    """The object turns as the right finger drops out, and the left one differs by just as much."""
+    told = [(BOTH, 5.0), *[(LEFT, 5.0)] * 6, *[(BOTH, 5.0 + slip_deg)] * 3]
+    looks = follow(at_rest(5.0), told)
+    assert looks[-1].turn_deg == pytest.approx(abs(slip_deg))
+    assert looks[-1].slipping
+
+
+def test_creep_is_not_swallowed_bit_by_bit_by_a_finger_that_comes_and_goes() -> None:
+    told = [(BOTH, 5.0), *[(LEFT, 4.5)] * 6]  # it differs by 0.5
+    for k in range(40):
+        fingers = BOTH if k // 6 % 2 == 0 else LEFT
+        told.append((fingers, 5.0 + 2.0 * k / 60.0 - 0.5 * (fingers == LEFT)))
+    looks = follow(at_rest(5.0), told)
+    assert any(one.slipping for one in looks)
+    assert looks[-1].turn_deg == pytest.approx(2.0 * 39 / 60.0, abs=0.05)
+
+
+def test_a_frame_after_a_gap_is_no_second_look() -> None:
+    first = look(BEFORE, seen(5.9, fingers=LEFT), PARAMS).detector
+    blind = look(first, seen(None), PARAMS).detector
+    assert blind.handover is None
+    later_s = NOW_S + 0.15
+    for before in (first, blind):
+        later = seen(4.0, fingers=LEFT, measured_at_s=later_s, captured_at_s=later_s, newest_at_s=later_s)
+        after = look(before, later, PARAMS).detector
+        assert (after.base_turn_deg, after.handed_deg, after.handover) == (first.base_turn_deg, first.handed_deg, None)
+
+
+def test_a_place_that_these_fingers_have_told_themselves_is_moved_by_no_second_look() -> None:
+    lifting = replace(BEFORE, alert=replace(BEFORE.alert, case=Case.LIFT_OFF, rested_deg=None))
+    first = look(lifting, seen(6.0, fingers=LEFT), PARAMS, arm=stands()).detector
+    assert (first.base_turn_deg, first.handover) == (6.0, None)
+    assert first.rebased(turned=False, slid=False, raised=False).handover is None
+
+
+def test_what_counts_as_another_place() -> None:
+    assert not BEFORE.elsewhere(BEFORE)
+    assert not replace(BEFORE, base_turn_deg=4.3, handed_deg=0.4).elsewhere(BEFORE)  # other fingers
+    assert replace(BEFORE, base_turn_deg=4.3).elsewhere(BEFORE)
+    nowhere = replace(BEFORE, base_turn_deg=None)
+    assert nowhere.elsewhere(BEFORE)
+    assert BEFORE.elsewhere(nowhere)
+    assert not nowhere.elsewhere(nowhere)
+
+
 def test_fingers_that_change_again_are_looked_at_anew() -> None:
     first = look(BEFORE, seen(5.2, fingers=("left",)), PARAMS).detector
     again = look(first, seen(5.3, fingers=("right",), measured_at_s=NOW_S + 0.05), PARAMS).detector
+    assert dict(again.known) == {BOTH: 0.1, LEFT: pytest.approx(0.3)}
     assert again.handover == Handover(5.2, NOW_S, None, pytest.approx(0.1), NOW_S)
     assert look(Detector(), seen(5.2), PARAMS).detector.handover is None
 
