@@ -116,8 +116,10 @@ class Pipeline:
         """The contact found last, (320, 240) uint8, 0 or 1: of the probability enlarged, its outline is finer."""
         if self._patch is None:
             return np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.uint8)
-        probability = cv2.resize(self._patch.full_probability(), (FRAME_WIDTH_PX, FRAME_HEIGHT_PX))
-        return np.asarray(probability > self._threshold, np.uint8)
+        coarse = self._patch.full_mask()
+        near = cv2.dilate(coarse, np.ones((3, 3), np.uint8)) * self._patch.full_probability()  # no speck beside it
+        fine = np.asarray(cv2.resize(near, (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)) > self._threshold, np.uint8)
+        return fine if fine.any() else at_frame_size(coarse)
 
     @property
     def last_skeleton(self) -> NDArray[np.uint8]:

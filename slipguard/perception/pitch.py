@@ -21,7 +21,9 @@ SHARE = 0.33
 """A relief whose mean square difference from itself falls below this share of its highest repeats. Teeth and regular
 polygons reach 0.02-0.27, other contacts of tools 0.4 (a tapered square's edge, at 90 degrees) and more."""
 ACCELERATION_DEG_S2 = 5_000.0
-"""What begins to turn unseen turns no faster: a rod of 8 cm, held at its end, in a grip of half the force it needs."""
+"""What begins to turn unseen is taken to turn no faster: a rod of 8 cm, held at its end with half the force it needs;
+held with none it would turn twice as fast. With that the count of fine teeth would not outlive one frame of thirty a
+second that is lost."""
 LEAP_SHARE = 0.4
 """Found this share of a step or more from where it should be, half a step being the limit, it may be the next one."""
 WHOLE_SHARE = 0.9

@@ -100,7 +100,7 @@ class ReliefTrack:
         if start is not None:
             pose = TexturePose(start[0], start[1][0] / REDUCTION, start[1][1] / REDUCTION)
         answer = fit(self._first, relief, pose)
-        found = _followed(self._first, answer, (answer.pose.dx_px, answer.pose.dy_px), answer.pose.turn_deg, 0.0)
+        found = self._followed(self._first, answer, (answer.pose.dx_px, answer.pose.dy_px), answer.pose.turn_deg, 0.0)
         laid = answer
         if found.sigma_deg is None or found.sigma_deg > SURE_DEG:
             by_key = self._by_key(relief, pose.turn_deg)
@@ -141,7 +141,7 @@ class ReliefTrack:
             key.shift_px[0] + laid.pose.dx_px + c * x + s * y - x,
             key.shift_px[1] + laid.pose.dy_px + c * y - s * x - y,
         )
-        return _followed(key.texture, laid, shift, key.turn_deg + laid.pose.turn_deg, key.sigma_deg), laid
+        return self._followed(key.texture, laid, shift, key.turn_deg + laid.pose.turn_deg, key.sigma_deg), laid
 
     def _take_key(
         self, relief: Relief, patch: Patch, turn_deg: float, sigma: float, shift_px: tuple[float, float]
@@ -154,15 +154,16 @@ class ReliefTrack:
         self._key = _Key(texture, turn_deg, sigma, shift_px, at)
         self._key_pose = TexturePose()
 
-
-def _followed(
-    texture: Texture, laid: TextureFit, shift_px: tuple[float, float], turn_deg: float, key_sigma_deg: float
-) -> Followed:
-    if laid.declined is not None:
-        return Followed(None, None, None, laid.unlike, laid.declined)
-    shift = (REDUCTION * shift_px[0], REDUCTION * shift_px[1])
-    smooth = None if texture.smooth is None else _turned(texture.smooth, laid.pose.turn_deg)
-    return Followed(turn_deg, math.hypot(key_sigma_deg, sigma_deg(laid)), shift, laid.unlike, smooth=smooth)
+    def _followed(
+        self, texture: Texture, laid: TextureFit, shift_px: tuple[float, float], turn_deg: float, key_sigma_deg: float
+    ) -> Followed:
+        if laid.declined is not None:
+            return Followed(None, None, None, laid.unlike, laid.declined)
+        shift = (REDUCTION * shift_px[0], REDUCTION * shift_px[1])
+        smooth = None if texture.smooth is None else _turned(texture.smooth, laid.pose.turn_deg)
+        if self._first.smooth is not None:  # what it has not told at the start no key knows, either
+            smooth = _turned(self._first.smooth, turn_deg)
+        return Followed(turn_deg, math.hypot(key_sigma_deg, sigma_deg(laid)), shift, laid.unlike, smooth=smooth)
 
 
 def _turned(way: tuple[float, float], turn_deg: float) -> tuple[float, float]:
