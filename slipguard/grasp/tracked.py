@@ -74,7 +74,9 @@ class Detector:
     alert: Alert = field(default_factory=Alert)
 
     def elsewhere(self, before: Detector) -> bool:
-        """Whether turns count from another place than before, whichever fingers tell them."""
+        """Whether turns count from another place than before, or are told by others, who may contradict them."""
+        if self.told_by != before.told_by:
+            return True
         if self.base_turn_deg is None or before.base_turn_deg is None:
             return self.base_turn_deg is not before.base_turn_deg
         moved_deg = (self.base_turn_deg - self.handed_deg) - (before.base_turn_deg - before.handed_deg)

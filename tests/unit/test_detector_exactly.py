@@ -196,7 +196,8 @@ def test_a_place_that_these_fingers_have_told_themselves_is_moved_by_no_second_l
 
 def test_what_counts_as_another_place() -> None:
     assert not BEFORE.elsewhere(BEFORE)
-    assert not replace(BEFORE, base_turn_deg=4.3, handed_deg=0.4).elsewhere(BEFORE)  # other fingers
+    assert not replace(BEFORE, base_turn_deg=4.3, handed_deg=0.4).elsewhere(BEFORE)  # a second look
+    assert replace(BEFORE, told_by=LEFT).elsewhere(BEFORE)
     assert replace(BEFORE, base_turn_deg=4.3).elsewhere(BEFORE)
     nowhere = replace(BEFORE, base_turn_deg=None)
     assert nowhere.elsewhere(BEFORE)

@@ -122,18 +122,11 @@ def test_a_stuck_finger_is_said_though_the_object_rests_turned() -> None:
 
 @pytest.mark.parametrize(("every", "spare"), [(2, False), (5, False), (10, False), (2, True), (10, True)])
 def test_a_contradiction_is_not_settled_by_a_moment_of_silence(every: int, spare: bool) -> None:
-    """The finger that sees the turn declines now and then; the stuck one alone is believed until it is asked again.
-
-    Where the other one's word has taken all the force in less than the second that a contradiction may last, that is
-    the fault.
-    """
+    """The finger that sees the turn declines now and then; the stuck one alone is believed until it is asked again."""
     guard, log = played(Pair(0.2, 20.0, spare, declines_every=every), CALM_S + 2.0)
     assert guard.law.fault is not None
-    spent = guard.law.fault.code is FaultCode.BUDGET_SPENT
-    assert spent or guard.law.fault.code is FaultCode.ESTIMATE_UNTRUSTED
-    assert not spent or guard.law.target_n == pytest.approx(PARAMS.force_max_n, rel=0.01)
-    assert sum("for 1 s" in (command.say or "") for _, _, command in log) == (not spent)
-    assert len({command.fault for _, _, command in log if command.fault is not None}) == 1
+    assert guard.law.fault.code is FaultCode.ESTIMATE_UNTRUSTED
+    assert sum("for 1 s" in (command.say or "") for _, _, command in log) == 1
 
 
 @pytest.mark.parametrize(("silent_for_s", "from_the_start"), [(0.5, True), (0.7, False)])
