@@ -43,10 +43,9 @@ class Detector:
     base: where the object was when it was last calm. turns, slides: episodes of either that were answered with force.
     patient: one of turning is over, answered or not. told: who told the turn last, what and when.
     handed: by how much all changes of finger have moved it. known: how much that is with which fingers, of those who
-    have told. handover: the last change, until it has been looked at twice.
-    frames, counted_s: how many in a row showed slip, and the
-    newest measurement of the last of them. far_frames: measured frames in a row beyond the turn at
-    which it is given up.
+    have told. handover: the last change, until it has been looked at twice. frames, counted_s: how many in a row showed
+    slip, and the newest measurement of the last of them. far_frames: measured frames in a row beyond the turn at which
+    it is given up.
     """
 
     base_turn_deg: float | None = None
@@ -75,7 +74,7 @@ class Detector:
 
     def elsewhere(self, before: Detector) -> bool:
         """Whether turns count from another place than before, or are told by others, who may contradict them."""
-        if self.told_by != before.told_by:
+        if before.told_by and self.told_by != before.told_by:
             return True
         if self.base_turn_deg is None or before.base_turn_deg is None:
             return self.base_turn_deg is not before.base_turn_deg

@@ -27,7 +27,8 @@ second that is lost."""
 LEAP_SHARE = 0.4
 """Found this share of a step or more from where it should be, half a step being the limit, it may be the next one."""
 WHOLE_SHARE = 0.9
-"""It may also be where what can have turned so far unseen has come to the next step's place, as sure as that is."""
+"""So may it where the way to the next step's place is no longer than what can have been turned unseen; of that way this
+share is sure."""
 
 
 def pitch_deg(texture: Texture) -> float | None:

@@ -198,6 +198,7 @@ def test_what_counts_as_another_place() -> None:
     assert not BEFORE.elsewhere(BEFORE)
     assert not replace(BEFORE, base_turn_deg=4.3, handed_deg=0.4).elsewhere(BEFORE)  # a second look
     assert replace(BEFORE, told_by=LEFT).elsewhere(BEFORE)
+    assert not BEFORE.elsewhere(replace(BEFORE, told_by=()))
     assert replace(BEFORE, base_turn_deg=4.3).elsewhere(BEFORE)
     nowhere = replace(BEFORE, base_turn_deg=None)
     assert nowhere.elsewhere(BEFORE)
