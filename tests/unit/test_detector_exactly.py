@@ -191,7 +191,10 @@ def test_a_place_that_these_fingers_have_told_themselves_is_moved_by_no_second_l
     lifting = replace(BEFORE, alert=replace(BEFORE.alert, case=Case.LIFT_OFF, rested_deg=None))
     first = look(lifting, seen(6.0, fingers=LEFT), PARAMS, arm=stands()).detector
     assert (first.base_turn_deg, first.handover) == (6.0, None)
-    assert first.rebased(turned=False, slid=False, raised=False).handover is None
+    waits = look(BEFORE, seen(5.2, fingers=LEFT), PARAMS).detector
+    assert waits.handover is not None
+    assert waits.rebased(turned=False, slid=False, raised=False).handover is None
+    assert look(waits, seen(5.0, fingers=BOTH, measured_at_s=NOW_S + 0.01), PARAMS).detector.handover is None
 
 
 def test_what_counts_as_another_place() -> None:
