@@ -8,6 +8,7 @@ the reference is preferred as soon as its relief is seen again: nothing drifts.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from slipguard.perception.pitch import LOOK_DEG, may_be_next, pitch_deg
@@ -43,14 +44,14 @@ class Followed:
     declined: str | None = None
     smooth: tuple[float, float] | None = None
 
-    def shift(self, outline_px: tuple[float, float]) -> tuple[float, float]:
-        """The shift; what the relief does not tell of it is the outline's, frame pixels right and down."""
+    def shift(self, outline_px: Callable[[], tuple[float, float]]) -> tuple[float, float]:
+        """The shift; what the relief does not tell of it is the outline's. Frame pixels right and down."""
         if self.shift_px is None:
-            return outline_px
+            return outline_px()
         if self.smooth is None:
             return self.shift_px
-        (dx, dy), (along_x, along_y) = self.shift_px, self.smooth
-        missing = (outline_px[0] - dx) * along_x + (outline_px[1] - dy) * along_y
+        (dx, dy), (x, y), (along_x, along_y) = self.shift_px, outline_px(), self.smooth
+        missing = (x - dx) * along_x + (y - dy) * along_y
         return dx + missing * along_x, dy + missing * along_y
 
 

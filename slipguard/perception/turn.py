@@ -125,7 +125,7 @@ class TurnMeter:
             followed = self._by_relief(reference, relief, patch, predicted, turn)
             clock.mark("relief")
         by_relief = Turn(followed.turn_deg, followed.sigma_deg, followed.declined)
-        shift_px = followed.shift(_difference(_centre_px(patch), reference.centre_px))
+        shift_px = followed.shift(lambda: _difference(_centre_px(patch), reference.centre_px))
         sure = by_relief.sigma_deg is not None and by_relief.sigma_deg <= SURE_DEG
         if sure and agree(by_relief, turn):
             turn = combined(by_relief, turn) if self._settings.estimator == "fused" else by_relief
@@ -140,7 +140,7 @@ class TurnMeter:
                 followed = self._again(reference, relief, patch, predicted, followed, laid, outline_shift_px)
                 by_relief = Turn(followed.turn_deg, followed.sigma_deg, followed.declined)
                 clock.mark("relief")
-                shift_px = followed.shift(outline_shift_px)
+                shift_px = followed.shift(lambda: outline_shift_px)
             turn = combined(by_relief, less_sure(by_outline, followed.unlike))
         if turn.sigma_deg is not None and turn.sigma_deg > self._settings.sigma_max_deg:
             turn = Turn(None, None, UNSURE)

@@ -114,7 +114,7 @@ def test_a_shaft_cut_by_the_frame_turns_but_tells_no_shift_along_itself() -> Non
     assert abs(along @ (np.cos(np.radians(76.0)), -np.sin(np.radians(76.0)))) == pytest.approx(1.0, abs=1e-3)
     assert found.shift_px == pytest.approx((6 * 0.94, 6 * 0.34), abs=1.5)
     outline = (50.0, -40.0)
-    whole = np.array(found.shift(outline))
+    whole = np.array(found.shift(lambda: outline))
     assert whole @ along == pytest.approx(along @ outline, abs=1e-4)
     assert whole - (whole @ along) * along == pytest.approx(found.shift_px - (found.shift_px @ along) * along, abs=1e-4)
 
@@ -122,5 +122,5 @@ def test_a_shaft_cut_by_the_frame_turns_but_tells_no_shift_along_itself() -> Non
 def test_what_has_a_face_tells_all_of_its_shift() -> None:
     found = Held().see(lettered, 1.0, (121.0, 160.0))
     assert found.smooth is None
-    assert found.shift((50.0, 50.0)) == found.shift_px
-    assert Followed(None, None, None, 1.0).shift((2.0, 3.0)) == (2.0, 3.0)
+    assert found.shift(lambda: (50.0, 50.0)) == found.shift_px
+    assert Followed(None, None, None, 1.0).shift(lambda: (2.0, 3.0)) == (2.0, 3.0)
