@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from typing import Any, Generic, TypeVar
 
 import cv2
@@ -112,6 +113,7 @@ def _in_processes(task: Callable[[T], R], items: Sequence[T], jobs: int) -> Gene
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     pool = Parallel(n_jobs=jobs, return_as="generator")
+    resource_tracker.ensure_running()  # whose start unblocks SIGINT in an older Python (CPython issue 127586)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # the workers start with it: no Ctrl-C is theirs
     try:
         results = pool(delayed(_in_worker)(task, item) for item in items)

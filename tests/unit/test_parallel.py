@@ -83,6 +83,21 @@ def test_no_scheduler_is_one_line() -> None:
         list(each(drawn, ITEMS, Workers(cluster="nowhere://x")))
 
 
+BLOCKED = """
+import signal
+from slipguard.lab.parallel import Workers, each
+def work(item):
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, set())
+print(*each(work, list(range(4)), Workers(2)), signal.pthread_sigmask(signal.SIG_BLOCK, set()))
+"""
+
+
+def test_no_ctrl_c_is_a_workers_own() -> None:
+    """In a process of its own: what was started before decides whether the first worker starts with the mask."""
+    done = subprocess.run([sys.executable, "-c", BLOCKED], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.stdout, done.stderr) == ("True True True True set()\n", "")
+
+
 SLOW = """
 import sys
 from slipguard.cli.interrupt import Interrupt
