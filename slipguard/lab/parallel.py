@@ -114,22 +114,24 @@ def _in_processes(task: Callable[[T], R], items: Sequence[T], jobs: int) -> Gene
 
     pool = Parallel(n_jobs=jobs, return_as="generator")
     resource_tracker.ensure_running()  # whose start unblocks SIGINT in an older Python (CPython issue 127586)
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # the workers start with it: no Ctrl-C is theirs
+    results = None
     try:
-        results = pool(delayed(_in_worker)(task, item) for item in items)
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    try:
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # the workers start with it
+        try:
+            results = pool(delayed(_in_worker)(task, item) for item in items)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         for result in results:  # noqa: UP028 - `yield from` would close them itself, with a warning
             yield result
-    except TerminatedWorkerError as error:
+    except TerminatedWorkerError as error:  # also while the first items are handed out
         raise SlipguardError(
             f"one of {jobs} worker processes died, perhaps for want of memory; try fewer with --jobs"
         ) from error
     finally:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of results that were not asked for
-            results.close()
+        if results is not None:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of results that were not asked for
+                results.close()
 
 
 def _in_worker(task: Callable[[T], R], item: T) -> R:
