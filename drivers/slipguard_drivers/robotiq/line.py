@@ -182,8 +182,7 @@ class RegisterLine:
         if self._has_unread():
             self._doubt()
         if self._in_doubt:
-            loop = asyncio.get_running_loop()
-            while (left_s := self._silent_from_s + SILENCE_S - loop.time()) > 0.0:
+            while (left_s := self._silence_left_s()) > 0.0:
                 self._check_time(left_s + 2.0 * self._timeout_s, by_s)
                 await asyncio.sleep(left_s)
             self._in_doubt = False
@@ -192,6 +191,12 @@ class RegisterLine:
             if self._in_doubt or self._has_unread():
                 raise self._confused("more came than was asked for")
         self._check_time(self._timeout_s, by_s)
+
+    def _silence_left_s(self) -> float:
+        """How long the line has still to be silent; after a late turn of the loop what came meanwhile is unread."""
+        if self._has_unread():
+            self._doubt()
+        return self._silent_from_s + SILENCE_S - asyncio.get_running_loop().time()
 
     def _check_time(self, needed_s: float, by_s: float) -> None:
         if asyncio.get_running_loop().time() + needed_s > by_s:
