@@ -143,7 +143,7 @@ def test_it_takes_up_a_changed_configuration(container: Container, config: Path)
     until(lambda: said(container, '"lift" -> "guard" needs a restart'), "not refused", container.journal)
     config.write_text(config.read_text().replace('mode = "guard"', 'mode = "lift"'))
     assert container.shown("ActiveState") == "active"
-    assert held(state := container.state()), (state.get("fault"), state.get("said"))
+    container.wait_for(held, "it does not hold any more")
 
 
 @pytest.mark.parametrize(("signal", "restarts"), [("STOP", "1"), ("KILL", "2")])

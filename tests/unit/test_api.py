@@ -177,7 +177,7 @@ def test_sockets_that_cannot_be(tmp_path: Path) -> None:
 async def test_stopping_waits_for_a_short_answer_and_not_for_an_idle_client(
     control: FakeControl, tmp_path: Path
 ) -> None:
-    control.delay_s = 0.2
+    control.delay_s = 0.05
     async with served(control, tmp_path / "s") as path:
         _, idle = await asyncio.open_unix_connection(path)
         asking = asyncio.create_task(asyncio.to_thread(lambda: _clear(path)))

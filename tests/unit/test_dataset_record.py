@@ -21,6 +21,7 @@ from slipguard.errors import CommandRefused, DeviceLost
 from slipguard.lab import dataset_record
 from slipguard.lab.dataset_record import Shot, from_daemon, from_sensors, record_dataset
 from slipguard.lab.proposal import propose
+from slipguard.lab.waiting import until
 from slipguard.sim.gel import GelCamera
 from slipguard.sim.label import label
 from slipguard.sim.unit import Light, random_unit
@@ -95,7 +96,7 @@ async def test_without_a_daemon_the_sensor_is_opened_and_let_go() -> None:
     sensor = DigitSensor(DigitSensor.Settings(serial="D20001"), DriverContext("sensor"), found, PipeCapture)
     shots = from_sensors([sensor], 0.0)
     waiting = asyncio.ensure_future(anext(shots))
-    await asyncio.sleep(0.05)
+    await until(None, lambda: sensor.mode is not None, 30.0, "it is not opened")
     PipeCapture.last.offer(delivery(1, damage="torn"), delivery(2))
     shot = await waiting
     assert (shot.serial, shot.sequence, shot.image.shape) == ("D20001", 2, (320, 240, 3))

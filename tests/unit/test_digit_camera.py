@@ -242,7 +242,7 @@ async def test_who_gives_up_opening_leaves_no_device_open(camera: type[PipeCaptu
     opening.cancel()
     with pytest.raises(asyncio.CancelledError):
         await opening
-    await _until(lambda: PipeCapture.last.closed)
+    await _until(lambda: (last := getattr(PipeCapture, "last", None)) is not None and last.closed)
 
 
 async def test_without_a_digit_open_says_so_and_close_is_harmless() -> None:

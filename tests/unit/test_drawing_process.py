@@ -28,7 +28,7 @@ from slipguard.sim.world import World
 from slipguard_drivers.digit.fake import FakeSensor
 
 async def main():
-    sensor = FakeSensor(FakeSensor.Settings(), DriverContext("left", World()))
+    sensor = FakeSensor(FakeSensor.Settings(stall_ms=5000), DriverContext("left", World()))
     try:
         await sensor.open()
         print(sensor._painter._child.pid, flush=True)
@@ -42,7 +42,8 @@ asyncio.run(main())
 
 
 def new_sensor() -> FakeSensor:
-    return FakeSensor(FakeSensor.Settings(), DriverContext("left", World()))
+    """One that gives a busy machine time for its first picture."""
+    return FakeSensor(FakeSensor.Settings(stall_ms=5000), DriverContext("left", World()))
 
 
 def child_of(sensor: FakeSensor) -> int:
@@ -56,7 +57,7 @@ def runs(pid: int) -> bool:
     """Whether a process is there and not just waiting to be collected."""
     try:
         return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):  # the latter where it ends between opening and reading
         return False
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
@@ -19,6 +18,7 @@ from slipguard.daemon.last_reference import ReferenceKeeper, recall
 from slipguard.daemon.reference_shelf import GOOD_FOR, ReferenceShelf
 from slipguard.errors import InputError
 from slipguard.grasp.state import Phase
+from slipguard.lab.waiting import until
 from slipguard.perception.recall import KnownReference, RecallingPipeline
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.whole_file import write_whole as really_write
@@ -49,9 +49,10 @@ def decision(phase: Phase, holding: bool = True, now_s: float = 0.0) -> Any:
 
 
 async def settled(keeper: ReferenceKeeper, *decisions: Any) -> None:
+    """However long the disk takes."""
     for one in decisions:
         keeper.decided(one)
-        await asyncio.sleep(0.05)
+        await until(None, lambda: not keeper._disk.busy, 60.0, "the disk does not get done")
 
 
 async def test_a_reference_that_is_held_for_hours_does_not_grow_old(tmp_path: Path) -> None:
@@ -120,7 +121,7 @@ async def test_a_full_disk_is_said_once(tmp_path: Path) -> None:
 async def test_a_disk_that_is_mended_takes_the_references_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("slipguard.daemon.disk_work.TRY_AGAIN_S", 0.15)
+    monkeypatch.setattr("slipguard.daemon.disk_work.TRY_AGAIN_S", 3600.0)
     disk = {"full": True, "writes": 0}
 
     def write_whole(path: Path, content: bytes) -> None:
@@ -137,6 +138,7 @@ async def test_a_disk_that_is_mended_takes_the_references_again(
     await settled(keeper, *[decision(Phase.HOLDING)] * 2)
     assert disk["writes"] == 1, "not at once again"
     disk["full"] = False
+    keeper._disk._again_at_s = 0.0  # the pause is over
     await settled(keeper, *[decision(Phase.HOLDING)] * 4)
     known = ReferenceShelf(tmp_path).load("left", "D1")
     assert known is not None

@@ -48,7 +48,7 @@ async def test_who_never_ends_a_request_is_not_waited_for(monkeypatch: pytest.Mo
         told = f"authorization: Bearer {access._token}\r\ncontent-length: 9\r\n\r\n"
         body = closed_after_s(port, head.replace(b"GET /access", b"POST /clear") + told.encode(), b"{")
         found = await asyncio.gather(silent, drops, unfinished, again, idle, body)
-    assert [time_s < 3.0 for time_s, _ in found] == [True] * 6
+    assert [time_s < 8.0 for time_s, _ in found] == [True] * 6
     assert [said for _, said in found[:3]] == [b"", b"", b""]
     assert found[3][1].count(b"200 OK") == 1
     assert found[4][1].count(b"200 OK") == 1
@@ -93,7 +93,7 @@ async def test_too_many_connections_that_are_being_answered_are_told_so(
 ) -> None:
     monkeypatch.setattr(patience, "CONNECTIONS_MAX", 1)
     control = FakeControl()
-    control.delay_s = 0.5
+    control.delay_s = 3.0
     async with served_on_tcp(control, tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
         token = {"authorization": f"Bearer {access._token}"}
         asking = asyncio.create_task(http.post(f"http://127.0.0.1:{port}/clear", headers=token))

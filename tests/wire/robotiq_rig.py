@@ -18,14 +18,14 @@ def quick(folder: Path, **options: object) -> RobotiqEmulator:
     """A 2F-85 with quick jaws on a wire that takes no time."""
     return RobotiqEmulator(
         RobotiqEmulator.Settings.model_validate(
-            {"link": folder / "ttyGripper", "baud": 0, "response_ms": 0.0, "quick": 5.0, "late_ms": 150.0, **options}
+            {"link": folder / "ttyGripper", "baud": 0, "response_ms": 0.0, "quick": 5.0, "late_ms": 350.0, **options}
         )
     )
 
 
 def settings(emulator: RobotiqEmulator) -> RobotiqGripper.Settings:
     """The usual ones, but for a machine that is busy with other things."""
-    return RobotiqGripper.Settings(port=emulator.address, approach_speed=1.0, timeout_ms=100.0)
+    return RobotiqGripper.Settings(port=emulator.address, approach_speed=1.0, timeout_ms=300.0)
 
 
 def put(emulator: RobotiqEmulator, object_mm: float | None) -> None:

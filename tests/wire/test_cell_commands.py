@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from cell_rig import Cell, cell, daemon, patiently, wait_for
+from ur_scene import own_address
 
 from slipguard.cli.app import run
 from slipguard.daemon.client import Client
@@ -55,7 +56,7 @@ class Terminal:
 
 @pytest.fixture
 def there(tmp_path: Path) -> Iterator[Cell]:
-    with cell(tmp_path, "127.0.0.67", *OPTIONS) as made:
+    with cell(tmp_path, own_address(67), *OPTIONS) as made:
         yield made
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from cell_rig import Cell, cell, daemon, patiently, pause, wait_for
+from ur_scene import own_address
 
 from slipguard.cli.app import run
 from slipguard.daemon.client import Client
@@ -55,7 +56,7 @@ def test_a_lift_by_slipguard(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(examine, "LOOK_S", 0.5)
-    with cell(tmp_path, "127.0.0.62", *OPTIONS) as there, daemon(there) as client:
+    with cell(tmp_path, own_address(62), *OPTIONS) as there, daemon(there) as client:
         grasp(client)
         said = ask_the_doctor(there, capfd)
         assert "it was asked" in said["daemon", "daemon"]["seen"]
@@ -78,7 +79,7 @@ def test_a_lift_by_slipguard(
 
 
 def test_a_lift_by_the_robots_own_program(tmp_path: Path) -> None:
-    with cell(tmp_path, "127.0.0.63", *OPTIONS, "--mode", "guard", "--play-again-s", 1.0) as there:
+    with cell(tmp_path, own_address(63), *OPTIONS, "--mode", "guard", "--play-again-s", 1.0) as there:
         with daemon(there) as client:
             grasp(client)
             wait_for(client, lambda state: state["arm"]["height_mm"] > 75.0, "the program does not lift")

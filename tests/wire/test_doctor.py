@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import structlog
 from cell_rig import Cell, cell
+from ur_scene import own_address
 
 from slipguard.cli.app import run
 from slipguard.daemon.calibration import NoContact
@@ -23,7 +24,7 @@ from slipguard.daemon.state_dir import StateDir
 from slipguard.doctor import gripper, sensor
 from slipguard_drivers.ur5 import look as arm_look
 
-HOST = "127.0.0.65"
+HOST = own_address(65)
 NOBODY = 65534
 TIMING = {"frame rate", "lost frames", "round trip", "RTDE rate"}
 
@@ -207,7 +208,7 @@ def test_wrong_port(there: Cell, capfd: pytest.CaptureFixture[str], name: str, s
 
 
 def test_wrong_address(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
-    told = ask(capfd, with_change(there, f'"{HOST}"', '"127.0.0.66"'))
+    told = ask(capfd, with_change(there, f'"{HOST}"', f'"{own_address(66)}"'))
     assert told.wrong == {"arm"}
     assert "address" in told.line("arm", "controller")
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from cell_rig import cell
 from kill_campaign import campaign, report
+from ur_scene import own_address
 
 GUARDING_S = 2.0
 PATIENT_S = 10.0
@@ -23,7 +24,7 @@ def test_the_object_is_still_held_and_soon_guarded_again(
 ) -> None:
     count = request.config.getoption("--kills")
     kills = []
-    with cell(tmp_path, "127.0.0.64", *OPTIONS) as there:
+    with cell(tmp_path, own_address(64), *OPTIONS) as there:
         for kill in campaign(there, count, request.config.getoption("--seed")):
             kills.append(kill)
             with capsys.disabled():

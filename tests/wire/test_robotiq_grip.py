@@ -144,7 +144,11 @@ async def test_a_tightening_whose_caller_gives_up_is_finished(
     assert emulator.state()["force_n"] == pytest.approx(80.7, abs=0.1)
 
 
-async def test_outwards_is_refused_while_the_fingers_close(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
+async def test_outwards_is_refused_while_the_fingers_close(tmp_path: Path) -> None:
+    emulator = quick(tmp_path, activated=True, quick=1.0)
+    await emulator.start()
+    gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
+    await gripper.open()
     put(emulator, 30.0)
     await gripper.move(10.0, 60.0)
     with pytest.raises(CommandRefused, match="closing"):
@@ -154,6 +158,8 @@ async def test_outwards_is_refused_while_the_fingers_close(emulator: RobotiqEmul
     with pytest.raises(CommandRefused, match="held"):
         await gripper.move(70.0, 60.0)
     assert emulator.events("let go") == []
+    await gripper.close()
+    await emulator.stop()
 
 
 async def test_a_2f140_has_its_own_newtons_and_millimetres(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ async def test_a_late_answer_is_never_taken_for_the_next(emulator: RobotiqEmulat
 
 
 async def test_nor_is_one_that_is_later_than_the_silence_is_long(tmp_path: Path) -> None:
-    emulator = quick(tmp_path, activated=True, late_ms=250.0)
+    emulator = quick(tmp_path, activated=True, late_ms=750.0)
     await emulator.start()
     gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
     await gripper.open()
@@ -50,7 +50,7 @@ async def test_nor_is_one_that_is_later_than_the_silence_is_long(tmp_path: Path)
 
 
 async def test_a_new_connection_never_gets_an_answer_to_the_old_ones_question(emulator: RobotiqEmulator) -> None:
-    old, new = (RegisterLine("gripper", emulator.address, 9, 0.1, 0x07D0) for _ in range(2))
+    old, new = (RegisterLine("gripper", emulator.address, 9, 0.3, 0x07D0) for _ in range(2))
     await old.connect()
     await old.read(0x07D0, 3, soon_s())
     emulator.control("fault late 1")
@@ -132,7 +132,7 @@ async def test_what_is_no_good_answer_to_a_read_is_a_time_out_and_the_next_is_fi
     "fault", ["bad_crc", "half", "noise", "wrong_function", "wrong_echo", "wrong_slave", "silence"]
 )
 async def test_what_is_no_good_answer_to_a_write_is_a_time_out_too(emulator: RobotiqEmulator, fault: str) -> None:
-    line = RegisterLine("gripper", emulator.address, 9, 0.1, 0x07D0)
+    line = RegisterLine("gripper", emulator.address, 9, 0.3, 0x07D0)
     await line.connect()
     await line.read(0x07D0, 3, soon_s())
     emulator.control(f"fault {fault} 1")

@@ -7,14 +7,16 @@ import socket
 import subprocess
 import sys
 
+from ur_scene import own_address
+
 HURRIED = "import slipguard_drivers.ur5.worker as worker; worker.LONGEST_CALL_S = 1; worker.main()"
 RTDE_PORT = 30004
 
 
 def test_a_worker_kept_in_a_call_by_a_silent_controller_ends_though_its_daemon_is_gone() -> None:
-    with socket.create_server(("127.0.0.91", RTDE_PORT)) as silent:
+    with socket.create_server((own_address(91), RTDE_PORT)) as silent:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        command = [sys.executable, "-P", "-c", HURRIED, str(theirs.fileno()), "127.0.0.91"]
+        command = [sys.executable, "-P", "-c", HURRIED, str(theirs.fileno()), own_address(91)]
         worker = subprocess.Popen(command, pass_fds=(theirs.fileno(),))
         theirs.close()
         ours.send(json.dumps(["connect", 4.0, 2.5, False]).encode())
