@@ -150,8 +150,12 @@ def gripper(
 ) -> None:
     """Move the jaws for another program; never opens a held object, never lowers its grip.
 
+    Without --force-n with the force of the first grip; --width-mm may be left out where something is held. In lift mode
+    what the jaws meet is not guarded until `slipguard ctl guard on`.
     Example: `slipguard ctl gripper --width-mm 60`
     """
+    if width_mm is None and force_n is None:
+        raise InputError("say what the jaws shall do: give --width-mm, --force-n or both")
     _ask(_where(context, socket), json, lambda client: client.gripper(width_mm, force_n))
 
 

@@ -40,7 +40,7 @@ def _two_columns() -> Table:
 
 def _grasp(answer: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     phase = str(answer.get("phase"))
-    notes = [f"mode {answer.get('mode')}", "guarding" if answer.get("guarding") else "[yellow]not guarding[/]"]
+    notes = [f"mode {answer.get('mode')}", _guard(answer, phase)]
     if answer.get("slipping"):
         notes.append("[red]slipping[/]")
     yield "phase", f"[{'red' if phase == 'fault' else 'bold'}]{escape(phase)}[/] ({', '.join(notes)})"
@@ -57,6 +57,13 @@ def _grasp(answer: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "arm", f"{arm['height_mm']:.0f} mm above its start, {stop or moving}"
     else:
         yield "arm", "not known"
+
+
+def _guard(answer: Mapping[str, Any], phase: str) -> str:
+    """Whether slip would be acted on; what the jaws hold while the law is idle, nobody guards."""
+    if phase == "idle" and (answer.get("gripper") or {}).get("holding"):
+        return "[yellow]what is held is NOT guarded: `slipguard ctl guard on`[/]"
+    return "guarding" if answer.get("guarding") else "[yellow]not guarding[/]"
 
 
 def _turn(answer: Mapping[str, Any]) -> str:
@@ -88,7 +95,8 @@ def _grip(answer: Mapping[str, Any]) -> str:
     if not gripper["holding"]:
         return f"empty, {where}"
     target_n = answer.get("target_force_n") or 0.0
-    asked = "" if abs(target_n - gripper["force_n"]) < 1.0 else f" (asked for {target_n:.0f} N)"
+    as_asked = target_n == 0.0 or abs(target_n - gripper["force_n"]) < 1.0
+    asked = "" if as_asked else f" (asked for {target_n:.0f} N)"
     return f"holds with {gripper['force_n']:.0f} N per finger{asked}, {where}"
 
 

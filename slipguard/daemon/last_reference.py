@@ -56,15 +56,22 @@ class _Kept:
 class ReferenceKeeper:
     """Watches decisions and keeps the shelf up to date, in a thread: the loop never waits for the disk.
 
-    fingers: whose pipelines are looked at; one that is no `RecallingPipeline` has nothing to keep.
+    fingers: whose pipelines are looked at; one that is no `RecallingPipeline` has nothing to keep. warn: told of a disk
+    that fails; say: of all else.
     """
 
-    def __init__(self, shelf: Shelf, fingers: Mapping[str, Finger], say: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        shelf: Shelf,
+        fingers: Mapping[str, Finger],
+        say: Callable[[str], None],
+        warn: Callable[[str], None],
+    ) -> None:
         self._shelf, self._fingers, self._say = shelf, fingers, say
         self._kept: dict[str, _Kept] = {}
         self._empty = False
         self._told: dict[str, Perceiver] = {}
-        self._disk = DiskWork("last reference", "the references", say)
+        self._disk = DiskWork("last reference", "the references", warn)
 
     def decided(self, decision: Decision) -> None:
         """To be called after every turn of the loop."""

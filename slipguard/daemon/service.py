@@ -282,7 +282,7 @@ class Service:
 
     def _tell(self, before: Phase, command: Command, answer: asyncio.Future[str] | None) -> None:
         if command.say is not None:
-            self.journal.say(command.say)
+            (self.journal.warn if command.warn else self.journal.say)(command.say)
         if command.fault is not None and command.fault != self._last_fault:
             self.journal.fault(command.fault.code.value, command.fault.seen, command.fault.what_to_do)
         self._last_fault = command.fault

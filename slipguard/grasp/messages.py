@@ -99,7 +99,8 @@ class Command:
     hold_force_n: `Gripper.hold`. halt: `Gripper.halt`. move_width_mm with move_force_n: `Gripper.move`.
     release_width_mm: `Gripper.release`. arm: `Arm.stop` or `Arm.lift`. new_reference: both fingers take a new
     reference from the next stable contact on.
-    say: one line for log and page. refused: why this tick's request was not granted. fault: latched now or before.
+    say: one line for log and page. warn: it tells of trouble. refused: why this tick's request was not granted.
+    fault: latched now or before.
     """
 
     hold_force_n: float | None = None
@@ -110,6 +111,7 @@ class Command:
     arm: Literal["stop"] | ArmLift | None = None
     new_reference: bool = False
     say: str | None = None
+    warn: bool = False
     refused: str | None = None
     fault: Fault | None = None
 

@@ -187,7 +187,7 @@ def _moving(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
 
 def _guarded(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     verdict = guard(state, seen, params)
-    state, command = verdict.state, Command(hold_force_n=verdict.hold_n, say=verdict.say)
+    state, command = verdict.state, Command(hold_force_n=verdict.hold_n, say=verdict.say, warn=verdict.stop)
     if verdict.fault is not None:
         return motion.put_down(_latch(state, seen, verdict.fault, command), seen, params)
     perhaps_lost = state.lost_since_s is not None and seen.now_s - state.lost_since_s >= params.lost_s
@@ -207,7 +207,8 @@ def _faulty(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     """The arm stands and the grip is kept; slip is still answered with force where that is allowed and possible."""
     state, found = adopting.adopt_in_fault(state, seen, params)
     verdict = guard(state, seen, params) if not state.hands_off else Verdict(state)
-    state, command = verdict.state, Command(hold_force_n=verdict.hold_n, say=in_one_line(found, verdict.say))
+    said = in_one_line(found, verdict.say)
+    state, command = verdict.state, Command(hold_force_n=verdict.hold_n, say=said, warn=verdict.stop)
     state, command = _tell_besides(state, seen, command, verdict.fault)
     if seen.gripper is not None and seen.gripper.holding and not state.gripped and not state.hands_off:
         state = replace(state, gripped=True)
@@ -220,7 +221,8 @@ def _tell_besides(state: GuardState, seen: Seen, command: Command, found: Fault 
     """Say what else goes wrong while a fault is latched, once for each time."""
     wrong = {fault.code: fault for fault in (seen.fault, *seen.also, found) if fault is not None}
     new = [str(fault) for code, fault in wrong.items() if code not in state.besides]
-    return replace(state, besides=frozenset(wrong)), replace(command, say=in_one_line(command.say, *new))
+    command = replace(command, say=in_one_line(command.say, *new), warn=command.warn or bool(new))
+    return replace(state, besides=frozenset(wrong)), command
 
 
 _PHASES: dict[Phase, Callable[[GuardState, Seen, GuardParams], Outcome]] = {
@@ -255,10 +257,12 @@ def _keep_force(state: GuardState, seen: Seen, command: Command) -> Outcome:
 
 
 def _tell_notes(state: GuardState, seen: Seen, command: Command) -> Outcome:
-    """Say once that a finger is blind or that the two contradict each other."""
+    """Say once that a finger is blind or that the two contradict each other, and when both tell the turn again."""
     held = state.phase in SPOKEN_OF or (state.phase is Phase.FAULT and state.gripped)
-    note = (seen.fused.conflict or seen.fused.note or seen.fused.declined) if held and seen.fused is not None else None
+    fused = seen.fused if held else None
+    note = (fused.conflict or fused.note or fused.declined) if fused is not None else None
     plain = without_figures(note) if note is not None else None
     if plain == state.note:
         return state, command
-    return replace(state, note=plain), replace(command, say=in_one_line(command.say, note))
+    said = "both fingers tell the turn again" if note is None and fused is not None else note
+    return replace(state, note=plain), replace(command, say=in_one_line(command.say, said))

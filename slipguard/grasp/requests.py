@@ -50,7 +50,8 @@ def _refuse(state: GuardState, command: Command, why: str) -> Outcome:
 
 def _grasp(state: GuardState, command: Command, seen: Seen, params: GuardParams) -> Outcome:
     if state.phase is not Phase.IDLE:
-        return _refuse(state, command, f"cannot grasp while {state.phase}; release first")
+        why = _latched(state) or f"cannot grasp while {state.phase}; release first"
+        return _refuse(state, command, why)
     if seen.gripper is None:
         return _refuse(state, command, "the gripper is not there; see its health in `slipguard ctl state`")
     if seen.gripper.fault is not None or not seen.gripper.active:
@@ -93,7 +94,7 @@ def _lift(state: GuardState, command: Command, seen: Seen, params: GuardParams) 
 def _lower(state: GuardState, command: Command, seen: Seen, params: GuardParams) -> Outcome:
     why = _no_motion(state, seen, params, "lower")
     if why is None and state.ground_mm is None and seen.request.height_mm is None:
-        why = "it is not known how far up the object is (it was taken over in the air); give a height"
+        why = "it was not lifted since it was gripped or taken over, so the way down is not known; give a height"
     if why is not None or seen.arm is None:
         return _refuse(state, command, why or "")
     here_mm = seen.arm.height_mm
@@ -111,12 +112,19 @@ def _lower(state: GuardState, command: Command, seen: Seen, params: GuardParams)
     return state, replace(command, arm=leg, say=f"lowering by {here_mm - goal_mm:.0f} mm")
 
 
+def _latched(state: GuardState) -> str | None:
+    """What comes before any command but a release: the fault, if there is one."""
+    if state.phase is not Phase.FAULT or state.fault is None:
+        return None
+    return f"a fault is latched ({state.fault.code}); clear it first"
+
+
 def _no_motion(state: GuardState, seen: Seen, params: GuardParams, verb: str) -> str | None:
     """Why slipguard may not move the arm now; None if it may."""
     if params.mode == "guard":
         return f"cannot {verb}: in guard mode the arm belongs to another program"
     if state.phase is not Phase.HOLDING:
-        return f"cannot {verb} while {state.phase}; grasp and wait for 'holding'"
+        return _latched(state) or f"cannot {verb} while {state.phase}; grasp and wait for 'holding'"
     if state.slip is not None:
         return f"cannot {verb}: the object is slipping; wait until it is calm"
     if seen.gripper is None or not settled(state, seen.gripper):
@@ -132,6 +140,8 @@ def _guard_on(state: GuardState, command: Command, seen: Seen, params: GuardPara
     state = replace(state, guarding=True)
     if state.phase is Phase.FAULT and state.hands_off:
         return _guard_again(state, command, seen)
+    if state.phase is Phase.FAULT:
+        return state, replace(command, say="guarding; the fault stays latched until it is cleared")
     if state.phase is not Phase.IDLE:
         return state, replace(command, say="guarding")
     if seen.gripper is None or not seen.gripper.holding:
@@ -154,8 +164,8 @@ def _guard_again(state: GuardState, command: Command, seen: Seen) -> Outcome:
 
 
 def _guard_off(state: GuardState, command: Command, seen: Seen, params: GuardParams) -> Outcome:
-    if state.phase is Phase.FAULT:
-        return _refuse(state, command, "a fault is latched; clear it first")
+    if (why := _latched(state)) is not None:
+        return _refuse(state, command, why)
     state = replace(state, guarding=False, slip=None, detector=Detector())
     return state, replace(command, say="not guarding: slip is not acted on")
 
@@ -163,6 +173,8 @@ def _guard_off(state: GuardState, command: Command, seen: Seen, params: GuardPar
 def _gripper(state: GuardState, command: Command, seen: Seen, params: GuardParams) -> Outcome:
     """Another program's grip: granted empty-handed; with an object held only ever tighter."""
     request, gripper = seen.request, seen.gripper
+    if request.width_mm is None and request.force_n is None:
+        return _refuse(state, command, "say what the jaws shall do: give a width, a force or both")
     force_n = request.force_n if request.force_n is not None else params.first_force_n
     within = limits.budget(params.force_max_n, seen.gripper_limits_n)
     if gripper is None:
@@ -174,18 +186,28 @@ def _gripper(state: GuardState, command: Command, seen: Seen, params: GuardParam
     if state.person_near:
         return _refuse(state, command, "the arm is in a protective or emergency stop; end that first")
     if state.phase is Phase.IDLE and not gripper.holding:
-        width_mm = request.width_mm if request.width_mm is not None else 0.0
+        if request.width_mm is None:
+            return _refuse(state, command, "nothing is held: give the width the jaws shall move to")
         force_n = limits.allowed(force_n, 0.0, within)
-        said = f"moving the jaws to {width_mm:g} mm with {force_n:.0f} N"
-        return state, replace(command, move_width_mm=width_mm, move_force_n=force_n, say=said)
+        said = f"moving the jaws to {request.width_mm:g} mm with {force_n:.0f} N"
+        if request.width_mm < gripper.width_mm:
+            said += _nobody_guards(params)
+        return state, replace(command, move_width_mm=request.width_mm, move_force_n=force_n, say=said)
     if state.phase in (Phase.CLOSING, Phase.RELEASED, Phase.FAULT):
-        return _refuse(state, command, f"cannot move the jaws while {state.phase}")
+        return _refuse(state, command, _latched(state) or f"cannot move the jaws while {state.phase}")
     if request.width_mm is not None and request.width_mm > gripper.width_mm:
         return _refuse(state, command, "an object is held and opening would drop it; use release")
     target_n = limits.allowed(force_n, max(state.target_n, gripper.force_n), within)
-    if state.phase is not Phase.IDLE:
-        state = replace(state, target_n=target_n, commanded_s=seen.now_s)
-    return state, replace(command, hold_force_n=target_n, say=f"holding with {target_n:.0f} N, as asked")
+    said = f"holding with {target_n:.0f} N, as asked"
+    if state.phase is Phase.IDLE:
+        return state, replace(command, hold_force_n=target_n, say=said + _nobody_guards(params))
+    state = replace(state, target_n=target_n, commanded_s=seen.now_s)
+    return state, replace(command, hold_force_n=target_n, say=said)
+
+
+def _nobody_guards(params: GuardParams) -> str:
+    """In guard mode what the jaws meet is guarded by itself; in lift mode it may be anything."""
+    return "" if params.mode == "guard" else "; what they grip is not guarded until `guard on`"
 
 
 def _clear(state: GuardState, command: Command, seen: Seen, params: GuardParams) -> Outcome:

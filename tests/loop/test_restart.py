@@ -83,7 +83,7 @@ def test_a_latched_fault_outlives_the_daemon() -> None:
         assert fault is not None
         assert fault.code is FaultCode.GRIPPER_FAULT
         await asyncio.sleep(1.0)
-        with pytest.raises(CommandRefused, match="cannot lift while fault"):
+        with pytest.raises(CommandRefused, match=r"a fault is latched \(gripper fault\); clear it first"):
             await rig.controls.lift()
         await rig.controls.clear()
         await until(lambda: rig.service.firm)

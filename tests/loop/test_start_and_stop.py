@@ -144,6 +144,10 @@ def test_an_arm_that_does_not_come_does_not_keep_a_found_object_unguarded() -> N
             assert any("arm silent" in line for line in new.service.journal.lines)
             assert new.service.state.guarding
             assert new.truth.in_contact
+            events = new.service.journal.events
+            world.faults.fail("gripper", "disconnect")
+            await new.until(lambda: any("gripper silent" in event.text for event in events))
+            assert {event.level for event in events if "gripper silent" in event.text} == {"warning"}, "beside a fault"
 
     run_virtual(main())
 

@@ -93,6 +93,12 @@ CHANGES: dict[str, tuple[dict[str, Any], str]] = {
     "no turn": ({"turn": None}, "no finger sees anything now"),
     "contradiction": ({"turn": TURN | {"conflict": "left +3°, right -4°"}}, "left +3°, right -4°"),
     "not guarding": ({"guarding": False}, "not guarding"),
+    "held and idle": (
+        {"phase": "idle", "target_force_n": 0.0, "slipping": False},
+        "idle (mode lift, what is held is NOT guarded: `slipguard ctl guard on`)",
+    ),
+    "taken as it is": ({"phase": "idle", "target_force_n": 0.0}, "holds with 40 N per finger, jaws 28 mm apart"),
+    "idle": ({"phase": "idle", "slipping": False, "gripper": None}, "idle (mode lift, guarding)"),
     "no gripper": ({"gripper": None}, "grip not known"),
     "gripper fault": ({"gripper": HELD["gripper"] | {"fault": "under-voltage"}}, "gripper fault: under-voltage"),
     "empty": ({"gripper": HELD["gripper"] | {"holding": False}}, "empty, jaws 28 mm apart"),

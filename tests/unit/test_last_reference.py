@@ -57,7 +57,7 @@ async def settled(keeper: ReferenceKeeper, *decisions: Any) -> None:
 
 async def test_a_reference_that_is_held_for_hours_does_not_grow_old(tmp_path: Path) -> None:
     finger = Finger(pipeline())
-    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": finger}, [].append)  # type: ignore[dict-item]
+    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": finger}, [].append, [].append)  # type: ignore[dict-item]
     finger.sees(20.0, frames=12)
     noted = []
     for minutes in range(0, 21, 4):
@@ -69,7 +69,7 @@ async def test_a_reference_that_is_held_for_hours_does_not_grow_old(tmp_path: Pa
 async def test_a_restart_goes_on_with_the_reference_and_says_so(tmp_path: Path) -> None:
     said: list[str] = []
     old = Finger(pipeline())
-    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": old}, said.append)  # type: ignore[dict-item]
+    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": old}, said.append, said.append)  # type: ignore[dict-item]
     old.sees(0.0)
     await settled(keeper, decision(Phase.HOLDING))
     old.sees(12.0)
@@ -80,7 +80,7 @@ async def test_a_restart_goes_on_with_the_reference_and_says_so(tmp_path: Path) 
     new = Finger(pipeline())
     recall(new.pipeline, ReferenceShelf(tmp_path), "left", "D1", 0.0)
     assert new.pipeline.recalled == "waiting"
-    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": new}, said.append)  # type: ignore[dict-item]
+    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": new}, said.append, said.append)  # type: ignore[dict-item]
     new.sees(15.0)
     await settled(keeper, decision(Phase.REFERENCE), decision(Phase.HOLDING))
     assert new.newest.estimate.angle_deg == pytest.approx(15.0, abs=0.5)  # type: ignore[attr-defined]
@@ -96,7 +96,7 @@ async def test_what_does_not_match_is_said_with_the_turn_it_counts_from(tmp_path
     ReferenceShelf(tmp_path).save("left", "D1", KnownReference(IMAGE, 12.0))
     finger = Finger(pipeline())
     recall(finger.pipeline, ReferenceShelf(tmp_path), "left", "D1", 0.0)
-    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": finger}, said.append)  # type: ignore[dict-item]
+    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
     finger.sees(0.0, 20)
     await settled(keeper, decision(Phase.HOLDING), decision(Phase.HOLDING))
     assert len(said) == 1
@@ -112,7 +112,7 @@ async def test_a_full_disk_is_said_once(tmp_path: Path) -> None:
 
     said: list[str] = []
     finger = Finger(pipeline())
-    keeper = ReferenceKeeper(Full(tmp_path), {"left": finger}, said.append)  # type: ignore[dict-item]
+    keeper = ReferenceKeeper(Full(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
     finger.sees(0.0)
     await settled(keeper, *[decision(Phase.HOLDING)] * 4)
     assert said == ["the references could not be noted down for a restart: No space left on device"]
@@ -133,7 +133,7 @@ async def test_a_disk_that_is_mended_takes_the_references_again(
     monkeypatch.setattr("slipguard.daemon.reference_shelf.write_whole", write_whole)
     said: list[str] = []
     finger = Finger(pipeline())
-    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": finger}, said.append)  # type: ignore[dict-item]
+    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
     finger.sees(0.0)
     await settled(keeper, *[decision(Phase.HOLDING)] * 2)
     assert disk["writes"] == 1, "not at once again"

@@ -25,7 +25,7 @@ def test_a_restart_adopts_what_is_held() -> None:
     assert play.law.phase is Phase.HOLDING
     assert play.law.target_n == 93.0
     assert all(command.hold_force_n is command.release_width_mm is None for command in play.commands)
-    assert "not known how far up" in (play.tick(RequestKind.LOWER).refused or "")
+    assert "way down is not known" in (play.tick(RequestKind.LOWER).refused or "")
     assert play.slips().hold_force_n == pytest.approx(130.0, abs=0.85)
 
 
@@ -104,12 +104,15 @@ def test_another_program_tightens_but_never_loosens() -> None:
     held_n = play.law.target_n
     assert play.tick(RequestKind.GRIPPER, width_mm=0.0, force_n=30.0).hold_force_n == held_n
     assert "use release" in (play.tick(RequestKind.GRIPPER, width_mm=60.0).refused or "")
+    assert "give a width, a force or both" in (play.tick(RequestKind.GRIPPER).refused or "")
 
 
 def test_another_program_moves_the_empty_jaws() -> None:
     command = Play(GUARD_MODE).tick(RequestKind.GRIPPER, width_mm=50.0, force_n=25.0)
     assert command.move_width_mm == 50.0
     assert command.move_force_n == pytest.approx(25.0, abs=0.85)
+    assert "not guarded" not in (command.say or ""), "in guard mode what they meet is"
+    assert "give the width" in (Play(GUARD_MODE).tick(RequestKind.GRIPPER, force_n=25.0).refused or "")
     stopped = Play(GUARD_MODE)
     stopped.here = arm(protective=True)
     assert "protective" in (stopped.tick(RequestKind.GRIPPER, width_mm=50.0).refused or "")
@@ -126,6 +129,16 @@ def test_jaws_that_are_not_ready_are_not_moved(jaws: GripperState) -> None:
     assert "not ready" in (command.refused or "")
     assert command.move_width_mm is None
     assert command.hold_force_n is None
+
+
+def test_in_lift_mode_jaws_moved_for_another_program_are_not_guarded_and_that_is_said() -> None:
+    play = Play()
+    assert play.jaws is not None
+    play.jaws = replace(play.jaws, width_mm=60.0)
+    assert "not guarded until `guard on`" in (play.tick(RequestKind.GRIPPER, width_mm=10.0).say or "")
+    assert "not guarded" not in (play.tick(RequestKind.GRIPPER, width_mm=80.0).say or ""), "opening grips nothing"
+    play.jaws = gripper(55.0)
+    assert "not guarded until `guard on`" in (play.tick(RequestKind.GRIPPER, force_n=80.0).say or "")
 
 
 def test_an_object_held_unguarded_can_be_gripped_tighter_too() -> None:
@@ -153,7 +166,7 @@ def test_notes_are_said_once() -> None:
     said = [command.say for command in play.ticks(0.3) if command.say]
     assert said == ["right finger: 150 ms behind"]
     play.view = fused()
-    play.tick()
+    assert [command.say for command in play.ticks(0.3) if command.say] == ["both fingers tell the turn again"]
     play.view = fused(0.0, conflict="both pictures turn the same way (left 3, right 3): a fault")
     assert "same way" in (play.tick().say or "")
 

@@ -131,7 +131,7 @@ def test_a_fault_stays_latched_until_it_is_cleared() -> None:
     assert first.say == (
         "an object is held with 20 N already: taken over as it is, with the 93 N of before the restart"
     )
-    assert "while fault" in (play.tick(RequestKind.LIFT).refused or "")
+    assert "a fault is latched (arm silent)" in (play.tick(RequestKind.LIFT).refused or "")
     play.ticks(1.0)
     assert (play.law.phase, play.law.target_n, play.law.gripped) == (Phase.FAULT, 93.0, True)
     assert "cleared; holding with 93 N" in (play.tick(RequestKind.CLEAR).say or "")

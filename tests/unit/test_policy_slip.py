@@ -22,6 +22,10 @@ def test_the_first_step_is_large_and_stops_the_arm() -> None:
     assert command.hold_force_n == pytest.approx(40.2 * (1.5 + 0.25 * 0.3), abs=0.9)
     assert command.arm == "stop"
     assert "tightening" in (command.say or "")
+    assert command.warn
+    play.view = replace(play.view, rate_deg_s=0.0)
+    (calm,) = [later for later in play.ticks(2.0) if "calm" in (later.say or "")]
+    assert not calm.warn
 
 
 def test_a_turn_either_way_is_slip() -> None:
@@ -445,6 +449,8 @@ def test_clear_is_refused_where_something_else_is_wrong_besides() -> None:
     state, command = step(state_in(Phase.FAULT), view, PARAMS)
     assert state.phase is Phase.FAULT
     assert "the cause is still there" in (command.refused or "")
+    assert command.warn, "both are said, and are no mere news"
+    assert not step(state, replace(view, request=ask(RequestKind.CLEAR)), PARAMS)[1].warn, "once"
 
 
 def test_clear_with_nothing_held_is_idle() -> None:

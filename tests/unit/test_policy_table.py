@@ -62,7 +62,7 @@ lower          | refused      | refused       | refused           | refused     
 guard on       | refused      | -             | -                 | -             | -             | -             | -             | -
 guard off      | -            | -             | -                 | -             | -             | -             | -             | refused
 jaws open      | move         | refused       | refused           | refused       | refused       | refused       | refused       | refused
-jaws tighter   | move         | refused       | hold              | hold          | hold          | hold          | refused       | refused
+jaws tighter   | refused      | refused       | hold              | hold          | hold          | hold          | refused       | refused
 release        | released open| released open | released open     | released stop | released open | released stop | open          | released open
 clear          | refused      | refused       | refused           | refused       | refused       | refused       | refused       | reference reference
 turn           | -            | -             | holding           | hold stop     | hold stop     | hold stop     | -             | hold
