@@ -51,7 +51,9 @@ def calibrate(
     from slipguard.daemon.whereabouts import running_socket
     from slipguard.errors import InputError
 
-    if (back_to is None) != (finger is None) or finger not in (None, "left", "right"):
+    if finger not in (None, "left", "right"):
+        raise InputError(f"--finger {finger}: there are left and right")
+    if (back_to is None) != (finger is None):
         raise InputError("--back-to and --finger go together, such as `--back-to 3 --finger left`")
     settings = read_config(config)
     log.configure(level=logging.WARNING)
@@ -88,12 +90,12 @@ def _asked(
 async def _alone(
     settings: Config, look_only: bool, force: bool, new_gel: bool, back_to: int | None, finger: str | None
 ) -> tuple[dict[str, Any], Stored, dict[str, bytes]]:
-    """The same without a daemon: it opens the sensors, for their serial numbers at least."""
+    """The same without a daemon: it opens the sensors, where they must be looked at or tell their serial numbers."""
     from slipguard.daemon.desk import Desk
     from slipguard.daemon.root import sensors_alone
     from slipguard.lab.gel_picture import png_of
 
-    async with sensors_alone(settings) as service:
+    async with sensors_alone(settings, look_only=look_only) as service:
         desk = Desk(service)
         answer: dict[str, Any] = {}
         if back_to is not None and finger is not None:

@@ -137,9 +137,9 @@ async def run(
     """
     service = build(config, world=world)
     kept = StateDir(config.state.directory)
-    service.observers.append(GraspKeeper(kept, service.journal.say).decided)
+    service.observers.append(GraspKeeper(kept, service.journal.warn).decided)
     shelf = ReferenceShelf(kept.path / REFERENCES)
-    service.observers.append(ReferenceKeeper(shelf, service.fingers, service.journal.say).decided)
+    service.observers.append(ReferenceKeeper(shelf, service.fingers, service.journal.say, service.journal.warn).decided)
     desk = Desk(service)
     path = socket_path(config)
     unix = bind(path)  # before any device is opened: a second daemon must not touch what the first one owns
@@ -205,12 +205,21 @@ async def _reload_on(hung_up: asyncio.Event, reloader: Reloader) -> None:
 
 
 @contextlib.asynccontextmanager
-async def sensors_alone(config: Config) -> AsyncIterator[Service]:
+async def sensors_alone(config: Config, *, look_only: bool = False) -> AsyncIterator[Service]:
     """Both sensors open and the gripper asked, without a daemon; the arm is left alone.
 
+    look_only: what is stored is enough, so sensors whose serial numbers are known need not be there.
     Raises CommandRefused or DeviceTimeout with the reason.
     """
     service = build_service(config)
+    if look_only and all(finger.sensor.serial for finger in service.fingers.values()):
+        for finger in service.fingers.values():
+            finger.serial = finger.sensor.serial
+        try:
+            yield service
+        finally:
+            service.close()
+        return
     tasks = [asyncio.create_task(finger.run(), name=name) for name, finger in service.fingers.items()]
     tasks.append(asyncio.create_task(service.gripper.run(), name="gripper"))
     try:
@@ -228,7 +237,7 @@ async def _first_answers(service: Service) -> None:
     loop = asyncio.get_running_loop()
     deadline_s = loop.time() + FIRST_ANSWER_S
     while True:
-        missing = [f"{name}: {one.health.why}" for name, one in service.fingers.items() if not one.health.ready]
+        missing = [why for why in service.waiting_for if why.partition(":")[0] in service.fingers]
         gripper_known = service.gripper.health.ready or service.gripper.health.why != "not tried yet"
         if not missing and gripper_known:
             return

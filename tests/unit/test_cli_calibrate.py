@@ -7,9 +7,13 @@ import json
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from command_line import Ran, slipguard
 from fake_control import FakeControl, served
+
+from slipguard.daemon.calibration import NoContact
+from slipguard.daemon.state_dir import StateDir
 
 CONFIG = Path(__file__).parents[2] / "config.toml"
 
@@ -79,7 +83,20 @@ async def test_programs_get_all_of_it(control: FakeControl, tmp_path: Path, capf
     assert [one["number"] for one in told["stored"]["left"]["versions"]] == [1, 2]
 
 
-@pytest.mark.parametrize("words", [["--back-to", "2"], ["--finger", "left"], ["--back-to", "2", "--finger", "thumb"]])
+def test_what_is_stored_is_shown_without_a_sensor_plugged_in(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    StateDir().save_no_contact("D20479", NoContact(np.full((320, 240, 3), 90, np.uint8), (1.0, 2.0, 3.0), 30))
+    ran = slipguard(capfd, "calibrate", "--config", CONFIG, "--socket", tmp_path / "s", "--show")
+    assert (ran.code, ran.err) == (0, "")
+    assert "D20479" in ran.out
+    assert "1.0 2.0 3.0" in ran.out
+    assert "D20510" in ran.out
+
+
+@pytest.mark.parametrize("words", [["--back-to", "2"], ["--finger", "left"]])
 def test_half_a_wish_is_refused(words: list[str], capfd: pytest.CaptureFixture[str]) -> None:
     ran = slipguard(capfd, "calibrate", "--config", CONFIG, *words)
     assert "go together, such as `--back-to 3 --finger left`" in ran.complaint
