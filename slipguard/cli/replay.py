@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slipguard.errors import InputError
+from slipguard.errors import InputError, SlipguardError
 
 if TYPE_CHECKING:
     from slipguard.grasp.messages import Command
@@ -30,7 +30,10 @@ def replay(
     files: Annotated[list[Path], typer.Argument(help="Recordings (.mcap), or a folder of them.")],
     model: Annotated[Path | None, typer.Option(help="Another segmentation network (.onnx).")] = None,
     against: Annotated[
-        bool, typer.Option("--against", help="List what differs from the recording; exit code 1 if anything does.")
+        bool,
+        typer.Option(
+            "--against", help="List the commands that differ from the recorded ones; exit code 1 if any does."
+        ),
     ] = False,
     export: Annotated[Path | None, typer.Option(help="Folder to take the recording apart into instead.")] = None,
     kinds: Annotated[
@@ -68,6 +71,10 @@ def replay(
         _show(Console(), done, against)
     if against and (done.on_recorded.differences or done.on_frames.differences):
         raise typer.Exit(1)
+    if against and not done.on_recorded.ticks:
+        raise SlipguardError("nothing was played, so nothing was compared")
+    if model is not None and not done.asked:
+        raise SlipguardError(f"--model {model}: no frame was replayed, so it was not tried")
 
 
 def _as_json(done: Replay) -> dict[str, Any]:

@@ -105,7 +105,12 @@ def recordings(paths: Iterable[Path]) -> list[Recording]:
 
 
 def replay(opened: list[Recording], model: Path | None = None) -> Replay:
-    """Play recordings one after the other; each begins with the law's own memory of that moment."""
+    """Play recordings one after the other; each begins with the law's own memory of that moment.
+
+    Raises ModelError for a model that is none, whether or not a frame comes that it is to see.
+    """
+    if model is not None:
+        Segmenter(model)
     done = Replay()
     for recording in opened:
         done.image = "none"

@@ -74,10 +74,11 @@ def test_replay_against_fails_where_it_differs(
 
     monkeypatch.setattr(lab, "recordings", lambda files: files)
     monkeypatch.setattr(lab, "replay", played)
-    assert run(["replay", "kept", "--against", "--model", "other.onnx"]) == code
+    assert run(["replay", "kept", "--against"]) == code
     assert ("hold_force_n=50.0" in capsys.readouterr().out) is differs
-    assert run(["replay", "kept", "--model", "other.onnx"]) == 0
-    assert asked == [Path("other.onnx")] * 2
+    assert run(["replay", "kept", "--model", "other.onnx"]) == 1
+    assert "no frame was replayed, so it was not tried" in capsys.readouterr().err
+    assert asked == [None, Path("other.onnx")]
 
 
 def test_bench_takes_further_networks_in_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
