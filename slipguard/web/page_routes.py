@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from fastapi import FastAPI, Query, Response
+from fastapi import FastAPI, Query, Request, Response
 from fastapi.responses import FileResponse, JSONResponse, RedirectResponse
 from starlette.staticfiles import StaticFiles
 
@@ -29,10 +29,12 @@ def add_page(app: FastAPI, room: Room) -> None:
     app.mount("/page", StaticFiles(directory=PAGE), name="page")
 
     @app.get("/login", status_code=303, response_class=Response, responses=refusals(401, 422))
-    async def login(token: Annotated[str, Query(max_length=200)]) -> Response:
+    async def login(request: Request, token: Annotated[str, Query(max_length=200)]) -> Response:
         """Give the browser that opens a link from `/page-link` control of the page. A link works once."""
         cookie = room.access.redeem(token) if room.access is not None else None
         if room.access is None or cookie is None:
+            if "text/html" in request.headers.get("accept", ""):
+                return FileResponse(PAGE / "used.html", status_code=401)
             return error(401, "this link was used, or is too old; `slipguard ctl page` makes another")
         answer = RedirectResponse(f"/#session={room.access.session}", status_code=303)  # a fragment is sent nowhere
         answer.set_cookie(COOKIE, cookie, httponly=True, samesite="strict", path="/")

@@ -39,7 +39,7 @@ def bind(path: Path) -> UnixSocket:
     Raises ConfigError where it cannot be made, SlipguardError where another daemon listens there: one line.
     """
     if len(os.fsencode(path)) > PATH_MAX_BYTES:
-        raise ConfigError(f"api.socket = {path}: longer than the {PATH_MAX_BYTES} bytes a Unix socket's path may have")
+        raise ConfigError(f"{_where(path)}: longer than the {PATH_MAX_BYTES} bytes a Unix socket's path may have")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _clear_stale(path)
@@ -54,7 +54,11 @@ def bind(path: Path) -> UnixSocket:
             made.close()
             raise
     except OSError as error:
-        raise ConfigError(f"api.socket = {path}: cannot be made: {error.strerror}") from error
+        raise ConfigError(f"{_where(path)}: cannot be made: {error.strerror}") from error
+
+
+def _where(path: Path) -> str:
+    return f"the API's socket {path} (api.socket, or else in state.directory)"
 
 
 def _clear_stale(path: Path) -> None:
@@ -63,7 +67,7 @@ def _clear_stale(path: Path) -> None:
     except FileNotFoundError:
         return
     if not stat.S_ISSOCK(mode):
-        raise ConfigError(f"api.socket = {path}: is there already and is no socket; name another path")
+        raise ConfigError(f"{_where(path)}: is there already and is no socket; name another path")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(1.0)
         try:

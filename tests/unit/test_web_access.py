@@ -132,6 +132,10 @@ async def test_a_link_gives_control_once_and_to_a_browser_of_ours(control: FakeC
         assert again.status_code == 401
         assert "set-cookie" not in again.headers
         assert "slipguard ctl page" in again.json()["error"]
+        shown = await ask(port, "GET", url.partition(str(port))[2], {"accept": "text/html,*/*;q=0.8"})
+        assert (shown.status_code, shown.headers["content-type"]) == (401, "text/html; charset=utf-8")
+        assert "set-cookie" not in shown.headers
+        assert "slipguard ctl page" in shown.text
     assert control.asked == [("clear",)]
 
 
