@@ -194,7 +194,7 @@ def read_config(path: Path, *, sim: bool = False) -> Config:
     Raises ConfigError: one line with the file, the key, the value and what is allowed.
     """
     try:
-        raw = tomllib.loads(path.read_bytes().decode("utf-8"))
+        raw = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: no such file; config.toml in the project is a commented start") from error
     except (OSError, UnicodeDecodeError) as error:

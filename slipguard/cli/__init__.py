@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -15,11 +16,14 @@ def main() -> None:
     signal.signal(signal.SIGINT, interrupt)
     # A frame's matrices are small. OpenBLAS would wait for its helpers in a busy loop: at real-time priority for ever.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if isinstance(sys.stdout, io.TextIOWrapper):  # None where the shell has closed it
+        sys.stdout.reconfigure(errors="replace")  # a terminal without ° must not cost the result
     try:
         from slipguard.cli.app import run
 
         code = run()
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except BrokenPipeError:
         # The reader of a pipe has left; what is still buffered has nowhere to go.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -46,6 +46,8 @@ def bench(
 
         if not grip:
             raise InputError("--grip and --faults N go together, as in: slipguard bench --grip --faults 1000")
+        if model is not None or models is not None or table is not None:
+            raise InputError("--grip tries the guard with the shipped network: no --model, --models or --table")
         bench_faults(faults, seed, jobs, cluster, json, out)
         return
     from rich.console import Console

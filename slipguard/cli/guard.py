@@ -23,7 +23,12 @@ ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The configur
 def run(
     config: ConfigOption = USUAL_FILE,
     sim: Annotated[
-        bool, typer.Option("--sim", help="Put the fakes in place of all devices; the file may be missing then.")
+        bool,
+        typer.Option(
+            "--sim",
+            help="Put the fakes in place of all devices; the file may be missing then. What is kept "
+            "lies where a real cell's would: give state.directory another place if there is one.",
+        ),
     ] = False,
     log_json: Annotated[
         bool | None,
@@ -64,14 +69,17 @@ def check(
     from rich.table import Table
 
     from slipguard.config import read_config
-    from slipguard.errors import ConfigError
+    from slipguard.errors import ConfigError, ModelError
     from slipguard.perception.segment import Segmenter
 
     settings = read_config(config)
     wrong = next(_cannot_work(settings), None)
     if wrong is not None:
         raise ConfigError(f"{config}: {wrong}")
-    segmenter = Segmenter(settings.perception.model)
+    try:
+        segmenter = Segmenter(settings.perception.model)
+    except ModelError as error:
+        raise ConfigError(f"{config}: perception.model = {error}") from error
     if json:
         print(settings.model_dump_json(indent=2, serialize_as_any=True))
         return
@@ -87,6 +95,9 @@ def check(
         f"mode {guard.mode!r}: first grip {guard.first_force_n:g} N per finger, never above {guard.force_max_n:g} N, "
         f"{guard.blind_force_n:g} N where the turn cannot be seen"
     )
+    _, hardest_n = _devices(settings)["gripper"].force_limits_n
+    if hardest_n < guard.force_max_n:
+        console.print(f"this gripper applies {hardest_n:g} N at most")
     width, height = segmenter.input_size
     console.print(f"network {segmenter.path.name} at {width}×{height}, estimator {settings.perception.estimator!r}")
     console.print("the configuration is fine")
@@ -94,13 +105,10 @@ def check(
 
 def _cannot_work(config: Config) -> Iterator[str]:
     """What is well formed and fails as soon as the daemon starts, or at the first grasp; opens no device."""
-    from slipguard.config import GROUP_OF
     from slipguard.daemon.root import recordings_path
     from slipguard.daemon.state_dir import StateDir
     from slipguard.daemon.whereabouts import socket_path
-    from slipguard.devices import DriverContext
     from slipguard.errors import SlipguardError
-    from slipguard.registry import load_driver
 
     model = config.perception.model
     if model is not None and not model.is_file():
@@ -115,18 +123,26 @@ def _cannot_work(config: Config) -> Iterator[str]:
             yield f"{key}: {there} is no folder; move it away, or set {key} to another place"
     if socket_path(config).is_dir():
         yield f"api.socket = {socket_path(config)}: a folder; name a file in it"
-    devices: dict[str, Any] = {}
-    for name, group in GROUP_OF.items():
-        section = getattr(config, name)
-        try:
-            driver = load_driver(group, section.driver)
-            devices[name] = driver(section.settings, DriverContext(name, mode=config.guard.mode))
-        except SlipguardError as error:
-            yield str(error)
-            return
-    softest_n, _ = devices["gripper"].force_limits_n
+    try:
+        softest_n, _ = _devices(config)["gripper"].force_limits_n
+    except SlipguardError as error:
+        yield str(error)
+        return
     if config.guard.force_max_n < softest_n:
         yield f"guard.force_max_n = {config.guard.force_max_n:g}: this gripper grips with {softest_n:g} N at least"
+
+
+def _devices(config: Config) -> dict[str, Any]:
+    """All four drivers with their settings, none opened. Raises SlipguardError for what cannot be."""
+    from slipguard.config import GROUP_OF
+    from slipguard.devices import DriverContext
+    from slipguard.registry import load_driver
+
+    sections = {name: getattr(config, name) for name in GROUP_OF}
+    return {
+        name: load_driver(GROUP_OF[name], section.driver)(section.settings, DriverContext(name, mode=config.guard.mode))
+        for name, section in sections.items()
+    }
 
 
 def version(

@@ -9,7 +9,7 @@ import typer
 
 from slipguard.cli.interrupt import left_to_the_loop
 from slipguard.cli.progress import progress_bar
-from slipguard.errors import SlipguardError
+from slipguard.errors import InputError, SlipguardError
 from slipguard.priority import go_first
 
 if TYPE_CHECKING:
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from slipguard.lab.crowd import CrowdOptions
     from slipguard.lab.wire_latency import Latency
+
+PAIRS, BLOCK_S = 6, 8.0
 
 
 def latency(
@@ -28,9 +30,17 @@ def latency(
         typer.Option(min=1, max=60, help="What so many clients of page and API cost the loop, instead: two minutes."),
     ] = None,
     pairs: Annotated[
-        int, typer.Option(min=1, max=100, help="With --clients: how often alone and with them, turn and turn about.")
-    ] = 6,
-    block_s: Annotated[float, typer.Option(min=0.5, max=600.0, help="With --clients: seconds of each turn.")] = 8.0,
+        int | None,
+        typer.Option(
+            min=1,
+            max=100,
+            help=f"With --clients: how often alone and with them, turn and turn about; default: {PAIRS}.",
+        ),
+    ] = None,
+    block_s: Annotated[
+        float | None,
+        typer.Option(min=0.5, max=600.0, help=f"With --clients: seconds of each turn; default: {BLOCK_S:g}."),
+    ] = None,
     as_service: Annotated[
         bool, typer.Option("--as-service", help="With the real-time priority that the service has; needs root.")
     ] = False,
@@ -53,13 +63,15 @@ def latency(
     from slipguard.daemon import log
     from slipguard.lab.wire_latency import Options, measure
 
+    if clients is None and (pairs is not None or block_s is not None):
+        raise InputError("--pairs and --block-s belong to --clients N")
     log.configure(level=logging.CRITICAL)
     if as_service:
         go_first()
     if clients is not None:
         from slipguard.lab.crowd import CrowdOptions
 
-        _with_clients(CrowdOptions(clients, pairs, block_s, int(fps)), json)
+        _with_clients(CrowdOptions(clients, pairs or PAIRS, block_s or BLOCK_S, int(fps)), json)
         return
     with progress_bar("latency") as show, left_to_the_loop():
         found = asyncio.run(measure(Options(commands=commands, baud=baud, fps=int(fps)), show))

@@ -17,8 +17,9 @@ ESTIMATORS = ("skeleton", "pca", "ellipse", "moments")
 WIDE = 90
 """Columns of a terminal from which tables are set with air."""
 LEGEND = (
-    "turns, mean error and median sigma in degrees; highest grip given / needed, N per finger; latency of the loop "
-    "p50 / p99; frames answered without the network, and why; late: deadlines missed"
+    "largest turns until the lift's end, measured: while it was told; mean error and median sigma over that, in "
+    "degrees; highest grip given / needed, N per finger; latency of the loop p50 / p99; frames answered without the "
+    "network, and why; late: deadlines missed"
 )
 
 
@@ -86,7 +87,7 @@ def print_tables(console: Console, records: list[LiftRecord], *, realtime: bool)
     figures_now = summary(records, realtime=realtime)
     console.print(
         f"{figures_now['lifts']} lifts: {figures_now['held']} held, {figures_now['dropped']} dropped, "
-        f"{figures_now['refused']} refused; {figures_now['over_20_deg_or_dropped']} turned over 20° or were dropped"
+        f"{figures_now['refused']} refused; turned over 20° or dropped: {figures_now['over_20_deg_or_dropped']}"
     )
     if figures_now["latency_p99_ms"] is not None:
         console.print(

@@ -94,7 +94,11 @@ class DataSetWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *failure: object) -> None:
-        self._manifest.close()
+        try:
+            self._manifest.close()
+        except OSError as error:  # its last lines found no room
+            if kind is None:
+                raise _unwritable(self._out_dir, error) from error
         if kind is not None and issubclass(kind, InputError):
             for folder in (IMAGES, BACKGROUNDS, MASKS):
                 shutil.rmtree(self._out_dir / folder, ignore_errors=True)

@@ -11,7 +11,17 @@ import cv2
 import numpy as np
 
 from slipguard.errors import InputError
-from slipguard.lab.dataset_files import BACKGROUNDS, IMAGES, MASKS, DataSetWriter, Files, Image, check_new, png
+from slipguard.lab.dataset_files import (
+    BACKGROUNDS,
+    IMAGES,
+    MANIFEST_NAME,
+    MASKS,
+    DataSetWriter,
+    Files,
+    Image,
+    check_new,
+    png,
+)
 from slipguard.lab.footage import IMAGE_ENDINGS, damage, read_image
 from slipguard.lab.parallel import Workers, each
 from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
@@ -54,6 +64,8 @@ def found_pairs(source: Path) -> tuple[list[Pair], list[str]]:
     """
     if not source.is_dir():
         raise InputError(f"{source} is not a folder; name one with images and masks")
+    if (source / MANIFEST_NAME).is_file():
+        raise InputError(f"{source} is a data set of slipguard already, and needs no import")
     files = sorted(path for path in source.rglob("*") if path.suffix.lower() in IMAGE_ENDINGS and path.is_file())
     images: dict[tuple[str, ...], Path] = {}
     masks: dict[tuple[str, ...], Path] = {}

@@ -255,6 +255,9 @@ def test_network_files_are_told_apart(tmp_path: Path) -> None:
         network_files(tmp_path)
     with pytest.raises(ModelError, match="no such folder"):
         network_files(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ModelError, match=r"no \.onnx file in it"):
+        network_files(tmp_path / "empty")
 
 
 def test_shares_within_sigma_are_as_uncertain_as_grasps_differ() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 
@@ -40,6 +41,10 @@ WRONG = {
     "train --frames 1": "--frames",
     "bench --quick --model nowhere.onnx": "no such file",
     "version --verbose": "--verbose",
+    "ctl gripper": "give --width-mm, --force-n or both",
+    "calibrate --back-to 1 --finger middle": "--finger middle: there are left and right",
+    "latency --pairs 3": "belong to --clients",
+    "bench --grip --faults 2 --model other.onnx": "no --model",
 }
 
 
@@ -97,7 +102,38 @@ def test_a_corrupt_model_in_the_configuration(capfd: pytest.CaptureFixture[str],
     for command in ("check", "run"):
         ran = slipguard(capfd, command, "--config", path)
         assert "not a readable ONNX model" in ran.complaint
+        assert (f"{path}: perception.model = {model}" in ran.complaint) == (command == "check")
         assert ran.code == 2
+
+
+def test_a_configuration_with_a_byte_order_mark_is_read(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text((Path(__file__).parents[2] / "config.toml").read_text(), encoding="utf-8-sig")
+    assert slipguard(capfd, "check", "--config", path).code == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "changed", "said"),
+    [
+        ("D20479", "D 1", "left.digit.serial = 'D 1': letters and digits"),
+        ("192.168.1.10", "a b", "arm.ur5.host = 'a b': a name or an address, without blanks"),
+        ("/dev/serial", "", "gripper.robotiq.port = ''"),
+    ],
+)
+def test_what_can_be_no_device_is_named(
+    given: str, changed: str, said: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "cell.toml"
+    shipped = (Path(__file__).parents[2] / "config.toml").read_text()
+    path.write_text(re.sub(f'"{given}[^"]*"', f'"{changed}"', shipped, count=1))
+    assert said in slipguard(capfd, "check", "--config", path).complaint
+
+
+def test_check_says_what_the_gripper_cannot(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    shipped = (Path(__file__).parents[2] / "config.toml").read_text()
+    path.write_text(shipped.replace('"2F-85" ', '"2F-140"'))
+    assert "this gripper applies 125 N at most" in slipguard(capfd, "check", "--config", path).out
 
 
 @pytest.mark.parametrize("words", [("--sim",), ("bench", "--quick")])
@@ -129,7 +165,8 @@ def test_a_group_without_a_command_shows_its_help(group: str, capfd: pytest.Capt
 
 
 @pytest.mark.parametrize(
-    "command", ["state", "grasp", "lift", "lower", "guard on", "release --yes", "clear", "gripper", "calibrate"]
+    "command",
+    ["state", "grasp", "lift", "lower", "guard on", "release --yes", "clear", "gripper --width-mm 60", "calibrate"],
 )
 def test_ctl_without_a_daemon_says_how_to_start_one(command: str, capfd: pytest.CaptureFixture[str]) -> None:
     ran = slipguard(capfd, "ctl", *command.split())

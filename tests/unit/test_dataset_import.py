@@ -165,6 +165,10 @@ def test_folders_that_hold_nothing_of_use_are_refused(tmp_path: Path) -> None:
         found_pairs(tmp_path / "nowhere")
     with pytest.raises(InputError, match="0 images and 0 masks"):
         found_pairs(tmp_path)
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "manifest.jsonl").touch()
+    with pytest.raises(InputError, match="data set of slipguard already"):
+        found_pairs(tmp_path / "own")
     put(tmp_path / "masks" / "a.png", disc())
     put(tmp_path / "images" / "b.png", picture())
     with pytest.raises(InputError, match="1 images and 1 masks, no two of one name"):

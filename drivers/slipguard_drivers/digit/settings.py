@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 Level = Annotated[int, Field(ge=0, le=15)]
 Levels = tuple[Level, Level, Level]
+
+
+def _serial(given: str) -> str:
+    if not (given.isascii() and given.isalnum()):
+        raise ValueError("letters and digits, as printed on the sensor")
+    return given
 
 
 class DigitSettings(BaseModel):
@@ -16,7 +22,7 @@ class DigitSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     only_one: ClassVar = ("serial",)
-    serial: Annotated[str, Field(pattern=r"^[A-Za-z0-9]+$")]
+    serial: Annotated[str, AfterValidator(_serial)]
     fps: Literal[30, 60] = 60
     pixels: Literal["auto", "YUYV", "MJPG"] = "auto"
     led_rgb: Levels = (15, 15, 15)

@@ -48,7 +48,7 @@ class RobotiqGripper(Gripper):
 
         model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-        port: str
+        port: Annotated[str, Field(min_length=1)]
         model: Literal["2F-85", "2F-140"] = "2F-85"
         slave_id: Annotated[int, Field(ge=1, le=247)] = registers.SLAVE_ID
         timeout_ms: Annotated[float, Field(ge=20.0, le=1000.0)] = 50.0

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+
+def _one_word(given: str) -> str:
+    if len(given.split()) != 1:
+        raise ValueError("a name or an address, without blanks")
+    return given
 
 
 class Ur5Settings(BaseModel):
@@ -12,7 +18,7 @@ class Ur5Settings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    host: Annotated[str, Field(min_length=1)]
+    host: Annotated[str, Field(min_length=1), AfterValidator(_one_word)]
     """The controller's address."""
 
     speed_max_mm_s: Annotated[float, Field(gt=0.0, le=250.0)] = 250.0

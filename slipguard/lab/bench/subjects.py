@@ -160,4 +160,6 @@ def network_files(folder: Path | None) -> tuple[list[Path], list[Path]]:
         except ModelError:
             Segmenter(path)
             contract.append(path)
+    if not any(folder.glob("*.onnx")):
+        raise ModelError(f"--models {folder}: no .onnx file in it")
     return contract, frame

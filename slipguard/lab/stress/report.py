@@ -98,7 +98,7 @@ def print_table(console: Console, outcome: Outcome) -> None:
     console.print(table)
     console.print(
         "told: of what was asked; wrong: by more than 5 sigma and 3°; broken: the promises below, or too little told; "
-        "worst: sure or not",
+        "worst, sigmas: the largest error and the largest of errors in sigma, of any two trials",
         style="dim",
     )
     promises = {what: value for notes in outcome.notes for what, value in notes.promises.items()}
