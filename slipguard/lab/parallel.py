@@ -9,11 +9,12 @@ from __future__ import annotations
 import importlib
 import logging
 import signal
+import threading
 import traceback
 import warnings
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
-from contextlib import closing
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from typing import Any, Generic, TypeVar
@@ -113,11 +114,12 @@ def _in_processes(task: Callable[[T], R], items: Sequence[T], jobs: int) -> Gene
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     pool = Parallel(n_jobs=jobs, return_as="generator")
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, set())
     resource_tracker.ensure_running()  # whose start unblocks SIGINT in an older Python (CPython issue 127586)
     results = None
     try:
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # the workers start with it
         try:
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # the workers start with it
             results = pool(delayed(_in_worker)(task, item) for item in items)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -129,9 +131,27 @@ def _in_processes(task: Callable[[T], R], items: Sequence[T], jobs: int) -> Gene
         ) from error
     finally:
         if results is not None:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of results that were not asked for
+            with _quietly():
                 results.close()
+
+
+@contextmanager
+def _quietly() -> Iterator[None]:
+    """Workers are killed amid their work: joblib warns of results not asked for, and loky's thread may miss one."""
+    before = threading.excepthook
+
+    def heard(failure: threading.ExceptHookArgs) -> None:
+        of_loky = failure.thread is not None and failure.thread.name == "ExecutorManagerThread"
+        if not (of_loky and failure.exc_type is KeyError):  # it looks for an item that it has itself given up
+            before(failure)
+
+    threading.excepthook = heard
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        threading.excepthook = before
 
 
 def _in_worker(task: Callable[[T], R], item: T) -> R:

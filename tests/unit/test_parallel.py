@@ -181,3 +181,18 @@ def test_a_cluster_of_another_version_is_refused(cluster: str, monkeypatch: pyte
     monkeypatch.setattr(parallel, "_version", lambda: "0.0.1")
     with pytest.raises(InputError, match=r"workers run slipguard 0\.0\.1, this is 9\.9"):
         list(each(drawn, ITEMS, Workers(cluster=cluster)))
+
+
+def test_only_lokys_own_lost_item_is_kept_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str | None] = []
+    monkeypatch.setattr(threading, "excepthook", lambda failure: told.append(failure.thread.name))
+
+    def lost() -> None:
+        raise KeyError(29)
+
+    with parallel._quietly():
+        for name in ("ExecutorManagerThread", "somebody else's"):
+            thread = threading.Thread(target=lost, name=name)
+            thread.start()
+            thread.join()
+    assert told == ["somebody else's"]
