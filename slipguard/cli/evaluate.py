@@ -230,7 +230,9 @@ def _on_cell(
         raise InputError("on a cell --config, --protocol and --intrinsics are needed; or try --sim")
     settings = read_config(config)
     service, lens = build_service(settings), read_intrinsics(intrinsics)
-    service.observers.append(GraspKeeper(StateDir(settings.state.directory), service.journal.warn).decided)
+    service.observers.append(
+        GraspKeeper(StateDir(settings.state.directory), service.journal.say, service.journal.warn).decided
+    )
     with in_the_daemons_place(socket_path(settings)):
         external = nullcontext() if camera is None else Camera(camera, lens)
         with external as eye, left_to_the_loop():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as jsonlib
+from dataclasses import fields
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -106,7 +107,7 @@ def _plain(difference: Difference) -> dict[str, Any]:
 
 def _told(command: Command) -> str:
     """Only what it commands."""
-    given = {name: getattr(command, name) for name in type(command).__slots__}
+    given = {one.name: getattr(command, one.name) for one in fields(command) if one.compare}
     return ", ".join(f"{name}={value}" for name, value in given.items() if value not in (None, False)) or "nothing"
 
 

@@ -9,10 +9,13 @@ TRY_AGAIN_S = 5.0
 
 
 class DiskWork:
-    """name: of its task. what: it is that is noted down, as a line begins with it. say: told of trouble and its end."""
+    """name: of its task. what: it is that is noted down, as a line begins with it.
 
-    def __init__(self, name: str, what: str, say: Callable[[str], None]) -> None:
-        self._name, self._what, self._say = name, what, say
+    warn: told of trouble. say: of its end.
+    """
+
+    def __init__(self, name: str, what: str, say: Callable[[str], None], warn: Callable[[str], None]) -> None:
+        self._name, self._what, self._say, self._warn = name, what, say, warn
         self._writing: asyncio.Task[None] | None = None
         self._why: str | None = None
         self._again_at_s = 0.0
@@ -43,7 +46,7 @@ class DiskWork:
             before, self._why = self._why, getattr(error, "strerror", None) or str(error) or type(error).__name__
             self._again_at_s = asyncio.get_running_loop().time() + TRY_AGAIN_S
             if self._why != before:
-                self._say(f"{self._what} could not be noted down for a restart: {self._why}")
+                self._warn(f"{self._what} could not be noted down for a restart: {self._why}")
         else:
             if self.failed:
                 self._say(f"{self._what} can be noted down for a restart again")

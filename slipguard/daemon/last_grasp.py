@@ -76,9 +76,9 @@ class _Note:
 class GraspKeeper:
     """Watches decisions and keeps the shelf up to date, in a thread: the loop never waits for the disk."""
 
-    def __init__(self, shelf: Shelf, warn: Callable[[str], None]) -> None:
+    def __init__(self, shelf: Shelf, say: Callable[[str], None], warn: Callable[[str], None]) -> None:
         self._shelf = shelf
-        self._disk = DiskWork("last grasp", "the grip", warn)
+        self._disk = DiskWork("last grasp", "the grip", say, warn)
         self._kept = _Note()
         self._known = False
         self._noted_at_s = 0.0

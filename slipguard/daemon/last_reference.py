@@ -71,7 +71,7 @@ class ReferenceKeeper:
         self._kept: dict[str, _Kept] = {}
         self._empty = False
         self._told: dict[str, Perceiver] = {}
-        self._disk = DiskWork("last reference", "the references", warn)
+        self._disk = DiskWork("last reference", "the references", say, warn)
 
     def decided(self, decision: Decision) -> None:
         """To be called after every turn of the loop."""

@@ -137,7 +137,7 @@ async def run(
     """
     service = build(config, world=world)
     kept = StateDir(config.state.directory)
-    service.observers.append(GraspKeeper(kept, service.journal.warn).decided)
+    service.observers.append(GraspKeeper(kept, service.journal.say, service.journal.warn).decided)
     shelf = ReferenceShelf(kept.path / REFERENCES)
     service.observers.append(ReferenceKeeper(shelf, service.fingers, service.journal.say, service.journal.warn).decided)
     desk = Desk(service)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal
 
@@ -99,7 +99,8 @@ class Command:
     hold_force_n: `Gripper.hold`. halt: `Gripper.halt`. move_width_mm with move_force_n: `Gripper.move`.
     release_width_mm: `Gripper.release`. arm: `Arm.stop` or `Arm.lift`. new_reference: both fingers take a new
     reference from the next stable contact on.
-    say: one line for log and page. warn: it tells of trouble. refused: why this tick's request was not granted.
+    say: one line for log and page. warn: it tells of trouble; no part of what is commanded.
+    refused: why this tick's request was not granted.
     fault: latched now or before.
     """
 
@@ -111,7 +112,7 @@ class Command:
     arm: Literal["stop"] | ArmLift | None = None
     new_reference: bool = False
     say: str | None = None
-    warn: bool = False
+    warn: bool = field(default=False, compare=False)
     refused: str | None = None
     fault: Fault | None = None
 

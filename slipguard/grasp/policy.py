@@ -23,6 +23,8 @@ LOST_ALONE_TIMES = 3.0
 
 SPOKEN_OF = AT_STAKE - {Phase.CLOSING, Phase.REFERENCE}
 """Phases in which a finger that goes blind is said; in FAULT, too, while something is held."""
+NOTE_OVER_S = 1.0
+"""What comes and goes within this is one trouble, and said once."""
 
 Outcome = tuple[GuardState, Command]
 
@@ -257,12 +259,17 @@ def _keep_force(state: GuardState, seen: Seen, command: Command) -> Outcome:
 
 
 def _tell_notes(state: GuardState, seen: Seen, command: Command) -> Outcome:
-    """Say once that a finger is blind or that the two contradict each other, and when both tell the turn again."""
-    held = state.phase in SPOKEN_OF or (state.phase is Phase.FAULT and state.gripped)
-    fused = seen.fused if held else None
-    note = (fused.conflict or fused.note or fused.declined) if fused is not None else None
-    plain = without_figures(note) if note is not None else None
-    if plain == state.note:
+    """Say once that a finger is blind or that the two contradict each other, and when that is over."""
+    fused = seen.fused
+    if not (state.phase in SPOKEN_OF or (state.phase is Phase.FAULT and state.gripped)):
+        return (state if state.note is None else replace(state, note=None)), command
+    if fused is None:
         return state, command
-    said = "both fingers tell the turn again" if note is None and fused is not None else note
-    return replace(state, note=plain), replace(command, say=in_one_line(command.say, said))
+    note = fused.conflict or fused.note or fused.declined
+    if note is not None:
+        if state.note is not None and without_figures(state.note) == without_figures(note):
+            return replace(state, noted_s=seen.now_s), command
+        return replace(state, note=note, noted_s=seen.now_s), replace(command, say=in_one_line(command.say, note))
+    if state.note is None or seen.now_s - state.noted_s < NOTE_OVER_S:
+        return state, command
+    return replace(state, note=None), replace(command, say=in_one_line(command.say, f"no longer: {state.note}"))

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from slipguard.grasp import limits
 from slipguard.grasp.fault import FaultCode
-from slipguard.grasp.messages import ArmLift, Command, RequestKind, Seen
+from slipguard.grasp.messages import ArmLift, Command, RequestKind, Seen, in_one_line
 from slipguard.grasp.params import GuardParams
 from slipguard.grasp.state import GuardState, Phase, emptied, entered, settled, taken_over
 from slipguard.grasp.tracked import Detector
@@ -25,7 +25,12 @@ Outcome = tuple[GuardState, Command]
 def answer(state: GuardState, command: Command, seen: Seen, params: GuardParams) -> Outcome:
     """Grant or refuse this tick's request, on top of what the phase has commanded already."""
     granted = _ANSWERS.get(seen.request.kind)
-    return granted(state, command, seen, params) if granted is not None else (state, command)
+    if granted is None:
+        return state, command
+    state, answered = granted(state, command, seen, params)
+    if answered.say != command.say:
+        answered = replace(answered, say=in_one_line(command.say, answered.say))
+    return state, answered
 
 
 def next_leg(state: GuardState, height_mm: float, params: GuardParams) -> ArmLift:
@@ -94,7 +99,7 @@ def _lift(state: GuardState, command: Command, seen: Seen, params: GuardParams) 
 def _lower(state: GuardState, command: Command, seen: Seen, params: GuardParams) -> Outcome:
     why = _no_motion(state, seen, params, "lower")
     if why is None and state.ground_mm is None and seen.request.height_mm is None:
-        why = "it was not lifted since it was gripped or taken over, so the way down is not known; give a height"
+        why = "the way down is not known (no lift since it was gripped, or the arm was away); give a height"
     if why is not None or seen.arm is None:
         return _refuse(state, command, why or "")
     here_mm = seen.arm.height_mm
@@ -191,7 +196,7 @@ def _gripper(state: GuardState, command: Command, seen: Seen, params: GuardParam
         force_n = limits.allowed(force_n, 0.0, within)
         said = f"moving the jaws to {request.width_mm:g} mm with {force_n:.0f} N"
         if request.width_mm < gripper.width_mm:
-            said += _nobody_guards(params)
+            said += _nobody_guards(state, params)
         return state, replace(command, move_width_mm=request.width_mm, move_force_n=force_n, say=said)
     if state.phase in (Phase.CLOSING, Phase.RELEASED, Phase.FAULT):
         return _refuse(state, command, _latched(state) or f"cannot move the jaws while {state.phase}")
@@ -200,14 +205,15 @@ def _gripper(state: GuardState, command: Command, seen: Seen, params: GuardParam
     target_n = limits.allowed(force_n, max(state.target_n, gripper.force_n), within)
     said = f"holding with {target_n:.0f} N, as asked"
     if state.phase is Phase.IDLE:
-        return state, replace(command, hold_force_n=target_n, say=said + _nobody_guards(params))
+        return state, replace(command, hold_force_n=target_n, say=said + _nobody_guards(state, params))
     state = replace(state, target_n=target_n, commanded_s=seen.now_s)
     return state, replace(command, hold_force_n=target_n, say=said)
 
 
-def _nobody_guards(params: GuardParams) -> str:
+def _nobody_guards(state: GuardState, params: GuardParams) -> str:
     """In guard mode what the jaws meet is guarded by itself; in lift mode it may be anything."""
-    return "" if params.mode == "guard" else "; what they grip is not guarded until `guard on`"
+    by_itself = params.mode == "guard" and state.guarding
+    return "" if by_itself else "; what they grip is not guarded until `guard on`"
 
 
 def _clear(state: GuardState, command: Command, seen: Seen, params: GuardParams) -> Outcome:

@@ -86,6 +86,7 @@ class GuardState:
     let_go: a release was asked for. braking: the arm has not said since then that it stands.
     adopted: the gripper's first state has been looked at. found: it was seen to hold something already.
     remembered: the grip before a restart, until the gripper's first state has been looked at.
+    note: what was last said against a finger's turn. noted_s: when it was last so.
     besides: what is wrong and has been said while a fault is latched.
     """
 
@@ -116,6 +117,7 @@ class GuardState:
     found: bool = False
     remembered: Remembered | None = None
     note: str | None = None
+    noted_s: float = -math.inf
     besides: frozenset[FaultCode] = frozenset()
     fault: Fault | None = None
 

@@ -147,6 +147,7 @@ def test_an_object_held_unguarded_can_be_gripped_tighter_too() -> None:
     play.jaws = gripper(55.0)
     assert play.tick(RequestKind.GRIPPER, force_n=80.0).hold_force_n == pytest.approx(80.0, abs=0.85)
     assert play.law.phase is Phase.IDLE
+    assert "not guarded until `guard on`" in (play.tick(RequestKind.GRIPPER, force_n=81.0).say or "")
 
 
 def test_a_lift_waits_until_all_is_ready() -> None:
@@ -166,7 +167,12 @@ def test_notes_are_said_once() -> None:
     said = [command.say for command in play.ticks(0.3) if command.say]
     assert said == ["right finger: 150 ms behind"]
     play.view = fused()
-    assert [command.say for command in play.ticks(0.3) if command.say] == ["both fingers tell the turn again"]
+    assert not any(command.say for command in play.ticks(0.9)), "a note that comes and goes is one note"
+    play.view = fused(0.0, fingers=("left",), note="right finger: 160 ms behind")
+    assert play.tick().say is None
+    play.view = fused()
+    said = [command.say for command in play.ticks(1.2) if command.say]
+    assert said == ["no longer: right finger: 150 ms behind"]
     play.view = fused(0.0, conflict="both pictures turn the same way (left 3, right 3): a fault")
     assert "same way" in (play.tick().say or "")
 

@@ -453,6 +453,19 @@ def test_clear_is_refused_where_something_else_is_wrong_besides() -> None:
     assert not step(state, replace(view, request=ask(RequestKind.CLEAR)), PARAMS)[1].warn, "once"
 
 
+def test_what_a_tick_has_to_say_is_not_lost_on_a_request() -> None:
+    play = Play().held()
+    play.slips(frames=1)
+    command = play.tick(RequestKind.GUARD_ON)
+    assert command.hold_force_n is not None
+    assert "tightening" in (command.say or "")
+    assert (command.say or "").endswith("; guarding")
+    view = seen_in(Phase.FAULT, request=ask(RequestKind.GUARD_ON), fault=UNTRUSTED, also=(FAULT,))
+    said = step(state_in(Phase.FAULT, gripped=True), view, PARAMS)[1].say or ""
+    assert str(FAULT) in said
+    assert said.endswith("the fault stays latched until it is cleared")
+
+
 def test_clear_with_nothing_held_is_idle() -> None:
     view = seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), gripper=gripper(0.0, holding=False))
     assert step(state_in(Phase.FAULT), view, PARAMS)[0].phase is Phase.IDLE

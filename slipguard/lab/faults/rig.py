@@ -134,7 +134,7 @@ class Rig:
             law=tick,
             memory=remembered(self._state),
         )
-        service.observers.append(GraspKeeper(self._state, service.journal.warn).decided)
+        service.observers.append(GraspKeeper(self._state, service.journal.say, service.journal.warn).decided)
         service.journal.listeners.append(lambda event: self._heard(event.line))
         return service
 
