@@ -78,7 +78,7 @@ class TactileSensor(Protocol):
     @property
     @abstractmethod
     def serial(self) -> str:
-        """Serial number; the no-contact image is stored under it. Known after `open()`."""
+        """Serial number; the no-contact image is stored under it. Empty before `open()` where it is not known yet."""
 
     @property
     def remarks(self) -> tuple[str, ...]:

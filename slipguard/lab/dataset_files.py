@@ -77,8 +77,8 @@ def render_dataset(
 class DataSetWriter:
     """Writes frame after frame into a new folder; a context, which closes the manifest at its end.
 
-    An InputError passing through it takes the folder's contents with it; an interruption leaves what is written, which
-    is a whole data set of fewer frames. Raises InputError where the folder cannot be written.
+    An InputError passing through it, or a full disk, takes the folder's contents with it; an interruption leaves what
+    is written, which is a whole data set of fewer frames. Raises InputError where the folder cannot be written.
     """
 
     def __init__(self, out_dir: Path) -> None:
@@ -94,15 +94,17 @@ class DataSetWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *failure: object) -> None:
+        unwritten: OSError | None = None
         try:
             self._manifest.close()
         except OSError as error:  # its last lines found no room
-            if kind is None:
-                raise _unwritable(self._out_dir, error) from error
-        if kind is not None and issubclass(kind, InputError):
+            unwritten = error
+        if unwritten is not None or (kind is not None and issubclass(kind, InputError)):
             for folder in (IMAGES, BACKGROUNDS, MASKS):
                 shutil.rmtree(self._out_dir / folder, ignore_errors=True)
             (self._out_dir / MANIFEST_NAME).unlink(missing_ok=True)
+        if unwritten is not None and kind is None:
+            raise _unwritable(self._out_dir, unwritten) from unwritten
 
     def add(self, line: dict[str, Any], files: Files) -> None:
         """Write one frame's files under the name in line["file"], and its line of the manifest."""

@@ -64,7 +64,7 @@ def found_pairs(source: Path) -> tuple[list[Pair], list[str]]:
     """
     if not source.is_dir():
         raise InputError(f"{source} is not a folder; name one with images and masks")
-    if (source / MANIFEST_NAME).is_file():
+    if all((source / name).exists() for name in (MANIFEST_NAME, IMAGES, BACKGROUNDS, MASKS)):
         raise InputError(f"{source} is a data set of slipguard already, and needs no import")
     files = sorted(path for path in source.rglob("*") if path.suffix.lower() in IMAGE_ENDINGS and path.is_file())
     images: dict[tuple[str, ...], Path] = {}

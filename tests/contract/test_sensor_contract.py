@@ -65,8 +65,10 @@ async def failure(sensor: TactileSensor) -> DeviceError:
 
 
 async def test_frames_are_portrait_pictures_read_only_and_fresh(rig: Rig) -> None:
+    known = rig.sensor.serial
     await rig.sensor.open()
     assert rig.sensor.serial
+    assert known in ("", rig.sensor.serial)
     frame = await good_frame(rig.sensor)
     assert frame.image.shape == (320, 240, 3)
     assert frame.image.dtype == np.uint8

@@ -14,7 +14,7 @@ from slipguard.cli.app import run
 from slipguard.errors import InputError
 from slipguard.lab.compositions import beside, composition, resized, roughened
 from slipguard.lab.dataset import BROAD_NAME, COMPOSITION_NAME, UNIT_FRAMES, Sample, sample
-from slipguard.lab.dataset_files import read_backgrounds, render_dataset
+from slipguard.lab.dataset_files import DataSetWriter, read_backgrounds, render_dataset
 from slipguard.lab.dataset_sheet import contact_sheet
 from slipguard.lab.parallel import Workers
 from slipguard.sim import objects
@@ -201,3 +201,13 @@ def test_backgrounds_that_cannot_be_used_are_named(tmp_path: Path) -> None:
 def test_a_sheet_needs_a_data_set(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no data set"):
         contact_sheet(tmp_path, tmp_path / "sheet.png")
+
+
+def test_a_disk_that_fills_up_leaves_nothing_behind(tmp_path: Path) -> None:
+    """The manifest's last lines are written when it is closed."""
+    writer = DataSetWriter(tmp_path / "set")
+    writer._manifest.close()
+    writer._manifest = open("/dev/full", "w", encoding="utf-8")  # noqa: SIM115 - the writer closes it
+    with pytest.raises(InputError, match="No space left on device"), writer:
+        writer.add({"file": "0.png"}, {"images": b"png"})
+    assert list((tmp_path / "set").iterdir()) == []

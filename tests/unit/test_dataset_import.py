@@ -165,7 +165,8 @@ def test_folders_that_hold_nothing_of_use_are_refused(tmp_path: Path) -> None:
         found_pairs(tmp_path / "nowhere")
     with pytest.raises(InputError, match="0 images and 0 masks"):
         found_pairs(tmp_path)
-    (tmp_path / "own").mkdir()
+    for name in ("images", "backgrounds", "masks"):
+        (tmp_path / "own" / name).mkdir(parents=True)
     (tmp_path / "own" / "manifest.jsonl").touch()
     with pytest.raises(InputError, match="data set of slipguard already"):
         found_pairs(tmp_path / "own")

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 
 def _one_word(given: str) -> str:
-    if len(given.split()) != 1:
+    if given.split() != [given]:
         raise ValueError("a name or an address, without blanks")
     return given
 
