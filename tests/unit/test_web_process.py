@@ -69,7 +69,7 @@ async def test_a_killed_web_process_is_replaced_and_nobody_is_turned_away(tmp_pa
 
 async def test_stopping_finishes_what_was_asked(tmp_path: Path) -> None:
     control = FakeControl()
-    control.delay_s = 0.05
+    control.delay_s = 0.3
     with Client(tmp_path / "s", timeout_s=20.0) as client:
         async with hosted(control, tmp_path):
             asking = asyncio.create_task(asyncio.to_thread(client.clear))
