@@ -15,6 +15,17 @@ DOUBLE_CLICK = """ms => new Promise(done => {
   setTimeout(() => done(again()), ms);
 })"""
 """Both halves by the page's own clock, so that a busy machine does not part them."""
+AGAIN_AT_ONCE = """async () => {
+  const press = id => document.querySelector(id).click();
+  const wait = ms => new Promise(done => setTimeout(done, ms));
+  press("#do-lift");
+  await wait(300);
+  press("#ask-no");
+  press("#do-lift");
+  await wait(250);
+  return !document.querySelector("#ask-yes").disabled;
+}"""
+"""Closed and asked again in one turn of the page: that it closed is told only after the second asking."""
 COLOURS = """(canvas) => {
   const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
   copy.drawImage(canvas, 0, 0);
@@ -97,6 +108,17 @@ async def test_a_double_click_gives_one_command(running: Daemon, look) -> None: 
     await expect(page.locator("#detail")).to_contain_text("NOT guarding")
     await give(page, "guard")
     await expect(page.locator("#do-guard .label")).to_have_text("Guard off")
+
+
+async def test_a_question_asked_anew_at_once_can_be_answered_and_not_too_early(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+    running.held(anew=False)
+    page = await look()
+    early = await page.evaluate(AGAIN_AT_ONCE)
+    assert early is False, "the first question's time must not arm the second"
+    await expect(page.locator("#ask")).to_be_visible()
+    await expect(page.locator("#ask-yes")).to_be_enabled()
+    await page.click("#ask-no")
+    await expect(page.locator("#ask")).to_be_hidden()
 
 
 async def test_a_refusal_is_shown_in_the_daemons_words(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]

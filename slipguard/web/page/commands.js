@@ -15,6 +15,7 @@ export class Commands {
     this.asking = null;
     this.pending = null;
     this.armed = false;
+    this.arming = null;
     this.dialog = byId("ask");
     this.yes = byId("ask-yes");
     this.no = byId("ask-no");
@@ -30,7 +31,7 @@ export class Commands {
       if (!event.target.closest("button, input, label")) event.preventDefault(); // or the safe button loses the focus
     });
     this.dialog.addEventListener("close", () => {
-      this.asking = null;
+      if (!this.dialog.open) this.asking = null; // it is told late: the next question may be open by then
     });
   }
 
@@ -86,7 +87,8 @@ export class Commands {
     this.dialog.classList.toggle("danger", Boolean(ORDERS[name].danger));
     byId("ask-fields").replaceChildren(...fields(order));
     this.armed = false;
-    setTimeout(() => {
+    clearTimeout(this.arming); // of a question closed before it was armed
+    this.arming = setTimeout(() => {
       this.armed = true;
       this.look();
     }, ARMED_AFTER_MS);
