@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import os
 import tempfile
@@ -117,6 +118,7 @@ def as_nobody() -> Iterator[None]:
     group, groups = os.getgid(), os.getgroups()
     os.setgroups([])
     os.setresgid(NOBODY, NOBODY, group)
+    gc.collect()  # what earlier tests left must not be cleared away as nobody
     os.setresuid(NOBODY, NOBODY, 0)
     try:
         yield
