@@ -25,6 +25,11 @@ class Health:
         """True after a good answer, until the next bad one."""
         return self.state == "ready"
 
+    @property
+    def line(self) -> str:
+        """Who it is and why it is not ready; a driver's own words may begin with its name already."""
+        return f"{self.name}: {self.why.removeprefix(f'{self.name}: ')}"
+
     def good(self, now_s: float) -> None:
         """It answered well."""
         self.state, self.why, self.good_at_s = "ready", "", now_s

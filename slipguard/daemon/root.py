@@ -237,7 +237,7 @@ async def _first_answers(service: Service) -> None:
     loop = asyncio.get_running_loop()
     deadline_s = loop.time() + FIRST_ANSWER_S
     while True:
-        missing = [why for why in service.waiting_for if why.partition(":")[0] in service.fingers]
+        missing = [one.health.line for one in service.fingers.values() if not one.health.ready]
         gripper_known = service.gripper.health.ready or service.gripper.health.why != "not tried yet"
         if not missing and gripper_known:
             return

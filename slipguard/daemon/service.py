@@ -121,8 +121,7 @@ class Service:
     @property
     def waiting_for(self) -> list[str]:
         """One line for each device that is not ready."""
-        whys = {name: one.health.why for name, one in self.devices.items() if not one.health.ready}
-        return [f"{name}: {why.removeprefix(f'{name}: ')}" for name, why in whys.items()]
+        return [one.health.line for one in self.devices.values() if not one.health.ready]
 
     async def request(self, request: Request) -> str:
         """Hand a wish to the law; returns what it says to it. Raises CommandRefused with its reason."""
