@@ -109,12 +109,11 @@ def replay(opened: list[Recording], model: Path | None = None) -> Replay:
 
     Raises ModelError for a model that is none, whether or not a frame comes that it is to see.
     """
-    if model is not None:
-        Segmenter(model)
-    done = Replay()
+    segmenter = Segmenter(model)
+    done = Replay(other_model=model is not None)
     for recording in opened:
         done.image = "none"
-        _Player(recording, model, done).play()
+        _Player(recording, segmenter, done).play()
         if recording.damage is not None:
             done.damage.append(f"{recording.path.name} {recording.damage}")
     return done
@@ -123,12 +122,11 @@ def replay(opened: list[Recording], model: Path | None = None) -> Replay:
 class _Player:
     """Plays one file into a `Replay`."""
 
-    def __init__(self, recording: Recording, model: Path | None, done: Replay) -> None:
+    def __init__(self, recording: Recording, segmenter: Segmenter, done: Replay) -> None:
         self._recording, self._done = recording, done
         settings = settings_of(recording)
         self._params: GuardParams = settings.guard
-        done.other_model = done.other_model or model is not None
-        self._model, self._settings = model, settings
+        self._segmenter, self._settings = segmenter, settings
         self._pipelines: dict[str, Pipeline] = {}
         self._live = dict.fromkeys(m.FINGERS, False)
         self._renewed = dict.fromkeys(m.FINGERS, False)
@@ -188,7 +186,7 @@ class _Player:
         if finger not in self._pipelines:
             settings = self._settings
             self._pipelines[finger] = Pipeline(
-                Segmenter(self._model),
+                self._segmenter,
                 settings.perception,
                 settings.background(finger),
                 settings.noise_bgr(finger),
