@@ -40,20 +40,20 @@ def bench(
     law lets things slip: `slipguard bench --grip --out grip/`; what the guard makes of faults:
     `slipguard bench --grip --faults 1000`
     """
+    from slipguard.errors import InputError
+
+    if grip and (model is not None or models is not None or table is not None):
+        raise InputError("--grip tries the grip law with the shipped network: no --model, --models or --table")
     if faults is not None:
         from slipguard.cli.bench_faults import bench_faults
-        from slipguard.errors import InputError
 
         if not grip:
             raise InputError("--grip and --faults N go together, as in: slipguard bench --grip --faults 1000")
-        if model is not None or models is not None or table is not None:
-            raise InputError("--grip tries the guard with the shipped network: no --model, --models or --table")
         bench_faults(faults, seed, jobs, cluster, json, out)
         return
     from rich.console import Console
 
     from slipguard.cli.progress import progress_bar
-    from slipguard.errors import InputError
     from slipguard.lab.bench import run
     from slipguard.lab.bench import table as tables
     from slipguard.lab.bench.picture import picture
@@ -65,8 +65,6 @@ def bench(
         except OSError as error:
             raise InputError(f"--out {out}: the folder cannot be made: {error.strerror}") from error
     if grip:
-        if model is not None or models is not None or table is not None:
-            raise InputError("--grip tries the grip law with the shipped network: no --model, --models or --table")
         from slipguard.cli.bench_grip import bench_grip
 
         bench_grip(quick=quick, seed=seed, json=json, out=out, workers=Workers(jobs, cluster))

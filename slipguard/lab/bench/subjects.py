@@ -150,8 +150,11 @@ def network_files(folder: Path | None) -> tuple[list[Path], list[Path]]:
         return [], []
     if not folder.is_dir():
         raise ModelError(f"--models {folder}: no such folder; name one with .onnx files")
+    paths = sorted(folder.glob("*.onnx"))
+    if not paths:
+        raise ModelError(f"--models {folder}: no .onnx file in it")
     contract, frame = [], []
-    for path in sorted(folder.glob("*.onnx")):
+    for path in paths:
         if path.name == PEER_MODEL or path.resolve() == default_model_path().resolve():
             continue
         try:
@@ -160,6 +163,4 @@ def network_files(folder: Path | None) -> tuple[list[Path], list[Path]]:
         except ModelError:
             Segmenter(path)
             contract.append(path)
-    if not any(folder.glob("*.onnx")):
-        raise ModelError(f"--models {folder}: no .onnx file in it")
     return contract, frame
