@@ -30,9 +30,9 @@ from pydantic import (
     model_validator,
 )
 
-from slipguard.complaints import at_key, first_complaint, no_such_key, shown
+from slipguard.config_errors import at_key, first_complaint, no_such_key, shown
+from slipguard.control.params import GuardParams
 from slipguard.errors import ConfigError
-from slipguard.grasp.params import GuardParams
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.registry import load_driver
 

@@ -19,8 +19,8 @@ from enum import StrEnum
 from importlib import resources
 from pathlib import Path
 
+from slipguard.atomic_file import write_whole
 from slipguard.errors import InputError, SlipguardError
-from slipguard.whole_file import write_whole
 
 UNIT, RULES, CONFIG = "slipguard.service", "60-slipguard.rules", "config.toml"
 PLACES = {

@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from leaving_out import closing_lines, leave_out, receive, send
+from deselection import closing_lines, leave_out, receive, send
 
 REAL_DATA_VARIABLE = "SLIPGUARD_REAL_DATA"
-BESIDE_EACH_OTHER = ("loop", "packaging", "real", "unit")
-"""Folders of tests that compute only, or wait patiently; the others keep time, or a machine busy."""
 
 
 def pytest_configure() -> None:
@@ -59,18 +57,23 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         leave_out(
             config, items, "mujoco", "of the mechanics beside MuJoCo were left out: pip install 'slipguard[mujoco]'"
         )
-    items.sort(key=lambda item: item.path.parent.name not in BESIDE_EACH_OTHER)
+    items.sort(key=lambda item: not _shared(item.path))
+
+
+def _shared(path: Path) -> bool:
+    """Whether the tests of this file may share the machine with others."""
+    return not {"browser", "contract", "service", "vm", "wire"} & set(path.parts)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """With `-n 2` the files of `BESIDE_EACH_OTHER` share the cores; then all others follow one after the other."""
+    """With `-n 2` files that only compute share the cores; then all others follow one after the other."""
     from xdist.scheduler import LoadScopeScheduling
 
     class OneAfterTheOther(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             path = nodeid.partition("::")[0]
-            return path if Path(path).parent.name in BESIDE_EACH_OTHER else "one after the other"
+            return path if _shared(Path(path)) else "one after the other"
 
     config.option.loadscopereorder = False
     return OneAfterTheOther(config, log)

@@ -16,17 +16,16 @@ from slipguard.cli import (
     doctor,
     emulate,
     evaluate,
-    guard,
     install,
     latency,
     measure,
     replay,
+    rotated_presses,
     simulate,
-    soak,
     stress,
     train,
-    turned,
 )
+from slipguard.cli import run as daemon
 from slipguard.errors import CommandRefused, ConfigError, InputError, ModelError, SlipguardError
 
 SIM_PANEL = "With --sim"
@@ -36,8 +35,8 @@ Misuse: type[Exception] = typer.BadParameter.__mro__[2]
 """Base of every complaint about a command line; the click that typer brings along has no public name."""
 
 app = typer.Typer(name="slipguard", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
-app.command()(guard.run)
-app.command()(guard.check)
+app.command()(daemon.run)
+app.command()(daemon.check)
 app.command()(doctor.doctor)
 app.command()(install.install)
 app.command()(calibrate.calibrate)
@@ -47,13 +46,12 @@ app.command()(replay.replay)
 app.command()(bench.bench)
 app.command()(latency.latency)
 app.command()(stress.stress)
-app.command()(soak.soak)
-app.command()(turned.turned)
+app.command()(rotated_presses.turned)
 app.command()(train.train)
 app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(dataset.app, name="dataset")
 app.add_typer(emulate.app, name="emulate")
-app.command()(guard.version)
+app.command()(daemon.version)
 
 
 @app.callback(invoke_without_command=True)
@@ -97,11 +95,11 @@ def top(
     simulate.simulate(seed=seed, lifts=lifts, guarded=guarded, json=json, out=out, speed=speed)
 
 
-def run(arguments: list[str] | None = None) -> int:
+def run(arguments: list[str] | None = None, app: typer.Typer = app, program: str = "slipguard") -> int:
     """Run one command and return its exit code; expected failures are one line on stderr."""
     command = typer.main.get_command(app)
     try:
-        result = command.main(args=arguments, prog_name="slipguard", standalone_mode=False)
+        result = command.main(args=arguments, prog_name=program, standalone_mode=False)
     except typer.Exit as finished:
         return finished.exit_code
     except typer.Abort:

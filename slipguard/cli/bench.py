@@ -29,35 +29,24 @@ def bench(
     grip: Annotated[
         bool, typer.Option("--grip", help="The grip law in closed loop: how far things slip, beside others.")
     ] = False,
-    faults: Annotated[
-        int | None, typer.Option(help="With --grip: so many runs of the whole daemon in which things go wrong.")
-    ] = None,
     seed: Annotated[int, typer.Option(help="With --grip: of the first run; the same seed, the same run.")] = 0,
 ) -> None:
     """Time the perception pipeline and measure its error, beside the paper's pipeline and others; or try the grip law.
 
     Example: `slipguard bench --quick --out bench/`; all of it: `slipguard bench --full --models models`; how far the
-    law lets things slip: `slipguard bench --grip --out grip/`; what the guard makes of faults:
-    `slipguard bench --grip --faults 1000`
+    law lets things slip: `slipguard bench --grip --out grip/`
     """
     from slipguard.errors import InputError
 
     if grip and (model is not None or models is not None or table is not None):
         raise InputError("--grip tries the grip law with the shipped network: no --model, --models or --table")
-    if faults is not None:
-        from slipguard.cli.bench_faults import bench_faults
-
-        if not grip:
-            raise InputError("--grip and --faults N go together, as in: slipguard bench --grip --faults 1000")
-        bench_faults(faults, seed, jobs, cluster, json, out)
-        return
     from rich.console import Console
 
+    from slipguard.bench import run
+    from slipguard.bench import table as tables
+    from slipguard.bench.plot import picture
     from slipguard.cli.progress import progress_bar
-    from slipguard.lab.bench import run
-    from slipguard.lab.bench import table as tables
-    from slipguard.lab.bench.picture import picture
-    from slipguard.lab.parallel import Workers
+    from slipguard.tools.parallel import Workers
 
     if out is not None:
         try:

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
-    from slipguard.lab.parallel import Workers
+    from slipguard.tools.parallel import Workers
 
 
 def bench_grip(*, quick: bool, seed: int, json: bool, out: Path | None, workers: Workers) -> None:
     """Play the campaign; exit code 1 if anything that is promised of it is not kept."""
     from rich.console import Console
 
+    from slipguard.bench.grip.campaign import Plan, run
+    from slipguard.bench.grip.checks import checks, failures
+    from slipguard.bench.grip.figures import as_json, scenarios
+    from slipguard.bench.grip.report import draw, print_tables
     from slipguard.cli.progress import progress_bar
-    from slipguard.lab.grip.campaign import Plan, run
-    from slipguard.lab.grip.figures import as_json, scenarios
-    from slipguard.lab.grip.report import draw, print_tables
-    from slipguard.lab.grip.verdict import checks, failures
 
     plan = Plan.of(quick=quick, seed=seed)
     progress = Console(stderr=True)

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slipguard.cli.guard import USUAL_FILE, ConfigOption
 from slipguard.cli.interrupt import left_to_the_loop
+from slipguard.cli.run import USUAL_FILE, ConfigOption
 
 if TYPE_CHECKING:
     from slipguard.config import Config
-    from slipguard.daemon.client import Client
+    from slipguard.daemon.api.client import Client
 
 LOOK = "With --show, --plot and --back-to"
 Stored = Mapping[str, Any]
@@ -46,9 +46,9 @@ def calibrate(
     Example: `slipguard calibrate --config config.toml`, `slipguard calibrate --show --plot gels.png`
     """
     from slipguard.config import read_config
-    from slipguard.daemon import log
-    from slipguard.daemon.client import Client, NoDaemon
-    from slipguard.daemon.whereabouts import running_socket
+    from slipguard.daemon import logging as log
+    from slipguard.daemon.api.client import Client, NoDaemon
+    from slipguard.daemon.api.paths import running_socket
     from slipguard.errors import InputError
 
     if finger not in (None, "left", "right"):
@@ -67,7 +67,7 @@ def calibrate(
         with left_to_the_loop():
             answer, stored, pictures = asyncio.run(_alone(settings, look_only, force, new_gel, back_to, finger))
     if plot is not None:
-        from slipguard.lab.gel_picture import draw
+        from slipguard.tools.background_plot import draw
 
         draw(pictures, stored, plot)
     if json:
@@ -91,9 +91,9 @@ async def _alone(
     settings: Config, look_only: bool, force: bool, new_gel: bool, back_to: int | None, finger: str | None
 ) -> tuple[dict[str, Any], Stored, dict[str, bytes]]:
     """The same without a daemon: it opens the sensors, where they must be looked at or tell their serial numbers."""
-    from slipguard.daemon.desk import Desk
-    from slipguard.daemon.root import sensors_alone
-    from slipguard.lab.gel_picture import png_of
+    from slipguard.daemon.api.handlers import Desk
+    from slipguard.daemon.run import sensors_alone
+    from slipguard.tools.background_plot import png_of
 
     async with sensors_alone(settings, look_only=look_only) as service:
         desk = Desk(service)

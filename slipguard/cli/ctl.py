@@ -15,7 +15,7 @@ import typer
 from slipguard.errors import InputError, SlipguardError
 
 if TYPE_CHECKING:
-    from slipguard.daemon.client import Client, OverTcp
+    from slipguard.daemon.api.client import Client, OverTcp
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -246,15 +246,15 @@ def _where(context: typer.Context, socket: Path | None) -> Path | OverTcp | None
         return socket or before.socket
     if socket or before.socket:
         raise InputError("--url and --socket: one daemon at a time; leave one of them out")
-    from slipguard.daemon.client import OverTcp
-    from slipguard.daemon.whereabouts import token_for
+    from slipguard.daemon.api.client import OverTcp
+    from slipguard.daemon.api.paths import token_for
 
     return OverTcp(before.url, token_for(before.url, before.token_file))
 
 
 @contextmanager
 def _client(where: Path | OverTcp | None) -> Iterator[Client]:
-    from slipguard.daemon.client import Client
+    from slipguard.daemon.api.client import Client
 
     with Client(where) as client:
         yield client

@@ -50,9 +50,9 @@ def render(
 
     Example: `slipguard dataset render --out frames --count 200 --split test --show sheet.png`
     """
-    from slipguard.lab.dataset_files import check_request, read_backgrounds, render_dataset
-    from slipguard.lab.dataset_sheet import contact_sheet
-    from slipguard.lab.parallel import Workers
+    from slipguard.datasets.contact_sheet import contact_sheet
+    from slipguard.datasets.files import check_request, read_backgrounds, render_dataset
+    from slipguard.tools.parallel import Workers
 
     check_request(out, count, seed, split.value)
     workers = Workers(jobs, cluster)
@@ -85,10 +85,10 @@ def import_(
 
     Example: `slipguard dataset import recordings --out frames --show sheet.png`
     """
-    from slipguard.lab.dataset_files import check_new, read_background
-    from slipguard.lab.dataset_import import found_pairs, import_dataset
-    from slipguard.lab.dataset_sheet import contact_sheet
-    from slipguard.lab.parallel import Workers
+    from slipguard.datasets.contact_sheet import contact_sheet
+    from slipguard.datasets.files import check_new, read_background
+    from slipguard.datasets.importer import found_pairs, import_dataset
+    from slipguard.tools.parallel import Workers
 
     no_contact = read_background(background) if background is not None else None
     check_new(out)
@@ -113,7 +113,7 @@ def show(
 
     Example: `slipguard dataset show frames --out sheet.png`
     """
-    from slipguard.lab.dataset_sheet import contact_sheet
+    from slipguard.datasets.contact_sheet import contact_sheet
 
     contact_sheet(folder, out)
     print(f"a sheet in {out}")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slipguard.cli.guard import USUAL_FILE, ConfigOption
 from slipguard.cli.interrupt import left_to_the_loop
+from slipguard.cli.run import USUAL_FILE, ConfigOption
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -35,8 +35,8 @@ def doctor(
     from rich.console import Console
 
     from slipguard.config import read_config
-    from slipguard.daemon import log
-    from slipguard.daemon.whereabouts import running_socket
+    from slipguard.daemon import logging as log
+    from slipguard.daemon.api.paths import running_socket
     from slipguard.doctor.examine import examine
 
     settings = read_config(config)

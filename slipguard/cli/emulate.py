@@ -71,9 +71,9 @@ def _command(name: str, kind: EmulatorKind) -> Any:
         from pydantic import ValidationError
 
         from slipguard.cli.interrupt import left_to_the_loop
-        from slipguard.complaints import first_complaint
+        from slipguard.config_errors import first_complaint
         from slipguard.errors import InputError
-        from slipguard.lab.emulation import run
+        from slipguard.tools.emulation import run
 
         try:
             settings = kind.Settings(**{key: value for key, value in options.items() if value is not None})

@@ -13,7 +13,7 @@ from slipguard.cli.progress import count_bar
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
-    from slipguard.lab.evaluate.protocol import Protocol
+    from slipguard.evaluation.protocol import Protocol
 
 app = typer.Typer(
     help="The paper's experiment: lifts against two markers that an external camera sees.\n\n"
@@ -35,7 +35,7 @@ def markers(
 
     Example: `slipguard evaluate markers --out markers.pdf`
     """
-    from slipguard.lab.evaluate.markers import charuco_sheet, marker_sheet, write_sheet
+    from slipguard.evaluation.markers import charuco_sheet, marker_sheet, write_sheet
 
     write_sheet(charuco_sheet() if charuco else marker_sheet(), out)
     print(f"{out}: print at 100 % and check the ruler")
@@ -51,8 +51,8 @@ def calibrate_camera(
 
     Example: `slipguard evaluate calibrate-camera board.mp4 --out camera.json`
     """
-    from slipguard.lab.evaluate.calibrate import calibrate
-    from slipguard.lab.evaluate.film import shots
+    from slipguard.evaluation.calibrate import calibrate
+    from slipguard.evaluation.video_files import shots
 
     found = calibrate(picture for _, picture in shots(source))
     try:
@@ -77,10 +77,10 @@ def turn(
 
     Example: `slipguard evaluate turn lift.mp4 --intrinsics camera.json --plot turn.png`
     """
-    from slipguard.lab.evaluate.film import sightings
-    from slipguard.lab.evaluate.intrinsics import read_intrinsics
-    from slipguard.lab.evaluate.pictures import draw_trace
-    from slipguard.lab.evaluate.pose import turns
+    from slipguard.evaluation.intrinsics import read_intrinsics
+    from slipguard.evaluation.marker_rotation import turns
+    from slipguard.evaluation.plots import draw_trace
+    from slipguard.evaluation.video_files import sightings
 
     lens = read_intrinsics(intrinsics)
     seen = list(sightings(source, lens))
@@ -125,9 +125,9 @@ def run(
     Example: `slipguard evaluate run --sim --out eval/`,
     `slipguard evaluate run --config config.toml --protocol p.toml --camera 4 --intrinsics camera.json --out eval/`
     """
-    from slipguard.lab.evaluate.protocol import SIMULATED, read_protocol
-    from slipguard.lab.evaluate.runner import prepare, run_simulated
-    from slipguard.lab.parallel import Workers
+    from slipguard.evaluation.protocol import SIMULATED, read_protocol
+    from slipguard.evaluation.runner import prepare, run_simulated
+    from slipguard.tools.parallel import Workers
 
     plan = SIMULATED if protocol is None else read_protocol(protocol)
     workers = Workers(jobs, cluster)
@@ -157,14 +157,14 @@ def report(
 
     Example: `slipguard evaluate report eval/ --networks models/`
     """
-    from slipguard.lab.parallel import Workers
+    from slipguard.tools.parallel import Workers
 
     _report(folder, networks, Workers(jobs, cluster), json)
 
 
 def _report(folder: Path, networks: Path | None, workers: Any, json: bool) -> None:
-    from slipguard.lab.evaluate.lift_data import lift_paths
-    from slipguard.lab.evaluate.report import PAGE, write_report
+    from slipguard.evaluation.lift_data import lift_paths
+    from slipguard.evaluation.report import PAGE, write_report
 
     count = len(list(lift_paths(folder)))
     with count_bar("results", count) as progress:
@@ -215,16 +215,16 @@ def _on_cell(
 ) -> None:
     import asyncio
 
-    from slipguard.cli.ask import ask
     from slipguard.cli.interrupt import left_to_the_loop
+    from slipguard.cli.prompt import ask
     from slipguard.config import read_config
-    from slipguard.daemon.last_grasp import GraspKeeper
-    from slipguard.daemon.root import build_service
-    from slipguard.daemon.state_dir import StateDir
-    from slipguard.daemon.whereabouts import socket_path
-    from slipguard.lab.evaluate.external_camera import Camera
-    from slipguard.lab.evaluate.intrinsics import read_intrinsics
-    from slipguard.lab.evaluate.on_cell import in_the_daemons_place, run_on_cell
+    from slipguard.daemon.api.paths import socket_path
+    from slipguard.daemon.run import build_service
+    from slipguard.daemon.store.last_grasp import GraspKeeper
+    from slipguard.daemon.store.state_dir import StateDir
+    from slipguard.evaluation.external_camera import Camera
+    from slipguard.evaluation.intrinsics import read_intrinsics
+    from slipguard.evaluation.on_cell import in_the_daemons_place, run_on_cell
 
     if config is None or plan is None or intrinsics is None:
         raise InputError("on a cell --config, --protocol and --intrinsics are needed; or try --sim")

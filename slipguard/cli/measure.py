@@ -13,7 +13,7 @@ import typer
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
-    from slipguard.lab.measure import Measured
+    from slipguard.tools.measure import Measured
 
 NO_BACKGROUND = (
     "no --background given: the untouched gel is guessed from each frame, so masks and angles are worse "
@@ -52,10 +52,10 @@ def measure(
 
     Example: `slipguard measure frames/ --background background.png --json --masks masks/`
     """
-    from slipguard.lab import measure as lab
-    from slipguard.lab.footage import IMAGE_ENDINGS, read_gel, sources
-    from slipguard.perception.segment import Segmenter
+    from slipguard.perception.contact.segmenter import Segmenter
     from slipguard.perception.settings import PerceptionSettings
+    from slipguard.tools import measure as lab
+    from slipguard.tools.image_files import IMAGE_ENDINGS, read_gel, sources
 
     files = sources(paths)
     if masks is not None:

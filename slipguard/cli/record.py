@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
     from slipguard.config import Config
-    from slipguard.daemon.client import Client
-    from slipguard.lab.dataset_record import Shot
+    from slipguard.daemon.api.client import Client
+    from slipguard.datasets.recorder import Shot
 
 
 def record(
@@ -38,12 +38,12 @@ def record(
     from slipguard.cli.interrupt import left_to_the_loop
     from slipguard.cli.progress import count_bar
     from slipguard.config import read_config
-    from slipguard.daemon.client import Client, NoDaemon
-    from slipguard.daemon.whereabouts import running_socket
+    from slipguard.daemon.api.client import Client, NoDaemon
+    from slipguard.daemon.api.paths import running_socket
+    from slipguard.datasets.contact_sheet import contact_sheet
+    from slipguard.datasets.files import check_new
+    from slipguard.datasets.recorder import record_dataset
     from slipguard.errors import InputError
-    from slipguard.lab.dataset_files import check_new
-    from slipguard.lab.dataset_record import record_dataset
-    from slipguard.lab.dataset_sheet import contact_sheet
 
     if (config is None) == (serial is None):
         raise InputError("name what to record: either --config config.toml or --serial D20479")
@@ -74,8 +74,8 @@ def record(
 
 def _daemons(client: Client, serial: str | None, every_s: float) -> tuple[AsyncIterator[Shot], list[str]]:
     """What a daemon sees; raises InputError where it has no such sensor."""
+    from slipguard.datasets.recorder import from_daemon
     from slipguard.errors import InputError
-    from slipguard.lab.dataset_record import from_daemon
 
     serials = {name: finger["serial"] for name, finger in client.state()["fingers"].items()}
     fingers = [name for name, its in serials.items() if its is not None and serial in (None, its)]
@@ -91,10 +91,10 @@ def _own(settings: Config | None, serial: str | None, every_s: float) -> tuple[A
     """The configured sensors, or one DIGIT."""
     from pydantic import ValidationError
 
-    from slipguard.complaints import first_complaint
+    from slipguard.config_errors import first_complaint
+    from slipguard.datasets.recorder import from_sensors
     from slipguard.devices import DriverContext
     from slipguard.errors import InputError
-    from slipguard.lab.dataset_record import from_sensors
     from slipguard.registry import load_driver
 
     group = "slipguard.tactile"
@@ -115,9 +115,9 @@ def _own(settings: Config | None, serial: str | None, every_s: float) -> tuple[A
 
 def _backgrounds(serials: list[str], given: Path | None, settings: Config | None) -> dict[str, Any]:
     """The no-contact image of every sensor; raises InputError where one is missing."""
-    from slipguard.daemon.state_dir import StateDir
+    from slipguard.daemon.store.state_dir import StateDir
+    from slipguard.datasets.files import read_background
     from slipguard.errors import InputError
-    from slipguard.lab.dataset_files import read_background
 
     if given is not None:
         return dict.fromkeys(serials, read_background(given))

@@ -13,8 +13,8 @@ import typer
 from slipguard.errors import InputError, SlipguardError
 
 if TYPE_CHECKING:
-    from slipguard.grasp.messages import Command
-    from slipguard.lab.replay import Difference, LawReplay, Replay
+    from slipguard.control.messages import Command
+    from slipguard.tools.replay import Difference, LawReplay, Replay
 
 SHOWN = 10
 
@@ -51,13 +51,13 @@ def replay(
     """
     from rich.console import Console
 
-    from slipguard.lab import replay as lab
+    from slipguard.tools import replay as lab
 
     opened = lab.recordings(files)
     if export is not None:
         if model is not None or against:
             raise InputError("--export takes a recording apart; --model and --against play it again: one or the other")
-        from slipguard.lab.replay_export import export as take_apart
+        from slipguard.tools.replay_export import export as take_apart
 
         written = take_apart(opened, export, {kind.value for kind in kinds or [Kind.csv]})
         for path in written:

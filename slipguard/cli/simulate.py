@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from slipguard.lab.campaign import CampaignSettings, Live
-    from slipguard.lab.lift_record import LiftRecord
+    from slipguard.sim_lifts.campaign import CampaignSettings, Live
+    from slipguard.sim_lifts.lift_record import LiftRecord
 
 LIFT_TAKES_S = 7
 """One lift on the real clock: close 1 s, lift 3 s, hold 1 s, lower and open 2 s."""
@@ -38,10 +38,10 @@ def simulate(*, seed: int, lifts: int | None, guarded: bool, json: bool, out: Pa
 
     from rich.console import Console
 
-    from slipguard.daemon import log
-    from slipguard.daemon.virtual_time import run_virtual
-    from slipguard.lab.campaign import CampaignSettings, run_campaign
-    from slipguard.lab.campaign_report import draw, print_lines, print_tables
+    from slipguard.daemon import logging as log
+    from slipguard.daemon.loop.virtual_time import run_virtual
+    from slipguard.sim_lifts.campaign import CampaignSettings, run_campaign
+    from slipguard.sim_lifts.report import draw, print_lines, print_tables
 
     if lifts is not None and lifts < 1:
         raise InputError(f"--lifts {lifts}: at least one lift is needed")
@@ -75,7 +75,7 @@ def simulate(*, seed: int, lifts: int | None, guarded: bool, json: bool, out: Pa
 
 def _too_slow(records: list[LiftRecord]) -> str | None:
     """What to say where the simulated cameras or the loop did not get the time they need; None where they did."""
-    from slipguard.grasp.fault import FaultCode
+    from slipguard.control.fault import FaultCode
 
     late = [record for record in records if record.why in (FaultCode.FRAMES_LOST, FaultCode.LOOP_LATE)]
     if not late:

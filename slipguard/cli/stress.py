@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from slipguard.atomic_file import write_whole
 from slipguard.cli.progress import progress_bar
 from slipguard.errors import InputError
-from slipguard.whole_file import write_whole
 
 if TYPE_CHECKING:
-    from slipguard.lab.parallel import Workers
-    from slipguard.lab.stress.family import Family
-    from slipguard.lab.stress.run import Outcome
+    from slipguard.stress.family import Family
+    from slipguard.stress.run import Outcome
+    from slipguard.tools.parallel import Workers
 
 PICTURE = "error-against-noise.png"
 
@@ -45,9 +45,9 @@ def stress(
     """
     from rich.console import Console
 
-    from slipguard.lab.parallel import Workers
-    from slipguard.lab.stress.report import as_json, draw, print_table, summary
-    from slipguard.lab.stress.run import chosen, full_hours, run
+    from slipguard.stress.report import as_json, draw, print_table, summary
+    from slipguard.stress.run import chosen, full_hours, run
+    from slipguard.tools.parallel import Workers
 
     families = chosen(only or [])
     workers = Workers(jobs, cluster)
@@ -85,7 +85,7 @@ def _whole(
     note: Callable[[Outcome], None],
 ) -> Outcome:
     """All of the list; what has been found is noted now and then."""
-    from slipguard.lab.stress.whole import run_whole
+    from slipguard.stress.whole import run_whole
 
     for outcome in run_whole(families, seed, workers=workers, progress=progress):
         note(outcome)

@@ -12,8 +12,8 @@ import typer
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
-    from slipguard.lab.networks import SmallNet
-    from slipguard.lab.train import EpochFigures
+    from slipguard.training.small_network import SmallNet
+    from slipguard.training.train import EpochFigures
 
 
 class Network(StrEnum):
@@ -148,11 +148,11 @@ def train(
     from rich.console import Console
 
     from slipguard.cli.train_paper import training_progress
-    from slipguard.lab.export import contract_metadata, export_onnx
-    from slipguard.lab.frame_cache import VALIDATION_SEED, rendered_frames
-    from slipguard.lab.scores import backgrounds_in, real_frames
-    from slipguard.lab.train import TrainSettings, real_scores
-    from slipguard.lab.train import train as fit
+    from slipguard.datasets.frame_cache import VALIDATION_SEED, rendered_frames
+    from slipguard.datasets.mask_scores import backgrounds_in, real_frames
+    from slipguard.training.export import contract_metadata, export_onnx
+    from slipguard.training.train import TrainSettings, real_scores
+    from slipguard.training.train import train as fit
 
     console = Console()
     real = [frame for frame in real_frames(validate) if frame.split == "tune"] if validate else []

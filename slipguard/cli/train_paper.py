@@ -10,9 +10,9 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
-    from slipguard.lab.paper.frames import MaskedFrames
-    from slipguard.lab.paper.recipe import Recipe
-    from slipguard.lab.paper.training import Epoch
+    from slipguard.training.paper.frames import MaskedFrames
+    from slipguard.training.paper.recipe import Recipe
+    from slipguard.training.paper.training import Epoch
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,15 +43,15 @@ def train_paper(asked: Request) -> None:
     import torch
     from rich.console import Console
 
-    from slipguard.lab.int8 import CALIBRATION_FRAMES, quantised
-    from slipguard.lab.paper.curves import draw_curves
-    from slipguard.lab.paper.export import contract_metadata, export_onnx
-    from slipguard.lab.paper.networks import FrameNet
-    from slipguard.lab.paper.precision import chosen
-    from slipguard.lab.paper.recipe import FRAMES, RECIPES, Arch
-    from slipguard.lab.paper.scoring import score
-    from slipguard.lab.paper.training import HISTORY, Settings, train
-    from slipguard.lab.parallel import Workers
+    from slipguard.tools.parallel import Workers
+    from slipguard.training.int8 import CALIBRATION_FRAMES, quantised
+    from slipguard.training.paper.curves import draw_curves
+    from slipguard.training.paper.export import contract_metadata, export_onnx
+    from slipguard.training.paper.networks import FrameNet
+    from slipguard.training.paper.precision import chosen
+    from slipguard.training.paper.recipe import FRAMES, RECIPES, Arch
+    from slipguard.training.paper.scoring import score
+    from slipguard.training.paper.training import HISTORY, Settings, train
 
     console = Console()
     recipe = replace(RECIPES[asked.recipe], **asked.changed)
@@ -128,8 +128,8 @@ def training_progress(console: Console) -> Progress:
 def _frames(
     asked: Request, recipe: Recipe, usual: int, workers: Any, progress: Progress
 ) -> tuple[MaskedFrames, MaskedFrames]:
-    from slipguard.lab.paper.frames import from_folder, rendered
-    from slipguard.lab.paper.recipe import HELD_OUT
+    from slipguard.training.paper.frames import from_folder, rendered
+    from slipguard.training.paper.recipe import HELD_OUT
 
     size_px = (recipe.width_px, recipe.height_px)
     if asked.data is not None:
@@ -147,7 +147,7 @@ def _frames(
 
 
 def _label(asked: Request) -> str:
-    from slipguard.lab.dataset_import import LABEL_NAME as IMPORTED
+    from slipguard.datasets.importer import LABEL_NAME as IMPORTED
     from slipguard.sim.label import LABEL_NAME
 
     return LABEL_NAME if asked.data is None else IMPORTED

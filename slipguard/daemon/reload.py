@@ -17,11 +17,11 @@ from typing import Any
 import structlog
 
 from slipguard.config import GROUP_OF, Config
-from slipguard.daemon import log as logs
-from slipguard.daemon.notify import notify
-from slipguard.daemon.service import Service
+from slipguard.control.state import Phase
+from slipguard.daemon import logging as logs
+from slipguard.daemon.loop.service import Service
+from slipguard.daemon.systemd_notify import notify
 from slipguard.errors import SlipguardError
-from slipguard.grasp.state import Phase
 
 AT_REST = frozenset({Phase.IDLE, Phase.HOLDING, Phase.FAULT})
 """Phases in which neither the jaws nor the arm are on their way."""

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from slipguard.config import GROUP_OF, Config
-from slipguard.daemon.client import Client, NoDaemon
-from slipguard.daemon.state_dir import StateDir
+from slipguard.daemon.api.client import Client, NoDaemon
+from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import DriverContext
 from slipguard.diagnosis import Diagnosable, Finding, Verdict, fine, from_error, note, wrong
 from slipguard.doctor import gripper, machine, sensor, through_daemon

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from slipguard.config import Config
-from slipguard.daemon.state_dir import StateDir
+from slipguard.daemon.store.state_dir import StateDir
 from slipguard.diagnosis import Finding, fine, from_error, note, wrong
 from slipguard.errors import SlipguardError
 
@@ -37,7 +37,7 @@ def processor() -> Finding:
 
 def network(config: Config) -> Finding:
     """The segmentation network loads and keeps its contract."""
-    from slipguard.perception.segment import Segmenter  # onnxruntime: only whoever asks pays for it
+    from slipguard.perception.contact.segmenter import Segmenter  # onnxruntime: only whoever asks pays for it
 
     try:
         segmenter = Segmenter(config.perception.model)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
-from slipguard.daemon.state_dir import StateDir
+from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import TactileSensor
 from slipguard.diagnosis import Finding, fine, from_error, note, wrong
 from slipguard.doctor.figures import spread

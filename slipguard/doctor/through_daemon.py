@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 from typing import Any
 
 from slipguard import __version__
-from slipguard.daemon.gel import Verdict
-from slipguard.daemon.state_dir import StateDir
+from slipguard.daemon.loop.gel_condition import Verdict
+from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import GripperState
 from slipguard.diagnosis import Finding, fine, note, wrong
 from slipguard.doctor import gripper, sensor

@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import FrameCorrupt, InputError
-from slipguard.perception.angle import estimate, fuse, skeleton_orientation
-from slipguard.perception.axial import wrap_axial_deg
-from slipguard.perception.dead_lines import DeadLines
+from slipguard.perception.contact.change_detector import Stillness
+from slipguard.perception.contact.gate import Blocks, Gate, block_means, near_patch
+from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.estimate import Estimate, Orientation
-from slipguard.perception.gate import Blocks, Gate, block_means, near_patch
-from slipguard.perception.regions import Patch, find_patch
+from slipguard.perception.quality.dead_lines import DeadLines
+from slipguard.perception.quality.image_quality import in_other_light, unfit
+from slipguard.perception.rotation.axial_angle import wrap_axial_deg
+from slipguard.perception.rotation.axis import estimate, fuse, skeleton_orientation
+from slipguard.perception.rotation.rotation_meter import TurnMeter
+from slipguard.perception.rotation.skeleton import middle_line
 from slipguard.perception.settings import EVERY_SKIP, PerceptionSettings, Skips
-from slipguard.perception.skeleton import middle_line
-from slipguard.perception.stages import StageClock
-from slipguard.perception.still import Stillness
-from slipguard.perception.turn import TurnMeter
-from slipguard.perception.unfit import in_other_light, unfit
+from slipguard.perception.stage_timer import StageClock
 
 NO_CONTACT = "no contact"
 UNCHANGED = "unchanged"

@@ -14,10 +14,10 @@ from typing import Generic, TypeVar
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import to_json
 
-from slipguard.complaints import first_complaint
+from slipguard.config_errors import first_complaint
+from slipguard.control.guard import Guard
+from slipguard.control.messages import Command, Seen
 from slipguard.errors import InputError
-from slipguard.grasp.guard import Guard
-from slipguard.grasp.messages import Command, Seen
 from slipguard.perception.estimate import Estimate
 
 FORMAT = "1"

@@ -18,8 +18,8 @@ from mcap.records import Attachment, Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 
+from slipguard.control.guard import Guard
 from slipguard.errors import InputError
-from slipguard.grasp.guard import Guard
 from slipguard.recording import messages as m
 
 RECORD_MAX_BYTES = 64 * 2**20

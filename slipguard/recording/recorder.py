@@ -21,13 +21,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.grasp.guard import Guard
+from slipguard.control.guard import Guard
 from slipguard.perception.pipeline import at_frame_size
-from slipguard.priority import let_the_loop_first
 from slipguard.recording import messages as m
-from slipguard.recording.keeping import Keeping
+from slipguard.recording.retention import Keeping
 from slipguard.recording.ring import NoRoom, Ring
 from slipguard.recording.writer import Clock, Header, RecordingFile, open_new
+from slipguard.thread_priority import let_the_loop_first
 
 BACKLOG_MAX = 2000
 """Values waiting for the disk. Pictures are left out from a quarter of it on: 250 of them are 60 MB."""

@@ -10,12 +10,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from slipguard.sim import arm_plant, gripper_plant, rotation
+from slipguard.sim import arm_plant, gripper_plant
+from slipguard.sim import object_motion as rotation
 from slipguard.sim.arm_plant import ArmPlant, ArmPose
 from slipguard.sim.friction import NO_CONTACT_N
 from slipguard.sim.gripper_plant import Drive, GripperModel, GripperPlant
+from slipguard.sim.object_motion import Body, Load, Motion
 from slipguard.sim.objects import SimObject
-from slipguard.sim.rotation import Body, Load, Motion
 from slipguard.sim.scenario import Scenario
 from slipguard.sim.view import GelView
 

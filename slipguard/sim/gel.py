@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.errors import InputError
-from slipguard.sim.backdrop import backdrop
+from slipguard.sim.background import backdrop
+from slipguard.sim.height_map import Relief
 from slipguard.sim.imprint import Imprint, Imprinter
 from slipguard.sim.noise import Noise
 from slipguard.sim.raster import Field, f32
-from slipguard.sim.relief import Relief
 from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Light, Unit
 from slipguard.sim.view import GelView
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.errors import InputError
+from slipguard.sim.height_map import Relief, relief_of
 from slipguard.sim.membrane import STEP_PX, lit, settle
 from slipguard.sim.raster import Field, blurred, enlarged, f32
-from slipguard.sim.relief import Relief, relief_of
 from slipguard.sim.shading import Shading
 from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Unit
 from slipguard.sim.view import GelView

@@ -63,7 +63,7 @@ class Unit:
 
     @classmethod
     def default(cls) -> Unit:
-        """The unit whose optics were fitted to real presses of a ball (`slipguard.lab.fit_renderer`).
+        """The unit whose optics were fitted to real presses of a ball (`tests.campaigns.fit_renderer`).
 
         These are the field defaults: difference images correlate 0.89 with 15 presses that were not fitted.
         """

@@ -19,8 +19,8 @@ from slipguard.sim.cell import Cell, Thing, Truth
 from slipguard.sim.faults import FaultBoard
 from slipguard.sim.friction import needed_force_n
 from slipguard.sim.gripper_plant import GripperModel, GripperPlant
+from slipguard.sim.object_motion import Body, Motion
 from slipguard.sim.objects import SimObject
-from slipguard.sim.rotation import Body, Motion
 from slipguard.sim.scenario import CameraModel, Scenario, delivery
 from slipguard.sim.view import GelView
 

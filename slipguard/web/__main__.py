@@ -8,7 +8,7 @@ from __future__ import annotations
 import signal
 import sys
 
-from slipguard.priority import stand_back
+from slipguard.thread_priority import stand_back
 
 NICENESS = 5
 """The loop comes first where there are too few cores."""

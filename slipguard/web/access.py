@@ -24,7 +24,7 @@ from typing import Any
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from slipguard.web.shield import refuse
+from slipguard.web.middleware import refuse
 
 COOKIE = "slipguard"
 SESSION = "x-slipguard-session"

@@ -1,7 +1,7 @@
 """The local API: HTTP that answers from what the daemon knows and hands wishes on; it decides nothing itself.
 
 Bodies and answers are JSON objects, described at /openapi.json. Whatever cannot be done is answered with
-{"error": one line}: see `slipguard.web.words.MEANS`.
+{"error": one line}: see `slipguard.web.errors.MEANS`.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from starlette.exceptions import HTTPException
 
 from slipguard import __version__
-from slipguard.web import bodies as b
+from slipguard.web import models as b
 from slipguard.web.access import CONTROL_KEY, COOKIE, SESSION
 from slipguard.web.commands import add_commands
+from slipguard.web.errors import error, http_error, in_words, refusals
+from slipguard.web.images import FINGERS
 from slipguard.web.metrics import exposition
 from slipguard.web.page_routes import add_page
-from slipguard.web.pictures import FINGERS
-from slipguard.web.room import Room
-from slipguard.web.words import error, http_error, in_words, refusals
+from slipguard.web.route_context import Room
 
 ABOUT = """Keeps a robot from dropping what it holds. On the Unix socket, file permissions decide who may ask.
 On TCP every command needs the token in the daemon's runtime directory, or the page's cookie and second secret."""

@@ -11,12 +11,12 @@ from fastapi.responses import JSONResponse
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 
-from slipguard.complaints import first_complaint
+from slipguard.config_errors import first_complaint
 from slipguard.errors import CommandRefused
-from slipguard.web import bodies as b
-from slipguard.web.gone import is_gone
-from slipguard.web.room import Room
-from slipguard.web.words import error, in_words, refusals
+from slipguard.web import models as b
+from slipguard.web.disconnect import is_gone
+from slipguard.web.errors import error, in_words, refusals
+from slipguard.web.route_context import Room
 
 BODY_MAX_BYTES = 4096
 """No request of this API needs more."""

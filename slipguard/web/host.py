@@ -11,14 +11,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from slipguard.cancelled import heed_cancel
-from slipguard.daemon.backoff import Backoff
-from slipguard.daemon.control import Control
+from slipguard.cancellation import heed_cancel
+from slipguard.daemon.api.daemon_api import Control
+from slipguard.daemon.loop.backoff import Backoff
 from slipguard.errors import ConfigError, SlipguardError
-from slipguard.web.answering import answer
+from slipguard.web.daemon_endpoint import answer
+from slipguard.web.protocol import packed
 from slipguard.web.sockets import UnixSocket, bind_tcp
 from slipguard.web.token import token_file
-from slipguard.web.wire import packed
 
 STOP_S = 4.0
 """How long the web process may take to finish its answers when the daemon stops."""

@@ -10,11 +10,11 @@ from fastapi.responses import FileResponse, JSONResponse, RedirectResponse
 from starlette.staticfiles import StaticFiles
 
 from slipguard.errors import CommandRefused
-from slipguard.web import bodies as b
+from slipguard.web import models as b
 from slipguard.web.access import CODE_S, COOKIE
 from slipguard.web.commands import SECURITY
-from slipguard.web.room import Room
-from slipguard.web.words import error, in_words, refusals
+from slipguard.web.errors import error, in_words, refusals
+from slipguard.web.route_context import Room
 
 PAGE = Path(__file__).parent / "page"
 

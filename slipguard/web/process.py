@@ -13,13 +13,13 @@ from typing import NoReturn
 
 import cv2
 
-from slipguard.daemon import log
+from slipguard.daemon import logging as log
 from slipguard.errors import SlipguardError
 from slipguard.web.access import Access
-from slipguard.web.remote import RemoteControl
-from slipguard.web.room import Room
+from slipguard.web.daemon_proxy import RemoteControl
+from slipguard.web.protocol import receive
+from slipguard.web.route_context import Room
 from slipguard.web.serve import serve
-from slipguard.web.wire import receive
 
 
 async def run(link: socket.socket) -> bool:

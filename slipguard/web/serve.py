@@ -12,9 +12,9 @@ from starlette.types import ASGIApp
 
 from slipguard.web.access import Gate
 from slipguard.web.app import make_app
-from slipguard.web.patience import PatientHttp
-from slipguard.web.room import Room
-from slipguard.web.shield import Shield
+from slipguard.web.middleware import Shield
+from slipguard.web.route_context import Room
+from slipguard.web.timeouts import PatientHttp
 
 GRACE_S = 1
 """How long answers under way may take when the daemon stops."""

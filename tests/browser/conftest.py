@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 import pytest_asyncio
-from leaving_out import leave_out
+from deselection import leave_out
 from playwright.async_api import Browser, ConsoleMessage, Page, async_playwright, expect
 
 sys.path.append(str(Path(__file__).parent))
 
-from looks import Shelf
+from page_images import Shelf
 from page_rig import Daemon, daemon
 
 VARIABLE = "SLIPGUARD_CHROMIUM"

@@ -18,8 +18,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from slipguard.config import read_config
-from slipguard.daemon import log, root
-from slipguard.daemon.service import Service
+from slipguard.daemon import logging as log
+from slipguard.daemon import run as root
+from slipguard.daemon.loop.service import Service
 from slipguard.sim.faults import KINDS
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World, WorldSettings

@@ -14,7 +14,7 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-from slipguard.daemon.client import Client
+from slipguard.daemon.api.client import Client
 from slipguard.errors import CommandRefused, SlipguardError
 
 PATIENCE_S = 90.0

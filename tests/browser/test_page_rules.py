@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from page_rig import Daemon
 
+from slipguard.control.fault import Fault, FaultCode
+from slipguard.control.messages import Command, Request, RequestKind, Seen
+from slipguard.control.params import GuardParams
+from slipguard.control.requests import answer
+from slipguard.control.state import GuardState, Phase, Slip
 from slipguard.devices import ArmState, GripperState
-from slipguard.grasp.fault import Fault, FaultCode
-from slipguard.grasp.messages import Command, Request, RequestKind, Seen
-from slipguard.grasp.params import GuardParams
-from slipguard.grasp.requests import answer
-from slipguard.grasp.state import GuardState, Phase, Slip
 
 pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="session")]
 NOW_S = 10.0

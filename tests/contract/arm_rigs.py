@@ -12,8 +12,8 @@ from ur_scene import own_address
 from slipguard.devices import Arm, DriverContext
 from slipguard.sim.world import World
 from slipguard_drivers.ur5.arm import Ur5Arm
-from slipguard_drivers.ur5.emulator import UrEmulator
 from slipguard_drivers.ur5.fake import FakeArm
+from slipguard_emulators.ur5.emulator import UrEmulator
 
 Mode = Literal["lift", "guard"]
 FAULTS = {"disconnect": "kill", "timeout": "freeze"}

@@ -7,17 +7,17 @@ from abc import ABC, abstractmethod
 from pathlib import Path
 
 import pytest
-from patience import eventually
+from timeouts import eventually
 
 from slipguard.devices import DriverContext, Gripper
 from slipguard.sim.gripper_plant import GripperModel
 from slipguard.sim.objects import SimObject
 from slipguard.sim.scenario import Scenario
 from slipguard.sim.world import World, WorldSettings
-from slipguard_drivers.robotiq.emulated_jaws import PlainJaws
-from slipguard_drivers.robotiq.emulator import RobotiqEmulator
 from slipguard_drivers.robotiq.fake import FakeGripper
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
+from slipguard_emulators.robotiq.emulator import RobotiqEmulator
+from slipguard_emulators.robotiq.jaws import PlainJaws
 
 
 class Rig(ABC):

@@ -13,13 +13,13 @@ from slipguard.devices import DriverContext, TactileSensor
 from slipguard.errors import DeviceLost
 from slipguard.registry import load_driver
 from slipguard.sim.world import World
-from slipguard_drivers.cell.frame_server import FrameServer
-from slipguard_drivers.cell.socket_sensor import SocketSensor
 from slipguard_drivers.digit.camera import DigitSensor
-from slipguard_drivers.digit.emulator import DigitEmulator
+from slipguard_drivers.digit.discovery import Found
 from slipguard_drivers.digit.fake import FakeSensor
-from slipguard_drivers.digit.find import Found
 from slipguard_drivers.digit.replay import ReplaySensor
+from slipguard_emulators.cell.frame_server import FrameServer
+from slipguard_emulators.cell.socket_sensor import SocketSensor
+from slipguard_emulators.digit.emulator import DigitEmulator
 
 STALL_MS = 500
 FAULTS = {"stall": "stall", "frozen": "freeze", "corrupt": "corrupt", "disconnect": "unplug"}

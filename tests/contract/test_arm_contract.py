@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 from arm_rigs import Rig, kinds, rig_of
-from patience import answer_of, eventually
+from timeouts import answer_of, eventually
 
 from slipguard.devices import Arm, ArmState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from gripper_rigs import FakeRig, HardwareRig, Rig, WireRig
-from patience import eventually
+from timeouts import eventually
 
 from slipguard.devices import Gripper, GripperState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout

@@ -15,14 +15,14 @@ import numpy as np
 from loop_doubles import FlatSensor, LoggedArm, LoggedGripper, Memory, Oracle, Shelf
 
 from slipguard.config import Config, parse_config
-from slipguard.daemon.controls import Controls
-from slipguard.daemon.decision import Decision
-from slipguard.daemon.service import FINGERS, Law, Service
-from slipguard.daemon.virtual_time import run_virtual
-from slipguard.daemon.worker import ThreadWorker, Worker
+from slipguard.control.guard import tick
+from slipguard.control.state import Phase
+from slipguard.daemon.api.controls import Controls
+from slipguard.daemon.loop.decision import Decision
+from slipguard.daemon.loop.service import FINGERS, Law, Service
+from slipguard.daemon.loop.virtual_time import run_virtual
+from slipguard.daemon.loop.worker import ThreadWorker, Worker
 from slipguard.devices import DriverContext
-from slipguard.grasp.guard import tick
-from slipguard.grasp.state import Phase
 from slipguard.sim import objects
 from slipguard.sim.cell import Truth
 from slipguard.sim.scenario import scenario

@@ -15,15 +15,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.daemon.calibration import NoContact
-from slipguard.daemon.worker import StatedLatencyWorker
+from slipguard.daemon.loop.worker import StatedLatencyWorker
+from slipguard.daemon.store.calibration import NoContact
 from slipguard.devices import DriverContext, Frame
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.cell import Truth
 from slipguard.sim.world import World
-from slipguard_drivers.digit.draw_worker import Shot
 from slipguard_drivers.digit.fake import FakeSensor
-from slipguard_drivers.digit.stream import SHAPE
+from slipguard_drivers.digit.frame_stream import SHAPE
+from slipguard_drivers.digit.render_worker import Shot
 from slipguard_drivers.robotiq.fake import FakeGripper
 from slipguard_drivers.ur5.fake import FakeArm
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 
-from slipguard.daemon.actuator import Actuator
-from slipguard.daemon.virtual_time import run_virtual
+from slipguard.daemon.loop.actuator import Actuator
+from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.errors import CommandRefused, DeviceLost, DeviceTimeout
 
 

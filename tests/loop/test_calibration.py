@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from loop_cell import Cell, play
 
-from slipguard.daemon.calibration import FRAMES, NoContact, no_contact_of
+from slipguard.control.messages import Request, RequestKind
+from slipguard.control.state import Phase
+from slipguard.daemon.store.calibration import FRAMES, NoContact, no_contact_of
 from slipguard.errors import CommandRefused, ConfigError, InputError
-from slipguard.grasp.messages import Request, RequestKind
-from slipguard.grasp.state import Phase
 
 
 def still(seed: int = 0, level: float = 100.0) -> list[np.ndarray]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from slipguard.config import parse_config
-from slipguard.daemon import root
+from slipguard.daemon import run as root
 from slipguard.sim.world import World, WorldSettings
 
 

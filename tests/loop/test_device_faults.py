@@ -12,9 +12,9 @@ from collections.abc import Awaitable, Callable
 import pytest
 from loop_cell import Cell, play
 
+from slipguard.control.fault import FaultCode
+from slipguard.control.state import Phase
 from slipguard.errors import CommandRefused
-from slipguard.grasp.fault import FaultCode
-from slipguard.grasp.state import Phase
 
 BRISK: dict[str, object] = {"lift_height_mm": 50.0, "lift_speed_mm_s": 80.0, "lower_speed_mm_s": 150.0}
 NAMED_WITHIN_S = 0.5

@@ -16,24 +16,24 @@ from numpy.typing import NDArray
 
 from slipguard.cli.app import run
 from slipguard.config import parse_config
-from slipguard.daemon.controls import Controls
-from slipguard.daemon.root import build_service
-from slipguard.daemon.service import Service
-from slipguard.daemon.virtual_time import run_virtual
-from slipguard.daemon.worker import StatedLatencyWorker
+from slipguard.control.state import Phase
+from slipguard.daemon.api.controls import Controls
+from slipguard.daemon.loop.service import Service
+from slipguard.daemon.loop.virtual_time import run_virtual
+from slipguard.daemon.loop.worker import StatedLatencyWorker
+from slipguard.daemon.run import build_service
 from slipguard.errors import SlipguardError
-from slipguard.grasp.state import Phase
-from slipguard.lab.evaluate import on_cell
-from slipguard.lab.evaluate.external_camera import Camera
-from slipguard.lab.evaluate.on_cell import in_the_daemons_place, run_on_cell
-from slipguard.lab.evaluate.protocol import Protocol
-from slipguard.lab.evaluate.report import write_report
-from slipguard.lab.evaluate.simulated import intrinsics_of, onlooker
-from slipguard.lab.parallel import Workers
+from slipguard.evaluation import on_cell
+from slipguard.evaluation.external_camera import Camera
+from slipguard.evaluation.on_cell import in_the_daemons_place, run_on_cell
+from slipguard.evaluation.protocol import Protocol
+from slipguard.evaluation.report import write_report
+from slipguard.evaluation.simulated import intrinsics_of, onlooker
 from slipguard.recording.writer import RecordingFile
-from slipguard.sim.onlooker import Lens, Scene, Studio
+from slipguard.sim.external_camera import Lens, Scene, Studio
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World
+from slipguard.tools.parallel import Workers
 
 SEED = 3
 LENS = Lens(640, 480, 560.0, (322.0, 238.0))

@@ -7,8 +7,8 @@ import asyncio
 import pytest
 from loop_cell import Cell, play
 
+from slipguard.control.state import Phase
 from slipguard.errors import CommandRefused
-from slipguard.grasp.state import Phase
 
 GUARD: dict[str, object] = {"mode": "guard"}
 GRIP_N = 40.0

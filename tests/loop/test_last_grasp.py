@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 from loop_cell import Cell, play
 
-from slipguard.daemon.decision import Decision
-from slipguard.daemon.disk_work import TRY_AGAIN_S
-from slipguard.daemon.last_grasp import GraspKeeper, remembered
-from slipguard.daemon.state_dir import LastGrasp, StateDir
+from slipguard.control.fault import Fault, FaultCode
+from slipguard.control.guard import Guard
+from slipguard.control.messages import Command, Seen
+from slipguard.control.state import GuardState, Phase, Remembered
+from slipguard.daemon.loop.decision import Decision
+from slipguard.daemon.store.disk_writer import TRY_AGAIN_S
+from slipguard.daemon.store.last_grasp import GraspKeeper, remembered
+from slipguard.daemon.store.state_dir import LastGrasp, StateDir
 from slipguard.errors import ConfigError
-from slipguard.grasp.fault import Fault, FaultCode
-from slipguard.grasp.guard import Guard
-from slipguard.grasp.messages import Command, Seen
-from slipguard.grasp.state import GuardState, Phase, Remembered
 
 
 def test_the_grip_is_noted_down_tightened_and_forgotten(tmp_path: Path) -> None:

@@ -7,11 +7,11 @@ import asyncio
 import pytest
 from loop_cell import Cell, play
 
-from slipguard.daemon.service import Law
+from slipguard.control.guard import tick
+from slipguard.control.state import Phase
+from slipguard.daemon.loop.service import Law
 from slipguard.errors import CommandRefused
-from slipguard.grasp.guard import tick
-from slipguard.grasp.state import Phase
-from slipguard.lab.unguarded import unguarded_tick
+from slipguard.sim_lifts.unguarded import unguarded_tick
 
 BRISK = {"lift_height_mm": 60.0, "lift_speed_mm_s": 100.0, "lower_speed_mm_s": 150.0}
 

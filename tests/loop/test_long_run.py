@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from loop_cell import Cell, play, running
 
-from slipguard.daemon.actuator import ROUND_TRIPS
-from slipguard.daemon.journal import KEPT
+from slipguard.control.state import Phase
+from slipguard.daemon.loop.actuator import ROUND_TRIPS
+from slipguard.daemon.loop.event_log import KEPT
 from slipguard.devices import Frame
-from slipguard.grasp.state import Phase
 from slipguard.perception.estimate import Estimate
 
 
@@ -60,7 +60,9 @@ def weight(cell: Cell) -> int:
             todo += [*one.keys(), *one.values()]
         elif isinstance(one, (list, tuple, set, frozenset)):
             todo += list(one)
-        elif type(one).__module__.startswith("slipguard.daemon") or type(one).__module__.startswith("slipguard.grasp"):
+        elif type(one).__module__.startswith("slipguard.daemon") or type(one).__module__.startswith(
+            "slipguard.control"
+        ):
             names = getattr(one, "__slots__", None) or vars(one)
             todo += [getattr(one, name) for name in names if hasattr(one, name)]
     return total

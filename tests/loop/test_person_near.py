@@ -7,8 +7,8 @@ import asyncio
 import pytest
 from loop_cell import Cell, play
 
+from slipguard.control.state import Phase
 from slipguard.errors import DeviceTimeout
-from slipguard.grasp.state import Phase
 
 BRISK = {"lift_speed_mm_s": 100.0, "lower_speed_mm_s": 60.0}
 STOPS = ["protective_stop", "emergency_stop"]

@@ -16,13 +16,13 @@ from loop_cell import Cell, play
 from mcap.reader import make_reader
 
 from slipguard.config import RecordingSection
-from slipguard.daemon import recording
+from slipguard.daemon.store import recording
 from slipguard.errors import InputError
-from slipguard.lab.replay import recordings, replay
 from slipguard.recording import messages as m
 from slipguard.recording.reader import Line, open_recording
 from slipguard.recording.recorder import Recorder
 from slipguard.recording.writer import open_new
+from slipguard.tools.replay import recordings, replay
 
 ROOM_BYTES = 100_000
 
@@ -88,7 +88,7 @@ def test_a_clock_that_is_set_right_is_believed_from_the_next_file_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told_ns = iter((10**9, *[1_763_700_000_000_000_000] * 9))
-    monkeypatch.setattr("slipguard.daemon.recording.time.time_ns", lambda: next(told_ns))
+    monkeypatch.setattr("slipguard.daemon.store.recording.time.time_ns", lambda: next(told_ns))
     recorded(Cell("wrench", 1), tmp_path)
     first, *others = sorted((tmp_path / "kept").iterdir())
     assert first.name.startswith("1970")

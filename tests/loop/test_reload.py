@@ -14,10 +14,10 @@ import pytest
 from loop_cell import Cell, play
 
 from slipguard.config import Config, parse_config
-from slipguard.daemon import root
+from slipguard.control.state import Phase
+from slipguard.daemon import run as root
 from slipguard.daemon.reload import Grip, Reloader, changes, grip_of, why_not
 from slipguard.errors import ConfigError
-from slipguard.grasp.state import Phase
 from slipguard.sim.world import World, WorldSettings
 
 FAKES: dict[str, Any] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in ("left", "right")}

@@ -8,9 +8,9 @@ import itertools
 import pytest
 from loop_cell import Cell, play
 
+from slipguard.control.messages import Request, RequestKind
+from slipguard.control.state import Phase
 from slipguard.errors import CommandRefused, DeviceTimeout
-from slipguard.grasp.messages import Request, RequestKind
-from slipguard.grasp.state import Phase
 
 
 def test_a_grip_that_was_not_taken_is_commanded_again() -> None:

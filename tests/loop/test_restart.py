@@ -7,11 +7,11 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from slipguard.daemon.virtual_time import run_virtual
+from slipguard.control.fault import FaultCode
+from slipguard.control.state import Phase
+from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.errors import CommandRefused
-from slipguard.grasp.fault import FaultCode
-from slipguard.grasp.state import Phase
-from slipguard.lab.faults.rig import Rig
+from tests.campaigns.faults.rig import Rig
 
 DEAD_S = 0.5
 ASKED_N = 130.0

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from loop_cell import Cell, play, running
 
-from slipguard.daemon.virtual_time import run_virtual
+from slipguard.control.state import Phase
+from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.errors import CommandRefused
-from slipguard.grasp.state import Phase
 from slipguard.sim.world import World
 
 BRISK: dict[str, object] = {"lift_height_mm": 50.0, "lift_speed_mm_s": 80.0, "lower_speed_mm_s": 150.0}

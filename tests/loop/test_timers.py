@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 
-from slipguard.lab.waiting import until
+from slipguard.tools.waiting import until
 from slipguard_drivers.timers import Timers
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from loop_cell import Cell, play
 
-from slipguard.daemon.notify import notify, watchdog_period_s
-from slipguard.grasp.guard import Guard, tick
-from slipguard.grasp.messages import Command, Seen
-from slipguard.grasp.params import GuardParams
+from slipguard.control.guard import Guard, tick
+from slipguard.control.messages import Command, Seen
+from slipguard.control.params import GuardParams
+from slipguard.daemon.systemd_notify import notify, watchdog_period_s
 
 WATCHDOG_S = 3.0
 

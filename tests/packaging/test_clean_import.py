@@ -7,8 +7,7 @@ from sandbox import VENDOR, Sandbox
 IMPORT_EVERYTHING = """
 import importlib, pkgutil
 import slipguard
-torch_only = ("slipguard.lab.train", "slipguard.lab.networks", "slipguard.lab.export", "slipguard.lab.paper",
-              "slipguard.lab.onnx_file")
+torch_only = ("slipguard.training",)
 for module in pkgutil.walk_packages(slipguard.__path__, "slipguard."):
     if not module.name.endswith("__main__") and not module.name.startswith(torch_only):
         importlib.import_module(module.name)

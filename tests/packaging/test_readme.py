@@ -16,10 +16,10 @@ from sandbox import ROOT
 
 from slipguard.cli.app import app
 from slipguard.web.app import make_app
-from slipguard.web.room import Room
+from slipguard.web.route_context import Room
 
 if TYPE_CHECKING:
-    from slipguard.daemon.control import Control
+    from slipguard.daemon.api.daemon_api import Control
 
 README = (ROOT / "README.md").read_text()
 GATE = (ROOT / ".ci" / "run").read_text().replace("\\\n", "")

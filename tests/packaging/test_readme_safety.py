@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from slipguard.grasp.fault import FaultCode
-from slipguard.grasp.params import GuardParams
+from slipguard.control.fault import FaultCode
+from slipguard.control.params import GuardParams
 
 README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 SAFETY = README.partition("\n## Safety\n")[2].partition("\n## ")[0]

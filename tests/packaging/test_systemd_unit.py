@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from slipguard.priority import FIRST
+from slipguard.thread_priority import FIRST
 
 UNIT = Path(__file__).parents[2] / "systemd" / "slipguard.service"
 ANALYZE = shutil.which("systemd-analyze")

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from slipguard.cli.measure import ReferenceChoice, measure
-from slipguard.lab.scores import RealFrame, iou, no_contact_frames, real_frames
-from slipguard.perception.compressed import coarsely_compressed
-from slipguard.perception.dead_lines import DeadLines
-from slipguard.perception.few_levels import few_levels
+from slipguard.datasets.mask_scores import RealFrame, iou, no_contact_frames, real_frames
+from slipguard.perception.quality.compressed import coarsely_compressed
+from slipguard.perception.quality.dead_lines import DeadLines
+from slipguard.perception.quality.few_levels import few_levels
 
 pytestmark = pytest.mark.real
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slipguard.lab.proposal import propose
+from slipguard.datasets.label_proposal import propose
 
 pytestmark = pytest.mark.real
 LEAST_OVERLAP = 0.75

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slipguard.lab.fit_renderer import BALL_RADIUS_MM, correlation, drawn_difference, refined_pose
-from slipguard.lab.real_presses import read_presses
 from slipguard.sim.unit import Unit
+from tests.campaigns.fit_renderer import BALL_RADIUS_MM, correlation, drawn_difference, refined_pose
+from tests.campaigns.real_presses import read_presses
 
 FITTED_PRESSES = 15
 

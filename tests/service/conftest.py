@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from leaving_out import leave_out
+from deselection import leave_out
 
 sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "wire")]
 

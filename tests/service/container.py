@@ -15,7 +15,7 @@ from typing import Any
 
 import cell_rig
 
-from slipguard.daemon.client import Client
+from slipguard.daemon.api.client import Client
 from slipguard.errors import SlipguardError
 
 PATIENCE_S = 120.0

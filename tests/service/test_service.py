@@ -16,8 +16,8 @@ import pytest
 from cell_rig import PATIENT_GUARD
 from container import PROGRAM, UNIT, Container, until
 
-from slipguard.priority import FIRST, SECOND
-from slipguard_drivers.cell.cell_config import CellPlaces, text
+from slipguard.thread_priority import FIRST, SECOND
+from slipguard_emulators.cell.cell_config import CellPlaces, text
 
 pytestmark = pytest.mark.service
 CELL = CellPlaces(Path("/srv/cell"))

@@ -8,9 +8,9 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, closing
 from pathlib import Path
 
-from fake_control import FakeControl
+from fake_daemon_api import FakeControl
 
-from slipguard.daemon.client import Client, OverTcp
+from slipguard.daemon.api.client import Client, OverTcp
 from slipguard.web.host import run_api
 from slipguard.web.sockets import bind, bind_tcp
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from slipguard_drivers.digit.capture import Delivery, Mode
-from slipguard_drivers.digit.find import Found
+from slipguard_drivers.digit.discovery import Found
 
 FRAME_BYTES = 320 * 240 * 2
 DIGIT_MODES = (

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from leaving_out import leave_out
+from deselection import leave_out
 
 sys.path.append(str(Path(__file__).parent))
 

@@ -9,8 +9,8 @@ import pytest
 from robotiq_rig import OBJECT_MM, put, quick, settings, until_it_rests
 
 from slipguard.devices import DriverContext
-from slipguard_drivers.robotiq.emulator import RobotiqEmulator
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
+from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from cell_rig import Cell, Process, patient_config, patiently, pause, until, wait_for
 
-from slipguard.daemon.client import Client
+from slipguard.daemon.api.client import Client
 
 LIFT_S = 4.5
 """A lift of 80 mm, with a stop for slip, and a moment of holding."""

@@ -18,10 +18,10 @@ from pathlib import Path
 from slipguard.devices import DriverContext, GripperState
 from slipguard.emulator import Event
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost
-from slipguard_drivers.robotiq.emulated_jaws import JawsView, PlainJaws
-from slipguard_drivers.robotiq.emulated_registers import Stage
-from slipguard_drivers.robotiq.emulator import FAULTS, RobotiqEmulator
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
+from slipguard_emulators.robotiq.emulator import FAULTS, RobotiqEmulator
+from slipguard_emulators.robotiq.jaws import JawsView, PlainJaws
+from slipguard_emulators.robotiq.registers import Stage
 
 PROBABILITY = 0.01
 """Of each kind of fault, at each request."""

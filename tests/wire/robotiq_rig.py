@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from slipguard_drivers.robotiq.emulated_jaws import PlainJaws
-from slipguard_drivers.robotiq.emulator import RobotiqEmulator
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
+from slipguard_emulators.robotiq.emulator import RobotiqEmulator
+from slipguard_emulators.robotiq.jaws import PlainJaws
 
 OBJECT_MM = 41.2
 

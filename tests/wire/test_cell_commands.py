@@ -13,7 +13,7 @@ from cell_rig import Cell, cell, daemon, patiently, wait_for
 from ur_scene import own_address
 
 from slipguard.cli.app import run
-from slipguard.daemon.client import Client
+from slipguard.daemon.api.client import Client
 from slipguard.errors import CommandRefused
 
 OPTIONS = ("--object", "wrench", "--seed", 0, "--fps", 30, "--height-mm", 40)

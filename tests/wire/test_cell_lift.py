@@ -15,7 +15,7 @@ from cell_rig import Cell, cell, daemon, patiently, pause, wait_for
 from ur_scene import own_address
 
 from slipguard.cli.app import run
-from slipguard.daemon.client import Client
+from slipguard.daemon.api.client import Client
 from slipguard.doctor import examine
 
 OPTIONS = ("--object", "wrench", "--seed", 0, "--fps", 30, "--height-mm", 80)

@@ -18,10 +18,10 @@ from usb_host import UsbCapture, UsbDevice, connected, exactly, listed
 
 from slipguard.errors import CommandRefused, InputError
 from slipguard_drivers.digit.capture import Delivery, Mode
-from slipguard_drivers.digit.emulator import DigitEmulator
-from slipguard_drivers.digit.picture import upright_yuyv
-from slipguard_drivers.digit.usbip import BulkIn
+from slipguard_drivers.digit.pixel_format import upright_yuyv
 from slipguard_drivers.digit.v4l2 import ZOOM_ABSOLUTE
+from slipguard_emulators.digit.emulator import DigitEmulator
+from slipguard_emulators.digit.usbip import BulkIn
 
 T = TypeVar("T")
 QVGA = Mode("YUYV", 320, 240, 60.0)

@@ -20,10 +20,10 @@ from cell_rig import Cell, cell
 from ur_scene import own_address
 
 from slipguard.cli.app import run
-from slipguard.daemon.calibration import NoContact
-from slipguard.daemon.state_dir import StateDir
+from slipguard.daemon.store.calibration import NoContact
+from slipguard.daemon.store.state_dir import StateDir
 from slipguard.doctor import gripper, sensor
-from slipguard_drivers.ur5 import look as arm_look
+from slipguard_drivers.ur5 import diagnostics as arm_look
 
 HOST = own_address(65)
 NOBODY = 65534

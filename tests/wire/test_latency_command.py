@@ -6,13 +6,14 @@ import json
 
 import pytest
 
+from slipguard.bench.wire_latency import OWN, STAGES, TOTAL
 from slipguard.cli.app import run
-from slipguard.lab.wire_latency import OWN, STAGES, TOTAL
+from tests.campaigns.command_line import run as run_campaign
 
 
 def test_two_clients_for_a_moment(capfd: pytest.CaptureFixture[str]) -> None:
     """Whether a moment's p99 rises is chance; that both were served and the verdict is that of the figures is not."""
-    code = run(["latency", "--clients", "2", "--pairs", "1", "--block-s", "1.5", "--fps", "30", "--json"])
+    code = run_campaign(["api-load", "--clients", "2", "--pairs", "1", "--block-s", "1.5", "--fps", "30", "--json"])
     told = capfd.readouterr()
     found = json.loads(told.out)
     assert code == int(found["rise_ms"] > found["allowed_ms"]), told.err

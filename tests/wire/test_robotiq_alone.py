@@ -15,9 +15,9 @@ import pytest
 from slipguard.devices import DriverContext
 from slipguard.errors import DeviceLost
 from slipguard_drivers.robotiq import serial_port
-from slipguard_drivers.robotiq.emulator import RobotiqEmulator
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
-from slipguard_drivers.robotiq.line import RegisterLine
+from slipguard_drivers.robotiq.modbus import RegisterLine
+from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ import pytest
 from robotiq_campaign import MIX, Truth, agree, campaign
 
 from slipguard.devices import GripperState
-from slipguard_drivers.robotiq.emulated_jaws import JawsView
-from slipguard_drivers.robotiq.emulator import FAULTS
+from slipguard_emulators.robotiq.emulator import FAULTS
+from slipguard_emulators.robotiq.jaws import JawsView
 
 HANG_S = 0.5
 """Of the driver's own time: what the machine kept the whole process from running is taken off, and printed."""

@@ -14,10 +14,10 @@ import pytest
 import serial
 
 from slipguard.errors import CommandRefused, InputError
-from slipguard_drivers.robotiq.emulated_frames import crc16
-from slipguard_drivers.robotiq.emulated_jaws import PlainJaws
-from slipguard_drivers.robotiq.emulated_registers import FIGURES, Registers, Stage
-from slipguard_drivers.robotiq.emulator import RobotiqEmulator
+from slipguard_emulators.robotiq.emulator import RobotiqEmulator
+from slipguard_emulators.robotiq.jaws import PlainJaws
+from slipguard_emulators.robotiq.modbus_frames import crc16
+from slipguard_emulators.robotiq.registers import FIGURES, Registers, Stage
 
 TIOCGEXCL = 0x80045440
 

@@ -10,9 +10,9 @@ from robotiq_rig import put, quick, settings, soon_s, until_it_rests, words_writ
 
 from slipguard.devices import DriverContext
 from slipguard.errors import CommandRefused, DeviceLost, DeviceTimeout
-from slipguard_drivers.robotiq.emulator import RobotiqEmulator
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
-from slipguard_drivers.robotiq.line import RegisterLine
+from slipguard_drivers.robotiq.modbus import RegisterLine
+from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 
 
 async def test_the_bytes_on_the_line_are_the_manuals(emulator: RobotiqEmulator) -> None:

@@ -12,10 +12,10 @@ from robotiq_rig import OBJECT_MM, put, quick, settings, soon_s, until_it_rests
 from slipguard.devices import DriverContext
 from slipguard.errors import DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq import serial_port
-from slipguard_drivers.robotiq.emulated_frames import crc16
-from slipguard_drivers.robotiq.emulator import RobotiqEmulator
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
-from slipguard_drivers.robotiq.line import RegisterLine
+from slipguard_drivers.robotiq.modbus import RegisterLine
+from slipguard_emulators.robotiq.emulator import RobotiqEmulator
+from slipguard_emulators.robotiq.modbus_frames import crc16
 
 
 async def test_a_late_answer_is_never_taken_for_the_next(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 import pyrobotiqgripper
 import pytest
 
-from slipguard_drivers.robotiq.emulated_jaws import PlainJaws
-from slipguard_drivers.robotiq.emulator import RobotiqEmulator
+from slipguard_emulators.robotiq.emulator import RobotiqEmulator
+from slipguard_emulators.robotiq.jaws import PlainJaws
 
 
 @pytest.fixture

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 import pytest
 from ur_scene import own_address, until
 
-from slipguard.daemon.actuator import Actuator
+from slipguard.daemon.loop.actuator import Actuator
 from slipguard.devices import ArmState
-from slipguard_drivers.ur5.lifting import LiftingArm
+from slipguard_drivers.ur5.lift_mode import LiftingArm
 from slipguard_drivers.ur5.settings import Ur5Settings
 
 HOST = own_address(34)

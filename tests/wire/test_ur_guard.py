@@ -12,14 +12,14 @@ import pytest
 from ros_client import RosLikeClient
 from ur_scene import lifting, lost, own_address, put_away, rests, speed_of, until
 
-from slipguard.daemon.actuator import Actuator
+from slipguard.daemon.loop.actuator import Actuator
 from slipguard.devices import ArmState
 from slipguard.errors import CommandRefused, DeviceLost
 from slipguard_drivers.ur5.dashboard import Dashboard
-from slipguard_drivers.ur5.emulator import UrEmulator
-from slipguard_drivers.ur5.look import ask
-from slipguard_drivers.ur5.pausing import PausingArm
+from slipguard_drivers.ur5.diagnostics import ask
+from slipguard_drivers.ur5.guard_mode import PausingArm
 from slipguard_drivers.ur5.settings import Ur5Settings
+from slipguard_emulators.ur5.emulator import UrEmulator
 
 HOST = own_address(32)
 

@@ -13,9 +13,9 @@ import pytest
 from ur_scene import lifting, lost, opened, own_address, put_away, refusal, rests, told, under_way, until
 
 from slipguard.errors import CommandRefused, DeviceLost
-from slipguard_drivers.ur5.emulator import UrEmulator
-from slipguard_drivers.ur5.lifting import LiftingArm
+from slipguard_drivers.ur5.lift_mode import LiftingArm
 from slipguard_drivers.ur5.rtde import RtdeConnection
+from slipguard_emulators.ur5.emulator import UrEmulator
 
 HOST = own_address(31)
 

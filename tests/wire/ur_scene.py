@@ -11,9 +11,9 @@ import pytest
 
 from slipguard.devices import Arm
 from slipguard.errors import DeviceError, DeviceLost
-from slipguard_drivers.ur5.emulator import UrEmulator
-from slipguard_drivers.ur5.lifting import LiftingArm
+from slipguard_drivers.ur5.lift_mode import LiftingArm
 from slipguard_drivers.ur5.settings import Ur5Settings
+from slipguard_emulators.ur5.emulator import UrEmulator
 
 
 def own_address(number: int) -> str:

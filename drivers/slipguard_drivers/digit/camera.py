@@ -10,13 +10,13 @@ from slipguard.diagnosis import Finding
 from slipguard.errors import DeviceLost
 from slipguard_drivers.digit.capture import Capture, Delivery, Mode
 from slipguard_drivers.digit.decoder import JpegDecoder
-from slipguard_drivers.digit.find import Found, find_digit
-from slipguard_drivers.digit.look import look
-from slipguard_drivers.digit.picture import DamagedPicture, upright_yuyv
-from slipguard_drivers.digit.rate import RateWatch
+from slipguard_drivers.digit.diagnostics import look
+from slipguard_drivers.digit.discovery import Found, find_digit
+from slipguard_drivers.digit.frame_stream import FrameStream
+from slipguard_drivers.digit.pixel_format import DamagedPicture, upright_yuyv
+from slipguard_drivers.digit.rate_monitor import RateWatch
 from slipguard_drivers.digit.settings import DigitSettings
-from slipguard_drivers.digit.start import Started, reason, start_digit
-from slipguard_drivers.digit.stream import FrameStream
+from slipguard_drivers.digit.stream_setup import Started, reason, start_digit
 
 EMPTY_WAKE_UPS = 100
 """Wake-ups in a row without a frame after which a device in error is given up; else it would spin for ever."""

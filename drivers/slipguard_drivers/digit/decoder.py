@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 
 from slipguard_drivers.digit.capture import Delivery
-from slipguard_drivers.digit.picture import DamagedPicture, Image, upright_jpeg
-from slipguard_drivers.digit.stream import FrameStream
+from slipguard_drivers.digit.frame_stream import FrameStream
+from slipguard_drivers.digit.pixel_format import DamagedPicture, Image, upright_jpeg
 
 
 class JpegDecoder:

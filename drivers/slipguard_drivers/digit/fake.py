@@ -17,10 +17,17 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import DriverContext, Frame, TactileSensor
 from slipguard.errors import DeviceLost
-from slipguard_drivers.digit.draw import Image, InlinePainter, Painter, PlainPainter, ProcessPainter, TellingPainter
-from slipguard_drivers.digit.draw_worker import Shot
-from slipguard_drivers.digit.stream import FrameStream
-from slipguard_drivers.shared_world import world_of
+from slipguard_drivers.digit.fake_renderer import (
+    Image,
+    InlinePainter,
+    Painter,
+    PlainPainter,
+    ProcessPainter,
+    TellingPainter,
+)
+from slipguard_drivers.digit.frame_stream import FrameStream
+from slipguard_drivers.digit.render_worker import Shot
+from slipguard_drivers.fake_world import world_of
 from slipguard_drivers.timers import Timers
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import DriverContext, Gripper, GripperState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
+from slipguard_drivers.fake_world import world_of
 from slipguard_drivers.robotiq.registers import MODEL_2F85, force_to_count, width_to_count
-from slipguard_drivers.shared_world import world_of
 
 T = TypeVar("T")
 LATE_S = 0.2

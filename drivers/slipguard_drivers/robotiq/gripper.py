@@ -20,8 +20,8 @@ from slipguard.devices import DriverContext, Gripper, GripperState
 from slipguard.diagnosis import Finding
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq import registers, serial_port
-from slipguard_drivers.robotiq.line import RegisterLine
-from slipguard_drivers.robotiq.look import look
+from slipguard_drivers.robotiq.diagnostics import look
+from slipguard_drivers.robotiq.modbus import RegisterLine
 from slipguard_drivers.robotiq.registers import CLOSED_COUNT, MODELS, Motion, Status
 
 T = TypeVar("T")

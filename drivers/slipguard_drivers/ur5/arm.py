@@ -6,9 +6,9 @@ from collections.abc import AsyncIterator
 
 from slipguard.devices import Arm, ArmState, DriverContext
 from slipguard.diagnosis import Finding
-from slipguard_drivers.ur5.lifting import LiftingArm
-from slipguard_drivers.ur5.look import look
-from slipguard_drivers.ur5.pausing import PausingArm
+from slipguard_drivers.ur5.diagnostics import look
+from slipguard_drivers.ur5.guard_mode import PausingArm
+from slipguard_drivers.ur5.lift_mode import LiftingArm
 from slipguard_drivers.ur5.settings import Ur5Settings
 
 

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import Arm, ArmState, DriverContext
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
-from slipguard_drivers.shared_world import world_of
+from slipguard_drivers.fake_world import world_of
 
 
 class FakeArm(Arm):

@@ -1,9 +1,9 @@
 // The buttons, and the question each of them asks before anything moves.
 
 import { byId, make, setAttribute, setText } from "./dom.js";
-import { hindrance } from "./may.js";
-import { ORDERS, send } from "./orders.js";
-import { headline } from "./words.js";
+import { hindrance } from "./permissions.js";
+import { ORDERS, send } from "./command_forms.js";
+import { headline } from "./format.js";
 
 const ARMED_AFTER_MS = 450; // the second half of a double click must not answer the question
 

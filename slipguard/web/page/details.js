@@ -1,7 +1,7 @@
 // Devices, pace and events: what an engineer looks at after the first glance.
 
 import { byId, make, setRows, setText } from "./dom.js";
-import { armWords, clock, deviceName, gripperWords, withoutName } from "./words.js";
+import { armWords, clock, deviceName, gripperWords, withoutName } from "./format.js";
 
 export const EVENTS_KEPT = 50;
 const COUNTED = {

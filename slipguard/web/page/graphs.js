@@ -3,7 +3,7 @@
 import { Chart } from "./chart.js";
 import { byId, setAttribute, setText } from "./dom.js";
 import { SPAN_S, summary } from "./history.js";
-import { forces, plain, turnWords } from "./words.js";
+import { forces, plain, turnWords } from "./format.js";
 
 const WORDS_EVERY_MS = 5000;
 const TURN_ROOM_DEG = 4;

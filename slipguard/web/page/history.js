@@ -1,6 +1,6 @@
 // The last minute of samples and marks, and what it says in one sentence.
 
-import { plain, signed } from "./words.js";
+import { plain, signed } from "./format.js";
 
 export const SPAN_S = 60;
 export const GAP_S = 0.35; // samples come every 0.1 s; further apart there was none

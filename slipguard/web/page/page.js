@@ -6,9 +6,9 @@ import { byId, setAttribute, setText } from "./dom.js";
 import { Graphs } from "./graphs.js";
 import { History } from "./history.js";
 import { Live } from "./live.js";
-import { Pictures } from "./pictures.js";
+import { Pictures } from "./images.js";
 import { sessionHeaders } from "./session.js";
-import { armWords, clock, forces, headline, plain, signed, span } from "./words.js";
+import { armWords, clock, forces, headline, plain, signed, span } from "./format.js";
 
 const SLOW_MS = 250; // figures that change faster cannot be read
 const SHORT = 13; // longer words of state are set in smaller type

@@ -17,14 +17,14 @@ import cv2
 import numpy as np
 from plug import attach, modprobe, settle
 
-from slipguard.daemon.finger import Finger
-from slipguard.daemon.worker import ThreadWorker
+from slipguard.daemon.loop.finger import Finger
+from slipguard.daemon.loop.worker import ThreadWorker
 from slipguard.devices import DriverContext, Frame
 from slipguard.errors import DeviceError, DeviceLost
 from slipguard.perception.estimate import Estimate
 from slipguard_drivers.digit.camera import DigitSensor
-from slipguard_drivers.digit.emulator import Camera, DigitEmulator
-from slipguard_drivers.digit.find import Found, plugged_in
+from slipguard_drivers.digit.discovery import Found, plugged_in
+from slipguard_emulators.digit.emulator import Camera, DigitEmulator
 
 PATIENCE_S = 20.0
 SERIALS = ("D20001", "D20002")

@@ -1,0 +1,145 @@
+"""What `slipguard doctor` looks at about a UR controller: its ports, questions to the dashboard, RTDE received.
+
+Nothing is taken over: no input registers, no script, no orders. A program that runs goes on undisturbed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterator
+from typing import Literal
+
+from slipguard.diagnosis import Finding, fine, from_error, note, wrong
+from slipguard.errors import DeviceError
+from slipguard_drivers.ur5.dashboard import Dashboard
+from slipguard_drivers.ur5.rtde import check_port
+from slipguard_drivers.ur5.settings import Ur5Settings
+from slipguard_drivers.ur5.state_monitor import MODES, RATE_HZ, RUNNING, Eyes, Sight
+
+LOOK_S = 1.0
+RATE_SHARE = 0.9
+SCRIPT_PORT = 30003
+URCAPS = {
+    63352: ("Robotiq's gripper URCap", "two programs must not command one gripper: let none of the robot's do it"),
+    54321: (
+        "an RS-485 URCap (tool communication)",
+        "the gripper must hang on this computer, not on the robot's tool",
+    ),
+}
+"""What listens at these ports of the controller, and what it would disturb."""
+URCAP_S = 0.3
+POWER_UP = "power the robot on and release its brakes at the panel"
+
+
+async def look(
+    name: str, settings: Ur5Settings, mode: Literal["lift", "guard"], *, owned: bool
+) -> AsyncIterator[Finding]:
+    """All of it; ends early where nothing answers. owned: a program that runs in lift mode is slipguard's own."""
+    dashboard, eyes = Dashboard(name, settings.host), Eyes(name, settings.host)
+    try:
+        try:
+            await eyes.open()
+        except DeviceError as error:
+            yield from_error("controller", error, name, "check the robot's power, network cable and address")
+            return
+        yield fine("controller", f"{settings.host}, software {'.'.join(map(str, eyes.version))}")
+        begun_s, packets = asyncio.get_running_loop().time(), eyes.packets
+        async for finding in ask(name, dashboard, settings, mode, owned=owned):
+            yield finding
+        await asyncio.sleep(max(0.0, begun_s + LOOK_S - asyncio.get_running_loop().time()))
+        rate_hz = (eyes.packets - packets) / (asyncio.get_running_loop().time() - begun_s)
+        try:
+            sight = eyes.fresh()
+        except DeviceError as error:
+            yield from_error("RTDE rate", error, name, "check the network cable")
+            return
+        yield rate(rate_hz)
+        for finding in robot(sight):
+            yield finding
+        if mode == "lift":
+            yield await script_port(name, settings.host)
+        for finding in await urcaps(settings.host):
+            yield finding
+    finally:
+        dashboard.close()
+        await eyes.close()
+
+
+async def ask(
+    name: str, dashboard: Dashboard, settings: Ur5Settings, mode: Literal["lift", "guard"], *, owned: bool
+) -> AsyncIterator[Finding]:
+    """Questions only: serial number, remote control, the program."""
+    try:
+        serial = await dashboard.ask("get serial number")
+        if serial.isalnum():
+            yield fine("serial number", serial)
+        remote = await dashboard.in_remote_control()
+        program = await dashboard.ask("programState")
+    except DeviceError as error:
+        yield from_error("dashboard", error, name, "enable the dashboard in the robot's security settings")
+        return
+    needs_remote = mode == "lift" or settings.stop_by == "dashboard_pause"
+    if remote or not needs_remote:
+        yield fine("control", "remote" if remote else "local, which is enough for a stop by digital output")
+    else:
+        what = "take scripts" if mode == "lift" else "let itself be paused"
+        yield wrong("control", f"local: the robot will not {what}", "switch it to remote control at the panel")
+    on = program.upper().startswith(("PLAYING", "PAUSED"))
+    if mode == "lift" and on and not owned:
+        yield wrong(
+            "program",
+            f"{program}: mode 'lift' would end it, so slipguard does not take the arm beside it",
+            'stop that program, or set [guard] mode = "guard" where it is to move the arm',
+        )
+    else:
+        yield fine("program", program)
+
+
+def rate(rate_hz: float) -> Finding:
+    """How often the state really comes."""
+    seen = f"{rate_hz:.0f} states a second of {RATE_HZ:.0f} asked for"
+    if rate_hz < RATE_SHARE * RATE_HZ:
+        return wrong("RTDE rate", seen, "use a cable instead of Wi-Fi, straight to the controller or by one switch")
+    return fine("RTDE rate", seen)
+
+
+def robot(sight: Sight) -> Iterator[Finding]:
+    """Is it on, and does anything stop it."""
+    mode = MODES.get(sight.mode, f"mode {sight.mode}")
+    if sight.emergency:
+        yield wrong("stops", "emergency stop or safety fault", f"release the button, then {POWER_UP}")
+    elif sight.protective:
+        yield wrong("stops", "protective or safeguard stop", "look why, then unlock it at the panel")
+    else:
+        yield fine("stops", "none active")
+    if sight.mode != RUNNING and not sight.emergency:
+        yield wrong("robot", mode, POWER_UP)
+    else:
+        yield fine("robot", f"{mode}, {'moving' if sight.moving else 'at rest'}")
+
+
+async def script_port(name: str, host: str) -> Finding:
+    """Where a script would be handed over; nothing is sent."""
+    try:
+        await check_port(name, host, SCRIPT_PORT, "script port")
+    except DeviceError as error:
+        return from_error("script port", error, name, "enable it in the robot's security settings")
+    return fine("script port", f"{host}:{SCRIPT_PORT} is open")
+
+
+async def urcaps(host: str) -> list[Finding]:
+    """URCaps that would get in the way, known by the ports they listen at."""
+    open_ports = await asyncio.gather(*(_listens(host, port) for port in URCAPS))
+    clashes = [note("URCap", f"{URCAPS[port][0]} runs on the controller (port {port})", URCAPS[port][1])
+               for port, listens in zip(URCAPS, open_ports, strict=True) if listens]  # fmt: skip
+    return clashes or [fine("URCap", "none that is known to get in the way")]
+
+
+async def _listens(host: str, port: int) -> bool:
+    try:
+        async with asyncio.timeout(URCAP_S):
+            _, writer = await asyncio.open_connection(host, port)
+    except (OSError, TimeoutError):
+        return False
+    writer.transport.abort()
+    return True

@@ -1,0 +1,289 @@
+"""A whole cell in one process: one world behind two cameras, a gripper on a serial port and a robot controller."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from slipguard.devices import DriverContext
+from slipguard.emulator import Event, Report
+from slipguard.errors import CommandRefused, InputError, SlipguardError
+from slipguard.sim.gripper_plant import GripperModel
+from slipguard.sim.scenario import CameraModel, scenario
+from slipguard.sim.world import World, WorldSettings
+from slipguard_drivers.digit.fake import FakeSensor
+from slipguard_emulators.base import ControlledEmulator, Word
+from slipguard_emulators.cell.cell_config import CellPlaces, text
+from slipguard_emulators.cell.frame_server import FrameServer
+from slipguard_emulators.cell.lift_program import LiftProgram
+from slipguard_emulators.cell.truth_log import TruthLog, line_of
+from slipguard_emulators.cell.world_jaws import WorldJaws
+from slipguard_emulators.robotiq.emulator import FAULTS as GRIPPER_FAULTS
+from slipguard_emulators.robotiq.emulator import RobotiqEmulator
+from slipguard_emulators.ur5.controller import PAUSED
+from slipguard_emulators.ur5.emulator import FAULTS as ARM_FAULTS
+from slipguard_emulators.ur5.emulator import UrEmulator
+from slipguard_emulators.ur5.tool import WorldTool
+
+FINGERS = ("left", "right")
+CAMERA_FAULTS = {
+    "disconnect": "the camera is unplugged",
+    "stall": "no frames come",
+    "frozen": "the same picture comes again and again",
+    "corrupt": "frames come damaged",
+}
+LOOK_S = 0.05
+FIRM_N = 10.0
+"""The robot's program takes a grip for one from this force on."""
+LOUD = frozenset({"gripped", "tightened", "let go", "paused", "resumed", "started", "ended", "safety", "fault"})
+"""What is told of the parts as it happens; their logs have the rest."""
+
+
+class CellWorld(World):
+    """A world whose cameras run at a given rate and whose gripper hears at once: the serial line has its own delays."""
+
+    def __init__(self, seed: int, fps: float) -> None:
+        super().__init__(WorldSettings(gripper=GripperModel(transaction_s=0.0)), seed)
+        self._fps = fps
+
+    def camera(self, finger: str) -> CameraModel:
+        """See `World.camera`."""
+        return replace(super().camera(finger), fps=self._fps)
+
+
+class CellEmulator(ControlledEmulator):
+    """Emulate a whole cell: cameras, gripper, robot and an object that would slip; log what really happens.
+
+    Writes a configuration for `slipguard run` into the folder. Faults carry their device's name: `fault gripper.late
+    0.01`, `fault left.stall`. Further control words: `place NAME [SEED]`, `take`, `gripper WORDS`, `arm WORDS`.
+
+    Example: `slipguard emulate cell --folder cell --object wrench`, then `slipguard run --config cell/config.toml`
+    """
+
+    class Settings(BaseModel):
+        """The command's options."""
+
+        model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+        folder: Annotated[Path, Field(description="Where sockets, port, configuration and log go.")] = Path("cell")
+        object: Annotated[str, Field(description="What lies between the jaws; `none` for nothing.")] = "wrench"
+        seed: Annotated[int, Field(ge=0, description="Seed of all that is random.")] = 0
+        mode: Annotated[
+            Literal["lift", "guard"], Field(description="Who moves the arm: slipguard, or the robot's own program.")
+        ] = "lift"
+        host: Annotated[str, Field(description="Address of this machine for the robot.")] = "127.0.0.1"
+        series: Annotated[Literal["e", "cb3"], Field(description="Robot: cb3 125 Hz, e 500 Hz.")] = "cb3"
+        fps: Annotated[Literal["60", "30"], Field(description="Rate of the cameras; drawing 60 costs half a core.")] = (
+            "60"
+        )
+        baud: Annotated[int, Field(ge=0, description="Pace of the serial line; 0: as fast as it goes.")] = 115200
+        height_mm: Annotated[float, Field(ge=1.0, le=800.0, description="Height of a lift.")] = 150.0
+        speed_mm_s: Annotated[float, Field(ge=1.0, le=250.0, description="Speed of a lift.")] = 80.0
+        play_again_s: Annotated[
+            float, Field(ge=0.0, le=600.0, description="Guard mode: a paused program goes on after so long; 0: never.")
+        ] = 2.0
+
+    def __init__(self, settings: Settings, report: Report | None = None) -> None:
+        super().__init__(_fault_names(), settings.seed, report)
+        self.settings = settings
+        self.places = CellPlaces(settings.folder.resolve())
+        self.world = CellWorld(settings.seed, float(settings.fps))
+        self.tool = WorldTool(self.world)
+        self.gripper = RobotiqEmulator(
+            RobotiqEmulator.Settings(link=self.places.gripper, activated=True, baud=settings.baud, seed=settings.seed),
+            self._part("gripper"),
+            WorldJaws(self.world),
+        )
+        arm_settings = UrEmulator.Settings.model_validate({"host": settings.host, "series": settings.series})
+        self.arm = UrEmulator(arm_settings, self._part("arm"), tool=self.tool)
+        self.cameras = {name: self._camera(name) for name in FINGERS}
+        self.program = self._new_program()
+        self._tasks: list[asyncio.Task[None]] = []
+
+    @property
+    def address(self) -> str:
+        """The configuration to guard it with."""
+        return str(self.places.config)
+
+    async def start(self) -> None:
+        """Appear: folder, object, cameras, gripper, robot. Raises InputError."""
+        settings = self.settings
+        self.places.make()
+        self.world.truth(_now_s())
+        if settings.object != "none":
+            self._place(settings.object, settings.seed)
+        try:
+            for camera in self.cameras.values():
+                camera.plug()
+        except OSError as error:
+            raise InputError(f"{self.places.folder}: no socket can be made there: {error.strerror}") from None
+        await self.gripper.start()
+        await self.arm.start()
+        self.places.config.write_text(
+            text(
+                self.places,
+                mode=settings.mode,
+                host=settings.host,
+                height_mm=settings.height_mm,
+                speed_mm_s=settings.speed_mm_s,
+            )
+        )
+        log = TruthLog(self.world, self.places.truth, lambda why: self.note("dropped", why=why))
+        self._tasks = [asyncio.create_task(log.run(), name="truth")]
+        if settings.mode == "guard":
+            self.arm.controller.loaded = self._new_program
+            self._tasks.append(asyncio.create_task(self._hand_at_the_panel(), name="panel"))
+
+    async def stop(self) -> None:
+        """Vanish; configuration and log stay."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        self._tasks = []
+        for camera in self.cameras.values():
+            await camera.close()
+        await self.gripper.stop()
+        await self.arm.stop()
+
+    def state(self) -> Mapping[str, object]:
+        """The truth now."""
+        shown = {key: value for key, value in line_of(self.world.truth(_now_s())).items() if key != "t"}
+        shown["jaws_mm"] = round(self.world.gripper_state(_now_s()).width_mm, 1)
+        shown["robot"] = self.arm.state()["runtime"]
+        if self.settings.mode == "guard":
+            shown["program"] = self.program.stage.value
+        shown["watched"] = ", ".join(name for name, one in self.cameras.items() if one.read) or "by nobody"
+        shown["faults"] = ", ".join(self._active()) or "none"
+        return shown
+
+    def words(self) -> dict[str, Word]:
+        """The object, and the parts by name."""
+        return {
+            "place": (self._place_word, "place NAME [SEED]: put an object between the open jaws"),
+            "take": (self._take, "take: take the object away, wherever it is"),
+            "gripper": (self._pass_on(self.gripper), "gripper WORDS: to the gripper, such as `gripper log 3`"),
+            "arm": (self._pass_on(self.arm), "arm WORDS: to the robot, such as `arm panel pause`"),
+        }
+
+    # Faults: each belongs to a part.
+
+    def set_fault(self, name: str, amount: float | int | None = None) -> None:
+        """Let a part fail, `PART.FAULT`. Raises CommandRefused."""
+        self.faults.check(name)
+        part, kind = name.split(".")
+        if part not in FINGERS:
+            emulator = self.gripper if part == "gripper" else self.arm
+            emulator.set_fault(kind, amount)
+            return
+        if amount is not None:
+            raise CommandRefused(f"{name}: a camera fails until cleared; give neither probability nor count")
+        self.world.faults.fail(part, kind)
+        if kind == "disconnect":
+            self.cameras[part].unplug()
+
+    def clear_fault(self, name: str | None = None) -> None:
+        """End one fault, or all. Raises CommandRefused."""
+        if name is None:
+            for part in FINGERS:
+                self.world.faults.mend(part)
+                self.cameras[part].plug()
+            self.gripper.clear_fault()
+            self.arm.clear_fault()
+            return
+        self.faults.check(name)
+        part, kind = name.split(".")
+        if part not in FINGERS:
+            (self.gripper if part == "gripper" else self.arm).clear_fault(kind)
+            return
+        self.world.faults.mend(part, kind)
+        if kind == "disconnect":
+            self.cameras[part].plug()
+
+    def _active(self) -> list[str]:
+        cameras = [f"{part}.{kind}" for part in FINGERS for kind in sorted(self.world.faults.active(part))]
+        parts = (("gripper", self.gripper), ("arm", self.arm))
+        return cameras + [f"{part}.{kind}" for part, emulator in parts for kind in emulator.faults.active]
+
+    # The object.
+
+    def _place(self, name: str, seed: int) -> None:
+        try:
+            grasp = scenario(name, seed)
+            self.world.place(replace(grasp, gripper=replace(grasp.gripper, transaction_s=0.0)), _now_s())
+        except InputError:
+            raise
+        except SlipguardError as error:
+            raise CommandRefused(str(error)) from None
+        self.note("placed", object=name, seed=seed)
+
+    def _place_word(self, rest: list[str]) -> str:
+        if len(rest) not in (1, 2) or not all(word.isdecimal() for word in rest[1:]):
+            raise CommandRefused("write `place NAME [SEED]`, such as `place wrench 3`")
+        try:
+            self._place(rest[0], int(rest[1]) if len(rest) == 2 else self.settings.seed)
+        except InputError as error:
+            raise CommandRefused(str(error)) from None
+        return f"{rest[0]} lies between the jaws"
+
+    def _take(self, rest: list[str]) -> str:
+        self.world.clear(_now_s())
+        return "nothing between the jaws"
+
+    # The parts.
+
+    def _camera(self, name: str) -> FrameServer:
+        sensor = FakeSensor(FakeSensor.Settings(draw="process", stall_ms=500), DriverContext(name, self.world))
+        return FrameServer(self.places.camera(name), sensor, float(self.settings.fps))
+
+    def _new_program(self) -> LiftProgram:
+        def held() -> bool:
+            now_s = _now_s()
+            truth = self.world.truth(now_s)
+            return truth.in_contact and truth.force_n > FIRM_N and not self.world.gripper_state(now_s).moving
+
+        settings = self.settings
+        self.program = LiftProgram(
+            self.tool, held, height_m=settings.height_mm / 1000.0, speed_m_s=settings.speed_mm_s / 1000.0
+        )
+        return self.program
+
+    async def _hand_at_the_panel(self) -> None:
+        """Somebody starts the robot's own program, and lets it go on a while after it was paused."""
+        controller, wait_s = self.arm.controller, self.settings.play_again_s
+        controller.play(_now_s())
+        paused_s: float | None = None
+        while True:
+            await asyncio.sleep(LOOK_S)
+            if controller.runtime != PAUSED:
+                paused_s = None
+            elif paused_s is None:
+                paused_s = _now_s()
+            elif wait_s and _now_s() - paused_s >= wait_s:
+                controller.play(_now_s())
+
+    def _part(self, name: str) -> Report:
+        def told(event: Event) -> None:
+            entry = {"at_s": event["at_s"], "part": name, **event}
+            self.log.append(entry)
+            if self._report is not None and event["event"] in LOUD:
+                self._report(entry)
+
+        return told
+
+    def _pass_on(self, part: ControlledEmulator) -> Callable[[list[str]], str]:
+        return lambda rest: part.control(" ".join(rest or ["help"]))
+
+
+def _fault_names() -> dict[str, str]:
+    cameras = {f"{part}.{kind}": told for part in FINGERS for kind, told in CAMERA_FAULTS.items()}
+    gripper = {f"gripper.{kind}": told for kind, told in GRIPPER_FAULTS.items()}
+    return cameras | gripper | {f"arm.{kind}": told for kind, told in ARM_FAULTS.items()}
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()

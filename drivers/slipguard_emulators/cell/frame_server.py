@@ -1,0 +1,150 @@
+"""Serves one tactile sensor's frames on a Unix socket, to one reader at a time as a camera does."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import Coroutine
+from pathlib import Path
+
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame, TactileSensor
+from slipguard.errors import DeviceLost, DeviceTimeout, FrameCorrupt, FrameFrozen
+from slipguard_emulators.cell.frames import HEADER, MAGIC, greet, pack, refuse
+
+SOCKET_MODE = 0o660
+TORN_BYTES = 4
+"""What is left of the pixels of a damaged frame."""
+LEAVING_S = 0.25
+"""How long a new reader waits for one that may be hanging up."""
+LINGER_S = 10.0
+"""The sensor stays open for so long after its reader has left: starting it anew takes a while."""
+
+
+class FrameServer:
+    """Opens `sensor` for a reader and sends what it delivers, faults included.
+
+    A repeated picture is sent as a new frame, a damaged one as a frame with too few pixels. What comes while the reader
+    has not taken the last frame is left out. fps: told to the reader.
+    """
+
+    def __init__(self, path: Path, sensor: TactileSensor, fps: float) -> None:
+        self.path = path
+        self.sent = 0
+        self._sensor = sensor
+        self._fps = fps
+        self._listening: socket.socket | None = None
+        self._reader: asyncio.Task[None] | None = None
+        self._lingering: asyncio.Task[None] | None = None
+        self._last: Frame | None = None
+        self._sequence = 0
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @property
+    def plugged(self) -> bool:
+        """Whether it can be connected to."""
+        return self._listening is not None
+
+    @property
+    def read(self) -> bool:
+        """Whether somebody reads it."""
+        return self._reader is not None and not self._reader.done()
+
+    def plug(self) -> None:
+        """Appear. Idempotent. Raises OSError where the socket cannot be made."""
+        if self._listening is not None:
+            return
+        self.path.unlink(missing_ok=True)
+        listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
+        try:
+            listening.bind(str(self.path))
+            self.path.chmod(SOCKET_MODE)
+            listening.listen(4)
+        except BaseException:
+            listening.close()
+            raise
+        self._listening = listening
+        self._start(self._accept(listening), "accept")
+
+    def unplug(self) -> None:
+        """Vanish, in the middle of a frame if need be. Idempotent."""
+        if self._listening is None:
+            return
+        self._listening.close()
+        self._listening = None
+        self.path.unlink(missing_ok=True)
+        for task in self._tasks:
+            task.cancel()
+
+    async def close(self) -> None:
+        """Vanish and end everything."""
+        self.unplug()
+        while self._tasks:
+            await asyncio.wait(self._tasks)
+        await self._sensor.close()
+
+    def _start(self, work: Coroutine[None, None, None], what: str) -> asyncio.Task[None]:
+        task: asyncio.Task[None] = asyncio.create_task(work, name=f"{self.path.name}: {what}")
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    async def _accept(self, listening: socket.socket) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            connection, _ = await loop.sock_accept(listening)
+            reader, writer = await asyncio.open_unix_connection(sock=connection)
+            if self._reader is not None:
+                await asyncio.wait([self._reader], timeout=LEAVING_S)
+            if self.read:
+                writer.write(refuse("another program is reading this camera; stop it first"))
+                writer.close()
+            else:
+                self._reader = self._start(self._serve(reader, writer), "reader")
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Send until the reader hangs up: it never says anything."""
+        if self._lingering is not None:
+            self._lingering.cancel()
+        hung_up = asyncio.create_task(reader.read(1), name=f"{self.path.name}: hung up")
+        sending = asyncio.create_task(self._send(writer), name=f"{self.path.name}: frames")
+        try:
+            await asyncio.wait([hung_up, sending], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            hung_up.cancel()
+            sending.cancel()
+            await asyncio.gather(hung_up, sending, return_exceptions=True)
+            writer.transport.abort()
+            if self.plugged:
+                self._lingering = self._start(self._linger(), "linger")
+            else:
+                await self._sensor.close()
+
+    async def _linger(self) -> None:
+        await asyncio.sleep(LINGER_S)
+        await self._sensor.close()
+
+    async def _send(self, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(DeviceLost):
+            writer.write(greet(self._sensor.serial, self._fps))
+            await self._sensor.open()
+            while True:
+                now_s = asyncio.get_running_loop().time()
+                try:
+                    self._last = await self._sensor.next_frame()
+                    self._sequence = max(self._sequence + 1, self._last.sequence)
+                    packet = pack(self._last.image, self._last.captured_at_s, self._sequence)
+                except DeviceTimeout:
+                    continue
+                except FrameFrozen:
+                    if self._last is None:
+                        continue
+                    self._sequence += 1
+                    packet = pack(self._last.image, now_s, self._sequence)
+                except FrameCorrupt:
+                    self._sequence += 1
+                    torn = HEADER.pack(MAGIC, FRAME_WIDTH_PX, FRAME_HEIGHT_PX, TORN_BYTES, now_s, self._sequence)
+                    packet = torn + bytes(TORN_BYTES)
+                if writer.transport.get_write_buffer_size() == 0:
+                    writer.write(packet)
+                    self.sent += 1

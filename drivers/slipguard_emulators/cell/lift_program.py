@@ -1,0 +1,80 @@
+"""The program of somebody else on the emulated robot: it lifts whatever the gripper holds, and knows no slipguard."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+
+from slipguard_emulators.ur5.script import PROGRAM_STOP_M_S2, Program
+from slipguard_emulators.ur5.tool import ToolPlant
+
+ACCELERATION_M_S2 = 1.0
+
+
+class Stage(Enum):
+    """What it is about."""
+
+    WAITING = "waiting"
+    UP = "up"
+    STAYING = "staying"
+    DOWN = "down"
+    DONE = "done"
+
+
+class LiftProgram(Program):
+    """Once something has been held for `patience_s`: up, a while up there, down; and again after a release.
+
+    held: whether there is something in the gripper. height_m, speed_m_s: of the lift.
+    """
+
+    def __init__(
+        self,
+        tool: ToolPlant,
+        held: Callable[[], bool],
+        *,
+        height_m: float,
+        speed_m_s: float,
+        patience_s: float = 1.5,
+        stay_s: float = 2.0,
+    ) -> None:
+        self.name = "pick.urp"
+        self.stage = Stage.WAITING
+        self._tool = tool
+        self._held = held
+        self._height_m, self._speed_m_s = height_m, speed_m_s
+        self._patience_s, self._stay_s = patience_s, stay_s
+        self._since_s: float | None = None
+        self._low: list[float] = []
+
+    def cycle(self, now_s: float) -> str | None:
+        """One cycle; it never ends by itself."""
+        held, at_rest = self._held(), not self._tool.under_way(now_s)
+        if self.stage is Stage.WAITING:
+            self._since_s = None if not held else self._since_s if self._since_s is not None else now_s
+            if self._since_s is not None and now_s - self._since_s >= self._patience_s:
+                self._low = list(self._tool.pose(now_s))
+                self._go(Stage.UP, now_s)
+        elif self.stage is Stage.UP and at_rest:
+            self.stage, self._since_s = Stage.STAYING, now_s
+        elif self.stage is Stage.STAYING and self._since_s is not None and now_s - self._since_s >= self._stay_s:
+            self._go(Stage.DOWN, now_s)
+        elif self.stage is Stage.DOWN and at_rest:
+            self.stage = Stage.DONE
+        elif self.stage is Stage.DONE and not held:
+            self.stage, self._since_s = Stage.WAITING, None
+        return None
+
+    def pause(self, now_s: float) -> None:
+        """Brake."""
+        self._tool.stop(now_s, PROGRAM_STOP_M_S2)
+
+    def resume(self, now_s: float) -> None:
+        """Go on to where it was going."""
+        if self.stage in (Stage.UP, Stage.DOWN):
+            self._go(self.stage, now_s)
+
+    def _go(self, stage: Stage, now_s: float) -> None:
+        self.stage = stage
+        goal = list(self._low)
+        goal[2] += self._height_m if stage is Stage.UP else 0.0
+        self._tool.move(now_s, goal, self._speed_m_s, ACCELERATION_M_S2)

@@ -1,0 +1,39 @@
+"""The jaws of the simulated world behind the emulated gripper's registers."""
+
+from __future__ import annotations
+
+from slipguard.sim.world import World
+from slipguard_emulators.robotiq.jaws import Jaws, JawsView
+
+CLOSED_MM = 0.2
+"""A goal below this is the closed position: half a count."""
+
+
+class WorldJaws(Jaws):
+    """The world's gripper. It moves at the world's own speed, whatever speed is asked for."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    def drive(self, now_s: float, width_mm: float, speed_mm_s: float, force_n: float) -> None:
+        """See `Jaws`."""
+        if width_mm > self._world.gripper_state(now_s).width_mm:
+            self._world.command_release(now_s, width_mm)
+        elif width_mm < CLOSED_MM:
+            self._world.command_hold(now_s, force_n)
+        else:
+            self._world.command_move(now_s, width_mm, force_n)
+
+    def halt(self, now_s: float) -> None:
+        """See `Jaws`."""
+        self._world.command_halt(now_s)
+
+    def look(self, now_s: float) -> JawsView:
+        """See `Jaws`."""
+        state, truth = self._world.gripper_state(now_s), self._world.truth(now_s)
+        return JawsView(
+            width_mm=state.width_mm,
+            force_n=truth.force_n,
+            moving=state.moving,
+            met_closing=state.holding and not state.moving,
+        )

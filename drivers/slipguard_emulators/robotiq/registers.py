@@ -1,0 +1,207 @@
+"""A 2F gripper's controller as its registers show it; written from the manual, sharing no code with the driver.
+
+It keeps the habits that matter. Setting rACT activates: the jaws open and close all the way, so an object falls. A new
+force acts only while the motor runs: at rest, only a stop and then a go start it again. What is written is taken over
+once in a cycle, so a stop and a go within one cycle are no stop.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from slipguard_emulators.robotiq.jaws import Jaws, JawsView
+
+OUTPUTS = range(0x03E8, 0x03EB)
+INPUTS = range(0x07D0, 0x07D3)
+CYCLE_S = 0.005
+"""The manual: 200 Hz is the usual speed."""
+SILENT_S = 1.0
+"""No request for so long is reported as fault 0x09."""
+RACT, RGTO, RATR, RARD = 0x01, 0x08, 0x10, 0x20
+OPEN_COUNT, CLOSED_COUNT = 3, 230
+"""Where the fingers really stop, of 0 to 255."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What differs between the models: stroke, lowest and highest force and speed."""
+
+    stroke_mm: float
+    force_n: tuple[float, float]
+    speed_mm_s: tuple[float, float]
+
+
+FIGURES = {
+    "2F-85": Figures(85.0, (20.0, 235.0), (20.0, 150.0)),
+    "2F-140": Figures(140.0, (10.0, 125.0), (30.0, 250.0)),
+}
+
+
+class Stage(Enum):
+    """How far an activation has come; gSTA is 0 at OFF, 3 at READY, 1 in between."""
+
+    OFF = "off"
+    OPENING = "opening"
+    CLOSING = "closing"
+    REOPENING = "reopening"
+    READY = "ready"
+
+
+class Registers:
+    """The controller. note(event, **details): told of everything that really happens.
+
+    quick: activation and motion so many times faster than the real ones, for tests.
+    """
+
+    def __init__(self, jaws: Jaws, figures: Figures, note: Callable[..., None], quick: float = 1.0) -> None:
+        self.jaws = jaws
+        self.figures = figures
+        self.fault = 0
+        """gFLT to report beyond those that follow from the registers."""
+        self.stage = Stage.OFF
+        self.activations = 0
+        self.outputs = [0, 0, 0]
+        self._note = note
+        self._quick = quick
+        self._written: tuple[float, list[int]] | None = None
+        self._atr_fault = 0
+        self._heard_s: float | None = None
+        self._pressed_n = 0.0
+
+    def write(self, now_s: float, address: int, values: Sequence[int]) -> float:
+        """Take register values from the wire; returns when they will be taken over."""
+        self.tick(now_s)
+        merged = list(self._written[1] if self._written is not None else self.outputs)
+        merged[address - OUTPUTS[0] : address - OUTPUTS[0] + len(values)] = values
+        due_s = math.ceil(now_s / CYCLE_S) * CYCLE_S
+        self._written = (due_s, merged)
+        return due_s
+
+    def read(self, now_s: float) -> list[int]:
+        """The three input registers."""
+        view = self.tick(now_s)
+        action = self.outputs[0] >> 8
+        on = bool(action & RACT)
+        state = {Stage.OFF: 0, Stage.READY: 3}.get(self.stage, 1)
+        flags = on | bool(action & RGTO) << 3 | state << 4 | self._object(view) << 6
+        current = 30 if view.moving else 0
+        echo = self.outputs[1] & 0xFF
+        return [flags << 8, self._fault_code(now_s) << 8 | echo, self._count(view.width_mm) << 8 | current]
+
+    def tick(self, now_s: float) -> JawsView:
+        """Bring everything to `now_s`."""
+        if self._written is not None and now_s >= self._written[0]:
+            due_s, values = self._written
+            self._written = None
+            self._take_over(due_s, values)
+        view = self.jaws.look(now_s)
+        self._go_on_activating(now_s, view)
+        if not view.moving and view.force_n != self._pressed_n:
+            what = "empty" if not view.holds else "tightened" if self._pressed_n else "gripped"
+            self._pressed_n = view.force_n
+            self._note(what, width_mm=round(view.width_mm, 2), force_n=round(view.force_n, 2))
+        return view
+
+    def heard(self, now_s: float) -> None:
+        """A request came in."""
+        self._heard_s = now_s
+
+    def lose_power(self, now_s: float) -> None:
+        """Everything but the screw is reset."""
+        self._note("power lost", held=self.jaws.look(now_s).holds)
+        self.jaws.halt(now_s)
+        self.outputs, self._written, self.stage, self.fault, self._atr_fault = [0, 0, 0], None, Stage.OFF, 0, 0
+
+    def _take_over(self, now_s: float, values: list[int]) -> None:
+        old, self.outputs = self.outputs, values
+        was, action = old[0] >> 8, values[0] >> 8
+        if was & RACT and not action & RACT:
+            self._note("rACT cleared", held=self.jaws.look(now_s).holds)
+            self.jaws.halt(now_s)
+            self.stage, self.fault, self._atr_fault = Stage.OFF, 0, 0
+        elif action & RACT and self.stage is Stage.OFF:
+            self._activate(now_s)
+        elif self.stage is Stage.READY:
+            self._act(now_s, old, values)
+
+    def _activate(self, now_s: float) -> None:
+        self.activations += 1
+        self._note("activating", held=self.jaws.look(now_s).holds)
+        self.stage = Stage.OPENING
+        self._drive(now_s, 0, 255, 0)
+
+    def _go_on_activating(self, now_s: float, view: JawsView) -> None:
+        if view.moving or self.stage in (Stage.OFF, Stage.READY):
+            return
+        if self.stage is Stage.OPENING:
+            self.stage = Stage.CLOSING
+            self._drive(now_s, 255, 255, 0)
+        elif self.stage is Stage.CLOSING:
+            self.stage = Stage.REOPENING
+            self._drive(now_s, 0, 255, 0)
+        else:
+            self.stage = Stage.READY
+            self._note("activated")
+
+    def _act(self, now_s: float, old: list[int], new: list[int]) -> None:
+        was, action = old[0] >> 8, new[0] >> 8
+        if action & RATR:
+            if not was & RATR:
+                self._atr_fault = 0x0B
+                self._drive(now_s, 0 if action & RARD else 255, 0, 0)
+            return
+        if not action & RGTO:
+            if was & RGTO:
+                self.jaws.halt(now_s)
+            return
+        moving = self.jaws.look(now_s).moving
+        if not was & RGTO or old[1] & 0xFF != new[1] & 0xFF or (moving and old[2] != new[2]):
+            self._drive(now_s, new[1] & 0xFF, new[2] >> 8, new[2] & 0xFF)
+
+    def _drive(self, now_s: float, position: int, speed: int, force: int) -> None:
+        view = self.jaws.look(now_s)
+        width_mm = self._width_mm(position)
+        if width_mm > view.width_mm and view.holds:
+            self._note("let go", width_mm=round(view.width_mm, 2))
+        low, high = self.figures.speed_mm_s
+        speed_mm_s = (low + (high - low) * speed / 255) * self._quick
+        low, high = self.figures.force_n
+        force_n = low + (high - low) * force / 255
+        self._note("drive", width_mm=round(width_mm, 2), force_n=round(force_n, 2))
+        self.jaws.drive(now_s, width_mm, speed_mm_s, force_n)
+
+    def _object(self, view: JawsView) -> int:
+        """gOBJ."""
+        if self.stage is not Stage.READY or view.moving:
+            return 0
+        if view.met_closing:
+            return 2
+        if view.met_opening:
+            return 1
+        arrived = abs(self._count(view.width_mm) - min(max(self.outputs[1] & 0xFF, OPEN_COUNT), CLOSED_COUNT)) <= 1
+        return 3 if arrived else 0
+
+    def _fault_code(self, now_s: float) -> int:
+        """gFLT."""
+        if self._atr_fault == 0x0B and not self.jaws.look(now_s).moving:
+            self._atr_fault = 0x0F
+        if self.fault or self._atr_fault:
+            return self.fault or self._atr_fault
+        action = self.outputs[0] >> 8
+        if action & RGTO and not action & RACT:
+            return 0x07
+        if action & RGTO and self.stage is not Stage.READY:
+            return 0x05
+        silent = self._heard_s is not None and now_s - self._heard_s > SILENT_S
+        return 0x09 if silent else 0
+
+    def _count(self, width_mm: float) -> int:
+        share = 1.0 - width_mm / self.figures.stroke_mm
+        return round(OPEN_COUNT + share * (CLOSED_COUNT - OPEN_COUNT))
+
+    def _width_mm(self, count: int) -> float:
+        share = (min(max(count, OPEN_COUNT), CLOSED_COUNT) - OPEN_COUNT) / (CLOSED_COUNT - OPEN_COUNT)
+        return self.figures.stroke_mm * (1.0 - share)

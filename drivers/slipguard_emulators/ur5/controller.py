@@ -1,0 +1,165 @@
+"""The robot behind the emulated ports: its program, its registers and who owns them, its safety state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
+
+from slipguard_emulators.ur5.rtde import Value, type_of
+from slipguard_emulators.ur5.script import PROGRAM_STOP_M_S2, ControlScript, Program, Shuttle
+from slipguard_emulators.ur5.tool import ToolPlant
+
+STOPPED, PLAYING, PAUSED = 1, 2, 4
+"""RTDE's `runtime_state`."""
+SAFETY_BITS = {"NORMAL": 1 << 0, "PROTECTIVE_STOP": 1 << 2, "ROBOT_EMERGENCY_STOP": 1 << 6 | 1 << 7}
+RUNNING, POWER_OFF = 7, 3
+"""RTDE's `robot_mode`."""
+
+
+class Note(Protocol):
+    """Logs an event with its details."""
+
+    def __call__(self, event: str, **details: object) -> None: ...
+
+
+class Controller:
+    """One robot. All times are seconds on one clock; `client` is whatever stands for one RTDE connection."""
+
+    def __init__(self, tool: ToolPlant, note: Note) -> None:
+        self.tool = tool
+        self.safety = "NORMAL"
+        self.remote = True
+        self.loaded: Callable[[], Program] = lambda: Shuttle(tool)
+        self.program: Program | None = None
+        self.runtime = STOPPED
+        self.output_bits = 0
+        """Standard digital outputs."""
+        self.fieldbus = False
+        """A fieldbus adapter is switched on: it holds all inputs."""
+        self._inputs: dict[str, Value] = {}
+        self._owners: dict[str, object] = {}
+        self._note = note
+
+    # --- what RTDE clients do ---
+
+    def claim(self, client: object, names: Sequence[str]) -> list[str]:
+        """Types of the inputs, each now `client`'s own; IN_USE and NOT_FOUND where that cannot be, and then none is."""
+        kinds = [
+            "IN_USE" if self.fieldbus or self._owners.get(name, client) is not client else type_of(name, "input")
+            for name in names
+        ]
+        if not {"IN_USE", "NOT_FOUND"} & set(kinds):
+            self._owners.update(dict.fromkeys(names, client))
+        return kinds
+
+    def release(self, client: object) -> None:
+        """The connection is gone; the inputs keep their values."""
+        self._owners = {name: owner for name, owner in self._owners.items() if owner is not client}
+
+    def take(self, values: Mapping[str, Value], now_s: float) -> None:
+        """New input values."""
+        self._inputs.update(values)
+        script = self.program
+        if isinstance(script, ControlScript) and script.heartbeat_name in values:
+            script.heard_at_s = now_s
+        if "standard_digital_output_mask" in values and "standard_digital_output" in values:
+            mask, wanted = (
+                int(self._number("standard_digital_output_mask")),
+                int(self._number("standard_digital_output")),
+            )
+            bits = self.output_bits & ~mask | wanted & mask
+            if bits != self.output_bits:
+                self.output_bits = bits
+                self._note("outputs", bits=bits)
+
+    def outputs(self, now_s: float) -> dict[str, Sequence[float]]:
+        """What clients are told in this cycle; everything else is zero."""
+        pose, velocity = self.tool.pose(now_s), self.tool.velocity(now_s)
+        told: dict[str, Sequence[float]] = {
+            "timestamp": (now_s,),
+            "actual_TCP_pose": pose,
+            "target_TCP_pose": pose,
+            "actual_TCP_speed": velocity,
+            "target_TCP_speed": velocity,
+            "speed_scaling": (1.0,),
+            "target_speed_fraction": (1.0,),
+            "runtime_state": (self.runtime,),
+            "safety_status_bits": (SAFETY_BITS[self.safety],),
+            "safety_mode": (1 if self.safety == "NORMAL" else 3,),
+            "robot_status_bits": (0b11 if self.runtime == PLAYING else 0b01,),
+            "robot_mode": (POWER_OFF if self.safety == "ROBOT_EMERGENCY_STOP" else RUNNING,),
+            "actual_digital_output_bits": (self.output_bits,),
+        }
+        if isinstance(self.program, ControlScript):
+            told |= self.program.outputs()
+        return told
+
+    # --- programs ---
+
+    def upload(self, text: str, now_s: float) -> None:
+        """A script from the script port: whatever runs is replaced. Nothing happens in local control or a stop."""
+        allowed = self.remote and self.safety == "NORMAL"
+        self._note("script", name=text.split("(")[0].removeprefix("def "), accepted=allowed)
+        if allowed:
+            self.end("an uploaded script took its place", now_s)
+            self._start(ControlScript(text, self.tool, self._number, self._command, now_s))
+
+    def play(self, now_s: float) -> bool:
+        """Start the loaded program, or go on with the paused one; whether it runs now."""
+        if self.safety != "NORMAL" or self.runtime == PLAYING:
+            return self.runtime == PLAYING
+        if self.program is None:
+            self._start(self.loaded())
+        else:
+            self.runtime = PLAYING
+            self.program.resume(now_s)
+            self._note("resumed", program=self.program.name)
+        return True
+
+    def pause(self, now_s: float, why: str = "the dashboard said so") -> bool:
+        """Pause what runs; whether there was anything."""
+        if self.program is None or self.runtime != PLAYING:
+            return False
+        self.program.pause(now_s)
+        self.runtime = PAUSED
+        self._note("paused", program=self.program.name, why=why)
+        return True
+
+    def end(self, why: str, now_s: float) -> None:
+        """End what runs and brake. Nothing runs: nothing happens."""
+        if self.program is not None:
+            self._note("ended", program=self.program.name, why=why)
+            self.tool.stop(now_s, PROGRAM_STOP_M_S2)
+        self.program, self.runtime = None, STOPPED
+
+    def set_safety(self, state: str, now_s: float) -> None:
+        """Enter or leave a stop: a protective stop pauses somebody's program and ends ur-rtde's, an emergency both."""
+        if state == self.safety:
+            return
+        self.safety = state
+        self._note("safety", state=state)
+        if state == "PROTECTIVE_STOP" and not isinstance(self.program, ControlScript):
+            self.pause(now_s, "a protective stop")
+        elif state != "NORMAL":
+            self.end("a safety stop", now_s)
+        if state != "NORMAL":
+            self.tool.stop(now_s, PROGRAM_STOP_M_S2)
+
+    def cycle(self, now_s: float) -> None:
+        """One cycle of what runs."""
+        if self.program is not None and self.runtime == PLAYING:
+            why = self.program.cycle(now_s)
+            if why is not None:
+                self.end(why, now_s)
+
+    def _start(self, program: Program) -> None:
+        self.program, self.runtime = program, PLAYING
+        self._note("started", program=program.name)
+
+    def _command(self, number: int, what: str) -> None:
+        self._note("command", number=number, what=what)
+
+    def _number(self, name: str) -> float:
+        value = self._inputs.get(name, 0.0)
+        assert not isinstance(value, Sequence)
+        return value

@@ -1,0 +1,65 @@
+"""The dashboard's questions and orders, with the answers of a real one."""
+
+from __future__ import annotations
+
+from slipguard_emulators.ur5.controller import PAUSED, PLAYING, Controller
+
+GREETING = "Connected: Universal Robots Dashboard Server"
+NOT_IN_LOCAL = (
+    "Command is not allowed due to safety reasons, please switch robot to Remote Control mode "
+    "and reconnect to port 29999"
+)
+ORDERS = ("play", "pause", "stop", "unlock protective stop", "close safety popup")
+
+
+class Dashboard:
+    """One connection to it. What a connection may do is settled when it is made: local control refuses all orders."""
+
+    def __init__(self, controller: Controller, version: tuple[int, ...]) -> None:
+        self._controller = controller
+        self._version = version
+        self._may_order = controller.remote
+
+    def answer(self, line: str, now_s: float) -> str:
+        """Answer one line; its case does not matter."""
+        asked = line.strip().lower()
+        if asked in ORDERS:
+            return self._order(asked, now_s) if self._may_order else NOT_IN_LOCAL
+        return self._questions(now_s).get(asked, f"could not understand: '{line.strip()}'")
+
+    def _order(self, order: str, now_s: float) -> str:
+        robot = self._controller
+        if order == "play":
+            return "Starting program" if robot.play(now_s) else "Failed to execute: play"
+        if order == "pause":
+            return "Pausing program" if robot.pause(now_s) else "Failed to execute: pause"
+        if order == "stop":
+            robot.end("the dashboard said stop", now_s)
+            return "Stopped"
+        if order == "unlock protective stop":
+            robot.set_safety("NORMAL", now_s)
+            return "Protective stop releasing"
+        return "closing safety popup"
+
+    def _questions(self, now_s: float) -> dict[str, str]:
+        robot = self._controller
+        name = robot.program.name if robot.program is not None else "shuttle.urp"
+        state = {PLAYING: "PLAYING", PAUSED: "PAUSED"}.get(robot.runtime, "STOPPED")
+        off = robot.safety == "ROBOT_EMERGENCY_STOP"
+        answers = {
+            "polyscopeversion": f"URSoftware {'.'.join(map(str, self._version))} (Nov 01 2024)",
+            "robotmode": f"Robotmode: {'POWER_OFF' if off else 'RUNNING'}",
+            "safetymode": f"Safetymode: {robot.safety}",
+            "safetystatus": f"Safetystatus: {robot.safety}",
+            "programstate": f"{state} {name}",
+            "running": f"Program running: {str(robot.runtime == PLAYING).lower()}",
+            "get loaded program": f"Loaded program: /programs/{name}",
+            "quit": "Disconnected",
+        }
+        if self._version[0] >= 5:
+            answers |= {
+                "get serial number": "20225500001",
+                "get robot model": "UR5",
+                "is in remote control": str(robot.remote).lower(),
+            }
+        return answers

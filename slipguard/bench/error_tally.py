@@ -1,0 +1,219 @@
+"""What one pipeline did over grasps, added up: picklable, so that grasps may be measured anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.bench.clock import CLOCK
+from slipguard.bench.pipelines import Processor, Subject
+from slipguard.bench.rows import Row, mean, quantile
+from slipguard.datasets.mask_scores import dice, iou
+from slipguard.datasets.rendered_grasps import EXTRA_PLAIN, ROUND_PLAIN, ROUND_TEXTURED, Sequence, Shot
+from slipguard.perception.estimate import Estimate
+
+CONFIDENT_SIGMAS = 3.0
+QUARTERS = 4
+
+
+@dataclass(slots=True)
+class Errors:
+    """One grasp's turns. found: (error, turn stated, sigma) of frames with one. compared: frames it was asked of."""
+
+    object_name: str
+    readable: bool
+    difficulty: float
+    compared: int = 0
+    found: list[tuple[float, float, float | None]] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Tally:
+    """Times are those of `process`, ms, and per stage.
+
+    busy: frames measured in contact. empty: left out for want of contact. unchanged: left out for want of change.
+    other: measured, and no contact found.
+    """
+
+    busy_ms: list[float] = field(default_factory=list)
+    empty_ms: list[float] = field(default_factory=list)
+    unchanged_ms: list[float] = field(default_factory=list)
+    other_ms: list[float] = field(default_factory=list)
+    stage_ms: dict[str, list[float]] = field(default_factory=dict)
+    overlaps: list[tuple[float, float]] = field(default_factory=list)
+    grasps: list[Errors] = field(default_factory=list)
+
+    def begin(self, grasp: Sequence) -> Errors:
+        """A new grasp; its errors go into what is returned."""
+        errors = Errors(grasp.object_name, grasp.readable, difficulty(grasp))
+        self.grasps.append(errors)
+        return errors
+
+    def take(self, processor: Processor, shot: Shot, errors: Errors) -> Estimate:
+        """Run a processor over the next shot of a grasp. A contact that was skipped as none overlaps nothing."""
+        start_s = CLOCK()
+        seen = processor.process(shot.frame)
+        self._time(seen, 1e3 * (CLOCK() - start_s))
+        if shot.contact and shot.mask is not None:
+            label = shot.mask > 0
+            if seen.skipped is None:
+                found = processor.last_mask > 0
+                self.overlaps.append((dice(found, label), iou(found, label)))
+            elif seen.skipped == "no contact" and label.any():
+                self.overlaps.append((0.0, 0.0))
+        if shot.compared:
+            errors.compared += 1
+            if seen.angle_deg is not None:
+                errors.found.append((abs(seen.angle_deg - shot.turn_deg), seen.angle_deg, seen.sigma_deg))
+        return seen
+
+    def run(self, processor: Processor, grasp: Sequence, shots: Iterable[Shot]) -> None:
+        """All shots of a grasp."""
+        errors = self.begin(grasp)
+        for shot in shots:
+            self.take(processor, shot, errors)
+
+    def _time(self, seen: Estimate, spent_ms: float) -> None:
+        if seen.skipped == "no contact":
+            self.empty_ms.append(spent_ms)
+        elif seen.skipped is not None:
+            self.unchanged_ms.append(spent_ms)
+        elif seen.contact:
+            self.busy_ms.append(spent_ms)
+            for stage, ms in seen.stage_ms.items():
+                self.stage_ms.setdefault(stage, []).append(ms)
+        else:
+            self.other_ms.append(spent_ms)
+
+    def add(self, other: Tally) -> None:
+        """All that another one holds."""
+        self.busy_ms += other.busy_ms
+        self.empty_ms += other.empty_ms
+        self.unchanged_ms += other.unchanged_ms
+        self.other_ms += other.other_ms
+        for stage, spent in other.stage_ms.items():
+            self.stage_ms.setdefault(stage, []).extend(spent)
+        self.overlaps += other.overlaps
+        self.grasps += other.grasps
+
+    def row(self, subject: Subject, times: Tally, grasp_ms: float | None, cpu_s: float | None) -> Row:
+        """The figures. times: the tally whose times count. grasp_ms, cpu_s: of a minute of holding."""
+        known = not subject.made_up
+        manifest = [one for one in self.grasps if one.object_name not in EXTRA_PLAIN] if known else []
+        errors = [error for one in manifest for error, _, _ in one.found]
+        per_object: dict[str, list[float]] = {}
+        for one in manifest:
+            per_object.setdefault(one.object_name, []).extend(error for error, _, _ in one.found)
+        readable = [one for one in manifest if one.readable]
+        sure = [(error, sigma) for one in manifest for error, _, sigma in one.found if sigma is not None]
+        textured = [one for one in manifest if one.object_name in ROUND_TEXTURED]
+        plain = [one for one in self.grasps if one.object_name in ROUND_PLAIN] if known else []
+        return Row(
+            name=subject.name,
+            network=subject.network,
+            estimator=subject.estimator,
+            p50_ms=quantile(times.busy_ms, 0.5),
+            p99_ms=quantile(times.busy_ms, 0.99),
+            skipped_p50_ms=quantile(times.empty_ms + times.unchanged_ms, 0.5),
+            turn_error_mean_deg=mean(errors),
+            turn_error_worst_object_deg=max((float(np.mean(e)) for e in per_object.values() if e), default=None),
+            declined_share=declined(readable),
+            dice=mean(d for d, _ in self.overlaps) if known else None,
+            iou=mean(i for _, i in self.overlaps) if known else None,
+            frames=sum(one.compared for one in self.grasps) if known else len(times.busy_ms),
+            sequences=len(self.grasps) if known else None,
+            resolution=subject.resolution,
+            skipping=subject.skips.unchanged,
+            threads=subject.threads,
+            turns=len(errors) if known else None,
+            turn_sequences=sum(bool(one.found) for one in manifest) if known else None,
+            mean_ms_per_frame_grasp=grasp_ms,
+            cpu_s_per_minute_grasp=cpu_s,
+            no_contact_p50_ms=quantile(times.empty_ms, 0.5),
+            unchanged_p50_ms=quantile(times.unchanged_ms, 0.5),
+            turn_error_readable_mean_deg=mean(error for one in readable for error, _, _ in one.found),
+            turn_error_sd_deg=float(np.std(errors)) if errors else None,
+            turn_error_p95_deg=quantile(errors, 0.95),
+            turn_error_by_quartile_deg=quarters(manifest) if errors else None,
+            within_1_sigma=mean(float(error <= sigma) for error, sigma in sure),
+            within_2_sigma=mean(float(error <= 2.0 * sigma) for error, sigma in sure),
+            within_1_sigma_se=within_se(manifest, 1.0),
+            within_2_sigma_se=within_se(manifest, 2.0),
+            round_textured_error_mean_deg=mean(error for one in textured for error, _, _ in one.found),
+            round_textured_declined_share=declined(textured),
+            round_plain_declined_share=declined(plain),
+            round_plain_confident_share=confident(plain),
+            stage_ms={
+                stage: (
+                    float(np.quantile(spent, 0.5)),
+                    float(np.quantile(spent, 0.99)),
+                    sum(spent) / len(times.busy_ms),
+                )
+                for stage, spent in times.stage_ms.items()
+            },
+        )
+
+
+def declined(grasps: list[Errors]) -> float | None:
+    """Share of the frames without a turn."""
+    asked = sum(one.compared for one in grasps)
+    return 1.0 - sum(len(one.found) for one in grasps) / asked if asked else None
+
+
+def confident(grasps: list[Errors]) -> float | None:
+    """Share of the frames with a turn of more than three sigmas; without a sigma every turn counts."""
+    asked = sum(one.compared for one in grasps)
+    sure = [abs(turn) > CONFIDENT_SIGMAS * (sigma or 0.0) for one in grasps for _, turn, sigma in one.found]
+    return sum(sure) / asked if asked else None
+
+
+def within_se(grasps: list[Errors], sigmas: float) -> float | None:
+    """Standard error of the share of errors within so many sigmas, by how much it differs from grasp to grasp.
+
+    That of a ratio of two sums over grasps; None for fewer than two grasps with a sigma.
+    """
+    inside = [[error <= sigmas * sigma for error, _, sigma in one.found if sigma is not None] for one in grasps]
+    counts = np.array([(sum(one), len(one)) for one in inside if one])
+    if len(counts) < 2:
+        return None
+    held, asked = counts[:, 0], counts[:, 1]
+    apart = held - asked * held.sum() / asked.sum()
+    return float(np.sqrt(np.square(apart).sum() * len(counts) / (len(counts) - 1)) / asked.sum())
+
+
+def quarters(grasps: list[Errors]) -> tuple[float | None, ...]:
+    """Mean error of each quarter of the grasps, the easiest first."""
+    ordered = sorted(grasps, key=lambda one: one.difficulty)
+    parts = np.array_split(np.arange(len(ordered)), QUARTERS)
+    return tuple(mean(error for index in part for error, _, _ in ordered[index].found) for part in parts)
+
+
+def difficulty(grasp: Sequence) -> float:
+    """How hard a grasp is by its truth alone, whatever the pipeline: 0 easy, about 1 hard.
+
+    A quarter each: how round the contact is, how much of its outline the frame cuts, how fast it turns, how much it
+    grows. Grasps without masks count by the last two.
+    """
+    masks = [shot.mask for shot in grasp.shots if shot.compared and shot.mask is not None and shot.mask.any()]
+    fast = min(grasp.peak_deg_s / 300.0, 1.0)
+    grown = min((grasp.growth - 1.0) / 0.8, 1.0)
+    if not masks:
+        return 0.5 * (fast + grown)
+    shapes = [_shape(mask) for mask in masks]
+    roundness = float(np.mean([1.0 / aspect for aspect, _ in shapes]))
+    cut = min(float(np.mean([share for _, share in shapes])) / 0.3, 1.0)
+    return 0.25 * (roundness + cut + fast + grown)
+
+
+def _shape(mask: NDArray[np.uint8]) -> tuple[float, float]:
+    """Long over short axis by second moments, and the share of the outline on the frame's edge."""
+    m = cv2.moments(mask, True)
+    xx, yy, xy = (m[key] / m["m00"] for key in ("mu20", "mu02", "mu11"))
+    middle, half = (xx + yy) / 2.0, float(np.hypot((xx - yy) / 2.0, xy))
+    edge = sum(int(np.count_nonzero(side)) for side in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
+    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return float(np.sqrt((middle + half) / max(middle - half, 1e-6))), edge / max(sum(map(len, outlines)), 1)

@@ -1,0 +1,122 @@
+"""Who may hold the object: slipguard's law, nobody, a fixed step as the field does it, and one that sees the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from slipguard.control.guard import Guard, tick
+from slipguard.control.messages import ArmLift, Command, RequestKind, Seen
+from slipguard.control.params import GuardParams
+from slipguard.sim.world import Truth
+
+STEP = 1.10
+STEP_ABOVE_DEG = 5.0
+"""The fixed step: 10 % of the present force more, each frame in which the turn is above this."""
+ORACLE_ABOVE_DEG = 0.1
+"""Slip smaller than this has not begun."""
+ORACLE_TIMES = 1.5
+CALM_DEG, CALM_S = 1.0, 0.3
+"""An arm that was stopped goes on when nothing has moved by more than this for so long: as the law does it."""
+REACHED_MM = 0.5
+
+
+@dataclass(slots=True)
+class Law:
+    """slipguard's own: supervisor and law together."""
+
+    params: GuardParams
+    guard: Guard = field(default_factory=Guard)
+
+    def exposed(self, truth: Truth) -> None:
+        """Does not look."""
+
+    def decide(self, seen: Seen) -> Command:
+        self.guard, command = tick(self.guard, seen, self.params)
+        return command
+
+
+@dataclass(slots=True)
+class Nobody:
+    """Grips once, as told, and lifts, as told; the arm waits while `pauses` and goes on when all is calm.
+
+    goal_mm, speed_mm_s: of the lift. still_deg: the turn that has lasted since still_s.
+    """
+
+    target_n: float = 0.0
+    goal_mm: float | None = None
+    speed_mm_s: float = 0.0
+    still_deg: float = 0.0
+    still_s: float = 0.0
+
+    def exposed(self, truth: Truth) -> None:
+        """Does not look."""
+
+    def decide(self, seen: Seen) -> Command:
+        request = seen.request
+        if request.kind is RequestKind.GRASP and request.force_n is not None:
+            self.target_n = request.force_n
+            return Command(hold_force_n=self.target_n)
+        if request.kind is RequestKind.LIFT and request.height_mm is not None and seen.arm is not None:
+            self.goal_mm, self.speed_mm_s = seen.arm.height_mm + request.height_mm, request.speed_mm_s or 0.0
+            return Command(arm=ArmLift(request.height_mm, self.speed_mm_s))
+        more_n = self.more_n(seen)
+        if more_n is not None:
+            self.target_n, self.still_s = more_n, seen.now_s
+            return Command(hold_force_n=more_n, arm="stop")
+        return Command(arm=self._go_on(seen))
+
+    def more_n(self, seen: Seen) -> float | None:
+        """The force to tighten to now, above `target_n`; None for none."""
+        return None
+
+    def _go_on(self, seen: Seen) -> ArmLift | None:
+        """An arm that stands below its goal goes on when neither object nor gripper has moved for a while."""
+        turn_deg = seen.fused.turn_deg if seen.fused is not None else None
+        moves = seen.gripper is None or seen.gripper.moving or turn_deg is None
+        if moves or abs((turn_deg or 0.0) - self.still_deg) > CALM_DEG:
+            self.still_deg, self.still_s = turn_deg or 0.0, seen.now_s
+        if self.goal_mm is None or seen.arm is None or seen.arm.moving or seen.now_s - self.still_s < CALM_S:
+            return None
+        way_mm = self.goal_mm - seen.arm.height_mm
+        return ArmLift(way_mm, self.speed_mm_s) if way_mm > REACHED_MM else None
+
+
+@dataclass(slots=True)
+class FixedStep(Nobody):
+    """Each new frame in which the turn is above 5 degrees: ten per cent more, up to `force_max_n`."""
+
+    force_max_n: float = 130.0
+    captured_s: float = -1.0
+
+    def more_n(self, seen: Seen) -> float | None:
+        fused = seen.fused
+        if fused is None or fused.turn_deg is None or fused.captured_at_s <= self.captured_s:
+            return None
+        self.captured_s = fused.captured_at_s
+        if abs(fused.turn_deg) <= STEP_ABOVE_DEG or self.target_n >= self.force_max_n:
+            return None
+        return min(self.target_n * STEP, self.force_max_n)
+
+
+@dataclass(slots=True)
+class Oracle(Nobody):
+    """Knows the true slip of each frame one latency later, the force needed and the gripper's gain: one command.
+
+    latency_s: from exposure to its decision.
+    """
+
+    latency_s: float = 0.0
+    gain: float = 1.0
+    force_max_n: float = 130.0
+    known_s: float | None = None
+    wanted_n: float = 0.0
+
+    def exposed(self, truth: Truth) -> None:
+        if self.known_s is None and abs(truth.slip_deg) > ORACLE_ABOVE_DEG:
+            self.known_s = truth.time_s + self.latency_s
+            self.wanted_n = min(ORACLE_TIMES * truth.needed_force_n / self.gain, self.force_max_n)
+
+    def more_n(self, seen: Seen) -> float | None:
+        if self.known_s is None or seen.now_s < self.known_s or self.target_n >= self.wanted_n:
+            return None
+        return self.wanted_n

@@ -1,0 +1,184 @@
+"""The campaign in figures for a program: first the promised ones, then what explains them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from slipguard.bench.grip.campaign import Found, Played
+from slipguard.bench.grip.holds import Held
+from slipguard.bench.grip.play import Outcome
+from slipguard.bench.grip.rows import (
+    FLOOR_DEG,
+    GELS,
+    SHOWN,
+    by_first_grip,
+    by_gel,
+    median,
+    of,
+    of_gel,
+    ratios,
+    rounded,
+    row,
+)
+from slipguard.bench.grip.trials import SHARES
+
+FINE_FLOOR_DEG = 0.1
+"""Below this the oracle itself sees nothing; reported beside the other."""
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """Rendered frames against the error model, on the same trials: mean final slip of each, and how far apart."""
+
+    count: int
+    rendered_deg: float
+    model_deg: float
+    apart: float
+    differs_deg: float
+
+
+def agreement(played: Sequence[Played]) -> Agreement | None:
+    """None without rendered trials. apart: relative difference of the means; differs_deg: median trial by trial."""
+    pairs = [(one.rendered.slip_deg, one.outcomes["law"].slip_deg) for one in played if one.rendered is not None]
+    if not pairs:
+        return None
+    rendered, model = np.asarray(pairs).T
+    mean = float(model.mean())
+    apart = abs(float(rendered.mean()) - mean) / max(mean, FINE_FLOOR_DEG)
+    return Agreement(len(pairs), float(rendered.mean()), mean, apart, float(np.median(np.abs(rendered - model))))
+
+
+def as_json(found: Found) -> dict[str, object]:
+    """All of them. Ratios without a group are over the whole matrix, stiff and soft gels together."""
+    everything = row("all", found.trials)
+    alike = agreement(found.trials)
+    blocks = [found.trials, found.gone, found.high_need, found.fragile]
+    fine = ratios(found.trials, "law", "oracle", FINE_FLOOR_DEG)
+    return {
+        "scenarios": len(found.trials),
+        "rendered": sum(one.rendered is not None for one in found.trials),
+        "drops_avoidable": sum(row("", block).avoidable for block in blocks if block),
+        "turn_over_oracle_median": rounded(everything.over_oracle),
+        "turn_over_oracle_p95": rounded(everything.over_oracle_p95),
+        "fixed_step_turn_over_ours_median": rounded(everything.fixed_over_law),
+        "false_tightenings": _false_while_holding(found.holds),
+        "force_over_needed_median": rounded(everything.force_over_needed),
+        "fixed_step_turn_over_ours_at_0_97": _at_weakest(found.trials),
+        "rendered_against_model": rounded(alike.apart if alike is not None else None),
+        "ended_without_need": sum(row("", block).ended for block in blocks if block),
+        "holds_failed": sum(one.failed is not None for one in found.holds),
+        "slip_floor_deg": FLOOR_DEG,
+        "turn_over_oracle_median_floor_0_1": rounded(median(fine)),
+        "turn_over_oracle_p95_floor_0_1": rounded(float(np.quantile(fine, 0.95)) if fine else None),
+        "arrest_s_median": rounded(everything.arrested_s),
+        "steps_median": everything.steps_median,
+        "steps_max": everything.steps_max,
+        "by_gel": {gel: _of_gel(found, gel) for gel in GELS if of_gel(found.trials, gel)},
+        "by_first_grip": {one.title.removeprefix("grip "): one.as_json() for one in by_first_grip(found.trials)},
+        "support_gone": _block(found.gone),
+        "high_need": _block(found.high_need),
+        "fragile": _block(found.fragile),
+        "holds": holds_as_json(found.holds),
+    }
+
+
+def holds_as_json(held: Sequence[Held]) -> dict[str, object]:
+    """The stable holds. false: a tightening while nothing slipped; in the lift into the hold, or in the hold itself.
+
+    Those in the lift are told, but no promise: as long as the far end lies on its table the turn is that of the lift,
+    whether the gel winds up or slips, and no picture tells one from the other.
+    """
+    return {
+        "count": len(held),
+        "rendered": sum(one.hold.rendered for one in held),
+        "minutes": round(sum(one.seconds for one in held) / 60.0, 1),
+        "false_while_holding": _false_while_holding(held),
+        "false_while_lifted": sum(one.false_lifting for one in held),
+        "lifts_tightened": sum(one.lifting > 0 for one in held),
+        "tightened_while_slipping": sum(one.tightenings + one.lifting - one.false for one in held),
+    }
+
+
+def _false_while_holding(held: Sequence[Held]) -> int:
+    return sum(one.false - one.false_lifting for one in held)
+
+
+def scenarios(found: Found) -> dict[str, object]:
+    """Each trial and each hold, for the file beside the picture."""
+    played = [*found.trials, *found.gone, *found.high_need, *found.fragile]
+    return {
+        "trials": [_trial(one) for one in played],
+        "stable_holds": [_hold(one) for one in found.holds],
+    }
+
+
+def _of_gel(found: Found, gel: str) -> dict[str, object]:
+    """One gel's figures under the names of those of the whole."""
+    played = of_gel(found.trials, gel)
+    alike = agreement(played)
+    held = [one for one in found.holds if one.hold.trial.soft is GELS[gel]]
+    return row(gel, played).as_json() | {
+        "fixed_step_turn_over_ours_at_0_97": _at_weakest(played),
+        "rendered_against_model": rounded(alike.apart if alike is not None else None),
+        "false_tightenings": _false_while_holding(held),
+        "holds": holds_as_json(held),
+        "by_first_grip": {one.title.removeprefix("grip "): one.as_json() for one in by_first_grip(played)},
+    }
+
+
+def _block(played: Sequence[Played]) -> dict[str, object] | None:
+    if not played:
+        return None
+    gels = {one.title.removesuffix(" gel"): one.as_json() for one in by_gel(played)}
+    return row("all", played).as_json() | {"by_gel": gels}
+
+
+def _at_weakest(played: Sequence[Played]) -> float | None:
+    """Where the first grip lacks least, so that the slip begins slowly."""
+    return rounded(median(ratios([one for one in played if one.trial.share == SHARES[0]], "fixed step", "law")))
+
+
+def _trial(one: Played) -> dict[str, object]:
+    trial = one.trial
+    told: dict[str, object] = {
+        "number": trial.number,
+        "block": trial.block,
+        "event": trial.event,
+        "object": trial.item.name,
+        "first_grip": trial.share,
+        "gel": "soft" if trial.soft else "stiff",
+        "latency_s": trial.latency_s,
+        "fps": trial.fps,
+        "needed_n": round(trial.needed_n, 2),
+        "force_max_n": trial.force_max_n,
+        "gain": round(trial.scenario.gripper.gain, 3),
+        "lift_speed_mm_s": round(trial.lift_speed_mm_s, 1),
+    }
+    told |= {who.replace(" ", "_"): _outcome(of(one, who)) for who in SHOWN}
+    if one.rendered is not None:
+        told["law_with_error_model"] = _outcome(one.outcomes["law"])
+    return told
+
+
+def _outcome(outcome: Outcome) -> dict[str, object]:
+    return {
+        "slip_deg": round(outcome.slip_deg, 3),
+        "turn_deg": round(outcome.turn_deg, 3),
+        "force_over_needed": round(outcome.force_over_needed, 3),
+        "arrest_s": rounded(outcome.arrested_s),
+        "tightenings": outcome.tightenings,
+        "before_any_slip": outcome.early,
+        "dropped": outcome.dropped,
+        "fault": outcome.fault,
+        "up": outcome.up,
+    }
+
+
+def _hold(held: Held) -> dict[str, object]:
+    trial = held.hold.trial
+    named = {"number": trial.number, "object": trial.item.name, "gel": "soft" if trial.soft else "stiff"}
+    plan = {"rendered": held.hold.rendered, "margin": round(held.hold.margin, 3)}
+    return named | plan | {key: value for key, value in asdict(held).items() if key != "hold"}

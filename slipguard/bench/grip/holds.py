@@ -1,0 +1,164 @@
+"""Stable holds: what turns the gel but not the object. Whatever the law tightens here it tightens for nothing.
+
+Each hold begins with a lift, during which the gel winds up under the weight for the first time. Then the arm starts and
+stops, shakes, somebody brushes past, the light drifts, single frames are off and a finger fails for a moment, for
+minutes. The grip is firm: it needs no more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slipguard.bench.grip import disturbances
+from slipguard.bench.grip.controllers import Law
+from slipguard.bench.grip.loop import FINGERS, Loop, Sight, Trace
+from slipguard.bench.grip.modeled_perception import ModelSight
+from slipguard.bench.grip.rendered_perception import RenderedSight
+from slipguard.bench.grip.setup import chances, grip, model_sight, world_of
+from slipguard.bench.grip.trials import PERCEIVING_S, Trial, trials
+from slipguard.control.messages import Request, RequestKind
+from slipguard.control.params import GuardParams
+from slipguard.control.state import Phase
+
+MARGIN = (1.25, 2.0)
+"""True force over the force needed."""
+PAUSE_S = (1.0, 6.0)
+WAY_MM = (5.0, 60.0)
+SPEED_MM_S = (20.0, 150.0)
+LIFT_MM, HIGH_MM = 100.0, 150.0
+STOPPED_SHARE = 0.3
+"""Of the arm's motions, so many are stopped on the way."""
+SETTLE_S = 0.6
+STEP_S = 2e-3
+LIFTS_WITHIN_S = 8.0
+HOLD_NUMBERS, RENDERED_NUMBERS = 10_000, 11_000
+TRULY_DEG = 0.1
+LATELY_S = 2.0
+"""Less true slip than this in so long a time (or since the last tightening, or the grip), and no sliding: nothing
+slips."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """One hold to be played. seconds: after the lift. margin: true force over needed. rendered: through drawn frames
+    and the shipped network.
+    """
+
+    trial: Trial
+    margin: float
+    seconds: float
+    rendered: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """How it went. tightenings: after the lift; lifting: during it. false: those of both at which nothing slipped;
+    false_lifting: of these, those during the lift. slip_deg, wound_deg: true, at the end. failed: why it was no hold,
+    or none to its end.
+    """
+
+    hold: Hold
+    tightenings: int
+    lifting: int
+    false: int
+    false_lifting: int
+    seconds: float
+    slip_deg: float
+    wound_deg: float
+    failed: str | None = None
+    said: tuple[str, ...] = ()
+
+
+def holds(minutes: float, seed: int = 0, each_s: float = 60.0, *, rendered: bool = False) -> list[Hold]:
+    """So many minutes of holds in all, over every object, both gels and every latency."""
+    rng = np.random.default_rng([seed, 37 if rendered else 31])
+    count = max(round(60.0 * minutes / each_s), 1)
+    base = trials(count, 0, seed + (8 if rendered else 7))
+    first = RENDERED_NUMBERS if rendered else HOLD_NUMBERS
+    return [
+        Hold(replace(base[k % len(base)], number=first + k), float(rng.uniform(*MARGIN)), each_s, rendered)
+        for k in range(count)
+    ]
+
+
+def hold(plan: Hold, params: GuardParams | None = None) -> Held:
+    """Play one; the same hold gives the same answer."""
+    params = (params or GuardParams()).model_copy(update={"probe_height_mm": 0.0})
+    trial = plan.trial
+    rng = np.random.default_rng([trial.number, 17])
+    world = world_of(trial, STEP_S)
+    law = Law(params)
+    loop = Loop(world, law, _sights(plan, rng), chances(trial), PERCEIVING_S)
+    grip(loop, min(plan.margin * trial.needed_n / trial.scenario.gripper.gain, params.force_max_n))
+    loop.wait(SETTLE_S + trial.latency_s)
+    lifted_s = loop.now_s
+    loop.ask(Request(RequestKind.LIFT, height_mm=LIFT_MM, speed_mm_s=trial.lift_speed_mm_s))
+    if not loop.until(lambda: law.guard.law.phase is Phase.HOLDING, LIFTS_WITHIN_S):
+        fault = law.guard.law.fault
+        return _held(plan, loop, lifted_s, loop.now_s, f"not holding after the lift: {fault or law.guard.law.phase}")
+    loop.wait(SETTLE_S)
+    _disturb(loop, rng, plan.seconds)
+    begun_s = loop.now_s
+    while loop.now_s - begun_s < plan.seconds:
+        loop.wait(float(rng.uniform(*PAUSE_S)))
+        height_mm = world.arm_state(loop.now_s).height_mm
+        way_mm = float(rng.uniform(*WAY_MM)) * (1.0 if height_mm < HIGH_MM else -1.0)
+        world.command_lift(loop.now_s, way_mm, float(np.exp(rng.uniform(*np.log(SPEED_MM_S)))))
+        if rng.random() < STOPPED_SHARE:
+            loop.wait(float(rng.uniform(0.05, 0.3)))
+            world.command_stop(loop.now_s)
+    fault = law.guard.law.fault
+    return _held(plan, loop, lifted_s, begun_s, None if fault is None else str(fault))
+
+
+def _sights(plan: Hold, rng: np.random.Generator) -> dict[str, Sight]:
+    trial = plan.trial
+    if plan.rendered:
+        deliveries = (trial.scenario.left, trial.scenario.right)
+        return {f: RenderedSight(2 * trial.number + k, deliveries[k]) for k, f in enumerate(FINGERS)}
+    return {finger: model_sight(trial, k, disturbances.drift(rng)) for k, finger in enumerate(FINGERS)}
+
+
+def _disturb(loop: Loop, rng: np.random.Generator, seconds: float) -> None:
+    loop.world.shake(loop.now_s, disturbances.shaking(rng, loop.now_s, seconds))
+    off = disturbances.outliers(rng, loop.now_s, seconds)
+    for finger, sight in loop.sights.items():
+        if isinstance(sight, ModelSight):
+            sight.err_at(off[finger])
+    loop.blind = disturbances.outages(rng, loop.now_s, seconds)
+
+
+def _held(plan: Hold, loop: Loop, lifted_s: float, begun_s: float, failed: str | None) -> Held:
+    truth = loop.truth()
+    told = [at_s for at_s, command in loop.commands if command.hold_force_n is not None and at_s > lifted_s]
+    wrong = _for_nothing(told, loop.trace, lifted_s)
+    return Held(
+        hold=plan,
+        tightenings=sum(at_s >= begun_s for at_s in told),
+        lifting=sum(at_s < begun_s for at_s in told),
+        false=len(wrong),
+        false_lifting=sum(at_s < begun_s for at_s in wrong),
+        seconds=loop.now_s - begun_s,
+        slip_deg=abs(truth.slip_deg),
+        wound_deg=abs(truth.elastic_deg),
+        failed=failed if truth.dropped is None else f"dropped: {truth.dropped}",
+        said=tuple(loop.says),
+    )
+
+
+def _for_nothing(told_s: list[float], trace: Trace, from_s: float) -> list[float]:
+    """Those of the tightenings shortly before which the object had truly neither slipped nor slid, nor since the last.
+
+    A slip that was answered, or is long over, is no reason for another.
+    """
+    times_s, slips_deg, slides = np.asarray(trace.time_s), np.asarray(trace.slip_deg), np.asarray(trace.sliding)
+    found = []
+    for at_s in told_s:
+        since = (times_s >= max(from_s, at_s - LATELY_S)) & (times_s <= at_s)
+        slipped = since.any() and np.ptp(slips_deg[since]) >= TRULY_DEG
+        if not (slipped or slides[since].any()):
+            found.append(at_s)
+        from_s = at_s
+    return found

@@ -1,0 +1,213 @@
+"""A controller in closed loop with the simulated world, event by event on a clock of its own: no waiting, no threads.
+
+Cameras expose on their schedule; an estimate reaches the controller one latency later; a command leaves at once and
+takes the world's own time to act.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from slipguard.control.finger_fusion import fuse
+from slipguard.control.messages import ArmLift, Command, Condition, FingerHealth, Request, Seen
+from slipguard.daemon.loop.service import STALE_S
+from slipguard.perception.estimate import Estimate
+from slipguard.sim.view import GelView
+from slipguard.sim.world import Truth, World
+
+TICK_S = 0.01
+FINGERS = ("left", "right")
+NOTHING = Request()
+SLIDES_MM_S = 0.5
+"""Truly slipping and going down faster than this is sliding; what is slower ends within a micrometre or so."""
+
+
+class Sight(Protocol):
+    """One finger's eye. `look` is called at each exposure with what lies before the camera."""
+
+    def reset(self) -> None: ...
+
+    def look(self, view: GelView, captured_at_s: float, sequence: int) -> Estimate: ...
+
+
+class Controller(Protocol):
+    """Decides from what is seen. `exposed` is for those that know the truth: called at each exposure."""
+
+    def exposed(self, truth: Truth) -> None: ...
+
+    def decide(self, seen: Seen) -> Command: ...
+
+
+@dataclass(slots=True)
+class Trace:
+    """How it went, a sample a tick."""
+
+    time_s: list[float] = field(default_factory=list)
+    turn_deg: list[float] = field(default_factory=list)
+    slip_deg: list[float] = field(default_factory=list)
+    sliding: list[bool] = field(default_factory=list)
+    force_n: list[float] = field(default_factory=list)
+    target_n: list[float] = field(default_factory=list)
+
+    def add(self, truth: Truth) -> None:
+        self.time_s.append(truth.time_s)
+        self.turn_deg.append(truth.turn_deg)
+        self.slip_deg.append(truth.slip_deg)
+        self.sliding.append(truth.slipping and abs(truth.slide_rate_mm_s) > SLIDES_MM_S)
+        self.force_n.append(truth.force_n)
+        self.target_n.append(truth.applied_n)
+
+
+@dataclass
+class Loop:
+    """One run. sights: by finger; perceiving_s: from a frame's arrival to its estimate. now_s: the world's clock.
+
+    looking: cameras expose only while it is set. blind: whether a finger's frames fail to come at a time. says: what
+    the controller said, with the time. commands: all that told a device something.
+    """
+
+    world: World
+    controller: Controller
+    sights: Mapping[str, Sight]
+    rng: np.random.Generator
+    perceiving_s: float = 0.006
+    trip_s: float = 0.0
+    now_s: float = 100.0
+    looking: bool = True
+    blind: Callable[[str, float], bool] = lambda finger, now_s: False
+    commands: list[tuple[float, Command]] = field(default_factory=list)
+    says: list[str] = field(default_factory=list)
+    trace: Trace = field(default_factory=Trace)
+
+    def __post_init__(self) -> None:
+        self._estimates: dict[str, Estimate | None] = dict.fromkeys(FINGERS)
+        self._events: list[tuple[float, int, Callable[[], None]]] = []
+        self._order = 0
+        self._tick = 0
+        self._start_s = self.now_s
+        self._sequence = dict.fromkeys(FINGERS, 0)
+        self._reset_s = -math.inf
+        self._request = NOTHING
+        for finger in FINGERS:
+            self._expose_next(finger)
+        self._tick_next()
+
+    def ask(self, request: Request) -> None:
+        """Hand a request to the controller, now."""
+        self._request = request
+        self._decide()
+
+    def until(self, done: Callable[[], bool], limit_s: float) -> bool:
+        """Run until `done` (asked after each event) or for so long; whether it was done."""
+        end_s = self.now_s + limit_s
+        while self._events[0][0] <= end_s:
+            self.now_s, _, action = heapq.heappop(self._events)
+            action()
+            if done():
+                return True
+        self.now_s = end_s
+        return False
+
+    def wait(self, seconds: float) -> None:
+        """Run for so long."""
+        self.until(lambda: False, seconds)
+
+    def later(self, when_s: float, action: Callable[[], None]) -> None:
+        """Do something at a time."""
+        self._order += 1
+        heapq.heappush(self._events, (max(when_s, self.now_s), self._order, action))
+
+    def truth(self) -> Truth:
+        """What really happens now."""
+        return self.world.truth(self.now_s)
+
+    # What happens by itself.
+
+    def _tick_next(self) -> None:
+        self._tick += 1
+        self.later(self._start_s + self._tick * TICK_S, self._on_tick)
+
+    def _on_tick(self) -> None:
+        self._tick_next()
+        self._decide()
+        self.trace.add(self.world.truth(self.now_s))
+
+    def _expose_next(self, finger: str) -> None:
+        self._sequence[finger] += 1
+        due_s = self._start_s + self._sequence[finger] / self.world.camera(finger).fps
+        self.later(due_s, lambda: self._expose(finger))
+
+    def _expose(self, finger: str) -> None:
+        self._expose_next(finger)
+        if not self.looking:
+            return
+        if finger == FINGERS[0]:
+            self.controller.exposed(self.world.truth(self.now_s))
+        camera = self.world.camera(finger)
+        if self.rng.random() < camera.drop_probability or self.blind(finger, self.now_s):
+            return
+        limit_s = 0.4 / camera.fps
+        stamp_s = self.now_s + min(max(float(self.rng.normal(0.0, camera.jitter_s)), -limit_s), limit_s)
+        view = self.world.view(finger, self.now_s)
+        estimate = self.sights[finger].look(view, stamp_s, self._sequence[finger])
+        exposed_s = self.now_s
+        self.later(self.now_s + camera.latency_s + self.perceiving_s, lambda: self._told(finger, exposed_s, estimate))
+
+    def _told(self, finger: str, exposed_s: float, estimate: Estimate) -> None:
+        if exposed_s >= self._reset_s:
+            self._estimates[finger] = estimate
+            self._decide()
+
+    def _decide(self) -> None:
+        (left, left_health), (right, right_health) = (self._fresh(finger) for finger in FINGERS)
+        request, self._request = self._request, NOTHING
+        seen = Seen(
+            now_s=self.now_s,
+            fused=fuse(left, right),
+            left=left_health,
+            right=right_health,
+            gripper=self.world.gripper_state(self.now_s),
+            arm=self.world.arm_state(self.now_s),
+            request=request,
+        )
+        self._obey(self.controller.decide(seen))
+
+    def _fresh(self, finger: str) -> tuple[Estimate | None, FingerHealth]:
+        """As the daemon has it: a finger whose newest frame is old says nothing. One that has not begun is well."""
+        estimate = self._estimates[finger]
+        if estimate is None:
+            return None, FingerHealth()
+        age_s = self.now_s - estimate.captured_at_s
+        stale = age_s > STALE_S
+        return None if stale else estimate, FingerHealth(Condition.STALE if stale else Condition.FRESH, age_s)
+
+    def _obey(self, command: Command) -> None:
+        if command != Command(fault=command.fault):
+            self.commands.append((self.now_s, command))
+        if command.say:
+            self.says.append(f"{self.now_s - self._start_s:.3f} {command.say}")
+        if command.new_reference:
+            self._reset_s = self.now_s
+            for finger in FINGERS:
+                self.sights[finger].reset()
+                self._estimates[finger] = None
+        force_n, width_mm = command.hold_force_n, command.release_width_mm
+        if force_n is not None:
+            self.later(self.now_s + self.trip_s, lambda: self._hold(force_n))
+        if width_mm is not None:
+            self.later(self.now_s + self.trip_s, lambda: self.world.command_release(self.now_s, width_mm))
+        if command.halt:
+            self.later(self.now_s + self.trip_s, lambda: self.world.command_halt(self.now_s))
+        if command.arm == "stop":
+            self.world.command_stop(self.now_s)
+        elif isinstance(command.arm, ArmLift):
+            self.world.command_lift(self.now_s, command.arm.height_mm, command.arm.speed_mm_s)
+
+    def _hold(self, force_n: float) -> None:
+        self.world.command_hold(self.now_s, force_n)

@@ -1,0 +1,91 @@
+"""When a slip is seen: the same frames through a pipeline that skips and one that does not, by the grip law's eye.
+
+A slip begins after rest, the case that skipping could spoil: quick or slow, turning or sliding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from slipguard.control.finger_fusion import fuse
+from slipguard.control.params import GuardParams
+from slipguard.control.slip_baselines import Detector
+from slipguard.control.slip_detector import look
+from slipguard.datasets.rendered_grasps import FRAME_S, Sequence, Shot
+from slipguard.devices import Frame
+from slipguard.perception.estimate import Estimate
+from slipguard.sim.gel import GelCamera
+from slipguard.sim.objects import get
+from slipguard.sim.unit import random_unit
+from slipguard.sim.view import GelView
+
+REST_S = 1.5
+"""Long enough for skipping to have begun."""
+RAMP_S = 0.1
+BEYOND_DEG = 2.0
+"""The turn goes on so far beyond `creep_deg`: every slip is seen by then."""
+BEYOND_MM = 0.7
+TURN_RATES_DEG_S = (1.0, 4.0, 15.0, 60.0, 300.0)
+SLIDE_RATES_MM_S = (1.0, 5.0)
+LAW = GuardParams()
+
+
+@dataclass(frozen=True, slots=True)
+class Onset:
+    """A slip after rest. rate: degrees a second, or mm a second downwards where `slides`."""
+
+    object_name: str
+    seed: int
+    rate: float
+    slides: bool = False
+
+    def grasp(self) -> Sequence:
+        """Rest, then motion at a constant rate until nobody could overlook it."""
+        rng = np.random.default_rng([self.seed, round(100 * self.rate), self.slides])
+        unit, thing = random_unit(rng), get(self.object_name)
+        camera = GelCamera(unit, seed=self.seed)
+        background = camera.no_contact()
+        x_mm, y_mm, start_deg = float(rng.uniform(-1, 1)), float(rng.uniform(0, 2)), float(rng.uniform(-180, 180))
+        side, press_mm = float(rng.choice([-1.0, 1.0])), float(rng.uniform(0.6, 0.9)) * thing.press_mm
+        way = LAW.slide_creep_mm + BEYOND_MM if self.slides else LAW.creep_deg + BEYOND_DEG
+        moving_s = way / self.rate + RAMP_S / 2.0
+        shots = []
+        for index in range(round((REST_S + moving_s) / FRAME_S)):
+            since_s = max(index * FRAME_S - REST_S, 0.0)
+            ramped = since_s**2 / (2.0 * RAMP_S) if since_s < RAMP_S else since_s - RAMP_S / 2.0
+            moved, speed = self.rate * ramped, self.rate * min(since_s / RAMP_S, 1.0)
+            if self.slides:
+                view = GelView(self.object_name, x_mm, y_mm - moved, start_deg, press_mm, vy_mm_s=-speed)
+            else:
+                turned = side * moved
+                view = GelView(self.object_name, x_mm, y_mm, start_deg + turned, press_mm, rate_deg_s=side * speed)
+            turn_deg = 0.0 if self.slides else side * moved
+            shots.append(Shot(Frame(camera.draw(view), index * FRAME_S, index), True, turn_deg, since_s > 0.0, None))
+        return Sequence(
+            self.object_name, thing.axial, background, unit.noise_bgr, unit.px_per_mm, tuple(shots), self.rate
+        )
+
+
+def first_seen(process: Callable[[Frame], Estimate], frames: Iterable[Frame]) -> int | None:
+    """Index of the frame on which the law, with this one finger, first says that the object slips; None if never."""
+    detector = Detector()
+    for index, frame in enumerate(frames):
+        fused = fuse(process(frame), None)
+        if fused is None:
+            continue
+        sight = look(detector, fused, LAW)
+        detector = sight.detector
+        if sight.slipping:
+            return index
+    return None
+
+
+def later_by(skipping: int | None, measuring: int | None, frames: int) -> int | None:
+    """How many frames later the slip is seen by skipping; None where measuring does not see it at all.
+
+    Negative where it is seen earlier. A slip that skipping alone overlooks counts as seen after the last frame.
+    """
+    return None if measuring is None else (frames if skipping is None else skipping) - measuring

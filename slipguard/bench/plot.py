@@ -1,0 +1,119 @@
+"""A bench as a picture: error against time, where the time goes, and error by difficulty."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from slipguard.bench.rows import PUBLISHED, Bench, Row
+from slipguard.tools.plotting import figure, save
+
+STAGES = ("gate", "segment", "regions", "relief", "angle", "thin", "register", "reference", "track")
+MARKERS = {"fused": "o", "registration": "s", "moments": "D", "ellipse": "^", "pca": "v", "skeleton": "P"}
+
+
+def picture(found: Bench, path: Path) -> None:
+    """Draw it. Raises `InputError` where the file cannot be written."""
+    drawing = figure(13.0, 9.0)
+    grid = drawing.add_gridspec(2, 2, height_ratios=(1.35, 1.0))
+    _front(drawing.add_subplot(grid[0, :]), found)
+    _stages(drawing.add_subplot(grid[1, 0]), found)
+    _quarters(drawing.add_subplot(grid[1, 1]), found)
+    save(drawing, path)
+
+
+def _front(axes: Any, found: Bench) -> None:
+    """Mean turn error against the mean time of a frame over a minute of holding; the front as a line."""
+    rows = [*found.pipelines, *found.peers]
+    networks = list(dict.fromkeys(row.network for row in rows))
+    colours = {network: f"C{index}" for index, network in enumerate(networks)}
+    front, labelled = [], []
+    for row in rows:
+        if row.mean_ms_per_frame_grasp is None:
+            continue
+        x, y, colour = row.mean_ms_per_frame_grasp, row.turn_error_mean_deg, colours[row.network]
+        if y is None:
+            axes.axvline(x, color=colour, linestyle="--", linewidth=1)
+            axes.annotate(
+                f"{row.network}, {row.threads} thread{'s' * (row.threads > 1)}: time only", (x, 0.98),
+                xycoords=("data", "axes fraction"), xytext=(-4, 0), textcoords="offset points", rotation=90,
+                ha="right", va="top", fontsize=7, color=colour,
+            )  # fmt: skip
+            continue
+        chosen = row.name == found.default
+        fill = colour if row.skipping else "white"
+        axes.plot(
+            x, y, MARKERS.get(row.estimator, "o"), color=colour, markerfacecolor=fill, markersize=11 if chosen else 7
+        )
+        if row.pareto:
+            front.append((x, y))
+        if row.pareto or row in found.peers:
+            labelled.append((x, y, _short(row)))
+    for index, (x, y, text) in enumerate(sorted(labelled, key=lambda one: one[1])):
+        # In steps, from the lowest up, for on the front names lie close together.
+        axes.annotate(
+            text, (x, y), xytext=(12, 14 + 13 * (index % 4)), textcoords="offset points", fontsize=8,
+            arrowprops={"arrowstyle": "-", "color": "0.6", "linewidth": 0.6},
+        )  # fmt: skip
+    if front:
+        axes.step(*zip(*sorted(front), strict=True), where="post", color="0.5", linewidth=1, zorder=0, label="front")
+    for name, marker in MARKERS.items():
+        axes.plot([], [], marker, color="0.4", label=name)
+    axes.plot([], [], "o", color="0.4", markerfacecolor="white", label="no skipping")
+    for network, colour in colours.items():
+        axes.plot([], [], "s", color=colour, label=network)
+    published_deg = PUBLISHED["turn_error_mean_deg"]
+    axes.axhline(published_deg, color="0.7", linestyle=":")
+    axes.annotate(
+        f"{published_deg:.2f}°: the paper's own figure, real cell, as published", (0.45, published_deg),
+        xycoords=("axes fraction", "data"), xytext=(0, 3), textcoords="offset points", fontsize=8, color="0.4",
+    )  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    axes.set_ylim(low / 1.3, high * 2.5)
+    axes.set_xlabel("mean time of a frame over a minute of holding, ms (one core unless said)")
+    axes.set_ylabel("mean turn error, degrees")
+    axes.set_title("Rendered grasps of objects that no training image shows")
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
+
+
+def _stages(axes: Any, found: Bench) -> None:
+    """Where the time of a contact frame goes, means, per estimator of the default's network."""
+    network = next(row.network for row in found.pipelines if row.name == found.default)
+    rows = [row for row in found.pipelines if row.network == network and row.skipping]
+    names = [row.estimator for row in rows]
+    left = [0.0] * len(rows)
+    for stage in STAGES:
+        widths = [row.stage_ms.get(stage, (0.0, 0.0, 0.0))[2] for row in rows]
+        if any(widths):
+            axes.barh(names, widths, left=left, label=stage)
+            left = [start + width for start, width in zip(left, widths, strict=True)]
+    axes.invert_yaxis()
+    axes.set_xlabel("a frame in contact, mean ms by stage")
+    axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes.set_title(f"Where the time goes: {network}")
+
+
+def _quarters(axes: Any, found: Bench) -> None:
+    """Error from the easiest quarter of the grasps to the hardest."""
+    for row in (*found.pipelines, *found.peers):
+        errors = row.turn_error_by_quartile_deg
+        shown = row.skipping or row in found.peers
+        if errors is None or not shown or row.threads > 1 or any(error is None for error in errors):
+            continue
+        axes.plot(range(1, len(errors) + 1), errors, "-o", markersize=3, label=_short(row),
+                  linewidth=2.5 if row.name == found.default else 1)  # fmt: skip
+    axes.set_xticks(range(1, 5), ["easiest quarter", "second", "third", "hardest"])
+    axes.set_ylabel("mean turn error, degrees")
+    axes.grid(alpha=0.3, which="both")
+    if axes.lines:
+        axes.set_yscale("log")
+        axes.legend(fontsize=6, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes.set_title("By difficulty: roundness, cut by the frame, speed, growth")
+
+
+def _short(row: Row) -> str:
+    plain = row.name.replace("the paper's pipeline: ", "paper: ").replace(" + OpenCV thinning + line", "")
+    return plain.replace("background subtraction", "subtraction").replace(", no skipping", "")

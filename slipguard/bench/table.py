@@ -1,0 +1,149 @@
+"""A bench for people: tables for the terminal, and a table in Markdown for the models' card."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.table import Table
+
+from slipguard.bench.rows import PUBLISHED, Bench, Row
+from slipguard.errors import InputError
+
+BEGIN, END = "<!-- bench table: begin -->", "<!-- bench table: end -->"
+COLUMNS = (
+    "front", "pipeline", "p50", "p99", "skipped", "mean over a grasp", "CPU s a minute", "turn error", "p95", "worst",
+    "with an axis", "turns", "declined", "round textured", "round plain declined", "in 1, 2 sigma", "Dice", "IoU",
+    "× 240×320", "× 120×160",
+)  # fmt: skip
+BRIEF = ("p50", "p99", "grasp", "error", "worst", "declined", "Dice", "× 240×320")
+SIZES = ("240×320", "120×160")
+"""Of the paper's network: as published, and as it could be trained here."""
+
+
+def tables(found: Bench, brief: bool) -> list[Table]:
+    """The pipelines and peers, thinning, and what each skip is worth. brief: fewer columns, for a narrow terminal."""
+    title = f"{found.machine['processor']}, one core unless said; times in ms, errors in degrees"
+    shown = Table("", "pipeline", *(BRIEF if brief else COLUMNS[2:]), title=title)
+    for row in (*found.pipelines, *found.peers):
+        cells = cells_of(row, found)
+        name = f"[bold]{cells[1]}[/]" if row.name == found.default else cells[1]
+        picked = [cells[0], name, *cells[2:]]
+        if brief:
+            picked = [picked[0], name, cells[2], cells[3], cells[5], cells[7].split(" ± ")[0], cells[9], cells[12],
+                      cells[16], cells[18]]  # fmt: skip
+        shown.add_row(*picked)
+    thinned = Table("thinning", "masks", "ms", "cv2, ×", "scikit-image thin, ×", "skeletonize, ×", "pixels not cv2's")
+    for one in found.thinning:
+        ratios = [f"{one.ratios[key]:.1f}" for key in ("cv2", "scikit-image thin", "scikit-image skeletonize")]
+        thinned.add_row(one.size, str(one.masks), f"{one.ms:.2f}", *ratios, str(one.pixels_different_from_cv2))
+    worth = Table("skip", "kept", "saves, ms", "over a grasp, ms a frame", "error added", "frames later", "of")
+    for skip in found.skips:
+        worth.add_row(
+            skip.name, "yes" if skip.kept else "no", _text(skip.saved_ms), _text(skip.saved_ms_per_frame_grasp),
+            _text(skip.error_added_deg, "{:+.3f}"), _text(skip.frames_later, "{:+d}"), skip.how,
+        )  # fmt: skip
+    return [shown, thinned, worth]
+
+
+def notes(found: Bench) -> list[str]:
+    """What the figures are, in a few lines."""
+    published = [
+        "real cell, as published:",
+        f"turn error {PUBLISHED['turn_error_mean_deg']}° ± {PUBLISHED['turn_error_sd_deg']}°,",
+        f"worst object {PUBLISHED['turn_error_worst_object_deg']:g}°,",
+        f"Dice {PUBLISHED['dice']}, IoU {PUBLISHED['iou']}:",
+        "another machine and other objects, not comparable figure by figure",
+    ]
+    return [*found.notes, *_compared(found), " ".join(published)]
+
+
+def _compared(found: Bench) -> list[str]:
+    """What the last columns divide by."""
+    lines = []
+    for size in SIZES:
+        peer = found.reference(size)
+        if peer is not None:
+            threads = "one thread" if peer.threads == 1 else f"{peer.threads} threads"
+            error = "made-up weights, time only" if peer.turn_error_mean_deg is None else "learnt weights"
+            lines.append(
+                f"× {size}: how many times as long (p50) the paper's pipeline takes with {peer.network}, "
+                f"{_text(peer.p50_ms)} ms on {threads}, its best number ({error})"
+            )
+    return lines
+
+
+def markdown(found: Bench, command: str) -> str:
+    """All rows as a Markdown table, with the command that makes it again."""
+    made = found.machine
+    lines = [
+        f"Made by `{command}` on {made['processor']}, onnxruntime {made['onnxruntime']}, OpenCV {made['opencv']};",
+        "times in ms on one core unless said, errors in degrees; ◆: on the front of time over a grasp and error.",
+        "",
+        "| " + " | ".join(COLUMNS) + " |",
+        "|" + "---|" * len(COLUMNS),
+    ]
+    lines += ["| " + " | ".join(cells_of(row, found)) + " |" for row in (*found.pipelines, *found.peers)]
+    return "\n".join([*lines, "", *(f"* {note}" for note in notes(found))])
+
+
+def check(path: Path) -> tuple[str, str]:
+    """What stands before and after the markers of a Markdown file. Raises `InputError` where they are not there."""
+    try:
+        page = path.read_text(encoding="utf-8")
+        before, rest = page.split(BEGIN)
+        _, after = rest.split(END)
+    except OSError as error:
+        raise InputError(f"--table {path}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise InputError(f"--table {path}: the lines {BEGIN} and {END} are looked for, once each") from error
+    return before, after
+
+
+def write_into(path: Path, text: str) -> None:
+    """Put the text between the two markers of a Markdown file. Raises `InputError` where they are not there."""
+    before, after = check(path)
+    path.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}", encoding="utf-8")
+
+
+def cells_of(row: Row, found: Bench) -> list[str]:
+    """One row as texts, in the order of COLUMNS."""
+    error, sd = _text(row.turn_error_mean_deg), _text(row.turn_error_sd_deg)
+    return [
+        "◆" if row.pareto else "",
+        row.name + (" (default)" if row.name == found.default else ""),
+        _text(row.p50_ms),
+        _text(row.p99_ms),
+        _text(row.skipped_p50_ms),
+        _text(row.mean_ms_per_frame_grasp),
+        _text(row.cpu_s_per_minute_grasp, "{:.1f}"),
+        error if row.turn_error_mean_deg is None else f"{error} ± {sd}",
+        _text(row.turn_error_p95_deg),
+        _text(row.turn_error_worst_object_deg),
+        _text(row.turn_error_readable_mean_deg),
+        _text(row.turns, "{:,}"),
+        _text(row.declined_share, "{:.0%}"),
+        _text(row.round_textured_error_mean_deg),
+        _text(row.round_plain_declined_share, "{:.0%}"),
+        "–"
+        if row.within_1_sigma is None
+        else ", ".join(
+            (_share(row.within_1_sigma, row.within_1_sigma_se), _share(row.within_2_sigma, row.within_2_sigma_se))
+        ),
+        _text(row.dice, "{:.3f}"),
+        _text(row.iou, "{:.3f}"),
+        *(_text(_ratio(found.reference(size), row), "{:.1f}") for size in SIZES),
+    ]
+
+
+def _ratio(peer: Row | None, row: Row) -> float | None:
+    """How many times as long the peer takes."""
+    return None if peer is None or peer.p50_ms is None or not row.p50_ms else peer.p50_ms / row.p50_ms
+
+
+def _text(value: float | None, form: str = "{:.2f}") -> str:
+    return "–" if value is None else form.format(value)
+
+
+def _share(value: float | None, se: float | None) -> str:
+    """A share in per cent, with its standard error where that is known."""
+    return _text(value, "{:.0%}") if value is None or se is None else f"{100 * value:.0f} ± {100 * se:.0f}%"

@@ -1,0 +1,201 @@
+"""How long from a frame's time stamp to the command's last byte on the serial line, stage by stage.
+
+The daemon runs here, the emulated cell in a process of its own; both read CLOCK_MONOTONIC, so the log of the emulated
+gripper says when each byte of a command went over the wire.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import os
+import tempfile
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.bench.force_probe import Probe, ProbingLaw
+from slipguard.config import Config, parse_config
+from slipguard.control.state import Phase
+from slipguard.daemon.api.controls import Controls
+from slipguard.daemon.loop.decision import Decision
+from slipguard.daemon.loop.service import Service
+from slipguard.daemon.run import build_service
+from slipguard.errors import SlipguardError
+from slipguard.tools.cell_process import CellProcess
+from slipguard.tools.waiting import until
+
+HOST = f"127.90.{os.getpid() >> 8 & 255}.{os.getpid() % 254 + 1}"
+"""Every address of 127/8 is this machine; one of our own, for two measurements may run at once."""
+COMMAND_BYTES, BITS_PER_BYTE = 15, 10
+STOP, GO = "0100", "0900"
+"""First register of the two halves of a tightening."""
+READY_S, GRIP_S, COMMAND_S, REST_S = 40.0, 20.0, 5.0, 0.5
+STAGES = (
+    "camera and USB: exposure to frame handed over",
+    "look: frame to estimate",
+    "decide: estimate to command",
+    "line: a question under way is answered first",
+    "line: the driver asks the state, keeps the manual's 5 ms, says stop",
+    "line: the stop is seen, then go",
+    "line: the go's 15 bytes",
+)
+OWN = "slipguard's own share: frame handed over to command"
+TOTAL = "exposure to the command's last byte on the wire"
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """commands: how many are measured. baud: pace of the line; 0: none. fps: of the cameras."""
+
+    commands: int = 200
+    baud: int = 115200
+    fps: int = 60
+    object_name: str = "wrench"
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Of one stage, in milliseconds."""
+
+    p50_ms: float
+    p99_ms: float
+    largest_ms: float
+
+
+@dataclass(frozen=True, slots=True)
+class Latency:
+    """What was measured. commands: those whose every byte was found again in the gripper's log."""
+
+    options: Options
+    commands: int
+    frames: int
+    stages: Mapping[str, Spread]
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What the daemon's side knows of one command. Times of the loop's clock."""
+
+    probe: Probe
+    handed_at_s: float
+    ready_at_s: float
+    decided_at_s: float
+    called_at_s: float = 0.0
+
+
+async def measure(options: Options, tell: Callable[[str, float], None]) -> Latency:
+    """Grip an object and tighten it `commands` times, each time in answer to a frame. tell(what, share done)."""
+    with tempfile.TemporaryDirectory(prefix="slipguard-wire-") as folder:
+        cell = CellProcess(
+            Path(folder),
+            *("--host", HOST, "--object", options.object_name, "--baud", str(options.baud), "--fps", str(options.fps)),
+        )
+        try:
+            tell("starting the emulated cell", 0.0)
+            await cell.start()
+            law = ProbingLaw(0)
+            service = build_service(every_frame_in_full(cell.config), law=law)
+            running = asyncio.create_task(service.run(), name="service")
+            try:
+                seen = await _probe(service, law, options.commands, running, tell)
+                frames = sum(finger.counts.frames for finger in service.fingers.values())
+            finally:
+                running.cancel()
+                await asyncio.gather(running, return_exceptions=True)
+            log = await cell.order("gripper log 10000")
+        finally:
+            await cell.stop()
+    writes = [entry for entry in map(json.loads, log.splitlines()) if entry["event"] == "write"]
+    return _evaluate(options, seen, writes, frames)
+
+
+def every_frame_in_full(path: Path) -> Config:
+    """The cell's, with every frame measured in full and room for all steps."""
+    raw = tomllib.loads(path.read_text())
+    raw["guard"] |= {"force_max_n": 235}
+    raw["perception"] = {"skip_unchanged": False}
+    return parse_config(raw, where=str(path))
+
+
+async def _probe(
+    service: Service, law: ProbingLaw, commands: int, running: asyncio.Task[None], tell: Callable[[str, float], None]
+) -> list[_Seen]:
+    tell("waiting for the devices", 0.0)
+    await grip(service, running)
+    seen: list[_Seen] = []
+
+    def decided(decision: Decision) -> None:
+        if len(law.probes) > len(seen) and decision.command.hold_force_n is not None:
+            answers = [finger.newest for finger in service.fingers.values() if finger.newest is not None]
+            newest = max(answers, key=lambda one: one.ready_at_s)
+            now_s = asyncio.get_running_loop().time()
+            seen.append(_Seen(law.probes[-1], newest.handed_at_s, newest.ready_at_s, now_s))
+
+    def called(since_handed_s: float) -> None:
+        if seen and not seen[-1].called_at_s:
+            seen[-1].called_at_s = asyncio.get_running_loop().time()
+
+    service.observers.append(decided)
+    service.hold_observers.append(called)
+    law.left = commands
+    while law.left > 0:
+        tell("tightening step by step", 1.0 - law.left / commands)
+        wanted = law.left - 1
+
+        def given(wanted: int = wanted) -> bool:
+            return law.left <= wanted or service.phase is Phase.FAULT
+
+        await until(running, given, COMMAND_S, lambda: f"no command was given ({service.phase})")
+        if service.phase is Phase.FAULT:
+            raise SlipguardError(f"the guard stopped: {service.state.fault}")
+    await asyncio.sleep(REST_S)
+    return seen
+
+
+async def grip(service: Service, running: asyncio.Task[None]) -> None:
+    """Calibrate, then grasp what lies between the jaws. Raises SlipguardError where it does not come to a firm grip."""
+    controls = Controls(service)
+
+    def ready() -> bool:
+        return not service.waiting_for
+
+    await until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
+    await controls.calibrate()
+    await until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
+    await controls.grasp()
+    await until(running, lambda: service.firm, GRIP_S, lambda: f"no firm grip, {service.state.fault or service.phase}")
+
+
+def _evaluate(options: Options, seen: list[_Seen], writes: list[dict[str, Any]], frames: int) -> Latency:
+    """Find each command's stop and go in the gripper's log, by their times."""
+    wire_s = COMMAND_BYTES * BITS_PER_BYTE / options.baud if options.baud else 0.0
+    rows = []
+    for one, following in zip(seen, [*seen[1:], None], strict=True):
+        ends_s = following.called_at_s if following is not None else math.inf
+        last = {
+            entry["registers"][0]: float(entry["last_byte_s"])
+            for entry in writes
+            if one.called_at_s <= entry["last_byte_s"] < ends_s
+        }
+        if one.called_at_s and {STOP, GO} <= set(last):
+            daemon = (one.probe.captured_at_s, one.handed_at_s, one.ready_at_s, one.decided_at_s, one.called_at_s)
+            rows.append((*daemon, last[STOP] - wire_s, last[GO] - wire_s, last[GO]))
+    if not rows:
+        raise SlipguardError("no command arrived at the emulated gripper")
+    marks = np.array(rows)
+    found = dict(zip(STAGES, map(_spread, np.diff(marks, axis=1).T), strict=True))
+    found[TOTAL] = _spread(marks[:, -1] - marks[:, 0])
+    found[OWN] = _spread(marks[:, 3] - marks[:, 1])
+    return Latency(options, len(rows), frames, found)
+
+
+def _spread(times_s: NDArray[np.float64]) -> Spread:
+    p50, p99 = np.percentile(times_s, (50, 99)) * 1e3
+    return Spread(float(p50), float(p99), float(times_s.max() * 1e3))

@@ -1,0 +1,194 @@
+"""`slipguard run | check | version`: the daemon and what surrounds it."""
+
+from __future__ import annotations
+
+import asyncio
+import faulthandler
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from slipguard.cli.interrupt import left_to_the_loop
+
+if TYPE_CHECKING:
+    from slipguard.config import Config
+
+USUAL_FILE = Path("config.toml")
+ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The configuration file.")]
+
+
+def run(
+    config: ConfigOption = USUAL_FILE,
+    sim: Annotated[
+        bool,
+        typer.Option(
+            "--sim",
+            help="Put the fakes in place of all devices; the file may be missing then. What is kept "
+            "lies where a real cell's would: give state.directory another place if there is one.",
+        ),
+    ] = False,
+    log_json: Annotated[
+        bool | None,
+        typer.Option("--log-json/--log-text", help="Default: JSON unless on a terminal."),
+    ] = None,
+) -> None:
+    """Run the daemon until SIGINT or SIGTERM; stopping it keeps the grip. SIGHUP takes up a changed configuration.
+
+    Example: `slipguard run --config config.toml`, then in another terminal `slipguard ctl state`
+    """
+    from slipguard.config import read_config, sim_config
+    from slipguard.daemon import logging as log
+    from slipguard.daemon import run as root
+
+    settings = sim_config() if sim and config == USUAL_FILE and not config.exists() else read_config(config, sim=sim)
+    log.configure(json_lines=log_json)
+    log.set_level(settings.log.level)
+    if sim:
+        from slipguard.sim_lifts.sim_daemon import run_on_stage
+
+        daemon = run_on_stage(settings)
+    else:
+        daemon = root.run(settings, reread=lambda: read_config(config))
+    if sys.__stderr__ is not None:
+        faulthandler.enable(sys.__stderr__)  # where a loop hangs that systemd's watchdog ends is worth a look
+    with left_to_the_loop():
+        asyncio.run(daemon)
+
+
+def check(
+    config: ConfigOption = USUAL_FILE,
+    json: Annotated[bool, typer.Option("--json", help="The whole configuration, defaults filled in, as JSON.")] = False,
+) -> None:
+    """Read and explain a configuration; touch nothing.
+
+    Example: `slipguard check --config config.toml`
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from slipguard.config import read_config
+    from slipguard.errors import ConfigError, ModelError
+    from slipguard.perception.contact.segmenter import Segmenter
+
+    settings = read_config(config)
+    wrong = next(_cannot_work(settings), None)
+    if wrong is not None:
+        raise ConfigError(f"{config}: {wrong}")
+    try:
+        segmenter = Segmenter(settings.perception.model)
+    except ModelError as error:
+        raise ConfigError(f"{config}: perception.model = {error}") from error
+    if json:
+        print(settings.model_dump_json(indent=2, serialize_as_any=True))
+        return
+    console = Console()
+    table = Table("device", "driver", "settings", title=str(config), title_justify="left")
+    for name in ("left", "right", "gripper", "arm"):
+        device = getattr(settings, name)
+        own = ", ".join(f"{key} = {value!r}" for key, value in device.settings.model_dump(mode="json").items())
+        table.add_row(name, device.driver, own)
+    console.print(table)
+    guard = settings.guard
+    console.print(
+        f"mode {guard.mode!r}: first grip {guard.first_force_n:g} N per finger, never above {guard.force_max_n:g} N, "
+        f"{guard.blind_force_n:g} N where the turn cannot be seen"
+    )
+    _, hardest_n = _devices(settings)["gripper"].force_limits_n
+    if hardest_n < guard.force_max_n:
+        console.print(f"this gripper applies {hardest_n:g} N at most")
+    width, height = segmenter.input_size
+    console.print(f"network {segmenter.path.name} at {width}×{height}, estimator {settings.perception.estimator!r}")
+    console.print("the configuration is fine")
+
+
+def _cannot_work(config: Config) -> Iterator[str]:
+    """What is well formed and fails as soon as the daemon starts, or at the first grasp; opens no device."""
+    from slipguard.daemon.api.paths import socket_path
+    from slipguard.daemon.run import recordings_path
+    from slipguard.daemon.store.state_dir import StateDir
+    from slipguard.errors import SlipguardError
+
+    model = config.perception.model
+    if model is not None and not model.is_file():
+        yield f"perception.model = {model}: " + ("a folder; name the .onnx file" if model.is_dir() else "no such file")
+    folders = {"state.directory": StateDir(config.state.directory).path}
+    if config.recording.enabled:
+        folders["recording.directory"] = recordings_path(config)
+    folders["api.socket"] = socket_path(config).parent
+    for key, folder in folders.items():
+        there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        if not there.is_dir():
+            yield f"{key}: {there} is no folder; move it away, or set {key} to another place"
+    if socket_path(config).is_dir():
+        yield f"api.socket = {socket_path(config)}: a folder; name a file in it"
+    try:
+        softest_n, _ = _devices(config)["gripper"].force_limits_n
+    except SlipguardError as error:
+        yield str(error)
+        return
+    if config.guard.force_max_n < softest_n:
+        yield f"guard.force_max_n = {config.guard.force_max_n:g}: this gripper grips with {softest_n:g} N at least"
+
+
+def _devices(config: Config) -> dict[str, Any]:
+    """All four drivers with their settings, none opened. Raises SlipguardError for what cannot be."""
+    from slipguard.config import GROUP_OF
+    from slipguard.devices import DriverContext
+    from slipguard.registry import load_driver
+
+    sections = {name: getattr(config, name) for name in GROUP_OF}
+    return {
+        name: load_driver(GROUP_OF[name], section.driver)(section.settings, DriverContext(name, mode=config.guard.mode))
+        for name, section in sections.items()
+    }
+
+
+def version(
+    json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+) -> None:
+    """Say what runs here: slipguard, Python, libraries, drivers.
+
+    Example: `slipguard version --json`
+    """
+    import json as jsonlib
+    import platform
+    from importlib.metadata import PackageNotFoundError
+    from importlib.metadata import version as installed
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from slipguard import __version__
+    from slipguard.registry import GROUPS, driver_names
+
+    libraries: dict[str, str | None] = {}
+    for name in (
+        "numpy", "onnxruntime", "opencv-contrib-python-headless", "scikit-image", "pydantic",
+        "structlog", "pymodbus", "pyserial", "ur-rtde", "torch",
+    ):  # fmt: skip
+        try:
+            libraries[name] = installed(name)
+        except PackageNotFoundError:
+            libraries[name] = None
+    facts = {
+        "slipguard": __version__,
+        "python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}",
+        "libraries": libraries,
+        "drivers": {group: driver_names(group) for group in GROUPS},
+    }
+    if json:
+        print(jsonlib.dumps(facts))
+        return
+    table = Table(show_header=False)
+    table.add_row("slipguard", __version__)
+    table.add_row("python", platform.python_version())
+    table.add_row("machine", str(facts["machine"]))
+    for name, number in libraries.items():
+        table.add_row(name, number or "not installed")
+    for group in GROUPS:
+        table.add_row(group, ", ".join(driver_names(group)))
+    Console().print(table)

@@ -1,0 +1,93 @@
+"""What the arm is told while an object is held: to stand, and to put down what no force of the budget can hold.
+
+Putting down is for lift mode with `on_budget_spent = "lower"`: back along the path just lifted, slowly, no further than
+where it began. The fault stays latched; anything else that goes wrong on the way stops the arm for good.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from slipguard.control.fault import FaultCode
+from slipguard.control.messages import ArmLift, Command, Seen, in_one_line
+from slipguard.control.params import GuardParams
+from slipguard.control.state import GuardState
+from slipguard.devices import ArmState
+
+REPEAT_S = 0.1
+"""A command that had no effect is given again after this time."""
+START_S = 0.25
+"""An arm at rest this long after it was told to move has ended its motion, or not taken it up."""
+FRESH_S = 0.1
+"""What an arm said longer ago is no reason to move it; it is asked every 25 ms."""
+REACHED_MM = 0.5
+SPENT = frozenset({FaultCode.BUDGET_SPENT, FaultCode.TURNED_TOO_FAR})
+"""Faults with all the force of the budget applied, and the object slipping on."""
+SAME_SLIP = SPENT | {FaultCode.NO_HELP}
+"""What may still be said of the same slip while the object is put down."""
+
+Outcome = tuple[GuardState, Command]
+
+
+def stop(state: GuardState, seen: Seen, command: Command, *, at_once: bool = False) -> Outcome:
+    """Stop the arm, again and again until it says that it stands."""
+    stands = seen.arm is not None and not seen.arm.moving
+    if at_once or (not stands and seen.now_s - state.arm_sent_s >= REPEAT_S):
+        return replace(state, arm_sent_s=seen.now_s), replace(command, arm="stop")
+    return state, command
+
+
+def brake(state: GuardState, seen: Seen, command: Command) -> Outcome:
+    """Stop an arm that is to stand before the jaws open, until it has once said that it does; then it is free."""
+    arm = seen.arm
+    known = arm is not None and arm.measured_at_s > state.arm_sent_s and seen.now_s - arm.measured_at_s <= FRESH_S
+    if arm is not None and known and not arm.moving:
+        return (replace(state, braking=False) if state.braking else state), command
+    if not state.braking or seen.now_s - state.arm_sent_s < REPEAT_S:
+        return state, command
+    return replace(state, arm_sent_s=seen.now_s), replace(command, arm="stop")
+
+
+def ended(state: GuardState, arm: ArmState, now_s: float) -> bool:
+    """The arm rests, as it has said just now, and has had the time to take up what it was told last."""
+    known = arm.measured_at_s > state.arm_sent_s and now_s - arm.measured_at_s <= FRESH_S
+    return known and not arm.moving and now_s - state.arm_sent_s >= START_S
+
+
+def put_down(latched: Outcome, seen: Seen, params: GuardParams) -> Outcome:
+    """The way down of an object whose fault has just been latched; as it was where the arm is to stand."""
+    state, command = latched
+    spent = state.fault is not None and state.fault.code in SPENT
+    if not spent or params.on_budget_spent != "lower" or params.mode != "lift" or state.person_near:
+        return state, command
+    if seen.arm is None or state.ground_mm is None:
+        said = "it is not put down: it is not known where the lift began"
+        return state, replace(command, say=in_one_line(command.say, said))
+    way_mm = state.ground_mm - seen.arm.height_mm
+    if way_mm > -REACHED_MM:
+        return state, command
+    state = replace(state, putting_down=True, goal_mm=state.ground_mm, arm_sent_s=seen.now_s)
+    said = f"putting it down by {-way_mm:.0f} mm"
+    return state, replace(command, arm=_leg(way_mm, params), say=in_one_line(command.say, said))
+
+
+def go_on_down(state: GuardState, seen: Seen, command: Command, params: GuardParams) -> Outcome:
+    """One tick on the way down."""
+    arm, goal_mm = seen.arm, state.goal_mm
+    other = any(fault.code not in SAME_SLIP for fault in (seen.fault, *seen.also) if fault is not None)
+    if arm is None or goal_mm is None or state.person_near or other:
+        why = "not put down any further"
+        return stop(
+            replace(state, putting_down=False), seen, replace(command, say=in_one_line(command.say, why)), at_once=True
+        )
+    if not ended(state, arm, seen.now_s):
+        return state, command
+    way_mm = goal_mm - arm.height_mm
+    if way_mm > -REACHED_MM:
+        said = "put down where the lift began; release lets go"
+        return replace(state, putting_down=False), replace(command, say=in_one_line(command.say, said))
+    return replace(state, arm_sent_s=seen.now_s), replace(command, arm=_leg(way_mm, params))
+
+
+def _leg(way_mm: float, params: GuardParams) -> ArmLift:
+    return ArmLift(way_mm, min(params.probe_speed_mm_s, params.lower_speed_mm_s))

@@ -1,0 +1,288 @@
+"""The grip law: one pure step from what is seen to what is commanded.
+
+Order of every tick: a release is granted at once; then faults; then the phase; then what else was asked. Whatever goes
+wrong, the grip that is there is kept, the arm stops, and it is said. Nothing but a request to release opens the jaws.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from slipguard.control import adoption as adopting
+from slipguard.control import arm_motion as motion
+from slipguard.control import force_limits as limits
+from slipguard.control import gripper_delay as delay
+from slipguard.control import halt, release, requests
+from slipguard.control.arm_motion import REACHED_MM, REPEAT_S
+from slipguard.control.fault import Fault, FaultCode
+from slipguard.control.guarding import Verdict, guard
+from slipguard.control.messages import Command, RequestKind, Seen, in_one_line, without_figures
+from slipguard.control.params import GuardParams
+from slipguard.control.state import (
+    AT_STAKE,
+    FORCE_TOLERANCE_N,
+    GuardState,
+    Phase,
+    emptied,
+    entered,
+    taken_over,
+    waiting,
+)
+
+LOST_ALONE_TIMES = 3.0
+"""One finger's word for a loss, where the other says nothing and the gripper knows nothing of it, must last so long."""
+
+SPOKEN_OF = AT_STAKE - {Phase.CLOSING, Phase.REFERENCE}
+"""Phases in which a finger that goes blind is said; in FAULT, too, while something is held."""
+NOTE_OVER_S = 1.0
+"""What comes and goes within this is one trouble, and said once."""
+
+Outcome = tuple[GuardState, Command]
+
+
+def step(state: GuardState, seen: Seen, params: GuardParams) -> tuple[GuardState, Command]:
+    """The next state and what to command now.
+
+    Pure; meant to be called every few milliseconds and on every new estimate.
+    """
+    if seen.arm is not None:
+        state = halt.near(state, seen.arm.protective_stop or seen.arm.emergency_stop)
+    elif state.ground_mm is not None:
+        state = replace(state, ground_mm=None)  # an arm that comes back counts its height from where it is found
+    if seen.request.kind is RequestKind.RELEASE:
+        return release.ask(state, seen, params)
+    state, watched = _watch_object(state, seen, params)
+    at_stake = state.phase in AT_STAKE or (state.phase is Phase.IDLE and waiting(state))
+    if watched.fault is not None and at_stake:
+        state, command = _latch(state, watched, watched.fault, Command())
+        return halt.jaws(state, seen, command)
+    state, command = _PHASES[state.phase](state, watched, params)
+    state, command = _keep_force(state, seen, command)
+    state, command = halt.jaws(state, seen, command)
+    state, command = _tell_notes(state, seen, command)
+    state, command = requests.answer(state, command, seen, params)
+    return state, command if command.fault is state.fault else replace(command, fault=state.fault)
+
+
+# --- faults ---
+
+
+def _watch_object(state: GuardState, seen: Seen, params: GuardParams) -> tuple[GuardState, Seen]:
+    """The loss of the object, after it has lasted `lost_s`, is added to what the supervisor finds wrong."""
+    held = (state.phase in AT_STAKE and state.phase is not Phase.CLOSING) or (
+        state.phase is Phase.FAULT and state.gripped
+    )
+    why = _loss(seen) if held else None
+    if why is None:
+        return (state if state.lost_since_s is None else replace(state, lost_since_s=None)), seen
+    since_s = state.lost_since_s if state.lost_since_s is not None else seen.now_s
+    state = replace(state, lost_since_s=since_s)
+    if seen.now_s - since_s < params.lost_s * (LOST_ALONE_TIMES if _in_doubt(seen) else 1.0):
+        return state, seen
+    lost = Fault(FaultCode.OBJECT_LOST, why, "take the object away, release, and clear")
+    return state, replace(seen, fault=lost) if seen.fault is None else replace(seen, also=(*seen.also, lost))
+
+
+def _loss(seen: Seen) -> str | None:
+    gripper = seen.gripper
+    if gripper is not None and gripper.closed_on_nothing:
+        return "the gripper closed on nothing while holding"
+    if gripper is not None and not gripper.holding and not gripper.moving:
+        return "the gripper no longer holds anything"
+    if seen.fused is not None and seen.fused.none_touches:
+        return "no finger sees contact any more"
+    return None
+
+
+def _in_doubt(seen: Seen) -> bool:
+    """Whether a loss rests on one finger's word alone."""
+    fused, gripper = seen.fused, seen.gripper
+    if gripper is not None and not gripper.holding:
+        return False
+    return fused is not None and (fused.left_contact is None or fused.right_contact is None)
+
+
+def _latch(state: GuardState, seen: Seen, fault: Fault, command: Command) -> Outcome:
+    """Into FAULT: keep the grip, stop the arm, say so."""
+    state = replace(entered(state, Phase.FAULT, seen.now_s), fault=fault, arm_sent_s=seen.now_s)
+    command = replace(command, arm="stop", fault=fault, say=in_one_line(command.say, str(fault)))
+    return _tell_besides(replace(state, besides=frozenset({fault.code})), seen, command)
+
+
+# --- phases ---
+
+
+def _idle(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    """Nothing is held, or something that slipguard is not to guard."""
+    gripper = seen.gripper
+    if gripper is None:
+        return state, Command()
+    if gripper.holding and not state.adopted:
+        return adopting.adopt(state, gripper, seen, params)
+    if adopting.undecided(state, gripper):
+        return state, Command()
+    state = replace(state, adopted=True, remembered=None)
+    touched = seen.fused is not None and seen.fused.both_touch
+    if params.mode == "guard" and state.guarding and gripper.holding and touched and not state.cut_short:
+        said = f"an object is held with {gripper.force_n:.0f} N: guarding"
+        return taken_over(state, gripper, seen.now_s), Command(new_reference=True, say=said)
+    return state, Command()
+
+
+def _closing(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    """The jaws close with the first force."""
+    gripper = seen.gripper
+    state = replace(state, delay=delay.closing(state.delay, state.commanded_s, gripper))
+    if gripper is not None and gripper.measured_at_s > state.since_s:
+        if gripper.holding and not gripper.moving and gripper.force_n > 0.0:  # 0: halted by an earlier stop
+            state = replace(entered(state, Phase.REFERENCE, seen.now_s), gripped=True)
+            return state, Command(new_reference=True, say="gripped")
+        if gripper.closed_on_nothing:
+            return emptied(state, Phase.IDLE, seen.now_s), Command(say="the gripper closed on nothing")
+    if seen.now_s - state.since_s > params.closing_timeout_s:
+        fault = Fault(
+            FaultCode.GRIPPER_STUCK,
+            f"not closed on an object within {params.closing_timeout_s:g} s",
+            "look at the jaws and the gripper's cable, then clear",
+        )
+        return _latch(state, seen, fault, Command())
+    return state, Command()
+
+
+def _reference(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    """Wait until both fingers have their reference; after the time-out one will do, or none with a firmer grip."""
+    fused = seen.fused
+    waited = seen.now_s - state.since_s > params.reference_timeout_s
+    told = fused is not None and fused.turn_deg is not None and fused.measured_at_s >= state.since_s
+    if fused is not None and told and (waited or len(fused.fingers) == 2):
+        note = f" by one finger only ({fused.note})" if len(fused.fingers) == 1 else ""
+        state = replace(entered(state, Phase.HOLDING, seen.now_s), referenced=True, blind=None)
+        return state, Command(say=f"holding with {state.target_n:.0f} N, turn seen{note}")
+    if not waited:
+        return state, Command()
+    why = (fused.declined if fused is not None else None) or "no frames from either finger"
+    state = replace(entered(state, Phase.HOLDING, seen.now_s), referenced=False, blind=why)
+    if params.on_blind == "refuse" or not state.guarding:
+        return state, Command(say=f"the turn cannot be seen ({why})")
+    within = limits.budget(params.force_max_n, seen.gripper_limits_n)
+    target_n = limits.allowed(params.blind_force_n, state.target_n, within) if within is not None else 0.0
+    said = f"the turn cannot be seen ({why}): gripping with {max(target_n, state.target_n):.0f} N"
+    if target_n <= state.target_n or state.person_near:
+        return state, Command(say=said)
+    state = replace(state, target_n=target_n, commanded_s=seen.now_s)
+    return state, Command(hold_force_n=target_n, say=said)
+
+
+def _holding(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    """Guard; the arm is somebody else's or at rest, and is stopped while the object slips."""
+    return _guarded(state, seen, params)
+
+
+def _moving(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    """Lift or lower, leg by leg; stop while the object slips and go on when it is calm."""
+    state, command = _guarded(state, seen, params)
+    arm = seen.arm
+    if state.phase is Phase.FAULT or arm is None or state.goal_mm is None or state.slip is not None:
+        return state, command
+    if state.lost_since_s is not None:
+        return state, command
+    if not motion.ended(state, arm, seen.now_s):
+        return state, command
+    way_mm = state.goal_mm - arm.height_mm
+    if abs(way_mm) <= REACHED_MM:
+        state = entered(state, Phase.HOLDING, seen.now_s)
+        return state, replace(command, say=in_one_line(command.say, f"at {arm.height_mm:.0f} mm, holding"))
+    said = "the arm goes on" if state.paused else None
+    state = replace(state, paused=False, arm_sent_s=seen.now_s)
+    leg = requests.next_leg(state, arm.height_mm, params)
+    return state, replace(command, arm=leg, say=in_one_line(command.say, said))
+
+
+def _guarded(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    verdict = guard(state, seen, params)
+    state, command = verdict.state, Command(hold_force_n=verdict.hold_n, say=verdict.say, warn=verdict.stop)
+    if verdict.fault is not None:
+        return motion.put_down(_latch(state, seen, verdict.fault, command), seen, params)
+    perhaps_lost = state.lost_since_s is not None and seen.now_s - state.lost_since_s >= params.lost_s
+    if (verdict.stop and params.stop_on_slip) or perhaps_lost:
+        first = state.slip is not None and state.slip.began_s == seen.now_s
+        state, command = motion.stop(replace(state, paused=True), seen, command, at_once=first)
+    return state, command
+
+
+def _released(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    """Opening as asked; said again if nothing happens, given up after `stuck_s`."""
+    state, command, fault = release.go_on(state, seen, params)
+    return (state, command) if fault is None else _latch(state, seen, fault, command)
+
+
+def _faulty(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
+    """The arm stands and the grip is kept; slip is still answered with force where that is allowed and possible."""
+    state, found = adopting.adopt_in_fault(state, seen, params)
+    verdict = guard(state, seen, params) if not state.hands_off else Verdict(state)
+    said = in_one_line(found, verdict.say)
+    state, command = verdict.state, Command(hold_force_n=verdict.hold_n, say=said, warn=verdict.stop)
+    state, command = _tell_besides(state, seen, command, verdict.fault)
+    if seen.gripper is not None and seen.gripper.holding and not state.gripped and not state.hands_off:
+        state = replace(state, gripped=True)
+    if state.putting_down:
+        return motion.go_on_down(state, seen, command, params)
+    return motion.stop(state, seen, command)
+
+
+def _tell_besides(state: GuardState, seen: Seen, command: Command, found: Fault | None = None) -> Outcome:
+    """Say what else goes wrong while a fault is latched, once for each time."""
+    wrong = {fault.code: fault for fault in (seen.fault, *seen.also, found) if fault is not None}
+    new = [str(fault) for code, fault in wrong.items() if code not in state.besides]
+    command = replace(command, say=in_one_line(command.say, *new), warn=command.warn or bool(new))
+    return replace(state, besides=frozenset(wrong)), command
+
+
+_PHASES: dict[Phase, Callable[[GuardState, Seen, GuardParams], Outcome]] = {
+    Phase.IDLE: _idle,
+    Phase.CLOSING: _closing,
+    Phase.REFERENCE: _reference,
+    Phase.LIFTING: _moving,
+    Phase.HOLDING: _holding,
+    Phase.LOWERING: _moving,
+    Phase.RELEASED: _released,
+    Phase.FAULT: _faulty,
+}
+
+
+# --- in every phase ---
+
+
+def _keep_force(state: GuardState, seen: Seen, command: Command) -> Outcome:
+    """Say the force again if the gripper did not take it: a lost message must not leave the grip weak."""
+    gripper = seen.gripper
+    held = (state.phase in AT_STAKE or state.phase is Phase.FAULT) and not state.hands_off
+    if not held or gripper is None or state.person_near or command.hold_force_n is not None:
+        return state, command
+    if state.commanded_s == -math.inf:
+        return state, command  # a grip that was taken over is left as it is
+    closing = state.phase is Phase.CLOSING
+    weak = gripper.force_n < state.target_n - FORCE_TOLERANCE_N and (gripper.holding or closing)
+    known = gripper.measured_at_s > state.commanded_s and seen.now_s - state.commanded_s >= REPEAT_S
+    if not (weak and known):
+        return state, command
+    return replace(state, commanded_s=seen.now_s), replace(command, hold_force_n=state.target_n)
+
+
+def _tell_notes(state: GuardState, seen: Seen, command: Command) -> Outcome:
+    """Say once that a finger is blind or that the two contradict each other, and when that is over."""
+    fused = seen.fused
+    if not (state.phase in SPOKEN_OF or (state.phase is Phase.FAULT and state.gripped)):
+        return (state if state.note is None else replace(state, note=None)), command
+    if fused is None:
+        return state, command
+    note = fused.conflict or fused.note or fused.declined
+    if note is not None:
+        if state.note is not None and without_figures(state.note) == without_figures(note):
+            return replace(state, noted_s=seen.now_s), command
+        return replace(state, note=note, noted_s=seen.now_s), replace(command, say=in_one_line(command.say, note))
+    if state.note is None or seen.now_s - state.noted_s < NOTE_OVER_S:
+        return state, command
+    return replace(state, note=None), replace(command, say=in_one_line(command.say, f"no longer: {state.note}"))

@@ -1,0 +1,1 @@
+"""Requests to the daemon and answers from it: handlers, snapshot, client, paths."""

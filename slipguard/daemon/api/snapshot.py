@@ -1,0 +1,94 @@
+"""Everything there is to know about a running service, as JSON can say it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+from slipguard import __version__
+from slipguard.daemon.loop.service import Service
+
+
+def snapshot(service: Service) -> dict[str, object]:
+    """State of the grasp, of each device, and what was said last. Times are of the monotonic clock.
+
+    now_s: when the loop last took its turn. limits: what the configuration asks for and allows.
+    """
+    seen, state, guard = service.seen, service.state, service.config.guard
+    fault = state.fault
+    return {
+        "version": __version__,
+        "now_s": seen.now_s if seen is not None else None,
+        "mode": guard.mode,
+        "phase": state.phase.value,
+        "guarding": state.guarding,
+        "slipping": state.slip is not None,
+        "putting_down": state.putting_down,
+        "target_force_n": state.target_n,
+        "limits": {
+            "first_force_n": guard.first_force_n,
+            "force_max_n": guard.force_max_n,
+            "lift_height_mm": guard.lift_height_mm,
+        },
+        "cannot_see_turn": state.blind,
+        "fault": None
+        if fault is None
+        else {"code": fault.code.value, "seen": fault.seen, "what_to_do": fault.what_to_do},
+        "turn": _plain(seen.fused) if seen is not None else None,
+        "gripper": _plain(service.gripper.newest),
+        "arm": _plain(service.arm.newest),
+        "fingers": {
+            name: {
+                "serial": finger.serial,
+                "estimate": _plain(finger.newest.estimate) if finger.newest is not None else None,
+                "frames_per_s": service.pace.frames_per_s[name],
+                "age_s": _plain(getattr(seen, name).age_s) if seen is not None else None,
+                "counts": _plain(finger.counts),
+                "remarks": list(finger.sensor.remarks),
+                "gel": _plain(finger.gel),
+            }
+            for name, finger in service.fingers.items()
+        },
+        "devices": {name: device.health.as_dict() for name, device in service.devices.items()},
+        "round_trips": {
+            "gripper": _trips(service.gripper.round_trips_s),
+            "arm": _trips(service.arm.round_trips_s),
+        },
+        "latency": _trips(service.pace.latencies_s),
+        "waiting_for": service.waiting_for,
+        "deadlines_missed": service.deadlines_missed,
+        "said": service.journal.lines[-10:],
+    }
+
+
+def trouble(service: Service) -> str | None:
+    """Why the service is not well, in one line; None if it is."""
+    fault = service.state.fault
+    if fault is not None:
+        return str(fault)
+    waiting = service.waiting_for
+    return f"not ready: {'; '.join(waiting)}" if waiting else None
+
+
+def _trips(times_s: Sequence[float]) -> dict[str, float] | None:
+    """How long the newest ones took; None where there is none."""
+    if not times_s:
+        return None
+    in_order = sorted(times_s)
+    p50, p99 = (1e3 * in_order[round(share * (len(in_order) - 1))] for share in (0.5, 0.99))
+    return {"p50_ms": round(p50, 3), "p99_ms": round(p99, 3), "answered": len(in_order)}
+
+
+def _plain(value: Any) -> Any:
+    """Dataclasses as dicts, and what JSON has no number for as None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {one.name: _plain(getattr(value, one.name)) for one in fields(value)}
+    if isinstance(value, dict):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

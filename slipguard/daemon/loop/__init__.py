@@ -1,0 +1,1 @@
+"""The control loop: fingers, actuators, the service that calls the controller once per cycle."""

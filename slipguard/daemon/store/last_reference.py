@@ -1,0 +1,138 @@
+"""Keeps each finger's reference and last turn on a shelf while something is held, and says what came of an old one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import structlog
+
+from slipguard.control.state import AT_STAKE, Phase
+from slipguard.daemon.loop.decision import Decision
+from slipguard.daemon.loop.finger import Finger, Perceiver
+from slipguard.daemon.store.disk_writer import DiskWork
+from slipguard.errors import InputError
+from slipguard.perception.stored_reference import KnownReference, RecallingPipeline
+
+TURN_DEG = 1.0
+"""A turn that has grown by less is not worth a write,"""
+AGAIN_S = 300.0
+"""... but after this time it is: a reference's age tells it from somebody else's."""
+log = structlog.get_logger()
+
+
+class Shelf(Protocol):
+    """Where references are kept, as `ReferenceShelf`; writing may raise OSError, `load` InputError."""
+
+    def save(self, finger: str, serial: str, known: KnownReference) -> None: ...
+
+    def turn(self, finger: str, serial: str, known: KnownReference) -> None: ...
+
+    def load(self, finger: str, serial: str) -> KnownReference | None: ...
+
+    def forget(self) -> None: ...
+
+
+def recall(pipeline: RecallingPipeline, shelf: Shelf, finger: str, serial: str, now_s: float) -> None:
+    """Let a new pipeline go on with the finger's old reference, if there is a good one; a damaged one is said."""
+    try:
+        known = shelf.load(finger, serial)
+        if known is not None:
+            pipeline.recall(known, now_s)
+    except InputError as error:
+        log.error("last reference", why=str(error))
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """What the shelf holds of a finger."""
+
+    serial: str
+    known: KnownReference
+    noted_at_s: float
+
+
+class ReferenceKeeper:
+    """Watches decisions and keeps the shelf up to date, in a thread: the loop never waits for the disk.
+
+    fingers: whose pipelines are looked at; one that is no `RecallingPipeline` has nothing to keep. warn: told of a disk
+    that fails; say: of all else.
+    """
+
+    def __init__(
+        self,
+        shelf: Shelf,
+        fingers: Mapping[str, Finger],
+        say: Callable[[str], None],
+        warn: Callable[[str], None],
+    ) -> None:
+        self._shelf, self._fingers, self._say = shelf, fingers, say
+        self._kept: dict[str, _Kept] = {}
+        self._empty = False
+        self._told: dict[str, Perceiver] = {}
+        self._disk = DiskWork("last reference", "the references", say, warn)
+
+    def decided(self, decision: Decision) -> None:
+        """To be called after every turn of the loop."""
+        for name, finger in self._fingers.items():
+            self._tell(name, finger)
+        gripper = decision.seen.gripper
+        if gripper is None or self._disk.busy or (self._disk.failed and not self._disk.due):
+            return  # not known, or the disk cannot: a later turn will do
+        if self._disk.failed:
+            self._kept, self._empty = {}, False  # nobody knows what of it is on the shelf: all is written again
+        if decision.phase in AT_STAKE or decision.phase is Phase.FAULT:
+            new = {
+                name: kept
+                for name, finger in self._fingers.items()
+                if (kept := self._news(name, finger, decision.now_s))
+            }
+            if gripper.holding and new:
+                self._empty = False
+                before, self._kept = self._kept, {**self._kept, **new}
+                self._disk.begin(lambda: self._save(new, before))
+        elif not gripper.holding and not self._empty:
+            self._empty = True
+            self._kept = {}
+            self._disk.begin(self._shelf.forget)
+
+    def _tell(self, name: str, finger: Finger) -> None:
+        pipeline = finger.pipeline
+        if not isinstance(pipeline, RecallingPipeline) or self._told.get(name) is pipeline:
+            return
+        if pipeline.recalled == "matches":
+            self._say(f"{name} finger: goes on with the reference of before the restart")
+        elif pipeline.recalled == "differs":
+            self._say(
+                f"{name} finger: does not see what it saw before the restart: a new reference, counted from "
+                f"{pipeline.counted_deg:.0f}°"
+            )
+        if pipeline.recalled in ("matches", "differs"):
+            self._told[name] = pipeline
+
+    def _news(self, name: str, finger: Finger, now_s: float) -> _Kept | None:
+        """What is worth writing of a finger."""
+        pipeline, newest = finger.pipeline, finger.newest
+        if not isinstance(pipeline, RecallingPipeline) or newest is None or finger.serial is None:
+            return None
+        image, turn_deg = pipeline.reference_image, newest.estimate.angle_deg
+        if image is None or turn_deg is None:
+            return None
+        known = KnownReference(image, turn_deg - pipeline.counted_deg, pipeline.counted_deg)
+        before = self._kept.get(name)
+        if (
+            before is not None
+            and before.known.image is image
+            and abs(known.turn_deg - before.known.turn_deg) < TURN_DEG
+            and now_s - before.noted_at_s < AGAIN_S
+        ):
+            return None
+        return _Kept(finger.serial, known, now_s)
+
+    def _save(self, new: Mapping[str, _Kept], before: Mapping[str, _Kept]) -> None:
+        for name, kept in new.items():
+            if name in before and before[name].known.image is kept.known.image:
+                self._shelf.turn(name, kept.serial, kept.known)
+            else:
+                self._shelf.save(name, kept.serial, kept.known)

@@ -1,0 +1,247 @@
+"""What survives a restart: each sensor's no-contact images by serial, and how the last object was held
+under which fault.
+
+    <state>/sensors/<serial>/no_contact-0003.png    mean picture, 240 x 320 BGR; older ones are kept
+    <state>/sensors/<serial>/no_contact-0003.json   noise, light, frames, when, sha256 of the picture
+    <state>/last_grasp.json
+
+Everything is written to a temporary file, flushed to the disk and renamed, the .json last: a picture without it does
+not count.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar
+
+import cv2
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from slipguard.atomic_file import write_whole
+from slipguard.config_errors import first_complaint
+from slipguard.control.fault import Fault
+from slipguard.daemon.store.calibration import NoContact, Version
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
+from slipguard.errors import ConfigError, InputError
+
+SOCKET_NAME = "slipguard.sock"
+_SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+_IMAGE = re.compile(r"no_contact-(\d{4,})\.json")
+Level = Annotated[float, Field(ge=0.0, le=255.0)]
+
+
+class _Stored(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class _ImageFacts(_Stored):
+    format: Literal[1] = 1
+    serial: str
+    created_at: datetime
+    noise_bgr: tuple[Level, Level, Level]
+    frames: Annotated[int, Field(ge=1)]
+    sha256: str
+    level_bgr: tuple[Level, Level, Level] | None = None
+    new_gel: bool = False
+    copy_of: int | None = None
+
+
+class LastGrasp(_Stored):
+    """How an object was held when last looked at: force per finger, width of the jaws; saved_at with time zone.
+
+    force_n: as last commanded; 0 where nothing was held. taken: the gripper had applied that force, and said so.
+    person_near: the arm was in a protective or emergency stop, so no force was to be added. fault: latched then.
+    let_go, cut_short: under it what the jaws had met was not to be guarded (see `GuardState`).
+    """
+
+    format: Literal[4] = 4
+    saved_at: datetime
+    force_n: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
+    width_mm: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
+    taken: bool = True
+    person_near: bool = False
+    fault: Fault | None = None
+    let_go: bool = False
+    cut_short: bool = False
+
+
+_S = TypeVar("_S", bound=_Stored)
+KEPT = 20
+"""Images of one sensor; the oldest beyond that go, but never the first of the present gel."""
+
+
+def default_state_path(environ: Mapping[str, str] = os.environ) -> Path:
+    """$STATE_DIRECTORY under systemd, else $XDG_STATE_HOME/slipguard, else ~/.local/state/slipguard."""
+    given = environ.get("STATE_DIRECTORY", "").split(":")[0]
+    if given:
+        return Path(given)
+    home = environ.get("XDG_STATE_HOME") or str(Path(environ.get("HOME") or Path.home()) / ".local" / "state")
+    return Path(home) / "slipguard"
+
+
+class StateDir:
+    """The state directory; made when first written to.
+
+    path: None for the default. Reading raises InputError on a damaged file, writing ConfigError where it cannot.
+    """
+
+    def __init__(self, path: Path | None = None, environ: Mapping[str, str] = os.environ) -> None:
+        self.path = path if path is not None else default_state_path(environ)
+        runtime = environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
+        self.runtime_path = Path(runtime) if runtime else self.path
+        """Where the socket belongs: $RUNTIME_DIRECTORY under systemd, else the state directory."""
+
+    # --- no-contact images ---
+
+    def save_no_contact(self, serial: str, taken: NoContact, *, new_gel: bool = False) -> None:
+        """Store a new no-contact image of a sensor beside its older ones. new_gel: the gel has been replaced."""
+        self._save(serial, taken, datetime.now(UTC), new_gel, None)
+
+    def go_back(self, serial: str, number: int) -> NoContact:
+        """Make an older image of a sensor the newest again, as a copy. Raises InputError where there is none."""
+        there = {version.number: version for version in self.no_contact_history(serial)}
+        if number not in there:
+            known = ", ".join(str(one) for one in there) or "none"
+            raise InputError(f"{serial}: no no-contact image {number} is stored; there are: {known}")
+        taken = self._load(serial, number)
+        self._save(serial, taken, there[number].created_at, False, number)
+        return taken
+
+    def _save(self, serial: str, taken: NoContact, created_at: datetime, new_gel: bool, copy_of: int | None) -> None:
+        folder = self._sensor(serial)
+        number = max(self._numbers(folder), default=0) + 1
+        encoded, png = cv2.imencode(".png", taken.image)
+        if not encoded or taken.image.shape != (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3):
+            raise InputError(f"{serial}: the no-contact image is {taken.image.shape}; it must be 320 x 240 x 3")
+        picture = png.tobytes()
+        blue, green, red = (float(level) for level in taken.image.mean(axis=(0, 1)))
+        facts = _ImageFacts(
+            serial=serial,
+            created_at=created_at,
+            noise_bgr=taken.noise_bgr,
+            frames=taken.frames,
+            sha256=hashlib.sha256(picture).hexdigest(),
+            level_bgr=(blue, green, red),
+            new_gel=new_gel,
+            copy_of=copy_of,
+        )
+        _write(folder / f"no_contact-{number:04d}.png", picture)
+        _write(folder / f"no_contact-{number:04d}.json", facts.model_dump_json(indent=2).encode())
+        self._forget_the_oldest(serial)
+
+    def _forget_the_oldest(self, serial: str) -> None:
+        numbers = sorted(self._numbers(self._sensor(serial)))
+        first = self._gel_began(self.no_contact_history(serial))
+        for number in numbers[:-KEPT]:
+            if number != first:
+                path = self._sensor(serial) / f"no_contact-{number:04d}.json"
+                path.unlink(missing_ok=True)
+                path.with_suffix(".png").unlink(missing_ok=True)
+
+    def no_contact_history(self, serial: str) -> list[Version]:
+        """What is stored of a sensor, oldest first; what is damaged is left out."""
+        folder = self._sensor(serial)
+        found = []
+        for number in sorted(self._numbers(folder)):
+            try:
+                facts = _read(folder / f"no_contact-{number:04d}.json", _ImageFacts)
+            except InputError:
+                continue
+            told = (facts.noise_bgr, facts.level_bgr, facts.frames, facts.new_gel, facts.copy_of)
+            found.append(Version(number, facts.created_at, *told))
+        return found
+
+    @staticmethod
+    def _gel_began(history: list[Version]) -> int | None:
+        """The number of the present gel's first image."""
+        fresh = [version.number for version in history if version.new_gel]
+        return max(fresh, default=min((version.number for version in history), default=None))
+
+    def first_of_gel(self, serial: str) -> NoContact | None:
+        """The first image of the gel that is on a sensor now; None if there is none. Raises InputError if damaged."""
+        number = self._gel_began(self.no_contact_history(serial))
+        return None if number is None else self._load(serial, number)
+
+    def load_no_contact(self, serial: str, number: int | None = None) -> NoContact | None:
+        """A no-contact image of a sensor, the newest if not told which; None if there is none.
+
+        Raises InputError if it is damaged.
+        """
+        numbers = self._numbers(self._sensor(serial))
+        if number is None:
+            number = max(numbers, default=None)
+        return None if number is None or number not in numbers else self._load(serial, number)
+
+    def _load(self, serial: str, number: int) -> NoContact:
+        path = self._sensor(serial) / f"no_contact-{number:04d}.json"
+        facts = _read(path, _ImageFacts)
+        png = path.with_suffix(".png")
+        repair = f"move {path.with_suffix('')}.* away or run `slipguard calibrate`"
+        try:
+            picture = png.read_bytes()
+        except OSError as error:
+            raise InputError(f"{png}: cannot be read ({error.strerror}); {repair}") from None
+        if hashlib.sha256(picture).hexdigest() != facts.sha256:
+            raise InputError(f"{png}: is not the picture that was stored (its sha256 differs); {repair}")
+        image = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+        if image is None or image.shape != (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3):
+            raise InputError(f"{png}: is not a picture of 240 x 320; {repair}")
+        pixels = np.asarray(image, np.uint8)
+        pixels.setflags(write=False)
+        return NoContact(pixels, facts.noise_bgr, facts.frames)
+
+    def no_contact_created_at(self, serial: str) -> datetime | None:
+        """When the newest no-contact image of a sensor was taken; None if there is none."""
+        folder = self._sensor(serial)
+        number = max(self._numbers(folder), default=None)
+        return None if number is None else _read(folder / f"no_contact-{number:04d}.json", _ImageFacts).created_at
+
+    def _sensor(self, serial: str) -> Path:
+        if not _SERIAL.fullmatch(serial):
+            raise InputError(f"serial number {serial!r}: letters, digits, '.', '_' and '-' are allowed, at most 64")
+        return self.path / "sensors" / serial
+
+    @staticmethod
+    def _numbers(folder: Path) -> list[int]:
+        if not folder.is_dir():
+            return []
+        return [int(match[1]) for entry in folder.iterdir() if (match := _IMAGE.fullmatch(entry.name))]
+
+    # --- the last grasp ---
+
+    def save_last_grasp(self, last: LastGrasp) -> None:
+        """Remember how the object is held, for a restart."""
+        _write(self.path / "last_grasp.json", last.model_dump_json(indent=2).encode())
+
+    def load_last_grasp(self) -> LastGrasp | None:
+        """How an object was held before the restart; None if nothing was. Raises InputError if the file is damaged."""
+        path = self.path / "last_grasp.json"
+        return _read(path, LastGrasp) if path.exists() else None
+
+    def forget_last_grasp(self) -> None:
+        """Nothing is held any more."""
+        (self.path / "last_grasp.json").unlink(missing_ok=True)
+
+
+def _read(path: Path, kind: type[_S]) -> _S:
+    try:
+        return kind.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValidationError as error:
+        raise InputError(f"{path}: damaged: {first_complaint(error, kind)}; move it away to go on without it") from None
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        write_whole(path, content)
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be written ({error.strerror}); set [state] directory to a folder that can"
+        ) from error

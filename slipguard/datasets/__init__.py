@@ -1,0 +1,1 @@
+"""Labeled gel images: rendered, imported or recorded, and the scores of masks."""

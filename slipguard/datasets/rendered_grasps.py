@@ -1,0 +1,190 @@
+"""Rendered grasps of known turn: no contact, closing, holding still, turning to and fro while force and place change.
+
+Quicker than the whole simulated cell and the same for every pipeline: what `slipguard bench` measures errors on.
+Beside the objects of the test manifest there are two plain round ones, of which nobody can tell a turn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.devices import Frame
+from slipguard.sim import shapes
+from slipguard.sim.gel import GelCamera
+from slipguard.sim.height_map import Relief
+from slipguard.sim.label import label
+from slipguard.sim.objects import HeightMap, SimObject, get
+from slipguard.sim.unit import Light, Unit, random_unit
+from slipguard.sim.view import GelView
+
+FRAME_S = 1.0 / 60.0
+EMPTY_FRAMES, CLOSING_FRAMES, STILL_FRAMES, SHEAR_FRAMES, END_FRAMES = 6, 6, 10, 8, 8
+TURN_DEG = (10.0, 30.0)
+"""Out to one side by this much, then to the other side of the start by this much."""
+RATE_DEG_S = (40.0, 300.0)
+"""Highest rate of a turn: a slow slip to a fall."""
+PLACE_MM = (2.2, 3.5)
+"""The contact lies within this of the picture's middle, right and up: the frame cuts long and wide ones."""
+SHIFT_MM = 1.2
+SHEAR_MM = (0.2, 0.6)
+"""Between the turns the patch slides by this without turning."""
+GROWTH = (1.0, 1.7)
+FORCE_CHANGE = (0.85, 1.15)
+"""How much deeper the object is pressed after the first turn than before it; and after the second, of that."""
+
+ROUND_TEXTURED = ("cap", "ball")
+ROUND_PLAIN = ("ring", "plain_disc", "plain_ball")
+EXTRA_PLAIN = ("plain_disc", "plain_ball")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """One frame and its truth. turn_deg: since the object was held still; mask: (320, 240) uint8, the labelled contact.
+
+    mask is None where it was not asked for; compared: part of the turn's error (after the reference, in contact).
+    """
+
+    frame: Frame
+    contact: bool
+    turn_deg: float
+    compared: bool
+    mask: NDArray[np.uint8] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sequence:
+    """One grasp of one object by one sensor unit. background: its no-contact image, noise_bgr: as calibrated.
+
+    peak_deg_s: highest rate. growth: largest over smallest depth of the press while it turns.
+    """
+
+    object_name: str
+    readable: bool
+    background: NDArray[np.uint8]
+    noise_bgr: tuple[float, float, float]
+    px_per_mm: float
+    shots: tuple[Shot, ...]
+    peak_deg_s: float = 0.0
+    growth: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Stretch:
+    """A stretch of the motion: a smooth step in turn and place, a straight line in depth. rate: at its middle."""
+
+    frames: int
+    turn_deg: float
+    x_mm: float
+    y_mm: float
+    depth_mm: float
+
+
+def sequence(object_name: str, seed: int, with_masks: bool = False, mask_every: int = 1) -> Sequence:
+    """Render one grasp; the same for the same name and seed. Raises InputError for an unknown object.
+
+    mask_every: of the shots, every so many-th gets its mask.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence([seed, *object_name.encode()]))
+    thing, relief = bench_object(object_name)
+    unit = Unit.default() if seed % 2 == 0 else random_unit(rng)
+    camera = GelCamera(unit, seed=int(rng.integers(2**31)))
+    background = camera.no_contact()
+    camera.set_light(Light(1.0, tuple(rng.uniform(-5.0, 5.0, 3)), tuple(rng.uniform(-1.5, 1.5, 3))))
+    shots = []
+    peak_deg_s, depths_mm = 0.0, []
+    for index, (view, turn, compared) in enumerate(_views(thing, rng)):
+        mask = None
+        if with_masks and index % mask_every == 0:
+            truth = camera.draw_with_truth(view, relief=relief)
+            image, mask = truth.image, label(truth)
+        else:
+            image = camera.draw(view, relief=relief)
+        shots.append(Shot(Frame(image, index * FRAME_S, index), view.depth_mm > 0.0, turn, compared, mask))
+        peak_deg_s = max(peak_deg_s, abs(view.rate_deg_s))
+        depths_mm += [view.depth_mm] * compared
+    return Sequence(
+        object_name,
+        thing.axial,
+        background,
+        unit.noise_bgr,
+        unit.px_per_mm,
+        tuple(shots),
+        peak_deg_s,
+        max(depths_mm) / min(depths_mm),
+    )
+
+
+@cache
+def bench_object(name: str) -> tuple[SimObject, Relief | None]:
+    """A catalogue object, or one of the plain round ones with its surface. Raises InputError for another name."""
+    surfaces: dict[str, tuple[HeightMap, float]] = {
+        "plain_disc": (lambda u, v: shapes.plateau(shapes.disc(u, v, 4.0), 0.7), 0.8),
+        "plain_ball": (lambda u, v: shapes.sphere(u, v, 6.0), 1.2),
+    }
+    if name not in surfaces:
+        return get(name), None
+    height_mm, press_mm = surfaces[name]
+    return SimObject(name, "test", height_mm, 0.5, 100.0, 0.003, 0.7, press_mm, axial=False), Relief.of(height_mm)
+
+
+def _views(thing: SimObject, rng: np.random.Generator) -> Iterator[tuple[GelView, float, bool]]:
+    """Pose, turn and whether the turn counts, frame by frame."""
+    start_deg = float(rng.uniform(-180.0, 180.0))
+    x, y = float(rng.uniform(-1, 1) * PLACE_MM[0]), float(rng.uniform(-1, 1) * PLACE_MM[1])
+    press = thing.press_mm * float(rng.uniform(0.45, 0.75))
+    name = thing.name
+    for _ in range(EMPTY_FRAMES):
+        yield GelView(name), 0.0, False
+    for k in range(1, CLOSING_FRAMES + 1):
+        yield GelView(name, x, y, start_deg, press * k / CLOSING_FRAMES), 0.0, False
+    for _ in range(STILL_FRAMES):
+        yield GelView(name, x, y, start_deg, press), 0.0, False
+    before = _Stretch(0, 0.0, x, y, press)
+    for stretch in _stretches(before, rng, 1.1 * thing.press_mm):
+        duration_s = stretch.frames * FRAME_S
+        way = stretch.turn_deg - before.turn_deg
+        for k in range(1, stretch.frames + 1):
+            part = k / stretch.frames
+            done = part * part * (3.0 - 2.0 * part)
+            turn = before.turn_deg + done * way
+            yield (
+                GelView(
+                    name,
+                    before.x_mm + done * (stretch.x_mm - before.x_mm),
+                    before.y_mm + done * (stretch.y_mm - before.y_mm),
+                    start_deg + turn,
+                    before.depth_mm + part * (stretch.depth_mm - before.depth_mm),
+                    rate_deg_s=way * 6.0 * part * (1.0 - part) / duration_s,
+                ),
+                turn,
+                True,
+            )
+        before = stretch
+    yield GelView(name), 0.0, False
+
+
+def _stretches(start: _Stretch, rng: np.random.Generator, deepest_mm: float) -> list[_Stretch]:
+    side = float(rng.choice([-1.0, 1.0]))
+    out_deg, back_deg = side * float(rng.uniform(*TURN_DEG)), -side * float(rng.uniform(*TURN_DEG))
+    low, high = math.log(RATE_DEG_S[0]), math.log(RATE_DEG_S[1])
+    peak_deg_s = math.exp(rng.uniform(low, high))
+    grown_mm = min(start.depth_mm * float(rng.uniform(*GROWTH)), deepest_mm)
+    last_mm = min(grown_mm * float(rng.uniform(*FORCE_CHANGE)), deepest_mm)
+
+    def aside(stretch: _Stretch, by_mm: float) -> tuple[float, float]:
+        direction = float(rng.uniform(-math.pi, math.pi))
+        return stretch.x_mm + by_mm * math.cos(direction), stretch.y_mm + by_mm * math.sin(direction)
+
+    def frames(way_deg: float) -> int:
+        return max(math.ceil(1.5 * abs(way_deg) / peak_deg_s / FRAME_S), 4)  # a smooth step's peak: 1.5 times its mean
+
+    out = _Stretch(frames(out_deg), out_deg, *aside(start, SHIFT_MM * float(rng.uniform(0, 1))), grown_mm)
+    sheared = _Stretch(SHEAR_FRAMES, out_deg, *aside(out, float(rng.uniform(*SHEAR_MM))), grown_mm)
+    back = _Stretch(frames(back_deg - out_deg), back_deg, *aside(sheared, 0.5 * float(rng.uniform(0, 1))), last_mm)
+    return [out, sheared, back, _Stretch(END_FRAMES, back.turn_deg, back.x_mm, back.y_mm, back.depth_mm)]

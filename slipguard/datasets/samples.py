@@ -1,0 +1,221 @@
+"""Randomised rendered frames: what networks are trained and validated on.
+
+Ranges follow what is known of real units and goes some way beyond it; a frame follows from its seed alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.datasets.random_shapes import beside, broad, composition, resized, roughened
+from slipguard.sim import objects
+from slipguard.sim.gel import GelCamera, GelTruth
+from slipguard.sim.height_map import Relief, relief_of
+from slipguard.sim.label import VISIBLE_MM
+from slipguard.sim.raster import Field, blurred
+from slipguard.sim.unit import Light, random_unit
+from slipguard.sim.view import GelView
+
+Image = NDArray[np.uint8]
+UNIT_FRAMES = 50
+"""Frames with consecutive seeds that share a sensor unit; making one takes as long as several frames."""
+NO_CONTACT_SHARE = 0.15
+COMPOSITION_SHARE = 0.4
+COMPOSITION_NAME = "composition"
+BROAD_SHARE = 0.2
+BROAD_NAME = "broad"
+DEPTH_MM = {BROAD_NAME: (0.25, 2.0)}
+"""Lightest and deepest press; a broad body is pressed deeper before it fills the picture."""
+USUAL_DEPTH_MM = (0.12, 1.5)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """One frame. image, background: (320, 240, 3) uint8 BGR, the frame and the unit's no-contact image.
+
+    truth.image is the frame before contrast, compression and wear. has_contact: there is something to outline.
+    """
+
+    image: Image
+    background: Image
+    truth: GelTruth
+    view: GelView
+    has_contact: bool
+
+
+def sample(seed: int, backgrounds: Sequence[Image] | None = None, split: str = "train") -> Sample:
+    """Draw the frame of that seed (>= 0). About 15 % show no contact.
+
+    backgrounds: real no-contact images, (320, 240, 3) uint8, on which half of the units are drawn. split "test": the
+    test objects alone, else the training objects, random compositions and broad bodies. Quick for consecutive seeds,
+    which share units; hand in the same list each time.
+    """
+    rng = np.random.default_rng([seed, 1 if split == "test" else 0])
+    camera = _camera(seed // UNIT_FRAMES, _Pool(backgrounds))
+    camera.reseed(int(rng.integers(2**31)))
+    camera.set_light(_light(rng))
+    name, relief = _surface(rng, split)
+    view = _view(rng, name)
+    truth = camera.draw_with_truth(view, float(rng.uniform(0.004, 0.016)), relief)
+    background = camera.no_contact()
+    if rng.random() < 0.5:
+        background = _shifted(background, rng)
+    return _finished(rng, truth, background, view)
+
+
+def press_of(name: str, seed: int) -> Sample:
+    """Draw the frame of that seed (>= 0) that shows that training object, always touching the gel in the picture.
+
+    Sizes, textures, poses, light and wear vary as in `sample`. Raises InputError for an unknown object.
+    """
+    rng = np.random.default_rng([seed, 2])
+    camera = _camera(seed // UNIT_FRAMES, _Pool(None))
+    camera.reseed(int(rng.integers(2**31)))
+    camera.set_light(_light(rng))
+    relief = resized(relief_of(name), float(rng.uniform(0.75, 1.3)))
+    if rng.random() < 0.5:
+        relief = roughened(relief, rng, float(rng.uniform(0.010, 0.080)))
+    while True:
+        view = _press(rng, name)
+        truth = camera.draw_with_truth(view, float(rng.uniform(0.004, 0.016)), relief)
+        if truth.displacement_mm.max() > VISIBLE_MM:
+            return _finished(rng, truth, camera.no_contact(), view)
+
+
+@dataclass(frozen=True, slots=True)
+class _Pool:
+    """A list of images, equal only to itself: comparing pixels would cost more than drawing."""
+
+    images: Sequence[Image] | None
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Pool) and self.images is other.images
+
+    def __hash__(self) -> int:
+        return id(self.images)
+
+
+@lru_cache(maxsize=4)
+def _camera(block: int, pool: _Pool) -> GelCamera:
+    rng = np.random.default_rng([block, 240, 320])
+    return GelCamera(random_unit(rng, pool.images), seed=block)
+
+
+def _light(rng: np.random.Generator) -> Light:
+    """How the light differs from that of the no-contact image: up to 6 grey levels each way, uneven."""
+    if rng.random() < 0.2:
+        return Light()
+    common = rng.uniform(-4.0, 4.0)
+    offset, right, up = (
+        np.clip(common + rng.normal(0.0, 2.0, 3), -6.0, 6.0),
+        rng.normal(0, 1.5, 3),
+        rng.normal(0, 1.5, 3),
+    )
+    return Light(
+        float(rng.uniform(0.95, 1.05)),
+        (float(offset[0]), float(offset[1]), float(offset[2])),
+        (float(right[0]), float(right[1]), float(right[2])),
+        (float(up[0]), float(up[1]), float(up[2])),
+    )
+
+
+def _surface(rng: np.random.Generator, split: str) -> tuple[str, Relief]:
+    if split == "train" and rng.random() < BROAD_SHARE:
+        body = broad(rng)
+        return BROAD_NAME, roughened(body, rng, float(rng.uniform(0.010, 0.080))) if rng.random() < 0.5 else body
+    names = objects.names(split)
+    name = names[int(rng.integers(len(names)))]
+    composed = split == "train" and rng.random() < COMPOSITION_SHARE
+    relief = composition(rng) if composed else relief_of(name)
+    if split == "train":
+        relief = resized(relief, float(rng.uniform(0.75, 1.3)))
+        if rng.random() < 0.12:
+            relief = beside(relief, relief_of(names[int(rng.integers(len(names)))]), rng)
+    if rng.random() < 0.5:
+        relief = roughened(relief, rng, float(rng.uniform(0.010, 0.080)))
+    return (COMPOSITION_NAME if composed else name), relief
+
+
+def _view(rng: np.random.Generator, name: str) -> GelView:
+    """No contact, or a pose: mostly in the middle, a quarter near or across the border; a third moving."""
+    if rng.random() < NO_CONTACT_SHARE:
+        return GelView(object_name="", depth_mm=-1.0)
+    return _press(rng, name)
+
+
+def _press(rng: np.random.Generator, name: str) -> GelView:
+    reach_x_mm, reach_y_mm = (6.5, 9.0) if rng.random() < 0.25 else (3.5, 5.0)
+    rate_deg_s = vx_mm_s = vy_mm_s = 0.0
+    if rng.random() < 0.33:
+        rate_deg_s = float(rng.choice((-1, 1)) * rng.uniform(20.0, 300.0))
+        vx_mm_s, vy_mm_s = float(rng.normal(0.0, 8.0)), float(rng.normal(0.0, 15.0))
+    return GelView(
+        object_name=name,
+        x_mm=float(rng.uniform(-reach_x_mm, reach_x_mm)),
+        y_mm=float(rng.uniform(-reach_y_mm, reach_y_mm)),
+        angle_deg=float(rng.uniform(-180.0, 180.0)),
+        depth_mm=math.exp(float(rng.uniform(*np.log(DEPTH_MM.get(name, USUAL_DEPTH_MM))))),
+        vx_mm_s=vx_mm_s,
+        vy_mm_s=vy_mm_s,
+        rate_deg_s=rate_deg_s,
+    )
+
+
+def _finished(rng: np.random.Generator, truth: GelTruth, background: Image, view: GelView) -> Sample:
+    """What happens between gel and disk: wear, contrast, compression."""
+    image = truth.image
+    if rng.random() < 0.25:
+        image, background = _worn(rng, image, background)
+    if rng.random() < 0.4:
+        contrast, brightness = float(rng.uniform(0.75, 1.2)), float(rng.uniform(-12.0, 12.0))
+        image = np.asarray(cv2.convertScaleAbs(np.maximum(image, 14), alpha=contrast, beta=brightness), np.uint8)
+        background = np.asarray(
+            cv2.convertScaleAbs(np.maximum(background, 14), alpha=contrast, beta=brightness), np.uint8
+        )
+    if rng.random() < 0.3:
+        quality = int(rng.integers(60, 96))
+        image = _compressed(image, quality)
+        if rng.random() < 0.5:
+            background = _compressed(background, quality)
+    return Sample(image, background, truth, view, float(truth.displacement_mm.max()) > VISIBLE_MM)
+
+
+def _shifted(image: Image, rng: np.random.Generator) -> Image:
+    """Moved by up to a pixel: the camera sits in soft plastic."""
+    dx, dy = rng.uniform(-0.7, 0.7, 2)
+    matrix = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy]])
+    moved = cv2.warpAffine(image, matrix, (image.shape[1], image.shape[0]), borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(moved, np.uint8)
+
+
+def _worn(rng: np.random.Generator, image: Image, background: Image) -> tuple[Image, Image]:
+    """Scratches and specks; most are in the no-contact image too, some are new."""
+    rows, columns = image.shape[:2]
+    old = np.zeros(image.shape, np.float32)
+    new = np.zeros(image.shape, np.float32)
+    for _ in range(int(rng.integers(1, 5))):
+        sheet = new if rng.random() < 0.25 else old
+        start = np.array([rng.uniform(0, columns), rng.uniform(0, rows)])
+        end = start + rng.normal(0.0, 1.0, 2) * (rng.uniform(5, 120) if sheet is old else rng.uniform(1, 12))
+        level = rng.normal(0.0, 18.0) + rng.normal(0.0, 8.0, 3)
+        points = [(round(float(p[0])), round(float(p[1]))) for p in (start, end)]
+        colour = (float(level[0]), float(level[1]), float(level[2]))
+        cv2.line(sheet, points[0], points[1], colour, int(rng.integers(1, 3)), cv2.LINE_AA)
+    old, new = blurred(old, 0.8), blurred(new, 0.8)
+    return _added(image, old + new), _added(background, old)
+
+
+def _added(image: Image, change: Field) -> Image:
+    return np.asarray(cv2.add(image, change, dtype=cv2.CV_8U), np.uint8)
+
+
+def _compressed(image: Image, quality: int) -> Image:
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)

@@ -1,0 +1,117 @@
+"""What is lifted, how often and how: the experiment as a TOML file."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from slipguard.config_errors import first_complaint
+from slipguard.errors import InputError
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Thing(_Part):
+    """One object. seen: images of it were used in training. hard: why it stands apart, such as "heavy"."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,40}$")]
+    seen: bool = False
+    hard: str = ""
+    grip_force_n: Annotated[float, Field(ge=1.0, le=235.0)] | None = None
+    """First grip; None: the protocol's."""
+
+
+class Protocol(_Part):
+    """Every object is lifted `repeats` times. As in the paper the guard is off: the turn is measured, not stopped.
+
+    turn_deg: the lifts are planned so that turns spread evenly from the first to the second. On a cell that is up to
+    who places the object: a lift by `lift_height_mm` turns an object whose far end stays on the table by
+    asin(height / twice the distance from the grip to the centre of mass).
+    camera_side: whose picture turns the way the external camera sees it: it stands behind that finger.
+    """
+
+    name: str = "grasp and lift"
+    objects: Annotated[tuple[Thing, ...], Field(min_length=1, max_length=200)]
+    repeats: Annotated[int, Field(ge=1, le=100)] = 5
+    guard: bool = False
+    seed: Annotated[int, Field(ge=0)] = 0
+    turn_deg: tuple[float, float] = (5.0, 40.0)
+    lift_height_mm: Annotated[float, Field(ge=1.0, le=800.0)] = 60.0
+    lift_speed_mm_s: Annotated[float, Field(ge=1.0, le=250.0)] = 40.0
+    hold_s: Annotated[float, Field(ge=0.2, le=60.0)] = 0.8
+    grip_force_n: Annotated[float, Field(ge=1.0, le=235.0)] | None = None
+    marker_side_mm: Annotated[float, Field(ge=5.0, le=300.0)] = 40.0
+    camera_side: Literal["left", "right"] = "left"
+
+    @model_validator(mode="after")
+    def _sensible(self) -> Self:
+        low, high = self.turn_deg
+        if not 0.0 < low <= high <= 60.0:
+            raise ValueError(f"turn_deg [{low:g}, {high:g}]: from above 0 to at most 60, the smaller first")
+        names = [one.name for one in self.objects]
+        if len(set(names)) < len(names):
+            raise ValueError("an object is named twice; give `repeats` instead")
+        return self
+
+    def lifts(self) -> list[Lift]:
+        """All lifts in order: every object once, then again; the repeats of an object spread over the turns."""
+        low, high = self.turn_deg
+        rng = np.random.default_rng(self.seed)
+        planned: list[Lift] = []
+        for repeat in range(self.repeats):
+            for index, thing in enumerate(self.objects):
+                share = ((index + repeat) % self.repeats + rng.uniform()) / self.repeats
+                planned.append(Lift(len(planned), thing, repeat, low + share * (high - low)))
+        return planned
+
+
+@dataclass(frozen=True, slots=True)
+class Lift:
+    """One lift to be done. target_deg: the turn it is planned for."""
+
+    number: int
+    thing: Thing
+    repeat: int
+    target_deg: float
+
+    @property
+    def stem(self) -> str:
+        """Name of its files."""
+        return f"{self.number + 1:03d}-{self.thing.name}-{self.repeat + 1}"
+
+
+SIMULATED = Protocol(
+    name="45 lifts of 9 objects, simulated",
+    objects=(
+        Thing(name="bar", hard="heavy"),
+        Thing(name="wedge"),
+        Thing(name="wrench"),
+        Thing(name="knife_edge"),
+        Thing(name="screwdriver"),
+        Thing(name="hook"),
+        Thing(name="ball", hard="saturating"),
+        Thing(name="hammer", seen=True),
+        Thing(name="pen", seen=True),
+    ),
+)
+"""Seven objects no training image shows and two that some do, five lifts each, as in the paper's Table III."""
+
+
+def read_protocol(path: Path) -> Protocol:
+    """Raises InputError in one line."""
+    try:
+        raw: dict[str, Any] = tomllib.loads(path.read_text())
+        return Protocol.model_validate(raw)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+    except ValidationError as error:
+        raise InputError(f"{path}: {first_complaint(error, Protocol)}") from None

@@ -1,0 +1,185 @@
+"""The experiment in the simulated world: the daemon on the fakes, and a rendered camera beside the cell."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slipguard.config import parse_config
+from slipguard.control.state import Phase
+from slipguard.daemon import logging as log
+from slipguard.daemon.api.controls import Controls
+from slipguard.daemon.loop.service import Service
+from slipguard.daemon.loop.virtual_time import run_virtual
+from slipguard.daemon.loop.worker import StatedLatencyWorker
+from slipguard.daemon.run import build_service
+from slipguard.errors import CommandRefused, SlipguardError
+from slipguard.evaluation.intrinsics import Intrinsics
+from slipguard.evaluation.lift_file import LiftFile, encoded
+from slipguard.evaluation.markers import GRIPPER_ID, OBJECT_ID, cells
+from slipguard.evaluation.protocol import Lift, Protocol
+from slipguard.recording import messages as m
+from slipguard.sim import objects
+from slipguard.sim.external_camera import Lens, Onlooker, Plate, Scene, Studio
+from slipguard.sim.gel import GelCamera
+from slipguard.sim.label import label
+from slipguard.sim.scenario import scenario
+from slipguard.sim.unit import random_unit
+from slipguard.sim.world import World
+from slipguard.sim_lifts.lift_record import PICTURE_SIGN
+from slipguard.tools.waiting import until
+
+CAMERA_FPS = 30.0
+CAMERA_LAG_S = (0.02, 0.09)
+"""The rendered camera stamps its pictures when they arrive, this much after the exposure; what is to be found out."""
+SIGHT, BOTH_MARKERS_MM = 1.6, 180.0
+"""Distance over the height to be seen: the lens sees 0.72 of the distance, less what a tilt and a roll take."""
+MASK_EVERY_S = 10 / 60
+STATED_LATENCY_S = 0.006
+GRIP_SHARE = 0.8
+"""First grip as a share of the force needed: it turns about its far end, on the table."""
+GRIP_MIN_N = 20.0
+SETTLE_S = 0.4
+TIMEOUT_S = 15.0
+SUPPORT_MM = 3.0
+"""The table lets go over this lift."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedLift:
+    """All that one lift needs, for a worker process. path: its recording."""
+
+    protocol: Protocol
+    lift: Lift
+    path: Path
+
+
+def onlooker(seed: int, rise_mm: float = 100.0) -> tuple[Onlooker, float]:
+    """A camera somewhere before the cell, far enough to see a lift by `rise_mm`; and the lag of its stamps, seconds."""
+    rng = np.random.default_rng([seed, 77])
+    side_mm = 40.0
+    look = Onlooker(
+        gripper=Plate(cells(GRIPPER_ID), side_mm, (0.0, 95.0, 3.0), roll_deg=float(rng.uniform(-8, 8))),
+        thing=Plate(cells(OBJECT_ID), side_mm, (70.0, 0.0, 6.0), roll_deg=float(rng.uniform(-20, 20))),
+        lens=Lens(),
+        distance_mm=max(float(rng.uniform(450.0, 850.0)), SIGHT * (rise_mm + BOTH_MARKERS_MM)),
+        tilt_deg=float(rng.uniform(0.0, 25.0)),
+        azimuth_deg=float(rng.uniform(0.0, 360.0)),
+        roll_deg=float(rng.uniform(-5.0, 5.0)),
+        aim_mm=(25.0, 40.0 + 0.5 * rise_mm, 0.0),
+        blur_px=float(rng.uniform(0.5, 1.0)),
+        noise=float(rng.uniform(1.0, 4.0)),
+        light=float(rng.uniform(0.8, 1.1)),
+    )
+    return look, float(rng.uniform(*CAMERA_LAG_S))
+
+
+def intrinsics_of(lens: Lens) -> Intrinsics:
+    """What a perfect calibration of the rendered camera would find."""
+    u, v = lens.centre_px
+    return Intrinsics(
+        width_px=lens.width_px, height_px=lens.height_px, fx_px=lens.focal_px, fy_px=lens.focal_px, cx_px=u, cy_px=v,
+        distortion=(lens.k1, lens.k2, 0.0, 0.0, 0.0),
+    )  # fmt: skip
+
+
+def record(task: SimulatedLift) -> Path:
+    """Do one lift on a virtual clock and write its file; the same task gives the same lift."""
+    log.configure(level=logging.CRITICAL)
+    run_virtual(_record(task))
+    return task.path
+
+
+async def _record(task: SimulatedLift) -> None:
+    protocol, lift = task.protocol, task.lift
+    item = objects.get(lift.thing.name)
+    drawn = scenario(lift.thing.name, protocol.seed + lift.repeat)
+    world = World(seed=protocol.seed + lift.number)
+    height_mm = 2.0 * item.com_offset_mm * math.sin(math.radians(lift.target_deg)) + SUPPORT_MM
+    with tempfile.TemporaryDirectory(prefix="slipguard-evaluate-") as folder:
+        raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in m.FINGERS}
+        raw["state"] = {"directory": folder}
+        raw["guard"] = {"lift_speed_mm_s": protocol.lift_speed_mm_s, "lower_speed_mm_s": 150.0}
+        service = build_service(
+            parse_config(raw, where="the simulated experiment", sim=True),
+            world=world,
+            make_worker=lambda name: StatedLatencyWorker(STATED_LATENCY_S),
+        )
+        running = asyncio.create_task(service.run())
+        try:
+            await until(running, lambda: not service.waiting_for, TIMEOUT_S, "the devices are not ready")
+            controls = Controls(service)
+            await controls.calibrate()
+            world.place(drawn, asyncio.get_running_loop().time())
+            needed_n = world.truth(asyncio.get_running_loop().time()).needed_force_n
+            grip_n = lift.thing.grip_force_n or protocol.grip_force_n or max(GRIP_SHARE * needed_n, GRIP_MIN_N)
+            await _lift(task, service, controls, world, running, round(grip_n, 1), height_mm)
+        finally:
+            running.cancel()
+            await asyncio.gather(running, return_exceptions=True)
+
+
+async def _lift(
+    task: SimulatedLift,
+    service: Service,
+    controls: Controls,
+    world: World,
+    running: asyncio.Task[None],
+    grip_n: float,
+    height_mm: float,
+) -> None:
+    look, lag_s = onlooker(task.protocol.seed + task.lift.number, height_mm)
+    sign = PICTURE_SIGN[task.protocol.camera_side]
+    with LiftFile(task.path, service, task.protocol, task.lift, intrinsics_of(look.lens), lag_s) as file:
+        if not task.protocol.guard:
+            await controls.guard(False)
+        watchers = [
+            asyncio.create_task(_film(file, world, Studio(look, task.lift.number), lag_s, sign)),
+            asyncio.create_task(_masks(file, world)),
+        ]
+        try:
+            await controls.grasp(grip_n)
+            await until(
+                running, lambda: service.firm or service.phase is Phase.FAULT, TIMEOUT_S, "the object was not gripped"
+            )
+            await asyncio.sleep(SETTLE_S)
+            await controls.lift(height_mm, task.protocol.lift_speed_mm_s)
+            await until(running, lambda: service.phase is not Phase.LIFTING, TIMEOUT_S, "the lift did not end")
+            await asyncio.sleep(task.protocol.hold_s)
+        except CommandRefused as refusal:
+            raise SlipguardError(f"{task.lift.stem}: {refusal}") from None
+        finally:
+            for watcher in watchers:
+                watcher.cancel()
+            await asyncio.gather(*watchers, return_exceptions=True)
+
+
+async def _film(file: LiftFile, world: World, studio: Studio, lag_s: float, sign: float) -> None:
+    """Picture after picture, stamped late, with the truth beside them; sign: -1 from behind the right finger."""
+    loop = asyncio.get_running_loop()
+    at_s = loop.time()
+    while True:
+        truth = world.truth(at_s)
+        file.truth(m.Truth(at_s, truth.turn_deg, truth.height_mm))
+        scene = Scene(sign * truth.turn_deg, truth.height_mm, truth.slide_mm)
+        file.camera(at_s + lag_s, encoded(studio.draw(scene)))
+        at_s += 1.0 / CAMERA_FPS
+        await asyncio.sleep(at_s - loop.time())
+
+
+async def _masks(file: LiftFile, world: World) -> None:
+    """What a person would outline, several times a second."""
+    loop = asyncio.get_running_loop()
+    cameras = {name: GelCamera(random_unit(np.random.default_rng(world.camera(name).unit_seed))) for name in m.FINGERS}
+    while True:
+        await asyncio.sleep(MASK_EVERY_S)
+        for name, gel in cameras.items():
+            view = world.view(name, loop.time())
+            if view.depth_mm > 0.0:
+                file.true_mask(name, loop.time(), label(gel.draw_with_truth(view)))

@@ -1,0 +1,88 @@
+"""What each single estimator would have said of the patches that the guard saw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from slipguard.devices import Frame
+from slipguard.perception.contact.patch import Patch
+from slipguard.perception.estimate import Estimate
+from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.rotation.axis import ESTIMATORS, estimate
+from slipguard.perception.rotation.tracker import axis_turn
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.sim_lifts.lift_record import PICTURE_SIGN, Measured
+
+SIGMA_MAX_DEG = PerceptionSettings().sigma_max_deg
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenPatch:
+    """A contact patch and when its frame was captured."""
+
+    finger: str
+    captured_at_s: float
+    patch: Patch
+
+
+class PatchKeeper:
+    """A pipeline that hands every patch it measured on to a list."""
+
+    def __init__(self, finger: str, pipeline: Pipeline, kept: list[SeenPatch]) -> None:
+        self._finger = finger
+        self._pipeline = pipeline
+        self._kept = kept
+
+    def process(self, frame: Frame) -> Estimate:
+        """What the pipeline says."""
+        answer = self._pipeline.process(frame)
+        patch = self._pipeline.last_patch
+        if patch is not None and answer.skipped is None and self._pipeline.has_reference:
+            self._kept.append(SeenPatch(self._finger, frame.captured_at_s, patch))
+        return answer
+
+    def stands(self, captured_at_s: float) -> None:
+        """A frame that is not handed in, the other finger's having shown that nothing turns."""
+        self._pipeline.stands(captured_at_s)
+
+    def reset_reference(self) -> None:
+        """Forget the reference."""
+        self._pipeline.reset_reference()
+
+    @property
+    def last_patch(self) -> Patch | None:
+        """The contact found last."""
+        return self._pipeline.last_patch
+
+
+def turns_by_estimator(seen: list[SeenPatch], from_s: float, to_s: float) -> dict[str, list[list[Measured]]]:
+    """Per estimator and finger, the turn since its first patch in the span, in the left picture's sign, unwrapped.
+
+    As in the pipeline: where an estimator declines, or is less certain than `sigma_max_deg`, there is no entry, and one
+    that cannot read the reference says nothing at all.
+    """
+    patches = {
+        finger: [one for one in seen if one.finger == finger and from_s <= one.captured_at_s <= to_s]
+        for finger in PICTURE_SIGN
+    }
+    return {name: [_turns(patches[finger], name, sign) for finger, sign in PICTURE_SIGN.items()] for name in ESTIMATORS}
+
+
+def _turns(seen: list[SeenPatch], name: str, sign: float) -> list[Measured]:
+    if not seen:
+        return []
+    reference = estimate(seen[0].patch, name)
+    if reference.angle_deg is None or reference.sigma_deg is None:
+        return []
+    turns: list[Measured] = []
+    near_deg = 0.0
+    for one in seen:
+        now = estimate(one.patch, name)
+        if now.angle_deg is None or now.sigma_deg is None:
+            continue
+        turn = axis_turn(now.angle_deg, now.sigma_deg, reference.angle_deg, reference.sigma_deg, near_deg)
+        if turn.turn_deg is None or turn.sigma_deg is None or turn.sigma_deg > SIGMA_MAX_DEG:
+            continue
+        near_deg = turn.turn_deg
+        turns.append(Measured(one.captured_at_s, sign * turn.turn_deg, turn.sigma_deg))
+    return turns

@@ -1,0 +1,149 @@
+"""All lifts of an experiment in figures: per object and per estimator, with what chance has to do with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from slipguard.evaluation.analyse import LiftResult
+
+PAPER = {"turn_error_mean_deg": 1.854, "turn_error_sd_deg": 0.988, "turn_error_worst_object_deg": 3.0}
+PAPER_DICE, PAPER_IOU = (0.956, 0.013), (0.914, 0.023)
+"""Castano-Amoros & Gil, 45 lifts of 9 objects on a real cell, as published."""
+ESTIMATORS = ("fused", "skeleton", "pca", "ellipse", "moments")
+RESAMPLES = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Over lifts: mean, standard deviation, worst, and the 95 % bootstrap interval of the mean. None where n is 0."""
+
+    n: int
+    mean: float | None = None
+    sd: float | None = None
+    worst: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Rounded to thousandths."""
+        rounded = {name: _rounded(getattr(self, name)) for name in ("mean", "sd", "worst", "low", "high")}
+        return {"n": self.n, **rounded}
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectFigures:
+    """One object. errors: by estimator, over its lifts that could be compared."""
+
+    name: str
+    seen: bool
+    hard: str
+    lifts: int
+    errors: dict[str, Spread]
+    declined_share: float
+    turns_deg: tuple[float, ...]
+
+
+def spread(values: Sequence[float], seed: int = 0) -> Spread:
+    """Figures of a few values; the interval resamples them."""
+    if not values:
+        return Spread(0)
+    data = np.asarray(values, np.float64)
+    rng = np.random.default_rng(seed)
+    means = rng.choice(data, (RESAMPLES, len(data))).mean(1)
+    low, high = np.percentile(means, (2.5, 97.5))
+    sd = float(data.std(ddof=1)) if len(data) > 1 else 0.0
+    return Spread(len(data), float(data.mean()), sd, float(data.max()), float(low), float(high))
+
+
+def errors_of(lifts: list[LiftResult], estimator: str) -> list[float]:
+    """Each lift's mean error by one estimator, of those that could be compared."""
+    means = [lift.errors[estimator].mean_deg for lift in lifts if estimator in lift.errors]
+    return [mean for mean in means if mean is not None]
+
+
+def by_object(lifts: list[LiftResult]) -> list[ObjectFigures]:
+    """In the order of the protocol."""
+    figures = []
+    for name in dict.fromkeys(lift.object for lift in lifts):
+        own = [lift for lift in lifts if lift.object == name]
+        turns = tuple(lift.final_turn_deg for lift in own if lift.final_turn_deg is not None)
+        figures.append(
+            ObjectFigures(
+                name,
+                own[0].seen,
+                own[0].hard,
+                len(own),
+                {estimator: spread(errors_of(own, estimator)) for estimator in ESTIMATORS},
+                float(np.mean([lift.declined_share for lift in own])),
+                turns,
+            )
+        )
+    return figures
+
+
+def report_json(lifts: list[LiftResult], networks: list[dict[str, Any]] | None = None) -> dict[str, Any]:
+    """What `report.json` holds; numbers rounded, null where there is nothing to tell."""
+    objects = by_object(lifts)
+    fused = spread(errors_of(lifts, "fused"))
+    worst = max((one.errors["fused"].mean for one in objects if one.errors["fused"].mean is not None), default=None)
+    lags = [lift.lag_error_frames for lift in lifts if lift.lag_error_frames is not None]
+    markers = [lift.marker_error_mean_deg for lift in lifts if lift.marker_error_mean_deg is not None]
+    dices = [value for lift in lifts for value in lift.dice]
+    ious = [value for lift in lifts for value in lift.iou]
+    sigma = [(lift.within_1_sigma, lift.within_2_sigma) for lift in lifts]
+    told = [pair for pair in sigma if pair[0] is not None and pair[1] is not None]
+    unaligned = [lift.unaligned_mean_deg for lift in lifts if lift.unaligned_mean_deg is not None]
+    return {
+        "lifts": len(lifts),
+        "simulated": all(lift.simulated for lift in lifts),
+        "lifts_compared": fused.n,
+        "turn_error_mean_deg": _rounded(fused.mean),
+        "turn_error_sd_deg": _rounded(fused.sd),
+        "turn_error_worst_object_deg": _rounded(worst),
+        "turn_error_worst_lift_deg": _rounded(fused.worst),
+        "turn_error_with_the_lag_left_in_deg": _mean(unaligned),
+        "declined_share": _mean([lift.declined_share for lift in lifts]),
+        "within_1_sigma": _mean([pair[0] for pair in told if pair[0] is not None]),
+        "within_2_sigma": _mean([pair[1] for pair in told if pair[1] is not None]),
+        "per_estimator": {name: spread(errors_of(lifts, name)).as_json() for name in ESTIMATORS},
+        "seen": spread(errors_of([lift for lift in lifts if lift.seen], "fused")).as_json(),
+        "unseen": spread(errors_of([lift for lift in lifts if not lift.seen], "fused")).as_json(),
+        "hard": spread(errors_of([lift for lift in lifts if lift.hard], "fused")).as_json(),
+        "without_hard": spread(errors_of([lift for lift in lifts if not lift.hard], "fused")).as_json(),
+        "per_object": {
+            one.name: {
+                "lifts": one.lifts,
+                "seen": one.seen,
+                "hard": one.hard or None,
+                "declined_share": _rounded(one.declined_share),
+                "turns_deg": [round(turn, 2) for turn in one.turns_deg],
+                **{name: one.errors[name].as_json() for name in ESTIMATORS},
+            }
+            for one in objects
+        },
+        "lag_error_frames": _rounded(max(lags)) if lags else None,
+        "lag_ms": {lift.stem: round(1e3 * lift.lag_s, 1) for lift in lifts if lift.lag_unknown is None},
+        "lag_unknown": {lift.stem: lift.lag_unknown for lift in lifts if lift.lag_unknown is not None},
+        "aruco_error_mean_deg": _mean(markers),
+        "aruco_error_worst_deg": _rounded(
+            max((lift.marker_error_worst_deg or 0.0 for lift in lifts), default=0.0) if markers else None
+        ),
+        "camera_gaps": sum(lift.camera_gaps for lift in lifts),
+        "dice": spread(dices).as_json() if dices else None,
+        "iou": spread(ious).as_json() if ious else None,
+        "networks": networks,
+        "problems": {lift.stem: lift.problem for lift in lifts if lift.problem is not None},
+        "paper_real_cell_as_published": PAPER | {"dice": PAPER_DICE[0], "iou": PAPER_IOU[0]},
+    }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(float(value), 4)
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return _rounded(float(np.mean(values))) if values else None

@@ -1,1 +1,0 @@
-"""The offline commands: measure, bench, train, dataset, campaign."""

@@ -1,0 +1,194 @@
+"""Where the object touches the gel: one network, run by onnxruntime on one thread.
+
+The model contract (models/README.md tells it in full): inputs `frame` and `background`, each (1, H, W, 3) uint8 BGR,
+`background_known`, (1,) float32; output `probability`, (1, 1, H, W) float32 in 0..1; metadata `slipguard_contract`,
+`threshold`, `label`, `command`, `seed`. H is 160 and W 120 in version 1; in version 2 any size of the frame's
+proportions up to 320 and 240, and a network may take `frame` alone. All else (differences, drift, scaling) is in the
+graph.
+"""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
+from slipguard.errors import InputError, ModelError
+from slipguard.perception.quality.background import guess_background
+
+INPUT_WIDTH_PX = FRAME_WIDTH_PX // 2
+INPUT_HEIGHT_PX = FRAME_HEIGHT_PX // 2
+CONTRACT = "1"
+"""Of what takes all three inputs at 120 x 160."""
+CONTRACT_ANY_INPUT = "2"
+"""Of what takes the frame alone, or another size."""
+CONTRACTS = (CONTRACT, CONTRACT_ANY_INPUT)
+DEFAULT_MODEL = "tsnn-small.onnx"
+ROUNDING = 1e-4
+"""onnxruntime's sigmoid exceeds 1 by a few units in the last place."""
+REQUIRED_METADATA = ("slipguard_contract", "threshold", "label", "command", "seed")
+
+_Ports = dict[str, tuple[str, list[Any]]]
+
+
+def default_model_path() -> Path:
+    """Where the shipped network lies: inside an installed package, or in `models/` of a checkout.
+
+    Raises `ModelError` where it is in neither place.
+    """
+    installed = Path(str(resources.files("slipguard"))) / "models" / DEFAULT_MODEL
+    checkout = Path(__file__).resolve().parents[3] / "models" / DEFAULT_MODEL
+    for path in (installed, checkout):
+        if path.is_file():
+            return path
+    raise ModelError(
+        f"the shipped network is in neither {installed} nor {checkout}; reinstall slipguard or name a model"
+    )
+
+
+class Segmenter:
+    """Contact probability of one gel frame, given the unit's no-contact image.
+
+    path: an ONNX file that keeps the model contract; None is the shipped one. Raises `ModelError` in one line for a
+    missing or corrupt file, another contract, missing metadata, or an output that is no probability.
+    One intra-op thread; an instance belongs to one thread at a time.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        self.path = default_model_path() if path is None else path
+        self._session = _open(self.path)
+        self._size, self._takes_background = _checked_ports(self.path, self._session)
+        self.metadata: dict[str, str] = _checked_metadata(self.path, self._session)
+        self.threshold = _checked_threshold(self.path, self.metadata["threshold"])
+        middle = np.full((self._size[1], self._size[0], 3), 96, np.uint8)
+        self._background: NDArray[np.uint8] | None = None
+        self._background_small = middle
+        self._run(middle, middle, known=True)
+
+    @property
+    def input_size(self) -> tuple[int, int]:
+        """(width, height) in pixels of what the network sees and answers at."""
+        return self._size
+
+    @property
+    def needs_background(self) -> bool:
+        """The network takes the unit's no-contact image; without one it works with a guess, and worse."""
+        return self._takes_background
+
+    def segment(self, image: NDArray[np.uint8], background: NDArray[np.uint8] | None) -> NDArray[np.float32]:
+        """Probability of contact, (H, W) float32 in 0..1, at `input_size`: (160, 120) covers 2 x 2 of the frame each.
+
+        image, background: (320, 240, 3) uint8 BGR; background None is guessed from the frame. A background array is
+        shrunk once and remembered by identity: do not write into it afterwards. Raises `InputError` for another
+        shape or type, `ModelError` where the network answers with no probability.
+        """
+        small = _shrunk(image, self._size, "frame")
+        if not self._takes_background:
+            return self._run(small, small, known=False)
+        if background is None:
+            return self._run(small, guess_background(small), known=False)
+        if background is not self._background:
+            self._background_small = _shrunk(background, self._size, "no-contact image")
+            self._background = background
+        return self._run(small, self._background_small, known=True)
+
+    def _run(self, frame: NDArray[np.uint8], background: NDArray[np.uint8], *, known: bool) -> NDArray[np.float32]:
+        feed: dict[str, NDArray[Any]] = {"frame": frame[None]}
+        if self._takes_background:
+            known_flag = np.array([1.0 if known else 0.0], np.float32)
+            feed |= {"background": background[None], "background_known": known_flag}
+        try:
+            answer = self._session.run(["probability"], feed)[0]
+        except Exception as error:
+            raise ModelError(f"{self.path}: the network failed to run ({_first_line(error)})") from error
+        probability: NDArray[np.float32] = answer[0, 0]
+        lowest, highest = float(probability.min()), float(probability.max())
+        if not (lowest >= -ROUNDING and highest <= 1.0 + ROUNDING):  # also true of NaN
+            raise ModelError(
+                f"{self.path}: the output ranges over {lowest:g}..{highest:g}; a probability in 0..1 is needed"
+            )
+        return np.clip(probability, 0.0, 1.0)
+
+
+def _shrunk(image: NDArray[np.uint8], size: tuple[int, int], what: str) -> NDArray[np.uint8]:
+    if image.shape != (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3) or image.dtype != np.uint8:
+        raise InputError(
+            f"the {what} is {image.dtype} of shape {image.shape}; "
+            f"uint8 BGR of shape ({FRAME_HEIGHT_PX}, {FRAME_WIDTH_PX}, 3) is needed"
+        )
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _open(path: Path) -> Any:
+    if not path.is_file():
+        raise ModelError(f"{path}: no such file; name an ONNX model or leave it out for the shipped one")
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
+    options.log_severity_level = 3  # errors only: hardware probing warns on many machines
+    try:
+        return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:
+        raise ModelError(f"{path}: not a readable ONNX model ({_first_line(error)})") from error
+
+
+def _checked_ports(path: Path, session: Any) -> tuple[tuple[int, int], bool]:
+    """(width, height) of what the network sees, and whether it takes a background."""
+    inputs, outputs = (
+        {port.name: (port.type, port.shape) for port in ports}
+        for ports in (session.get_inputs(), session.get_outputs())
+    )
+    takes_background = "background" in inputs
+    shape = inputs.get("frame", ("", []))[1]
+    height, width = shape[1:3] if len(shape) == 4 else (INPUT_HEIGHT_PX, INPUT_WIDTH_PX)
+    fits = isinstance(height, int) and isinstance(width, int) and 0 < height <= FRAME_HEIGHT_PX
+    if not (fits and height * FRAME_WIDTH_PX == width * FRAME_HEIGHT_PX):
+        height, width = INPUT_HEIGHT_PX, INPUT_WIDTH_PX
+    wanted: _Ports = {"frame": ("tensor(uint8)", [1, height, width, 3])}
+    if takes_background:
+        wanted |= {"background": wanted["frame"], "background_known": ("tensor(float)", [1])}
+    answer: _Ports = {"probability": ("tensor(float)", [1, 1, height, width])}
+    for side, found, asked in (("inputs", inputs, wanted), ("outputs", outputs, answer)):
+        if found != asked:
+            raise ModelError(f"{path}: {side} are {_ports(found)}; the model contract asks for {_ports(asked)}")
+    return (width, height), takes_background
+
+
+def _checked_metadata(path: Path, session: Any) -> dict[str, str]:
+    metadata = dict(session.get_modelmeta().custom_metadata_map)
+    missing = [key for key in REQUIRED_METADATA if key not in metadata]
+    if missing:
+        raise ModelError(f"{path}: metadata {', '.join(missing)} missing; export it with `slipguard train`")
+    if metadata["slipguard_contract"] not in CONTRACTS:
+        known = " and ".join(CONTRACTS)
+        raise ModelError(
+            f"{path}: keeps model contract {metadata['slipguard_contract']}; this slipguard reads contract {known}"
+        )
+    return metadata
+
+
+def _checked_threshold(path: Path, text: str) -> float:
+    try:
+        threshold = float(text)
+    except ValueError:
+        threshold = float("nan")
+    if not 0.0 < threshold < 1.0:
+        raise ModelError(f"{path}: metadata threshold is {text!r}; a number between 0 and 1 is needed")
+    return threshold
+
+
+def _ports(ports: _Ports) -> str:
+    return ", ".join(f"{name} {kind}{shape}" for name, (kind, shape) in sorted(ports.items()))
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0][:160] if lines else type(error).__name__

@@ -1,0 +1,181 @@
+"""The turn of a patch since the reference by laying its picture over the reference's: no axis needed, no drift.
+
+Inverse compositional alignment (S. Baker, I. Matthews, "Lucas-Kanade 20 years on", IJCV 56 (2004) 221-255) of the
+blurred probability along the reference's outline. Beside turn and shift three nuisance motions are fitted: the
+outline grows evenly, and the patch stretches along and across its axis, as a contact does when the force changes.
+Parts of the outline that lie, or lay, outside the frame do not count.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.perception.contact.patch import Patch
+from slipguard.perception.rotation.contour_template import BLUR_PX, RIM_PX, Template, blurred, sampled
+
+MAX_ROUNDS = 8
+OUTLINE_PX = 0.10
+MISFIT_SHARE = 0.55
+"""One standard deviation of the turn, as the outline's place in network pixels: this much at best, and this share of
+the misfit left between the outlines. Fitted to rendered turns of the training objects through the network."""
+LEVER_MIN_PX = 2.2
+"""A turn by a radian must move the outline by at least this (r.m.s., what shift and growth cannot explain)."""
+MISFIT_MAX_PX = 1.4
+"""Outlines that stay further apart (r.m.s., network pixels) are not those of one contact."""
+OVERLAP_MIN = 0.45
+"""Share of the reference's outline that must be in sight."""
+CONTRAST_MIN = 0.10
+CONTRAST_RATIO_MIN = 1.8
+"""A turn by `template.TELLING_DEG` must change the picture by this much (r.m.s.), and this many times what the fit
+leaves."""
+_CORRELATED_PX = math.pi * BLUR_PX**2
+"""How many of the template's pixels (every second row and column) carry the same blurred error."""
+_RAIL = 1e3
+"""Weight that holds a shift along a template's rail at 0; the outline's own is of the order of 1."""
+_PRIOR_STD = np.array([10.0, 2.0, 2.0, 6.0, 0.2, 0.2])
+"""Turn (rad), shift x and y from the start (px), growth (px), stretch along and across (share): weak, for what the
+outline does not tell."""
+NOT_SAME = "contact changed too much since the reference"
+_ROUND = "round contact"
+_REPEATS = "outline repeats itself"
+_CLIPPED = "clipped by the frame"
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where the reference has moved to: turn counter-clockwise, shift of its centre in network pixels, y down.
+
+    growth: how far the outline has grown (network pixels) and the patch stretched along and across (shares).
+    """
+
+    turn_deg: float = 0.0
+    dx_px: float = 0.0
+    dy_px: float = 0.0
+    growth: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """The best pose and its sigma.
+
+    misfit_deg: the turn that would move the outline by as much as is left between the two outlines.
+    residual: what is left, r.m.s. difference of probability. declined: None, or why there is no turn.
+    """
+
+    pose: Pose
+    sigma_deg: float
+    misfit_deg: float
+    residual: float
+    declined: str | None
+
+
+class Registrar:
+    """Lays patches over one template. `blurred` is shared between several starts on one patch."""
+
+    def __init__(self, template: Template, patch: Patch) -> None:
+        self._template = template
+        self._patch = patch
+        self._soft = blurred(patch)
+        self._cut = patch.clipped.any
+
+    def fit(self, start: Pose) -> Registration:
+        """Refine a start; converges from within about ten degrees and a few pixels.
+
+        The shift is held near its start where the outline hardly tells it, and at 0 along a template's rail.
+        """
+        t = self._template
+        turn, dx, dy = math.radians(start.turn_deg), start.dx_px, start.dy_px
+        if t.value.size < 30:
+            return Registration(start, 180.0, 180.0, 1.0, _CLIPPED)
+        nuisance = np.array(start.growth, np.float32)
+        last_step = 0.0
+        for _ in range(MAX_ROUNDS):
+            difference, weight = self._difference(turn, dx, dy, nuisance)
+            weighted = t.motion.T * weight
+            normal = (weighted @ t.motion).astype(np.float64)
+            noise2 = max(float(weight @ difference**2) / max(float(weight.sum()), 1.0), 1e-4)
+            gradient = (weighted @ difference).astype(np.float64)
+            prior = _CORRELATED_PX * noise2 / _PRIOR_STD**2
+            c, s = math.cos(turn), math.sin(turn)
+            away_x, away_y = dx - start.dx_px, dy - start.dy_px
+            gradient[1] += prior[1] * (c * away_x - s * away_y)
+            gradient[2] += prior[2] * (s * away_x + c * away_y)
+            gradient[3:] -= prior[3:] * nuisance
+            held = normal + np.diag(prior)
+            if t.rail is not None:
+                along_x, along_y = t.rail
+                away = along_x * (c * dx - s * dy) + along_y * (s * dx + c * dy)
+                gradient[1] += _RAIL * along_x * away
+                gradient[2] += _RAIL * along_y * away
+                held[1:3, 1:3] += _RAIL * np.outer(t.rail, t.rail)
+            step = np.linalg.solve(held, gradient)
+            nuisance += step[3:].astype(np.float32)
+            turn_step, move_x, move_y = float(step[0]), float(step[1]), float(step[2])
+            small = abs(turn_step) < 4e-4 and abs(move_x) + abs(move_y) < 0.02
+            # A rough outline makes every step too short by the same share: go on to where the steps lead.
+            ratio = turn_step / last_step if last_step else 0.0
+            last_step = turn_step
+            if 0.1 < ratio < 0.75:
+                turn_step /= 1.0 - ratio
+                last_step = 0.0
+            turn_step = min(max(turn_step, -0.3), 0.3)
+            # Inverse composition: undo the step before the present pose.
+            turn -= turn_step
+            c, s = math.cos(turn), math.sin(turn)
+            dx -= c * move_x + s * move_y
+            dy -= -s * move_x + c * move_y
+            if small:
+                break
+        pose = Pose(math.degrees(turn), dx, dy, (float(nuisance[0]), float(nuisance[1]), float(nuisance[2])))
+        return self._judged(pose, normal, noise2, weight)
+
+    def _difference(
+        self, turn: float, dx: float, dy: float, nuisance: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Picture minus grown and stretched template along the outline; a robust weight, 0 outside the frame."""
+        t, patch = self._template, self._patch
+        c, s = np.float32(math.cos(turn)), np.float32(math.sin(turn))
+        grown_x, grown_y = t.x_px + t.growth_x @ nuisance, t.y_px + t.growth_y @ nuisance
+        x = grown_x * c + grown_y * s + np.float32(t.centre_px[0] + dx - patch.left_px)
+        y = grown_y * c - grown_x * s + np.float32(t.centre_px[1] + dy - patch.top_px)
+        difference = (
+            sampled(self._soft, np.asarray(x, np.float32), np.asarray(y, np.float32), cv2.BORDER_CONSTANT) - t.value
+        )
+        width, height = patch.picture_size
+        weight = 1.0 / (1.0 + (difference * np.float32(1.0 / 0.25)) ** 2)
+        left, top = np.float32(RIM_PX - patch.left_px), np.float32(RIM_PX - patch.top_px)
+        right = np.float32(width - 1 - RIM_PX - patch.left_px)
+        bottom = np.float32(height - 1 - RIM_PX - patch.top_px)
+        if x.min() < left or y.min() < top or x.max() > right or y.max() > bottom:
+            weight *= (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
+        return difference, weight
+
+    def _judged(
+        self, pose: Pose, normal: NDArray[np.float64], noise2: float, weight: NDArray[np.float32]
+    ) -> Registration:
+        t = self._template
+        residual = math.sqrt(noise2)
+        covariance = np.linalg.inv(normal + np.diag(1e-4 / _PRIOR_STD**2))
+        information = 1.0 / max(float(covariance[0, 0]), 1e-12)
+        steepness2 = max(float(weight @ t.slope**2), 1e-9)
+        # What a turn moves the outline by, beyond what shift, growth and stretch explain.
+        lever_px = max(math.sqrt(information / steepness2), 1e-3)
+        misfit_px = residual / math.sqrt(steepness2 / max(float(weight.sum()), 1e-6))
+        misfit_deg = math.degrees(misfit_px / lever_px)
+        own_px = math.hypot(OUTLINE_PX, self._patch.ragged_px)
+        sigma = math.hypot(math.degrees(own_px / lever_px), MISFIT_SHARE * misfit_deg)
+        declined = None
+        if float(weight.sum()) < OVERLAP_MIN * t.value.size:
+            declined = _CLIPPED if self._cut else NOT_SAME
+        elif t.repeats:
+            declined = _REPEATS
+        elif lever_px < LEVER_MIN_PX or t.contrast < CONTRAST_MIN:
+            declined = _ROUND
+        elif misfit_px > MISFIT_MAX_PX or t.contrast < CONTRAST_RATIO_MIN * residual:
+            declined = NOT_SAME
+        return Registration(pose, min(sigma, 180.0), min(misfit_deg, 180.0), residual, declined)

@@ -1,0 +1,299 @@
+"""The turn and shift of a patch since the reference, and when a patch becomes the reference."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.perception.contact.patch import Patch
+from slipguard.perception.estimate import Orientation
+from slipguard.perception.rotation.contour_registration import NOT_SAME, Pose, Registrar, Registration
+from slipguard.perception.rotation.contour_template import Template, make_template
+from slipguard.perception.rotation.period import unseen_deg
+from slipguard.perception.rotation.texture_map import Relief, ReliefReader
+from slipguard.perception.rotation.texture_registration import make_texture
+from slipguard.perception.rotation.texture_tracker import LOST_COUNT, Followed, ReliefTrack
+from slipguard.perception.rotation.tracker import (
+    AGREE_SIGMA,
+    Tracker,
+    Turn,
+    agree,
+    axis_turn,
+    checked,
+    combined,
+    less_sure,
+    pooled,
+)
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.stage_timer import StageClock
+
+STABLE_FRAMES = 5
+STABLE_SHARE = 0.05
+"""The contact area is stable when the last five frames differ by less than this share of it."""
+MISFIT_SIGMAS = 1.5
+"""An axis whose outline is not the reference's any more is off by so many times the turn that fits the misfit."""
+SURE_DEG = 0.8
+"""A turn told by the relief this surely, and not contradicted by the patch's axis, needs no outline."""
+AGAIN_DEG = 4.0
+"""An outline turned by so much more than the relief tells where the relief is looked for once more."""
+NO_RELIEF = "no relief without a no-contact image"
+NO_REFERENCE = "no reference yet"
+UNSURE = "too uncertain"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """What turns are measured against. axes: by estimator. Centre and area in frame pixels.
+
+    image: the frame it was taken from, (320, 240, 3) uint8. relief: follows the relief in the contact; None without a
+    no-contact image.
+    """
+
+    image: NDArray[np.uint8]
+    axes: Mapping[str, Orientation]
+    patch: Patch
+    relief: ReliefTrack | None
+    centre_px: tuple[float, float]
+    area_px: int
+
+
+class TurnMeter:
+    """Takes the reference and measures every patch against it.
+
+    frame_px: frame pixels per network pixel. background: the unit's no-contact image, (320, 240, 3) uint8, or None.
+    noise_bgr: standard deviation of a pixel, grey levels; None where it is not known: sigmas are larger then.
+    """
+
+    def __init__(
+        self,
+        settings: PerceptionSettings,
+        frame_px: float,
+        background: NDArray[np.uint8] | None = None,
+        noise_bgr: NDArray[np.floating] | None = None,
+    ) -> None:
+        self._settings = settings
+        self._frame_px = frame_px
+        self._reader = None if background is None else ReliefReader(background, noise_bgr)
+        self.reference: Reference | None = None
+        self.tracker = Tracker()
+        self._template: Template | None = None
+        self._pose = Pose()
+        self._lost_count = False
+        self._unseen_deg = 0.0
+        self._stands_at_s = -math.inf
+        self._areas: deque[int] = deque(maxlen=STABLE_FRAMES)
+
+    def lost(self) -> None:
+        """There is no contact: a reference not yet taken needs a new run of stable frames."""
+        self._areas.clear()
+
+    def stands(self, now_s: float) -> None:
+        """The frame of `now_s` is not measured, and the turn is known to be as it was: a count goes on."""
+        self._keep_count(now_s)
+        self._stands_at_s = now_s
+
+    def measure(
+        self,
+        image: NDArray[np.uint8],
+        patch: Patch,
+        axes_of: Callable[[bool], Mapping[str, Orientation]],
+        now_s: float,
+        clock: StageClock,
+    ) -> tuple[Turn, tuple[float, float] | None]:
+        """Turn and shift (frame pixels right and down) since the reference, which this patch may become.
+
+        image: the frame, (320, 240, 3) uint8 BGR. axes_of: the patch's axes; called with False for the plainest one
+        alone, with True for those of every estimator asked for; each is compared with its own answer for the reference.
+        """
+        self._take_reference(image, patch, axes_of, now_s, clock)
+        reference = self.reference
+        if reference is None:
+            return Turn(None, None, NO_REFERENCE), None
+        predicted = self.tracker.predicted_deg(now_s)
+        turn = self._axial(reference, axes_of(False), predicted)
+        self._keep_count(now_s)
+        followed = Followed(None, None, None, 1.0, NO_RELIEF)
+        relief: Relief | None = None
+        if self._settings.estimator in ("fused", "registration"):
+            relief = self._read(reference, image, patch)
+            followed = self._by_relief(reference, relief, patch, predicted, turn)
+            clock.mark("relief")
+        by_relief = Turn(followed.turn_deg, followed.sigma_deg, followed.declined)
+        shift_px = followed.shift(lambda: _difference(_centre_px(patch), reference.centre_px))
+        sure = by_relief.sigma_deg is not None and by_relief.sigma_deg <= SURE_DEG
+        if sure and agree(by_relief, turn):
+            turn = combined(by_relief, turn) if self._settings.estimator == "fused" else by_relief
+        else:
+            # A sure relief needs but one witness against the axis: its own turn, tried on the outline.
+            turn = turn if sure else self._axial(reference, axes_of(True), predicted)
+            by_outline = turn
+            if self._settings.estimator in ("fused", "registration"):
+                near = predicted if by_relief.turn_deg is None else by_relief.turn_deg
+                by_outline, laid, outline_shift_px = self._by_outline(reference, patch, turn, near, only_near=sure)
+                clock.mark("register")
+                followed = self._again(reference, relief, patch, predicted, followed, laid, outline_shift_px)
+                by_relief = Turn(followed.turn_deg, followed.sigma_deg, followed.declined)
+                clock.mark("relief")
+                shift_px = followed.shift(lambda: outline_shift_px)
+            turn = combined(by_relief, less_sure(by_outline, followed.unlike))
+        if turn.sigma_deg is not None and turn.sigma_deg > self._settings.sigma_max_deg:
+            turn = Turn(None, None, UNSURE)
+        return self.tracker.accept(now_s, turn), shift_px
+
+    def _take_reference(
+        self,
+        image: NDArray[np.uint8],
+        patch: Patch,
+        axes_of: Callable[[bool], Mapping[str, Orientation]],
+        now_s: float,
+        clock: StageClock,
+    ) -> None:
+        if self.reference is not None:
+            return
+        self._areas.append(patch.area_px)
+        if self._settings.reference == "stable":
+            largest, smallest = max(self._areas), min(self._areas)
+            if len(self._areas) < STABLE_FRAMES or largest - smallest >= STABLE_SHARE * largest:
+                return
+        self.refer_to(image, patch, axes_of, now_s, clock)
+
+    def refer_to(
+        self,
+        image: NDArray[np.uint8],
+        patch: Patch,
+        axes_of: Callable[[bool], Mapping[str, Orientation]],
+        now_s: float,
+        clock: StageClock,
+        turn_deg: float | None = None,
+    ) -> None:
+        """This patch is the reference from now on.
+
+        turn_deg: how far the object had turned when it was last seen, where that is an old patch; None: it is as now.
+        """
+        relief = None
+        if self._reader is not None:
+            self._reader.learn(image, patch)
+            texture = make_texture(self._reader.read(image, patch), patch)
+            relief = None if texture is None else ReliefTrack(texture)
+        clock.mark("reference")
+        axes = dict(axes_of(True))
+        self.reference = Reference(image, axes, patch, relief, _centre_px(patch), patch.area_px)
+        clock.mark("reference")
+        self.tracker.start(now_s, turn_deg or 0.0)
+        self._template = None
+        self._pose = Pose(turn_deg or 0.0)
+        self._lost_count = turn_deg is not None and relief is not None and relief.pitch_deg is not None
+        self._stands_at_s = -math.inf
+
+    def _axial(self, reference: Reference, axes: Mapping[str, Orientation], predicted_deg: float) -> Turn:
+        known = reference.axes
+        return pooled([_between(known[name], axis, predicted_deg) for name, axis in axes.items() if name in known])
+
+    def _keep_count(self, now_s: float) -> None:
+        """What repeats itself may have turned by a step since it was last seen: its count is lost."""
+        relief = None if self.reference is None else self.reference.relief
+        if relief is None or self._lost_count:
+            return
+        tracker = self.tracker
+        known_at_s = tracker.known_at_s
+        if known_at_s < self._stands_at_s <= now_s:
+            known_at_s = self._stands_at_s
+        self._unseen_deg = unseen_deg(now_s - known_at_s, tracker.rate_deg_s(tracker.known_at_s) or 0.0)
+        self._lost_count = relief.leaps(0.0, self._unseen_deg)
+
+    def _read(self, reference: Reference, image: NDArray[np.uint8], patch: Patch) -> Relief | None:
+        """The relief in the contact, None where the reference has none."""
+        return None if self._reader is None or reference.relief is None else self._reader.read(image, patch)
+
+    def _by_relief(
+        self, reference: Reference, relief: Relief | None, patch: Patch, predicted_deg: float, axial: Turn
+    ) -> Followed:
+        """The turn by the relief in the contact, from where the track leads, or the axis where a count is lost."""
+        track = reference.relief
+        if relief is None or track is None:
+            return Followed(None, None, None, 1.0, NO_RELIEF)
+        if not self._lost_count:
+            return track.follow(relief, patch, predicted_deg, unseen_deg=self._unseen_deg)
+        step_deg = track.pitch_deg or 0.0
+        if axial.turn_deg is None or axial.sigma_deg is None or AGREE_SIGMA * axial.sigma_deg >= 0.5 * step_deg:
+            return Followed(None, None, None, 1.0, LOST_COUNT)
+        found = track.follow(relief, patch, axial.turn_deg)
+        self._lost_count = found.turn_deg is None
+        return found
+
+    def _again(
+        self, reference: Reference, relief: Relief | None, patch: Patch, predicted_deg: float, found: Followed,
+        outline: Turn, shift_px: tuple[float, float],
+    ) -> Followed:  # fmt: skip
+        """The relief looked for once more where the outline is, where that is far from where it was looked for."""
+        track = reference.relief
+        before_deg = predicted_deg if found.turn_deg is None else found.turn_deg
+        if relief is None or track is None or self._lost_count or outline.turn_deg is None:
+            return found
+        if abs(outline.turn_deg - before_deg) <= AGAIN_DEG:
+            return found
+        again = track.follow(relief, patch, predicted_deg, (outline.turn_deg, shift_px), unseen_deg=self._unseen_deg)
+        if again.sigma_deg is None or again.sigma_deg >= (found.sigma_deg or 180.0):
+            return found
+        return again
+
+    def _by_outline(
+        self, reference: Reference, patch: Patch, turn: Turn, near_deg: float, only_near: bool
+    ) -> tuple[Turn, Turn, tuple[float, float]]:
+        """The turn by the outline, checked by the one that the axes show; unchecked, or the axes' alone; the shift.
+
+        near_deg: where to look for it first. only_near: and not from where the axes point.
+        """
+        shift_px = _difference(_centre_px(patch), reference.centre_px)
+        laid = self._laid_over(reference, patch, Turn(None, None) if only_near else turn, near_deg)
+        registered = Turn(None, None, laid.declined)
+        if laid.declined == NOT_SAME and turn.turn_deg is not None and turn.sigma_deg is not None:
+            # An outline that has become another one has moved its axis too.
+            turn = Turn(turn.turn_deg, math.hypot(turn.sigma_deg, MISFIT_SIGMAS * laid.misfit_deg))
+        if laid.declined is None:
+            self._pose = laid.pose
+            registered = Turn(laid.pose.turn_deg, laid.sigma_deg)
+            shift_px = (laid.pose.dx_px * self._frame_px, laid.pose.dy_px * self._frame_px)
+        if self._lost_count and turn.turn_deg is None:
+            registered = Turn(None, None, LOST_COUNT)  # a nut's outline repeats with its relief
+        only = self._settings.estimator == "registration"
+        laid_turn = turn if registered.turn_deg is None else registered
+        return registered if only else checked(registered, turn), laid_turn, shift_px
+
+    def _laid_over(self, reference: Reference, patch: Patch, turn: Turn, near_deg: float) -> Registration:
+        """The patch laid over the reference, from a turn that is likely or from where its axis points."""
+        if self._template is None:  # made when it is first needed: many grasps never ask for the outline
+            self._template = make_template(reference.patch)
+        registrar = Registrar(self._template, patch)
+        best = registrar.fit(replace(self._pose, turn_deg=near_deg))
+        if turn.turn_deg is None or abs(turn.turn_deg - best.pose.turn_deg) < 4.0:
+            return best
+        dx, dy = _difference(_centre_px(patch), reference.centre_px)
+        other = registrar.fit(Pose(turn.turn_deg, dx / self._frame_px, dy / self._frame_px))
+        better = other.declined is None and (best.declined is not None or other.residual < best.residual)
+        return other if better else best
+
+
+def _between(reference: Orientation, now: Orientation, near_deg: float) -> Turn:
+    """The turn between two answers of one estimator."""
+    if reference.angle_deg is None or reference.sigma_deg is None:
+        return Turn(None, None, reference.declined)
+    if now.angle_deg is None or now.sigma_deg is None:
+        return Turn(None, None, now.declined)
+    return axis_turn(now.angle_deg, now.sigma_deg, reference.angle_deg, reference.sigma_deg, near_deg)
+
+
+def _centre_px(patch: Patch) -> tuple[float, float]:
+    """Centre of the patch in frame pixels, right and down."""
+    m = cv2.moments(patch.mask, True)
+    return patch.to_frame(m["m10"] / m["m00"], m["m01"] / m["m00"])
+
+
+def _difference(now: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
+    return (now[0] - before[0], now[1] - before[1])

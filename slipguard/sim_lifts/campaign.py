@@ -1,0 +1,231 @@
+"""`slipguard --sim`: the daemon on the fakes, one lift per object, beside the truth."""
+
+from __future__ import annotations
+
+import asyncio
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from slipguard.config import Config, parse_config
+from slipguard.control.guard import tick
+from slipguard.control.state import Phase
+from slipguard.daemon.api.controls import Controls
+from slipguard.daemon.loop.decision import Decision
+from slipguard.daemon.loop.service import Service
+from slipguard.daemon.loop.worker import StatedLatencyWorker, ThreadWorker, Worker
+from slipguard.daemon.run import build_service
+from slipguard.errors import CommandRefused
+from slipguard.evaluation.single_estimators import PatchKeeper, SeenPatch, turns_by_estimator
+from slipguard.sim.objects import names
+from slipguard.sim.scenario import scenario
+from slipguard.sim.world import World
+from slipguard.sim_lifts.lift_record import FINGERS, LiftRecord, Measured
+from slipguard.sim_lifts.unguarded import unguarded_tick
+from slipguard.tools.waiting import until as wait_until
+
+TRUTH_STEP_S = 0.004
+HOLD_S = 1.2
+"""How long an object is held up, after the lift, before it is put down."""
+PHASE_TIMEOUT_S = 12.0
+LIFT_HEIGHT_MM = 150.0
+LIFT_SPEED_MM_S = 80.0
+LOWER_SPEED_MM_S = 150.0
+"""Nothing is at stake on the way down any more: ten lifts in a minute and a half."""
+STATED_LATENCY_S = 0.006
+"""On the fast clock a frame's answer comes this long after the frame."""
+GRIPPED = frozenset({Phase.REFERENCE, Phase.LIFTING, Phase.HOLDING, Phase.FAULT})
+HARD_CASES = {"bar": "heavy", "ball": "saturating"}
+"""The two the paper finds hard: a heavy object, and one so curved that it saturates the picture."""
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignSettings:
+    """seed: of all that is random. lifts: None for one per test object. guarded: False lifts without the guard."""
+
+    seed: int = 0
+    lifts: int | None = None
+    guarded: bool = True
+    realtime: bool = True
+
+    def objects(self) -> list[tuple[str, int]]:
+        """The objects in order, each with the seed of its scenario."""
+        every = names("test")
+        count = len(every) if self.lifts is None else self.lifts
+        return [(every[index % len(every)], self.seed + index // len(every)) for index in range(count)]
+
+
+@dataclass(slots=True)
+class Live:
+    """What a progress display may show at any moment."""
+
+    lift: int = 0
+    lifts: int = 0
+    object_name: str = ""
+    phase: str = ""
+    turn_deg: float | None = None
+    sigma_deg: float | None = None
+    true_turn_deg: float = 0.0
+    force_n: float = 0.0
+    latency_ms: float | None = None
+
+
+def campaign_config(settings: CampaignSettings, state_directory: Path) -> Config:
+    """The fakes with every default; drawing in processes of their own on the real clock."""
+    draw = "process" if settings.realtime else "inline"
+    raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": draw}} for name in FINGERS}
+    raw["guard"] = {
+        "lift_height_mm": LIFT_HEIGHT_MM,
+        "lift_speed_mm_s": LIFT_SPEED_MM_S,
+        "lower_speed_mm_s": LOWER_SPEED_MM_S,
+    }
+    raw["state"] = {"directory": str(state_directory)}
+    return parse_config(raw, where="--sim", sim=True)
+
+
+async def run_campaign(settings: CampaignSettings, show: Callable[[Live], None]) -> list[LiftRecord]:
+    """Run all lifts; `show` is called often with the state of affairs."""
+    with tempfile.TemporaryDirectory(prefix="slipguard-sim-") as folder:
+        config = campaign_config(settings, Path(folder))
+        world = World(seed=settings.seed)
+
+        def make_worker(name: str) -> Worker:
+            return ThreadWorker(name) if settings.realtime else StatedLatencyWorker(STATED_LATENCY_S)
+
+        law = tick if settings.guarded else unguarded_tick
+        patches: list[SeenPatch] = []
+        service = build_service(
+            config,
+            world=world,
+            make_worker=make_worker,
+            law=law,
+            around=lambda finger, pipeline: PatchKeeper(finger, pipeline, patches),
+        )
+        running = asyncio.create_task(service.run(), name="service")
+        try:
+            records = await _lifts(settings, service, world, running, show)
+        finally:
+            running.cancel()
+            await asyncio.gather(running, return_exceptions=True)
+        for record in records:
+            if record.reference_s is not None:
+                record.other_estimators = turns_by_estimator(patches, record.reference_s, record.ended_at_s)
+        return records
+
+
+async def _lifts(
+    settings: CampaignSettings,
+    service: Service,
+    world: World,
+    running: asyncio.Task[None],
+    show: Callable[[Live], None],
+) -> list[LiftRecord]:
+    plan = settings.objects()
+    live = Live(lifts=len(plan))
+    controls = Controls(service)
+    await wait_until(running, lambda: not service.waiting_for, 30.0, "the devices are not ready")
+    await controls.calibrate()
+    records = []
+    for index, (name, seed) in enumerate(plan):
+        live.lift, live.object_name = index + 1, name
+        record = LiftRecord(object_name=name, hard=HARD_CASES.get(name, ""))
+        records.append(record)
+        loop = asyncio.get_running_loop()
+        world.place(scenario(name, seed), loop.time())
+        with _watched(service, world, record, live, show):
+            await _one_lift(service, controls, world, record, running)
+        world.clear(loop.time())
+    return records
+
+
+async def _one_lift(
+    service: Service, controls: Controls, world: World, record: LiftRecord, running: asyncio.Task[None]
+) -> None:
+    """Grasp, lift, hold, lower and release one object, and say how it went."""
+    loop = asyncio.get_running_loop()
+    missed_before = service.deadlines_missed
+
+    def dropped() -> bool:
+        return world.truth(loop.time()).dropped is not None
+
+    async def until(reached: Callable[[], bool], what: str) -> None:
+        await wait_until(
+            running,
+            lambda: reached() or dropped() or service.phase is Phase.FAULT,
+            PHASE_TIMEOUT_S,
+            f"{record.object_name}: {what}",
+        )
+
+    try:
+        await controls.grasp()
+        await until(lambda: service.firm, "the object was not gripped")
+        await controls.lift()
+        await until(lambda: service.phase is Phase.HOLDING, "the lift did not end")
+        hold_until_s = loop.time() + HOLD_S
+        await until(lambda: loop.time() >= hold_until_s, "the hold did not end")
+    except CommandRefused as refusal:
+        record.outcome, record.why = "refused", str(refusal)
+    record.ended_at_s = loop.time()
+    if dropped():
+        record.outcome, record.why = "dropped", str(world.truth(loop.time()).dropped)
+        record.ended_at_s = record.truth.time_s[-1]
+    elif service.phase is Phase.FAULT and service.state.fault is not None:
+        record.why = str(service.state.fault.code)
+    record.deadlines_missed = service.deadlines_missed - missed_before
+    if record.outcome == "held" and service.phase is Phase.HOLDING:
+        await controls.lower()
+        await until(lambda: service.phase is Phase.HOLDING, "the lowering did not end")
+    await controls.release()
+    await wait_until(running, lambda: service.phase is Phase.IDLE, PHASE_TIMEOUT_S, "the release did not end")
+
+
+@contextmanager
+def _watched(
+    service: Service, world: World, record: LiftRecord, live: Live, show: Callable[[Live], None]
+) -> Iterator[None]:
+    """Write truth, estimates and decisions into the record while the body runs."""
+    loop = asyncio.get_running_loop()
+
+    def sample_truth() -> None:
+        timers[0] = loop.call_later(TRUTH_STEP_S, sample_truth)
+        truth = world.truth(loop.time())
+        if truth.dropped is None and truth.object_name is not None:
+            log = record.truth
+            log.time_s.append(truth.time_s)
+            log.turn_deg.append(truth.turn_deg)
+            log.force_n.append(truth.force_n)
+            log.needed_n.append(truth.needed_force_n)
+            log.height_mm.append(truth.height_mm)
+        live.true_turn_deg, live.force_n = truth.turn_deg, truth.force_n
+
+    def decided(decision: Decision) -> None:
+        live.phase = decision.phase.value
+        fresh_grip = decision.command.new_reference  # what was seen before it belongs to an older reference
+        if decision.phase not in GRIPPED or fresh_grip or loop.time() > record.ended_at_s:
+            live.turn_deg = live.sigma_deg = None
+            return
+        for finger, estimate in decision.new_estimates.items():
+            record.estimates[finger].append(estimate)
+        record.latency_s.extend(decision.latencies_s)
+        fused = decision.seen.fused
+        if fused is not None and fused.turn_deg is not None and fused.sigma_deg is not None:
+            if decision.new_estimates:
+                record.fused.append(Measured(fused.captured_at_s, fused.turn_deg, fused.sigma_deg))
+            live.turn_deg, live.sigma_deg = fused.turn_deg, fused.sigma_deg
+        else:
+            live.turn_deg = live.sigma_deg = None
+        if decision.latencies_s:
+            live.latency_ms = 1e3 * decision.latencies_s[-1]
+        show(live)
+
+    timers: list[asyncio.Handle] = [loop.call_soon(sample_truth)]
+    service.observers.append(decided)
+    service.hold_observers.append(record.latency_s.append)
+    try:
+        yield
+    finally:
+        timers[0].cancel()
+        service.hold_observers.remove(record.latency_s.append)
+        service.observers.remove(decided)

@@ -1,0 +1,194 @@
+"""A campaign's table, picture and JSON lines."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from slipguard.sim_lifts.lift_record import FINGERS, PICTURE_SIGN, LiftRecord, mean_abs, summary, turn_errors
+from slipguard.tools import plotting as figures
+
+ESTIMATORS = ("skeleton", "pca", "ellipse", "moments")
+WIDE = 90
+"""Columns of a terminal from which tables are set with air."""
+LEGEND = (
+    "largest turns until the lift's end, measured: while it was told; mean error and median sigma over that, in "
+    "degrees; highest grip given / needed, N per finger; latency of the loop p50 / p99; frames answered without the "
+    "network, and why; late: deadlines missed"
+)
+
+
+def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
+    """One lift as the object of one JSON line."""
+    latencies_ms = 1e3 * np.asarray(record.latency_s)
+    timed = realtime and latencies_ms.size > 0
+    error = mean_abs(record.errors_deg(record.fused))
+    sigmas = [one.sigma_deg for one in record.fused]
+    turns_deg: list[float] = [one.turn_deg for one in record.fused if one.captured_at_s <= record.ended_at_s]
+    peak_deg: float = max(turns_deg, key=abs, default=0.0)
+    return {
+        "object": record.object_name,
+        "outcome": record.outcome,
+        "why": record.why or None,
+        "true_turn_deg": round(record.true_turn_deg, 2),
+        "measured_turn_deg": round(peak_deg, 2) if turns_deg else None,
+        "turn_error_deg": None if error is None else round(error, 3),
+        "sigma_deg": round(float(np.median(sigmas)), 3) if sigmas else None,
+        "peak_force_n": round(max(record.truth.force_n, default=0.0), 1),
+        "needed_force_n": round(max(record.truth.needed_n, default=0.0), 1),
+        "latency_p50_ms": round(float(np.percentile(latencies_ms, 50)), 2) if timed else None,
+        "latency_p99_ms": round(float(np.percentile(latencies_ms, 99)), 2) if timed else None,
+        "frames": record.frames,
+        "skipped": dict(record.skips),
+        "deadlines_missed": record.deadlines_missed,
+    }
+
+
+def print_lines(records: list[LiftRecord], *, realtime: bool) -> None:
+    """One JSON object a lift, then the errors of each source, then the summary as the last line."""
+    for record in records:
+        print(json.dumps({"lift": record_line(record, realtime=realtime)}))
+    for source in (*FINGERS, "fused", *ESTIMATORS):
+        errors = turn_errors(records, source)
+        print(
+            json.dumps(
+                {
+                    "turn_errors": {
+                        "source": source,
+                        "lifts": errors.lifts,
+                        "mean_deg": errors.mean_deg,
+                        "p95_deg": errors.p95_deg,
+                        "worst_object_deg": errors.worst_object_deg,
+                        "worst_object": errors.worst_object,
+                    }
+                }
+            )
+        )
+    print(json.dumps({"summary": summary(records, realtime=realtime)}), flush=True)
+
+
+def print_tables(console: Console, records: list[LiftRecord], *, realtime: bool) -> None:
+    """The same for people, within 80 columns."""
+    console.print(_lift_table(records, realtime=realtime, gap=1 if console.width >= WIDE else 0))
+    hard = {f"{record.object_name} ({record.hard})" for record in records if record.hard}
+    if hard:
+        console.print(f"hard cases: {', '.join(sorted(hard))}")
+    for record in records:
+        if record.why:
+            console.print(f"{record.object_name} {record.outcome}: {record.why}")
+    console.print(LEGEND, style="dim")
+    console.print("\nturn errors over the lifts that turned at least 10°: every frame, stated minus true")
+    console.print(_error_table(records))
+    figures_now = summary(records, realtime=realtime)
+    console.print(
+        f"{figures_now['lifts']} lifts: {figures_now['held']} held, {figures_now['dropped']} dropped, "
+        f"{figures_now['refused']} refused; turned over 20° or dropped: {figures_now['over_20_deg_or_dropped']}"
+    )
+    if figures_now["latency_p99_ms"] is not None:
+        console.print(
+            f"latency, frame handed over → command issued or found needless: "
+            f"p50 {figures_now['latency_p50_ms']} ms, p99 {figures_now['latency_p99_ms']} ms"
+        )
+
+
+def _lift_table(records: list[LiftRecord], *, realtime: bool, gap: int) -> Table:
+    """A row a lift; 80 columns without a `gap` between its columns."""
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, gap, 0, 0))
+    for name in ("object", "true\nturn", "meas.\nturn", "error", "sigma", "grip/\nneed N"):
+        table.add_column(name, justify="left" if name == "object" else "right", no_wrap=name != "object")
+    table.add_column("", no_wrap=True)
+    table.add_column("p50/p99\nms", justify="right", no_wrap=True)
+    table.add_column("skipped")
+    table.add_column("late", justify="right", no_wrap=True)
+    for record in records:
+        line = record_line(record, realtime=realtime)
+        colour = {"held": "green", "dropped": "red"}.get(record.outcome, "yellow")
+        share = {name: count / max(record.frames, 1) for name, count in record.skips.items()}
+        table.add_row(
+            record.object_name,
+            _degrees(line["true_turn_deg"], "{:+.1f}"),
+            _degrees(line["measured_turn_deg"], "{:+.1f}"),
+            _degrees(line["turn_error_deg"], "{:.2f}"),
+            _degrees(line["sigma_deg"], "{:.2f}"),
+            f"{line['peak_force_n']:.0f}/{line['needed_force_n']:.0f}",
+            f"[{colour}]{record.outcome}[/]",
+            f"{line['latency_p50_ms']:.1f}/{line['latency_p99_ms']:.1f}" if line["latency_p50_ms"] is not None else "–",
+            "\n".join(f"{100 * value:.0f}% {name}" for name, value in share.items()) or "–",
+            str(record.deadlines_missed),
+        )
+    return table
+
+
+def _error_table(records: list[LiftRecord]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
+    for name in ("source", "lifts", "mean", "95 %", "worst object"):
+        table.add_column(name, justify="left" if name == "source" else "right", no_wrap=True)
+    for source in (*FINGERS, "fused", *ESTIMATORS):
+        errors = turn_errors(records, source)
+        if errors.mean_deg is None:
+            table.add_row(source, "0", "–", "–", "–")
+            continue
+        table.add_row(
+            source,
+            str(errors.lifts),
+            f"{errors.mean_deg:.2f}°",
+            f"{errors.p95_deg:.2f}°",
+            f"{errors.worst_object_deg:.2f}° ({errors.worst_object})",
+        )
+    return table
+
+
+def _degrees(value: object, form: str = "{:+.1f}°") -> str:
+    return "–" if value is None else form.format(value)
+
+
+def draw(records: list[LiftRecord], path: Path) -> None:
+    """One small chart a lift: true and measured turn above, force and needed force below."""
+    columns = 3
+    rows = -(-len(records) // columns)
+    drawing = figures.figure(5.2 * columns, 3.6 * rows)
+    outer = drawing.subfigures(rows, columns, squeeze=False)
+    for index, place in enumerate(outer.flat):
+        if index >= len(records):
+            continue
+        record = records[index]
+        upper, lower = place.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+        truth_s = np.asarray(record.truth.time_s)
+        start_s = truth_s[0] if truth_s.size else 0.0
+        turn = np.asarray(record.truth.turn_deg)
+        upper.plot(truth_s - start_s, turn - (turn[0] if turn.size else 0.0), color="black", lw=2.2, label="true")
+        for finger, colour in zip(FINGERS, ("tab:blue", "tab:orange"), strict=True):
+            stated = record.measured(finger)
+            upper.plot(
+                [one.captured_at_s - start_s for one in stated],
+                [one.turn_deg for one in stated],
+                ".",
+                ms=2.5,
+                color=colour,
+                label=finger if PICTURE_SIGN[finger] > 0 else f"{finger} (sign turned)",
+            )
+        upper.plot(
+            [one.captured_at_s - start_s for one in record.fused],
+            [one.turn_deg for one in record.fused],
+            color="tab:red",
+            lw=1.0,
+            label="fused",
+        )
+        upper.set_ylabel("turn / °")
+        upper.grid(alpha=0.3)
+        upper.set_title(f"{record.object_name}: {record.outcome}", fontsize=10)
+        lower.plot(truth_s - start_s, record.truth.force_n, color="tab:green", label="grip, per finger")
+        lower.plot(truth_s - start_s, record.truth.needed_n, color="tab:gray", ls="--", label="needed")
+        lower.set_ylabel("force / N")
+        lower.set_xlabel("time / s")
+        lower.set_ylim(bottom=0)
+        lower.grid(alpha=0.3)
+        if index == 0:
+            upper.legend(fontsize=7, loc="best")
+            lower.legend(fontsize=7, loc="best")
+    figures.save(drawing, path)

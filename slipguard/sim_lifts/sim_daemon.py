@@ -1,0 +1,47 @@
+"""`slipguard run --sim`: the daemon on the fakes, with somebody who keeps putting the next object between the jaws."""
+
+from __future__ import annotations
+
+import asyncio
+from itertools import cycle
+
+import structlog
+
+from slipguard.config import Config
+from slipguard.control.state import Phase
+from slipguard.daemon import run as root
+from slipguard.daemon.loop.service import Service
+from slipguard.sim.objects import names
+from slipguard.sim.scenario import scenario
+from slipguard.sim.world import World
+
+LOOK_S = 0.2
+ROOM_MM = 60.0
+"""Jaws at least this far open count as ready for the next object."""
+log = structlog.get_logger()
+
+
+async def run_on_stage(config: Config) -> None:
+    """Run the daemon on a fresh world until it is stopped."""
+    world = World(seed=0)
+
+    async def stagehand(service: Service) -> None:
+        """After each release, take the object away and bring the next."""
+        log.info("try in another terminal: slipguard ctl calibrate, then grasp, state, lift, lower, release")
+        loop = asyncio.get_running_loop()
+        touched = True
+        for number, name in enumerate(cycle(names("test"))):
+            while not (touched and service.phase is Phase.IDLE and _open(service)):
+                touched = touched or service.phase is not Phase.IDLE
+                await asyncio.sleep(LOOK_S)
+            world.clear(loop.time())
+            world.place(scenario(name, number), loop.time())
+            log.info("an object lies between the jaws", object=name)
+            touched = False
+
+    await root.run(config, world=world, beside=stagehand)
+
+
+def _open(service: Service) -> bool:
+    gripper = service.gripper.newest
+    return gripper is not None and not gripper.moving and gripper.width_mm >= ROOM_MM

@@ -1,0 +1,100 @@
+"""A million frames through registration and track: what has come back to where it was is told so."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.perception.contact.patch import Patch
+from slipguard.perception.estimate import Orientation
+from slipguard.perception.rotation.rotation_meter import TurnMeter
+from slipguard.perception.rotation.tracker import Turn
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.stage_timer import StageClock
+from slipguard.stress.family import Family, Notes, Trial
+from slipguard.stress.product_functions import FRAME_S, MAP_PX, THRESHOLD, Subject
+from slipguard.stress.shapes import ELONGATED, Pose, roughness, soft
+
+DRIFT = "drift of the tracked turn"
+DRIFT_DEG = 0.1
+STRETCH_FRAMES = 1000
+"""The object swings there and back over every seam within so many frames."""
+SWING_DEG = 200.0
+REFERENCE_DEG = 37
+VARIANTS = 3
+"""Every whole degree is drawn so many times, each with another wrong outline."""
+ROUGH_PX = 0.2
+"""Of the outline, network pixels; the shipped network's is about 0.3."""
+MIN_AREA_PX = 200.0
+SHAPE = ELONGATED["hook"]
+_NO_PICTURE: NDArray[np.uint8] = np.zeros((1, 1, 3), np.uint8)
+
+
+class _Contacts:
+    """The contact turned to whole degrees, with its axes: drawn when first asked for."""
+
+    def __init__(self, subject: Subject) -> None:
+        self._subject = subject
+        self._known: dict[tuple[int, int], tuple[Patch, dict[str, Orientation]]] = {}
+
+    def at(self, angle_deg: int, variant: int) -> tuple[Patch, dict[str, Orientation]]:
+        """variant: 0 for a clean outline. The same for the same numbers."""
+        key = (angle_deg % 360, variant)
+        if key not in self._known:
+            rough = roughness(np.random.default_rng(key), ROUGH_PX if variant else 0.0)
+            shown = soft(SHAPE, Pose(float(key[0])), rough)
+            patch = self._subject.find_patch(shown, THRESHOLD, MIN_AREA_PX, MAP_PX)
+            if patch is None:
+                raise ValueError(f"no patch at {angle_deg} degrees")
+            self._known[key] = (patch, {"moments": self._subject.estimate(patch, "moments")})
+        return self._known[key]
+
+
+def _begin(subject: Subject) -> Trial:
+    contacts = _Contacts(subject)
+    # Outlines alone: reliefs, keys and left-out frames are those of the family `holding`.
+    meter = TurnMeter(PerceptionSettings(reference="first", estimator="registration"), MAP_PX)
+    meter.tracker = subject.tracker()
+    frame = 0
+
+    def measured(angle_deg: int, variant: int) -> Turn:
+        patch, axes = contacts.at(angle_deg, variant)
+
+        def axes_of(every: bool) -> Mapping[str, Orientation]:
+            return axes
+
+        return meter.measure(_NO_PICTURE, patch, axes_of, frame * FRAME_S, StageClock(None))[0]
+
+    def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+        nonlocal frame
+        if frame == 0:
+            notes.attempt("meter", measured, REFERENCE_DEG, 0)
+        errors = []
+        for variant in rng.integers(1, VARIANTS + 1, STRETCH_FRAMES):
+            frame += 1
+            truth = round(SWING_DEG * math.sin(2.0 * math.pi * frame / STRETCH_FRAMES))
+            turn = notes.attempt("meter", measured, REFERENCE_DEG + truth, int(variant))
+            if turn is None:
+                return
+            error = notes.angle("meter", turn.turn_deg, turn.sigma_deg, float(truth), axial=False)
+            if error is not None and turn.turn_deg is not None:
+                errors.append(turn.turn_deg - truth)
+        if errors:
+            notes.limit(DRIFT, abs(float(np.mean(errors))), DRIFT_DEG)
+
+    return trial
+
+
+TRACKING = Family(
+    "drift",
+    "a million frames that swing over every seam, through registration and track",
+    1000,
+    270.0,
+    _begin,
+    STRETCH_FRAMES,
+    continuous=True,
+    told=0.95,
+)

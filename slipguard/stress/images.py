@@ -1,0 +1,138 @@
+"""Rendered grasps in impossible light through the whole pipeline with its network: declined, or right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, cast
+
+import numpy as np
+
+from slipguard.devices import Frame
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.sim.gel import GelCamera
+from slipguard.sim.objects import get, names
+from slipguard.sim.unit import Unit
+from slipguard.sim.view import GelView
+from slipguard.stress.family import Family, Notes, Trial
+from slipguard.stress.light import SPOILS, Image, malformed, nonsense
+from slipguard.stress.product_functions import FRAME_S, PX_PER_MM, Subject
+
+NoiseBgr = tuple[float, float, float]
+
+GRASPS = 24
+STILL_FRAMES, TURNED_FRAMES = 6, 5
+STEP_DEG = 4.0
+NOISE_LEVELS = (0.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+STRENGTHS = (0.03, 0.06, 0.12, 0.25, 0.5, 0.75, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grasp:
+    """One object held still and then turned by `STEP_DEG` a frame."""
+
+    background: Image
+    noise_bgr: NoiseBgr
+    frames: tuple[Image, ...]
+    turns_deg: tuple[float, ...]
+
+
+@cache
+def grasp(number: int) -> Grasp:
+    """The same grasp for the same number: an object with an axis, anywhere, pressed lightly or hard."""
+    rng = np.random.default_rng(np.random.SeedSequence([number, 77]))
+    things = [get(name) for name in names("train")]
+    readable = [thing for thing in things if thing.axial]
+    thing = readable[number % len(readable)]
+    camera = GelCamera(Unit.default(), seed=number)
+    x, y, start = rng.uniform(-2, 2), rng.uniform(-3, 3), rng.uniform(-180, 180)
+    depth = thing.press_mm * rng.uniform(0.5, 1.0)
+    way = float(rng.choice((-1.0, 1.0)))
+    turns = [0.0] * STILL_FRAMES + [way * STEP_DEG * (k + 1) for k in range(TURNED_FRAMES)]
+    frames = [camera.draw(GelView(thing.name, x, y, start + turn, depth)) for turn in turns]
+    return Grasp(camera.no_contact(), camera.unit.noise_bgr, tuple(frames), tuple(turns))
+
+
+def _begin(subject: Subject) -> Trial:
+    segmenter = subject.segmenter()
+    spoils = list(SPOILS.items())
+    settings = PerceptionSettings()
+
+    def pipeline(background: Image | None, noise_bgr: NoiseBgr | None, notes: Notes) -> Any:
+        """A new pipeline, or None where it refuses a spoiled no-contact image."""
+        return notes.attempt("pipeline", subject.pipeline, segmenter, settings, background, noise_bgr, PX_PER_MM)
+
+    def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+        kind, seed = seed % 4, seed // 4
+        shown = grasp(int(rng.integers(GRASPS)))
+        noise_bgr: NoiseBgr | None = shown.noise_bgr
+        if kind == 0:
+            level = NOISE_LEVELS[seed % len(NOISE_LEVELS)]
+            spoiled = [SPOILS["noise"](image, level / 64.0, rng) for image in shown.frames]
+            error = _watch(pipeline(shown.background, noise_bgr, notes), spoiled, shown.turns_deg, notes, "noise")
+            notes.point("frame noise/pipeline", level, error)
+            return
+        name, spoil = spoils[seed % len(spoils)]
+        strength = STRENGTHS[seed // len(spoils) % len(STRENGTHS)]
+        draw = int(rng.integers(2**31))  # the same in every frame: a state of the sensor, not a flicker
+        frames = [spoil(image, strength, np.random.default_rng(draw)) for image in shown.frames]
+        background: Image | None = shown.background
+        if kind == 1:  # from the calibration on, which measures the noise too
+            background = spoil(shown.background, strength, np.random.default_rng(draw))
+            noise_bgr = _measured_noise(frames[:STILL_FRAMES])
+        elif kind == 2:  # since the reference was taken
+            frames[:STILL_FRAMES] = shown.frames[:STILL_FRAMES]
+        elif rng.random() < 0.5:  # in each frame anew
+            frames = [spoil(image, strength, rng) for image in shown.frames]
+        else:  # not calibrated at all
+            background = noise_bgr = None
+        _watch(pipeline(background, noise_bgr, notes), frames, shown.turns_deg, notes, name)
+        if rng.random() < 0.25:
+            _look_at_nonsense(pipeline(shown.background, noise_bgr, notes), shown, rng, notes)
+
+    return trial
+
+
+def _measured_noise(still: Sequence[Image]) -> NoiseBgr:
+    """As the calibration measures it: neighbouring frames differ by the noise alone."""
+    b, g, r = np.diff(np.stack(still).astype(np.float32), axis=0).std(axis=(0, 1, 2)) / np.sqrt(2.0)
+    return float(b), float(g), float(r)
+
+
+def _watch(
+    pipeline: Any, frames: Sequence[Image], turns_deg: Sequence[float], notes: Notes, label: str
+) -> float | None:
+    """Feed frames and judge every answer against the turn since the reference; the last one's error, None: declined."""
+    error = None
+    since_deg: float | None = None
+    if pipeline is None:
+        return None
+    for k, (image, truth) in enumerate(zip(frames, turns_deg, strict=True)):
+        answer = notes.attempt(f"pipeline, {label}", pipeline.process, Frame(image, k * FRAME_S, k))
+        if since_deg is None and pipeline.has_reference:
+            since_deg = truth
+        error = None
+        if answer is not None:
+            turn = truth - (since_deg or 0.0)
+            notes.finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
+            error = notes.angle(f"pipeline, {label}", answer.angle_deg, answer.sigma_deg, turn, axial=False)
+    return error
+
+
+def _look_at_nonsense(pipeline: Any, shown: Grasp, rng: np.random.Generator, notes: Notes) -> None:
+    """After a reference: pictures of nothing and things that are no pictures; no turn may be claimed."""
+    if pipeline is None:
+        return
+    for k in range(STILL_FRAMES):
+        notes.attempt("pipeline", pipeline.process, Frame(shown.frames[k], k * FRAME_S, k))
+    for k in range(STILL_FRAMES, STILL_FRAMES + 4):
+        image = nonsense(rng) if k % 2 else cast(Image, malformed(rng))
+        answer = notes.attempt("pipeline, no picture", pipeline.process, Frame(image, k * FRAME_S, k))
+        if answer is not None:
+            notes.angle("pipeline, no picture", answer.angle_deg, answer.sigma_deg, None, axial=False)
+
+
+PICTURES = Family(
+    "pictures", "extreme light, hot pixels, saturated frames, swapped colours, nonsense", 10_000, 85.0, _begin, told=0.3
+)

@@ -1,0 +1,56 @@
+"""Outlines that are wrong by more and more pixels, probabilities with more and more noise: errors against noise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slipguard.stress.family import Family, Notes, Trial
+from slipguard.stress.map_checks import Map, compare
+from slipguard.stress.product_functions import Finger, Subject
+from slipguard.stress.rotating_shapes import readings_of, turn_held
+from slipguard.stress.shapes import ELONGATED, Pose, roughness, soft
+
+OUTLINE_PX = (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0)
+"""Standard deviations of the outline's place, network pixels; the shipped network's is about 0.3."""
+GREY = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5)
+"""Standard deviations of white noise on the probability."""
+
+
+def _begin(subject: Subject) -> Trial:
+    levels = [("outline", level) for level in OUTLINE_PX] + [("grey", level) for level in GREY]
+    names = tuple(ELONGATED)
+
+    def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+        curve, level = levels[seed % len(levels)]
+        shape = ELONGATED[names[seed // len(levels) % len(names)]]
+        a = Pose(rng.uniform(-180, 180), rng.uniform(50, 69), rng.uniform(65, 94), rng.uniform(0.8, 1.15))
+        turn = float(rng.uniform(-20, 20))
+        b = Pose(a.angle_deg + turn, a.x_px + rng.uniform(-4, 4), a.y_px + rng.uniform(-4, 4), a.scale)
+        if curve == "outline":
+            rough = roughness(rng, level), roughness(rng, level)
+            maps = soft(shape, a, rough[0]), soft(shape, b, rough[1])
+            error = turn_held(shape, a, b, subject, notes, rough)
+        else:
+            maps = _grey(soft(shape, a), level, rng), _grey(soft(shape, b), level, rng)
+            finger = Finger(subject)
+            error = None
+            for shown, truth in zip(maps, (0.0, turn), strict=True):
+                answer = notes.attempt("pipeline", finger.see, shown)
+                if answer is None:
+                    return
+                error = notes.angle("pipeline", answer.angle_deg, answer.sigma_deg, truth, axial=False)
+        notes.point(f"{curve}/pipeline", level, error)
+        readings = readings_of(maps, subject, notes)
+        if readings is not None:
+            for name, one in compare(readings[0], readings[1], turn, notes).items():
+                notes.point(f"{curve}/{name}", level, one)
+
+    return trial
+
+
+def _grey(probability: Map, sigma: float, rng: np.random.Generator) -> Map:
+    noise = np.float32(sigma) * rng.standard_normal(probability.shape, dtype=np.float32)
+    return np.clip(probability + noise, 0.0, 1.0).astype(np.float32)
+
+
+NOISE = Family("noise", "outlines and probabilities with growing noise", 12_000, 11.0, _begin, told=0.75)

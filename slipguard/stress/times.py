@@ -1,0 +1,81 @@
+"""Clocks that stand still, leap, run backwards or are no numbers: the tracker and the pipeline live through them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from slipguard.perception.rotation.tracker import Turn
+from slipguard.stress.family import Family, Notes, Trial
+from slipguard.stress.product_functions import FRAME_S, Finger, Subject
+from slipguard.stress.shapes import Pose, box, soft
+
+STEPS_S = (0.0, 1e-12, 1e-9, 1e-6, 1e-3, FRAME_S, 0.1, 0.25, 1.0, 60.0, 1e6, 1e12, -1e-9, -FRAME_S, -1.0, -1e6)
+NO_TIMES = (math.nan, math.inf, -math.inf)
+RATE_DEG_S = 60.0
+RATE_SIGMA_DEG_S = 12.0
+"""Noise of the rate at a noise of 0.1 degrees over a tenth of a second is 1.5 degrees/s; this is far outside."""
+REST_RATE_DEG_S = 400.0
+"""What a noise of 0.1 degrees may pretend over the shortest time that counts."""
+REGULAR_FRAMES = 30
+NOISE_DEG = 0.1
+
+
+def _begin(subject: Subject) -> Trial:
+    bar = soft(box(34, 9), Pose(20.0))
+
+    def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+        _track(rng, subject, notes)
+        if seed % 10 == 0:
+            finger = Finger(subject)
+            when_s = float(10.0 ** rng.uniform(0, 9))
+            for _ in range(12):
+                step = float(rng.choice(STEPS_S))
+                odd = rng.random() < 0.15
+                answer = notes.attempt(
+                    "pipeline", finger.see, bar, float(rng.choice(NO_TIMES)) if odd else when_s + step
+                )
+                if not odd:
+                    when_s += step
+                if answer is not None:
+                    notes.finite("pipeline", answer.rate_deg_s, answer.captured_at_s, answer.measured_at_s)
+                    notes.angle("pipeline", answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
+
+    return trial
+
+
+def _track(rng: np.random.Generator, subject: Subject, notes: Notes) -> None:
+    """Odd steps with the object at rest, then regular frames of a steady turn: the rate must find back to it."""
+    tracker = subject.tracker()
+    now_s = float(10.0 ** rng.uniform(0, 6))
+    tracker.start(now_s)
+    for _ in range(20):
+        now_s += float(rng.choice(STEPS_S))
+        seen = Turn(float(rng.normal()) * NOISE_DEG, NOISE_DEG)
+        predicted = notes.attempt("prediction", tracker.predicted_deg, now_s)
+        accepted = notes.attempt("tracker", tracker.accept, now_s, seen)
+        rate = notes.attempt("rate", tracker.rate_deg_s, now_s)
+        notes.finite("prediction", predicted)
+        if rate is not None:
+            notes.limit("rate at rest, degrees/s", abs(rate), REST_RATE_DEG_S)
+        if accepted is not None:
+            notes.angle("tracker", accepted.turn_deg, accepted.sigma_deg, 0.0, axial=False)
+    if abs(now_s) > 1e9:  # a double tells no 60 Hz frames apart beyond: no rate can be right
+        return
+    rate = None
+    for k in range(REGULAR_FRAMES):
+        now_s += FRAME_S
+        seen = Turn(RATE_DEG_S * FRAME_S * k + float(rng.normal()) * NOISE_DEG, NOISE_DEG)
+        notes.attempt("tracker", tracker.accept, now_s, seen)
+        rate = notes.attempt("rate", tracker.rate_deg_s, now_s)
+    wrong = math.inf if rate is None else abs(rate - RATE_DEG_S)
+    if math.isfinite(wrong):
+        notes.limit("rate after odd times, error in degrees/s", wrong, RATE_SIGMA_DEG_S)
+    else:
+        notes.failed("limit", f"half a second after odd times the rate is still {rate}")
+
+
+TIMES = Family(
+    "times", "frames without time, with leaping, standing and backward clocks", 50_000, 1.8, _begin, told=0.98
+)

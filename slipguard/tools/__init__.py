@@ -1,0 +1,1 @@
+"""Offline tools: measure images, replay recordings, plots, parallel work."""

@@ -1,0 +1,123 @@
+"""The perception of the daemon, run over files: what `slipguard measure` says about each frame."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.devices import Frame
+from slipguard.errors import FrameCorrupt, InputError
+from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.estimate import Estimate
+from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.tools.image_files import Still, sources, stills
+
+PX_PER_MM = 18.5
+"""Scale of a DIGIT at 240 x 320; used for shifts alone."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """One frame and what was read from it. mask: (320, 240) uint8, 0 or 1."""
+
+    still: Still
+    estimate: Estimate
+    mask: NDArray[np.uint8]
+
+
+def measure(
+    paths: list[Path],
+    segmenter: Segmenter,
+    settings: PerceptionSettings,
+    background: NDArray[np.uint8] | None,
+    independent: bool,
+) -> Iterator[Measured]:
+    """Measure the frames of `paths` in order, as one recording, or each for itself when `independent`.
+
+    Raises `InputError` naming the file at the first frame that cannot be used; what came before has been yielded.
+    """
+    pipeline = _pipeline(segmenter, settings, background)
+    for sequence, still in enumerate(stills(sources(paths))):
+        if independent and sequence:
+            pipeline = _pipeline(segmenter, settings, background)
+        try:
+            estimate = pipeline.process(Frame(still.image, still.captured_at_s, sequence))
+        except FrameCorrupt as error:
+            raise InputError(f"{still.name}: {error}") from error
+        mask = pipeline.last_mask if estimate.contact else None
+        yield Measured(still, estimate, np.zeros(still.image.shape[:2], np.uint8) if mask is None else mask.copy())
+
+
+def _pipeline(segmenter: Segmenter, settings: PerceptionSettings, background: NDArray[np.uint8] | None) -> Pipeline:
+    return Pipeline(segmenter, settings, background, None, PX_PER_MM, timer=time.perf_counter)
+
+
+def as_json(measured: Measured) -> dict[str, Any]:
+    """The one object that `--json` prints for a frame."""
+    estimate = measured.estimate
+    return {
+        "frame": measured.still.name,
+        "contact": estimate.contact,
+        "contact_area_px": estimate.contact_area_px,
+        "angle_deg": _rounded(estimate.angle_deg),
+        "orientation_deg": _rounded(estimate.orientation_deg),
+        "sigma_deg": _rounded(estimate.sigma_deg),
+        "method": estimate.method,
+        "skipped": estimate.skipped,
+        "stage_ms": {stage: round(spent_ms, 3) for stage, spent_ms in estimate.stage_ms.items()},
+    }
+
+
+def write_mask(folder: Path, measured: Measured) -> None:
+    """Write `<stem>.png`, 0 or 255, at the size the frame had in its file. Raises `InputError` if that fails."""
+    size = (measured.still.width_px, measured.still.height_px)
+    mask = measured.mask * np.uint8(255)
+    if (mask.shape[1], mask.shape[0]) != size:
+        mask = np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)
+    path = folder / f"{measured.still.stem}.png"
+    data = cv2.imencode(".png", mask)[1].tobytes()
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise InputError(f"{path}: the mask cannot be written ({error.strerror})") from error
+
+
+def plot(results: list[Measured], path: Path, background_known: bool) -> None:
+    """Draw turn with its uncertainty, orientation and contact area over the frames into an image file."""
+    from slipguard.tools.plotting import figure, save
+
+    drawing = figure(9.0, 6.5)
+    turn, axis, area = drawing.subplots(3, 1, sharex=True, height_ratios=(3, 2, 1))
+    number = np.arange(len(results))
+    angle = _series([r.estimate.angle_deg for r in results])
+    sigma = _series([r.estimate.sigma_deg for r in results])
+    turn.fill_between(number, angle - 2.0 * sigma, angle + 2.0 * sigma, alpha=0.25, label="± 2 sigma")
+    turn.plot(number, angle, marker=".", label="turn since the reference")
+    turn.set_ylabel("turn, degrees (ccw +)")
+    turn.legend(loc="best")
+    axis.plot(number, _series([r.estimate.orientation_deg for r in results]), ".", color="tab:green")
+    axis.set_ylabel("orientation, degrees")
+    axis.set_ylim(-95.0, 95.0)
+    area.plot(number, [r.estimate.contact_area_px for r in results], color="tab:gray")
+    area.set_ylabel("contact, px")
+    area.set_xlabel(f"frame, from {results[0].still.name} to {results[-1].still.name}")
+    turn.set_title("with the unit's no-contact image" if background_known else "no-contact image not given: guessed")
+    for axes in (turn, axis, area):
+        axes.grid(alpha=0.3)
+    save(drawing, path)
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 4)
+
+
+def _series(values: list[float | None]) -> NDArray[np.float64]:
+    return np.array([np.nan if value is None else value for value in values], np.float64)

@@ -1,0 +1,1 @@
+"""Training and export of segmentation networks. Needs the `train` extra."""

@@ -1,0 +1,107 @@
+"""DeepLabV3+, PSPNet and UNet++ with a ResNet18 encoder, as segmentation-models-pytorch builds them.
+
+They see the frame alone, as in the paper. Normalisation and the padding that their strides need are inside, so that
+training and use cannot disagree.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from slipguard.errors import InputError
+from slipguard.training.paper.recipe import Arch
+from slipguard.training.paper.torchvision_operators import segmentation_models
+
+ENCODER = "resnet18"
+STRIDE_PX = {Arch.deeplabv3plus: 16, Arch.pspnet: 8, Arch.unetplusplus: 32}
+"""Of the coarsest grid: sides are padded to a multiple of it."""
+_MEAN_RGB, _STD_RGB = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""Of ImageNet, in 0..1: what encoders are usually started and used with."""
+_CLASSES = {Arch.deeplabv3plus: "DeepLabV3Plus", Arch.pspnet: "PSPNet", Arch.unetplusplus: "UnetPlusPlus"}
+
+
+class FrameNet(nn.Module):
+    """One of the three, for frames of one size. frame: (N, H, W, 3) uint8 BGR; returns logits (N, 1, H, W).
+
+    Starts from random weights. Raises `InputError` where segmentation-models-pytorch is not installed.
+    """
+
+    mean: Tensor
+    scale: Tensor
+
+    def __init__(self, arch: Arch, height_px: int, width_px: int) -> None:
+        super().__init__()
+        build = getattr(segmentation_models(), _CLASSES[arch])
+        self.net = build(ENCODER, encoder_weights=None, in_channels=3, classes=1)
+        stride = STRIDE_PX[arch]
+        self.pad = (-height_px % stride, -width_px % stride)
+        if arch is Arch.pspnet:
+            grid = ((height_px + self.pad[0]) // stride, (width_px + self.pad[1]) // stride)
+            pyramid = self.net.decoder.psp
+            pyramid.blocks = nn.ModuleList(_PyramidLevel(level, grid) for level in pyramid.blocks)
+        self.register_buffer("mean", torch.tensor(_MEAN_RGB).view(1, 3, 1, 1) * 255.0, persistent=False)
+        self.register_buffer("scale", 1.0 / (torch.tensor(_STD_RGB).view(1, 3, 1, 1) * 255.0), persistent=False)
+
+    def forward(self, frame: Tensor) -> Tensor:
+        height, width = frame.shape[1:3]
+        rgb = (frame.permute(0, 3, 1, 2).float().flip(1) - self.mean) * self.scale
+        rows, columns = self.pad
+        if rows or columns:
+            rgb = nn.functional.pad(rgb, (0, columns, 0, rows), mode="replicate")
+        logits: Tensor = self.net(rgb)
+        return logits[..., :height, :width]
+
+    def start_encoder_from(self, path: Path) -> None:
+        """Give the encoder the weights of a ResNet18 (a torch state dict, such as torchvision's)."""
+        _load(self.net.encoder, path, f"the weights of a {ENCODER}")
+
+    def start_from(self, path: Path) -> None:
+        """Take all weights from what an earlier training of the same network left."""
+        _load(self, path, f"the weights of this {type(self.net).__name__}")
+
+
+def _load(part: Any, path: Path, what: str) -> None:
+    try:
+        part.load_state_dict(dict(torch.load(path, map_location="cpu", weights_only=True)))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); name a file of weights") from error
+    except Exception as error:
+        reason = str(error).strip().splitlines()[0][:120]
+        raise InputError(f"{path}: not {what} ({reason}); give a torch state dict of it") from error
+
+
+class _PyramidLevel(nn.Module):
+    """A level of PSPNet's pyramid whose averages over unequal cells are two products of matrices.
+
+    The same numbers as `nn.AdaptiveAvgPool2d`, which ONNX cannot express where cells differ in size.
+    """
+
+    down: Tensor
+    across: Tensor
+
+    def __init__(self, level: Any, grid: tuple[int, int]) -> None:
+        super().__init__()
+        self.after = level.pool[1]
+        down, across = (torch.from_numpy(_cell_means(side, level.pool_size)) for side in grid)
+        self.register_buffer("down", down, persistent=False)
+        self.register_buffer("across", across.T.contiguous(), persistent=False)
+
+    def forward(self, x: Tensor) -> Tensor:
+        size = x.shape[2:]
+        cells: Tensor = self.after(self.down.to(x.dtype) @ x @ self.across.to(x.dtype))
+        return nn.functional.interpolate(cells, size=size, mode="bilinear", align_corners=True)
+
+
+def _cell_means(length: int, cells: int) -> NDArray[np.float32]:
+    """(cells, length): row k averages the stretch that `nn.AdaptiveAvgPool1d` gives cell k."""
+    matrix = np.zeros((cells, length), np.float32)
+    for cell in range(cells):
+        first, last = cell * length // cells, -(-(cell + 1) * length // cells)
+        matrix[cell, first:last] = 1.0 / (last - first)
+    return matrix

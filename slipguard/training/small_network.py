@@ -1,0 +1,117 @@
+"""The small segmentation network: frame and no-contact image in, contact probability out.
+
+What a camera-to-mask network needs to see is the *change* against the unit's no-contact image, so the difference is
+formed inside the graph, where it costs nothing extra and training and use cannot disagree about it. Light drifts by a
+few grey levels from press to press; a clipped mean over the difference image finds that level (a contact patch moves
+it little because its large values are clipped) and takes it away.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+from slipguard.perception.contact.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
+
+Inputs = Literal["both", "change", "frame"]
+SCALE = 1.0 / 48.0
+"""Grey levels to network units: a strong imprint is about 50 to 100 grey levels."""
+
+
+def _conv(inputs: int, outputs: int, *, size: int = 3, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+    pad = dilation * (size // 2)
+    conv = nn.Conv2d(inputs, outputs, size, stride, pad, dilation, bias=False)
+    return nn.Sequential(conv, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
+
+
+class SmallNet(nn.Module):
+    """Encoder-decoder with four strides of two, a view of the whole picture at the bottom and a sub-pixel head.
+
+    Full resolution is where time goes on one core: the first convolution strides at once, and the head
+    restores it by depth-to-space. Where an outline lies depends on the deepest press, wherever that is: at the bottom
+    each place is told the mean and the largest value of the whole picture.
+    frame, background: (N, 160, 120, 3) uint8 BGR, area-halved images (any size that 16 divides works, and 120);
+    background_known: (N,) float, 1 where `background` is the unit's no-contact image, 0 where it is a smooth guess
+    made from the frame. Returns logits (N, 1, 160, 120).
+
+    widths: channels at a half, a quarter, an eighth and a sixteenth of the input; the last may be 0, then there is no
+    such level and no view of the whole. inputs: what it sees, the change against the no-contact image, the frame, both.
+    """
+
+    def __init__(self, widths: tuple[int, int, int, int] = (16, 32, 64, 96), inputs: Inputs = "both") -> None:
+        super().__init__()
+        a, b, c, d = widths
+        self.inputs = inputs
+        self.stem = nn.Conv2d(6 if inputs == "both" else 3, a, 5, 2, 2)
+        self.known = nn.Parameter(torch.zeros(1, a, 1, 1))
+        self.stem_rest = nn.Sequential(nn.BatchNorm2d(a), nn.ReLU(inplace=True))
+        self.down1 = nn.Sequential(_conv(a, b, stride=2), _conv(b, b))
+        self.down2 = _conv(b, c, stride=2)
+        self.middle = nn.ModuleList(_conv(c, c, dilation=2**n) for n in range(1 if d else 3))
+        self.whole = _Whole(c, d) if d else None
+        self.side2 = nn.Conv2d(c, b, 1)
+        self.up2 = _conv(b, b)
+        self.side1 = nn.Conv2d(b, a, 1)
+        self.up1 = _conv(a, a)
+        self.head = nn.Conv2d(a, 4, 3, 1, 1)
+
+    def forward(self, frame: Tensor, background: Tensor, background_known: Tensor) -> Tensor:
+        seen = self._seen(frame.permute(0, 3, 1, 2).float(), background.permute(0, 3, 1, 2).float())
+        half = self.stem_rest(self.stem(seen) + self.known * background_known.view(-1, 1, 1, 1))
+        quarter = self.down1(half)
+        eighth = self.down2(quarter)
+        for block in self.middle:
+            eighth = eighth + block(eighth)
+        if self.whole is not None:
+            eighth = self.whole(eighth)
+        quarter = self.up2(quarter + nn.functional.interpolate(self.side2(eighth), scale_factor=2.0))
+        half = self.up1(half + nn.functional.interpolate(self.side1(quarter), scale_factor=2.0))
+        return nn.functional.pixel_shuffle(self.head(half), 2)
+
+    def _seen(self, image: Tensor, background: Tensor) -> Tensor:
+        change = image - background
+        level = change.clamp(-12.0, 12.0).mean((2, 3), keepdim=True)
+        level = level + (change - level).clamp(-6.0, 6.0).mean((2, 3), keepdim=True)
+        views = {"change": (change - level) * SCALE, "frame": (image - 96.0) * (SCALE / 2)}
+        return torch.cat([views[name] for name in ("change", "frame") if self.inputs in (name, "both")], 1)
+
+
+class _Whole(nn.Module):
+    """The level at a sixteenth of the input, where every place learns of the whole picture."""
+
+    def __init__(self, outer: int, width: int) -> None:
+        super().__init__()
+        self.down = _conv(outer, width, stride=2)
+        self.told = nn.Sequential(nn.Conv2d(2 * width, width, 1), nn.ReLU(), nn.Conv2d(width, width, 1))
+        self.blocks = nn.ModuleList(_conv(width, width, dilation=dilation) for dilation in (1, 2))
+        self.side = nn.Conv2d(width, outer, 1)
+        self.up = _conv(outer, outer)
+
+    def forward(self, outer: Tensor) -> Tensor:
+        inner = self.down(outer)
+        inner = inner + self.told(torch.cat((inner.mean((2, 3), keepdim=True), inner.amax((2, 3), keepdim=True)), 1))
+        for block in self.blocks:
+            inner = inner + block(inner)
+        height, width = outer.shape[2:]
+        back = nn.functional.interpolate(self.side(inner), scale_factor=2.0)[:, :, :height, :width]
+        mixed: Tensor = self.up(outer + back)
+        return mixed
+
+
+class Exported(nn.Module):
+    """The network as shipped: probabilities (N, 1, 160, 120) in 0..1 instead of logits."""
+
+    def __init__(self, net: SmallNet) -> None:
+        super().__init__()
+        self.net = net
+
+    def forward(self, frame: Tensor, background: Tensor, background_known: Tensor) -> Tensor:
+        return torch.sigmoid(self.net(frame, background, background_known))
+
+
+def example_inputs() -> tuple[Tensor, Tensor, Tensor]:
+    """Zeros of the right shapes and types, to trace the network with."""
+    image = torch.zeros((1, INPUT_HEIGHT_PX, INPUT_WIDTH_PX, 3), dtype=torch.uint8)
+    return image, image.clone(), torch.ones(1)

@@ -1,0 +1,250 @@
+"""Training of the small segmentation network on rendered frames: resumable, repeatable, on a plain CPU."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from slipguard.datasets.frame_cache import RenderedFrames
+from slipguard.datasets.mask_scores import RealFrame, dice, iou
+from slipguard.errors import InputError
+from slipguard.perception.contact.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
+from slipguard.perception.quality.background import guess_background
+from slipguard.training.augment import Augment
+from slipguard.training.small_network import SmallNet
+
+WARM_UP_SHARE = 0.05
+EMA_HALF_LIFE_EPOCHS = 0.25
+DICE_SMOOTHING_PX = 20.0
+WEIGHTS = "weights.pt"
+"""In the work folder: the finished network's weights, which a later training may start from."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrainSettings:
+    """What decides the outcome of a training, besides the frames.
+
+    unknown: share of the samples whose no-contact image is a guess; contrast_max: strongest imprint, against the
+    drawn one; zoom_share: samples enlarged to broad bulges. bfloat16: convolutions in half precision, half as long on
+    a processor that has it (AVX512-BF16, AMX) and longer on one that has not.
+    """
+
+    epochs: int = 6
+    batch: int = 32
+    rate: float = 3e-3
+    seed: int = 0
+    threads: int = 2
+    threshold: float = 0.5
+    patterns: int = 800
+    """Procedural disturbances of each kind drawn anew for every epoch."""
+    unknown: float = 0.3
+    contrast_max: float = 2.0
+    zoom_share: float = 0.2
+    bfloat16: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class EpochFigures:
+    """loss: mean over the epoch; dice, iou: means over rendered validation frames with contact;
+    false_contact: share of validation frames without contact on which more than 40 of 19,200 pixels are called contact.
+    """
+
+    epoch: int
+    loss: float
+    dice: float
+    iou: float
+    false_contact: float
+
+
+FALSE_CONTACT_PX = 40
+
+
+def segmentation_loss(logits: Tensor, label: Tensor) -> Tensor:
+    """Twice the mean binary cross-entropy plus one minus the soft Dice of the samples that have a contact."""
+    entropy = torch.nn.functional.binary_cross_entropy_with_logits(logits, label)
+    probability = torch.sigmoid(logits)
+    both = (probability * label).sum((1, 2, 3))
+    total = (probability + label).sum((1, 2, 3))
+    touching = (label.sum((1, 2, 3)) > 0).float()
+    overlap = (2.0 * both + DICE_SMOOTHING_PX) / (total + DICE_SMOOTHING_PX)
+    return 2.0 * entropy + ((1.0 - overlap) * touching).mean()
+
+
+def train(
+    frames: RenderedFrames,
+    validation: RenderedFrames,
+    settings: TrainSettings,
+    work: Path,
+    on_step: Callable[[int, int], None],
+    on_epoch: Callable[[EpochFigures, SmallNet], None],
+    backgrounds: list[NDArray[np.uint8]] | None = None,
+    start: Path | None = None,
+    make_net: Callable[[], SmallNet] = SmallNet,
+) -> SmallNet:
+    """Train and return the averaged network; picks up after the last whole epoch found in `work`.
+
+    Adam, linear warm-up, cosine decay to zero; the result is an exponential average. `on_step(done, total)` counts
+    batches, `on_epoch` gets the figures and the average so far. Raises `InputError` for fewer frames than one batch.
+    backgrounds: real no-contact images (320, 240, 3) that half of the imprints are put on. start: weights to begin
+    with instead of random ones, as far as their layers are the network's.
+    """
+    steps_per_epoch = len(frames) // settings.batch
+    if steps_per_epoch < 1:
+        raise InputError(f"{len(frames)} frames are fewer than one batch of {settings.batch}; ask for more frames")
+    torch.set_num_threads(settings.threads)
+    torch.manual_seed(settings.seed)
+    net = make_net()
+    if start is not None:
+        _take_over(net, torch.load(start, weights_only=True))
+    _channels_last(net)
+    average = copy.deepcopy(net)
+    total = settings.epochs * steps_per_epoch
+    optimiser = torch.optim.Adam(net.parameters(), settings.rate)
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, partial(_rate_share, total=total))
+    checkpoint = work / "checkpoint.pt"
+    done_epochs = _resume(checkpoint, settings, len(frames), net, average, optimiser, schedule)
+    keep = 0.5 ** (1.0 / max(EMA_HALF_LIFE_EPOCHS * steps_per_epoch, 1.0))
+    for epoch in range(done_epochs, settings.epochs):
+        augment = _augment(frames, settings, epoch, backgrounds)
+        order = np.random.default_rng([settings.seed, epoch]).permutation(len(frames))
+        net.train()
+        losses = 0.0
+        for step in range(steps_per_epoch):
+            pick = np.sort(order[step * settings.batch : (step + 1) * settings.batch])
+            batch = augment(*(torch.from_numpy(a[pick]) for a in (frames.frame, frames.background, frames.label)))
+            with torch.autocast("cpu", torch.bfloat16, enabled=settings.bfloat16):
+                logits = net(batch.frame, batch.background, batch.known)
+            loss = segmentation_loss(logits.float(), batch.label)
+            optimiser.zero_grad()
+            torch.autograd.backward(loss)
+            optimiser.step()
+            schedule.step()
+            losses += float(loss.detach())
+            done = epoch * steps_per_epoch + step + 1
+            _average_into(average, net, min(keep, done / (done + 10.0)))
+            on_step(done, total)
+        scores = rendered_scores(average, validation, settings.threshold)
+        on_epoch(EpochFigures(epoch + 1, losses / steps_per_epoch, *scores), average)
+        state = [part.state_dict() for part in (net, average, optimiser, schedule)]
+        torch.save(
+            {"settings": asdict(settings), "frames": len(frames), "epoch": epoch + 1, "state": state}, checkpoint
+        )
+    torch.save(average.state_dict(), work / WEIGHTS)
+    average.eval()
+    return average
+
+
+def _augment(
+    frames: RenderedFrames, settings: TrainSettings, epoch: int, backgrounds: list[NDArray[np.uint8]] | None
+) -> Augment:
+    height, width = frames.label.shape[1:]
+    return Augment(
+        settings.seed + 1000 * (epoch + 1),
+        settings.patterns,
+        settings.unknown,
+        settings.contrast_max,
+        backgrounds,
+        settings.zoom_share,
+        (width, height),
+    )
+
+
+def _channels_last(net: SmallNet) -> None:
+    """The order of the weights in memory that a CPU convolves fastest in."""
+    for weights in net.parameters():
+        if weights.ndim == 4:
+            weights.data = weights.data.contiguous(memory_format=torch.channels_last)
+
+
+def _take_over(net: SmallNet, weights: dict[str, Tensor]) -> None:
+    own = net.state_dict()
+    net.load_state_dict(own | {k: v for k, v in weights.items() if k in own and own[k].shape == v.shape})
+
+
+def _rate_share(step: int, total: int) -> float:
+    warm = max(WARM_UP_SHARE * total, 1.0)
+    if step < warm:
+        return (step + 1) / warm
+    return 0.5 * (1.0 + math.cos(math.pi * min((step - warm) / max(total - warm, 1.0), 1.0))) + 1e-3
+
+
+def _average_into(average: SmallNet, net: SmallNet, keep: float) -> None:
+    with torch.no_grad():
+        for mean, now in zip(average.state_dict().values(), net.state_dict().values(), strict=True):
+            if mean.dtype.is_floating_point:
+                mean.mul_(keep).add_(now, alpha=1.0 - keep)
+            else:
+                mean.copy_(now)
+
+
+def _resume(path: Path, settings: TrainSettings, count: int, *parts: Any) -> int:
+    """Load the parts' states if `path` belongs to these settings; return the epochs already done."""
+    if not path.is_file():
+        return 0
+    saved = torch.load(path, weights_only=True)
+    wanted = asdict(settings) | {"threads": saved["settings"]["threads"]}
+    if saved["settings"] != wanted or saved["frames"] != count:
+        return 0
+    for part, state in zip(parts, saved["state"], strict=True):
+        part.load_state_dict(state)
+    return int(saved["epoch"])
+
+
+def probabilities(net: SmallNet, frame: NDArray[np.uint8], background: NDArray[np.uint8], known: bool) -> Tensor:
+    """Contact probabilities (N, 160, 120) of images at network resolution, (N, 160, 120, 3) uint8."""
+    net.eval()
+    with torch.no_grad():
+        flags = torch.full((len(frame),), float(known))
+        logits = net(torch.from_numpy(frame.copy()), torch.from_numpy(background.copy()), flags)
+    return torch.sigmoid(logits)[:, 0]
+
+
+def rendered_scores(net: SmallNet, frames: RenderedFrames, threshold: float) -> tuple[float, float, float]:
+    """Mean Dice, mean IoU over frames with contact, and the share of false contacts over those without."""
+    overlaps: list[tuple[float, float]] = []
+    false: list[bool] = []
+    for start in range(0, len(frames), 50):
+        part = slice(start, start + 50)
+        masks = probabilities(net, frames.frame[part], frames.background[part], True).numpy() > threshold
+        for mask, truth in zip(masks, frames.label[part] > 127, strict=True):
+            if truth.any():
+                overlaps.append((dice(mask, truth), iou(mask, truth)))
+            else:
+                false.append(int(mask.sum()) > FALSE_CONTACT_PX)
+    means = np.mean(overlaps, 0) if overlaps else (float("nan"), float("nan"))
+    return float(means[0]), float(means[1]), float(np.mean(false)) if false else 0.0
+
+
+def real_scores(
+    net: SmallNet,
+    frames: list[RealFrame],
+    threshold: float,
+    size: tuple[int, int] = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX),
+) -> dict[str, float]:
+    """Mean IoU per group and split ("taxim_sphere tune") of real frames, masks compared at frame size.
+
+    size: (width, height) that the network sees.
+    """
+    scores: dict[str, list[float]] = {}
+    for real in frames:
+        small = cv2.resize(real.image, size, interpolation=cv2.INTER_AREA)
+        known = real.background is not None
+        if real.background is None:
+            background = guess_background(np.asarray(small, np.uint8))
+        else:
+            background = np.asarray(cv2.resize(real.background, size, interpolation=cv2.INTER_AREA), np.uint8)
+        answer = probabilities(net, np.asarray(small, np.uint8)[None], background[None], known)[0].numpy()
+        mask = cv2.resize(answer, (real.mask.shape[1], real.mask.shape[0])) > threshold
+        scores.setdefault(f"{real.group} {real.split}", []).append(iou(np.asarray(mask), real.mask))
+    return {group: float(np.mean(values)) for group, values in scores.items()}

@@ -1,0 +1,101 @@
+"""Rendered frames kept whole, with what was pressed, so that labels and resolutions compare on the same ones."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.datasets.frame_cache import VALIDATION_SEED, RenderedFrames
+from slipguard.datasets.samples import Sample, press_of, sample
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
+from slipguard.sim.gel import GelTruth
+from slipguard.sim.label import label, outlined
+
+HELD_OUT = ("battery", "bolt", "coin", "cone", "egg", "gear", "pen", "tee")
+"""Training objects left out of these trainings: what the variants are scored on."""
+CONTACT = "contact"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """frame, background: (N, 320, 240, 3) uint8; moved_mm: (N, 320, 240) float16; touching: (N, 320, 240) bool;
+    press_mm: (N,) float32."""
+
+    frame: NDArray[np.uint8]
+    background: NDArray[np.uint8]
+    moved_mm: NDArray[np.float16]
+    touching: NDArray[np.bool_]
+    press_mm: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def masks(self, wanted: float | str) -> NDArray[np.uint8]:
+        """Labels (N, 320, 240) uint8, 0 or 1, of that share of the deepest press, or of the `CONTACT` itself."""
+        out = np.zeros(self.touching.shape, np.uint8)
+        for index in range(len(self)):
+            if isinstance(wanted, str):
+                out[index] = outlined(self.touching[index])
+            else:
+                moved_mm = self.moved_mm[index].astype(np.float32)
+                press_mm = float(self.press_mm[index])
+                out[index] = label(GelTruth(self.frame[index], self.touching[index], moved_mm, press_mm), wanted)
+        return out
+
+    def first(self, count: int) -> Drawn:
+        """The first `count` of them."""
+        return Drawn(*(getattr(self, name)[:count] for name in self.__slots__))
+
+    def at(self, size: tuple[int, int], masks: NDArray[np.uint8]) -> RenderedFrames:
+        """Frames and labels area-averaged to (width, height)."""
+        return RenderedFrames(*(_smaller(a, size) for a in (self.frame, self.background, masks * np.uint8(255))))
+
+
+def training_frames(work: Path, count: int, progress: Callable[[int], None]) -> Drawn:
+    """`count` frames of the training distribution without the `HELD_OUT` objects, kept in `work`."""
+    every = (sample(seed) for seed in itertools.count())
+    return _kept(work / f"drawn-{count}", (s for s in every if s.view.object_name not in HELD_OUT), count, progress)
+
+
+def held_out_frames(work: Path, count: int, progress: Callable[[int], None]) -> Drawn:
+    """`count` presses of the `HELD_OUT` objects, kept in `work`."""
+    presses = (press_of(HELD_OUT[n % len(HELD_OUT)], VALIDATION_SEED + n) for n in itertools.count())
+    return _kept(work / f"held-out-{count}", presses, count, progress)
+
+
+def _kept(folder: Path, samples: Iterator[Sample], count: int, progress: Callable[[int], None]) -> Drawn:
+    folder.mkdir(parents=True, exist_ok=True)
+    note = folder / "done.json"
+    done = note.is_file()
+    plane = (count, FRAME_HEIGHT_PX, FRAME_WIDTH_PX)
+    wanted = {
+        "frame": (np.uint8, (*plane, 3)),
+        "background": (np.uint8, (*plane, 3)),
+        "moved": (np.float16, plane),
+        "touching": (np.bool_, plane),
+        "press": (np.float32, (count,)),
+    }
+    mode: Any = "r" if done else "w+"
+    parts: list[Any] = [
+        np.lib.format.open_memmap(folder / f"{name}.npy", mode, dtype, shape) for name, (dtype, shape) in wanted.items()
+    ]
+    for index, drawn in enumerate(itertools.islice(samples, 0 if done else count)):
+        truth = drawn.truth
+        values = (drawn.image, drawn.background, truth.displacement_mm, truth.contact, truth.press_mm)
+        for part, value in zip(parts, values, strict=True):
+            part[index] = value
+        progress(index + 1)
+    note.write_text(json.dumps({"frames": count}))
+    return Drawn(*parts)
+
+
+def _smaller(images: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+    return np.stack([np.asarray(cv2.resize(i, size, interpolation=cv2.INTER_AREA), np.uint8) for i in images])

@@ -1,0 +1,62 @@
+"""The person at the cell: grasps, lifts, holds, puts down, lets go; clears what can be cleared. Never in a hurry."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+from slipguard.control.state import Phase
+from slipguard.errors import CommandRefused
+from tests.campaigns.faults.rig import Rig
+
+LOOKS_S = 0.1
+CLEARS_S = 0.6
+PUTS_DOWN_AFTER_S = 10.5
+
+
+class Person:
+    """asked: the jaws have been asked to open."""
+
+    def __init__(self, rig: Rig, began_s: float) -> None:
+        self.asked = False
+        self._rig, self._began_s = rig, began_s
+        self._grasped = self._lifted = self._lowered = False
+        self._tried_s = 0.0
+
+    async def work(self) -> None:
+        """Until cancelled."""
+        while True:
+            await asyncio.sleep(LOOKS_S)
+            if self._rig.alive and not self.asked:
+                await self._look()
+
+    async def _look(self) -> None:
+        rig, controls, phase = self._rig, self._rig.controls, self._rig.service.phase
+        if phase is Phase.FAULT and rig.now_s - self._tried_s >= CLEARS_S:
+            self._tried_s = rig.now_s
+            await _granted(controls.clear)
+        elif phase is Phase.IDLE and not self._grasped:
+            self._grasped = await _granted(controls.grasp)
+        elif phase is Phase.HOLDING and rig.service.firm:
+            await self._go_on()
+
+    async def _go_on(self) -> None:
+        """Up, wait, down, open."""
+        controls = self._rig.controls
+        if not self._lifted:
+            self._lifted = await _granted(controls.lift)
+        elif self._rig.now_s - self._began_s < PUTS_DOWN_AFTER_S:
+            return
+        elif not self._lowered:
+            self._lowered = await _granted(lambda: controls.lower(max(self._rig.truth.height_mm, 1.0)))
+        else:
+            self.asked = True
+            await _granted(controls.release)
+
+
+async def _granted(command: Callable[[], Awaitable[str]]) -> bool:
+    try:
+        await command()
+    except CommandRefused:
+        return False
+    return True

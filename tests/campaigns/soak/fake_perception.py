@@ -1,0 +1,85 @@
+"""A finger's perceiver for hours of virtual time: real where nothing is touched, the truth with noise where it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from slipguard.daemon.loop.finger import Perceiver
+from slipguard.devices import Frame
+from slipguard.perception.contact.patch import Patch
+from slipguard.perception.estimate import Estimate
+from slipguard.sim.world import World
+
+SIGMA_DEG = 0.4
+NOISE_MM = 0.03
+STABLE_FRAMES = 5
+AREA_PX = 4000
+ALPHA, BETA = 0.5, 0.15
+"""Turn and rate gain of the tracker's filter."""
+
+
+class Truthful:
+    """Asks `pipeline` of frames without contact; of others it knows what the world does, within `SIGMA_DEG`.
+
+    sign: +1 for the left finger, -1 for the right one, which sees every turn mirrored. now: the loop's time, s.
+    """
+
+    def __init__(
+        self, pipeline: Perceiver, world: World, sign: int, rng: np.random.Generator, now: Callable[[], float]
+    ) -> None:
+        self._pipeline, self._world, self._sign, self._rng, self._now = pipeline, world, sign, rng, now
+        self._forget()
+
+    @property
+    def last_patch(self) -> Patch | None:
+        """None with contact: nobody has looked for its outline."""
+        return self._pipeline.last_patch
+
+    def stands(self, captured_at_s: float) -> None:
+        """A frame that is not handed in, the other finger's having shown that nothing turns."""
+        self._pipeline.stands(captured_at_s)
+
+    def reset_reference(self) -> None:
+        """Take a new one from the next stable contact."""
+        self._pipeline.reset_reference()
+        self._forget()
+
+    def _forget(self) -> None:
+        self._stable = 0
+        self._reference: tuple[float, float] | None = None
+        self._turn_deg = self._rate_deg_s = self._tracked_s = 0.0
+
+    def process(self, frame: Frame) -> Estimate:
+        """One frame. Raises FrameCorrupt as the pipeline does."""
+        truth = self._world.truth(self._now())
+        if not truth.in_contact:
+            self._stable = 0
+            return self._pipeline.process(frame)
+        at_s = frame.captured_at_s
+        plain = Estimate(frame.sequence, at_s, at_s, True, AREA_PX, "truth")
+        turn_deg = self._sign * truth.turn_deg + self._rng.normal(0.0, SIGMA_DEG)
+        slide_mm = truth.slide_mm + self._rng.normal(0.0, NOISE_MM)
+        self._stable += 1
+        if self._reference is None:
+            if self._stable < STABLE_FRAMES:
+                return replace(plain, declined="no reference yet")
+            self._reference, self._tracked_s = (turn_deg, slide_mm), at_s
+        self._track(turn_deg - self._reference[0], at_s)
+        return replace(
+            plain,
+            angle_deg=self._turn_deg,
+            sigma_deg=SIGMA_DEG,
+            orientation_deg=0.0,
+            rate_deg_s=self._rate_deg_s,
+            shift_mm=(0.0, self._reference[1] - slide_mm),
+        )
+
+    def _track(self, turn_deg: float, at_s: float) -> None:
+        passed_s = max(at_s - self._tracked_s, 1e-3)
+        expected_deg = self._turn_deg + self._rate_deg_s * passed_s
+        self._turn_deg = expected_deg + ALPHA * (turn_deg - expected_deg)
+        self._rate_deg_s += BETA * (turn_deg - expected_deg) / passed_s
+        self._tracked_s = at_s

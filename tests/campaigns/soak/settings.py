@@ -1,0 +1,47 @@
+"""What a soak is asked for, and the configuration that follows from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from slipguard.config import Config, parse_config
+from slipguard.daemon.loop.service import FINGERS
+
+VIRTUAL_LOOP = {"period_ms": 50.0, "poll_ms": 200.0}
+"""Less often than usual: what is allocated for a turn of the loop, a frame or a question is the same."""
+RING_S, RING_MAX_MB, KEPT_MAX_MB = 600.0, 100, 50
+"""The usual time, and so little room that both folders reach their limits within the hours."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """length_s: on the daemon's clock. virtual: that is the virtual one. page: one is open all the time."""
+
+    length_s: float
+    virtual: bool
+    seed: int = 0
+    page: bool = False
+    recording: bool = True
+
+    @property
+    def fps(self) -> float:
+        """A quarter of the cameras' rate on the virtual clock, where a frame costs as much as on the real one."""
+        return 15.0 if self.virtual else 60.0
+
+
+def soak_config(settings: Settings, folder: Path) -> Config:
+    """The fakes and every default; the recordings' limits are small enough to be reached."""
+    draw = "plain" if settings.virtual else "process"
+    raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": draw}} for name in FINGERS}
+    raw["guard"] = {"lift_height_mm": 100.0, "lift_speed_mm_s": 80.0, "lower_speed_mm_s": 150.0}
+    raw["loop"] = VIRTUAL_LOOP if settings.virtual else {}
+    raw["state"] = {"directory": str(folder)}
+    raw["api"] = {"listen": ""}
+    raw["recording"] = {
+        "enabled": settings.recording,
+        "ring_s": RING_S,
+        "ring_max_mb": RING_MAX_MB,
+        "kept_max_mb": KEPT_MAX_MB,
+    }
+    return parse_config(raw, where="soak", sim=True)

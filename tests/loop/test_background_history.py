@@ -1,0 +1,128 @@
+"""Older no-contact images: told, shown and put to use again, and when that is refused."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from loop_cell import Cell, play
+from loop_doubles import SHAPE
+
+from slipguard.daemon.api.handlers import Desk
+from slipguard.daemon.store.calibration import NoContact, Version
+from slipguard.daemon.store.state_dir import StateDir
+from slipguard.errors import CommandRefused
+
+
+def taken(level: int) -> NoContact:
+    return NoContact(np.full(SHAPE, level, np.uint8), (2.0, 2.0, 2.0), 30)
+
+
+def with_history(tmp_path: Path, scene: Callable[[Cell, Desk, StateDir], Coroutine[Any, Any, None]]) -> None:
+    """Both sensors have been calibrated twice."""
+    store = StateDir(tmp_path)
+    for serial in ("SIM-L", "SIM-R"):
+        for level in (50, 60):
+            store.save_no_contact(serial, taken(level))
+
+    async def main(cell: Cell) -> None:
+        cell.service.store = store
+        await cell.ready()
+        await scene(cell, Desk(cell.service), store)
+
+    play(Cell(), main)
+
+
+def test_all_that_is_stored_is_told(tmp_path: Path) -> None:
+    async def scene(cell: Cell, desk: Desk, store: StateDir) -> None:
+        told = json.loads(await desk.no_contacts())
+        assert {name: one["serial"] for name, one in told.items()} == {"left": "SIM-L", "right": "SIM-R"}
+        assert [one["number"] for one in told["left"]["versions"]] == [1, 2]
+        assert told["left"]["versions"][1]["level_bgr"] == [60.0, 60.0, 60.0]
+        newest, first = await desk.no_contact("left"), await desk.no_contact("left", 1)
+        assert (newest.serial, newest.frame.sequence, int(newest.frame.image[0, 0, 0])) == ("SIM-L", 2, 60)
+        assert (first.frame.sequence, int(first.frame.image[0, 0, 0])) == (1, 50)
+        with pytest.raises(CommandRefused, match="SIM-L: no such no-contact image is stored; there are: 1, 2"):
+            await desk.no_contact("left", 7)
+        with pytest.raises(CommandRefused, match="no finger 'thumb'; there are: left, right"):
+            await desk.no_contact("thumb")
+
+    with_history(tmp_path, scene)
+
+
+def test_an_older_one_is_put_to_use_again_and_the_pipeline_built_with_it(tmp_path: Path) -> None:
+    async def scene(cell: Cell, desk: Desk, store: StateDir) -> None:
+        assert await desk.go_back("left", 1) == "left (SIM-L): no-contact image 1 is in use again"
+        known = store.load_no_contact("SIM-L")
+        assert known is not None
+        assert int(known.image[0, 0, 0]) == 50
+        assert {name: len(made) for name, made in cell.perceivers.items()} == {"left": 2, "right": 1}
+        with pytest.raises(CommandRefused, match="no no-contact image 9 is stored"):
+            await desk.go_back("left", 9)
+        with pytest.raises(CommandRefused, match="no finger 'thumb'"):
+            await desk.go_back("thumb", 1)
+
+    with_history(tmp_path, scene)
+
+
+def test_not_while_something_is_held(tmp_path: Path) -> None:
+    async def scene(cell: Cell, desk: Desk, store: StateDir) -> None:
+        await cell.grasp()
+        with pytest.raises(CommandRefused, match="cannot calibrate while holding; release first"):
+            await desk.go_back("left", 1)
+        assert len(store.no_contact_history("SIM-L")) == 2
+
+    with_history(tmp_path, scene)
+
+
+@pytest.mark.parametrize("new_gel", [False, True])
+def test_a_calibration_says_whether_the_gel_is_new(tmp_path: Path, new_gel: bool) -> None:
+    async def scene(cell: Cell, desk: Desk, store: StateDir) -> None:
+        await desk.calibrate(new_gel=new_gel)
+        newest = store.no_contact_history("SIM-R")[-1]
+        assert (newest.number, newest.new_gel) == (3, new_gel)
+        first = store.first_of_gel("SIM-R")
+        assert first is not None
+        assert (int(first.image[100, 100, 0]) == 50) is not new_gel
+
+    with_history(tmp_path, scene)
+
+
+def test_a_store_without_a_past_has_none() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        desk = Desk(cell.service)
+        assert json.loads(await desk.no_contacts())["left"] == {"serial": "SIM-L", "versions": []}
+        with pytest.raises(CommandRefused, match="no sensor of the left finger was seen yet"):
+            await desk.go_back("left", 1)
+
+    play(Cell(), scene)
+
+
+async def test_what_is_stored_is_read_in_a_thread_of_its_own(tmp_path: Path) -> None:
+    """Whoever looks must not keep the threads waiting that decode frames and speak to the gripper."""
+    threads: set[str] = set()
+
+    class Noting(StateDir):
+        def no_contact_history(self, serial: str) -> list[Version]:
+            threads.add(threading.current_thread().name)
+            return super().no_contact_history(serial)
+
+        def load_no_contact(self, serial: str, number: int | None = None) -> NoContact | None:
+            threads.add(threading.current_thread().name)
+            return super().load_no_contact(serial, number)
+
+    store = Noting(tmp_path)
+    store.save_no_contact("SIM-L", taken(50))
+    threads.clear()
+    desk = Desk(Cell().service)
+    desk._service.store = store
+    desk._service.fingers["left"].serial = "SIM-L"
+    assert [one["number"] for one in json.loads(await desk.no_contacts())["left"]["versions"]] == [1]
+    assert (await desk.no_contact("left")).frame.sequence == 1
+    assert threads == {"slipguard-images_0"}

@@ -1,0 +1,203 @@
+"""What the daemon says of a gel that nothing touches: drift and wear once, with figures; of a touch nothing."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from loop_cell import Cell
+
+from slipguard.daemon.loop import gel_monitor as gel_watch
+from slipguard.daemon.loop.finger import Judgement
+from slipguard.daemon.loop.gel_condition import Verdict
+from slipguard.daemon.loop.gel_monitor import GelWatch
+from slipguard.daemon.loop.virtual_time import run_virtual
+from slipguard.daemon.store.calibration import NoContact
+from slipguard.daemon.store.state_dir import StateDir
+from slipguard.devices import Frame, GripperState
+from slipguard.perception.estimate import Estimate
+from slipguard.sim.background import backdrop
+from slipguard.sim.unit import random_unit
+
+NOISE_BGR = (2.0, 2.0, 2.0)
+OPEN = GripperState(True, False, False, False, 80.0, 0.0, None, 0.0)
+
+
+def gel() -> np.ndarray:
+    return np.clip(backdrop(random_unit(np.random.default_rng(3))), 20, 220)
+
+
+def cut(picture: np.ndarray) -> np.ndarray:
+    worn = picture.copy()
+    cv2.circle(worn, (90, 150), 8, (10, 10, 10), -1)
+    return worn
+
+
+class Bench:
+    """A watch on a service that does not run: frames are judged by hand, each on its second."""
+
+    def __init__(self, store: Any = None) -> None:
+        self.cell = Cell()
+        self.service = self.cell.service
+        self.known = NoContact(gel(), NOISE_BGR, 30)
+        if store is None:
+            self.cell.store.kept["SIM-L"] = self.known
+        else:
+            self.service.store = store
+        self.finger = self.service.fingers["left"]
+        self.finger.serial = "SIM-L"
+        self.service.gripper.newest = OPEN
+        self.said: list[str] = []
+        self.service.journal.listeners.append(lambda event: self.said.append(event.line))
+        self.watch = GelWatch(self.service)
+        self.now_s = 0.0
+        self.rng = np.random.default_rng(0)
+
+    async def show(self, picture: np.ndarray, for_s: float, *, contact: bool = False, renewed: bool = False) -> None:
+        """The sensor delivers this picture, with noise, for a while."""
+        noisy = np.clip(picture + self.rng.normal(0.0, 2.0, picture.shape), 0, 255).astype(np.uint8)
+        for second in range(round(for_s)):
+            self.now_s += 1.0
+            await asyncio.sleep(1.0)
+            estimate = Estimate(second, self.now_s, self.now_s, contact, 4000 * contact, "oracle")
+            frame = Frame(noisy, self.now_s, second)
+            self.watch.judged("left", Judgement(frame, self.now_s, False, renewed and second == 0, estimate))
+        await asyncio.sleep(1.0)
+
+
+def play(scene: Callable[[Bench], Coroutine[Any, Any, None]], store: Any = None) -> None:
+    async def main() -> None:
+        bench = Bench(store)
+        watching = asyncio.create_task(bench.watch.run())
+        try:
+            await scene(bench)
+        finally:
+            watching.cancel()
+            await asyncio.gather(watching, return_exceptions=True)
+            bench.service.close()
+
+    run_virtual(main())
+
+
+def test_a_gel_as_it_was_is_fine_and_nothing_is_said() -> None:
+    async def scene(bench: Bench) -> None:
+        assert bench.finger.gel is None
+        await bench.show(gel(), 300.0)
+        assert bench.finger.gel is not None
+        assert bench.finger.gel.verdict is Verdict.FINE
+        assert bench.said == []
+
+    play(scene)
+
+
+def test_a_cut_is_said_once_with_its_size_and_what_to_do() -> None:
+    async def scene(bench: Bench) -> None:
+        await bench.show(cut(gel()), 150.0)
+        assert bench.said == []  # two minutes agree; three are needed
+        assert bench.finger.gel is not None
+        assert bench.finger.gel.verdict is Verdict.WORN
+        await bench.show(cut(gel()), 600.0)
+        (line,) = bench.said
+        assert line.startswith("left (SIM-L): a lasting mark since the gel's first no-contact image, ")
+        assert "grey levels at 90, 150 px; clean the gel; where they stay it is worn: replace it, then" in line
+        assert 0.5 <= bench.finger.gel.marked_mm2 <= 1.5
+
+    play(scene)
+
+
+def test_light_that_drifts_is_said_with_figures_and_no_more_after_a_calibration() -> None:
+    async def scene(bench: Bench) -> None:
+        warmer = np.clip(gel() + np.array([0.0, -4.0, 18.0]), 0, 255)
+        await bench.show(warmer, 600.0)
+        (line,) = bench.said
+        assert "red +18 grey levels" in line
+        await bench.show(gel(), 300.0)
+        await bench.show(warmer, 300.0)
+        assert len(bench.said) == 1  # it comes and goes
+        assert line.endswith("; jaws open and empty: `slipguard calibrate`")
+        bench.cell.store.kept["SIM-L"] = NoContact(warmer.astype(np.uint8), NOISE_BGR, 30)
+        await bench.show(warmer, 300.0, renewed=True)
+        assert bench.finger.gel is not None
+        assert bench.finger.gel.verdict is Verdict.FINE
+        assert len(bench.said) == 1
+
+    play(scene)
+
+
+def test_a_touch_and_what_lasts_less_than_three_minutes_alarm_nobody() -> None:
+    async def scene(bench: Bench) -> None:
+        await bench.show(gel(), 60.0)
+        for _ in range(5):
+            await bench.show(cut(gel()), 30.0, contact=True)
+            await bench.show(cut(gel()), 70.0)  # dirt that falls off again
+            await bench.show(gel(), 130.0)
+        assert bench.said == []
+
+    play(scene)
+
+
+def test_nothing_is_compared_while_an_object_may_be_held() -> None:
+    async def scene(bench: Bench) -> None:
+        from dataclasses import replace
+
+        from slipguard.control.state import Phase
+
+        guard = bench.service._guard
+        bench.service._guard = replace(guard, law=replace(guard.law, phase=Phase.HOLDING))
+        await bench.show(cut(gel()), 300.0)
+        assert bench.finger.gel is None
+
+    play(scene)
+
+
+@pytest.mark.parametrize("new_gel", [False, True])
+def test_wear_does_not_hide_behind_the_next_calibration_but_a_new_gel_begins_anew(
+    tmp_path: Path, new_gel: bool
+) -> None:
+    store = StateDir(tmp_path)
+    store.save_no_contact("SIM-L", NoContact(gel(), NOISE_BGR, 30))
+    store.save_no_contact("SIM-L", NoContact(cut(gel()), NOISE_BGR, 30), new_gel=new_gel)
+
+    async def scene(bench: Bench) -> None:
+        await bench.show(cut(gel()), 300.0)
+        assert bench.finger.gel is not None
+        assert bench.finger.gel.verdict is (Verdict.FINE if new_gel else Verdict.WORN)
+        assert len(bench.said) == (0 if new_gel else 1)
+        assert bench.finger.gel.light.marks == ()
+
+    play(scene, store)
+
+
+def test_contact_without_end_is_said_where_the_jaws_are_open() -> None:
+    async def scene(bench: Bench) -> None:
+        await bench.show(gel(), 590.0, contact=True)
+        assert bench.said == []
+        await bench.show(gel(), 1000.0, contact=True)
+        assert len(bench.said) == 1
+        assert "left: contact for 10 minutes with the jaws open" in bench.said[0]
+        bench.service.gripper.newest = None
+        await bench.show(gel(), 1000.0, contact=True, renewed=True)
+        assert len(bench.said) == 1
+
+    play(scene)
+
+
+def test_a_comparison_that_fails_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*told: object) -> None:
+        raise ZeroDivisionError("a mistake")
+
+    monkeypatch.setattr(gel_watch, "changed", broken)
+
+    async def scene(bench: Bench) -> None:
+        await bench.show(gel(), 200.0)
+        assert bench.finger.gel is None
+        monkeypatch.undo()
+        await bench.show(gel(), 100.0)
+        assert bench.finger.gel is not None
+
+    play(scene)

@@ -1,0 +1,106 @@
+"""What the API is told of a running service: state, tallies, views, events; and the metrics made of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from loop_cell import Cell, play
+from prometheus_client.parser import text_string_to_metric_families
+
+from slipguard.control.state import Phase
+from slipguard.daemon.api.daemon_api import View
+from slipguard.daemon.api.handlers import Desk
+from slipguard.daemon.loop.event_log import Event
+from slipguard.errors import CommandRefused
+from slipguard.web.metrics import exposition
+from slipguard.web.models import State
+
+
+def samples(text: bytes) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
+    """Every sample by name and labels."""
+    return {
+        (sample.name, tuple(sorted(sample.labels.items()))): sample.value
+        for family in text_string_to_metric_families(text.decode())
+        for sample in family.samples
+    }
+
+
+def test_a_grasp_and_a_fault_as_the_page_and_prometheus_see_them() -> None:
+    told: dict[str, Any] = {}
+    heard: list[Event] = []
+
+    async def scene(cell: Cell) -> None:
+        desk = Desk(cell.service)
+        with pytest.raises(CommandRefused):
+            await desk.view("left")
+        await cell.grasp()
+        told["state"], told["tallies"] = await desk.state(), await desk.tallies()
+        told["view"] = await desk.view("left")
+        assert cell.world is not None
+        deafen = desk.listen(heard.append)
+        before = len(heard)
+        assert before > 0, "what was said before"
+        cell.world.faults.fail("left", "stall")
+        cell.world.faults.fail("right", "stall")
+        await cell.until(lambda: cell.phase is Phase.FAULT)
+        deafen()
+        await desk.release()
+        told["after"] = heard[before:]
+        told["faulty"] = exposition(await desk.state(), await desk.tallies())
+
+    play(Cell("wrench", 1), scene)
+    State.model_validate_json(told["state"])
+    view: View = told["view"]
+    assert view.serial == "SIM-L"
+    assert view.frame.image.shape == (320, 240, 3)
+    (fault,) = [event for event in told["after"] if event.level == "fault"]
+    assert fault.code == "frames lost"
+    assert fault.what_to_do
+    assert not any("releas" in event.text for event in told["after"]), "nothing is heard after that"
+
+    found = samples(exposition(told["state"], told["tallies"]))
+    state = json.loads(told["state"])
+    assert found["slipguard_force_newtons", ()] == pytest.approx(state["gripper"]["force_n"])
+    assert found["slipguard_target_force_newtons", ()] == pytest.approx(state["target_force_n"])
+    assert found["slipguard_phase", (("phase", "holding"),)] == 1.0
+    assert found["slipguard_frames_total", (("finger", "left"),)] == state["fingers"]["left"]["counts"]["frames"]
+    assert found["slipguard_device_ready", (("device", "arm"),)] == 1.0
+    assert found["slipguard_device_answers_total", (("device", "gripper"),)] > 10
+    assert found["slipguard_recording", ()] == 0.0
+    assert found["slipguard_build_info", (("version", state["version"]),)] == 1.0
+    assert found["slipguard_reaction_seconds_count", ()] > 50
+    assert (
+        found["slipguard_reaction_seconds_bucket", (("le", "+Inf"),)] == found["slipguard_reaction_seconds_count", ()]
+    )
+    slow = found["slipguard_reaction_seconds_sum", ()] / found["slipguard_reaction_seconds_count", ()]
+    assert slow == pytest.approx(0.006, rel=0.3), "the stated latency"
+    assert found["slipguard_fault", ()] == 0.0
+
+    faulty = samples(told["faulty"])
+    assert faulty["slipguard_faults_total", (("code", "frames lost"),)] == 1.0
+    assert faulty["slipguard_device_ready", (("device", "left"),)] == 0.0
+    assert faulty["slipguard_frames_lost_total", (("finger", "left"), ("reason", "stalled"))] >= 1.0
+    assert ("slipguard_turn_degrees", ()) not in faulty, "what nobody knows is no number"
+
+
+def test_a_recorder_whose_thread_is_gone_is_not_said_to_record() -> None:
+    told: list[dict[str, Any]] = []
+
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        desk = Desk(cell.service)
+        for dead in (False, True):
+            recorder = SimpleNamespace(stopped=None, dead=dead, left_out=3)
+            desk.noting(lambda service, folder, made=recorder: made)(cell.service, Path())  # type: ignore[misc,arg-type]
+            told.append(json.loads(await desk.state())["recording"])
+
+    cell = Cell("wrench", 1)
+    assert cell.service.config.recording.enabled
+    play(cell, scene)
+    assert told[0] == {"state": "on", "why": None, "left_out": 3}
+    assert told[1]["state"] == "stopped"
+    assert "the thread that records has ended" in told[1]["why"]

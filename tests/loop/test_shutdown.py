@@ -1,0 +1,182 @@
+"""A stop at any moment ends the tasks that own devices, whatever a driver or a library makes of it, and in a time."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any
+
+import pytest
+import structlog
+from loop_cell import Cell
+from structlog.testing import capture_logs
+
+from slipguard.config import parse_config
+from slipguard.daemon import run as root
+from slipguard.daemon import shutdown as ending_module
+from slipguard.daemon.loop.actuator import Actuator
+from slipguard.daemon.loop.virtual_time import run_virtual
+from slipguard.daemon.shutdown import AGAIN_S, LEAVE_S, Ending
+from slipguard.devices import DriverContext, Frame
+from slipguard.errors import DeviceLost, DeviceTimeout
+from slipguard.sim.world import World, WorldSettings
+from slipguard.web.sockets import UnixSocket
+from slipguard_drivers.robotiq.gripper import RobotiqGripper
+
+TURNS = range(16)
+
+
+async def swallowing() -> None:
+    """As `asyncio.wait_for` until Python 3.12, where the answer comes in the same turn of the loop."""
+    with contextlib.suppress(asyncio.CancelledError):
+        await asyncio.sleep(0)
+
+
+class Careless:
+    """A device and a sensor that swallow a cancellation wherever they wait. there: whether it opens."""
+
+    serial = "D1"
+    remarks = ()
+
+    def __init__(self, there: bool) -> None:
+        self.there = there
+
+    async def open(self) -> None:
+        await swallowing()
+        if not self.there:
+            raise DeviceLost("motor: unplugged; plug it in")
+
+    async def state(self) -> int:
+        await swallowing()
+        return 1
+
+    async def next_frame(self) -> Frame:
+        await swallowing()
+        raise DeviceTimeout("motor: no frame")
+
+    async def stop(self) -> None:
+        await swallowing()
+
+    async def close(self) -> None:
+        await swallowing()
+
+
+def ended_when_cancelled_at(turn: int, make: Callable[[], Coroutine[Any, Any, None]]) -> bool:
+    async def main() -> bool:
+        task = asyncio.create_task(make())
+        for _ in range(turn):
+            await asyncio.sleep(0)
+        task.cancel()
+        done, _ = await asyncio.wait([task], timeout=5.0)
+        return bool(done)
+
+    return run_virtual(main())
+
+
+@pytest.mark.parametrize("there", [False, True])
+@pytest.mark.parametrize("turn", TURNS)
+def test_a_device_that_swallows_a_cancellation_is_let_go(turn: int, there: bool) -> None:
+    def driven() -> Coroutine[Any, Any, None]:
+        device = Careless(there)
+        actuator: Actuator[int] = Actuator("motor", device, 0.02, 0.5, lambda: None, lambda said: None)
+        actuator.command(device.stop)
+        return actuator.run()
+
+    assert ended_when_cancelled_at(turn, driven)
+
+
+@pytest.mark.parametrize("there", [False, True])
+@pytest.mark.parametrize("turn", TURNS)
+def test_so_is_a_sensor(turn: int, there: bool) -> None:
+    def sensed() -> Coroutine[Any, Any, None]:
+        finger = Cell().service.fingers["left"]
+        finger.sensor = Careless(there)  # type: ignore[assignment]
+        return finger.run()
+
+    assert ended_when_cancelled_at(turn, sensed)
+
+
+@pytest.mark.parametrize("turn", range(10))
+async def test_a_stop_in_the_middle_of_an_attempt_at_a_port_that_is_absent(turn: int, tmp_path: Path) -> None:
+    settings = RobotiqGripper.Settings(port=str(tmp_path / "ttyAbsent"))
+    gripper = RobotiqGripper(settings, DriverContext("gripper"))
+    running = asyncio.create_task(Actuator("gripper", gripper, 0.025, 0.5, lambda: None, lambda said: None).run())
+    for _ in range(turn):
+        await asyncio.sleep(0)
+    running.cancel()
+    done, _ = await asyncio.wait([running], timeout=5.0)
+    running.cancel()
+    assert done
+
+
+async def one_that_stays() -> None:
+    """Goes on after it was told to end."""
+    try:
+        await asyncio.Event().wait()
+    except asyncio.CancelledError:
+        await asyncio.Event().wait()
+
+
+def test_a_task_that_goes_on_is_named_and_cancelled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def idle(control: object, unix: UnixSocket, *others: object) -> None:
+        with contextlib.closing(unix):
+            await asyncio.Event().wait()
+
+    monkeypatch.setattr(ending_module, "AGAIN_S", 0.05)
+    monkeypatch.setattr(root, "run_api", idle)  # the real one would be disturbed in its last answers
+
+    async def beside(service: Any) -> None:
+        asyncio.get_running_loop().call_later(0.01, os.kill, os.getpid(), signal.SIGTERM)
+        await one_that_stays()
+
+    async def main() -> None:
+        async with asyncio.timeout(30.0):
+            config = parse_config({"state": {"directory": str(tmp_path)}}, where="test", sim=True)
+            await root.run(config, world=World(WorldSettings(), seed=0), beside=beside)
+
+    structlog.reset_defaults()
+    with capture_logs() as said:
+        asyncio.run(main())
+    (line,) = [line for line in said if "cancelled again" in line["event"]]
+    assert "beside" in line["tasks"]
+    assert said[-1]["event"] == "slipguard stops; the grip stays as it is"
+
+
+async def test_what_heeds_nothing_is_left_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ending_module, "LEAVE_S", 0.05)
+    left, codes = threading.Event(), list[int]()
+
+    def leave(code: int) -> None:
+        codes.append(code)
+        left.set()
+
+    ending = Ending(leave)
+    structlog.reset_defaults()
+    with capture_logs() as said:
+        ending.begin()
+        assert left.wait(30.0), "the loop stands still meanwhile"
+    ending.over()
+    assert codes == [1]
+    assert "left behind" in said[-1]["event"]
+
+
+async def test_what_has_ended_is_not_left() -> None:
+    codes: list[int] = []
+    Ending(codes.append).over()
+    ending = Ending(codes.append)
+    ending.begin()
+    ending.over()
+    assert ending._last is not None
+    ending._last.join(30.0)
+    assert codes == []
+
+
+def test_systemd_waits_longer() -> None:
+    unit = (Path(__file__).parents[2] / "systemd" / "slipguard.service").read_text()
+    stop_s = next(float(line.partition("=")[2]) for line in unit.splitlines() if line.startswith("TimeoutStopSec="))
+    assert AGAIN_S < LEAVE_S < stop_s

@@ -1,0 +1,65 @@
+"""What the bench counts: frames that errors and overlaps are taken over, frames of a minute that are left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from slipguard.bench.error_tally import Errors, Tally
+from slipguard.bench.holding import Held
+from slipguard.bench.pipelines import Subject, ours
+from slipguard.bench.run import _row
+from slipguard.datasets.rendered_grasps import Shot
+from slipguard.devices import Frame
+from slipguard.perception.estimate import Estimate
+
+PAPER_PATH = Path(__file__).resolve().parents[3] / "models" / "deeplabv3plus-resnet18.onnx"
+
+
+class Answering:
+    """A processor that finds the labelled mask, and calls every frame this."""
+
+    def __init__(self, mask: NDArray[np.uint8], skipped: str | None) -> None:
+        self.last_mask, self._skipped = mask, skipped
+
+    def process(self, frame: Frame) -> Estimate:
+        contact = self._skipped is None
+        answer = Estimate(frame.sequence, 0.0, 0.0, contact, 900, "fused", declined="as told")
+        return replace(answer, skipped=self._skipped)
+
+
+def test_a_contact_that_is_skipped_as_none_overlaps_nothing() -> None:
+    mask = np.zeros((320, 240), np.uint8)
+    mask[100:200, 50:150] = 1
+    shot = Shot(Frame(np.zeros((320, 240, 3), np.uint8), 0.0, 0), True, 0.0, True, mask)
+    for skipped, label, overlaps in (
+        (None, mask, [(1.0, 1.0)]),
+        ("no contact", mask, [(0.0, 0.0)]),
+        ("no contact", np.zeros_like(mask), []),  # touched too lightly for a label
+        ("unchanged", mask, []),
+    ):
+        tally = Tally()
+        tally.take(Answering(mask, skipped), replace(shot, mask=label), Errors("bar", True, 0.0))
+        assert tally.overlaps == overlaps
+
+
+def test_errors_are_counted_without_what_is_declined_and_without_objects_of_no_manifest() -> None:
+    told: list[tuple[float, float, float | None]] = [(1.0, 1.0, 1.0)] * 4
+    tally = Tally(grasps=[Errors("bar", True, 0.0, 6, told), Errors("ring", False, 0.0, 9),
+                          Errors("plain_disc", False, 0.0, 5, told)])  # fmt: skip
+    row = tally.row(ours(None, every=False)[0], tally, 1.0, 3.6)
+    assert (row.frames, row.sequences, row.turns, row.turn_sequences) == (20, 3, 4, 1)
+
+
+def test_a_minute_of_a_large_network_is_reckoned_with_the_frames_that_are_left_out() -> None:
+    like = Held(frames=100, wall_s=0.1, measured_s=0.08, skipped={"unchanged": 70, "no contact": 10})
+    assert (like.mean_ms, like.measured_ms) == pytest.approx((1.0, 4.0))
+    large = Subject("ours", "large", "fused", PAPER_PATH, "frame")
+    tallies = {large.name: Tally(busy_ms=[18.0, 18.0])}
+    row = _row(large, tallies, tallies, {}, like)
+    assert row.mean_ms_per_frame_grasp == pytest.approx(1.0 + 0.2 * (18.0 - 4.0))
+    assert row.cpu_s_per_minute_grasp == pytest.approx(3.6 * 3.8)

@@ -1,0 +1,111 @@
+"""What skips are worth is measured as it says: on a crop, on a second finger, on an unchanged picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slipguard.bench import minute, skipping
+from slipguard.bench import second_finger as second
+from slipguard.bench.cached_segmenter import Remembering
+from slipguard.bench.clock import CLOCK
+from slipguard.bench.cropping import CroppedSegmenter
+from slipguard.bench.holding import hold
+from slipguard.bench.minute import Minute
+from slipguard.bench.onset import Onset
+from slipguard.bench.pipelines import NO_SKIP, Subject, ours
+from slipguard.control.slip_baselines import Detector
+from slipguard.datasets.mask_scores import dice
+from slipguard.datasets.rendered_grasps import sequence
+from slipguard.devices import Frame
+from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.settings import EVERY_SKIP, Skips
+
+
+def default() -> Subject:
+    return next(one for one in ours(None, every=False) if one.estimator == "fused" and one.skips != NO_SKIP)
+
+
+@dataclass
+class Blind:
+    """A law that never sees a slip."""
+
+    detector: Detector
+    slipping: bool = False
+
+
+def test_how_much_later_a_slip_is_seen_is_measured_for_the_gate_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = iter((9, 7, 9, None, None, 3))
+    asked: list[Skips] = []
+
+    def first_seen(process: Any, frames: list[Frame]) -> int | None:
+        asked.append(process.__self__._skips)
+        return next(answers)
+
+    monkeypatch.setattr(skipping, "first_seen", first_seen)
+    tried = skipping._Tried(Onset("key", 7000, 60.0), default())
+    assert skipping._later(tried) == skipping._Later(no_contact=2, unchanged=0)
+    assert asked == [EVERY_SKIP, Skips(no_contact=False), Skips(unchanged=False)]
+    later = skipping._later(tried)
+    assert later.no_contact is None
+    assert later.unchanged is not None
+    assert later.unchanged > 90
+    worth = skipping._no_contact(default(), 1, [None, later.unchanged, 0])
+    assert worth.frames_later == later.unchanged
+    assert worth.how.endswith("2 slips after rest (1 that nobody sees aside)")
+    assert skipping._most([None]) is None
+
+
+def test_a_crop_shows_what_the_whole_shows() -> None:
+    pytest.importorskip("onnx")
+    whole = Segmenter()
+    cropped = CroppedSegmenter(whole)
+    grasp = sequence("ball", 4100)
+    assert cropped.segment(grasp.shots[0].frame.image, grasp.background).shape == (160, 120)
+    cut = 0
+    for shot in [shot for shot in grasp.shots if shot.compared][:10]:
+        plain = whole.segment(shot.frame.image, grasp.background) > whole.threshold
+        part = cropped.segment(shot.frame.image, grasp.background)
+        cut += not part.all() and cropped._window() is not None
+        assert dice(part > whole.threshold, plain) > 0.9
+    assert cut
+
+
+def test_a_spared_finger_is_cheaper_and_no_slip_is_overlooked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(minute, "LIFTED_S", 1.0)
+    monkeypatch.setattr(minute, "MINUTE_S", 4.0)
+    monkeypatch.setattr(minute, "_TURNS", ((3.0, 3.4, 8.0, 0.1),))
+    worth = second.second_finger(default())
+    assert worth.frames_later is not None
+    assert worth.frames_later <= 1
+    monkeypatch.setattr(second, "look", lambda detector, fused, law: Blind(detector))
+    assert second.second_finger(default()).frames_later is None
+    assert not worth.how.startswith("0 of")
+    assert abs(worth.error_added_deg or 0.0) < 0.3
+
+
+def test_a_minute_is_held_with_most_frames_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(minute, "LIFTED_S", 1.0)
+    monkeypatch.setattr(minute, "MINUTE_S", 4.0)
+    monkeypatch.setattr(minute, "_TURNS", ())
+    held = hold([default()], Minute())[default().name]
+    assert held.frames == 240
+    assert held.skipped["unchanged"] > 60
+    assert 0.0 < held.mean_ms < held.measured_ms
+    assert np.mean(held.errors_deg) < 0.5
+
+
+def test_remembered_answers_cost_what_they_cost() -> None:
+    network = Remembering(Segmenter())
+    image = sequence("bar", 2).shots[20].frame.image
+    network.memory.forget(on=True)
+    began_s = CLOCK()
+    first = network.segment(image, None)
+    once_s = CLOCK() - began_s
+    assert network.segment(image, None) is first
+    assert CLOCK() - began_s > 1.8 * once_s
+    network.memory.forget(on=False)
+    assert network.segment(image, None) is not network.segment(image, None)

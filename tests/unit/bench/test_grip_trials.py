@@ -1,0 +1,63 @@
+"""Beside the matrix: needs that one step does not meet, and a budget for something fragile."""
+
+from __future__ import annotations
+
+import pytest
+
+from slipguard.bench.grip.play import HIGH_MM, LIFT_MM, lift_mm, play, within_budget
+from slipguard.bench.grip.trials import (
+    FRAGILE_MAX_N,
+    LATENCIES_S,
+    SHARES,
+    TIGHT_SHARES,
+    Block,
+    draw,
+    needed_range_n,
+    trials,
+)
+from slipguard.control.force_limits import budget
+from slipguard.control.params import GuardParams
+from slipguard.sim.friction import needed_force_n
+
+TIGHT: tuple[Block, ...] = ("high need", "fragile")
+
+
+@pytest.mark.parametrize("block", TIGHT)
+@pytest.mark.parametrize("number", range(8))
+def test_the_need_is_close_to_what_the_budget_really_gives(block: Block, number: int) -> None:
+    one = draw(number, "bar", SHARES[number % 4], LATENCIES_S[number // 2], number % 2 == 0, 60.0, block=block)
+    within = budget(one.force_max_n, (20.0, 235.0))
+    assert within is not None
+    share = one.needed_n / (within.high_n * one.scenario.gripper.gain)
+    assert TIGHT_SHARES[0] - 0.03 < share <= TIGHT_SHARES[1]
+    assert needed_force_n(one.item, one.scenario.gel) == pytest.approx(one.needed_n, rel=1e-6)
+    assert one.first_n >= 20.0
+    assert one.first_n * one.scenario.gripper.gain == pytest.approx(one.share * one.needed_n)
+    assert (lift_mm(one), LIFT_MM) == (HIGH_MM, 60.0)
+
+
+def test_blocks_spread_over_the_same_axes_and_share_no_number() -> None:
+    blocks = {block: trials(24, 0, 0, block) for block in ("matrix", *TIGHT)}
+    numbers = [one.number for some in blocks.values() for one in some]
+    assert len(set(numbers)) == len(numbers)
+    for block, some in blocks.items():
+        assert {one.block for one in some} == {block}
+        assert [[one.share for one in some].count(share) for share in SHARES] == [6] * 4
+    assert needed_range_n("matrix", 0.9) == needed_range_n("matrix", 1.1) == (45.0, pytest.approx(78.0))
+
+
+def test_the_parameters_of_a_trial_are_ones_that_a_user_could_set() -> None:
+    fragile = within_budget(GuardParams(), trials(1, 0, 0, "fragile")[0])
+    assert fragile.force_max_n == fragile.blind_force_n == FRAGILE_MAX_N
+    plain = within_budget(GuardParams(), trials(1, 0)[0])
+    assert plain == GuardParams(probe_height_mm=0.0)
+
+
+def test_something_fragile_is_held_and_never_gripped_beyond_its_budget() -> None:
+    one = draw(7_000, "wrench", 0.75, 0.1, False, 60.0, block="fragile")
+    for who in ("law", "fixed step", "oracle"):
+        outcome = play(one, who)
+        assert outcome.dropped is None
+        assert outcome.up
+        assert outcome.force_n <= (FRAGILE_MAX_N + 0.85) * one.scenario.gripper.gain
+        assert outcome.tightenings > 0

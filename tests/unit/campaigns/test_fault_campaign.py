@@ -1,0 +1,164 @@
+"""A short fault campaign, and that it would notice what it looks for."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slipguard.control.guard import Guard, tick
+from slipguard.control.messages import Command, Seen
+from slipguard.control.params import GuardParams
+from slipguard.daemon.loop import device_alerts as bulletin
+from slipguard.daemon.loop.service import Service
+from slipguard.sim.faults import KINDS as ON_THE_BOARD
+from tests.campaigns.command_line import run
+from tests.campaigns.faults import rig, trial
+from tests.campaigns.faults.campaign import Campaign, campaign
+from tests.campaigns.faults.kinds import KINDS, Plan, draw
+from tests.campaigns.faults.report import why
+from tests.campaigns.faults.trial import Outcome
+
+
+def planned(*plans: tuple[str, float, float]) -> tuple[Plan, ...]:
+    return tuple(Plan(KINDS[name], at_s, for_s) for name, at_s, for_s in plans)
+
+
+def with_plans(monkeypatch: pytest.MonkeyPatch, *plans: tuple[str, float, float], seed: int = 3) -> Outcome:
+    monkeypatch.setattr(trial, "draw", lambda rng, seed: planned(*plans))
+    return trial.trial(seed)
+
+
+def test_a_few_runs() -> None:
+    found = campaign(4, 1000)
+    assert found.runs == 4
+    assert not found.failures, [why(outcome) for outcome in found.failures]
+
+
+def test_every_kind_of_fault_is_drawn_and_every_fault_of_the_fakes_is_a_kind() -> None:
+    plans = [plan for seed in range(3 * len(KINDS)) for plan in draw(np.random.default_rng(seed), seed)]
+    assert {plan.kind.name for plan in plans} == set(KINDS)
+    assert {f"{device}.{fault}" for device, faults in ON_THE_BOARD.items() for fault in faults} <= set(KINDS)
+    assert all(0.0 < plan.at_s < 10.0 for plan in plans)
+    assert {len(draw(np.random.default_rng(seed), seed)) for seed in range(50)} == {1, 2, 3}
+
+
+def test_the_same_seed_is_the_same_run() -> None:
+    assert trial.trial(20) == trial.trial(20)
+
+
+def test_an_object_taken_and_a_stuck_arm_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    outcome = with_plans(monkeypatch, ("arm.stuck", 0.9, np.inf), ("object.taken", 6.0, np.inf))
+    assert set(outcome.due) == {"arm.stuck", "object.taken"}
+    assert not outcome.failed
+    assert any("arm stuck" in line for line in outcome.lines)
+
+
+# Broken products: the campaign must see it.
+
+
+def test_it_sees_jaws_that_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    def opens(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
+        guard, command = tick(guard, seen, params)
+        return guard, replace(command, release_width_mm=60.0) if command.fault is not None else command
+
+    monkeypatch.setattr(rig, "tick", opens)
+    outcome = with_plans(monkeypatch, ("arm.timeout", 3.0, np.inf))
+    assert outcome.openings
+    assert outcome.failed
+
+
+def test_it_sees_jaws_that_go_on_in_a_stop_of_the_arm(monkeypatch: pytest.MonkeyPatch) -> None:
+    def goes_on(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
+        guard, command = tick(guard, seen, params)
+        return guard, replace(command, halt=False)
+
+    plan = ("arm.emergency_stop", 0.3, np.inf)
+    assert with_plans(monkeypatch, plan).presses == 0
+    monkeypatch.setattr(rig, "tick", goes_on)
+    outcome = with_plans(monkeypatch, plan)
+    assert outcome.presses
+    assert outcome.failed
+    assert "pressed harder" in why(outcome)
+
+
+def test_it_sees_a_drop_that_holding_would_have_prevented(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lets_slip(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
+        guard, command = tick(guard, seen, params)
+        late = seen.arm is not None and seen.arm.height_mm > 140.0
+        return guard, replace(command, release_width_mm=70.0) if late else command
+
+    monkeypatch.setattr(rig, "tick", lets_slip)
+    monkeypatch.setitem(rig.LIFT, "lift_height_mm", 150.0)
+    outcome = with_plans(monkeypatch, ("left.stall", 1.2, np.inf), seed=23)
+    assert outcome.dropped is not None
+    assert outcome.avoidable
+
+
+def test_it_sees_a_fault_that_is_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bulletin.Bulletin, "look", lambda self, *seen: None)
+    outcome = with_plans(monkeypatch, ("left.corrupt", 4.0, np.inf))
+    assert outcome.unnamed == ("left.corrupt",)
+
+
+def test_it_sees_a_crash(monkeypatch: pytest.MonkeyPatch) -> None:
+    def breaks(self: Service, now_s: float) -> None:
+        raise ZeroDivisionError("of all things")
+
+    monkeypatch.setattr(Service, "_turn", breaks)
+    outcome = with_plans(monkeypatch, ("left.corrupt", 4.0, np.inf))
+    assert any("of all things" in crash for crash in outcome.crashes)
+
+
+def test_it_sees_a_task_that_is_left_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = []
+    built = Service.run
+
+    async def leaks(self: Service) -> None:
+        import asyncio
+
+        kept.append(asyncio.create_task(asyncio.Event().wait(), name="forgotten"))
+        await built(self)
+
+    monkeypatch.setattr(Service, "run", leaks)
+    outcome = with_plans(monkeypatch, ("left.duplicate", 1.0, 1.0))
+    assert outcome.leaked == ("forgotten",)
+
+
+def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from tests.campaigns.faults import campaign as campaigns
+
+    failing = Outcome(7, "cap", planned(("arm.stuck", 1.0, 2.0)), unnamed=("arm.stuck",), due=("arm.stuck",))
+    fine = Outcome(8, "cap", planned(("left.stall", 1.0, np.inf)), named=(("left.stall", 0.2),), due=("left.stall",))
+    monkeypatch.setattr(campaigns, "trial", lambda seed: failing if seed == 7 else fine)
+    assert run(["faults", "--runs", "2", "--seed", "7", "--jobs", "1", "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told | {"runs": 2, "unnamed_faults": 1, "drops_avoidable": 0, "failed_seeds": [7]} == told
+    assert set(told) >= {"runs", "drops_avoidable", "openings", "unnamed_faults", "crashes", "leaked_tasks"}
+    assert run(["faults", "--runs", "2", "--seed", "7", "--jobs", "1"]) == 1
+    said = re.sub(r"\s+", " ", capsys.readouterr().out)
+    assert "--runs 1 --seed 7" in said
+    assert run(["faults", "--runs", "1", "--seed", "8", "--jobs", "1"]) == 0
+    assert "seed 8" in capsys.readouterr().out
+    assert run(["faults", "--runs", "0"]) == 2
+    assert "--runs" in capsys.readouterr().err
+
+
+def test_an_empty_campaign_has_nothing_to_show() -> None:
+    assert Campaign().as_json()["runs"] == 0
+
+
+def test_each_kind_is_told_with_how_long_it_took() -> None:
+    found = Campaign()
+    for seed, named_s in ((1, 0.1), (2, 0.3), (3, 0.4)):
+        plans = planned(("arm.timeout", 1.0, np.inf))
+        found.count(Outcome(seed, "cap", plans, named=(("arm.timeout", named_s),), due=("arm.timeout",)))
+    kinds = found.as_json()["kinds"]
+    assert isinstance(kinds, dict)
+    assert kinds["arm.timeout"] == {
+        "runs": 3, "could_be_seen": 3, "unnamed": 0, "named_s_median": 0.3, "named_s_max": 0.4,
+    }  # fmt: skip
+    assert kinds["arm.stuck"]["named_s_max"] is None

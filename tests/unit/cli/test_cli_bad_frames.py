@@ -1,0 +1,173 @@
+"""Bad frames and bad networks through `slipguard measure`: one line and exit code 2, never a confident wrong angle."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command_line import slipguard
+
+from slipguard.devices import Frame
+from slipguard.errors import FrameCorrupt, SlipguardError
+from slipguard.perception.contact.segmenter import Segmenter, default_model_path
+from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.settings import PerceptionSettings
+
+KEYS = {
+    "frame", "contact", "contact_area_px", "angle_deg", "orientation_deg",
+    "sigma_deg", "method", "skipped", "stage_ms",
+}  # fmt: skip
+
+
+def gel(seed: int = 0) -> np.ndarray:
+    """An untouched gel: the glow of three lamps with camera noise, (320, 240, 3) uint8."""
+    y, x = np.mgrid[0:320, 0:240].astype(np.float32)
+    glow = np.stack([90 - 40 * y / 320, 60 + 60 * x / 240, 140 - 80 * x / 240], -1)
+    return np.clip(glow + np.random.default_rng(seed).normal(0.0, 1.5, glow.shape), 0, 255).astype(np.uint8)
+
+
+def png(image: np.ndarray) -> bytes:
+    return cv2.imencode(".png", image)[1].tobytes()
+
+
+BAD = {
+    "empty": (b"", "the file is empty"),
+    "truncated": (png(gel())[:4000], "cut short"),
+    "1x1": (png(np.full((1, 1, 3), (9, 90, 200), np.uint8)), "1x1"),
+    "16-bit": (png(gel().astype(np.uint16) * 256), "16 bits a channel"),
+    "grey": (png(gel()[..., 1]), "grey"),
+    "half transparent": (png(np.dstack([gel(), np.full((320, 240), 90, np.uint8)])), "transparent"),
+    "4K": (png(cv2.resize(gel(), (3840, 2160))), "3840x2160"),
+    "all black": (png(np.zeros((320, 240, 3), np.uint8)), "all black"),
+    "all white": (png(np.full((320, 240, 3), 255, np.uint8)), "all white"),
+    "NaN": (cv2.imencode(".tiff", np.full((320, 240, 3), np.nan, np.float32))[1].tobytes(), "32 bits a channel"),
+    "text": (b"not a picture", "no image can be decoded"),
+}
+
+
+@pytest.fixture
+def background(tmp_path: Path) -> Path:
+    path = tmp_path / "background.png"
+    path.write_bytes(png(gel(9)))
+    return path
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_a_bad_frame_is_named(kind: str, background: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    data, said = BAD[kind]
+    bad = tmp_path / ("bad.tiff" if kind == "NaN" else "bad.png")
+    bad.write_bytes(data)
+    ran = slipguard(capfd, "measure", bad, "--background", background, "--json")
+    assert ran.complaint.startswith(f"{bad}: ")
+    assert said in ran.complaint
+    assert ran.code == 2
+    assert ran.out == ""
+    ran = slipguard(capfd, "measure", background, "--background", bad, "--json")
+    assert ran.complaint.startswith(f"{bad}: ")
+    assert ran.code == 2
+
+
+def test_opaque_rgba_and_4k_upright_are_read_as_the_same_picture(
+    background: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "rgba.png").write_bytes(png(np.dstack([gel(1), np.full((320, 240), 255, np.uint8)])))
+    (tmp_path / "large.png").write_bytes(png(cv2.resize(gel(1), (2160, 2880), interpolation=cv2.INTER_NEAREST)))
+    paths = [tmp_path / "rgba.png", tmp_path / "large.png"]
+    ran = slipguard(capfd, "measure", *paths, "--background", background, "--json", "--masks", tmp_path / "masks")
+    assert ran.code == 0
+    assert [json.loads(line)["contact"] for line in ran.out.splitlines()] == [False, False]
+    assert cv2.imread(str(tmp_path / "masks" / "large.png"), cv2.IMREAD_UNCHANGED).shape == (2880, 2160)
+
+
+def test_every_line_has_exactly_the_public_keys(background: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    ran = slipguard(capfd, "measure", background, "--background", background, "--json")
+    assert ran.code == 0
+    assert ran.err == ""
+    (line,) = ran.out.splitlines()
+    seen = json.loads(line)
+    assert set(seen) == KEYS
+    assert (seen["contact"], seen["angle_deg"], seen["sigma_deg"], seen["skipped"]) == (False, None, None, "no contact")
+
+
+def test_a_folder_without_images(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "notes.txt").write_text("no picture")
+    ran = slipguard(capfd, "measure", tmp_path)
+    assert "no image in this folder" in ran.complaint
+    assert ran.code == 2
+
+
+def _other_inputs() -> bytes:
+    whole = default_model_path().read_bytes()
+    assert b"background_known" in whole
+    return whole.replace(b"background_known", b"background_knowm")
+
+
+MODELS = {
+    "missing": (None, "no such file"),
+    "empty": (b"", "not a readable ONNX model"),
+    "corrupt": (default_model_path().read_bytes()[:9000], "not a readable ONNX model"),
+    "text": (b"weights go here", "not a readable ONNX model"),
+    "other inputs": (_other_inputs(), "the model contract asks for"),
+}
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_a_bad_network_is_named(kind: str, background: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    data, said = MODELS[kind]
+    model = tmp_path / "net.onnx"
+    if data is not None:
+        model.write_bytes(data)
+    ran = slipguard(capfd, "measure", background, "--background", background, "--model", model)
+    assert ran.complaint.startswith(f"{model}: ")
+    assert said in ran.complaint
+    assert ran.code == 2
+
+
+@pytest.mark.parametrize("option", ["--masks", "--plot"])
+def test_a_place_that_cannot_be_written_to(
+    option: str, background: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    ran = slipguard(capfd, "measure", background, "--background", background, "--json", option, tmp_path / "file/x.png")
+    assert str(tmp_path / "file") in ran.complaint
+    assert ran.code == 2
+
+
+HOSTILE = {
+    "NaN": np.full((320, 240, 3), np.nan, np.float32),
+    "one NaN": np.where(np.arange(320 * 240 * 3).reshape(320, 240, 3) == 5, np.nan, 90.0),
+    "infinite": np.full((320, 240, 3), np.inf, np.float64),
+    "objects": np.full((320, 240, 3), None, object),
+    "grey": np.full((320, 240), 90, np.uint8),
+    "RGBA": np.full((320, 240, 4), 90, np.uint8),
+    "1x1": np.full((1, 1, 3), 90, np.uint8),
+    "none": np.empty((0, 0, 3), np.uint8),
+    "16-bit": np.full((320, 240, 3), 9000, np.uint16),
+    "on its side": np.full((240, 320, 3), 90, np.uint8),
+}
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+@pytest.mark.parametrize("known", [True, False], ids=["with background", "without"])
+def test_the_pipeline_refuses_what_is_no_frame_and_goes_on(kind: str, known: bool) -> None:
+    pipeline = Pipeline(Segmenter(), PerceptionSettings(), gel(9) if known else None, None, 18.5)
+    with pytest.raises(FrameCorrupt):
+        pipeline.process(Frame(HOSTILE[kind], 0.0, 0))
+    assert not pipeline.process(Frame(gel(1), 0.1, 1)).contact or not known
+    with pytest.raises(SlipguardError):
+        Pipeline(Segmenter(), PerceptionSettings(), HOSTILE[kind], None, 18.5)
+
+
+@pytest.mark.parametrize("level", [0, 255])
+def test_a_dark_or_blinded_camera_never_gives_an_angle(level: int) -> None:
+    pipeline = Pipeline(Segmenter(), PerceptionSettings(), gel(9), None, 18.5)
+    for number in range(12):
+        try:
+            answer = pipeline.process(Frame(np.full((320, 240, 3), level, np.uint8), 0.03 * number, number))
+        except FrameCorrupt:
+            continue
+        assert answer.angle_deg is None
+        assert answer.orientation_deg is None

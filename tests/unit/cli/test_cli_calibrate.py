@@ -1,0 +1,102 @@
+"""`slipguard calibrate` against a served daemon: taken, shown, drawn, fetched back."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command_line import Ran, slipguard
+from fake_daemon_api import FakeControl, served
+
+from slipguard.daemon.store.calibration import NoContact
+from slipguard.daemon.store.state_dir import StateDir
+
+CONFIG = Path(__file__).parents[3] / "config.toml"
+
+
+@pytest.fixture
+def control() -> FakeControl:
+    return FakeControl()
+
+
+async def calibrate(capfd: pytest.CaptureFixture[str], control: FakeControl, folder: Path, *words: object) -> Ran:
+    async with served(control, folder / "s") as path:
+        line = ("calibrate", "--config", CONFIG, "--socket", path, *words)
+        return await asyncio.to_thread(slipguard, capfd, *line)
+
+
+@pytest.mark.parametrize(
+    ("words", "asked"),
+    [
+        ([], ("calibrate", False)),
+        (["--force"], ("calibrate", True)),
+        (["--new-gel"], ("calibrate", False, "new gel")),
+        (["--back-to", "1", "--finger", "left"], ("go back", "left", 1)),
+    ],
+)
+async def test_what_is_asked_reaches_the_daemon_and_what_is_stored_is_shown(
+    words: list[str],
+    asked: tuple[object, ...],
+    control: FakeControl,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    ran = await calibrate(capfd, control, tmp_path, *words)
+    assert (ran.code, ran.err) == (0, "")
+    assert control.asked == [asked]
+    assert ran.out.count("2026-11-20 12:00") == 2  # the newest of each finger
+    assert "2.9 1.5 2.4" in ran.out
+    assert "+0.0 +0.0 +0.0" in ran.out
+
+
+async def test_show_takes_nothing_and_shows_every_image(
+    control: FakeControl, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    ran = await calibrate(capfd, control, tmp_path, "--show")
+    assert ran.code == 0
+    assert control.asked == []
+    assert ran.out.count("2026-11-20 12:00") == 4
+    assert "nothing was taken" in ran.out
+
+
+async def test_a_picture_of_them_is_drawn(
+    control: FakeControl, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    ran = await calibrate(capfd, control, tmp_path, "--plot", tmp_path / "gels.png")
+    assert ran.code == 0, ran.err
+    assert control.asked == []
+    drawn = cv2.imread(str(tmp_path / "gels.png"))
+    assert drawn is not None
+    assert drawn.std() > 10
+
+
+async def test_programs_get_all_of_it(control: FakeControl, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    told = json.loads((await calibrate(capfd, control, tmp_path, "--json")).out)
+    assert set(told["fingers"]) == {"left", "right"}
+    assert [one["number"] for one in told["stored"]["left"]["versions"]] == [1, 2]
+
+
+def test_what_is_stored_is_shown_without_a_sensor_plugged_in(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    StateDir().save_no_contact("D20479", NoContact(np.full((320, 240, 3), 90, np.uint8), (1.0, 2.0, 3.0), 30))
+    ran = slipguard(capfd, "calibrate", "--config", CONFIG, "--socket", tmp_path / "s", "--show")
+    assert (ran.code, ran.err) == (0, "")
+    assert "D20479" in ran.out
+    assert "1.0 2.0 3.0" in ran.out
+    assert "D20510" in ran.out
+
+
+@pytest.mark.parametrize("words", [["--back-to", "2"], ["--finger", "left"]])
+def test_half_a_wish_is_refused(words: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+    ran = slipguard(capfd, "calibrate", "--config", CONFIG, *words)
+    assert "go together, such as `--back-to 3 --finger left`" in ran.complaint

@@ -1,0 +1,85 @@
+"""A state directory that something has damaged never stops the daemon: the finger runs, and a calibration mends it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import structlog
+from command_line import slipguard
+
+from slipguard.config import parse_config
+from slipguard.daemon.loop.finger import Finger
+from slipguard.daemon.run import build_service
+from slipguard.daemon.store.calibration import NoContact
+from slipguard.daemon.store.state_dir import StateDir
+from slipguard.devices import Frame
+from slipguard.sim.world import World
+
+
+def cut_short(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:100])
+
+
+def emptied(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def made_a_folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def removed(path: Path) -> None:
+    path.unlink()
+
+
+@pytest.mark.parametrize("ending", ["png", "json"])
+@pytest.mark.parametrize("damage", [cut_short, emptied, made_a_folder, removed])
+def test_the_finger_runs_without_its_damaged_image(
+    damage: Callable[[Path], None], ending: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    state = StateDir(tmp_path)
+    rng = np.random.default_rng(0)
+    image = np.clip(rng.normal(100.0, 2.0, (320, 240, 3)), 0, 255).astype(np.uint8)
+    state.save_no_contact("SIM-L", NoContact(image, (2.0, 2.0, 2.0), 30))
+    (stored,) = tmp_path.rglob(f"*.{ending}")
+    damage(stored)
+    config = parse_config({"state": {"directory": str(tmp_path)}}, where="test", sim=True)
+    service = build_service(config, world=World(seed=0))
+    try:
+        finger = service.fingers["left"]
+        finger.serial = "SIM-L"
+        asyncio.run(_renew(finger))
+        assert finger.pipeline is not None
+        finger.pipeline.process(Frame(image, 0.0, 0))
+    finally:
+        service.close()
+        structlog.reset_defaults()
+    said = capfd.readouterr()
+    assert "Traceback" not in said.out + said.err
+    if not (damage is removed and ending == "json"):
+        assert "no_contact-0001" in said.out + said.err
+    state.save_no_contact("SIM-L", NoContact(image, (2.0, 2.0, 2.0), 30))
+    again = state.load_no_contact("SIM-L")
+    assert again is not None
+    assert np.array_equal(again.image, image)
+
+
+async def _renew(finger: Finger) -> None:
+    finger.renew_pipeline()
+
+
+def test_a_state_directory_that_is_a_file_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "state").write_text("")
+    config = tmp_path / "cell.toml"
+    config.write_text(f'[state]\ndirectory = "{tmp_path / "state"}"\n')
+    monkeypatch.setenv("HOME", str(tmp_path))
+    ran = slipguard(capfd, "run", "--sim", "--config", config)
+    assert str(tmp_path / "state") in ran.complaint
+    assert ran.code == 2

@@ -1,0 +1,215 @@
+"""Whatever is typed wrong is one line that teaches, exit code 2, and nothing on stdout."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+
+import pytest
+from command_line import slipguard
+
+from slipguard.daemon import run as root
+from slipguard.errors import ConfigError
+from slipguard.perception.contact.segmenter import default_model_path
+
+WRONG = {
+    "frobnicate": "no such command 'frobnicate'; see `slipguard --help`",
+    "ctl frobnicate": "see `slipguard ctl --help`",
+    "ctl guard": "on, off",
+    "ctl guard maybe": "'maybe' is not one of 'on', 'off'",
+    "ctl grasp --force-n much": "--force-n",
+    "--sim --lifts 0": "at least one lift",
+    "--sim --lifts -1": "at least one lift",
+    "--sim --lifts many": "--lifts",
+    "--sim --seed -1": "--seed",
+    "--sim --speed warp": "'warp' is not one of 'realtime', 'fast'",
+    "--sim --sedd 1": "--sedd",
+    "--sim check": "slipguard run --config FILE --sim",
+    "--no-guard": "belong to --sim",
+    "--json": "belong to --sim",
+    "measure": "missing argument 'paths'",
+    "measure nowhere": "no such file or folder",
+    "measure . --reference last": "'last' is not one of",
+    "check --config nowhere.toml": "no such file; config.toml in the project is a commented start",
+    "run --config nowhere.toml": "no such file",
+    "run --config nowhere.toml --sim": "no such file",
+    "run": "config.toml: no such file",
+    "calibrate --config nowhere.toml": "no such file",
+    "dataset render --count 3": "--out",
+    "dataset render --out . --count 0": "count",
+    "train --frames 1": "--frames",
+    "bench --quick --model nowhere.onnx": "no such file",
+    "version --verbose": "--verbose",
+    "ctl gripper": "give --width-mm, --force-n or both",
+    "calibrate --back-to 1 --finger middle": "--finger middle: there are left and right",
+}
+
+
+@pytest.fixture(autouse=True)
+def _somewhere_empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("STATE_DIRECTORY", "RUNTIME_DIRECTORY", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.mark.parametrize("line", WRONG)
+def test_misuse_is_one_line(line: str, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    ran = slipguard(capfd, *line.split())
+    assert WRONG[line] in ran.complaint
+    assert ran.code == 2
+    assert ran.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+CONFIGS = {
+    "typo": ("[guard]\nfirst_forse_n = 3\n", "guard.first_forse_n: no such key; did you mean 'first_force_n'?"),
+    "wrong type": ('[guard]\nfirst_force_n = "much"\n', "guard.first_force_n = 'much'"),
+    "wrong range": ("[guard]\nfirst_force_n = 1000\n", "guard.first_force_n = 1000"),
+    "wrong unit": ("[guard]\nfirst_force_kg = 3\n", "guard.first_force_kg: no such key"),
+    "not TOML": ("[guard\n", "not valid TOML"),
+    "empty driver": ('[left]\ndriver = ""\n', "left.driver = ''"),
+    "missing model": ('[perception]\nmodel = "none.onnx"\n', "none.onnx: no such file"),
+    "empty": ("", "missing; it must be given"),
+}
+
+
+@pytest.mark.parametrize("kind", CONFIGS)
+@pytest.mark.parametrize("command", ["check", "run"])
+def test_a_bad_configuration_names_file_key_and_value(
+    command: str, kind: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    text, said = CONFIGS[kind]
+    serials = '[left.digit]\nserial = "D1"\n[right.digit]\nserial = "D2"\n[gripper.robotiq]\nport = "/dev/null"\n'
+    path = tmp_path / "cell.toml"
+    path.write_text(text + (serials + '[arm.ur5]\nhost = "127.0.0.1"\n' if text else ""))
+    ran = slipguard(capfd, command, "--config", path)
+    assert said in ran.complaint
+    assert ran.code == 2
+    assert [entry.name for entry in tmp_path.iterdir()] == ["cell.toml"]
+
+
+def test_a_corrupt_model_in_the_configuration(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    model = tmp_path / "half.onnx"
+    whole = default_model_path().read_bytes()
+    model.write_bytes(whole[: len(whole) // 2])
+    shipped = (Path(__file__).parents[3] / "config.toml").read_text()
+    path = tmp_path / "cell.toml"
+    path.write_text(shipped.replace('# model = "models/tsnn-small.onnx"', f'model = "{model}"'))
+    for command in ("check", "run"):
+        ran = slipguard(capfd, command, "--config", path)
+        assert "not a readable ONNX model" in ran.complaint
+        assert (f"{path}: perception.model = {model}" in ran.complaint) == (command == "check")
+        assert ran.code == 2
+
+
+def test_a_configuration_with_a_byte_order_mark_is_read(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text((Path(__file__).parents[3] / "config.toml").read_text(), encoding="utf-8-sig")
+    assert slipguard(capfd, "check", "--config", path).code == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "changed", "said"),
+    [
+        ("D20479", "D 1", "left.digit.serial = 'D 1': letters and digits"),
+        ("192.168.1.10", "a b", "arm.ur5.host = 'a b': a name or an address, without blanks"),
+        ("192.168.1.10", "192.168.1.10 ", "arm.ur5.host = '192.168.1.10 ': a name or an address, without blanks"),
+        ("/dev/serial", "", "gripper.robotiq.port = ''"),
+    ],
+)
+def test_what_can_be_no_device_is_named(
+    given: str, changed: str, said: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "cell.toml"
+    shipped = (Path(__file__).parents[3] / "config.toml").read_text()
+    path.write_text(re.sub(f'"{given}[^"]*"', f'"{changed}"', shipped, count=1))
+    assert said in slipguard(capfd, "check", "--config", path).complaint
+
+
+def test_check_says_what_the_gripper_cannot(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    shipped = (Path(__file__).parents[3] / "config.toml").read_text()
+    path.write_text(shipped.replace('"2F-85" ', '"2F-140"'))
+    assert "this gripper applies 125 N at most" in slipguard(capfd, "check", "--config", path).out
+
+
+@pytest.mark.parametrize("words", [("--sim",), ("bench", "--quick")])
+def test_out_on_a_file_is_refused_before_anything_runs(
+    words: tuple[str, ...], capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    there = tmp_path / "there"
+    there.write_text("keep me")
+    ran = slipguard(capfd, *words, "--out", there)
+    assert "the folder cannot be made" in ran.complaint
+    assert ran.code == 2
+    assert there.read_text() == "keep me"
+
+
+def test_without_arguments_there_is_help_with_an_example(capfd: pytest.CaptureFixture[str]) -> None:
+    ran = slipguard(capfd)
+    assert ran.code == 0
+    assert "Example:" in ran.out
+    assert "--no-guard" in ran.out
+    assert ran.err == ""
+
+
+@pytest.mark.parametrize("group", ["ctl", "dataset"])
+def test_a_group_without_a_command_shows_its_help(group: str, capfd: pytest.CaptureFixture[str]) -> None:
+    ran = slipguard(capfd, group)
+    assert ran.code == 2
+    assert f"slipguard {group}" in ran.out
+    assert "Traceback" not in ran.err
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["state", "grasp", "lift", "lower", "guard on", "release --yes", "clear", "gripper --width-mm 60", "calibrate"],
+)
+def test_ctl_without_a_daemon_says_how_to_start_one(command: str, capfd: pytest.CaptureFixture[str]) -> None:
+    ran = slipguard(capfd, "ctl", *command.split())
+    assert "start it with `slipguard run`" in ran.complaint
+    assert ran.code == 1
+
+
+def test_ctl_at_something_that_is_no_socket(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for place in ("file", "file/below", "x" * 200):
+        assert slipguard(capfd, "ctl", "state", "--socket", tmp_path / place).complaint
+
+
+def test_what_the_disk_refuses_is_one_line(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    ran = slipguard(capfd, "train", "--frames", "64", "--work", tmp_path / "file")
+    assert ran.complaint
+
+
+def fails_with(error: BaseException) -> Callable[..., Coroutine[None, None, None]]:
+    async def run(*words: object, **options: object) -> None:
+        raise error
+
+    return run
+
+
+def test_what_a_task_of_the_daemon_fails_with_is_one_line(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inner = ExceptionGroup("tasks", [ConfigError("api.socket = x: cannot be made")])
+    monkeypatch.setattr(root, "run", fails_with(ExceptionGroup("daemon", [inner])))
+    ran = slipguard(capfd, "run", "--sim")
+    assert ran.complaint == "api.socket = x: cannot be made"
+    assert ran.code == 2
+    monkeypatch.setattr(root, "run", fails_with(OSError(28, "No space left on device", "/state/x")))
+    ran = slipguard(capfd, "run", "--sim")
+    assert ran.complaint == "/state/x: No space left on device"
+    assert ran.code == 1
+
+
+def test_a_mistake_of_the_program_is_not_hidden(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    both = ExceptionGroup("daemon", [ConfigError("x"), ValueError("a mistake")])
+    monkeypatch.setattr(root, "run", fails_with(both))
+    with pytest.raises(ExceptionGroup):
+        slipguard(capfd, "run", "--sim")

@@ -1,0 +1,141 @@
+"""Options that the README shows and no other test of their command uses, each in a short run of its own."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from slipguard.bench import run as bench
+from slipguard.cli import evaluate
+from slipguard.cli.app import run
+from slipguard.control.messages import Command
+from slipguard.errors import SlipguardError
+from slipguard.sim.gel import GelCamera
+from slipguard.sim.unit import Unit
+from slipguard.sim.view import GelView
+from slipguard.tools import replay as lab
+
+EMULATED = {
+    "cell": (
+        *("--folder", "cell", "--object", "wrench", "--mode", "guard", "--fault", "gripper.late:0.01"),
+        *("--host", "127.0.0.92", "--json"),
+    ),
+    "digit": ("--serial", "D20001", "--pixels", "MJPG", "--fault", "corrupt:0.01", "--port", "0", "--json"),
+    "ur": ("--host", "127.0.0.93", "--series", "cb3", "--fault", "freeze:0.01", "--json"),
+}
+
+
+@pytest.mark.parametrize("emulator", EMULATED)
+def test_emulate(emulator: str, tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "slipguard", "emulate", emulator, *EMULATED[emulator]]
+    with subprocess.Popen(
+        words, cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as running:
+        said, complaint = running.communicate("quit\n", timeout=60.0)
+    assert (running.returncode, complaint) == (0, "")
+    assert any("ready" in json.loads(line) for line in said.splitlines())
+    if emulator == "cell":
+        assert 'mode = "guard"' in (tmp_path / "cell" / "config.toml").read_text()
+
+
+def test_measure_draws_what_it_measured(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    camera = GelCamera(Unit.default(), seed=7)
+    for name, view in (("bg", GelView("", depth_mm=-1.0)), ("bar", GelView("bar", angle_deg=20.0, depth_mm=0.8))):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), camera.draw(view))
+    plot, masks = tmp_path / "turn.png", tmp_path / "masks"
+    words = ["measure", tmp_path / "bar.png", "--background", tmp_path / "bg.png", "--json", "--masks", masks]
+    assert run([str(word) for word in (*words, "--plot", plot)]) == 0
+    assert [json.loads(line)["contact"] for line in capfd.readouterr().out.splitlines()] == [True]
+    assert plot.stat().st_size > 1000
+    (mask,) = masks.iterdir()
+    drawn = cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE)
+    assert drawn is not None
+    assert drawn.any()
+
+
+@pytest.mark.parametrize(("differs", "code"), [(True, 1), (False, 0)])
+def test_replay_against_fails_where_it_differs(
+    differs: bool, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[object] = []
+    other = [lab.Difference(1.0, Command(), Command(hold_force_n=50.0))] if differs else []
+
+    def played(opened: object, model: Path | None) -> lab.Replay:
+        asked.append(model)
+        return lab.Replay(on_recorded=lab.LawReplay(3, other))
+
+    monkeypatch.setattr(lab, "recordings", lambda files: files)
+    monkeypatch.setattr(lab, "replay", played)
+    assert run(["replay", "kept", "--against"]) == code
+    assert ("hold_force_n=50.0" in capsys.readouterr().out) is differs
+    assert run(["replay", "kept", "--model", "other.onnx"]) == 1
+    assert "no frame was replayed, so it was not tried" in capsys.readouterr().err
+    assert asked == [None, Path("other.onnx")]
+
+
+def test_bench_takes_further_networks_in_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[bench.Options] = []
+
+    def benched(options: bench.Options, show: object) -> None:
+        asked.append(options)
+        raise SlipguardError("that was enough")
+
+    monkeypatch.setattr(bench, "bench", benched)
+    assert run(["bench", "--full", "--models", str(tmp_path)]) == 1
+    assert run(["bench", "--quick"]) == 1
+    assert [(one.quick, one.models) for one in asked] == [(False, tmp_path), (True, None)]
+
+
+def test_bench_writes_into_no_table_without_markers(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "page.md").write_text("no markers\n")
+    assert run(["bench", "--quick", "--table", str(tmp_path / "page.md")]) == 2
+    assert "page.md" in capfd.readouterr().err
+    assert (tmp_path / "page.md").read_text() == "no markers\n"
+
+
+@pytest.mark.parametrize(
+    "words", [("dataset", "render", "--count", "2", "--cluster"), ("bench", "--grip", "--full", "--cluster")]
+)
+def test_a_cluster_that_does_not_answer(
+    words: tuple[str, ...], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run([*words, "nowhere://x", "--out", str(tmp_path / "out")]) == 2
+    why = "nowhere://x" if importlib.util.find_spec("distributed") else "slipguard[cluster]"
+    assert why in capfd.readouterr().err
+
+
+def test_evaluate_on_a_cell_gets_camera_and_lens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[object, ...]] = []
+
+    def on_cell(*told: object) -> None:
+        asked.append(told)
+        raise SlipguardError("that was enough")
+
+    monkeypatch.setattr(evaluate, "_on_cell", on_cell)
+    (tmp_path / "protocol.toml").write_text('objects = [{name = "spanner"}]\n')
+    files: list[Any] = ["--config", "config.toml", "--protocol", tmp_path / "protocol.toml", "--out", tmp_path / "eval"]
+    words = ["evaluate", "run", *files, "--camera", "4", "--intrinsics", "camera.json"]
+    assert run([str(word) for word in words]) == 1
+    assert asked[0][0] == tmp_path / "eval"
+    assert asked[0][2:] == (Path("config.toml"), "4", Path("camera.json"))
+
+
+def test_import_leaves_out_what_is_not_whole(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    picture = np.full((320, 240, 3), 90, np.uint8)
+    for name in ("images/a.png", "images/b.png", "masks/a.png"):
+        path = tmp_path / "in" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(path), cv2.circle(picture[..., 0] * 0, (60, 80), 40, 255, -1) if "masks" in name else picture)
+    words = ["dataset", "import", str(tmp_path / "in"), "--out", str(tmp_path / "out")]
+    assert run(words) == 2
+    assert "give --skip" in capfd.readouterr().err
+    assert run([*words, "--skip"]) == 0
+    assert capfd.readouterr().out.startswith("1 frame")

@@ -1,0 +1,141 @@
+"""`slipguard --sim` on the fast clock: exact JSON for programs, a table that fits for people, an exit code."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+from command_line import Ran, slipguard
+from rich.console import Console
+
+from slipguard.sim_lifts import campaign
+from slipguard.sim_lifts.lift_record import LiftRecord, Measured
+from slipguard.sim_lifts.report import print_lines, print_tables, record_line
+
+SUMMARY = {
+    "lifts", "held", "dropped", "refused", "turn_error_lifts", "turn_error_mean_deg", "turn_error_worst_object_deg",
+    "true_turn_median_deg", "true_turn_max_deg", "over_20_deg_or_dropped", "latency_p50_ms", "latency_p99_ms",
+    "skipped_share", "deadlines_missed",
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def _short_lifts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(campaign, "LIFT_HEIGHT_MM", 60.0)
+    monkeypatch.setattr(campaign, "HOLD_S", 0.2)
+
+
+def test_one_lift_for_a_program(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    ran = slipguard(capfd, "--sim", "--speed", "fast", "--lifts", 1, "--json", "--out", tmp_path / "new" / "out")
+    assert ran.code == 0
+    lines: list[dict[str, Any]] = [json.loads(line) for line in ran.out.splitlines()]
+    assert all(len(line) == 1 for line in lines)
+    assert [key for line in lines for key in line].count("summary") == 1
+    found = lines[-1]["summary"]
+    assert set(found) == SUMMARY
+    assert (found["lifts"], found["held"], found["dropped"], found["refused"]) == (1, 1, 0, 0)
+    assert found["latency_p50_ms"] is None
+    assert found["latency_p99_ms"] is None
+    assert lines[0]["lift"]["object"] == "bar"
+    picture = cv2.imread(str(tmp_path / "new" / "out" / "guarded.png"))
+    assert picture.std() > 5.0
+    assert ran.err.startswith("picture: ")
+
+
+def record(name: str, outcome: str, why: str = "") -> LiftRecord:
+    made = LiftRecord(object_name=name, outcome=outcome, why=why, hard="heavy" if name == "bar" else "")
+    for step in range(50):
+        made.truth.time_s.append(0.1 * step)
+        made.truth.turn_deg.append(-0.9 * step)
+        made.truth.force_n.append(40.0 + 1.8 * step)
+        made.truth.needed_n.append(66.0)
+        made.truth.height_mm.append(3.0 * step)
+        made.fused.append(Measured(0.1 * step, -0.9 * step + 0.2, 0.39))
+    made.latency_s = [0.0042, 0.0118]
+    made.deadlines_missed = 12
+    return made
+
+
+def said(records: list[LiftRecord], width: int, *, realtime: bool = True) -> str:
+    console = Console(width=width, record=True, quiet=False, highlight=False, file=open("/dev/null", "w"))  # noqa: SIM115
+    try:
+        print_tables(console, records, realtime=realtime)
+    finally:
+        console.file.close()
+    return console.export_text()
+
+
+def test_the_table_fits_80_columns_with_every_figure() -> None:
+    names = ["bar", "knife_edge", "screwdriver"]
+    text = said([record(name, "dropped", "turned more than 60 deg") for name in names], 80)
+    assert "…" not in text
+    row = next(line for line in text.splitlines() if line.startswith("screwdriver"))
+    assert row.split()[:6] == ["screwdriver", "-44.1", "-43.9", "0.20", "0.39", "128/66"]
+    assert row.split()[6:] == ["dropped", "8.0/11.7", "–", "12"]
+    assert "bar (heavy)" in text
+    assert "screwdriver dropped: turned more than 60 deg" in text
+    assert "p50 8.0 ms, p99 11.8 ms" in " ".join(text.split())
+
+
+def test_what_was_not_measured_is_a_dash_not_a_number() -> None:
+    blind = record("ball", "held")
+    blind.fused.clear()
+    row = next(line for line in said([blind], 80, realtime=False).splitlines() if line.startswith("ball"))
+    assert row.split() == ["ball", "-44.1", "–", "–", "–", "128/66", "held", "–", "–", "12"]
+    line = record_line(blind, realtime=False)
+    assert (line["measured_turn_deg"], line["turn_error_deg"], line["latency_p99_ms"]) == (None, None, None)
+
+
+def test_a_campaign_without_a_single_frame_is_still_json(capfd: pytest.CaptureFixture[str]) -> None:
+    print_lines([LiftRecord(object_name="bar", outcome="refused", why="no contact")], realtime=True)
+    lines = capfd.readouterr().out.splitlines()
+    assert set(json.loads(lines[-1])["summary"]) == SUMMARY
+    assert "NaN" not in "".join(lines)
+
+
+def sim(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, outcome: str, *words: str) -> Ran:
+    async def campaign_of_one(settings: object, show: object) -> list[LiftRecord]:
+        return [record("bar", outcome)]
+
+    monkeypatch.setattr(campaign, "run_campaign", campaign_of_one)
+    return slipguard(capfd, "--sim", "--speed", "fast", *words)
+
+
+@pytest.mark.parametrize(("outcome", "code"), [("held", 0), ("refused", 0), ("dropped", 1)])
+def test_only_a_dropped_object_is_a_failure(
+    outcome: str, code: int, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert sim(capfd, monkeypatch, outcome).code == code
+    assert sim(capfd, monkeypatch, outcome, "--json").code == code
+
+
+@pytest.mark.parametrize("why", ["frames lost", "loop late"])
+def test_a_machine_too_slow_to_show_anything_is_a_failure_and_said(
+    why: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def campaign_of_two(settings: object, show: object) -> list[LiftRecord]:
+        return [record("bar", "held"), record("ball", "refused", why)]
+
+    monkeypatch.setattr(campaign, "run_campaign", campaign_of_two)
+    for words in ((), ("--json",)):
+        ran = slipguard(capfd, "--sim", *words)
+        assert ran.code == 1
+        assert ran.err.count("\n") == 1
+        assert ran.err.startswith(f"1 of 2 lifts ended early ({why}): this machine is too busy or too slow")
+    assert slipguard(capfd, "--sim", "--speed", "fast").code == 0  # where time is no machine's
+
+
+def test_it_says_what_will_happen_and_what_to_try_next(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    guarded = sim(capfd, monkeypatch, "held", "--seed", "3")
+    assert guarded.out.startswith("10 lifts of objects")
+    assert "tightens the grip" in guarded.out
+    assert "slipguard --sim --no-guard --seed 3" in guarded.out
+    unguarded = sim(capfd, monkeypatch, "dropped", "--no-guard", "--lifts", "1")
+    assert unguarded.out.startswith("1 lift of")
+    assert "the same lifts with the guard" in unguarded.out

@@ -1,0 +1,144 @@
+"""`slipguard ctl state` for people: whatever state the daemon is in, one screen says it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from slipguard.cli.state_view import view
+from slipguard.config import parse_config
+from slipguard.daemon.api.snapshot import snapshot
+from slipguard.daemon.loop.worker import StatedLatencyWorker
+from slipguard.daemon.run import build_service
+from slipguard.sim.world import World
+
+TURN = {
+    "turn_deg": 12.34, "sigma_deg": 0.42, "fingers": ["left", "right"],
+    "shift_mm": 0.31, "conflict": None, "declined": None,
+}  # fmt: skip
+HELD: dict[str, Any] = {
+    "mode": "lift",
+    "phase": "lifting",
+    "guarding": True,
+    "slipping": True,
+    "target_force_n": 61.0,
+    "cannot_see_turn": None,
+    "fault": None,
+    "turn": TURN,
+    "gripper": {
+        "active": True, "moving": False, "holding": True, "closed_on_nothing": False,
+        "width_mm": 28.0, "force_n": 40.2, "fault": None, "measured_at_s": 1.0,
+    },
+    "arm": {
+        "height_mm": 52.7, "speed_mm_s": 50.0, "moving": True,
+        "protective_stop": False, "emergency_stop": False, "measured_at_s": 1.0,
+    },
+    "fingers": {
+        "left": {
+            "serial": "D20479",
+            "estimate": {"contact": True, "contact_area_px": 2160, "declined": "round contact"},
+            "counts": {"frames": 1280, "corrupt": 2, "frozen": 0, "stalled": 0, "late": 7},
+        }
+    },
+    "devices": {
+        "left": {"state": "ready", "why": None},
+        "right": {"state": "waiting", "why": "right: no DIGIT with serial number D20510; [plugged] in are D1 and D2"},
+        "gripper": {"state": "troubled", "why": "gripper: no answer within 50 ms"},
+        "arm": {"state": "ready", "why": None},
+    },
+    "said": ["gripped", "slip", "slip", "slip"],
+}  # fmt: skip
+
+
+def shown(answer: dict[str, Any], width: int = 80) -> str:
+    console = Console(width=width, highlight=False, color_system=None)
+    with console.capture() as capture:
+        console.print(view(answer))
+    text = capture.get()
+    assert all(len(line) <= width for line in text.splitlines())
+    return " ".join(text.split())
+
+
+def test_what_is_held_and_how_the_devices_are() -> None:
+    text = shown(HELD)
+    assert "lifting (mode lift, guarding, slipping)" in text
+    assert "turn +12.3° ± 0.4°, seen by left and right; slid +0.3 mm" in text
+    assert "grip holds with 40 N per finger (asked for 61 N), jaws 28 mm apart" in text
+    assert "arm 53 mm above its start, moving at 50 mm/s" in text
+    assert "left ready D20479, contact of 2160 px, round contact, 1280 frames, 2 corrupt, 7 late" in text
+    assert "right waiting right: no DIGIT with serial number D20510; [plugged] in are D1 and D2" in text
+    assert "gripper troubled gripper: no answer within 50 ms" in text
+    assert "last events gripped slip (×3)" in text
+
+
+def test_a_fault_comes_with_what_to_do() -> None:
+    fault = {
+        "code": "frames lost",
+        "seen": "no good frame for 0.3 s [left]",
+        "what_to_do": "check the cables, then clear",
+    }
+    text = shown(HELD | {"phase": "fault", "fault": fault})
+    assert "frames lost: no good frame for 0.3 s [left] what to do check the cables, then clear" in text
+
+
+CHANGES: dict[str, tuple[dict[str, Any], str]] = {
+    "blind": (
+        {"turn": TURN | {"turn_deg": None, "sigma_deg": None, "declined": "round contact"}},
+        "cannot tell: round",
+    ),
+    "no turn": ({"turn": None}, "no finger sees anything now"),
+    "contradiction": ({"turn": TURN | {"conflict": "left +3°, right -4°"}}, "left +3°, right -4°"),
+    "not guarding": ({"guarding": False}, "not guarding"),
+    "held and idle": (
+        {"phase": "idle", "target_force_n": 0.0, "slipping": False},
+        "idle (mode lift, what is held is NOT guarded: `slipguard ctl guard on`)",
+    ),
+    "taken as it is": ({"phase": "idle", "target_force_n": 0.0}, "holds with 40 N per finger, jaws 28 mm apart"),
+    "idle": ({"phase": "idle", "slipping": False, "gripper": None}, "idle (mode lift, guarding)"),
+    "no gripper": ({"gripper": None}, "grip not known"),
+    "gripper fault": ({"gripper": HELD["gripper"] | {"fault": "under-voltage"}}, "gripper fault: under-voltage"),
+    "empty": ({"gripper": HELD["gripper"] | {"holding": False}}, "empty, jaws 28 mm apart"),
+    "on nothing": ({"gripper": HELD["gripper"] | {"closed_on_nothing": True}}, "closed on nothing"),
+    "no arm": ({"arm": None}, "arm not known"),
+    "stopped arm": ({"arm": HELD["arm"] | {"protective_stop": True}}, "protective stop"),
+    "new": ({"said": []}, "last events nothing yet"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_every_other_state_is_said_in_words(change: str) -> None:
+    different, expected = CHANGES[change]
+    assert expected in shown(HELD | different)
+
+
+def test_a_service_that_has_just_started_can_be_shown() -> None:
+    async def main() -> dict[str, Any]:
+        raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in ("left", "right")}
+        service = build_service(
+            parse_config(raw, where="test", sim=True),
+            world=World(seed=0),
+            make_worker=lambda name: StatedLatencyWorker(0.006),
+        )
+        answer: dict[str, Any] = json.loads(json.dumps(snapshot(service)))
+        return answer
+
+    text = shown(asyncio.run(main()))
+    assert "idle (mode lift, guarding)" in text
+    assert text.count("waiting not tried yet") == 4
+
+
+def test_what_a_sensor_does_not_give_as_asked_is_shown() -> None:
+    left = HELD["fingers"]["left"] | {"remarks": ["only 45 of 60 frames a second come from the camera"]}
+    assert "only 45 of 60 frames a second come from the camera" in shown(HELD | {"fingers": {"left": left}})
+
+
+def test_a_worn_or_drifted_gel_is_shown_with_what_to_do() -> None:
+    gel = {"verdict": "worn", "seen": "2 lasting marks", "do": "clean the gel"}
+    left = HELD["fingers"]["left"] | {"gel": gel}
+    assert "gel worn: 2 lasting marks; clean the gel" in " ".join(shown(HELD | {"fingers": {"left": left}}).split())
+    fine = HELD["fingers"]["left"] | {"gel": gel | {"verdict": "fine", "seen": "as it was", "do": ""}}
+    assert "gel" not in shown(HELD | {"fingers": {"left": fine}}).split()

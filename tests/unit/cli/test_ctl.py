@@ -1,0 +1,217 @@
+"""`slipguard ctl` against a served daemon, as a person runs it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import sys
+from pathlib import Path
+
+import pytest
+from fake_daemon_api import TOKEN, FakeControl, served, served_on_tcp
+from typer.testing import CliRunner
+
+from slipguard.cli.ctl import app
+from slipguard.daemon.api import paths as whereabouts
+from slipguard.daemon.api.client import NoDaemon
+from slipguard.daemon.api.paths import running_socket
+from slipguard.errors import CommandRefused, InputError, SlipguardError
+
+
+@pytest.fixture
+def control() -> FakeControl:
+    return FakeControl()
+
+
+async def ctl(control: FakeControl, folder: Path, *words: str, typed: str | None = None) -> tuple[int, str]:
+    """Exit code and output of one command; errors of slipguard come through."""
+    async with served(control, folder / "s") as path:
+        line = [words[0], "--socket", str(path), *words[1:]]
+        result = await asyncio.to_thread(CliRunner().invoke, app, line, input=typed)
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.output
+
+
+LINES = [
+    (["grasp", "--force-n", "30"], ("grasp", 30.0)),
+    (["lift", "--height-mm", "120", "--speed-mm-s", "20"], ("lift", 120.0, 20.0)),
+    (["lower"], ("lower", None, None)),
+    (["guard", "on"], ("guard", True)),
+    (["guard", "off"], ("guard", False)),
+    (["gripper", "--width-mm", "60"], ("gripper", 60.0, None)),
+    (["release", "--yes"], ("release", None)),
+    (["clear"], ("clear",)),
+    (["calibrate", "--force"], ("calibrate", True)),
+    (["calibrate", "--new-gel"], ("calibrate", False, "new gel")),
+]
+
+
+@pytest.mark.parametrize(("words", "asked"), LINES, ids=lambda value: " ".join(map(str, value)))
+async def test_commands(words: list[str], asked: tuple[object, ...], control: FakeControl, tmp_path: Path) -> None:
+    code, output = await ctl(control, tmp_path, *words)
+    assert code == 0
+    assert control.asked == [asked]
+    assert output.count("\n") == 1
+    code, output = await ctl(control, tmp_path, *words, "--json")
+    assert code == 0
+    assert "said" in json.loads(output)
+
+
+async def test_state_for_people_and_programs(control: FakeControl, tmp_path: Path) -> None:
+    _, output = await ctl(control, tmp_path, "state")
+    assert "holding" in output
+    assert "gripped" in output
+    _, output = await ctl(control, tmp_path, "state", "--json")
+    assert json.loads(output) == control.snapshot()
+
+
+async def test_a_release_is_asked_for_twice(control: FakeControl, tmp_path: Path) -> None:
+    code, _ = await ctl(control, tmp_path, "release", typed="n\n")
+    assert code == 1
+    assert control.asked == []
+    code, output = await ctl(control, tmp_path, "release", typed="")
+    assert code == 1
+    assert "nothing was opened" in output
+    assert control.asked == []
+    code, _ = await ctl(control, tmp_path, "release", typed="y\n")
+    assert code == 0
+    assert control.asked == [("release", None)]
+
+
+async def test_a_refusal_comes_through(control: FakeControl, tmp_path: Path) -> None:
+    control.failure = CommandRefused("cannot lift while idle")
+    with pytest.raises(CommandRefused, match="cannot lift while idle"):
+        await ctl(control, tmp_path, "lift")
+
+
+def test_without_a_daemon(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["state", "--socket", str(tmp_path / "s")])
+    assert isinstance(result.exception, NoDaemon)
+    assert "start it with `slipguard run`" in str(result.exception)
+
+
+@pytest.mark.parametrize("words", [[], ["guard"], ["guard", "maybe"], ["grasp", "--force-n", "-1"], ["nothing"]])
+def test_misuse_is_exit_code_2(words: list[str]) -> None:
+    assert CliRunner().invoke(app, words).exit_code == 2
+
+
+@pytest.mark.parametrize(
+    "command", ["state", "grasp", "lift", "lower", "guard", "gripper", "release", "clear", "calibrate"]
+)
+def test_help_has_an_example(command: str) -> None:
+    output = CliRunner().invoke(app, [command, "--help"]).output
+    assert f"slipguard ctl {command}" in " ".join(output.split())
+
+
+async def test_the_refusal_is_one_line_and_exit_code_1(control: FakeControl, tmp_path: Path) -> None:
+    """The whole program, in its own process."""
+    control.failure = CommandRefused("cannot clear: no fault is latched")
+    async with served(control, tmp_path / "s") as path:
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "slipguard", "ctl", "clear", "--socket", str(path)),
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+            env=os.environ | {"HOME": str(tmp_path)},
+        )
+        output, errors = await process.communicate()
+    assert process.returncode == 1
+    assert output == b""
+    assert errors.decode() == "slipguard: refused: cannot clear: no fault is latched\n"
+
+
+def test_where_the_daemon_is_looked_for(tmp_path: Path) -> None:
+    assert running_socket(environ={"HOME": str(tmp_path)}) == tmp_path / ".local/state/slipguard/slipguard.sock"
+    assert running_socket(environ={"RUNTIME_DIRECTORY": "/run/x", "HOME": "/h"}) == Path("/run/x/slipguard.sock")
+
+
+async def over_tcp(folder: Path, control: FakeControl, *words: str, token: str | None = TOKEN) -> tuple[int, str]:
+    """Exit code and output of one command over TCP; errors of slipguard come through."""
+    async with served_on_tcp(control, folder) as (port, _):
+        line = ["--url", f"http://127.0.0.1:{port}"]
+        if token is not None:
+            (folder / "given").write_text(token + "\n")
+            line += ["--token-file", str(folder / "given")]
+        result = await asyncio.to_thread(CliRunner().invoke, app, [*line, *words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.output
+
+
+@pytest.fixture
+def nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """This user's runtime folder; empty, and no daemon of the system."""
+    own = tmp_path / "own"
+    own.mkdir()
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(own))
+    monkeypatch.setattr(whereabouts, "SYSTEM_FOLDER", tmp_path / "system")
+    return own
+
+
+async def test_commands_over_tcp(control: FakeControl, nowhere: Path, tmp_path: Path) -> None:
+    assert (await over_tcp(tmp_path, control, "lift", "--height-mm", "30"))[0] == 0
+    assert (await over_tcp(tmp_path, control, "state"))[0] == 0
+    with pytest.raises(SlipguardError, match="this needs the token"):
+        await over_tcp(tmp_path, control, "release", "--yes", token="0" * 64)
+    with pytest.raises(SlipguardError, match="this needs the token"):
+        await over_tcp(tmp_path, control, "release", "--yes", token=None)
+    (nowhere / "token").write_text(TOKEN + "\n")
+    assert await over_tcp(tmp_path, control, "clear", token=None) == (0, "clear, as asked\n")
+    assert control.asked == [("lift", 30.0, None), ("clear",)]
+
+
+async def test_a_link_to_the_page(control: FakeControl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) or True)
+    _, output = await over_tcp(tmp_path, control, "page")
+    assert output.startswith("http://127.0.0.1:")
+    assert "/login?token=" in output
+    assert opened == []
+    _, output = await over_tcp(tmp_path, control, "page", "--open")
+    assert opened == [output.strip()]
+    monkeypatch.setattr("webbrowser.open", lambda url: False)
+    with pytest.raises(SlipguardError, match="no browser"):
+        await over_tcp(tmp_path, control, "page", "--open")
+    with pytest.raises(CommandRefused, match="page is not served"):
+        await ctl(control, tmp_path, "page")
+
+
+def test_root_opens_no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    monkeypatch.setattr("webbrowser.open", lambda url: pytest.fail("a browser was started"))
+    result = CliRunner().invoke(app, ["page", "--open"])
+    assert isinstance(result.exception, InputError)
+    assert "open the link in your own browser" in str(result.exception)
+
+
+def test_whom_to_ask_is_said_once() -> None:
+    for line, why in (
+        (["--url", "http://127.0.0.1:1", "--socket", "s", "state"], "one daemon at a time"),
+        (["--url", "http://127.0.0.1:1", "state", "--socket", "s"], "one daemon at a time"),
+        (["--token-file", "t", "state"], "--token-file is for --url"),
+        (["--url", "http://127.0.0.1:1", "--token-file", "/nowhere/t", "state"], "cannot be read"),
+        (["--url", "127.0.0.1:1", "state"], "is no address"),
+        (["--url", "http://", "state"], "is no address"),
+        (["--url", "http://[::1", "state"], "is no address"),
+        (["--url", "http://127.0.0.1:1", "state"], "no daemon is listening at http"),
+    ):
+        result = CliRunner().invoke(app, line)
+        assert isinstance(result.exception, SlipguardError), (line, result)
+        assert why in str(result.exception), line
+
+
+def test_a_token_nobody_named_stays_on_this_machine(nowhere: Path) -> None:
+    (nowhere / "token").write_text("secret\n")
+    assert whereabouts.token_for("http://127.0.0.1:8470") == "secret"
+    assert whereabouts.token_for("http://[::1]:8470") == "secret"
+    assert whereabouts.token_for("http://localhost:8470") == "secret"
+    for foreign in ("http://192.0.2.7:8470", "http://127.0.0.1.evil.example:8470", "http://evil.example"):
+        assert whereabouts.token_for(foreign) is None
+
+
+async def test_a_socket_named_before_the_command_counts_too(control: FakeControl, tmp_path: Path) -> None:
+    async with served(control, tmp_path / "s") as path:
+        result = await asyncio.to_thread(CliRunner().invoke, app, ["--socket", str(path), "clear"])
+    assert (result.exit_code, result.output) == (0, "clear, as asked\n")

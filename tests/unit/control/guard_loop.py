@@ -1,0 +1,104 @@
+"""Bars of a chosen need in the closed loop of `slipguard.bench.grip`, driven by requests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from slipguard.bench.grip.controllers import Law
+from slipguard.bench.grip.loop import FINGERS, TICK_S, Loop
+from slipguard.bench.grip.modeled_perception import ModelSight, SightError
+from slipguard.bench.grip.trials import scaled
+from slipguard.control.guard import Guard
+from slipguard.control.messages import Command, Request, RequestKind
+from slipguard.control.params import GuardParams
+from slipguard.control.state import Phase
+from slipguard.sim.friction import Gel
+from slipguard.sim.objects import SimObject
+from slipguard.sim.scenario import Scenario
+from slipguard.sim.world import World
+
+GRIPPER_TRIP_S = 0.004
+SEEN, UNSEEN = SightError(noise_deg=0.1, sigma_deg=0.1), SightError(declined=1.0)
+
+
+def bar(needed_n: float, gel: Gel, offset_mm: float = 100.0, friction: float = 0.8) -> SimObject:
+    """A bar held at one end whose mass makes it need this force."""
+    plain = SimObject(
+        name="bar", split="test", height_mm=lambda u, v: np.zeros_like(u), mass_kg=1.0, com_offset_mm=offset_mm,
+        inertia_kg_m2=(offset_mm * 1e-3) ** 2 / 3, friction=friction, press_mm=1.0,
+    )  # fmt: skip
+    return scaled(plain, needed_n, friction, gel)
+
+
+class Run:
+    """One simulated run, step by step."""
+
+    def __init__(self, world: World, params: GuardParams, seed: int = 0, blind: tuple[str, ...] = ()) -> None:
+        self.world, self.law = world, Law(params)
+        sights = {
+            name: ModelSight(UNSEEN if name in blind else SEEN, np.random.default_rng([seed, k]))
+            for k, name in enumerate(FINGERS)
+        }
+        self.loop = Loop(world, self.law, sights, np.random.default_rng(seed), trip_s=GRIPPER_TRIP_S)
+
+    def tick(self, request: Request | None = None) -> None:
+        if request is not None:
+            self.loop.ask(request)
+        self.loop.wait(TICK_S)
+
+    def until(self, done: Callable[[], bool], limit_s: float) -> bool:
+        return self.loop.until(done, limit_s)
+
+    @property
+    def now_s(self) -> float:
+        return self.loop.now_s
+
+    @property
+    def commands(self) -> list[tuple[float, Command]]:
+        return self.loop.commands
+
+    @property
+    def says(self) -> list[str]:
+        return self.loop.says
+
+    @property
+    def peak_deg(self) -> float:
+        return max(abs(turn) for turn in self.loop.trace.turn_deg)
+
+    @property
+    def phase(self) -> Phase:
+        return self.law.guard.law.phase
+
+    @property
+    def guard(self) -> Guard:
+        return self.law.guard
+
+    @guard.setter
+    def guard(self, guard: Guard) -> None:
+        self.law.guard = guard
+
+
+def placed(item: SimObject, scenario: Scenario, params: GuardParams, seed: int = 0, blind: tuple[str, ...] = ()) -> Run:
+    """A run with the object between the open jaws."""
+    world = World(seed=seed, lookup=lambda name: item)
+    run = Run(world, params, seed, blind)
+    world.place(replace(scenario, object_name=item.name), run.now_s)
+    return run
+
+
+def grasp_and_lift(run: Run, *, guarded: bool = True, hold_s: float = 1.0) -> Run:
+    """Grasp, lift, hold for a while."""
+    if not guarded:
+        run.tick(Request(RequestKind.GUARD_OFF))
+    run.tick(Request(RequestKind.GRASP))
+    ready = lambda: run.phase is Phase.HOLDING and not run.world.gripper_state(run.now_s).moving  # noqa: E731
+    run.until(lambda: run.phase not in (Phase.CLOSING, Phase.REFERENCE), 8.0)
+    run.until(ready, 4.0)
+    run.until(lambda: False, 0.1)
+    run.tick(Request(RequestKind.LIFT))
+    run.until(lambda: run.phase in (Phase.HOLDING, Phase.FAULT), 15.0)
+    run.until(lambda: False, hold_s)
+    return run

@@ -1,0 +1,284 @@
+"""What no force of the budget holds goes back down the path just lifted, where that is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from controller_steps import NOW_S, Play, seen_in, state_in
+from observations import arm, ask, fused, gripper, seen
+from pydantic import ValidationError
+
+from slipguard.config import parse_config
+from slipguard.control.controller import step
+from slipguard.control.fault import FaultCode
+from slipguard.control.messages import ArmLift, Command, RequestKind
+from slipguard.control.params import GuardParams
+from slipguard.control.state import Phase
+from slipguard.devices import ArmState
+from slipguard.errors import ConfigError
+
+SMALL = {"force_max_n": 60.0, "blind_force_n": 60.0, "lift_height_mm": 80.0}
+LOWER = GuardParams(on_budget_spent="lower", **SMALL)  # type: ignore[arg-type]
+STOP = GuardParams(**SMALL)  # type: ignore[arg-type]
+
+
+class Lifted(Play):
+    """Lifted by 80 mm and slipping on with all of the budget; the arm moves at the speed it is told."""
+
+    def __init__(self, params: GuardParams) -> None:
+        super().__init__(params)
+        self.held()
+        self.tick(RequestKind.LIFT)
+        self.ticks(4.0)
+        assert self.law.phase is Phase.HOLDING
+        self.goal_mm, self.speed_mm_s = self.here.height_mm, 0.0
+        self.reached_mm = self.here.height_mm
+
+    def tick(self, kind: RequestKind = RequestKind.NONE, **values: float) -> Command:
+        if not hasattr(self, "goal_mm"):
+            return super().tick(kind, **values)
+        if self.here is not None:
+            way_mm = self.goal_mm - self.here.height_mm
+            step_mm = min(abs(way_mm), 0.02 * self.speed_mm_s) * (1.0 if way_mm > 0.0 else -1.0)
+            self.here = replace(self.here, height_mm=self.here.height_mm + step_mm, moving=abs(way_mm) > 1e-9)
+        before = self.here
+        command = super().tick(kind, **values)
+        self.here = before
+        if self.here is not None and isinstance(command.arm, ArmLift):
+            self.goal_mm, self.speed_mm_s = self.here.height_mm + command.arm.height_mm, command.arm.speed_mm_s
+        elif self.here is not None and command.arm == "stop":
+            self.goal_mm = self.here.height_mm
+        return command
+
+    def spend(self) -> Command:
+        """Slip on until there is nothing left; the command of the tick at which that was found."""
+        for turn_deg in range(4, 40, 2):
+            self.view = replace(self.view, turn_deg=float(turn_deg), rate_deg_s=40.0)
+            for _ in range(10):
+                command = self.tick()
+                if command.fault is not None:
+                    return command
+        raise AssertionError("nothing was found")
+
+
+def lifts(play: Play) -> list[ArmLift]:
+    return [command.arm for command in play.commands if isinstance(command.arm, ArmLift)]
+
+
+def test_it_goes_back_slowly_to_where_the_lift_began_and_stays_a_fault() -> None:
+    play = Lifted(LOWER)
+    before = len(lifts(play))
+    command = play.spend()
+    assert command.fault is not None
+    assert command.fault.code is FaultCode.BUDGET_SPENT
+    assert command.arm == ArmLift(pytest.approx(-80.0, abs=0.6), 20.0)
+    assert "putting it down by 80 mm" in (command.say or "")
+    play.ticks(3.0)
+    assert play.law.putting_down
+    assert "being put down" in (play.tick(RequestKind.CLEAR).refused or "")
+    said = [command.say for command in play.ticks(3.0)]
+    assert play.here.height_mm == pytest.approx(0.0, abs=0.6)
+    assert any("put down where the lift began" in line for line in said if line)
+    assert not play.law.putting_down
+    assert len(lifts(play)) == before + 1
+    assert play.law.phase is Phase.FAULT
+    assert play.law.fault == command.fault
+    play.view = replace(play.view, rate_deg_s=0.0)
+    assert all(command.arm != "stop" for command in play.ticks(0.2))
+    assert play.tick(RequestKind.CLEAR).refused is None
+
+
+def test_the_usual_is_to_stand() -> None:
+    play = Lifted(STOP)
+    command = play.spend()
+    assert command.arm == "stop"
+    play.ticks(2.0)
+    assert play.here.height_mm == pytest.approx(80.0, abs=0.6)
+
+
+def test_an_object_turned_too_far_is_put_down_too() -> None:
+    play = Lifted(LOWER)
+    play.slips(4.0, 300.0)
+    command = play.slips(50.0, 300.0, frames=1)
+    assert command.fault is not None
+    assert command.fault.code is FaultCode.TURNED_TOO_FAR
+    assert isinstance(command.arm, ArmLift)
+    assert play.law.target_n == pytest.approx(60.0, abs=0.85)
+
+
+def test_tightening_that_does_not_help_stops_as_ever() -> None:
+    """There is force left: it is not known that nothing holds it."""
+    play = Lifted(GuardParams(on_budget_spent="lower", lift_height_mm=80.0, help_s=0.2))
+    play.slips(4.0, 30.0)
+    turn_deg, command = 4.0, Command()
+    while command.fault is None:
+        turn_deg += 0.4
+        command = play.slips(turn_deg, 20.0, frames=1)
+    assert command.fault.code is FaultCode.NO_HELP
+    assert command.arm == "stop"
+    assert not play.law.putting_down
+
+
+@pytest.mark.parametrize(
+    "here",
+    [
+        pytest.param(lambda at: replace(at, protective_stop=True), id="protective stop"),
+        pytest.param(lambda at: replace(at, emergency_stop=True), id="emergency stop"),
+        pytest.param(lambda at: None, id="arm gone"),
+    ],
+)
+def test_whatever_else_goes_wrong_stops_it_for_good(here: object) -> None:
+    play = Lifted(LOWER)
+    play.spend()
+    play.ticks(1.0)
+    there, before = play.here, len(lifts(play))
+    play.here = here(there)  # type: ignore[operator]
+    command = play.tick()
+    assert command.arm == "stop"
+    assert "not put down any further" in (command.say or "")
+    play.ticks(0.5)
+    play.here = there
+    play.ticks(2.0)
+    assert len(lifts(play)) == before
+    assert not play.law.putting_down
+    assert play.law.fault is not None
+    assert play.law.fault.code is FaultCode.BUDGET_SPENT
+
+
+@pytest.mark.parametrize(
+    "view", [fused(None, contact=False, shift_mm=None), fused(20.0, 0.0, conflict="both the same way")]
+)
+def test_an_object_lost_or_not_seen_any_more_stops_it(view: object) -> None:
+    play = Lifted(LOWER)
+    play.spend()
+    play.ticks(0.5)
+    play.view = view  # type: ignore[assignment]
+    play.ticks(1.2)
+    assert not play.law.putting_down
+    assert any(command.arm == "stop" for command in play.commands[-60:])
+    said = " ".join(command.say for command in play.commands[-60:] if command.say)
+    assert "object lost" in said or "estimate untrusted" in said
+
+
+def test_slip_that_goes_on_does_not_stop_it() -> None:
+    play = Lifted(LOWER)
+    play.spend()
+    for turn_deg in range(40, 60):
+        play.slips(float(turn_deg), 40.0, frames=5)
+    assert play.law.putting_down
+    assert FaultCode.NO_HELP in play.law.besides
+
+
+def test_an_arm_that_does_not_take_it_up_is_told_again_and_then_given_up() -> None:
+    play = Lifted(LOWER)
+    play.spend()
+    before, there = len(lifts(play)), play.here
+    for _ in range(150):
+        play.here = replace(there, moving=False)
+        play.goal_mm = there.height_mm
+        play.tick()
+    assert len(lifts(play)) > before + 2
+    assert not play.law.putting_down
+    assert FaultCode.ARM_STUCK in play.law.besides or any("arm stuck" in (c.say or "") for c in play.commands)
+
+
+def test_a_release_on_the_way_stops_the_arm_and_opens() -> None:
+    play = Lifted(LOWER)
+    play.spend()
+    play.ticks(0.5)
+    command = play.tick(RequestKind.RELEASE)
+    assert command.arm == "stop"
+    assert command.release_width_mm is None
+    assert not play.law.putting_down
+    play.here = replace(play.here, moving=False)
+    assert play.tick().release_width_mm == 85.0
+
+
+@pytest.mark.parametrize(
+    ("ground_mm", "here", "says", "stands"),
+    [
+        (None, arm(50.0, at_s=NOW_S), "not known where the lift began", True),
+        (0.0, None, "not known where the lift began", True),
+        (49.6, arm(50.0, at_s=NOW_S), "", True),
+        (60.0, arm(50.0, at_s=NOW_S), "", True),
+        (49.4, arm(50.0, at_s=NOW_S), "putting it down by 1 mm", False),
+        (0.0, arm(50.0, at_s=NOW_S, protective=True), "", True),
+    ],
+)
+def test_where_it_cannot_go_down_it_stands(
+    ground_mm: float | None, here: ArmState | None, says: str, stands: bool
+) -> None:
+    held = state_in(Phase.HOLDING, ground_mm=ground_mm)
+    view = seen_in(Phase.HOLDING, fused=fused(50.0, 100.0, at_s=NOW_S), arm=here)
+    state, _ = step(held, view, LOWER)
+    later = NOW_S + 0.02
+    again = replace(view, now_s=later, fused=fused(50.0, 100.0, at_s=later))
+    state, command = step(state, again, LOWER)
+    assert state.phase is Phase.FAULT
+    assert says in (command.say or "")
+    assert (command.arm == "stop") is stands
+    assert state.putting_down is not stands
+
+
+def test_in_guard_mode_it_is_refused_in_words() -> None:
+    with pytest.raises(ValidationError, match="the arm belongs to another program"):
+        GuardParams(mode="guard", on_budget_spent="lower")
+    with pytest.raises(ConfigError, match="on_budget_spent") as refusal:
+        parse_config({"guard": {"mode": "guard", "on_budget_spent": "lower"}}, where="cell.toml", sim=True)
+    assert "\n" not in str(refusal.value)
+
+
+# --- what else goes wrong while a fault is latched ---
+
+
+def test_a_second_fault_is_said_once_and_the_first_stays() -> None:
+    play = Play().held()
+    play.here = arm(protective=True)
+    first = play.tick().fault
+    assert first is not None
+    play.jaws = replace(play.jaws, fault="9")
+    said = [command.say for command in play.ticks(0.5) if command.say]
+    assert len(said) == 1
+    assert "gripper fault" in said[0]
+    assert play.law.fault == first
+    play.jaws = replace(play.jaws, fault=None)
+    assert not [command.say for command in play.ticks(0.2) if command.say]
+    play.jaws = replace(play.jaws, fault="9")
+    assert len([command.say for command in play.ticks(0.2) if command.say]) == 1
+
+
+def test_an_object_lost_in_a_fault_is_said_and_can_be_cleared() -> None:
+    play = Play().held()
+    play.here = arm(protective=True)
+    play.tick()
+    play.jaws = replace(play.jaws, holding=False, closed_on_nothing=True)
+    said = [command.say for command in play.ticks(0.5) if command.say]
+    assert len(said) == 1
+    assert "object lost: the gripper closed on nothing" in said[0]
+    play.here = arm()
+    command = play.tick(RequestKind.CLEAR)
+    assert command.say == "cleared; nothing is held"
+
+
+def test_jaws_that_never_met_anything_lose_nothing() -> None:
+    state, view = state_in(Phase.FAULT), seen(NOW_S, gripper=gripper(40.0, holding=False, at_s=NOW_S))
+    for number in range(20):
+        now_s = NOW_S + 0.02 * number
+        state, command = step(state, replace(view, now_s=now_s), STOP)
+        assert command.say is None
+    assert not state.gripped
+    state, _ = step(state, seen_in(Phase.FAULT), STOP)
+    assert state.gripped
+
+
+def test_asked_to_clear_while_nothing_is_latched() -> None:
+    _, command = step(state_in(Phase.HOLDING), seen_in(Phase.HOLDING, request=ask(RequestKind.CLEAR)), STOP)
+    assert command.refused == "no fault is latched"
+
+
+def test_an_arm_that_has_fallen_silent_is_not_told_to_move() -> None:
+    for age_s, moves in ((0.09, True), (0.11, False)):
+        view = seen_in(Phase.LIFTING, arm=arm(15.0, at_s=NOW_S - age_s))
+        _, command = step(state_in(Phase.LIFTING), view, STOP)
+        assert isinstance(command.arm, ArmLift) is moves

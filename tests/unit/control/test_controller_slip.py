@@ -1,0 +1,496 @@
+"""What is slip, what is done about it, and what happens when that does not help."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from controller_steps import FAULT, NOW_S, PARAMS, PRIMED, Play, seen_in, state_in
+from observations import arm, ask, fused, gripper, seen
+
+from slipguard.control.controller import step
+from slipguard.control.fault import FaultCode
+from slipguard.control.messages import ArmLift, RequestKind
+from slipguard.control.params import GuardParams
+from slipguard.control.state import Phase
+from slipguard.devices import GripperState
+
+
+def test_the_first_step_is_large_and_stops_the_arm() -> None:
+    play = Play().held()
+    command = play.slips()
+    assert command.hold_force_n == pytest.approx(40.2 * (1.5 + 0.25 * 0.3), abs=0.9)
+    assert command.arm == "stop"
+    assert "tightening" in (command.say or "")
+    assert command.warn
+    play.view = replace(play.view, rate_deg_s=0.0)
+    (calm,) = [later for later in play.ticks(2.0) if "calm" in (later.say or "")]
+    assert not calm.warn
+
+
+def test_a_turn_either_way_is_slip() -> None:
+    assert Play().held().slips(-4.0, -30.0).hold_force_n is not None
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "rate_deg_s", "sigma_deg", "frames"),
+    [
+        (1.9, 90.0, 0.5, 5),  # below the level
+        (4.0, 7.0, 0.5, 5),  # too slow: a gel that winds up
+        (4.0, -30.0, 0.5, 5),  # coming back
+        (4.0, 30.0, 0.5, 1),  # one frame only
+        (4.0, 30.0, 1.5, 5),  # within three sigma
+        (4.0, None, 0.5, 5),  # no rate known
+    ],
+)
+def test_what_is_not_slip(turn_deg: float, rate_deg_s: float | None, sigma_deg: float, frames: int) -> None:
+    play = Play().held()
+    play.view = replace(play.view, sigma_deg=sigma_deg)
+    commands = []
+    play.view = replace(play.view, turn_deg=turn_deg, rate_deg_s=rate_deg_s)
+    commands = [play.tick() for _ in range(frames)]
+    assert all(command.hold_force_n is None for command in commands)
+
+
+def test_a_frame_counts_once_however_often_it_is_looked_at() -> None:
+    play = Play().held()
+    play.slips(frames=1)
+    play.lazy = True
+    assert all(command.hold_force_n is None for command in play.ticks(0.2))
+
+
+def test_a_creeping_turn_is_slip_at_any_rate() -> None:
+    assert Play().held().slips(6.5, 0.5).hold_force_n is not None
+
+
+def test_an_unsure_estimate_does_not_hide_slip() -> None:
+    play = Play().held()
+    play.view = replace(play.view, sigma_deg=6.0)
+    assert play.slips(5.5, 30.0).hold_force_n is not None
+
+
+def test_further_steps_wait_until_the_last_could_be_felt_and_for_progress() -> None:
+    play = Play().held()
+    play.slips(4.0, 30.0)
+    first_n = play.law.target_n
+    for number in range(10):  # 200 ms: 150 until it is felt, 50 until a rate shows it
+        assert play.slips(4.5 + 0.5 * number, 40.0, frames=1).hold_force_n is None
+    command = play.slips(13.0, 40.0, frames=1)
+    assert command.hold_force_n is not None
+    assert command.hold_force_n == pytest.approx(first_n * (1.25 + 0.1), abs=0.9)
+    play.ticks(0.3)
+    assert play.slips(13.5, 40.0, frames=1).hold_force_n is None  # hardly further
+
+
+@pytest.mark.parametrize(
+    ("moving", "turn_deg", "rate_deg_s", "steps"),
+    [
+        (True, 8.0, 60.0, False),  # the force still rises
+        (False, 8.0, 60.0, True),
+        (False, 8.0, 49.0, True),
+        (False, 8.0, 46.0, False),  # a fifth slower: it helps
+        (True, 24.0, 30.0, True),  # too far to wait
+    ],
+)
+def test_while_the_force_rises_or_the_turn_slows_down_it_waits(
+    moving: bool, turn_deg: float, rate_deg_s: float, steps: bool
+) -> None:
+    play = Play().held()
+    play.slips(4.0, 60.0)
+    play.jaws = replace(play.jaws, moving=moving)
+    play.ticks(0.24)
+    assert (play.slips(turn_deg, rate_deg_s, frames=1).hold_force_n is not None) is steps
+
+
+def test_a_turn_that_does_not_go_on_slowing_down_is_answered_again() -> None:
+    play = Play().held()
+    play.slips(4.0, 60.0)
+    play.ticks(0.24)
+    assert play.slips(8.0, 40.0, frames=1).hold_force_n is None
+    assert play.slips(9.5, 40.0, frames=1).hold_force_n is not None
+
+
+def test_what_the_jaws_took_to_close_is_what_a_step_takes() -> None:
+    play = Play()
+    play.tick(RequestKind.GRASP)
+    play.jaws = replace(play.jaws, holding=False, moving=True)
+    play.ticks(0.1)
+    play.jaws = replace(play.jaws, width_mm=80.0)
+    play.tick()
+    play.jaws = replace(play.jaws, width_mm=30.0, holding=True, moving=False)
+    play.view = fused()
+    play.ticks(0.5)
+    assert play.law.delay.felt_s == pytest.approx(0.12 + 0.016, abs=1e-9)
+    play.slips(4.0, 30.0)
+    assert play.slips(6.0, 30.0, frames=9).hold_force_n is None
+    assert play.slips(8.0, 30.0, frames=1).hold_force_n is not None
+
+
+@pytest.mark.parametrize(
+    ("episodes", "slid_mm", "at_once", "slips"),
+    [
+        (0, 0.45, True, False),
+        (0, 0.55, True, True),
+        (0, 1.9, False, False),
+        (0, 2.1, False, True),
+        (1, 0.95, True, False),
+        (1, 1.05, True, True),
+        (1, 3.9, False, False),
+        (1, 4.1, False, True),
+    ],
+)
+def test_slides_have_levels_too(episodes: int, slid_mm: float, at_once: bool, slips: bool) -> None:
+    """Fast beyond 0.5 mm or at any rate beyond 2 mm; twice that after each episode."""
+    start_mm = 5.0
+    detector = replace(PRIMED, slides=episodes, base_shift_mm=start_mm, smooth_shift_mm=start_mm)
+    if not at_once:
+        detector = replace(detector, smooth_shift_mm=start_mm + slid_mm)
+    view = seen_in(Phase.HOLDING, fused=fused(0.0, 0.0, at_s=NOW_S, shift_mm=start_mm + slid_mm))
+    _, command = step(state_in(Phase.HOLDING, detector=detector), view, PARAMS)
+    assert (command.hold_force_n is not None) is slips
+
+
+def test_calm_ends_an_episode_and_the_next_needs_twice_the_turn() -> None:
+    play = Play().held()
+    play.slips(4.0)
+    play.view = replace(play.view, turn_deg=4.5, rate_deg_s=0.0)
+    said = " ".join(command.say or "" for command in play.ticks(0.6))
+    assert "calm at" in said
+    assert play.law.slip is None
+    assert play.slips(8.0).hold_force_n is None  # 3.5 degrees more
+    assert play.slips(9.0).hold_force_n is not None
+
+
+def test_a_lift_stops_for_slip_and_goes_on_when_calm() -> None:
+    play = Play().held()
+    play.tick(RequestKind.LIFT)
+    play.here = arm(7.0, moving=True)
+    play.tick()
+    assert play.slips().arm == "stop"
+    stops = [command for command in play.ticks(0.5) if command.arm == "stop"]
+    assert 2 <= len(stops) <= 4  # said again, but not at every tick
+    play.here = arm(8.0)
+    play.view = replace(play.view, rate_deg_s=0.0)
+    commands = play.ticks(1.0)
+    assert ArmLift(7.0, 20.0) in [command.arm for command in commands]
+    assert play.law.phase is Phase.HOLDING
+
+
+def test_without_stop_on_slip_the_arm_goes_on() -> None:
+    play = Play(PARAMS.model_copy(update={"stop_on_slip": False})).held()
+    command = play.slips()
+    assert command.hold_force_n is not None
+    assert command.arm is None
+
+
+@pytest.mark.parametrize(("deg_s", "mm_s"), [(4.0, 0.0), (7.9, 0.0), (0.0, 1.2), (0.0, 2.9)])
+def test_slip_too_slow_to_be_told_by_its_rate_takes_all_the_force_and_then_is_a_fault(
+    deg_s: float, mm_s: float
+) -> None:
+    play = Play(GuardParams()).held()
+    forces = [play.law.target_n]
+    for tick in range(round(5.0 / 0.02)):
+        passed_s = 0.02 * tick
+        play.view = replace(
+            play.view, turn_deg=deg_s * passed_s, rate_deg_s=deg_s, shift_mm=mm_s * passed_s, sigma_deg=0.1
+        )
+        forces.append(play.tick().hold_force_n or forces[-1])
+    assert forces == sorted(forces)
+    assert forces[-1] == pytest.approx(130.0, abs=1.0)
+    assert play.law.fault is not None
+    assert play.law.fault.code is FaultCode.BUDGET_SPENT
+    assert play.law.slip is not None
+
+
+def test_the_budget_spent_is_a_fault_that_keeps_the_grip() -> None:
+    play = Play(GuardParams(force_max_n=60.0, blind_force_n=60.0)).held()
+    for turn_deg in range(4, 40, 2):
+        play.slips(float(turn_deg), 40.0, frames=5)
+    assert play.law.fault is not None
+    assert play.law.fault.code is FaultCode.BUDGET_SPENT
+    assert play.law.target_n <= 60.0
+    assert any(command.arm == "stop" for command in play.commands)
+
+
+def test_with_the_whole_budget_applied_the_arm_waits_and_it_is_said() -> None:
+    play = Play(PARAMS.model_copy(update={"force_max_n": 40.0, "blind_force_n": 40.0, "first_force_n": 40.0})).held()
+    strongest_n = play.law.target_n
+    command = play.slips()
+    assert (command.hold_force_n, command.arm) == (None, "stop")
+    assert "slip: turned 4.0° at 30°/s: 39 N is all the force there is" in (command.say or "")
+    play.view = replace(play.view, rate_deg_s=0.0)
+    play.ticks(0.6)
+    assert play.law.slip is None
+    assert (play.law.detector.turns, play.law.detector.patient) == (0, True)
+    assert play.law.target_n == strongest_n
+
+
+def test_a_firm_grip_that_turns_while_it_lifts_off_is_tightened_too() -> None:
+    play = Play(GuardParams(force_max_n=57.0, blind_force_n=57.0)).held()
+    play.tick(RequestKind.LIFT)
+    play.here = arm(5.0, moving=True)
+    play.view = replace(play.view, sigma_deg=0.1)
+    play.tick()
+    command = play.slips(1.1, 5.0)
+    assert command.hold_force_n == pytest.approx(40.0 * 1.3, abs=1.7)
+    assert command.arm == "stop"
+
+
+def test_what_slid_and_what_turned_is_remembered_until_all_is_calm() -> None:
+    play = Play().held()
+    play.view = replace(play.view, shift_mm=2.5)
+    assert play.slips(0.0, 0.0).hold_force_n is not None
+    assert play.law.slip is not None
+    assert (play.law.slip.turns, play.law.slip.slides, play.law.slip.raised) == (False, True, True)
+    play.ticks(0.24)
+    play.view = replace(play.view, shift_mm=2.6)
+    assert play.slips(7.0, 30.0, frames=1).hold_force_n is not None
+    assert (play.law.slip.turns, play.law.slip.slides) == (True, True)
+    play.view = replace(play.view, rate_deg_s=0.0)
+    play.ticks(0.8)
+    assert (play.law.detector.turns, play.law.detector.slides) == (1, 1)
+
+
+@pytest.mark.parametrize(("turn_deg", "gives_up"), [(44.5, False), (45.5, True), (-45.5, True)])
+def test_an_object_turned_too_far_is_given_up_though_it_rests(turn_deg: float, gives_up: bool) -> None:
+    play = Play().held()
+    detector = replace(play.law.detector, base_turn_deg=turn_deg, rest_turn_deg=turn_deg)
+    detector = replace(detector, alert=replace(detector.alert, near_deg=turn_deg, rested_deg=turn_deg))
+    play.guard = replace(play.guard, law=replace(play.law, detector=detector))
+    assert play.slips(turn_deg, 0.0, frames=1).fault is None
+    command = play.slips(turn_deg, 0.0, frames=1)
+    assert (command.fault is not None) is gives_up
+    if gives_up:
+        assert play.law.fault is not None
+        assert play.law.fault.code is FaultCode.TURNED_TOO_FAR
+        assert play.law.fault.seen == "turned 46° since it was gripped"
+        assert command.hold_force_n == pytest.approx(130.0, abs=0.85)
+        assert command.arm == "stop"
+
+
+def test_fingers_that_contradict_each_other_give_nothing_up_nor_does_a_single_frame() -> None:
+    play = Play().held()
+    for turn_deg in (50.0, 0.0, 50.0, 0.0):
+        assert play.slips(turn_deg, 0.0, frames=1).fault is None
+    play.view = replace(play.view, conflict="both pictures turn the same way")
+    assert all(play.slips(50.0, 0.0, frames=1).fault is None for _ in range(5))
+
+
+def test_without_a_reference_no_turn_is_too_far() -> None:
+    play = Play().held()
+    play.guard = replace(play.guard, law=replace(play.law, referenced=False))
+    assert all(play.slips(50.0, 0.0, frames=1).fault is None for _ in range(5))
+
+
+def test_turned_too_far_takes_all_the_force_there_is() -> None:
+    play = Play().held()
+    play.slips(30.0, 300.0)
+    command = play.slips(50.0, 300.0, frames=1)
+    assert command.fault is not None
+    assert command.fault.code is FaultCode.TURNED_TOO_FAR
+    assert command.hold_force_n == pytest.approx(130.0, abs=0.85)
+    assert command.arm == "stop"
+    play.slips(70.0, 300.0, frames=20)
+    assert play.law.fault is not None
+    assert play.law.fault.code is FaultCode.TURNED_TOO_FAR
+
+
+def test_no_force_is_added_near_a_person() -> None:
+    """In a protective or emergency stop somebody may be in the jaws, also while the arm no longer says so."""
+    play = Play().held()
+    play.here = arm(emergency=True)
+    play.slips(4.0)
+    play.here = None  # type: ignore[assignment]
+    play.slips(50.0, 100.0, frames=20)
+    assert all(command.hold_force_n is None for command in play.commands[-20:])
+    assert play.law.target_n == pytest.approx(40.0, abs=0.85)
+
+
+def test_a_turn_back_while_putting_down_is_no_slip() -> None:
+    slipped = replace(PRIMED, base_turn_deg=20.0)
+    back = seen_in(Phase.LOWERING, fused=fused(15.0, -30.0, at_s=NOW_S))
+    for phase, tightens in ((Phase.LOWERING, False), (Phase.HOLDING, True)):
+        _, command = step(state_in(phase, detector=slipped), back, PARAMS)
+        assert (command.hold_force_n is not None) is tightens
+
+
+def test_guard_off_only_watches_until_guard_on() -> None:
+    play = Play().held()
+    play.tick(RequestKind.GUARD_OFF)
+    assert play.slips(30.0, 50.0, frames=10).hold_force_n is None
+    play.tick(RequestKind.GUARD_ON)
+    play.tick()
+    assert play.slips(34.0, 50.0).hold_force_n is not None
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"view": fused(None, contact=False, shift_mm=None)},
+        {"jaws": gripper(40.0, holding=False, nothing=True)},
+        {"jaws": gripper(40.0, holding=False)},
+    ],
+)
+def test_a_lost_object_latches(changes: dict[str, object]) -> None:
+    play = Play().held()
+    for name, value in changes.items():
+        setattr(play, name, value)
+    assert all(command.fault is None for command in play.ticks(0.08))
+    command = play.ticks(0.08)[-1]
+    assert command.fault is not None
+    assert command.fault.code is FaultCode.OBJECT_LOST
+
+
+def test_a_passing_loss_of_contact_does_not() -> None:
+    play = Play().held()
+    for _ in range(5):
+        play.view = fused(None, contact=False, shift_mm=None)
+        play.ticks(0.06)
+        play.view = fused()
+        play.ticks(0.04)
+    assert play.law.phase is Phase.HOLDING
+
+
+NO_CONTACT = replace(fused(None, contact=False, shift_mm=None), left_contact=None)
+"""One finger sees no contact, the other says nothing at all."""
+
+
+def test_one_fingers_word_for_a_loss_stops_the_arm_and_must_last_three_times_as_long() -> None:
+    play = Play().held()
+    play.tick(RequestKind.LIFT)
+    play.here = arm(7.0, moving=True)
+    play.view = NO_CONTACT
+    assert all(command.arm is None for command in play.ticks(0.1))
+    assert "stop" in [command.arm for command in play.ticks(0.06)]
+    play.here = arm(8.0)
+    commands = play.ticks(0.12)
+    assert all(command.fault is None and not isinstance(command.arm, ArmLift) for command in commands)
+    command = play.ticks(0.06)[-1]
+    assert command.fault is not None
+    assert command.fault.code is FaultCode.OBJECT_LOST
+
+
+def test_a_lift_goes_on_when_the_only_finger_sees_contact_again() -> None:
+    play = Play().held()
+    play.tick(RequestKind.LIFT)
+    play.here = arm(7.0, moving=True)
+    play.view = NO_CONTACT
+    play.ticks(0.2)
+    play.here = arm(8.0)
+    play.view = fused(fingers=("right",))
+    commands = play.ticks(0.6)
+    assert any(isinstance(command.arm, ArmLift) for command in commands)
+    assert play.law.fault is None
+
+
+@pytest.mark.parametrize(
+    "jaws", [gripper(40.0, holding=False, moving=True), gripper(40.0, holding=False, nothing=True)]
+)
+def test_a_gripper_that_no_longer_holds_bears_one_finger_out(jaws: GripperState) -> None:
+    play = Play().held()
+    play.view, play.jaws = NO_CONTACT, jaws
+    command = play.ticks(0.14)[-1]
+    assert command.fault is not None
+    assert command.fault.code is FaultCode.OBJECT_LOST
+
+
+def test_without_a_gripper_one_finger_is_in_doubt_too() -> None:
+    play = Play().held()
+    play.view, play.jaws = NO_CONTACT, None  # type: ignore[assignment]
+    assert all(command.fault is None for command in play.ticks(0.28))
+
+
+def test_in_a_fault_slip_is_still_answered_with_force() -> None:
+    play = Play().held()
+    play.guard = replace(play.guard, law=replace(play.law, phase=Phase.FAULT, fault=FAULT))
+    assert play.slips().hold_force_n is not None
+    assert play.law.fault == FAULT
+
+
+def test_clear_takes_over_what_is_held() -> None:
+    state, command = step(
+        state_in(Phase.FAULT), seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), gripper=gripper(77.0)), PARAMS
+    )
+    assert state.phase is Phase.REFERENCE
+    assert state.target_n == 77.0
+    assert state.fault is None
+    assert state.ground_mm == 0.0
+    assert command.new_reference
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"fault": FAULT}, "the cause is still there"),
+        ({"gripper": None}, "not known what it holds"),
+        ({"arm": arm(protective=True)}, "protective"),
+    ],
+)
+def test_clear_needs_the_cause_to_be_gone(changes: dict[str, object], says: str) -> None:
+    view = seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), **changes)
+    state, command = step(state_in(Phase.FAULT), view, PARAMS)
+    assert state.phase is Phase.FAULT
+    assert says in (command.refused or "")
+
+
+UNTRUSTED = replace(FAULT, code=FaultCode.ESTIMATE_UNTRUSTED)
+
+
+def test_clear_takes_a_new_reference_where_the_fingers_contradict_each_other() -> None:
+    view = seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), fault=UNTRUSTED)
+    state, command = step(state_in(Phase.FAULT), view, PARAMS)
+    assert state.phase is Phase.REFERENCE
+    assert command.new_reference
+    assert command.refused is None
+
+
+def test_clear_is_refused_where_something_else_is_wrong_besides() -> None:
+    view = seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), fault=UNTRUSTED, also=(FAULT,))
+    state, command = step(state_in(Phase.FAULT), view, PARAMS)
+    assert state.phase is Phase.FAULT
+    assert "the cause is still there" in (command.refused or "")
+    assert command.warn, "both are said, and are no mere news"
+    assert not step(state, replace(view, request=ask(RequestKind.CLEAR)), PARAMS)[1].warn, "once"
+
+
+def test_what_a_tick_has_to_say_is_not_lost_on_a_request() -> None:
+    play = Play().held()
+    play.slips(frames=1)
+    command = play.tick(RequestKind.GUARD_ON)
+    assert command.hold_force_n is not None
+    assert "tightening" in (command.say or "")
+    assert (command.say or "").endswith("; guarding")
+    view = seen_in(Phase.FAULT, request=ask(RequestKind.GUARD_ON), fault=UNTRUSTED, also=(FAULT,))
+    said = step(state_in(Phase.FAULT, gripped=True), view, PARAMS)[1].say or ""
+    assert str(FAULT) in said
+    assert said.endswith("the fault stays latched until it is cleared")
+
+
+def test_clear_with_nothing_held_is_idle() -> None:
+    view = seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), gripper=gripper(0.0, holding=False))
+    assert step(state_in(Phase.FAULT), view, PARAMS)[0].phase is Phase.IDLE
+
+
+def test_a_stop_is_said_again_until_the_arm_stands() -> None:
+    state, stops = state_in(Phase.FAULT, arm_sent_s=NOW_S), 0
+    for number in range(1, 31):
+        now_s = NOW_S + 0.02 * number
+        state, command = step(state, seen(now_s, arm=None if number < 20 else arm(at_s=now_s)), PARAMS)
+        stops += command.arm == "stop"
+    assert stops == 3
+
+
+def test_a_force_that_was_not_taken_is_commanded_again() -> None:
+    play = Play().held()
+    play.slips()
+    wanted_n = play.law.target_n
+    play.jaws = replace(play.jaws, force_n=40.0)
+    again = [command.hold_force_n for command in play.ticks(0.25) if command.hold_force_n is not None]
+    assert again[0] == wanted_n
+
+
+def test_a_gripper_somebody_opened_is_not_closed_again() -> None:
+    play = Play().held()
+    play.jaws = replace(play.jaws, force_n=0.0, holding=False, width_mm=85.0)
+    assert all(command.hold_force_n is None for command in play.ticks(1.0))
+    assert play.law.fault is not None

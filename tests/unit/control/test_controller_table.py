@@ -1,0 +1,111 @@
+"""The law: every phase against every event."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from controller_steps import FAULT, NOW_S, PARAMS, seen_in, state_in
+from observations import arm, ask, fused, gripper
+
+from slipguard.control.controller import step
+from slipguard.control.messages import ArmLift, Command, RequestKind
+from slipguard.control.state import AT_STAKE, GuardState, Phase
+
+
+def describe(before: Phase, state: GuardState, command: Command) -> str:
+    """An outcome in a few letters, for the table."""
+    words = [] if state.phase is before else [state.phase.value]
+    words += ["hold"] if command.hold_force_n is not None else []
+    words += ["halt"] if command.halt else []
+    words += ["move"] if command.move_width_mm is not None else []
+    words += ["open"] if command.release_width_mm is not None else []
+    words += ["stop"] if command.arm == "stop" else []
+    words += ["go"] if isinstance(command.arm, ArmLift) else []
+    words += ["reference"] if command.new_reference else []
+    words += ["refused"] if command.refused is not None else []
+    return " ".join(words) or "-"
+
+
+SLIP = fused(4.0, 30.0, at_s=NOW_S)
+SLIDE = fused(0.0, 0.0, at_s=NOW_S, shift_mm=0.9)
+BACK = fused(4.0, -30.0, at_s=NOW_S)
+EVENTS: dict[str, dict[str, object]] = {
+    "nothing": {},
+    "grasp": {"request": ask(RequestKind.GRASP)},
+    "lift": {"request": ask(RequestKind.LIFT)},
+    "lower": {"request": ask(RequestKind.LOWER)},
+    "guard on": {"request": ask(RequestKind.GUARD_ON)},
+    "guard off": {"request": ask(RequestKind.GUARD_OFF)},
+    "jaws open": {"request": ask(RequestKind.GRIPPER, width_mm=80.0)},
+    "jaws tighter": {"request": ask(RequestKind.GRIPPER, force_n=60.0)},
+    "release": {"request": ask(RequestKind.RELEASE)},
+    "clear": {"request": ask(RequestKind.CLEAR)},
+    "turn": {"fused": SLIP},
+    "slide": {"fused": SLIDE},
+    "turn back": {"fused": BACK},
+    "fault": {"fault": FAULT},
+    "no devices": {"gripper": None, "arm": None, "fused": None},
+    "on nothing": {"gripper": gripper(40.0, holding=False, nothing=True, width_mm=0.0, at_s=NOW_S)},
+    "turn in a stop": {"fused": SLIP, "arm": arm(50.0, protective=True, at_s=NOW_S)},
+}
+ORDER = (
+    Phase.IDLE, Phase.CLOSING, Phase.REFERENCE, Phase.LIFTING, Phase.HOLDING, Phase.LOWERING, Phase.RELEASED,
+    Phase.FAULT,
+)  # fmt: skip
+TABLE = """
+               | idle         | closing       | reference         | lifting       | holding       | lowering      | released      | fault
+nothing        | -            | -             | -                 | -             | -             | -             | -             | -
+grasp          | closing hold | refused       | refused           | refused       | refused       | refused       | refused       | refused
+lift           | refused      | refused       | refused           | refused       | lifting go    | refused       | refused       | refused
+lower          | refused      | refused       | refused           | refused       | lowering go   | refused       | refused       | refused
+guard on       | refused      | -             | -                 | -             | -             | -             | -             | -
+guard off      | -            | -             | -                 | -             | -             | -             | -             | refused
+jaws open      | move         | refused       | refused           | refused       | refused       | refused       | refused       | refused
+jaws tighter   | refused      | refused       | hold              | hold          | hold          | hold          | refused       | refused
+release        | released open| released open | released open     | released stop | released open | released stop | open          | released open
+clear          | refused      | refused       | refused           | refused       | refused       | refused       | refused       | reference reference
+turn           | -            | -             | holding           | hold stop     | hold stop     | hold stop     | -             | hold
+slide          | -            | -             | holding           | hold stop     | hold stop     | hold stop     | -             | hold
+turn back      | -            | -             | holding           | -             | -             | -             | -             | -
+fault          | -            | fault stop    | fault stop        | fault stop    | fault stop    | fault stop    | -             | -
+no devices     | -            | -             | -                 | -             | -             | -             | -             | stop
+on nothing     | -            | idle          | -                 | -             | -             | -             | idle          | -
+turn in a stop | -            | halt          | holding           | stop          | stop          | stop          | -             | -
+"""  # noqa: E501
+CASES = [
+    (phase, row.split("|")[0].strip(), cell.strip())
+    for row in TABLE.strip("\n").splitlines()[1:]
+    for phase, cell in zip(ORDER, row.split("|")[1:], strict=True)
+]
+
+
+def test_the_table_names_every_phase_and_event() -> None:
+    assert set(ORDER) == set(Phase)
+    assert {name for _, name, _ in CASES} == set(EVENTS)
+    asked = {getattr(change.get("request"), "kind", RequestKind.NONE) for change in EVENTS.values()}
+    assert asked == set(RequestKind)
+
+
+@pytest.mark.parametrize(("phase", "event", "outcome"), CASES, ids=lambda value: str(value).replace(" ", "_"))
+def test_phase_against_event(phase: Phase, event: str, outcome: str) -> None:
+    state, command = step(state_in(phase), seen_in(phase, **EVENTS[event]), PARAMS)
+    assert describe(phase, state, command) == outcome
+    if command.refused is not None:
+        assert "\n" not in command.refused
+        assert len(command.refused) > 10
+
+
+@pytest.mark.parametrize("event", EVENTS)
+@pytest.mark.parametrize("phase", sorted(AT_STAKE))
+def test_any_fault_stops_the_arm_and_keeps_the_grip_whatever_else_happens(phase: Phase, event: str) -> None:
+    if event == "release":
+        return
+    view = replace(seen_in(phase, **EVENTS[event]), fault=FAULT)
+    state, command = step(state_in(phase), view, PARAMS)
+    assert state.phase is Phase.FAULT
+    assert state.target_n == 40.0
+    assert command.arm == "stop"
+    assert command.release_width_mm is command.hold_force_n is command.move_width_mm is None
+    assert command.fault == FAULT
+    assert str(FAULT) in (command.say or "")

@@ -1,0 +1,162 @@
+"""What two fingers say together, whole: every field of the answer, at and beside every limit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from observations import estimate
+
+from slipguard.control.finger_fusion import GAP_MAX_S, Fused, fuse
+
+LEFT = replace(estimate(4.0, 0.5, at_s=8.0, measured_s=7.5, shift_mm=(9.0, -1.0)), rate_deg_s=16.0)
+RIGHT = replace(estimate(-6.0, 1.0, at_s=8.0, measured_s=7.25, shift_mm=(-9.0, -3.0)), rate_deg_s=-6.0)
+
+
+def test_both() -> None:
+    assert fuse(LEFT, RIGHT) == Fused(
+        left_contact=True,
+        right_contact=True,
+        captured_at_s=8.0,
+        measured_at_s=7.25,
+        fingers=("left", "right"),
+        turn_deg=pytest.approx((4.0 * 4.0 + 6.0) / 5.0),
+        sigma_deg=pytest.approx(5.0**-0.5),
+        rate_deg_s=pytest.approx((4.0 * 16.0 + 6.0) / 5.0),
+        shift_mm=2.0,
+        newest_at_s=7.5,
+    )
+
+
+def test_one_declines() -> None:
+    blind = replace(RIGHT, angle_deg=None, sigma_deg=None, declined="round contact")
+    assert fuse(LEFT, blind) == Fused(
+        True, True, 8.0, 7.5, ("left",), 4.0, 0.5, 16.0, 2.0, None, "right finger: round contact", newest_at_s=7.5
+    )
+
+
+def test_one_is_silent() -> None:
+    assert fuse(None, RIGHT) == Fused(
+        None, True, 8.0, 7.25, ("right",), 6.0, 1.0, 6.0, 3.0, None, "left finger: no frames", newest_at_s=7.25
+    )
+
+
+def test_both_decline() -> None:
+    blind = [replace(one, angle_deg=None, sigma_deg=None, declined=None) for one in (LEFT, RIGHT)]
+    away = replace(blind[1], contact=False, shift_mm=None)
+    assert fuse(blind[0], away) == Fused(
+        True,
+        False,
+        8.0,
+        7.25,
+        shift_mm=1.0,
+        declined="left finger: no reference yet; right finger: no contact",
+        newest_at_s=7.5,
+    )
+
+
+def test_the_later_one_is_moved_back_by_its_own_rate() -> None:
+    late = replace(RIGHT, captured_at_s=8.0625, angle_deg=-4.375, sigma_deg=0.5)
+    answer = fuse(LEFT, late)
+    assert answer is not None
+    assert answer.captured_at_s == 8.0
+    assert answer.turn_deg == pytest.approx((4.0 + 4.375 - 0.0625 * 6.0) / 2.0)
+    assert answer.note is None
+    unknown = fuse(LEFT, replace(late, rate_deg_s=None))
+    assert unknown is not None
+    assert unknown.turn_deg == pytest.approx((4.0 + 4.375 - 0.0625 * 16.0) / 2.0)
+    assert unknown.rate_deg_s == 16.0
+
+
+@pytest.mark.parametrize(("gap_s", "fingers"), [(GAP_MAX_S, ("left", "right")), (0.125, ("right",))])
+def test_far_behind_is_left_out(gap_s: float, fingers: tuple[str, ...]) -> None:
+    early, late = replace(LEFT, captured_at_s=0.0), replace(RIGHT, captured_at_s=gap_s)
+    answer = fuse(early, late)
+    assert answer is not None
+    assert answer.fingers == fingers
+    assert answer.note == (None if len(fingers) == 2 else "left finger: 125 ms behind")
+
+
+def test_without_a_rate_only_the_newer_counts() -> None:
+    early, late = replace(LEFT, rate_deg_s=None), replace(RIGHT, captured_at_s=8.0625, rate_deg_s=None)
+    answer = fuse(early, late)
+    assert answer is not None
+    assert (answer.fingers, answer.turn_deg, answer.note) == (("right",), 6.0, "left finger: 62 ms behind")
+    together = fuse(early, replace(late, captured_at_s=8.0))
+    assert together is not None
+    assert together.fingers == ("left", "right")
+
+
+def test_disagreement_is_worth_less() -> None:
+    far = replace(RIGHT, angle_deg=-7.0, sigma_deg=0.5)
+    answer = fuse(LEFT, far)
+    assert answer is not None
+    assert answer.conflict is None
+    assert answer.turn_deg == pytest.approx(5.5)
+    assert answer.sigma_deg == pytest.approx(0.5 / 2**0.5 * 3.0 / (0.5 * 2**0.5))
+
+
+@pytest.mark.parametrize(("angle_deg", "turn_deg", "sigma_deg"), [(6.0, -6.0, 0.25), (3.0, 4.0, 0.5)])
+def test_the_same_way_in_both_pictures(angle_deg: float, turn_deg: float, sigma_deg: float) -> None:
+    answer = fuse(LEFT, replace(RIGHT, angle_deg=angle_deg, sigma_deg=0.25))
+    assert answer is not None
+    assert (answer.turn_deg, answer.sigma_deg) == (turn_deg, sigma_deg)
+    assert answer.conflict == (
+        f"both pictures turn the same way (left +4.0°, right +{angle_deg:.1f}°): "
+        "a fault of one finger, or the object rolls"
+    )
+
+
+@pytest.mark.parametrize(("angle_deg", "opposed"), [(1.5, False), (1.625, True)])
+def test_a_turn_that_is_not_certain_contradicts_nobody(angle_deg: float, opposed: bool) -> None:
+    answer = fuse(replace(LEFT, angle_deg=1.75), replace(RIGHT, angle_deg=angle_deg, sigma_deg=0.5))
+    assert answer is not None
+    assert (answer.conflict is not None) is opposed
+
+
+@pytest.mark.parametrize(
+    ("left_deg", "right_deg", "sigma_deg", "turn_deg"),
+    [
+        (0.0, -3.5, 0.125, 3.5),
+        (0.0, -3.25, 0.125, None),
+        (0.0, 3.5, 0.125, -3.5),
+        (-3.5, 0.0, 0.125, -3.5),
+        (20.0, -14.75, 0.125, 20.0),
+        (20.0, -15.25, 0.125, None),
+        (0.0, -3.75, 0.5, 3.75),
+        (0.0, -3.5, 0.5, None),
+    ],
+)
+def test_one_that_turns_alone(left_deg: float, right_deg: float, sigma_deg: float, turn_deg: float | None) -> None:
+    """Beyond 3 degrees, a tenth of the turn, and five combined standard deviations; all of the larger one is used."""
+    left = replace(LEFT, angle_deg=left_deg, sigma_deg=sigma_deg)
+    right = replace(RIGHT, angle_deg=right_deg, sigma_deg=sigma_deg)
+    answer = fuse(left, right)
+    assert answer is not None
+    assert answer.fingers == ("left", "right")
+    if turn_deg is None:
+        assert answer.conflict is None
+        return
+    assert answer.conflict == (
+        f"the fingers contradict each other (the left one says {left_deg:+.1f}°, the right one {-right_deg:+.1f}°): "
+        "one is stuck or wrong, the larger turn is believed"
+    )
+    used = left if abs(left_deg) > abs(right_deg) else right
+    assert (answer.turn_deg, answer.sigma_deg) == (turn_deg, sigma_deg)
+    assert answer.rate_deg_s == (16.0 if used is left else 6.0)
+    assert answer.measured_at_s == answer.newest_at_s == used.measured_at_s
+    assert answer.captured_at_s == 8.0
+
+
+@pytest.mark.parametrize("bad", [{"angle_deg": float("nan")}, {"sigma_deg": -1.0}])
+def test_no_numbers_leave_nothing_behind(bad: dict[str, float]) -> None:
+    answer = fuse(replace(LEFT, **bad), None)  # type: ignore[arg-type]
+    assert answer == Fused(
+        True, None, 8.0, 7.5, declined="left finger: not a number; right finger: no frames", newest_at_s=7.5
+    )
+
+
+def test_a_turn_without_a_sigma_is_none() -> None:
+    answer = fuse(replace(LEFT, sigma_deg=None), RIGHT)
+    assert answer is not None
+    assert (answer.fingers, answer.note) == (("right",), "left finger: no reference yet")

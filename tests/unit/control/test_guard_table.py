@@ -1,0 +1,193 @@
+"""Supervisor and law together: every phase against everything that can go wrong, as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+from controller_steps import FAULT, NOW_S, PARAMS, seen_in, state_in
+from observations import arm, ask, fused, gripper
+
+from slipguard.control.arm_motion import SAME_SLIP
+from slipguard.control.fault import Fault, FaultCode
+from slipguard.control.guard import Guard, tick
+from slipguard.control.messages import Command, Condition, FingerHealth, RequestKind, Seen
+from slipguard.control.release import OPEN_ANYWAY_S
+from slipguard.control.state import AT_STAKE, GuardState, Phase, Slip
+from slipguard.control.supervisor import Watch
+
+TICK_S = 0.04
+LASTS_S = 2.4
+GONE = FingerHealth(Condition.LOST, 1.0, "unplugged")
+SLIPS = Slip(NOW_S - 2.0, NOW_S - 2.0, 20.0, 40.0, 0.0)
+HELD = AT_STAKE - {Phase.CLOSING}
+GUARDED = frozenset({Phase.LIFTING, Phase.HOLDING, Phase.LOWERING})
+SEEN = GUARDED | {Phase.REFERENCE}
+"""A turn that is seen ends the wait for a reference, and is guarded from then on."""
+View = Callable[[Seen, float], Seen]
+"""What the event makes of what is seen in that phase; the time since it began."""
+
+
+def turning(view: Seen, since_s: float) -> Seen:
+    return replace(view, fused=fused(22.0 + 10.0 * since_s, 10.0, at_s=view.now_s))
+
+
+def turning_while_it_tightens(view: Seen, since_s: float) -> Seen:
+    return turning(replace(view, gripper=view.gripper and replace(view.gripper, moving=True)), since_s)
+
+
+EVENTS: dict[FaultCode, tuple[View, frozenset[Phase], dict[str, object]]] = {
+    FaultCode.FRAMES_LOST: (lambda view, _: replace(view, left=GONE, right=GONE, fused=None), AT_STAKE, {}),
+    FaultCode.ESTIMATE_UNTRUSTED: (
+        lambda view, _: replace(view, fused=fused(None, declined="round contact", at_s=view.now_s)),
+        GUARDED,
+        {},
+    ),
+    FaultCode.GRIPPER_SILENT: (lambda view, _: replace(view, gripper=None), AT_STAKE, {}),
+    FaultCode.GRIPPER_FAULT: (
+        lambda view, _: replace(view, gripper=view.gripper and replace(view.gripper, fault="9")),
+        AT_STAKE,
+        {},
+    ),
+    FaultCode.ARM_SILENT: (lambda view, _: replace(view, arm=None), AT_STAKE, {}),
+    FaultCode.ARM_STOPPED: (
+        lambda view, _: replace(view, arm=arm(50.0, protective=True, at_s=view.now_s)),
+        AT_STAKE,
+        {},
+    ),
+    FaultCode.ARM_EMERGENCY: (
+        lambda view, _: replace(view, arm=arm(50.0, emergency=True, at_s=view.now_s)),
+        AT_STAKE,
+        {},
+    ),
+    FaultCode.ARM_STUCK: (
+        lambda view, _: replace(view, arm=arm(50.0, at_s=view.now_s)),
+        frozenset({Phase.LIFTING, Phase.LOWERING}),
+        {},
+    ),
+    FaultCode.NO_HELP: (turning_while_it_tightens, SEEN, {"slip": SLIPS, "target_n": 60.0}),
+    FaultCode.BUDGET_SPENT: (turning, SEEN, {"slip": replace(SLIPS, turn_deg=2.0), "target_n": 129.57}),
+    FaultCode.TURNED_TOO_FAR: (
+        lambda view, since_s: replace(view, fused=fused(50.0 + 60.0 * since_s, 60.0, at_s=view.now_s)),
+        SEEN,
+        {"slip": SLIPS},
+    ),
+    FaultCode.OBJECT_LOST: (
+        lambda view, _: replace(view, gripper=gripper(40.0, holding=False, nothing=True, at_s=view.now_s)),
+        HELD,
+        {},
+    ),
+}
+
+
+def before_in(phase: Phase, **changes: object) -> Guard:
+    """All well in that phase. changes: where slip may be under way."""
+    guarded = phase in GUARDED or phase is Phase.FAULT
+    law = state_in(phase, gripped=phase in HELD or phase is Phase.FAULT, **(changes if guarded else {}))
+    return Guard(replace(law, referenced=guarded), Watch(tick_s=NOW_S - TICK_S, arm_known=True))
+
+
+def moment(phase: Phase, now_s: float) -> Seen:
+    """All as it should be in that phase, just measured."""
+    view = seen_in(phase)
+    moving_mm = 40.0 * (now_s - NOW_S) * {Phase.LIFTING: 1.0, Phase.LOWERING: -1.0}.get(phase, 0.0)
+    return replace(
+        view,
+        now_s=now_s,
+        gripper=view.gripper and replace(view.gripper, measured_at_s=now_s),
+        arm=view.arm and replace(view.arm, measured_at_s=now_s, height_mm=view.arm.height_mm + moving_mm),
+        fused=view.fused and replace(view.fused, captured_at_s=now_s, measured_at_s=now_s),
+    )
+
+
+def play(phase: Phase, code: FaultCode) -> list[tuple[GuardState, Command]]:
+    view, _, changes = EVENTS[code]
+    guard, played = before_in(phase, **changes), []
+    for number in range(round(LASTS_S / TICK_S)):
+        now_s = NOW_S + TICK_S * number
+        guard, command = tick(guard, view(moment(phase, now_s), TICK_S * number), PARAMS)
+        played.append((guard.law, command))
+    return played
+
+
+def test_the_table_has_every_fault_that_lasts() -> None:
+    at_once = {FaultCode.LOOP_LATE, FaultCode.GRIPPER_STUCK}  # below
+    assert set(EVENTS) | at_once == set(FaultCode)
+
+
+@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize("code", EVENTS)
+def test_phase_against_what_goes_wrong(phase: Phase, code: FaultCode) -> None:
+    played = play(phase, code)
+    said = "; ".join(command.say for _, command in played if command.say)
+    assert all(command.release_width_mm is command.move_width_mm is None for _, command in played)
+    if phase in EVENTS[code][1]:
+        at = next(index for index, (state, _) in enumerate(played) if state.phase is Phase.FAULT)
+        state, command = played[at]
+        assert state.fault is not None
+        assert command.fault == state.fault
+        wrong = state.fault.code
+        assert wrong is code or (phase is Phase.REFERENCE and {wrong, code} <= SAME_SLIP)
+        assert str(state.fault) in said
+        assert command.arm == "stop"
+        assert all(state.phase is Phase.FAULT and state.fault.code is wrong for state, _ in played[at:] if state.fault)
+        assert all(state.target_n >= played[0][0].target_n for state, _ in played)
+    elif phase is Phase.FAULT:
+        assert all(state.phase is Phase.FAULT and state.fault == FAULT for state, _ in played)
+        if code not in (FaultCode.ARM_STUCK, FaultCode.ARM_SILENT):
+            assert said.count(f"{code.value}: ") == 1
+    elif (phase, code) == (Phase.RELEASED, FaultCode.GRIPPER_SILENT):
+        assert played[-1][0].fault is not None
+        assert played[-1][0].fault.code is FaultCode.GRIPPER_STUCK  # it never says that it has opened
+    else:
+        assert all(state.phase is not Phase.FAULT for state, _ in played)
+        assert f"{code.value}: " not in said
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_a_late_loop_in_every_phase(phase: Phase) -> None:
+    guard, _ = tick(before_in(phase), moment(phase, NOW_S), PARAMS)
+    guard, command = tick(guard, moment(phase, NOW_S + 0.6), PARAMS)
+    latched = phase in AT_STAKE
+    assert (guard.law.fault is not None and guard.law.fault.code is FaultCode.LOOP_LATE) is latched
+    assert (command.arm == "stop") is latched
+    assert ("loop late" in (command.say or "")) is (latched or phase is Phase.FAULT)
+
+
+@pytest.mark.parametrize("code", EVENTS)
+@pytest.mark.parametrize("phase", Phase)
+def test_a_release_in_every_phase_and_every_fault(phase: Phase, code: FaultCode) -> None:
+    view, _, changes = EVENTS[code]
+    guard = before_in(phase, **changes)
+    for number in range(30):
+        now_s = NOW_S + TICK_S * number
+        guard, _ = tick(guard, view(moment(phase, now_s), TICK_S * number), PARAMS)
+    asked = replace(view(moment(phase, now_s + TICK_S), 1.2), request=ask(RequestKind.RELEASE, width_mm=70.0))
+    guard, command = tick(guard, asked, PARAMS)
+    assert guard.law.phase is Phase.RELEASED
+    assert guard.law.fault is None
+    assert (command.say or "").startswith("releasing, as asked")
+    assert command.refused is None
+    waited_s = 0.0
+    while command.release_width_mm is None:
+        assert command.arm == "stop" or guard.law.braking
+        waited_s += TICK_S
+        guard, command = tick(guard, view(moment(phase, now_s + TICK_S + waited_s), 1.2 + waited_s), PARAMS)
+    assert command.release_width_mm == 70.0
+    assert waited_s <= OPEN_ANYWAY_S + TICK_S
+
+
+@pytest.mark.parametrize("kind", [kind for kind in RequestKind if kind not in (RequestKind.NONE, RequestKind.RELEASE)])
+@pytest.mark.parametrize("code", EVENTS)
+def test_in_a_fault_no_wish_but_a_release_moves_anything(code: FaultCode, kind: RequestKind) -> None:
+    view, _, changes = EVENTS[code]
+    guard = before_in(Phase.HOLDING, **changes)
+    guard = replace(guard, law=replace(guard.law, phase=Phase.FAULT, fault=Fault(code, "seen", "do")))
+    for number in range(30):
+        now_s = NOW_S + TICK_S * number
+        guard, _ = tick(guard, view(moment(Phase.HOLDING, now_s), TICK_S * number), PARAMS)
+    asked = replace(view(moment(Phase.HOLDING, now_s + TICK_S), 1.2), request=ask(kind))
+    _, command = tick(guard, asked, PARAMS)
+    assert command.release_width_mm is command.move_width_mm is None
+    assert command.arm in (None, "stop")

@@ -1,0 +1,294 @@
+"""The heart of the law, look by look: what one tick of guarding remembers, commands and says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from controller_steps import NOW_S, PARAMS, PRIMED, seen_in, state_in
+from observations import arm, fused, gripper
+
+from slipguard.control import force_limits as limits
+from slipguard.control.fault import FaultCode
+from slipguard.control.gripper_delay import GripperDelay
+from slipguard.control.guarding import Verdict, guard
+from slipguard.control.messages import Seen
+from slipguard.control.params import GuardParams
+from slipguard.control.slip_baselines import Detector
+from slipguard.control.slip_thresholds import Case
+from slipguard.control.state import GuardState, Phase, Slip
+
+FELT_S = 0.25
+"""200 ms until a step is felt, 50 until a rate shows it."""
+BUDGET_N = 129.6
+
+
+def slipping(turn_deg: float = 4.0, rate_deg_s: float = 60.0, slide_mm: float = 0.0, since_s: float = 1.0) -> Slip:
+    """Tightened so long ago, at this turn and rate."""
+    return Slip(NOW_S - since_s, NOW_S - since_s, turn_deg, rate_deg_s, slide_mm, turns=True, raised=True)
+
+
+def state(slip: Slip | None = None, detector: Detector = PRIMED, **changes: object) -> GuardState:
+    return state_in(Phase.HOLDING, slip=slip, detector=detector, delay=GripperDelay(felt_s=0.2), **changes)
+
+
+def view(turn_deg: float | None = 0.0, rate_deg_s: float = 0.0, shift_mm: float = 0.0, **changes: object) -> Seen:
+    seen = seen_in(Phase.HOLDING, fused=fused(turn_deg, rate_deg_s, at_s=NOW_S, shift_mm=shift_mm, sigma_deg=0.1))
+    return replace(seen, **changes)  # type: ignore[arg-type]
+
+
+def look(law: GuardState, seen: Seen, params: GuardParams = PARAMS) -> Verdict:
+    return guard(law, seen, params)
+
+
+# --- nothing to see ---
+
+
+@pytest.mark.parametrize("slip", [None, slipping()])
+def test_with_nothing_seen_or_nothing_to_guard_an_arm_stopped_for_slip_stays_stopped(slip: Slip | None) -> None:
+    for law, seen in (
+        (state(slip), view(fused=None)),
+        (state(slip, guarding=False), view(4.0, 60.0)),
+    ):
+        verdict = look(law, seen)
+        assert verdict == Verdict(law, stop=slip is not None)
+
+
+def test_a_firm_grip_bears_more_of_a_turn_while_it_lifts_off() -> None:
+    params = GuardParams()
+    lifting = replace(PRIMED, frames=1, alert=replace(PRIMED.alert, case=Case.LIFT_OFF))
+    firm_n = limits.firm_n(params, (20.0, 235.0))
+    for target_n, slips in ((firm_n - 0.1, True), (firm_n, False)):
+        seen = view(0.8, arm=arm(10.0, moving=True, at_s=NOW_S))
+        assert (look(state(detector=lifting, target_n=target_n), seen, params).hold_n is not None) is slips
+
+
+def test_a_base_that_moves_takes_the_last_steps_turn_and_slide_along() -> None:
+    lifting = replace(PRIMED, alert=replace(PRIMED.alert, case=Case.LIFT_OFF))
+    verdict = look(state(slipping(5.0, slide_mm=0.2), lifting), view(6.0, shift_mm=0.4))
+    assert verdict.state.detector.base_turn_deg == 6.0
+    assert verdict.state.slip is not None
+    assert (verdict.state.slip.turn_deg, verdict.state.slip.slide_mm) == (0.0, 0.0)
+
+
+# --- the first step ---
+
+
+def test_the_first_step_is_remembered_as_it_was() -> None:
+    seen = view(7.0, 60.0, 0.4)
+    verdict = look(state(), seen)
+    law = verdict.state
+    rate_mm_s = law.detector.slide_rate_mm_s
+    assert rate_mm_s > PARAMS.slide_rate_mm_s
+    assert law.slip == Slip(NOW_S, NOW_S, 7.0, 60.0, 0.4, turns=True, slides=False, raised=True)
+    assert verdict.hold_n == law.target_n > 40.0
+    assert law.commanded_s == NOW_S
+    assert verdict.stop
+
+
+def test_the_first_step_is_as_large_as_most_of_the_budget() -> None:
+    params = GuardParams()
+    verdict = look(state(), view(7.0, 60.0), params)
+    assert verdict.hold_n == pytest.approx(limits.firm_n(params, (20.0, 235.0)), abs=0.85)
+
+
+def test_near_a_person_it_is_remembered_without_a_step() -> None:
+    verdict = look(state(person_near=True), view(7.0, 60.0, 0.4))
+    assert verdict == Verdict(verdict.state, stop=True)
+    assert verdict.state.slip == Slip(NOW_S, NOW_S, 7.0, 60.0, 0.4)
+    assert verdict.state.target_n == 40.0
+
+
+def test_a_gripper_too_strong_for_the_budget_is_not_told_anything() -> None:
+    verdict = look(state(), view(7.0, 60.0, gripper_limits_n=(131.0, 235.0)))
+    assert (verdict.hold_n, verdict.stop) == (None, True)
+    assert verdict.state.target_n == 40.0
+
+
+# --- further steps ---
+
+
+def test_until_a_step_can_be_felt_progress_does_not_count() -> None:
+    early = slipping(4.0, 60.0, 0.1, since_s=FELT_S - 0.01)
+    verdict = look(state(early), view(9.0, 50.0, 0.3))
+    assert verdict == Verdict(verdict.state, stop=True)
+    assert verdict.state.slip == replace(early, turn_deg=9.0, rate_deg_s=50.0, slide_mm=0.3)
+    felt = look(state(slipping(4.0, 60.0, since_s=FELT_S)), view(9.0, 60.0))
+    assert felt.hold_n is not None
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "shift_mm", "steps"), [(5.0, 0.0, False), (5.01, 0.0, True), (4.5, 0.2, False), (4.5, 0.21, True)]
+)
+def test_a_step_is_followed_by_another_only_if_the_object_moved_on(
+    turn_deg: float, shift_mm: float, steps: bool
+) -> None:
+    before = slipping(4.0)
+    verdict = look(state(before), view(turn_deg, 70.0, shift_mm))
+    assert (verdict.hold_n is not None) is steps
+    assert verdict.stop
+    if not steps:
+        assert verdict.state.slip == before
+    else:
+        assert verdict.state.slip is not None
+        assert verdict.state.slip.stepped_s == verdict.state.commanded_s == NOW_S
+        assert verdict.state.slip.began_s == before.began_s
+        assert (verdict.state.slip.turn_deg, verdict.state.slip.rate_deg_s) == (turn_deg, 70.0)
+        assert verdict.state.slip.slide_mm == shift_mm
+
+
+@pytest.mark.parametrize(
+    ("sigma_deg", "turn_deg", "steps"),
+    [(0.1, 7.0, False), (0.1, 7.01, True), (1.5, 8.5, False), (1.5, 8.51, True), (9.0, 9.0, False), (9.0, 9.01, True)],
+)
+def test_a_step_is_followed_by_another_where_the_object_creeps_on(
+    sigma_deg: float, turn_deg: float, steps: bool
+) -> None:
+    creeping = fused(turn_deg, 4.0, at_s=NOW_S, sigma_deg=sigma_deg)
+    assert (look(state(slipping(4.0, 4.0)), view(fused=creeping)).hold_n is not None) is steps
+
+
+@pytest.mark.parametrize(("slid_mm", "steps"), [(0.5, False), (0.51, True)])
+@pytest.mark.parametrize("turn_deg", [None, 4.0])
+def test_so_where_it_slides_on_slowly(turn_deg: float | None, slid_mm: float, steps: bool) -> None:
+    slow = replace(PRIMED, smooth_shift_mm=slid_mm - 0.01, captured_s=NOW_S - 0.02)
+    verdict = look(state(slipping(4.0, 0.0), slow), view(turn_deg, 0.0, slid_mm))
+    assert verdict.stop
+    assert (verdict.hold_n is not None) is steps
+
+
+def test_what_slid_before_the_last_step_is_no_progress() -> None:
+    assert look(state(slipping(4.0, slide_mm=0.3)), view(4.5, 60.0, 0.4)).hold_n is None
+
+
+@pytest.mark.parametrize(("rate_deg_s", "steps"), [(48.0, True), (47.9, False)])
+def test_a_fifth_slower_is_help(rate_deg_s: float, steps: bool) -> None:
+    before = slipping(4.0, 60.0)
+    verdict = look(state(before), view(8.0, rate_deg_s, 0.01))
+    assert (verdict.hold_n is not None) is steps
+    assert verdict.stop
+    if not steps:
+        assert verdict == Verdict(verdict.state, stop=True)
+        assert verdict.state.slip == replace(before, turn_deg=8.0, rate_deg_s=rate_deg_s, slide_mm=0.01)
+
+
+@pytest.mark.parametrize(("turn_deg", "steps"), [(22.5, False), (22.6, True), (-22.6, True)])
+def test_half_way_to_giving_up_there_is_no_waiting(turn_deg: float, steps: bool) -> None:
+    rate_deg_s = 30.0 if turn_deg > 0.0 else -30.0
+    seen = view(turn_deg, rate_deg_s, gripper=gripper(40.0, moving=True, at_s=NOW_S))
+    assert (look(state(slipping(4.0, 60.0)), seen).hold_n is not None) is steps
+
+
+def test_a_slide_that_goes_on_though_the_object_does_not_turn_is_answered_again() -> None:
+    seen = view(None, shift_mm=1.0)
+    verdict = look(state(slipping(0.0, 0.0)), seen)
+    assert verdict.hold_n is not None
+    assert verdict.state.slip is not None
+    assert verdict.state.slip.slides
+
+
+# --- all the force there is ---
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "shift_mm", "moving", "spent"),
+    [
+        (9.0, 0.0, False, False),
+        (9.1, 0.0, False, True),
+        (9.1, 0.0, True, False),
+        (4.5, 1.0, False, False),
+        (4.5, 1.1, False, True),
+        (4.5, 1.1, True, False),
+    ],
+)
+def test_the_budget_is_spent_when_the_object_moves_on_under_all_of_it(
+    turn_deg: float, shift_mm: float, moving: bool, spent: bool
+) -> None:
+    law = state(slipping(4.0), target_n=BUDGET_N + 0.1)
+    verdict = look(law, view(turn_deg, 60.0, shift_mm, gripper=gripper(130.0, moving=moving, at_s=NOW_S)))
+    assert verdict.stop
+    assert verdict.hold_n is None
+    if not spent:
+        assert verdict.fault is None
+    else:
+        assert verdict.fault is not None
+        assert verdict.fault.code is FaultCode.BUDGET_SPENT
+        slid = f", slid {shift_mm:.1f} mm" if shift_mm else ""
+        assert verdict.fault.seen == f"turned {turn_deg:.1f}° at 60°/s{slid} at 130 N, and force_max_n = 130 N"
+        assert verdict.fault.what_to_do == (
+            "support the object, lower it or release it; raise force_max_n if object and gel allow it"
+        )
+
+
+# --- giving up ---
+
+
+def test_one_frame_beyond_is_enough_while_it_slips_and_turns() -> None:
+    verdict = look(state(slipping(4.0)), view(45.1, 60.0))
+    assert verdict.fault is not None
+    assert verdict.fault.code is FaultCode.TURNED_TOO_FAR
+    assert verdict.fault.seen == "turned 45° since it was gripped and still turning at 60°/s"
+    assert verdict.fault.what_to_do == "support the object and release it; grip it nearer to its centre of mass"
+    assert verdict.stop
+    assert verdict.hold_n == verdict.state.target_n == pytest.approx(BUDGET_N, abs=0.1)
+    assert verdict.state.commanded_s == NOW_S
+
+
+@pytest.mark.parametrize(("slip", "rate_deg_s"), [(None, 60.0), (slipping(4.0), 0.0)])
+def test_else_it_takes_two(slip: Slip | None, rate_deg_s: float) -> None:
+    quiet = replace(PRIMED, frames=0)
+    assert look(state(slip, quiet), view(46.0, rate_deg_s)).fault is None
+    again = look(state(slip, replace(quiet, far_frames=1)), view(46.0, rate_deg_s))
+    assert again.fault is not None
+    assert again.fault.code is FaultCode.TURNED_TOO_FAR
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"person_near": True}, {"target_n": 130.0}],
+)
+def test_given_up_without_more_force(changes: dict[str, object]) -> None:
+    law = state(slipping(4.0), **changes)
+    verdict = look(law, view(46.0, 60.0))
+    assert (verdict.hold_n, verdict.stop) == (None, True)
+    assert verdict.fault is not None
+    assert (verdict.state.target_n, verdict.state.commanded_s) == (law.target_n, law.commanded_s)
+    weak = look(state(slipping(4.0)), view(46.0, 60.0, gripper_limits_n=(131.0, 235.0)))
+    assert (weak.hold_n, weak.state.target_n) == (None, 40.0)
+
+
+# --- calm ---
+
+
+def resting(for_s: float) -> Detector:
+    return replace(PRIMED, rest_turn_deg=4.5, rest_since_s=NOW_S - for_s, base_turn_deg=0.0)
+
+
+@pytest.mark.parametrize(
+    ("rested_s", "since_s", "changes", "calm"),
+    [
+        (0.5, 1.0, {}, True),
+        (0.25, 1.0, {}, False),
+        (0.5, FELT_S, {}, True),
+        (0.5, FELT_S - 0.01, {}, False),
+        (0.5, 1.0, {"gripper": None}, False),
+        (0.5, 1.0, {"gripper": gripper(40.0, moving=True, at_s=NOW_S)}, False),
+    ],
+)
+def test_calm_is_rest_with_the_last_step_done_and_seen(
+    rested_s: float, since_s: float, changes: dict[str, object], calm: bool
+) -> None:
+    verdict = look(state(slipping(4.0, since_s=since_s), resting(rested_s)), view(4.5, **changes))
+    assert (verdict.state.slip is None) is calm
+    assert (verdict.say == "calm at 40 N") is calm
+    assert verdict.stop is not calm
+    if calm:
+        assert (verdict.state.detector.turns, verdict.state.detector.slides) == (1, 0)
+        assert verdict.state.detector.base_turn_deg is None
+        assert verdict.state.detector.base_shift_mm is None
+
+
+def test_calm_needs_the_time_set_for_it() -> None:
+    for calm_s, calm in ((0.5, True), (0.51, False)):
+        params = PARAMS.model_copy(update={"calm_s": calm_s})
+        assert (look(state(slipping(4.0), resting(0.5)), view(4.5), params).state.slip is None) is calm

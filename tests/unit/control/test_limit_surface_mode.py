@@ -1,0 +1,74 @@
+"""With friction and mass given the law computes what it otherwise has to find out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from controller_steps import Play
+from observations import arm
+
+from slipguard.control import force_limits as limits
+from slipguard.control.messages import RequestKind
+from slipguard.control.params import MODEL_RESERVE, GuardParams
+from slipguard.sim.friction import Gel, needed_force_n
+from slipguard.sim.objects import get
+
+ROBOTIQ_85 = (20.0, 235.0)
+
+
+def test_the_force_is_the_worlds_with_a_reserve() -> None:
+    item = get("wrench")
+    params = GuardParams(friction=item.friction, mass_kg=item.mass_kg, lever_mm=item.com_offset_mm)
+    needed_n = MODEL_RESERVE * needed_force_n(item, Gel())
+    assert params.modelled_n == pytest.approx(needed_n, rel=1e-9)
+    assert limits.first_n(params) == params.modelled_n
+    assert limits.firm_n(params, ROBOTIQ_85) == params.modelled_n
+
+
+def test_without_them_it_is_gentle_first_and_then_a_share_of_the_budget() -> None:
+    params = GuardParams()
+    assert params.modelled_n is None
+    assert limits.first_n(params) == 40.0
+    assert limits.firm_n(params, ROBOTIQ_85) == pytest.approx(0.7 * 129.6, abs=0.1)
+    assert limits.firm_n(params, (150.0, 235.0)) == math.inf
+
+
+def test_the_first_grip_is_no_weaker_than_configured() -> None:
+    assert limits.first_n(GuardParams(friction=1.0, mass_kg=0.1)) == 40.0
+
+
+def test_more_than_the_budget_is_not_tightened_to() -> None:
+    params = GuardParams(friction=0.5, mass_kg=0.9, lever_mm=100.0, force_max_n=130.0)
+    assert limits.firm_n(params, (20.0, 90.0)) == pytest.approx(90.0)
+
+
+def test_a_grasp_uses_it_and_so_does_the_first_step() -> None:
+    params = GuardParams(friction=0.6, mass_kg=0.6, lever_mm=100.0)
+    play = Play(params)
+    command = play.tick(RequestKind.GRASP)
+    assert command.hold_force_n == pytest.approx(params.modelled_n or 0.0, abs=0.85)
+    gentle = Play(params)
+    gentle.tick(RequestKind.GRASP, force_n=25.0)
+    gentle.tick()
+    gentle.view = replace(
+        gentle.view, left_contact=True, right_contact=True, turn_deg=0.0, sigma_deg=0.1, rate_deg_s=0.0
+    )
+    gentle.view = replace(gentle.view, fingers=("left", "right"), shift_mm=0.0, declined=None)
+    gentle.ticks(0.6)
+    gentle.here = arm()
+    assert gentle.slips(1.0, 10.0).hold_force_n == pytest.approx(params.modelled_n or 0.0, abs=0.85)
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({"friction": 0.5}, "go together"),
+        ({"mass_kg": 0.5}, "go together"),
+        ({"friction": 0.4, "mass_kg": 2.0, "lever_mm": 100.0}, "force_max_n"),
+    ],
+)
+def test_half_a_model_or_one_beyond_the_budget_is_refused(values: dict[str, float], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        GuardParams(**values)  # type: ignore[arg-type]

@@ -1,0 +1,423 @@
+"""How little counts as slip: at rest in the air, lifting off, and while the arm moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from observations import arm, fused
+
+from slipguard.control.params import GuardParams
+from slipguard.control.slip_baselines import HANDOVER_DEG, HANDOVER_MM, Detector
+from slipguard.control.slip_detector import Look, look
+from slipguard.control.slip_thresholds import (
+    LIFT_OFF_MM,
+    NOISE_MAX_DEG,
+    SETTLE_S,
+    Alert,
+    Case,
+    attend,
+    growth,
+    level_deg,
+    quick_level_deg,
+)
+
+PARAMS = GuardParams()
+FRAME_S = 1 / 60
+
+
+class Watched:
+    """Frames one after the other, with the arm as it is."""
+
+    def __init__(self, patient: bool = False, params: GuardParams = PARAMS) -> None:
+        self.detector, self.params = Detector(patient=patient), params
+        self.left_alone = self.firm = False
+        self.now_s, self.here = 10.0, arm()
+        self.rate_deg_s, self.shift_mm = 0.0, 0.0
+        self.putting_down = False
+        self.conflict: str | None = None
+
+    def see(self, turn_deg: float, *, sigma_deg: float = 0.05) -> Look:
+        self.now_s += FRAME_S
+        fingers = ("left",) if self.left_alone else ("left", "right")
+        view = fused(
+            turn_deg, self.rate_deg_s, at_s=self.now_s, sigma_deg=sigma_deg, fingers=fingers, shift_mm=self.shift_mm,
+            conflict=self.conflict,
+        )  # fmt: skip
+        here = replace(self.here, measured_at_s=self.now_s)
+        sight = look(self.detector, view, self.params, arm=here, firm=self.firm, only_outward=self.putting_down)
+        self.detector = sight.detector
+        return sight
+
+    def rest(self, seconds: float = 0.5, turn_deg: float = 0.0) -> Watched:
+        for _ in range(round(seconds / FRAME_S)):
+            assert not self.see(turn_deg).slipping
+        return self
+
+    def lifts(self, height_mm: float) -> Watched:
+        self.here = arm(height_mm, moving=True)
+        return self
+
+
+def test_slip_at_rest_is_told_by_two_frames_however_plain() -> None:
+    watched = Watched().rest()
+    watched.see(0.1)
+    assert not watched.see(3.0).slipping
+    assert watched.see(3.0).slipping
+
+
+def test_plain_slip_in_a_lift_off_is_told_by_one_frame_if_the_one_before_had_begun_it() -> None:
+    begun = Watched().rest().lifts(10.0)
+    assert not begun.see(0.15).slipping
+    assert begun.see(0.7).slipping
+    leaps = Watched().rest().lifts(10.0)
+    assert not leaps.see(0.7).slipping
+    assert leaps.see(0.7).slipping
+    one = Watched()
+    one.left_alone = True
+    one.rest().lifts(10.0).see(0.15)
+    assert not one.see(0.7).slipping
+    assert one.see(0.7).slipping
+
+
+def test_where_it_comes_to_rest_is_where_it_turns_no_more() -> None:
+    """One leaping frame at the end of the arm's motion is no place to turn away from."""
+    watched = aloft(10.0)
+    watched.lifts(130.0).see(10.0)
+    watched.here = arm(130.0)
+    while watched.now_s + FRAME_S < watched.detector.alert.moved_s + SETTLE_S:
+        watched.see(10.0)
+    watched.rate_deg_s = -6.0
+    watched.see(9.4)
+    assert watched.detector.alert.case is Case.REST
+    assert watched.detector.alert.near_deg is None
+    watched.rate_deg_s = 0.0
+    assert not any(watched.see(10.0).slipping for _ in range(5))
+    assert watched.detector.alert.near_deg == 10.0
+
+
+@pytest.mark.parametrize("leap_deg", [0.6, -0.6, 3.0])
+def test_a_single_frame_that_leaps_in_both_fingers_is_no_slip(leap_deg: float) -> None:
+    for height_mm in (None, 10.0):
+        watched = Watched().rest()
+        if height_mm is not None:
+            watched.lifts(height_mm)
+        assert not watched.see(leap_deg).slipping
+        assert not any(watched.see(0.0).slipping for _ in range(10))
+
+
+def test_a_little_above_the_level_takes_two_frames() -> None:
+    watched = Watched().rest()
+    assert not watched.see(-0.4).slipping
+    assert watched.see(-0.4).slipping
+    flickers = Watched().rest()
+    assert not any(flickers.see(turn).slipping for turn in (0.4, 0.0, 0.4, 0.0, 0.4))
+
+
+def test_an_unsure_turn_needs_three_sigmas_or_half_of_that_in_a_lift_off() -> None:
+    for watched, least_deg in ((Watched().rest(), 1.8), (Watched().rest().lifts(10.0), 0.9)):
+        assert not any(watched.see(least_deg - 0.05, sigma_deg=0.6).slipping for _ in range(5))
+        watched.see(least_deg + 0.05, sigma_deg=0.6)
+        assert watched.see(least_deg + 0.05, sigma_deg=0.6).slipping
+    assert not any(Watched().rest().see(1.5, sigma_deg=6.0).slipping for _ in range(5))
+
+
+def test_the_level_follows_the_sensors_own_noise() -> None:
+    rng = np.random.default_rng(0)
+    watched = Watched()
+    for _ in range(600):
+        assert not watched.see(float(rng.normal(0.0, 0.2)), sigma_deg=0.2).slipping
+    assert 0.15 < watched.detector.alert.noise_deg < 0.3
+    assert 1.0 < quick_level_deg(watched.detector.alert, PARAMS) < 1.6
+    assert quick_level_deg(Alert(), PARAMS) == pytest.approx(0.36)
+    assert quick_level_deg(Alert(variance_deg2=1e-6), PARAMS) == PARAMS.rest_level_deg
+    assert Alert(variance_deg2=100.0).noise_deg == NOISE_MAX_DEG
+
+
+@pytest.mark.parametrize("rate_deg_s", [0.3, 1.0, 3.0, 6.0, 12.0])
+@pytest.mark.parametrize("noise_deg", [0.0, 0.03])
+def test_slow_slip_at_rest_does_not_pass_for_the_sensors_noise(rate_deg_s: float, noise_deg: float) -> None:
+    rng = np.random.default_rng(1)
+    watched = Watched()
+    for _ in range(120):
+        watched.see(float(rng.normal(0.0, noise_deg)))
+    watched.rate_deg_s = min(rate_deg_s, PARAMS.rate_deg_s - 1.0)
+    turns = [rate_deg_s * k * FRAME_S for k in range(1, 300)]
+    found = next(turn for turn in turns if watched.see(turn + float(rng.normal(0.0, noise_deg))).slipping)
+    assert PARAMS.rest_level_deg < found < 0.8
+
+
+def test_a_drift_is_followed() -> None:
+    watched = Watched()
+    for k in range(60 * 60):
+        assert not watched.see(0.05 * k * FRAME_S).slipping
+
+
+def test_an_object_wound_up_by_the_lift_is_watched_from_where_it_came_to_rest() -> None:
+    watched = Watched(patient=True).rest().lifts(10.0)
+    watched.rate_deg_s = 20.0
+    for k in range(40):
+        watched.here = arm(2.4 * k, moving=True)
+        assert not watched.see(0.14 * k).slipping
+    watched.here = arm(120.0)
+    watched.rate_deg_s = 0.0
+    watched.rest(2.0, 10.0)
+    assert watched.detector.base_turn_deg == 10.0
+    watched.see(10.6)
+    assert watched.see(10.6).slipping
+
+
+def test_no_grip_is_given_that_time_before_it_has_been_tightened_once() -> None:
+    for firm, least_deg in ((False, 0.4), (True, 1.0)):
+        watched = Watched().rest().lifts(10.0)
+        watched.firm = firm
+        assert not any(watched.see(least_deg - 0.05).slipping for _ in range(3))
+        watched.see(least_deg + 0.05)
+        assert watched.see(least_deg + 0.05).slipping
+
+
+def test_at_rest_a_firm_grip_is_watched_as_closely() -> None:
+    watched = Watched()
+    watched.firm = True
+    watched.rest().see(0.4)
+    assert watched.see(0.4).slipping
+
+
+def test_after_a_tightening_a_lift_goes_on_with_more_patience() -> None:
+    watched = Watched().rest().lifts(10.0)
+    watched.detector = watched.detector.rebased(turned=True, slid=False, raised=True)
+    assert not any(watched.see(0.2 * k).slipping for k in range(31))
+    assert not watched.see(6.1).slipping
+    assert watched.see(6.3).slipping
+
+
+@pytest.mark.parametrize(("wound_deg", "swing_deg", "slips"), [(8.0, 3.5, False), (8.0, 4.5, True), (0.0, 2.5, True)])
+def test_what_the_arms_motion_may_swing_depends_on_what_is_wound_up(
+    wound_deg: float, swing_deg: float, slips: bool
+) -> None:
+    watched = Watched(patient=True)
+    watched.rest(0.1)
+    watched.here = arm(LIFT_OFF_MM + 50.0)
+    watched.detector = replace(watched.detector, base_turn_deg=None, alert=Alert(start_mm=0.0, aloft=True))
+    for _ in range(60):
+        watched.see(wound_deg)
+    watched.here = arm(LIFT_OFF_MM + 50.0, moving=True)
+    watched.rate_deg_s = 60.0
+    assert any(watched.see(wound_deg + swing_deg).slipping for _ in range(2)) is slips
+
+
+def test_the_gel_is_given_time_to_settle_after_the_arm_has_stopped() -> None:
+    watched = Watched().rest().lifts(LIFT_OFF_MM + 20.0)
+    watched.see(0.0)
+    watched.here = arm(LIFT_OFF_MM + 20.0)
+    stopped_s = watched.now_s
+    for k in range(round((SETTLE_S - 0.02) / FRAME_S)):
+        assert not watched.see(0.8 * (-1) ** k).slipping
+    watched.see(0.0)
+    while watched.now_s < stopped_s + SETTLE_S + 0.2:
+        watched.see(0.0)
+    assert watched.detector.alert.case is Case.REST
+    watched.see(0.8)
+    assert watched.see(0.8).slipping
+
+
+def test_without_an_arm_or_a_turn_nothing_counts_as_sudden() -> None:
+    alert = attend(Alert(), fused(0.0, at_s=1.0), None, PARAMS)
+    assert alert.case is Case.MOVING
+    alert = attend(replace(alert, near_deg=1.0), fused(None, at_s=1.1), arm(at_s=1.1), PARAMS)
+    assert alert.near_deg is None
+
+
+# --- rest against rest ---
+
+
+def aloft(turn_deg: float = 0.0) -> Watched:
+    """At rest in the air, after a lift that wound the gel up."""
+    watched = Watched(patient=True).rest().lifts(10.0)
+    watched.see(turn_deg)
+    watched.lifts(200.0).see(turn_deg)
+    watched.here = arm(200.0)
+    return watched.rest(1.0, turn_deg)
+
+
+def travels(watched: Watched, to_deg: float) -> bool:
+    """The arm moves for a moment and rests; whether what it turned meanwhile counts as slip."""
+    from_deg, height_mm = watched.detector.told_deg, watched.here.height_mm
+    watched.here = arm(height_mm + 20.0, moving=True)
+    slips = [watched.see(from_deg + (to_deg - from_deg) * k / 20).slipping for k in range(21)]
+    watched.here = arm(height_mm + 20.0)
+    return any(slips) or any(watched.see(to_deg).slipping for _ in range(40))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_the_motions_turn_bit_by_bit_adds_up(sign: float) -> None:
+    watched = aloft(5.0 * sign)
+    assert not travels(watched, 6.0 * sign)
+    assert not travels(watched, 6.9 * sign)
+    assert travels(watched, 7.1 * sign)
+    assert watched.see(7.1 * sign).turn_deg == pytest.approx(2.1)
+
+
+def test_what_was_wound_up_when_the_object_left_its_table_does_not() -> None:
+    watched = Watched(patient=True).rest().lifts(10.0)
+    for k in range(40):
+        watched.here = arm(2.4 * k, moving=True)
+        watched.see(0.14 * k)
+    watched.here = arm(120.0)
+    watched.rest(1.0, 5.6)
+    assert not travels(watched, 7.5)
+
+
+def test_a_lift_in_pieces_is_given_the_turn_of_one() -> None:
+    watched = Watched(patient=True).rest()
+    assert not travels(watched, 2.0)
+    assert not travels(watched, 4.0)
+    assert not travels(watched, 5.9)
+    assert travels(watched, 6.1)
+
+
+def test_a_turn_back_to_the_reference_between_two_rests_is_no_slip() -> None:
+    watched = aloft(8.0)
+    assert not travels(watched, 4.0)
+    assert not travels(watched, 8.0)
+    assert travels(watched, 10.2)
+
+
+def test_after_an_episode_the_next_rest_counts() -> None:
+    watched = aloft(5.0)
+    assert travels(watched, 7.5)
+    watched.detector = watched.detector.rebased(turned=True, slid=False, raised=False)
+    watched.rest(1.0, 7.5)
+    assert not travels(watched, 9.4)
+    assert travels(watched, 9.6)
+
+
+def test_a_drift_at_rest_is_no_turn_between_two_rests() -> None:
+    watched = aloft(5.0)
+    for k in range(50 * 60):
+        assert not watched.see(5.0 + 0.04 * k * FRAME_S).slipping
+    assert not travels(watched, 8.5)
+
+
+def test_what_is_put_down_is_lifted_anew() -> None:
+    watched = aloft(5.0)
+    watched.putting_down = True
+    watched.here = arm(0.0, moving=True)
+    watched.see(1.0)
+    assert not watched.detector.alert.aloft
+    watched.putting_down = False
+    watched.here = arm(0.0)
+    watched.rest(1.0, 1.0)
+    assert not travels(watched, 6.5)
+
+
+# --- how often it was tightened ---
+
+
+def test_levels_grow_with_what_was_answered_up_to_four_times() -> None:
+    assert [growth(episodes, PARAMS) for episodes in (0, 1, 2, 3, 9)] == [1.0, 2.0, 4.0, 4.0, 4.0]
+    assert level_deg(0.1, 9, PARAMS) == 4.0 * PARAMS.level_deg
+    assert level_deg(1.0, 1, PARAMS) == 6.0
+    assert level_deg(9.0, 0, PARAMS) == PARAMS.level_max_deg
+
+
+@pytest.mark.parametrize(
+    ("turned", "slid", "raised", "turns", "slides", "patient"),
+    [
+        (True, False, True, 3, 5, True),
+        (False, True, True, 2, 6, False),
+        (True, True, True, 3, 6, True),
+        (True, True, False, 2, 5, True),
+        (False, True, False, 2, 5, False),
+    ],
+)
+def test_each_kind_of_slip_raises_its_own_levels_and_only_if_the_force_was_raised(
+    turned: bool, slid: bool, raised: bool, turns: int, slides: int, patient: bool
+) -> None:
+    after = Detector(turns=2, slides=5, frames=2).rebased(turned=turned, slid=slid, raised=raised)
+    assert (after.turns, after.slides, after.patient, after.frames) == (turns, slides, patient, 0)
+    assert after.alert.near_deg is after.alert.rested_deg is after.base_turn_deg is after.base_shift_mm is None
+
+
+# --- a finger more or less ---
+
+
+@pytest.mark.parametrize("apart_deg", [0.4, -0.4, 1.9])
+def test_a_finger_that_drops_out_turns_nothing(apart_deg: float) -> None:
+    for height_mm in (None, 10.0):
+        watched = Watched().rest()
+        if height_mm is not None:
+            watched.lifts(height_mm)
+        watched.left_alone = True
+        assert not any(watched.see(apart_deg).slipping for _ in range(10))
+        watched.left_alone = False
+        assert not any(watched.see(0.0).slipping for _ in range(10))
+
+
+def test_what_no_two_fingers_differ_by_is_slip_though_one_drops_out() -> None:
+    watched = Watched().rest()
+    watched.left_alone = True
+    watched.see(HANDOVER_DEG + 0.6)
+    assert watched.see(HANDOVER_DEG + 0.6).slipping
+
+
+def test_slip_is_seen_though_a_finger_comes_and_goes() -> None:
+    watched = Watched().rest()
+    watched.rate_deg_s, slips = 24.0, []
+    for k in range(1, 8):
+        watched.left_alone = not watched.left_alone
+        slips.append(watched.see(0.4 * k).slipping)
+    assert any(slips)
+
+
+def test_fingers_that_begin_to_contradict_each_other_turn_nothing_by_that() -> None:
+    watched = Watched().rest(0.5, 0.2)
+    watched.conflict = "both pictures turn the same way"
+    assert not any(watched.see(turn).slipping for turn in (0.9, 0.9, -0.8, -0.8, 0.9, 0.9))
+    watched.conflict = None
+    assert not any(watched.see(0.2).slipping for _ in range(5))
+    watched.conflict = "both pictures turn the same way"
+    watched.rate_deg_s = 20.0
+    assert any(watched.see(4.0).slipping for _ in range(2))
+
+
+def test_what_one_frame_shows_counts_once_though_the_fingers_tell_it_one_after_the_other() -> None:
+    """The left picture is taken first: left new with right old, then both new."""
+    watched = Watched().rest()
+    for moment, turn_deg in enumerate((0.3, 0.6, 0.3, 0.0, 0.0)):
+        watched.now_s += 0.5 * FRAME_S
+        view = fused(turn_deg, 0.0, at_s=watched.now_s - 0.5 * FRAME_S, sigma_deg=0.05)
+        view = replace(view, newest_at_s=watched.now_s)
+        sight = look(watched.detector, view, PARAMS, arm=replace(watched.here, measured_at_s=watched.now_s))
+        watched.detector = sight.detector
+        assert not sight.slipping, moment
+
+
+def test_nor_is_slow_slip_hidden_by_it_where_no_rate_is_known() -> None:
+    watched = Watched().rest()
+    watched.rate_deg_s, slips, turns = None, [], [0.1 * k for k in range(1, 30)]  # type: ignore[assignment]
+    for turn_deg in turns:
+        watched.left_alone = not watched.left_alone
+        slips.append(watched.see(turn_deg).slipping)
+    assert turns[slips.index(True)] < 0.8
+    slides = Watched().rest()
+    for k in range(1, 60):
+        slides.left_alone, slides.shift_mm = not slides.left_alone, 0.05 * k
+        slips.append(slides.see(0.0).slipping)
+    assert slips[-1]
+
+
+@pytest.mark.parametrize(("slid_mm", "slips"), [(HANDOVER_MM, False), (-HANDOVER_MM, False), (1.2, True)])
+def test_nor_does_it_slide_anything(slid_mm: float, slips: bool) -> None:
+    watched = Watched().rest()
+    watched.left_alone, watched.shift_mm = True, slid_mm
+    assert any(watched.see(0.0).slipping for _ in range(10)) is slips
+
+
+def test_a_finger_that_comes_back_tells_no_shift_yet() -> None:
+    watched = Watched().rest()
+    watched.left_alone, watched.shift_mm = True, None  # type: ignore[assignment]
+    assert not any(watched.see(0.3).slipping for _ in range(5))
+    watched.left_alone, watched.shift_mm = False, 0.4
+    assert not any(watched.see(0.0).slipping for _ in range(5))

@@ -1,0 +1,135 @@
+"""A device that is not well is said so, once, in every phase; and so is its getting well."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from observations import arm, gripper, seen
+
+from slipguard.control.messages import Condition, FingerHealth, Seen
+from slipguard.control.state import Phase
+from slipguard.daemon.loop.device_alerts import Bulletin, troubles
+from slipguard.daemon.loop.health import Health
+
+TICK_S = 0.01
+
+
+class Listener:
+    def __init__(self) -> None:
+        self.said: list[tuple[float, str]] = []
+        self.now_s = 100.0
+        self.warned: list[str] = []
+        self.bulletin = Bulletin(self._say, self._warn)
+
+    def _say(self, line: str) -> None:
+        self.said.append((round(self.now_s, 2), line))
+
+    def _warn(self, line: str) -> None:
+        self.warned.append(line)
+        self._say(line)
+
+    def look(self, why: str | None, seconds: float, phase: Phase = Phase.HOLDING) -> None:
+        for _ in range(round(seconds / TICK_S)):
+            self.now_s += TICK_S
+            self.bulletin.look(self.now_s, {"left": why}, phase, 0.5)
+
+    @property
+    def lines(self) -> list[str]:
+        return [line for _, line in self.said]
+
+
+def well() -> Listener:
+    listener = Listener()
+    listener.look(None, 1.0)
+    return listener
+
+
+def test_trouble_that_lasts_is_said_once_and_so_is_its_end() -> None:
+    listener = well()
+    listener.look("left: no frame for 250 ms", 0.14)
+    assert listener.lines == []
+    listener.look("left: no frame for 260 ms", 3.0)
+    assert listener.lines == ["left: no frame for 260 ms"]
+    listener.look(None, 0.4)
+    assert len(listener.said) == 1
+    listener.look(None, 0.2)
+    assert listener.lines[1:] == ["left: well again"]
+    assert listener.warned == ["left: no frame for 260 ms"]
+    listener.look(None, 3.0)
+    assert len(listener.said) == 2
+
+
+def test_a_glitch_is_not_worth_a_line_but_three_in_a_second_are() -> None:
+    listener = well()
+    for _ in range(2):
+        listener.look("glitch", 0.02)
+        listener.look(None, 0.2)
+    assert listener.lines == []
+    listener.look("glitch", 0.02)
+    assert listener.lines == ["left: glitch"]
+    listener = well()
+    for _ in range(6):
+        listener.look("glitch", 0.02)
+        listener.look(None, 0.6)
+    assert listener.lines == []
+
+
+def test_another_trouble_is_said_too_but_not_a_flood_of_them() -> None:
+    listener = well()
+    listener.look("one", 1.0)
+    listener.look("other", 1.0)
+    assert listener.lines == ["left: one", "left: other"]
+    for _ in range(100):
+        listener.look("one", 0.01)
+        listener.look("other", 0.01)
+    assert len(listener.said) <= 2 + 7
+
+
+@pytest.mark.parametrize(("wait_s", "lines"), [(1.9, 0), (2.1, 1)])
+def test_getting_ready_takes_a_while(wait_s: float, lines: int) -> None:
+    listener = Listener()
+    listener.look("not tried yet", wait_s)
+    assert len(listener.said) == lines
+
+
+def test_a_device_that_is_not_there_at_the_start_is_said_soon() -> None:
+    listener = Listener()
+    listener.look("left: no DIGIT with serial D1; plug it in", 0.3)
+    assert listener.lines == ["left: no DIGIT with serial D1; plug it in"]
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_a_late_loop_is_said_where_the_law_does_not(phase: Phase) -> None:
+    listener = well()
+    for late_s, lines in ((0.45, 0), (0.55, phase in (Phase.IDLE, Phase.RELEASED))):
+        listener.now_s += late_s
+        listener.look(None, TICK_S, phase)
+        assert len(listener.said) == lines
+
+
+def found(view: Seen, **not_ready: str) -> dict[str, str | None]:
+    devices = {name: Health(name, "ready", "") for name in ("left", "right", "gripper", "arm")}
+    for name, why in not_ready.items():
+        devices[name].lost(why)
+    holders = {name: type("One", (), {"health": health})() for name, health in devices.items()}
+    return {name: why for name, why in troubles(view, holders).items() if why is not None}
+
+
+def test_what_is_wrong_in_words() -> None:
+    fine = seen(10.0)
+    assert found(fine) == {}
+    assert found(fine, arm="gone") == {"arm": "gone"}
+    old = FingerHealth(Condition.STALE, 5.0)
+    assert found(replace(fine, left=old)) == {"left": "its newest frame is 5.00 s old"}
+    ahead = FingerHealth(Condition.STALE, -5.0)
+    assert found(replace(fine, right=ahead)) == {"right": "its newest frame is 5.00 s ahead of the clock"}
+    assert found(replace(fine, left=FingerHealth(Condition.STALE, float("inf")))) == {}
+    assert found(replace(fine, gripper=gripper(fault="overcurrent", at_s=10.0))) == {"gripper": "says: overcurrent"}
+    assert found(replace(fine, gripper=gripper(at_s=9.8), arm=arm(at_s=9.86))) == {
+        "gripper": "its newest answer is 0.20 s old"
+    }
+    assert found(replace(fine, arm=arm(at_s=9.8))) == {"arm": "its newest answer is 0.20 s old"}
+    assert found(replace(fine, arm=arm(at_s=10.0, protective=True))) == {"arm": "in protective stop"}
+    assert found(replace(fine, arm=arm(at_s=10.0, protective=True, emergency=True))) == {"arm": "in emergency stop"}
+    assert found(replace(fine, gripper=None, arm=None)) == {}

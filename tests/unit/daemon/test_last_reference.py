@@ -1,0 +1,207 @@
+"""What turns are counted from survives the daemon: kept while something is held, tried by the next one, forgotten."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime, timedelta
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from blue_contact import BACKGROUND, ReadsBlue, frame
+from drawn_masks import drawn
+
+from slipguard.atomic_file import write_whole as really_write
+from slipguard.control.state import Phase
+from slipguard.daemon.store.last_reference import ReferenceKeeper, recall
+from slipguard.daemon.store.reference_store import GOOD_FOR, ReferenceShelf
+from slipguard.errors import InputError
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.stored_reference import KnownReference, RecallingPipeline
+from slipguard.tools.waiting import until
+
+IMAGE = np.random.default_rng(1).integers(0, 255, (320, 240, 3), np.uint8)
+
+
+def pipeline() -> RecallingPipeline:
+    return RecallingPipeline(ReadsBlue(), PerceptionSettings(), BACKGROUND, (1.0, 1.0, 1.0), 18.5)
+
+
+class Finger:
+    """What the keeper looks at of a finger: its pipeline and its newest answer."""
+
+    def __init__(self, pipe: RecallingPipeline) -> None:
+        self.pipeline, self.serial, self.newest, self.count = pipe, "D1", None, 0
+
+    def sees(self, angle_deg: float, frames: int = 6) -> None:
+        for _ in range(frames):
+            self.count += 1
+            answer = self.pipeline.process(frame(drawn("key", angle_deg), self.count))
+            self.newest = SimpleNamespace(estimate=answer)  # type: ignore[assignment]
+
+
+def decision(phase: Phase, holding: bool = True, now_s: float = 0.0) -> Any:
+    seen = SimpleNamespace(gripper=SimpleNamespace(holding=holding))
+    return SimpleNamespace(phase=phase, seen=seen, now_s=now_s)
+
+
+async def settled(keeper: ReferenceKeeper, *decisions: Any) -> None:
+    """However long the disk takes."""
+    for one in decisions:
+        keeper.decided(one)
+        await until(None, lambda: not keeper._disk.busy, 60.0, "the disk does not get done")
+
+
+async def test_a_reference_that_is_held_for_hours_does_not_grow_old(tmp_path: Path) -> None:
+    finger = Finger(pipeline())
+    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": finger}, [].append, [].append)  # type: ignore[dict-item]
+    finger.sees(20.0, frames=12)
+    noted = []
+    for minutes in range(0, 21, 4):
+        await settled(keeper, decision(Phase.HOLDING, now_s=60.0 * minutes))
+        noted.append(json.loads((tmp_path / "left.json").read_text())["saved_at"])
+    assert [one != before for before, one in pairwise(noted)] == [False, True, False, True, False]
+
+
+async def test_a_restart_goes_on_with_the_reference_and_says_so(tmp_path: Path) -> None:
+    said: list[str] = []
+    old = Finger(pipeline())
+    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": old}, said.append, said.append)  # type: ignore[dict-item]
+    old.sees(0.0)
+    await settled(keeper, decision(Phase.HOLDING))
+    old.sees(12.0)
+    await settled(keeper, decision(Phase.HOLDING), decision(Phase.HOLDING))
+    written = json.loads((tmp_path / "left.json").read_text())
+    assert written["turn_deg"] == pytest.approx(12.0, abs=0.5)
+
+    new = Finger(pipeline())
+    recall(new.pipeline, ReferenceShelf(tmp_path), "left", "D1", 0.0)
+    assert new.pipeline.recalled == "waiting"
+    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": new}, said.append, said.append)  # type: ignore[dict-item]
+    new.sees(15.0)
+    await settled(keeper, decision(Phase.REFERENCE), decision(Phase.HOLDING))
+    assert new.newest.estimate.angle_deg == pytest.approx(15.0, abs=0.5)  # type: ignore[attr-defined]
+    assert said == ["left finger: goes on with the reference of before the restart"]
+    assert json.loads((tmp_path / "left.json").read_text())["turn_deg"] == pytest.approx(15.0, abs=0.5)
+
+    await settled(keeper, decision(Phase.IDLE, holding=False))
+    assert ReferenceShelf(tmp_path).load("left", "D1") is None
+
+
+async def test_what_does_not_match_is_said_with_the_turn_it_counts_from(tmp_path: Path) -> None:
+    said: list[str] = []
+    ReferenceShelf(tmp_path).save("left", "D1", KnownReference(IMAGE, 12.0))
+    finger = Finger(pipeline())
+    recall(finger.pipeline, ReferenceShelf(tmp_path), "left", "D1", 0.0)
+    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
+    finger.sees(0.0, 20)
+    await settled(keeper, decision(Phase.HOLDING), decision(Phase.HOLDING))
+    assert len(said) == 1
+    assert "a new reference, counted from 12°" in said[0]
+    written = json.loads((tmp_path / "left.json").read_text())
+    assert (written["turn_deg"], written["counted_deg"]) == (pytest.approx(0.0, abs=0.5), 12.0)
+
+
+async def test_a_full_disk_is_said_once(tmp_path: Path) -> None:
+    class Full(ReferenceShelf):
+        def save(self, finger: str, serial: str, known: KnownReference) -> None:
+            raise OSError(28, "No space left on device")
+
+    said: list[str] = []
+    finger = Finger(pipeline())
+    keeper = ReferenceKeeper(Full(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
+    finger.sees(0.0)
+    await settled(keeper, *[decision(Phase.HOLDING)] * 4)
+    assert said == ["the references could not be noted down for a restart: No space left on device"]
+
+
+async def test_a_disk_that_is_mended_takes_the_references_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slipguard.daemon.store.disk_writer.TRY_AGAIN_S", 3600.0)
+    disk = {"full": True, "writes": 0}
+
+    def write_whole(path: Path, content: bytes) -> None:
+        disk["writes"] += 1
+        if disk["full"]:
+            raise OSError(28, "No space left on device")
+        really_write(path, content)
+
+    monkeypatch.setattr("slipguard.daemon.store.reference_store.write_whole", write_whole)
+    said: list[str] = []
+    finger = Finger(pipeline())
+    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
+    finger.sees(0.0)
+    await settled(keeper, *[decision(Phase.HOLDING)] * 2)
+    assert disk["writes"] == 1, "not at once again"
+    disk["full"] = False
+    keeper._disk._again_at_s = 0.0  # the pause is over
+    await settled(keeper, *[decision(Phase.HOLDING)] * 4)
+    known = ReferenceShelf(tmp_path).load("left", "D1")
+    assert known is not None
+    assert said == [
+        "the references could not be noted down for a restart: No space left on device",
+        "the references can be noted down for a restart again",
+    ]
+    disk["full"] = True
+    await settled(keeper, *[decision(Phase.IDLE, holding=False)] * 2)
+    assert ReferenceShelf(tmp_path).load("left", "D1") is None, "deleting needs no room"
+
+
+def test_a_turn_never_goes_with_the_picture_of_another_reference(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shelf = ReferenceShelf(tmp_path)
+    shelf.turn("left", "D1", KnownReference(IMAGE, 7.0))  # never saved before: as if it were
+    new = KnownReference(IMAGE[::-1].copy(), 0.0)
+    with monkeypatch.context() as failing:
+        failing.setattr("slipguard.daemon.store.reference_store.write_whole", fails)
+        with pytest.raises(OSError, match="No space left"):
+            shelf.save("left", "D1", new)
+    old = ReferenceShelf(tmp_path).load("left", "D1")
+    assert old is not None
+    assert (old.turn_deg, np.array_equal(old.image, IMAGE)) == (7.0, True)
+    shelf.turn("left", "D1", new)
+    known = ReferenceShelf(tmp_path).load("left", "D1")
+    assert known is not None
+    assert (known.turn_deg, np.array_equal(known.image, new.image)) == (0.0, True)
+
+
+def fails(path: Path, content: bytes) -> None:
+    raise OSError(28, "No space left on device")
+
+
+def test_only_the_same_sensor_and_not_for_long(tmp_path: Path) -> None:
+    shelf = ReferenceShelf(tmp_path)
+    shelf.save("left", "D1", KnownReference(IMAGE, 7.0, 1.0))
+    known = ReferenceShelf(tmp_path).load("left", "D1")
+    assert known is not None
+    assert np.array_equal(known.image, IMAGE)
+    assert (known.turn_deg, known.counted_deg) == (7.0, 1.0)
+    assert shelf.load("left", "D2") is None
+    assert shelf.load("right", "D1") is None
+    assert shelf.load("left", "D1", datetime.now(UTC) + GOOD_FOR + timedelta(seconds=1)) is None
+
+
+@pytest.mark.parametrize("damage", ["no json", "half a picture", "no picture", "another picture"])
+def test_a_damaged_one_counts_as_none(tmp_path: Path, damage: str) -> None:
+    shelf = ReferenceShelf(tmp_path)
+    shelf.save("left", "D1", KnownReference(IMAGE, 7.0))
+    png = tmp_path / "left.png"
+    if damage == "no json":
+        (tmp_path / "left.json").write_text("{")
+    elif damage == "half a picture":
+        png.write_bytes(png.read_bytes()[:1000])
+    elif damage == "no picture":
+        png.unlink()
+    else:
+        ReferenceShelf(tmp_path).save("right", "D1", KnownReference(IMAGE[::-1].copy(), 0.0))
+        (tmp_path / "right.png").replace(png)
+    with pytest.raises(InputError):
+        ReferenceShelf(tmp_path).load("left", "D1")
+    pipe = pipeline()
+    recall(pipe, ReferenceShelf(tmp_path), "left", "D1", 0.0)
+    assert pipe.recalled is None

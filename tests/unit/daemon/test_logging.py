@@ -1,0 +1,124 @@
+"""The daemon's log: JSON where a program reads, one line a second of each kind, and never in the guard's way."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from collections.abc import Iterator
+
+import pytest
+import structlog
+
+from slipguard.daemon.logging import KINDS_MAX, OncePerSecond, configure, set_level
+from slipguard.daemon.loop import event_log as journals
+from slipguard.daemon.loop.event_log import Journal
+
+
+@pytest.fixture(autouse=True)
+def _as_before() -> Iterator[None]:
+    yield
+    structlog.reset_defaults()
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def logged(monkeypatch: pytest.MonkeyPatch, stream: io.StringIO, **options: bool | None) -> str:
+    monkeypatch.setattr(sys, "stderr", stream)
+    configure(**options)  # type: ignore[arg-type]
+    structlog.get_logger().warning("the grip slips", turn_deg=3.5)
+    return stream.getvalue()
+
+
+def test_a_journal_gets_json_and_a_terminal_colours(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = json.loads(logged(monkeypatch, io.StringIO()))
+    assert (line["event"], line["level"], line["turn_deg"]) == ("the grip slips", "warning", 3.5)
+    assert line["timestamp"].endswith("Z")
+    assert "\x1b[" in logged(monkeypatch, Terminal())
+    assert json.loads(logged(monkeypatch, Terminal(), json_lines=True))
+    assert "\x1b[" not in logged(monkeypatch, io.StringIO(), json_lines=False)
+
+
+def test_a_mistake_is_logged_without_the_values_it_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    for stream in (Terminal(), io.StringIO()):
+        monkeypatch.setattr(sys, "stderr", stream)
+        configure()
+        token = "".join(["sec", "ret"])
+        try:
+            raise KeyError(len(token))
+        except KeyError:
+            structlog.get_logger().exception("a request failed")
+        assert "KeyError: 6" in stream.getvalue()
+        assert "secret" not in stream.getvalue()
+
+
+def test_the_level_can_change_while_it_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    configure()
+    log = structlog.get_logger()
+    set_level("error")
+    log.warning("not heard")
+    set_level("debug")
+    log.debug("heard")
+    assert [json.loads(line)["event"] for line in stream.getvalue().splitlines()] == ["heard"]
+
+
+def test_a_stream_that_fails_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Gone(io.StringIO):
+        def write(self, text: str) -> int:
+            raise BrokenPipeError("the terminal was closed")
+
+    assert logged(monkeypatch, Gone()) == ""
+    closed = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", closed)
+    configure()
+    closed.close()
+    structlog.get_logger().info("to nobody")
+
+
+def test_of_lines_that_differ_in_figures_one_a_second_is_logged_and_all_are_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stream, told, now_s = io.StringIO(), list[str](), 0.0
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr(journals, "_now_s", lambda: now_s)
+    configure()
+    journal = Journal()
+    journal.listeners.append(lambda event: told.append(event.line))
+    for turn in range(250):
+        now_s = turn * 0.01
+        journal.warn(f"left: its newest frame is {turn}.5 ms old")
+        if turn == 100:
+            journal.say("something else")
+    lines = [json.loads(line) for line in stream.getvalue().splitlines()]
+    assert [line["event"] for line in lines] == [
+        "left: its newest frame is 0.5 ms old",
+        "left: its newest frame is 100.5 ms old",
+        "something else",
+        "left: its newest frame is 200.5 ms old",
+    ]
+    assert lines[1]["alike_before"] == 99
+    assert len(told) == 251
+
+
+def test_faults_are_never_held_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    configure()
+    journal = Journal()
+    for _ in range(3):
+        journal.fault("frames_lost", "no frames", "check the cable")
+    assert len(stream.getvalue().splitlines()) == 3
+
+
+def test_what_is_remembered_is_bounded() -> None:
+    limit = OncePerSecond()
+    for number in range(20 * KINDS_MAX):
+        kind = "".join(chr(ord("a") + int(digit)) for digit in str(number))
+        assert limit.admit(kind, number * 0.1) == 0
+    assert len(limit._until_s) <= KINDS_MAX
+    assert limit._held == {}

@@ -1,0 +1,99 @@
+"""Whose time it is: real-time priority is asked for in one place, and whoever stands back does so alone."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from slipguard.cli.app import run
+from slipguard.errors import SlipguardError
+from slipguard.thread_priority import FIRST, SECOND, go_first, let_the_loop_first, stand_back
+from tests.campaigns.command_line import run as run_campaign
+
+UNTIL_IT_STANDS_BACK = """
+import os, runpy, sys
+module, *heavy = sys.argv[1:]
+def stands_back(*asked):
+    print("stands back, with", [name for name in heavy if name in sys.modules], flush=True)
+    os._exit(0)
+os.sched_setscheduler = stands_back
+runpy.run_module(module, run_name="__main__")
+"""
+
+
+def standing() -> tuple[int, int]:
+    return os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+
+
+def test_one_thread_stands_back_and_what_it_starts_with_it() -> None:
+    before = standing()
+    with ThreadPoolExecutor(1) as back:
+        back.submit(stand_back, 7).result()
+        policy, niceness = back.submit(standing).result()
+        child = back.submit(subprocess.check_output, ("cat", "/proc/self/stat"), text=True).result()
+    assert (policy, niceness) == (os.SCHED_BATCH, min(before[1] + 7, 19))
+    told = child.rpartition(")")[2].split()  # from the third value on, its state
+    assert (int(told[41 - 3]), int(told[19 - 3])) == (policy, niceness)
+    assert standing() == before
+
+
+@pytest.mark.parametrize("module", ["slipguard.web", "slipguard_drivers.digit.render_process"])
+def test_a_process_that_stands_back_does_so_before_it_imports_anything_heavy(module: str) -> None:
+    heavy = ("asyncio", "cv2", "fastapi", "numpy", "slipguard.sim", "starlette", "structlog", "uvicorn")
+    told = subprocess.check_output((sys.executable, "-c", UNTIL_IT_STANDS_BACK, module, *heavy), text=True)
+    assert told == "stands back, with []\n"
+
+
+def test_what_the_system_forbids_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = standing()
+    monkeypatch.setattr(os, "sched_setscheduler", forbidden)
+    stand_back(7)
+    assert standing() == before
+
+
+def test_the_guard_goes_first_by_the_least_that_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, int, int]] = []
+
+    def noted(pid: int, policy: int, how: os.sched_param) -> None:
+        asked.append((pid, policy, how.sched_priority))
+
+    monkeypatch.setattr(os, "sched_setscheduler", noted)
+    go_first()
+    assert asked == [(0, os.SCHED_RR, FIRST)]
+    assert os.sched_get_priority_min(os.SCHED_RR) == SECOND < FIRST
+
+
+def test_whoever_works_for_the_loop_comes_one_behind_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, int]] = []
+    monkeypatch.setattr(os, "sched_setparam", lambda pid, how: asked.append((pid, how.sched_priority)))
+    let_the_loop_first()
+    assert asked == [], "nothing of it without real-time priority"
+    monkeypatch.setattr(os, "sched_getscheduler", lambda pid: os.SCHED_RR)
+    with ThreadPoolExecutor(1, initializer=let_the_loop_first) as pool:
+        pool.submit(standing).result()
+    assert asked == [(0, SECOND)]
+    monkeypatch.setattr(os, "sched_setparam", forbidden)
+    let_the_loop_first()
+
+
+def test_where_it_is_refused_it_says_what_to_do(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(os, "sched_setscheduler", forbidden)
+    with pytest.raises(SlipguardError, match=r"Operation not permitted.*root"):
+        go_first()
+    soak = ["soak", "--minutes", "1", "--as-service"]
+    for code in (run(["latency", "--as-service"]), run_campaign(soak)):
+        assert code != 0
+        (line,) = capsys.readouterr().err.strip().splitlines()
+        assert "ulimit -r 2" in line
+
+
+def forbidden(*asked: object) -> None:
+    raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))

@@ -1,0 +1,165 @@
+"""Recording a data set: frames with proposed labels, from a running daemon or from the sensor itself."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command_line import slipguard
+from fake_daemon_api import FakeControl, served
+from numpy.typing import NDArray
+from pipe_capture import PipeCapture, delivery, found
+
+from slipguard.daemon.api.client import Client
+from slipguard.datasets import recorder as dataset_record
+from slipguard.datasets.label_proposal import propose
+from slipguard.datasets.recorder import Shot, from_daemon, from_sensors, record_dataset
+from slipguard.devices import DriverContext
+from slipguard.errors import CommandRefused, DeviceLost
+from slipguard.sim.gel import GelCamera
+from slipguard.sim.label import label
+from slipguard.sim.unit import Light, random_unit
+from slipguard.sim.view import GelView
+from slipguard.tools.waiting import until
+from slipguard_drivers.digit.camera import DigitSensor
+
+
+def overlap(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> float:
+    return float((one & other).sum() / max((one | other).sum(), 1))
+
+
+@pytest.mark.parametrize("name", ["bar", "key"])
+def test_the_proposal_is_what_a_person_would_begin_with(name: str) -> None:
+    camera = GelCamera(random_unit(np.random.default_rng(3)), seed=1)
+    truth = camera.draw_with_truth(GelView(name, angle_deg=40.0, depth_mm=0.6))
+    assert overlap(propose(truth.image, camera.no_contact()), label(truth)) > 0.5
+
+
+@pytest.mark.parametrize("light", [Light(), Light(offset_bgr=(6.0, -5.0, 4.0), tilt_bgr=(5.0, -4.0, 6.0))])
+def test_an_untouched_gel_has_no_proposal_whatever_the_light_does(light: Light) -> None:
+    camera = GelCamera(random_unit(np.random.default_rng(3)), seed=1)
+    camera.set_light(light)
+    assert not propose(camera.draw(GelView("bar")), camera.no_contact()).any()
+
+
+async def two_shots() -> AsyncIterator[Shot]:
+    camera = GelCamera(random_unit(np.random.default_rng(3)), seed=1)
+    yield Shot("D20001", camera.draw(GelView("bar")), 7)
+    yield Shot("D20001", camera.draw(GelView("bar", depth_mm=0.6)), 19)
+
+
+async def test_a_recording_is_a_data_set(tmp_path: Path) -> None:
+    background = GelCamera(random_unit(np.random.default_rng(3))).no_contact()
+    touched = await record_dataset(tmp_path / "set", two_shots(), 2, {"D20001": background})
+    assert touched == 1
+    lines = [json.loads(line) for line in (tmp_path / "set" / "manifest.jsonl").read_text().splitlines()]
+    assert [(line["serial"], line["sequence"], line["has_contact"]) for line in lines] == [
+        ("D20001", 7, False),
+        ("D20001", 19, True),
+    ]
+    for line in lines:
+        image, under, mask = (
+            cv2.imread(str(tmp_path / "set" / kind / line["file"])) for kind in ("images", "backgrounds", "masks")
+        )
+        assert image.shape == (320, 240, 3)
+        assert np.array_equal(under, background)
+        assert set(np.unique(mask)) <= {0, 255}
+        assert (mask.max() > 0) == line["has_contact"]
+
+
+async def test_a_daemon_is_asked_finger_by_finger(tmp_path: Path) -> None:
+    control = FakeControl()
+    async with served(control, tmp_path / "s") as path:
+        with Client(path) as client:
+            shots = from_daemon(client, ["left", "right"], 0.0)
+            seen = [await anext(shots) for _ in range(4)]
+            await shots.aclose()
+    assert [one.serial for one in seen] == ["D20001", "D20002"] * 2
+    assert len({one.image.tobytes() for one in seen}) == 4
+
+
+async def test_a_finger_that_stays_away_ends_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dataset_record, "PATIENCE_S", 0.05)
+    control = FakeControl()
+    control.failure = CommandRefused("no frame of the left finger: unplugged")
+    async with served(control, tmp_path / "s") as path:
+        with Client(path) as client, pytest.raises(CommandRefused, match="unplugged"):
+            await anext(from_daemon(client, ["left"], 0.01))
+
+
+async def test_without_a_daemon_the_sensor_is_opened_and_let_go() -> None:
+    sensor = DigitSensor(DigitSensor.Settings(serial="D20001"), DriverContext("sensor"), found, PipeCapture)
+    shots = from_sensors([sensor], 0.0)
+    waiting = asyncio.ensure_future(anext(shots))
+    await until(None, lambda: sensor.mode is not None, 30.0, "it is not opened")
+    PipeCapture.last.offer(delivery(1, damage="torn"), delivery(2))
+    shot = await waiting
+    assert (shot.serial, shot.sequence, shot.image.shape) == ("D20001", 2, (320, 240, 3))
+    await shots.aclose()
+    assert PipeCapture.last.closed
+    with pytest.raises(DeviceLost):
+        await sensor.next_frame()
+
+
+CONFIG = """
+[left]
+driver = "replay"
+[left.replay]
+path = "{left}"
+[right]
+driver = "replay"
+[right.replay]
+path = "{right}"
+[gripper]
+driver = "fake"
+[arm]
+driver = "fake"
+[state]
+directory = "{state}"
+"""
+
+
+def test_the_command_records_both_fingers_of_a_configuration(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    camera = GelCamera(random_unit(np.random.default_rng(3)), seed=1)
+    for number, finger in enumerate(("left", "right")):
+        (tmp_path / finger).mkdir()
+        for frame in range(4):
+            view = GelView("bar", depth_mm=0.6 * number, angle_deg=frame)
+            cv2.imwrite(str(tmp_path / finger / f"{frame}.png"), camera.draw(view))
+    cv2.imwrite(str(tmp_path / "background.png"), camera.no_contact())
+    places = {name: tmp_path / name for name in ("left", "right", "state")}
+    (tmp_path / "config.toml").write_text(CONFIG.format(**places))
+    options = ["--config", tmp_path / "config.toml", "--background", tmp_path / "background.png", "--every-s", "0"]
+    ran = slipguard(capfd, "dataset", "record", "--out", tmp_path / "set", "--count", 6, *options)
+    assert ran.code == 0, ran.err
+    assert "6 frames" in ran.out
+    assert "3 with contact" in ran.out
+    assert len(list((tmp_path / "set" / "images").iterdir())) == 6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ([], "either --config config.toml or --serial"),
+        (["--serial", "D 1"], "--serial"),
+        (["--serial", "D99999", "--background", "nowhere.png"], "nowhere.png"),
+        (["--serial", "D99999"], "holds no no-contact image of D99999"),
+    ],
+)
+def test_misuse_is_one_line(
+    arguments: list[str],
+    told: str,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
+    ran = slipguard(capfd, "dataset", "record", "--out", tmp_path / "set", *arguments)
+    assert ran.code == 2
+    assert told in ran.complaint
+    assert not (tmp_path / "set").exists()

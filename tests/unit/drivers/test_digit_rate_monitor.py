@@ -1,0 +1,52 @@
+"""Too few frames are told in words: those the camera did not make, and those this machine did not take."""
+
+from __future__ import annotations
+
+import pytest
+
+from slipguard_drivers.digit.rate_monitor import RateWatch
+
+
+def watched(asked_fps: float, made_fps: float, taken_share: float = 1.0, frames: int = 400) -> RateWatch:
+    watch = RateWatch(asked_fps)
+    for number in range(frames):
+        if number * taken_share % 1.0 < taken_share:
+            watch.note(5.0 + number / made_fps, number)
+    return watch
+
+
+@pytest.mark.parametrize(
+    ("made_fps", "taken_share", "told"),
+    [
+        (60.0, 1.0, None),
+        (58.0, 0.95, None),
+        (44.8, 1.0, "only 45 of 60 frames a second come from the camera"),
+        (60.0, 0.5, "only 30 of 60 frames a second are taken: this machine is too busy"),
+        (30.0, 0.5, "come from the camera"),
+    ],
+)
+def test_what_is_missing_is_told(made_fps: float, taken_share: float, told: str | None) -> None:
+    remark = watched(60.0, made_fps, taken_share).remark
+    assert remark is None if told is None else remark is not None and told in remark
+
+
+def test_before_the_first_window_nothing_is_known() -> None:
+    watch = watched(60.0, 20.0, frames=30)
+    assert watch.fps is None
+    assert watch.remark is None
+
+
+def test_a_remark_goes_when_the_frames_come_again() -> None:
+    watch = watched(60.0, 20.0)
+    assert watch.remark is not None
+    for number in range(500):
+        watch.note(30.0 + number / 60.0, 1000 + number)
+    assert watch.remark is None
+    assert watch.fps == pytest.approx(60.0, abs=0.5)
+
+
+def test_a_camera_that_starts_anew_is_measured_anew() -> None:
+    watch = watched(60.0, 60.0)
+    for number in range(200):
+        watch.note(100.0 + number / 60.0, number)
+    assert watch.remark is None

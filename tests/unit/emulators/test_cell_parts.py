@@ -1,0 +1,144 @@
+"""The parts of the emulated cell: the world behind registers, the robot's own program, the configuration, the truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from slipguard.config import read_config
+from slipguard.errors import CommandRefused, InputError
+from slipguard.sim.gripper_plant import GripperModel
+from slipguard.sim.scenario import Scenario
+from slipguard.sim.world import World, WorldSettings
+from slipguard_emulators.cell.cell_config import MARK, CellPlaces, text
+from slipguard_emulators.cell.emulator import CellEmulator, CellWorld
+from slipguard_emulators.cell.lift_program import LiftProgram, Stage
+from slipguard_emulators.cell.truth_log import line_of
+from slipguard_emulators.cell.world_jaws import WorldJaws
+from slipguard_emulators.ur5.tool import WorldTool
+
+QUICK = GripperModel(transaction_s=0.0, dead_time_s=0.02, ramp_n_s=200.0, speed_mm_s=150.0)
+
+
+@pytest.fixture
+def world() -> World:
+    """Jaws around a wrench that nobody touches yet, at time 0."""
+    world = World(WorldSettings(gripper=QUICK))
+    world.place(Scenario("wrench", gripper=QUICK), 0.0)
+    return world
+
+
+def test_the_jaws_close_on_the_object_and_tighten(world: World) -> None:
+    jaws = WorldJaws(world)
+    jaws.drive(0.0, 0.0, 150.0, 40.0)
+    assert jaws.look(0.1).moving
+    held = jaws.look(3.0)
+    assert held.met_closing
+    assert held.holds
+    assert held.force_n == pytest.approx(40.0, abs=0.9)
+    jaws.halt(3.0)
+    assert jaws.look(3.1) == held, "a motor at rest cannot be stopped"
+    jaws.drive(3.1, 0.0, 150.0, 80.0)
+    assert jaws.look(5.0).force_n == pytest.approx(80.0, abs=0.9)
+    jaws.drive(5.0, 0.0, 150.0, 30.0)
+    assert jaws.look(6.0).force_n == pytest.approx(80.0, abs=0.9), "the screw loosens nothing"
+
+
+def test_a_halt_keeps_the_force_reached_and_a_drive_goes_on_from_there(world: World) -> None:
+    jaws = WorldJaws(world)
+    jaws.drive(0.0, 0.0, 150.0, 40.0)
+    jaws.look(3.0)
+    jaws.drive(3.0, 0.0, 150.0, 120.0)
+    jaws.halt(3.2)
+    stopped = jaws.look(4.0)
+    assert 60.0 < stopped.force_n < 90.0
+    assert not stopped.moving
+    jaws.drive(4.0, 0.0, 150.0, 120.0)
+    assert jaws.look(6.0).force_n == pytest.approx(120.0, abs=0.9)
+
+
+def test_the_jaws_open_wide_and_let_go(world: World) -> None:
+    jaws = WorldJaws(world)
+    jaws.drive(0.0, 0.0, 150.0, 40.0)
+    jaws.look(3.0)
+    jaws.drive(3.0, 85.0, 150.0, 20.0)
+    opened = jaws.look(6.0)
+    assert (opened.width_mm, opened.holds) == (85.0, False)
+
+
+def test_the_robots_program_lifts_what_is_held_and_goes_on_after_a_pause() -> None:
+    world, held = World(), False
+    tool = WorldTool(world)
+    program = LiftProgram(tool, lambda: held, height_m=0.1, speed_m_s=0.1, patience_s=1.0, stay_s=0.5)
+    low = tool.pose(0.0)[2]
+    stages, now_s, paused = [], 0.0, False
+    while now_s < 12.0:
+        now_s += 0.008
+        held = 1.0 < now_s < 10.0
+        if not paused and program.stage is Stage.UP and tool.pose(now_s)[2] > low + 0.05:
+            program.pause(now_s)
+            paused = True
+            stopped_at = tool.pose(now_s + 1.0)[2]
+            assert stopped_at < low + 0.06
+            now_s += 1.0
+            program.resume(now_s)
+        assert program.cycle(now_s) is None
+        if not stages or stages[-1] is not program.stage:
+            stages.append(program.stage)
+    assert stages == [Stage.WAITING, Stage.UP, Stage.STAYING, Stage.DOWN, Stage.DONE, Stage.WAITING]
+    assert tool.pose(now_s)[2] == pytest.approx(low, abs=1e-6)
+
+
+@pytest.mark.parametrize("mode", ["lift", "guard"])
+def test_the_configuration_is_one_that_slipguard_reads(tmp_path: Path, mode: str) -> None:
+    places = CellPlaces(tmp_path)
+    places.config.write_text(text(places, mode=mode, host="127.0.0.9", height_mm=80.0, speed_mm_s=50.0))  # type: ignore[arg-type]
+    config = read_config(places.config)
+    assert (config.guard.mode, config.guard.lift_height_mm) == (mode, 80.0)
+    assert config.left.driver == "socket"
+    assert config.api.socket == places.api
+
+
+def test_somebody_elses_configuration_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "config.toml").write_text("[left]\n")
+    with pytest.raises(InputError, match="another folder"):
+        CellPlaces(tmp_path).make()
+    (tmp_path / "config.toml").write_text(MARK)
+    CellPlaces(tmp_path).make()
+    with pytest.raises(InputError, match="longer"):
+        CellPlaces(tmp_path / ("x" * 120)).make()
+
+
+def test_a_line_of_truth_is_json_with_plain_names(world: World) -> None:
+    line = json.loads(json.dumps(line_of(world.truth(0.5))))
+    assert {"t", "turn", "slip", "force", "needed", "height", "dropped"} <= set(line)
+    assert line["dropped"] is None
+    assert line["needed"] > 0.0
+
+
+def test_the_cameras_run_at_the_rate_asked_for() -> None:
+    assert CellWorld(3, 30.0).camera("left").fps == 30.0
+
+
+async def test_faults_carry_the_name_of_their_part(tmp_path: Path) -> None:
+    """Set before its start as well, when there is no folder for a port yet."""
+    cell = CellEmulator(CellEmulator.Settings(folder=tmp_path / "cell"))
+    assert "until cleared" in cell.control("fault left.stall")
+    assert "0.01" in cell.control("fault gripper.late 0.01")
+    cell.control("fault arm.freeze 3")
+    assert set(str(cell.state()["faults"]).split(", ")) == {"left.stall", "gripper.late", "arm.freeze"}
+    cell.control("clear left.stall")
+    assert cell.world.faults.active("left") == frozenset()
+    for words in ("fault left.stall 0.5", "fault late", "fault left.late", "place", "place mug", "clear x", "nonsense"):
+        with pytest.raises(CommandRefused):
+            cell.control(words)
+    cell.control("clear gripper.late")
+    assert str(cell.state()["faults"]) == "arm.freeze"
+    cell.control("place key 2")
+    assert cell.state()["object"] == "key"
+    cell.control("take")
+    assert cell.state()["object"] is None
+    for camera in cell.cameras.values():
+        await camera.close()

@@ -1,0 +1,90 @@
+"""Turns made on real pixels: the light stays, the object turns; and the command that measures them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from slipguard.cli.app import run
+from slipguard.errors import InputError
+from slipguard.evaluation.rotated_presses import Press, presses, turned, turned_difference
+from slipguard.stress.surfaces import LEVEL, Lamps, contact, drawn, heights, lettered
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of one press, drawn: a plate with letters under three lights, and its mask."""
+    root = tmp_path_factory.mktemp("real")
+    home = root / "anytouch2_force2"
+    (home / "frames").mkdir(parents=True)
+    (home / "masks").mkdir()
+    height = heights(lettered, 10.0, (120.0, 160.0), 1.0)
+    rng = np.random.default_rng(3)
+    still = np.full((320, 240, 3), LEVEL) + np.linspace(-20, 20, 240)[None, :, None] * np.array([1.0, 0.5, -1.0])
+    image = np.clip(drawn(height, Lamps(), 1.0, rng) - LEVEL + still, 0, 255).astype(np.uint8)
+    mask = np.where(cv2.resize(contact(height), (240, 320)) > 0.5, 255, 0).astype(np.uint8)
+    cv2.imwrite(str(home / "background.png"), still.astype(np.uint8))
+    for name in ("f0012.png", "f0140.png"):
+        cv2.imwrite(str(home / "frames" / name), image)
+        cv2.imwrite(str(home / "masks" / name), mask)
+    return root
+
+
+@pytest.fixture(scope="module")
+def press(folder: Path) -> Press:
+    return next(presses(folder))
+
+
+def test_presses_are_split_into_parts(folder: Path) -> None:
+    assert [(one.name, one.part) for one in presses(folder)] == [
+        ("anytouch2_force2/f0012", "tune"),
+        ("anytouch2_force2/f0140", "test"),
+    ]
+
+
+def test_relit_is_what_the_lights_would_show(press: Press) -> None:
+    for turn in (25.0, -70.0):
+        height = heights(lettered, 10.0 + turn, press.centre_px, 1.0)
+        true = drawn(height, Lamps(), 0.0, np.random.default_rng(0)).astype(np.float32) - LEVEL
+        inside = cv2.erode(np.asarray(contact(height) > 0.5, np.uint8), np.ones((9, 9), np.uint8))
+        inside = cv2.resize(inside, (240, 320), interpolation=cv2.INTER_NEAREST) > 0
+        relit = turned_difference(press, turn, "relit")[inside]
+        rigid = turned_difference(press, turn, "rigid")[inside]
+        alike = float(np.corrcoef(relit.ravel(), true[inside].ravel())[0, 1])
+        assert alike > 0.93
+        assert alike > float(np.corrcoef(rigid.ravel(), true[inside].ravel())[0, 1]) + 0.05
+
+
+def test_a_grasp_is_the_same_for_one_seed_and_ends_without_contact(press: Press) -> None:
+    one, again, other = turned(press, "relit", 5), turned(press, "relit", 5), turned(press, "relit", 6)
+    assert all(np.array_equal(a.frame.image, b.frame.image) for a, b in zip(one.shots, again.shots, strict=True))
+    assert [shot.turn_deg for shot in one.shots] != [shot.turn_deg for shot in other.shots]
+    assert 10.0 <= max(abs(shot.turn_deg) for shot in one.shots) <= 30.0
+    assert not one.shots[0].contact
+    assert not one.shots[-1].contact
+    assert sum(shot.compared for shot in one.shots) >= 12
+
+
+def test_the_command_gives_both_ways(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["turned", str(folder), "--json"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [(row["data"], row["way"], row["sequences"]) for row in rows] == [
+        ("anytouch2_force2", "relit", 1),
+        ("anytouch2_force2", "rigid", 1),
+    ]
+    assert all(row["mean_deg"] is None or row["mean_deg"] < 2.0 for row in rows)
+
+
+def test_misuse_is_one_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["turned", str(tmp_path)]) == 2
+    assert "neither taxim_sphere nor anytouch2_force2" in capsys.readouterr().err
+    assert run(["turned", str(folder), "--part", "most"]) == 2
+    assert "there are tune, test, all" in capsys.readouterr().err
+    (tmp_path / "taxim_sphere").mkdir()
+    cv2.imwrite(str(tmp_path / "taxim_sphere" / "background.png"), np.full((320, 240, 3), (90, 100, 110), np.uint8))
+    with pytest.raises(InputError, match=r"circles\.csv is missing"):
+        list(presses(tmp_path))

@@ -1,0 +1,61 @@
+"""Builds what the law sees, from a few words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from slipguard.control.finger_fusion import Fused
+from slipguard.control.messages import NO_REQUEST, FingerHealth, Request, RequestKind, Seen
+from slipguard.devices import ArmState, GripperState
+from slipguard.perception.estimate import Estimate
+
+
+def gripper(
+    force_n: float = 40.0, *, holding: bool = True, moving: bool = False, at_s: float = 0.0, nothing: bool = False,
+    fault: str | None = None, active: bool = True, width_mm: float = 30.0,
+) -> GripperState:  # fmt: skip
+    return GripperState(active, moving, holding, nothing, width_mm, force_n, fault, at_s)
+
+
+def arm(
+    height_mm: float = 0.0, *, moving: bool = False, at_s: float = 0.0, protective: bool = False,
+    emergency: bool = False,
+) -> ArmState:  # fmt: skip
+    return ArmState(height_mm, 50.0 * moving, moving, protective, emergency, at_s)
+
+
+def fused(
+    turn_deg: float | None = 0.0, rate_deg_s: float | None = 0.0, *, at_s: float = 0.0, shift_mm: float | None = 0.0,
+    contact: bool = True, sigma_deg: float = 0.5, fingers: tuple[str, ...] = ("left", "right"),
+    conflict: str | None = None, note: str | None = None, declined: str | None = None,
+) -> Fused:  # fmt: skip
+    blind = turn_deg is None
+    return Fused(
+        contact, contact, at_s, at_s, () if blind else fingers, turn_deg, None if blind else sigma_deg,
+        None if blind else rate_deg_s, shift_mm, conflict, note, declined,
+    )  # fmt: skip
+
+
+def seen(now_s: float, **changes: object) -> Seen:
+    """All well at `now_s`: an object held and seen, the arm at rest, everything just measured."""
+    base = Seen(
+        now_s=now_s, fused=fused(at_s=now_s), left=FingerHealth(), right=FingerHealth(),
+        gripper=gripper(at_s=now_s), arm=arm(at_s=now_s), request=NO_REQUEST,
+    )  # fmt: skip
+    return replace(base, **changes)  # type: ignore[arg-type]
+
+
+def ask(kind: RequestKind, **values: float) -> Request:
+    return Request(kind, **values)
+
+
+def estimate(
+    angle_deg: float | None = 0.0, sigma_deg: float | None = 0.5, *, at_s: float = 0.0, rate_deg_s: float | None = None,
+    contact: bool = True, shift_mm: tuple[float, float] | None = None, declined: str | None = None,
+    measured_s: float | None = None,
+) -> Estimate:  # fmt: skip
+    return Estimate(
+        1, at_s, at_s if measured_s is None else measured_s, contact, 4000, "fused",
+        angle_deg=angle_deg, sigma_deg=None if angle_deg is None else sigma_deg,
+        rate_deg_s=rate_deg_s, shift_mm=shift_mm, declined=declined,
+    )  # fmt: skip

@@ -1,0 +1,136 @@
+"""What counts as unchanged: noise and nothing else, until rest has lasted; and no slip is seen later for it."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from test_gate import camera, glow, press
+
+from slipguard.perception.contact.change_detector import AVERAGED, QUIET_MAX_S, QUIET_MIN_S, Stillness
+from slipguard.perception.contact.gate import DEFAULT_NOISE_BGR, Gate, block_means, near_patch
+
+NEAR = near_patch(np.pad(np.ones((120, 100), np.uint8), ((100, 100), (70, 70))))
+DENT = press(press(glow(), 60, 40, (120, 130)), 50, 15, (120, 200))
+FRAME_S = 1 / 60
+
+
+def still_on(scene: NDArray[np.float64], rng: np.random.Generator, frames: int = AVERAGED) -> Stillness:
+    gate = Gate(glow().astype(np.uint8), DEFAULT_NOISE_BGR)
+    still = Stillness(gate.per_std, gate.background)
+    for k in range(frames):
+        still.note(block_means(camera(scene, rng)), NEAR, k * FRAME_S, k > 0)
+    return still
+
+
+def turned(degrees: float) -> NDArray[np.float64]:
+    """The dent, its smaller end turned about its middle."""
+    a = np.radians(degrees)
+    return press(press(glow(), 60, 40, (120, 130)), 50, 15, (120 + 70 * np.sin(a), 130 + 70 * np.cos(a)))
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=25, deadline=None)
+def test_noise_and_flickering_columns_are_unchanged(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    still = still_on(DENT, rng)
+    columns = [DENT + rng.normal(0.0, 0.8, (1, 240, 3)) for _ in range(10)]
+    assert sum(still.unchanged(block_means(camera(scene, rng))) for scene in columns) >= 9
+
+
+@pytest.mark.parametrize("degrees", [1.0, -1.0, 5.0, 40.0])
+def test_a_degree_is_a_change(degrees: float) -> None:
+    rng = np.random.default_rng(4)
+    still = still_on(DENT, rng)
+    assert still.telling(with_turn=True)
+    assert not any(still.unchanged(block_means(camera(turned(degrees), rng))) for _ in range(20))
+
+
+def test_a_shift_by_a_pixel_and_a_spot_far_away_are_changes() -> None:
+    rng = np.random.default_rng(4)
+    still = still_on(DENT, rng)
+    for scene in (np.roll(DENT, 1, axis=1), np.roll(DENT, 1, axis=0), press(DENT, 40, 12, (30, 290))):
+        assert not any(still.unchanged(block_means(camera(scene, rng))) for _ in range(20))
+
+
+def test_a_creep_adds_up_until_it_is_seen() -> None:
+    rng = np.random.default_rng(5)
+    still = still_on(DENT, rng)
+    seen = [still.unchanged(block_means(camera(turned(0.02 * k), rng))) for k in range(60)]
+    assert seen[:5] == [True] * 5
+    assert not any(seen[50:])
+
+
+def test_rest_must_last_as_long_again_as_the_last_change_took() -> None:
+    rng = np.random.default_rng(6)
+    still = still_on(DENT, rng)
+    blocks = block_means(camera(DENT, rng))
+    assert not still.at_rest(QUIET_MIN_S - FRAME_S)
+    assert still.at_rest(QUIET_MIN_S + FRAME_S)
+    still.note(blocks, NEAR, 1.5, unchanged=False)
+    for k in range(1, AVERAGED):
+        still.note(blocks, NEAR, 1.5 + k * FRAME_S, unchanged=True)
+    assert not still.at_rest(1.5 + 2.9)
+    assert still.at_rest(1.5 + 3.1)
+    still.note(blocks, NEAR, 60.0, unchanged=False)
+    assert not still.at_rest(60.0 + QUIET_MAX_S + 1.0)  # one picture alone is too noisy to compare with
+    assert not still.at_rest(59.0)
+
+
+def test_a_glitch_does_not_end_the_rest_and_a_change_that_stays_does() -> None:
+    rng = np.random.default_rng(6)
+    still = still_on(DENT, rng)
+    same, other = (block_means(camera(scene, rng)) for scene in (DENT, turned(5.0)))
+    still.note(other, NEAR, 2.0, still.unchanged(other))
+    assert not still.at_rest(2.01)
+    assert not still.restored
+    assert still.unchanged(same)
+    assert still.restored  # what was measured on the other picture is not of this one
+    assert still.at_rest(2.02)
+    assert still.unchanged(same)
+    assert not still.restored
+    for k in range(6):
+        other = block_means(camera(turned(5.0), rng))
+        still.note(other, NEAR, 3.0 + k * FRAME_S, still.unchanged(other))
+    assert not still.unchanged(same)
+    assert not still.at_rest(3.2)
+
+
+def test_a_faint_contact_is_never_at_rest_enough() -> None:
+    rng = np.random.default_rng(7)
+    faint = press(glow(), 1.5, 40, (120, 160))
+    assert not still_on(faint, rng).telling(with_turn=True)
+    assert still_on(DENT, rng).telling(with_turn=True)
+
+
+def test_nothing_is_unchanged_before_a_picture_was_kept_or_after_it_was_forgotten() -> None:
+    rng = np.random.default_rng(8)
+    still = still_on(DENT, rng)
+    blocks = block_means(camera(DENT, rng))
+    assert still.unchanged(blocks)
+    still.forget()
+    assert not still.unchanged(blocks)
+    assert not still.telling(with_turn=False)
+    assert not still.at_rest(100.0)
+
+
+def test_a_camera_that_grows_noisy_shows_another_picture() -> None:
+    rng = np.random.default_rng(9)
+    still = still_on(DENT, rng)
+    noisy = [DENT + 12.0 * rng.standard_normal(DENT.shape) for _ in range(10)]
+    assert not any(still.unchanged(block_means(camera(scene, rng))) for scene in noisy)
+
+
+def test_the_whole_picture_counts_where_there_is_no_contact() -> None:
+    rng = np.random.default_rng(10)
+    gate = Gate(None, DEFAULT_NOISE_BGR)
+    still = Stillness(gate.per_std, gate.background)
+    for k in range(AVERAGED):
+        still.note(block_means(camera(glow(), rng)), None, k * FRAME_S, k > 0)
+    assert sum(still.unchanged(block_means(camera(glow(), rng))) for _ in range(20)) >= 19
+    for levels, at in itertools.product((8.0, -8.0), ((60, 60), (180, 250))):
+        assert not still.unchanged(block_means(camera(press(glow(), levels, 30, at), rng)))

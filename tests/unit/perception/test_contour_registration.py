@@ -1,0 +1,98 @@
+"""Registration: the turn since the reference without an axis, through growth, shift and the frame's edge."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from drawn_masks import drawn
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+
+from slipguard.perception.contact.patch import Patch, find_patch
+from slipguard.perception.rotation.contour_registration import Pose, Registrar, Registration
+from slipguard.perception.rotation.contour_template import make_template
+
+
+def patch_of(probability: NDArray[np.float32]) -> Patch:
+    patch = find_patch(probability, 0.5, 100, 2.0)
+    assert patch is not None
+    return patch
+
+
+def followed(
+    shape: str, turns: list[float], centre: tuple[float, float] = (60, 80), growth: float = 0.0, ragged_px: float = 0.3
+) -> list[Registration]:
+    """Register a turning shape frame by frame, each from the last pose."""
+    template = make_template(patch_of(drawn(shape, 17.0, centre, ragged_px=ragged_px)))
+    pose, answers = Pose(), []
+    for k, turn in enumerate(turns, start=1):
+        there = (centre[0] + 0.2 * k, centre[1] - 0.1 * k)
+        picture = drawn(shape, 17.0 + turn, there, 1.0 + growth * k / len(turns), ragged_px, seed=k)
+        answers.append(Registrar(template, patch_of(picture)).fit(pose))
+        pose = answers[-1].pose
+    return answers
+
+
+TURNS = [3.0 * k for k in range(1, 21)]
+
+
+@pytest.mark.parametrize("shape", ["bar", "rectangle", "square", "key", "wedge", "cross", "ellipse"])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_turns_are_followed_through_growth_and_shift(shape: str, sign: float) -> None:
+    turns = [sign * turn for turn in TURNS]
+    for turn, answer in zip(turns, followed(shape, turns, growth=0.12), strict=True):
+        assert answer.declined is None
+        assert abs(answer.pose.turn_deg - turn) < min(1.6, 4.0 * answer.sigma_deg)
+
+
+def test_shift_is_that_of_the_patch() -> None:
+    answer = followed("key", TURNS)[-1]
+    m = followed("key", [0.5] * 20)[-1]
+    assert (m.pose.dx_px, m.pose.dy_px) == pytest.approx((4.0, -2.0), abs=0.6)
+    assert answer.residual < 0.1
+
+
+@pytest.mark.parametrize("centre", [(60, 80), (80, 100), (40, 70)])
+def test_a_bar_cut_twice_is_followed_and_does_not_run_along_itself(centre: tuple[float, float]) -> None:
+    turns = [2.0 * k for k in range(1, 21)]
+    for turn, answer in zip(turns, followed("long bar", turns, centre), strict=True):
+        assert abs(answer.pose.turn_deg - turn) < 0.8
+        assert np.hypot(answer.pose.dx_px, answer.pose.dy_px) < 20.0
+
+
+@pytest.mark.parametrize("shape", ["disc", "ring"])
+@pytest.mark.parametrize("centre", [(60, 80), (105, 80), (108, 150)])
+def test_round_contacts_decline(shape: str, centre: tuple[float, float]) -> None:
+    assert all(answer.declined for answer in followed(shape, TURNS[:5], centre))
+
+
+def test_an_outline_that_repeats_declines() -> None:
+    y, x = np.mgrid[0:160, 0:120]
+    radius, azimuth = np.hypot(x - 60, y - 80), np.arctan2(y - 80, x - 60)
+    gear = (1 / (1 + np.exp(np.clip((radius - 36 - 5 * np.cos(14 * azimuth)) / 0.6, -30, 30)))).astype(np.float32)
+    template = make_template(patch_of(gear))
+    assert template.repeats
+    assert Registrar(template, patch_of(gear)).fit(Pose()).declined == "outline repeats itself"
+    assert not make_template(patch_of(drawn("square"))).repeats
+
+
+def test_another_contact_is_not_taken_for_the_reference() -> None:
+    template = make_template(patch_of(drawn("bar", 0)))
+    answer = Registrar(template, patch_of(drawn("disc"))).fit(Pose())
+    assert answer.declined or answer.sigma_deg > 3.0
+
+
+@given(
+    hnp.arrays(np.float32, (40, 30), elements=st.floats(0, 1, width=32)),
+    hnp.arrays(np.float32, (40, 30), elements=st.floats(0, 1, width=32)),
+    st.floats(-90, 90),
+)
+def test_any_two_maps_give_finite_numbers(before: NDArray[np.float32], now: NDArray[np.float32], start: float) -> None:
+    reference, patch = find_patch(before, 0.5, 20, 2.0), find_patch(now, 0.5, 20, 2.0)
+    if reference is None or patch is None:
+        return
+    answer = Registrar(make_template(reference), patch).fit(Pose(start))
+    assert np.isfinite([answer.pose.turn_deg, answer.sigma_deg, answer.residual]).all()
+    assert answer.sigma_deg > 0.0

@@ -1,0 +1,101 @@
+"""Stuck lines of the sensor are found in the no-contact image, and hide neither the contact nor its turn."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from slipguard.devices import Frame
+from slipguard.errors import FrameCorrupt
+from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.quality.dead_lines import DeadLines
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.sim.gel import GelCamera
+from slipguard.sim.unit import random_unit
+from slipguard.stress.family import Notes, generator
+from slipguard.stress.images import PICTURES, Image, grasp
+from slipguard.stress.light import SPOILS
+from slipguard.stress.product_functions import Subject
+
+ROWS, COLUMNS = {0: 250, 71: 0, 72: 0, 200: 90, 319: 40}, {5: 30, 150: 180, 239: 0}
+
+
+def with_lines(image: Image) -> Image:
+    out = image.copy()
+    for row, level in ROWS.items():
+        out[row] = level
+    for column, level in COLUMNS.items():
+        out[:, column] = level
+    return out
+
+
+def test_stuck_lines_are_found_and_drawn_from_their_neighbours() -> None:
+    sound = grasp(3).background
+    lines = DeadLines(with_lines(sound))
+    assert lines.rows == tuple(ROWS)
+    assert lines.columns == tuple(COLUMNS)
+    spoiled = with_lines(sound)
+    whole = lines.filled(spoiled)
+    off = np.abs(whole.astype(np.int16) - sound)
+    assert off.mean() < 0.5
+    assert np.percentile(off[[*ROWS]], 99) <= 12
+    assert np.array_equal(np.delete(np.delete(whole, [*ROWS], 0), [*COLUMNS], 1),
+                          np.delete(np.delete(sound, [*ROWS], 0), [*COLUMNS], 1))  # fmt: skip
+    assert np.array_equal(spoiled, with_lines(sound))  # a driver's own frame is left alone
+    assert np.array_equal(lines.filled(whole), whole)
+
+
+@pytest.mark.parametrize("unit", range(6))
+def test_a_sound_unit_has_none_and_its_frames_are_not_copied(unit: int) -> None:
+    no_contact = GelCamera(random_unit(np.random.default_rng(unit)), seed=unit).no_contact()
+    lines = DeadLines(no_contact)
+    assert (lines.rows, lines.columns) == ((), ())
+    assert lines.filled(no_contact) is no_contact
+
+
+@pytest.mark.parametrize("spoil", sorted(set(SPOILS) - {"dead lines"}))
+@pytest.mark.parametrize("strength", [0.03, 0.25, 1.0])
+def test_other_flaws_are_not_taken_for_stuck_lines(spoil: str, strength: float) -> None:
+    lines = DeadLines(SPOILS[spoil](grasp(1).background, strength, np.random.default_rng(4)))
+    assert (lines.rows, lines.columns) == ((), ())
+
+
+def test_a_picture_of_nothing_but_lines_is_left_as_it_is() -> None:
+    striped = np.repeat(np.arange(320, dtype=np.uint8)[:, None, None] % 2 * 200, 240, axis=1).repeat(3, axis=2)
+    assert DeadLines(striped).rows == ()
+    assert DeadLines(None).filled(striped) is striped
+
+
+def test_what_is_no_picture_is_refused_before_lines_are_drawn() -> None:
+    lines = DeadLines(with_lines(grasp(3).background))
+    with pytest.raises(FrameCorrupt, match="expected"):
+        lines.filled(np.zeros((160, 120, 3), np.uint8))
+
+
+@pytest.mark.parametrize("seed", [413, 861, 2077])
+def test_stuck_lines_hold_no_turn_back_that_is_called_sure(seed: int) -> None:
+    notes = Notes("pictures")
+    PICTURES.begin(Subject())(generator("pictures", seed), seed, notes)
+    assert not notes.failures, notes.failures
+
+
+def drawn_over(image: Image) -> NDArray[np.uint8]:
+    out = image.copy()
+    out[::12] = 200
+    cv2.line(out, (80, 0), (80, 319), (10, 10, 10), 1)
+    return out
+
+
+def test_a_turn_is_told_under_many_stuck_lines_and_the_mask_has_no_gaps() -> None:
+    shown = grasp(12)
+    segmenter = Segmenter()
+    told = []
+    for spoil in (np.copy, drawn_over):
+        pipeline = Pipeline(segmenter, PerceptionSettings(), spoil(shown.background), shown.noise_bgr, 18.5)
+        answers = [pipeline.process(Frame(spoil(one), k / 60, k)) for k, one in enumerate(shown.frames)]
+        assert answers[-1].angle_deg == pytest.approx(shown.turns_deg[-1], abs=1.5)
+        told.append(answers[-1])
+    assert told[1].contact_area_px == pytest.approx(told[0].contact_area_px, rel=0.05)

@@ -1,0 +1,89 @@
+"""Regions: what becomes the patch, what is a speck, where the frame cuts it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from drawn_masks import drawn
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+from skimage.measure import label, regionprops
+
+from slipguard.perception.contact.patch import find_patch
+
+
+def disc(*spots: tuple[int, int, int]) -> NDArray[np.float32]:
+    picture = np.zeros((160, 120), np.float32)
+    for x, y, radius in spots:
+        cv2.circle(picture, (x, y), radius, 1.0, -1)
+    return picture
+
+
+def test_nothing_above_the_threshold_is_no_contact() -> None:
+    assert find_patch(np.full((160, 120), 0.4, np.float32), 0.5, 200, 2.0) is None
+
+
+def test_a_speck_is_no_contact() -> None:
+    assert find_patch(disc((60, 80, 3)), 0.5, 200, 2.0) is None
+
+
+def test_area_and_place_are_those_of_scikit_image() -> None:
+    probability = drawn("key", 33, (55, 90))
+    patch = find_patch(probability, 0.5, 200, 2.0)
+    assert patch is not None
+    (region,) = regionprops(label(probability > 0.5))
+    assert patch.area_px == 4 * region.area
+    m = cv2.moments(patch.mask, True)
+    x, y = patch.to_frame(m["m10"] / m["m00"], m["m01"] / m["m00"])
+    assert (x, y) == pytest.approx((2 * region.centroid[1] + 0.5, 2 * region.centroid[0] + 0.5), abs=1e-6)
+    np.testing.assert_array_equal(patch.full_mask(), probability > 0.5)
+
+
+@pytest.mark.parametrize(
+    ("spots", "regions"),
+    [
+        (((40, 80, 14), (80, 80, 13)), 2),  # two pins of one size, apart
+        (((50, 80, 20), (100, 140, 8)), 1),  # a small one far away
+        (((50, 80, 20), (80, 80, 7)), 2),  # a small one close by
+        (((50, 80, 20), (74, 80, 2)), 1),  # a speck close by
+    ],
+)
+def test_regions_of_comparable_size_or_close_by_make_one_patch(
+    spots: tuple[tuple[int, int, int], ...], regions: int
+) -> None:
+    patch = find_patch(disc(*spots), 0.5, 100, 2.0)
+    assert patch is not None
+    assert patch.regions == regions
+
+
+def test_clipped_sides_are_told() -> None:
+    patch = find_patch(drawn("long bar", 90, (10, 80)), 0.5, 200, 2.0)
+    assert patch is not None
+    sides = patch.clipped
+    assert (sides.left, sides.top, sides.right, sides.bottom) == (True, True, False, True)
+    inside = find_patch(drawn("bar", 20), 0.5, 200, 2.0)
+    assert inside is not None
+    assert not inside.clipped.any
+
+
+def test_probability_far_from_the_patch_is_left_out() -> None:
+    haze = np.maximum(drawn("bar", 45), np.float32(0.3))
+    patch = find_patch(haze, 0.5, 200, 2.0)
+    assert patch is not None
+    assert patch.probability[0, 0] == 0.0
+    assert not patch.probability.flags.writeable
+
+
+@given(
+    hnp.arrays(np.float32, (40, 30), elements=st.floats(-1, 2, width=32) | st.just(np.float32(np.nan))),
+    st.floats(0.05, 0.95),
+)
+def test_any_map_gives_a_patch_or_none(probability: NDArray[np.float32], threshold: float) -> None:
+    patch = find_patch(probability, threshold, 20, 2.0)
+    if patch is not None:
+        assert np.isfinite(patch.probability).all()
+        assert patch.area_px >= 20
+        assert set(np.unique(patch.mask)) <= {0, 1}

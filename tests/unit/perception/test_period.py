@@ -1,0 +1,266 @@
+"""What repeats itself is counted from frame to frame, and the count is lost where a step may have been missed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from slipguard.daemon.loop.finger import Finger, Seen
+from slipguard.datasets.rendered_grasps import bench_object
+from slipguard.devices import Frame
+from slipguard.perception.contact.patch import find_patch
+from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.estimate import Estimate
+from slipguard.perception.pipeline import UNCHANGED, Pipeline
+from slipguard.perception.rotation.period import ACCELERATION_DEG_S2, pitch_deg, unseen_deg
+from slipguard.perception.rotation.texture_map import ReliefReader
+from slipguard.perception.rotation.texture_registration import make_texture
+from slipguard.perception.rotation.texture_tracker import LOST_COUNT
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.sim.gel import GelCamera
+from slipguard.sim.unit import random_unit
+from slipguard.sim.view import GelView
+from slipguard.stress.product_functions import FRAME_S, Scripted
+from slipguard.stress.surfaces import (
+    Heights,
+    Lamps,
+    Surface,
+    contact,
+    drawn,
+    gear,
+    heights,
+    lettered,
+    nut,
+    plate,
+)
+
+BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
+AT = (120.0, 160.0)
+
+
+def polygon(corners: int) -> Surface:
+    """A face of so many corners."""
+    normals = [2.0 * math.pi * k / corners for k in range(corners)]
+
+    def surface(u: Heights, v: Heights) -> Heights:
+        sides = np.max([u * math.cos(a) + v * math.sin(a) for a in normals], axis=0)
+        return np.asarray(9.0 * np.exp(-(np.maximum(sides - 26.0, 0.0) ** 2) / 100.0), np.float32)
+
+    return surface
+
+
+def toothed(teeth: int) -> Surface:
+    """The rim of a cap with so many teeth."""
+
+    def surface(u: Heights, v: Heights) -> Heights:
+        ribs = 3.0 * np.cos(teeth * np.arctan2(v, u)) * np.exp(-((np.hypot(u, v) - 42.0) ** 2) / 120.0)
+        return np.asarray(9.0 * np.exp(-((np.hypot(u, v) - 38.0) ** 2) / 400.0) + ribs, np.float32)
+
+    return surface
+
+
+def oblong_gear(u: Heights, v: Heights) -> Heights:
+    """Teeth on a long hump, whose axis tells which tooth it is."""
+    away = np.hypot(np.maximum(np.abs(u) - 30.0, 0.0), np.maximum(np.abs(v) - 10.0, 0.0))
+    ribs = 3.0 * np.cos(12 * np.arctan2(v, u)) * np.exp(-((np.hypot(u, v) - 32.0) ** 2) / 120.0)
+    return np.asarray(9.0 * np.exp(-away * away / 1800.0) + ribs, np.float32)
+
+
+@pytest.mark.parametrize(
+    ("surface", "repeats_deg"),
+    [(gear, 30.0), (nut, 60.0), (polygon(3), 120.0), (polygon(4), 90.0), (polygon(5), 72.0), (lettered, None),
+     (plate, None)],
+)  # fmt: skip
+def test_the_step_of_what_repeats_itself(surface: Surface, repeats_deg: float | None) -> None:
+    height = heights(surface, 20.0, AT, 1.0)
+    image = drawn(height, Lamps(), 2.0, np.random.default_rng(1))
+    patch = find_patch(contact(height), 0.5, 100, 2.0)
+    assert patch is not None
+    reader = ReliefReader(BACKGROUND)
+    reader.learn(image, patch)
+    texture = make_texture(reader.read(image, patch), patch)
+    assert texture is not None
+    found = pitch_deg(texture)
+    assert found == (None if repeats_deg is None else pytest.approx(repeats_deg, abs=2.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "repeats"),
+    [("cap", True), ("wrench", False), ("bar", False), ("hook", False), ("key", False), ("wedge", False),
+     ("knife_edge", False), ("screwdriver", False)],
+)  # fmt: skip
+def test_of_the_test_objects_only_the_ribbed_ones_repeat(name: str, repeats: bool) -> None:
+    pipe = rendered(name, 3)[0]
+    reference = pipe._meter.reference
+    assert reference is not None
+    assert reference.relief is not None
+    assert (reference.relief.pitch_deg is not None) == repeats
+
+
+def test_what_may_have_turned_unseen() -> None:
+    assert unseen_deg(0.0, 300.0) == 0.0
+    assert unseen_deg(-1.0, 300.0) == 0.0
+    assert unseen_deg(0.01, -300.0) == pytest.approx(3.0)
+    assert unseen_deg(0.1, 0.0) == pytest.approx(0.5 * ACCELERATION_DEG_S2 * 0.01)
+
+
+class Held:
+    """A drawn surface before the whole pipeline, at times of its own."""
+
+    def __init__(self, surface: Surface) -> None:
+        self._segmenter = Scripted()
+        settings = PerceptionSettings(reference="first", skip_unchanged=False)
+        self.pipe = Pipeline(self._segmenter, settings, BACKGROUND, None, 18.5)
+        self._surface = surface
+        self._frames = 0
+        self.now_s = 0.0
+
+    def see(self, turn_deg: float, after_s: float = FRAME_S) -> Estimate:
+        self._frames += 1
+        self.now_s += after_s
+        height = heights(self._surface, 15.0 + turn_deg, AT, 1.0)
+        self._segmenter.map = contact(height)
+        image = drawn(height, Lamps(), 2.0, np.random.default_rng(self._frames))
+        return self.pipe.process(Frame(image, self.now_s, self._frames))
+
+
+@pytest.mark.parametrize(
+    ("surface", "gap_s", "turn_deg"),
+    [(gear, 0.1, 22.0), (nut, 0.145, 50.0), (nut, 2.0, 44.0), (polygon(4), 2.0, 75.0), (polygon(5), 0.145, 50.0)],
+)
+def test_a_gap_long_enough_for_a_step_loses_the_count(surface: Surface, gap_s: float, turn_deg: float) -> None:
+    held = Held(surface)
+    for _ in range(3):
+        assert held.see(0.0).angle_deg == pytest.approx(0.0, abs=0.5)
+    after = [held.see(turn_deg, gap_s), *(held.see(turn_deg) for _ in range(10))]
+    assert {one.declined for one in after} == {LOST_COUNT}
+    assert {one.angle_deg for one in after} == {None}
+
+
+@pytest.mark.parametrize("surface", [gear, nut, lettered])
+def test_a_frame_or_two_that_are_lost_lose_no_count(surface: Surface) -> None:
+    held = Held(surface)
+    for _ in range(3):
+        held.see(0.0)
+    assert held.see(4.0, 2.0 * FRAME_S).angle_deg == pytest.approx(4.0, abs=0.5)
+    assert held.see(8.0, 2.0 * FRAME_S).angle_deg == pytest.approx(8.0, abs=0.5)
+
+
+def test_what_does_not_repeat_is_told_after_any_gap() -> None:
+    held = Held(lettered)
+    for _ in range(3):
+        held.see(0.0)
+    assert held.see(8.0, 5.0).angle_deg == pytest.approx(8.0, abs=0.5)
+
+
+@pytest.mark.parametrize(("gap_s", "on_deg", "told"), [(0.045, 14.0, True), (0.045, 0.0, False), (0.09, 28.0, False)])
+def test_what_turns_fast_may_have_stopped(gap_s: float, on_deg: float, told: bool) -> None:
+    held = Held(gear)
+    turns = [0.0, 0.0, *(6.0 * k for k in range(1, 7))]
+    assert held.see(0.0).angle_deg is not None
+    assert [held.see(turn).angle_deg for turn in turns] == pytest.approx(turns, abs=0.5)
+    after = held.see(turns[-1] + on_deg, gap_s).angle_deg
+    assert after == (pytest.approx(turns[-1] + on_deg, abs=0.5) if told else None)
+
+
+def test_one_frame_of_thirty_a_second_that_is_lost_loses_no_count_of_fine_teeth() -> None:
+    """A cap with 26 teeth."""
+    held = Held(toothed(26))
+    for _ in range(3):
+        assert held.see(0.0, 1.0 / 30.0).angle_deg == pytest.approx(0.0, abs=0.5)
+    assert held.see(0.0, 2.0 / 30.0).angle_deg == pytest.approx(0.0, abs=0.5)
+    assert held.see(1.0, 2.0 / 30.0).angle_deg == pytest.approx(1.0, abs=0.5)
+    assert held.see(1.0, 3.0 / 30.0).declined == LOST_COUNT
+
+
+def test_a_leap_to_the_edge_of_a_step_is_none_and_the_count_goes_on_with_the_next_frame() -> None:
+    held = Held(gear)
+    for _ in range(3):
+        held.see(0.0)
+    assert held.see(13.0).declined == LOST_COUNT
+    assert held.see(0.0).angle_deg == pytest.approx(0.0, abs=0.5)
+    assert [held.see(13.0).declined for _ in range(6)] == [LOST_COUNT] * 6
+
+
+def test_another_finger_that_sees_no_change_keeps_the_count() -> None:
+    told = {}
+    for kept in (True, False):
+        held = Held(gear)
+        for _ in range(3):
+            held.see(0.0)
+        for k in range(1, 13):
+            if kept:
+                held.pipe.stands(held.now_s + k * FRAME_S)
+        told[kept] = held.see(0.5, 13.0 * FRAME_S)
+    assert told[True].angle_deg == pytest.approx(0.5, abs=0.3)
+    assert told[False].declined == LOST_COUNT
+
+
+def test_a_finger_that_the_daemon_spares_keeps_its_count() -> None:
+    held = Held(gear)
+    seen = [held.see(0.0) for _ in range(3)][-1]
+    none = cast(Any, None)  # no frame comes of a sensor here, and none goes to a worker
+    finger, other = (Finger(name, none, none, lambda _: held.pipe, 1.0, lambda: None) for name in ("left", "right"))
+    finger.other, finger.refresh_s = other, 0.25
+    finger.newest = Seen(seen, seen.captured_at_s, seen.captured_at_s)
+    picture = np.zeros((320, 240, 3), np.uint8)
+    for k in range(1, 13):
+        at_s = held.now_s + k * FRAME_S
+        other.newest = Seen(replace(seen, captured_at_s=at_s, skipped=UNCHANGED), at_s, at_s)
+        spared = finger._spared(Frame(picture, at_s, k), held.pipe)
+        assert spared is not None
+        finger.newest = Seen(spared, at_s, at_s)
+    assert held.see(0.5, 13.0 * FRAME_S).angle_deg == pytest.approx(0.5, abs=0.3)
+
+
+def test_a_frame_left_out_does_not_mend_a_count_that_a_gap_has_lost() -> None:
+    held = Held(gear)
+    for _ in range(3):
+        held.see(0.0)
+    held.pipe.stands(held.now_s + 1.0)
+    assert held.see(0.0, 1.0 + FRAME_S).declined == LOST_COUNT
+
+
+def test_an_axis_tells_which_step_it_is() -> None:
+    held = Held(oblong_gear)
+    for _ in range(3):
+        held.see(0.0)
+    reference = held.pipe._meter.reference
+    assert reference is not None
+    assert reference.relief is not None
+    assert reference.relief.pitch_deg == pytest.approx(30.0, abs=2.0)
+    after = [held.see(40.0, 2.0), held.see(42.0), held.see(44.0)]
+    assert [one.angle_deg for one in after] == pytest.approx([40.0, 42.0, 44.0], abs=0.5)
+
+
+def rendered(name: str, seed: int) -> tuple[Pipeline, GelCamera, GelView, int]:
+    """A bench object in a rendered sensor, its reference taken on the last of 6 frames."""
+    thing, relief = bench_object(name)
+    assert relief is None
+    rng = np.random.default_rng(seed)
+    unit = random_unit(rng)
+    camera = GelCamera(unit, seed=seed)
+    background = camera.no_contact()
+    x_mm, y_mm, start_deg = rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(-180, 180)
+    view = GelView(name, x_mm, y_mm, start_deg, 0.6 * thing.press_mm)
+    pipe = Pipeline(Segmenter(), PerceptionSettings(), background, unit.noise_bgr, unit.px_per_mm)
+    for k in range(6):
+        pipe.process(Frame(camera.draw(view), k * FRAME_S, k))
+    return pipe, camera, view, 6
+
+
+@pytest.mark.parametrize(("seed", "turn_deg"), [(1, 15.0), (1, -22.0), (2, 30.0), (4, 30.0)])
+def test_a_relief_that_is_looked_for_in_the_wrong_place_is_found_where_the_outline_is(
+    seed: int, turn_deg: float
+) -> None:
+    pipe, camera, view, frames = rendered("hook", seed)
+    turned = GelView(view.object_name, view.x_mm, view.y_mm, view.angle_deg + turn_deg, view.depth_mm)
+    for k in range(3):
+        answer = pipe.process(Frame(camera.draw(turned), (frames + k) * FRAME_S + 0.1, frames + k))
+        assert answer.angle_deg == pytest.approx(turn_deg, abs=2.0)
+        assert answer.sigma_deg is not None
+        assert answer.sigma_deg < 0.5

@@ -1,0 +1,273 @@
+"""The whole way from a frame to an estimate, with a segmenter that reads the contact off the blue channel."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from typing import cast
+
+import cv2
+import numpy as np
+import pytest
+from blue_contact import BACKGROUND, ReadsBlue, frame
+from drawn_masks import drawn
+from numpy.typing import NDArray
+
+from slipguard.devices import Frame
+from slipguard.errors import FrameCorrupt, InputError
+from slipguard.perception.estimate import Estimate
+from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.rotation.axial_angle import axial_difference_deg
+from slipguard.perception.settings import EstimatorName, PerceptionSettings
+
+ESTIMATORS: tuple[EstimatorName, ...] = ("fused", "registration", "moments", "ellipse", "pca", "skeleton")
+
+
+class ReadsNaN(ReadsBlue):
+    def segment(self, image: NDArray[np.uint8], background: NDArray[np.uint8] | None) -> NDArray[np.float32]:
+        return np.full((160, 120), np.nan, np.float32)
+
+
+def pipeline(rotation_deg: int = 0, segmenter: ReadsBlue | None = None, **settings: object) -> Pipeline:
+    return Pipeline(
+        segmenter or ReadsBlue(),
+        PerceptionSettings(**settings),  # type: ignore[arg-type]
+        BACKGROUND,
+        (1.0, 1.0, 1.0),
+        18.5,
+        rotation_deg,
+    )
+
+
+def run(pipe: Pipeline, shape: str, angles: list[float], start: int = 0) -> list[Estimate]:
+    return [pipe.process(frame(drawn(shape, a, ragged_px=0.2, seed=k), k)) for k, a in enumerate(angles, start)]
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize(("before", "now", "turn"), [(-6, 6, 12), (80, 100, 20), (10, -35, -45)])
+def test_turns_are_signed_and_cross_the_seam(estimator: EstimatorName, before: float, now: float, turn: float) -> None:
+    steps = list(np.linspace(before, now, 12))
+    last = run(pipeline(estimator=estimator), "bar", [before] * 6 + steps)[-1]
+    assert last.angle_deg == pytest.approx(turn, abs=1.0)
+    assert last.orientation_deg is not None
+    assert -90 < last.orientation_deg <= 90
+    assert abs(axial_difference_deg(last.orientation_deg, now)) < 1.0
+    assert last.method == estimator
+
+
+def test_a_whole_revolution_is_unwrapped() -> None:
+    last = run(pipeline(), "key", [0.0] * 5 + [4.0 * k for k in range(1, 91)])[-1]
+    assert last.angle_deg == pytest.approx(360.0, abs=1.5)
+    assert last.rate_deg_s == pytest.approx(240.0, rel=0.1)
+
+
+def test_the_reference_is_the_first_stable_contact() -> None:
+    pipe = pipeline()
+    growing = [pipe.process(frame(drawn("bar", 20, scale=0.5 + 0.1 * k), k)) for k in range(6)]
+    assert not pipe.has_reference
+    assert {e.declined for e in growing} == {"no reference yet"}
+    still = run(pipe, "bar", [20.0] * 6, start=6)
+    assert pipe.has_reference
+    assert [e.angle_deg is None for e in still[:3]] == [True] * 3
+    assert still[-1].angle_deg == pytest.approx(0.0, abs=0.3)
+    assert pipe.reference_area_px == pytest.approx(still[-1].contact_area_px, rel=0.05)
+
+
+def test_the_reference_may_be_the_first_contact() -> None:
+    pipe = pipeline(reference="first")
+    first, second = run(pipe, "bar", [20.0, 26.0])
+    assert first.angle_deg == pytest.approx(0.0, abs=0.2)
+    assert second.angle_deg == pytest.approx(6.0, abs=0.7)
+
+
+def test_a_new_reference_starts_at_nothing() -> None:
+    pipe = pipeline()
+    run(pipe, "bar", [0.0] * 5 + [10.0] * 5)
+    pipe.reset_reference()
+    assert not pipe.has_reference
+    assert pipe.reference_area_px is None
+    assert run(pipe, "bar", [10.0] * 6, start=20)[-1].angle_deg == pytest.approx(0.0, abs=0.4)
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("shape", ["disc", "ring"])
+def test_round_contacts_are_declined_but_their_shift_is_told(estimator: EstimatorName, shape: str) -> None:
+    pipe = pipeline(estimator=estimator)
+    run(pipe, shape, [0.0] * 6)
+    moved = pipe.process(frame(drawn(shape, 25, (69.25, 61.5)), 9))
+    assert moved.contact
+    assert moved.angle_deg is None
+    assert moved.sigma_deg is None
+    assert moved.rate_deg_s is None
+    assert moved.declined
+    assert moved.shift_mm == pytest.approx((1.0, 2.0), abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("rotation_deg", "shift_mm", "orientation_deg"),
+    [(0, (1.0, 2.0), 30), (90, (-2.0, 1.0), -60), (180, (-1.0, -2.0), 30), (270, (2.0, -1.0), -60)],
+)
+def test_mounting_turns_directions_but_no_turn(
+    rotation_deg: int, shift_mm: tuple[float, float], orientation_deg: float
+) -> None:
+    pipe = pipeline(rotation_deg)
+    run(pipe, "ellipse", [20.0] * 6)
+    moved = pipe.process(frame(drawn("ellipse", 30, (69.25, 61.5)), 9))
+    assert moved.angle_deg == pytest.approx(10.0, abs=0.8)
+    assert moved.shift_mm == pytest.approx(shift_mm, abs=0.1)
+    assert moved.orientation_deg == pytest.approx(orientation_deg, abs=1.0)
+
+
+def test_no_contact_needs_no_network() -> None:
+    segmenter = ReadsBlue()
+    pipe = pipeline(segmenter=segmenter)
+    for k in range(5):
+        answer = pipe.process(frame(None, k))
+        assert (answer.contact, answer.skipped, answer.declined) == (False, "no contact", "no contact")
+        assert answer.contact_area_px == 0
+        assert answer.measured_at_s == answer.captured_at_s
+    assert segmenter.calls == 0
+    assert not pipe.last_mask.any()
+    assert not pipe.last_skeleton.any()
+
+
+def test_an_unchanged_picture_reuses_the_answer_for_a_quarter_second_at_most() -> None:
+    segmenter = ReadsBlue()
+    pipe = pipeline(segmenter=segmenter)
+    picture = drawn("bar", 20)
+    answers = [pipe.process(frame(picture, k)) for k in range(180)]
+    calls = segmenter.calls
+    assert 36 <= calls <= 60  # half a second to be sure of the rest, then four a second
+    reused = [a for a in answers if a.skipped]
+    assert {a.skipped for a in reused} == {"unchanged"}
+    assert all(0.0 < a.captured_at_s - a.measured_at_s < 0.25 for a in reused)
+    assert [a.sequence for a in answers] == list(range(180))
+    assert all(a.contact and a.angle_deg is not None for a in answers[6:])
+    turned = pipe.process(frame(drawn("bar", 21.5), 180))
+    assert turned.skipped is None
+    assert turned.angle_deg == pytest.approx(1.5, abs=0.4)
+
+
+@pytest.mark.parametrize("knock", [3.0, 70.0])
+def test_after_a_knock_of_one_frame_the_answer_is_that_of_the_picture(knock: float) -> None:
+    pipe = pipeline()
+    for k in range(90):
+        pipe.process(frame(drawn("bar", 20), k))
+    struck = pipe.process(frame(drawn("bar", 20 + knock), 90))
+    assert struck.skipped is None
+    after = [pipe.process(frame(drawn("bar", 20), k)) for k in range(91, 121)]
+    assert after[0].skipped is None
+    assert {answer.skipped for answer in after} == {None, "unchanged"}
+    assert [answer.angle_deg for answer in after] == pytest.approx([0.0] * 30, abs=0.5)
+    assert [answer.rate_deg_s for answer in after[10:]] == pytest.approx([0.0] * 20, abs=2.0)
+
+
+def test_a_slow_turn_is_seen_within_half_a_degree_in_spite_of_skips() -> None:
+    pipe = pipeline()
+    run(pipe, "bar", [20.0] * 6)
+    for k in range(6, 90):
+        true = 0.05 * (k - 5)
+        answer = pipe.process(frame(drawn("bar", 20.0 + true), k))
+        assert answer.angle_deg == pytest.approx(true, abs=0.5)
+
+
+def test_skipping_can_be_switched_off() -> None:
+    segmenter = ReadsBlue()
+    pipe = pipeline(segmenter=segmenter, skip_unchanged=False)
+    run(pipe, "bar", [20.0] * 20)
+    assert segmenter.calls == 20
+
+
+def test_a_flipped_axis_is_not_a_turn() -> None:
+    pipe = pipeline(estimator="moments")
+    run(pipe, "rectangle", [0.0] * 6)
+    flipped = pipe.process(frame(drawn("rectangle", 90), 7))
+    assert flipped.angle_deg is None
+    assert flipped.declined == "implausible jump"
+
+
+def test_contact_lost_and_found_keeps_its_reference() -> None:
+    pipe = pipeline()
+    run(pipe, "bar", [0.0] * 6)
+    for k in range(6, 10):
+        assert not pipe.process(frame(None, k)).contact
+    assert run(pipe, "bar", [8.0] * 3, start=10)[-1].angle_deg == pytest.approx(8.0, abs=0.7)
+
+
+def test_the_mask_and_the_skeleton_are_those_of_the_last_frame() -> None:
+    pipe = pipeline()
+    run(pipe, "bar", [30.0] * 2)
+    mask, skeleton = pipe.last_mask, pipe.last_skeleton
+    assert mask.shape == skeleton.shape == (320, 240)
+    assert set(np.unique(mask)) == {0, 1}
+    assert skeleton.any()
+    assert not (skeleton & ~mask & 1).any()
+
+
+def test_the_mask_is_finer_than_the_networks_pixels() -> None:
+    pipe = pipeline()
+    shape = drawn("bar", 30.0)
+    pipe.process(frame(shape, 0))
+    true = cv2.resize(shape, (240, 320)) > 0.6 / 1.1  # half of what `ReadsBlue` makes of it
+    assert pipe.last_patch is not None
+    doubled = pipe.last_patch.full_mask().repeat(2, axis=0).repeat(2, axis=1)
+    assert np.count_nonzero(pipe.last_mask != true) < 0.5 * np.count_nonzero(doubled != true)
+
+
+def test_stage_times_come_from_the_injected_timer() -> None:
+    ticks = itertools.count()
+    pipe = Pipeline(ReadsBlue(), PerceptionSettings(), BACKGROUND, None, 18.5, timer=lambda: 0.001 * next(ticks))
+    answers = [pipe.process(frame(drawn("bar", 20 + k), k)) for k in range(8)]
+    assert set(answers[-1].stage_ms) == {"gate", "segment", "regions", "relief", "angle", "track"}
+    assert all(value == pytest.approx(round(value)) and value > 0.9 for value in answers[-1].stage_ms.values())
+    assert pipeline().process(frame(drawn("bar", 20), 0)).stage_ms == {}
+
+
+def test_what_is_not_finite_stops_at_the_door() -> None:
+    answer = pipeline(segmenter=ReadsNaN()).process(frame(drawn("bar"), 0))
+    assert not answer.contact
+    for at in (float("nan"), float("inf")):
+        with pytest.raises(FrameCorrupt, match="no capture time"):
+            pipeline().process(frame(drawn("bar"), 0, captured_at_s=at))
+
+
+def test_noise_in_place_of_a_mask_gives_no_sure_turn() -> None:
+    rng = np.random.default_rng(8)
+    pipe = pipeline(reference="first", skip_unchanged=False)
+    sure = []
+    for k in range(60):
+        blobs = cv2.GaussianBlur(rng.random((160, 120)).astype(np.float32), (0, 0), rng.uniform(2, 8))
+        blobs = ((blobs - blobs.min()) / (blobs.max() - blobs.min()) > 0.55).astype(np.float32)
+        answer = pipe.process(frame(blobs, k))
+        if k and answer.angle_deg is not None and cast("float", answer.sigma_deg) < 2.0:
+            sure.append(k)
+    assert len(sure) <= 3
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [({"rotation_deg": 45}, "0, 90, 180 or 270"), ({"px_per_mm": 0.0}, "px_per_mm"), ({"background": 0}, "no-contact")],
+)
+def test_a_senseless_setting_is_one_line(change: dict[str, float], says: str) -> None:
+    background = BACKGROUND[:10] if "background" in change else BACKGROUND
+    with pytest.raises(InputError, match=says) as caught:
+        Pipeline(
+            ReadsBlue(),
+            PerceptionSettings(),
+            background,
+            None,
+            change.get("px_per_mm", 18.5),
+            int(change.get("rotation_deg", 0)),
+        )
+    assert "\n" not in str(caught.value)
+
+
+def test_a_corrupt_frame_changes_nothing() -> None:
+    pipe = pipeline()
+    before = run(pipe, "bar", [0.0] * 6)[-1]
+    with pytest.raises(FrameCorrupt):
+        pipe.process(Frame(np.zeros((320, 240, 3), np.uint8), 0.2, 7))
+    after = pipe.process(frame(drawn("bar", 0.0, ragged_px=0.2, seed=5), 8))
+    assert dataclasses.replace(after, sequence=0, captured_at_s=0, measured_at_s=0, skipped=None).angle_deg == (
+        pytest.approx(before.angle_deg, abs=0.4)
+    )

@@ -1,0 +1,124 @@
+"""The finger that sees less is left out while the surer one sees no change, and no slip is seen later for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slipguard.control.finger_fusion import fuse
+from slipguard.control.params import GuardParams
+from slipguard.control.slip_baselines import Detector
+from slipguard.control.slip_detector import look
+from slipguard.perception.contact.second_finger import OTHER_FINGER, adds_nothing, again
+from slipguard.perception.estimate import Estimate
+
+REFRESH_S = 0.25
+
+
+def answer(sigma_deg: float | None, at_s: float = 1.0, skipped: str | None = None, **changes: object) -> Estimate:
+    said = Estimate(
+        sequence=60,
+        captured_at_s=at_s,
+        measured_at_s=at_s,
+        contact=True,
+        contact_area_px=5000,
+        method="fused",
+        angle_deg=None if sigma_deg is None else 0.0,
+        sigma_deg=sigma_deg,
+        rate_deg_s=None if sigma_deg is None else 0.0,
+        shift_mm=(0.0, 0.0),
+        skipped=skipped,
+        declined="round contact" if sigma_deg is None else None,
+    )
+    return replace(said, **changes)  # type: ignore[arg-type]
+
+
+SURE = answer(0.3, 1.02, "unchanged")
+SURE_LATER = replace(SURE, captured_at_s=1.24)
+
+
+def test_a_less_sure_or_blind_finger_is_spared() -> None:
+    for own in (answer(0.5), answer(0.3), answer(None), answer(0.5, angle_deg=1.5), answer(0.3, angle_deg=1.0)):
+        assert adds_nothing(own, SURE, 1.02, REFRESH_S)
+    assert adds_nothing(answer(0.3, angle_deg=8.0), replace(SURE, angle_deg=-8.0), 1.02, REFRESH_S)
+    assert adds_nothing(answer(0.5, captured_at_s=1.235), SURE_LATER, 1.24, REFRESH_S)
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "at_s"),
+    [
+        (answer(0.2), SURE, 1.02),
+        (answer(0.5), replace(SURE, skipped=None), 1.02),
+        (answer(0.5), replace(SURE, skipped=OTHER_FINGER), 1.02),
+        (answer(0.5), replace(SURE, contact=False), 1.02),
+        (answer(0.5), replace(SURE, captured_at_s=0.9), 1.02),
+        (answer(0.5), answer(None, 1.02, "unchanged"), 1.02),
+        (answer(0.5), SURE, 1.26),
+        (answer(0.5, captured_at_s=1.225), SURE_LATER, 1.24),
+        (answer(0.3, angle_deg=1.5), SURE, 1.02),
+        (answer(0.3, angle_deg=-1.5), SURE, 1.02),
+        (answer(0.5), SURE, 0.9),
+        (answer(0.5, contact=False), SURE, 1.02),
+        (answer(0.5, shift_mm=None), SURE, 1.02),
+        (None, SURE, 1.02),
+        (answer(0.5), None, 1.02),
+        (answer(0.5), SURE, float("nan")),
+    ],
+)
+def test_a_finger_is_looked_at_wherever_it_may_add_something(
+    own: Estimate | None, other: Estimate | None, at_s: float
+) -> None:
+    assert not adds_nothing(own, other, at_s, REFRESH_S)
+
+
+@given(st.floats(0.1, 5.0), st.floats(0.1, 5.0))
+def test_two_fingers_never_spare_each_other(left_deg: float, right_deg: float) -> None:
+    left, right = answer(left_deg, 1.0, "unchanged"), answer(right_deg, 1.0, "unchanged")
+    spared = adds_nothing(left, right, 1.016, REFRESH_S)
+    if spared:
+        left = again(left, 1.016, 61)
+        assert left.skipped == OTHER_FINGER
+        assert left.measured_at_s == 1.0
+    assert not (spared and adds_nothing(right, left, 1.016, REFRESH_S))
+
+
+def first_slip(rate_deg_s: float, spare: bool, phase_s: float) -> int:
+    """Frame on which the law sees the slip; the right finger answers second, with twice the noise."""
+    rng = np.random.default_rng(3)
+    detector, params = Detector(), GuardParams()
+    left: Estimate | None = None
+    right: Estimate | None = None
+    history: list[float] = []
+    for k in range(2000):
+        at_s = k / 60
+        moved = max(at_s - 1.0 - phase_s, 0.0) * rate_deg_s
+        noise = rng.normal(0.0, 1.0, 2)
+        history.append(moved)
+        rate = 60.0 * (history[-1] - history[-7]) / 6 if len(history) > 6 else 0.0
+        rests = moved < 0.3 and k % 15 != 0  # what the gate sees is far less than the level of a slip
+        if rests and left is not None:
+            left = replace(left, captured_at_s=at_s, skipped="unchanged")
+        else:
+            left = answer(0.1, at_s, angle_deg=moved + 0.1 * noise[0], rate_deg_s=rate)
+        if spare and adds_nothing(right, left, at_s, REFRESH_S) and right is not None:
+            right = again(right, at_s, k)
+        else:
+            right = answer(0.2, at_s, angle_deg=-moved + 0.2 * noise[1], rate_deg_s=-rate)
+        fused = fuse(left, right)
+        assert fused is not None
+        assert at_s - fused.measured_at_s < REFRESH_S + 1e-9
+        sight = look(detector, fused, params)
+        detector = sight.detector
+        if sight.slipping:
+            return k
+    raise AssertionError("never seen")
+
+
+@pytest.mark.parametrize("rate_deg_s", [0.5, 2.0, 8.0, 40.0, 300.0])
+@pytest.mark.parametrize("phase_s", [0.0, 0.1, 0.2])
+def test_a_slip_is_seen_no_more_than_one_frame_later(rate_deg_s: float, phase_s: float) -> None:
+    assert first_slip(rate_deg_s, True, phase_s) <= first_slip(rate_deg_s, False, phase_s) + 1

@@ -1,0 +1,95 @@
+"""What stays in its place while a contact turns holds the fit back: the turn is less certain by that."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from slipguard.perception.contact.patch import Patch, find_patch
+from slipguard.perception.rotation import texture_sigma
+from slipguard.perception.rotation.static_pattern import HELD_MAX, held_back
+from slipguard.perception.rotation.texture_map import ReliefReader
+from slipguard.perception.rotation.texture_registration import TextureFit, TexturePose, fit, make_texture
+from slipguard.perception.rotation.texture_sigma import sigma_deg
+from slipguard.stress.family import Notes, generator
+from slipguard.stress.images import PICTURES
+from slipguard.stress.product_functions import Subject
+from slipguard.stress.surfaces import Lamps, contact, drawn, heights, lettered
+
+TURNS_DEG = (2.0, 4.0, 8.0, 12.0)
+
+
+def seen(turn_deg: float, levels: float) -> tuple[NDArray[np.uint8], Patch]:
+    """Letters that turn under dirt that stays where it is."""
+    height = heights(lettered, 15.0 + turn_deg, (120.0, 160.0), 1.0)
+    patch = find_patch(contact(height), 0.5, 100, 2.0)
+    assert patch is not None
+    clean = drawn(height, Lamps(), 0.0, np.random.default_rng(0)).astype(np.float64)
+    rng = np.random.default_rng(5)
+    dirt = cv2.GaussianBlur(rng.standard_normal((320, 240, 3)), (0, 0), 4.0)
+    noise = 2.0 * np.random.default_rng(int(10 * turn_deg)).standard_normal(clean.shape)
+    return np.clip(np.rint(clean + levels * dirt / dirt.std() + noise), 0, 255).astype(np.uint8), patch
+
+
+def turned(levels: float) -> list[TextureFit]:
+    reader = ReliefReader(np.full((320, 240, 3), 100, np.uint8), (2.0, 2.0, 2.0))
+    image, patch = seen(0.0, levels)
+    reader.learn(image, patch)
+    reference = make_texture(reader.read(image, patch), patch)
+    assert reference is not None
+    pose, found = TexturePose(), []
+    for turn in TURNS_DEG:
+        image, patch = seen(turn, levels)
+        found.append(fit(reference, reader.read(image, patch), pose))
+        pose = found[-1].pose
+    return found
+
+
+def sigmas_off(found: list[TextureFit]) -> float:
+    return max(abs(a.pose.turn_deg - turn) / sigma_deg(a) for a, turn in zip(found, TURNS_DEG, strict=True))
+
+
+@pytest.mark.parametrize("levels", [6.0, 7.0])
+def test_dirt_that_stays_makes_the_turn_less_certain(levels: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = turned(levels)
+    with_it = [sigma_deg(answer) for answer in found]
+    assert sigmas_off(found) < 4.0
+    monkeypatch.setattr(texture_sigma, "HELD", 0.0)
+    assert sigma_deg(found[-1]) < 0.95 * with_it[-1]
+
+
+def test_a_contact_that_turns_alone_is_as_sure_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = turned(0.0)
+    sigmas = [sigma_deg(answer) for answer in found]
+    monkeypatch.setattr(texture_sigma, "HELD", 0.0)
+    assert sigmas == pytest.approx([sigma_deg(answer) for answer in found], rel=0.02)
+
+
+def test_of_a_share_that_stays_the_fit_lacks_that_share_of_the_turn() -> None:
+    x = np.linspace(-3.0, 3.0, 600, dtype=np.float32)
+
+    def at(moved: float) -> NDArray[np.float64]:
+        return (np.sin(5 * (x - moved)) + np.sin(9 * (x - moved) + 1)) * np.exp(-((x - moved) ** 2))
+
+    value, motion = at(0.0), np.gradient(at(0.0), x)
+    share, true = 0.3, 0.1
+    told = (1 - share) * true
+
+    mixed = share * at(-told) + (1 - share) * at(true - told)
+    motions = np.stack([motion, value], axis=1)
+    left = mixed - motions @ np.linalg.lstsq(motions, mixed, rcond=None)[0]
+    back = held_back(*(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), left, at(-told))))
+    assert back * told == pytest.approx(true - told, rel=0.2)
+    none = held_back(*(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), 0 * left, at(-told))))
+    assert none == 0.0
+    most = held_back(*(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), 1e3 * left, at(-told))))
+    assert most == HELD_MAX
+
+
+@pytest.mark.parametrize("seed", [371, 373, 377, 741, 2533, 3817])
+def test_pictures_spoiled_in_their_place_give_no_confident_wrong_turn(seed: int) -> None:
+    notes = Notes("pictures")
+    PICTURES.begin(Subject())(generator("pictures", seed), seed, notes)
+    assert not notes.failures, notes.failures

@@ -1,0 +1,109 @@
+"""A pipeline that was restarted goes on with the reference of before, or says that it does not match."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from blue_contact import BACKGROUND, ReadsBlue, frame
+from drawn_masks import drawn
+
+from slipguard.errors import FrameCorrupt
+from slipguard.perception.estimate import Estimate
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.stored_reference import (
+    DIFFERS_AFTER,
+    MATCHES_AFTER,
+    RECALLING,
+    KnownReference,
+    RecallingPipeline,
+)
+
+
+def pipeline() -> RecallingPipeline:
+    return RecallingPipeline(ReadsBlue(), PerceptionSettings(), BACKGROUND, (1.0, 1.0, 1.0), 18.5)
+
+
+def run(pipe: RecallingPipeline, shape: str, angles: list[float], start: int = 0) -> list[Estimate]:
+    return [pipe.process(frame(drawn(shape, a, ragged_px=0.2, seed=k), k)) for k, a in enumerate(angles, start)]
+
+
+def before(shape: str, turn_deg: float) -> KnownReference:
+    """What a pipeline that is gone now has left behind."""
+    pipe = pipeline()
+    steps = list(np.linspace(0.0, turn_deg, 12))
+    last = run(pipe, shape, [0.0] * 6 + steps)[-1]
+    assert pipe.reference_image is not None
+    assert last.angle_deg is not None
+    return KnownReference(pipe.reference_image, last.angle_deg)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 14.0, -38.0, 70.0])
+def test_the_turn_goes_on_being_counted(turn_deg: float) -> None:
+    pipe = pipeline()
+    known = before("key", turn_deg)
+    pipe.recall(known, 10.0)
+    assert pipe.recalled == "waiting"
+    assert pipe.reference_image is None
+    answers = run(pipe, "key", [turn_deg + 3.0] * 6, start=600)
+    assert [answer.declined for answer in answers[: MATCHES_AFTER - 1]] == [RECALLING] * (MATCHES_AFTER - 1)
+    assert pipe.recalled == "matches"
+    assert answers[-1].angle_deg == pytest.approx(turn_deg + 3.0, abs=1.0)
+    assert pipe.reference_image is known.image
+    on = run(pipe, "key", list(np.linspace(turn_deg + 3.0, turn_deg + 15.0, 6)), start=606)[-1]
+    assert on.angle_deg == pytest.approx(turn_deg + 15.0, abs=1.0)
+
+
+def test_another_object_is_a_new_reference_counted_from_the_last_turn() -> None:
+    pipe = pipeline()
+    pipe.recall(before("key", 14.0), 10.0)
+    answers = run(pipe, "disc", [0.0] * DIFFERS_AFTER, start=600)
+    assert {answer.declined for answer in answers[:-1]} == {RECALLING}
+    assert answers[-1].angle_deg is None
+    assert pipe.recalled == "differs"
+    run(pipe, "bar", [40.0] * 6, start=600 + DIFFERS_AFTER)
+    turned = run(pipe, "bar", list(np.linspace(40.0, 47.0, 6)), start=620)[-1]
+    assert turned.angle_deg == pytest.approx(14.0 + 7.0, abs=1.0)
+    assert pipe.counted_deg == pytest.approx(14.0, abs=1.0)
+    assert pipe.reference_image is not None
+
+
+def test_what_was_counted_before_the_old_reference_is_counted_on() -> None:
+    known = before("key", 14.0)
+    pipe = pipeline()
+    pipe.recall(KnownReference(known.image, known.turn_deg, 5.0), 10.0)
+    answers = run(pipe, "key", [16.0] * 6, start=600)
+    assert answers[-1].angle_deg == pytest.approx(5.0 + 16.0, abs=1.0)
+    assert pipe.counted_deg == 5.0
+    pipe.recall(KnownReference(known.image, known.turn_deg, 5.0), 10.0)
+    run(pipe, "disc", [0.0] * DIFFERS_AFTER, start=700)
+    assert pipe.counted_deg == pytest.approx(5.0 + 14.0, abs=1.0)
+
+
+def test_a_new_reference_that_was_asked_for_counts_from_nothing() -> None:
+    pipe = pipeline()
+    pipe.recall(before("key", 14.0), 10.0)
+    pipe.reset_reference()
+    assert pipe.recalled is None
+    last = run(pipe, "key", [30.0] * 8, start=600)[-1]
+    assert last.angle_deg == pytest.approx(0.0, abs=0.5)
+
+
+def test_without_contact_nothing_is_decided() -> None:
+    pipe = pipeline()
+    pipe.recall(before("key", 14.0), 10.0)
+    for k in range(2 * DIFFERS_AFTER):
+        assert pipe.process(frame(None, 600 + k)).declined == "no contact"
+    assert pipe.recalled == "waiting"
+
+
+def test_a_reference_without_contact_is_none() -> None:
+    pipe = pipeline()
+    pipe.recall(KnownReference(frame(None, 1).image, 14.0), 10.0)
+    assert pipe.recalled == "differs"
+    last = run(pipe, "key", [30.0] * 8, start=600)[-1]
+    assert last.angle_deg == pytest.approx(14.0, abs=0.5)
+
+
+def test_what_is_no_picture_is_refused() -> None:
+    with pytest.raises(FrameCorrupt):
+        pipeline().recall(KnownReference(np.zeros((10, 10, 3), np.uint8), 0.0), 10.0)

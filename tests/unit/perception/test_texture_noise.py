@@ -1,0 +1,79 @@
+"""The camera's noise is known: it makes no contact look deformed, and hides no deformation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from slipguard.perception.contact.patch import Patch, find_patch
+from slipguard.perception.rotation.texture_map import ReliefReader, Window
+from slipguard.perception.rotation.texture_registration import TextureFit, TexturePose, fit, make_texture
+from slipguard.perception.rotation.texture_sigma import parts_deg, sigma_deg
+from slipguard.sim.noise import Noise
+from slipguard.sim.unit import NOISE_STD_BGR
+from slipguard.stress.surfaces import Heights, Lamps, Surface, contact, drawn, heights, lettered, plate
+
+BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
+NO_STRIPES = (0.0, 0.0, 0.0)
+
+
+def seen(surface: Surface, turn_deg: float, noise: Noise) -> tuple[NDArray[np.uint8], Patch]:
+    """A frame with the sensor's own noise, and its patch."""
+    height = heights(surface, 15.0 + turn_deg, (120.0, 160.0), 1.0)
+    patch = find_patch(contact(height), 0.5, 100, 2.0)
+    assert patch is not None
+    clean = drawn(height, Lamps(), 0.0, np.random.default_rng(0)).astype(np.float32)
+    return np.clip(np.rint(clean + noise.next()), 0, 255).astype(np.uint8), patch
+
+
+def turned(surface: Surface, known: bool) -> list[TextureFit]:
+    """Letters that have turned by 6 degrees and become another surface, seen ten times."""
+    noise = Noise(NOISE_STD_BGR, NO_STRIPES, 3)
+    reader = ReliefReader(BACKGROUND, NOISE_STD_BGR if known else None)
+    image, patch = seen(lettered, 0.0, noise)
+    reader.learn(image, patch)
+    reference = make_texture(reader.read(image, patch), patch)
+    assert reference is not None
+    found = []
+    for _ in range(10):
+        image, patch = seen(surface, 6.0, noise)
+        found.append(fit(reference, reader.read(image, patch), TexturePose(turn_deg=5.0)))
+    return found
+
+
+def partly(u: Heights, v: Heights) -> Heights:
+    return np.asarray(0.75 * lettered(u, v) + 0.25 * plate(u, v), np.float32)
+
+
+def sigma(found: list[TextureFit]) -> float:
+    return float(np.median([sigma_deg(answer) for answer in found]))
+
+
+@pytest.mark.parametrize("std", [NOISE_STD_BGR, (0.9, 0.5, 0.7), (4.6, 2.4, 3.8)])
+def test_the_noise_of_the_relief_is_that_of_untouched_frames(std: tuple[float, float, float]) -> None:
+    noise = Noise(std, NO_STRIPES, 5)
+    reader = ReliefReader(BACKGROUND, std)
+    patch = find_patch(np.pad(np.ones((80, 60), np.float32), ((40, 40), (30, 30))), 0.5, 100, 2.0)
+    assert patch is not None
+    reliefs = [reader.read(np.clip(np.rint(100.0 + noise.next()), 0, 255).astype(np.uint8), patch) for _ in range(12)]
+    measured = float(np.std([one.curvature for one in reliefs]))
+    assert reliefs[0].window == Window.around(patch)
+    assert reliefs[0].noise == pytest.approx(measured, rel=0.12)
+
+
+def test_a_contact_that_has_only_turned_is_surer_where_the_noise_is_known() -> None:
+    known = turned(lettered, known=True)
+    assert sigma(known) < 0.8 * sigma(turned(lettered, known=False))
+    assert all(abs(answer.pose.turn_deg - 6.0) < 4.0 * sigma_deg(answer) for answer in known)
+
+
+def test_a_contact_that_has_deformed_is_not() -> None:
+    known = turned(partly, known=True)
+    assert sigma(known) > 0.85 * sigma(turned(partly, known=False))
+    assert sigma(known) > 2.0 * sigma(turned(lettered, known=True))
+    assert all(abs(answer.pose.turn_deg - 6.0) < 4.0 * sigma_deg(answer) for answer in known)
+
+
+def test_without_a_known_noise_none_is_taken_out() -> None:
+    assert all(parts_deg(answer)[1] == 0.0 for answer in turned(lettered, known=False))

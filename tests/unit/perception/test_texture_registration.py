@@ -1,0 +1,155 @@
+"""The turn by the relief in a contact: followed under lights that stay, declined where the relief is round."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from slipguard.perception.contact.patch import Patch, find_patch
+from slipguard.perception.rotation import texture_map as relief
+from slipguard.perception.rotation.texture_map import ReliefReader
+from slipguard.perception.rotation.texture_registration import Texture, TextureFit, TexturePose, fit, make_texture
+from slipguard.perception.rotation.texture_sigma import sigma_deg
+
+Height = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+LIGHTS_DEG = (270.0, 150.0, 30.0)
+NOISE = 2.0
+
+
+def dome(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A ball pressed in, heights and lengths in frame pixels."""
+    return 12.0 * np.exp(-(u**2 + v**2) / (2.0 * 26.0**2))
+
+
+def lettered(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A round contact with a bar and a dot on it."""
+    bar = np.exp(-(np.maximum(np.abs(u + 10) - 3, 0) ** 2 + np.maximum(np.abs(v) - 22, 0) ** 2) / 18.0)
+    dot = np.exp(-((u - 18) ** 2 + (v - 9) ** 2) / 60.0)
+    return dome(u, v) + 4.0 * bar + 4.0 * dot
+
+
+def gear(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Twelve ribs around."""
+    radius = np.hypot(u, v)
+    return dome(u, v) + 3.0 * np.cos(12 * np.arctan2(v, u)) * np.exp(-((radius - 40.0) ** 2) / 120.0)
+
+
+def pressed(
+    height: Height,
+    turn_deg: float,
+    *,
+    at: tuple[float, float] = (120.0, 160.0),
+    force: float = 1.0,
+    gains: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    lights_deg: tuple[float, float, float] = LIGHTS_DEG,
+    seed: int = 0,
+) -> tuple[NDArray[np.uint8], Patch]:
+    """A frame of a surface under three lights that stay where they are, on level 100, and its patch."""
+    rows, columns = np.mgrid[0:320, 0:240].astype(np.float64)
+    x, y = columns - at[0], at[1] - rows
+    c, s = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
+    surface = force * height(c * x + s * y, c * y - s * x)
+    down, right = np.gradient(surface)
+    azimuth = np.radians(lights_deg)
+    # The gel is pushed towards the camera: what faces a light slopes down towards it.
+    change = [-60.0 * g * (right * np.cos(a) - down * np.sin(a)) for g, a in zip(gains, azimuth, strict=True)]
+    noise = np.random.default_rng(seed).normal(0.0, NOISE, (320, 240, 3))
+    image = np.clip(np.rint(100.0 + np.stack(change, -1) + noise), 0, 255).astype(np.uint8)
+    patch = find_patch((1.0 / (1.0 + np.exp(-(surface[::2, ::2] - 3.0)))).astype(np.float32), 0.5, 100, 2.0)
+    assert patch is not None
+    return image, patch
+
+
+def background() -> NDArray[np.uint8]:
+    return np.full((320, 240, 3), 100, np.uint8)
+
+
+def referenced(height: Height, **how: object) -> tuple[ReliefReader, Texture]:
+    reader = ReliefReader(background())
+    image, patch = pressed(height, 20.0, **how)  # type: ignore[arg-type]
+    reader.learn(image, patch)
+    texture = make_texture(reader.read(image, patch), patch)
+    assert texture is not None
+    return reader, texture
+
+
+def followed(height: Height, turns: list[float], growth: float = 0.0, **how: object) -> list[TextureFit]:
+    reader, texture = referenced(height, **how)
+    pose, answers = TexturePose(), []
+    for k, turn in enumerate(turns, start=1):
+        force = 1.0 + growth * k / len(turns)
+        at = (120.0 + 0.6 * k, 160.0 - 0.4 * k)
+        image, patch = pressed(height, 20.0 + turn, at=at, force=force, seed=k, **how)  # type: ignore[arg-type]
+        answers.append(fit(texture, reader.read(image, patch), pose))
+        pose = answers[-1].pose
+    return answers
+
+
+TURNS = [3.0 * k for k in range(1, 11)]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("growth", [0.0, 1.2])
+def test_a_round_contact_with_texture_is_followed_while_the_force_grows(sign: float, growth: float) -> None:
+    turns = [sign * turn for turn in TURNS]
+    for turn, answer in zip(turns, followed(lettered, turns, growth), strict=True):
+        assert answer.declined is None
+        assert abs(answer.pose.turn_deg - turn) < 0.4
+        assert abs(answer.pose.turn_deg - turn) < 5.0 * sigma_deg(answer)
+
+
+def test_the_shift_is_that_of_the_object() -> None:
+    pose = followed(lettered, TURNS)[-1].pose
+    assert (pose.dx_px, pose.dy_px) == pytest.approx((3.0, -2.0), abs=0.25)
+
+
+def worst_deg(gains: tuple[float, float, float]) -> float:
+    answers = followed(lettered, TURNS, gains=gains)
+    return max(abs(a.pose.turn_deg - turn) for a, turn in zip(answers, TURNS, strict=True))
+
+
+@pytest.mark.parametrize("gains", [(1.0, 0.6, 1.5), (0.5, 1.0, 1.0), (0.15, 1.0, 1.0)])
+def test_lights_of_unequal_strength_are_learnt(
+    gains: tuple[float, float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    learnt = worst_deg(gains)
+    assert learnt < 0.5
+    monkeypatch.setattr(relief, "NOMINAL_WEIGHT", 1e6)  # nothing is learnt
+    assert learnt < 0.75 * worst_deg(gains)
+
+
+def test_lights_in_the_other_sense_are_recognised() -> None:
+    answers = followed(lettered, TURNS, lights_deg=(270.0, 30.0, 150.0))
+    assert all(answer.declined is None for answer in answers)
+    assert max(abs(a.pose.turn_deg - turn) for a, turn in zip(answers, TURNS, strict=True)) < 0.6
+
+
+@pytest.mark.parametrize("gains", [(1.0, 1.0, 1.0), (1.0, 0.6, 1.5)])
+def test_a_plain_ball_declines_under_any_light(gains: tuple[float, float, float]) -> None:
+    assert {answer.declined for answer in followed(dome, TURNS, gains=gains)} == {"round contact"}
+
+
+def test_relief_of_another_object_declines() -> None:
+    reader, texture = referenced(lettered)
+    image, patch = pressed(gear, 0.0)
+    answer = fit(texture, reader.read(image, patch), TexturePose())
+    assert answer.declined is not None or sigma_deg(answer) > 1.0
+
+
+def test_a_contact_that_left_the_picture_declines() -> None:
+    reader, texture = referenced(lettered)
+    image, patch = pressed(lettered, 20.0, at=(236.0, 160.0))
+    answer = fit(texture, reader.read(image, patch), TexturePose(dx_px=58.0))
+    assert answer.declined == "clipped by the frame"
+
+
+def test_a_picture_without_any_relief_gives_finite_numbers() -> None:
+    reader, texture = referenced(lettered)
+    _, patch = pressed(lettered, 20.0)
+    answer = fit(texture, reader.read(background(), patch), TexturePose())
+    assert answer.declined is not None
+    assert np.isfinite([answer.pose.turn_deg, sigma_deg(answer), answer.alike]).all()

@@ -1,0 +1,126 @@
+"""The relief followed through a contact that changes: a key stands in, its doubt counts, the reference comes back."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from slipguard.perception.contact.patch import Patch, find_patch
+from slipguard.perception.rotation.texture_map import ReliefReader
+from slipguard.perception.rotation.texture_registration import make_texture
+from slipguard.perception.rotation.texture_tracker import Followed, ReliefTrack
+from slipguard.stress.surfaces import Heights, Lamps, Surface, contact, drawn, heights, lettered, plate
+
+BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
+NOISE = 2.0
+
+
+def becoming(share: float) -> Surface:
+    """Letters of which one more and more gives way to another object's edges, which turn with them."""
+
+    def surface(u: Heights, v: Heights) -> Heights:
+        return np.asarray((1.0 - share) * lettered(u, v) + share * plate(u, v), np.float32)
+
+    return surface
+
+
+class Held:
+    """One contact followed frame by frame. way_deg: how it lies at first."""
+
+    def __init__(self, surface: Surface = lettered, way_deg: float = 15.0) -> None:
+        self._way_deg = way_deg
+        self._reader = ReliefReader(BACKGROUND, (NOISE, NOISE, NOISE))
+        self._frames = 0
+        image, patch = self._shown(surface, 0.0, (120.0, 160.0))
+        self._reader.learn(image, patch)
+        texture = make_texture(self._reader.read(image, patch), patch)
+        assert texture is not None
+        self._track = ReliefTrack(texture)
+        self._last_deg = 0.0
+
+    def see(self, surface: Surface, turn_deg: float, at: tuple[float, float] = (120.0, 160.0)) -> Followed:
+        image, patch = self._shown(surface, turn_deg, at)
+        found = self._track.follow(self._reader.read(image, patch), patch, self._last_deg)
+        self._last_deg = self._last_deg if found.turn_deg is None else found.turn_deg
+        return found
+
+    def _shown(self, surface: Surface, turn_deg: float, at: tuple[float, float]) -> tuple[np.ndarray, Patch]:
+        self._frames += 1
+        height = heights(surface, self._way_deg + turn_deg, at, 1.0)
+        patch = find_patch(contact(height), 0.5, 100, 2.0)
+        assert patch is not None
+        return drawn(height, Lamps(), NOISE, np.random.default_rng(self._frames)), patch
+
+
+def shaft(u: Heights, v: Heights) -> Heights:
+    """Longer than the picture, and the same all along."""
+    away = np.maximum(np.abs(v) - 20, 0)
+    return np.asarray(9.0 * np.exp(-away * away / 120.0) + 0.0 * u, np.float32)
+
+
+SHARES = [0.05 * k for k in range(19)]
+
+
+def test_a_contact_that_changes_is_followed_further_by_a_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    def told() -> list[Followed]:
+        held = Held()
+        return [held.see(becoming(share), 15.0 * share, (120.0 + 6 * share, 160.0)) for share in SHARES]
+
+    with_key = told()
+    monkeypatch.setattr(ReliefTrack, "_take_key", lambda *_: None)
+    without = told()
+    assert sum(one.turn_deg is not None for one in with_key) > sum(one.turn_deg is not None for one in without)
+    for share, one in zip(SHARES, with_key, strict=True):
+        if one.turn_deg is not None and one.sigma_deg is not None:
+            assert abs(one.turn_deg - 15.0 * share) < max(4.0 * one.sigma_deg, 0.5)
+
+
+def test_the_reference_is_taken_up_again_without_a_trace() -> None:
+    held = Held()
+    for share in SHARES:
+        held.see(becoming(share), 0.0)
+    back = [held.see(lettered, 0.0) for _ in range(3)][-1]
+    assert back.turn_deg == pytest.approx(0.0, abs=0.15)
+    assert back.unlike < 1.6
+
+
+def test_a_changing_contact_is_less_and_less_certain() -> None:
+    held = Held()
+    told = [held.see(becoming(share), 0.0) for share in SHARES[:8]]
+    sigmas = [one.sigma_deg for one in told if one.sigma_deg is not None]
+    assert sigmas[-1] > 3.0 * sigmas[0]
+    assert sum(later < before for before, later in pairwise(sigmas)) <= 2
+
+
+def test_shift_is_told_in_frame_pixels() -> None:
+    held = Held()
+    found = [held.see(lettered, 2.0 * k, (120.0 + 2 * k, 160.0 - k)) for k in range(1, 6)][-1]
+    assert found.shift_px == pytest.approx((10.0, -5.0), abs=0.5)
+
+
+def test_a_shaft_cut_by_the_frame_turns_but_tells_no_shift_along_itself() -> None:
+    """At 70 degrees: along (0.34, -0.94), across (0.94, 0.34) right and down. It slides along, unseen, and across."""
+    held = Held(shaft, 70.0)
+    for k in range(1, 121):
+        found = held.see(
+            shaft, 0.05 * k, (120.0 + 0.05 * 0.94 * k + 0.1 * 0.34 * k, 160.0 + 0.05 * 0.34 * k - 0.1 * 0.94 * k)
+        )
+        assert found.turn_deg == pytest.approx(0.05 * k, abs=0.3)
+    assert found.shift_px is not None
+    assert found.smooth is not None
+    along = np.array(found.smooth)
+    assert abs(along @ (np.cos(np.radians(76.0)), -np.sin(np.radians(76.0)))) == pytest.approx(1.0, abs=1e-3)
+    assert found.shift_px == pytest.approx((6 * 0.94, 6 * 0.34), abs=1.5)
+    outline = (50.0, -40.0)
+    whole = np.array(found.shift(lambda: outline))
+    assert whole @ along == pytest.approx(along @ outline, abs=1e-4)
+    assert whole - (whole @ along) * along == pytest.approx(found.shift_px - (found.shift_px @ along) * along, abs=1e-4)
+
+
+def test_what_has_a_face_tells_all_of_its_shift() -> None:
+    found = Held().see(lettered, 1.0, (121.0, 160.0))
+    assert found.smooth is None
+    assert found.shift(lambda: (50.0, 50.0)) == found.shift_px
+    assert Followed(None, None, None, 1.0).shift(lambda: (2.0, 3.0)) == (2.0, 3.0)

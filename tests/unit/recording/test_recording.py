@@ -1,0 +1,287 @@
+"""Recordings: exact, readable up to where they were cut, within their limits, and never in the way of the guard."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from recorded_cycles import CLOCK, HEADER, FullDisk, judged_at, picture, tick_at, written
+
+from slipguard.control.guard import Guard
+from slipguard.control.messages import ArmLift, Command, Seen
+from slipguard.control.slip_baselines import Detector
+from slipguard.control.state import GuardState, Phase
+from slipguard.errors import InputError
+from slipguard.recording import messages as m
+from slipguard.recording.reader import Line, Picture, open_recording
+from slipguard.recording.recorder import Recorder, RecorderSettings, Said, Turn
+from slipguard.recording.recorder import Seen as SeenFrame
+from slipguard.recording.ring import Limits, Ring
+from slipguard.recording.writer import Clock, Header
+
+LIMITS = Limits(100, 10**9, 10**9)
+
+
+def recorder(folder: Path, **settings: object) -> Recorder:
+    return Recorder(
+        Ring(folder, LIMITS),
+        RecorderSettings(**settings),  # type: ignore[arg-type]
+        lambda: CLOCK,
+        header=lambda: HEADER,
+        on_trouble=lambda text: None,
+    )
+
+
+def play(one: Recorder, times: np.ndarray, keep_at: float | None = None) -> None:
+    one.start()
+    for now_s in times:
+        one.hand(SeenFrame("left", float(now_s), judged_at(float(now_s)), picture(), picture()[..., 0] // 128))
+        one.hand(Turn(tick_at(float(now_s)), Guard(), keep=keep_at is not None and bool(np.isclose(now_s, keep_at))))
+    one.stop(20.0)
+
+
+def test_the_laws_memory_survives_to_the_last_bit() -> None:
+    memory = Guard(GuardState(Phase.LIFTING, 0.1 + 0.2, detector=Detector(1 / 3, frames=2), commanded_s=-math.inf))
+    assert m.MEMORY.decode(m.MEMORY.encode(memory)) == memory
+    tick = m.Tick(1e-17, "idle", Seen(now_s=1 / 7), Command(arm=ArmLift(1 / 3, 2 / 3)))
+    assert m.TICK.decode(m.TICK.encode(tick)) == tick
+
+
+def test_what_was_written_is_read(tmp_path: Path) -> None:
+    written(tmp_path / "a.mcap").close()
+    recording = open_recording(tmp_path / "a.mcap")
+    items = list(recording.items())
+    assert recording.damage is None
+    assert recording.attachments == {m.CONFIG_ATTACHMENT: b"{}"}
+    assert items[0].value == Guard()
+    ticks = [item.value for item in items if isinstance(item.value, m.Tick)]
+    assert ticks == [tick_at(number / 60) for number in range(200)]
+    assert [item.value.text for item in items if isinstance(item.value, Line)][-1] == "line 199"
+    shown = next(item for item in items if isinstance(item.value, Picture))
+    assert shown.at_ns == CLOCK.wall_ns
+    assert isinstance(shown.value, Picture)
+    assert shown.value.pixels().shape == (320, 240, 3)
+
+
+def test_an_independent_reader_finds_every_message_and_a_schema_for_each_topic(tmp_path: Path) -> None:
+    written(tmp_path / "a.mcap").close()
+    with (tmp_path / "a.mcap").open("rb") as file:
+        seen = [(schema.name, channel.topic) for schema, channel, _ in make_reader(file).iter_messages()]
+    assert len(seen) == 801
+    assert ("foxglove.CompressedImage", "/left/image") in seen
+    assert ("foxglove.Log", "/log") in seen
+    assert ("slipguard.Tick", "/tick") in seen
+
+
+def test_a_file_cut_anywhere_is_readable_up_to_there(tmp_path: Path) -> None:
+    written(tmp_path / "whole.mcap", 60).close()
+    whole = (tmp_path / "whole.mcap").read_bytes()
+    expected = [item for item in open_recording(tmp_path / "whole.mcap").items() if isinstance(item.value, m.Tick)]
+    cut = tmp_path / "cut.mcap"
+    for size in np.random.default_rng(1).integers(0, len(whole), 100):
+        cut.write_bytes(whole[:size])
+        try:
+            recording = open_recording(cut)
+        except InputError as error:
+            assert size < 3000, error  # noqa: PT017 - only a file cut within its header cannot be opened
+            continue
+        ticks = [item for item in recording.items() if isinstance(item.value, m.Tick)]
+        assert recording.damage is not None
+        assert ticks == expected[: len(ticks)]
+        share = size / len(whole)
+        assert len(ticks) >= (share - 0.05) * len(expected) - 2
+
+
+def test_a_flipped_byte_ends_the_reading_and_never_crashes_it(tmp_path: Path) -> None:
+    written(tmp_path / "whole.mcap", 30).close()
+    whole = (tmp_path / "whole.mcap").read_bytes()
+    bad = tmp_path / "bad.mcap"
+    rng = np.random.default_rng(2)
+    for at in rng.integers(0, len(whole), 100):
+        bad.write_bytes(whole[:at] + bytes([whole[at] ^ 0x5A]) + whole[at + 1 :])
+        try:
+            list(open_recording(bad).items())
+        except InputError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+
+
+@pytest.mark.parametrize("content", [b"", b"nothing of the kind", b"\x89MCAP0\r\n", os.urandom(500)])
+def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "a.mcap").write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.mcap"):
+        open_recording(tmp_path / "a.mcap")
+
+
+def test_a_killed_recorder_leaves_all_but_the_last_moment(tmp_path: Path) -> None:
+    file = written(tmp_path / "a.mcap", 300)
+    file.abandon()
+    recording = open_recording(tmp_path / "a.mcap")
+    last = [item.value for item in recording.items() if isinstance(item.value, m.Tick)][-1]
+    assert last.now_s > 299 / 60 - 1.0
+    assert recording.damage == "is cut off (killed, or the disk was full)"
+
+
+def test_around_an_event_files_are_kept_and_others_leave_the_ring(tmp_path: Path) -> None:
+    limits = Limits(3, 10**9, 10**9)
+    one = Recorder(
+        Ring(tmp_path, limits),
+        RecorderSettings("none", 90, segment_s=1.0, keep_before_s=1.5, keep_after_s=1.5),
+        lambda: CLOCK,
+        header=lambda: HEADER,
+        on_trouble=lambda text: None,
+    )
+    play(one, np.arange(0.0, 20.0, 0.25), keep_at=10.25)
+    kept = [list(open_recording(path).items()) for path in sorted((tmp_path / "kept").iterdir())]
+    times = [item.value.now_s for items in kept for item in items if isinstance(item.value, m.Tick)]
+    assert min(times) <= 10.25 - 1.5
+    assert max(times) >= 10.25 + 1.5
+    assert min(times) >= 7.0
+    assert max(times) <= 13.0
+    assert len(list((tmp_path / "ring").iterdir())) == 3
+
+
+def test_kept_files_have_their_limit_too(tmp_path: Path) -> None:
+    ring = Ring(tmp_path, Limits(10, 10**9, 2500))
+    for number in range(5):
+        path = ring.new(CLOCK.wall_ns + number * 10**9)
+        path.write_bytes(bytes(1000))
+        os.utime(path, (number, number))
+        ring.keep(path)
+        assert len(list((tmp_path / "kept").iterdir())) <= 2, "room is made before"
+    ring.tidy()
+    kept = ["20231114T221323.000Z.mcap", "20231114T221324.000Z.mcap"]
+    assert [path.name for path in sorted((tmp_path / "kept").iterdir())] == kept
+    older = ring.new(CLOCK.wall_ns - 10**9)
+    older.write_bytes(bytes(1000))
+    os.utime(older, (0, 0))
+    ring.keep(older)
+    ring.tidy()
+    assert [path.name for path in sorted((tmp_path / "kept").iterdir())] == kept, "none makes room for an older one"
+
+
+def test_what_an_event_keeps_is_within_the_limit_at_once(tmp_path: Path) -> None:
+    one = Recorder(
+        Ring(tmp_path, Limits(100, 10**9, 1)),
+        RecorderSettings("none", segment_s=1.0, keep_before_s=5.0),
+        lambda: CLOCK,
+        header=lambda: HEADER,
+        on_trouble=lambda text: None,
+    )
+    play(one, np.arange(0.0, 4.75, 0.25), keep_at=4.5)
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == [one.path.name if one.path else None]
+
+
+def test_what_a_killed_daemon_left_is_kept(tmp_path: Path) -> None:
+    ring = Ring(tmp_path, LIMITS)
+    written(ring.new(CLOCK.wall_ns), 100).abandon()
+    written(ring.new(CLOCK.wall_ns + 10**9), 3).close()
+    ring.keep_unfinished()
+    assert len(list((tmp_path / "kept").iterdir())) == 1
+    assert len(list((tmp_path / "ring").iterdir())) == 1
+
+
+def test_files_of_a_future_that_never_was_leave_first(tmp_path: Path) -> None:
+    """The clock of a computer that has just started may be years ahead; what is written later must not go for that."""
+    ring = Ring(tmp_path, Limits(3, 10**9, 2500))
+    ahead_s = time.time() + 5 * 365 * 86400.0
+    for number in range(3):
+        path = ring.new(round(1e9 * (ahead_s + number)))
+        path.write_bytes(bytes(1000))
+        os.utime(path, (ahead_s + number, ahead_s + number))
+        (tmp_path / "kept").mkdir(exist_ok=True)
+        shutil.copy2(path, tmp_path / "kept")
+    new = []
+    for number in range(4):
+        new.append(ring.new(time.time_ns() + number * 10**6))
+        new[-1].write_bytes(bytes(1000))
+        ring.tidy(new[-1])
+        assert all(path.exists() for path in new[-3:])
+    assert sorted((tmp_path / "ring").iterdir()) == new[1:]
+    kept = [ring.keep(path) for path in new[1:3]]
+    ring.tidy()
+    assert sorted((tmp_path / "kept").iterdir()) == kept
+
+
+def test_every_file_reads_the_wall_clock_anew(tmp_path: Path) -> None:
+    clocks = iter((Clock(0, 0.0), *[CLOCK] * 9))  # a computer without the time, until it is told
+    one = Recorder(
+        Ring(tmp_path, LIMITS),
+        RecorderSettings("none", segment_s=1.0),
+        lambda: next(clocks),
+        header=lambda: HEADER,
+        on_trouble=lambda text: None,
+    )
+    play(one, np.arange(0.0, 2.0, 0.25))
+    first, second = sorted((tmp_path / "ring").iterdir())
+    assert (first.name[:8], second.name[:15]) == ("19700101", "20231114T221321")
+    assert next(item.at_ns for item in open_recording(second).items()) == CLOCK.ns(1.0)
+
+
+def test_any_other_trouble_stops_the_recording_and_not_its_thread(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slipguard.recording.recorder.TRY_AGAIN_S", 0.0)
+    said: list[str] = []
+    headers = iter((ValueError("a model\nthat is none"), ValueError("still none"), HEADER))
+
+    def header() -> Header:
+        one = next(headers)
+        if isinstance(one, Exception):
+            raise one
+        return one
+
+    one = Recorder(Ring(tmp_path, LIMITS), RecorderSettings("none"), lambda: CLOCK, header, said.append)
+    assert not one.dead
+    one.start()
+    for number in range(4):
+        one.hand(Turn(tick_at(number / 10), Guard()))
+    one.stop(20.0)
+    assert "recording stopped: ValueError: a model that is none" in said[0]
+    assert said[1:] == ["recording again"]
+    assert (one.stops, one.stopped, one.dead) == (1, None, True)  # it was ended
+    assert len(list((tmp_path / "ring").iterdir())) == 1
+
+
+def test_a_full_disk_stops_the_recording_with_one_line(tmp_path: Path) -> None:
+    said: list[str] = []
+    one = Recorder(
+        Ring(tmp_path, LIMITS),
+        RecorderSettings("jpeg"),
+        lambda: CLOCK,
+        header=lambda: HEADER,
+        on_trouble=said.append,
+        opener=lambda path: FullDisk(path, 300_000),  # type: ignore[arg-type,return-value]
+    )
+    play(one, np.arange(0.0, 3.0, 0.02))
+    assert len(said) == 1
+    assert "No space left on device" in said[0]
+    assert one.stopped is not None
+    (path,) = (tmp_path / "ring").iterdir()
+    assert any(isinstance(item.value, m.Tick) for item in open_recording(path).items())
+
+
+def test_handing_over_never_waits_and_leaves_pictures_out_first(tmp_path: Path) -> None:
+    one = recorder(tmp_path)
+    for number in range(2500):  # not started: nobody takes anything
+        one.hand(SeenFrame("left", number / 60, judged_at(number / 60), picture() if number < 600 else None))
+    assert one.left_out == 600 - 500 + 2500 - 2000
+    one.start()
+    one.hand(Said(1.0, "a line"))
+    one.stop(20.0)
+
+
+def test_png_keeps_every_pixel(tmp_path: Path) -> None:
+    one = recorder(tmp_path, image="png")
+    one.start()
+    one.hand(Turn(tick_at(0.0), Guard()))
+    one.hand(SeenFrame("right", 0.0, judged_at(0.0), picture(5)))
+    one.stop(20.0)
+    (path,) = (tmp_path / "ring").iterdir()
+    pixels = [item.value.pixels() for item in open_recording(path).items() if isinstance(item.value, Picture)]
+    assert np.array_equal(pixels[0], picture(5))

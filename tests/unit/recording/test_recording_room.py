@@ -1,0 +1,296 @@
+"""Recordings leave the disk the room the guard needs, and lose nothing worth keeping when it runs out."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import pytest
+from recorded_cycles import CLOCK, HEADER, FullDisk, judged_at, picture, tick_at, written
+
+from slipguard.control.guard import Guard
+from slipguard.recording import messages as m
+from slipguard.recording.reader import open_recording
+from slipguard.recording.recorder import Recorder, RecorderSettings, Said, Turn
+from slipguard.recording.recorder import Seen as SeenFrame
+from slipguard.recording.ring import Limits, Ring
+from slipguard.recording.writer import Clock, open_new
+
+MB = 2**20
+LIMITS = Limits(100, 10**9, 10**9)
+PICTURES = [picture(seed) for seed in range(8)]
+
+
+@dataclass
+class Disk:
+    """A disk of 20 MB, of which a folder and others use a part; 1 MB of it stays free."""
+
+    folder: Path
+    others: int = 0
+    free_least: int = 20 * MB
+
+    def usage(self, path: Path) -> tuple[int, int, int]:
+        assert path.is_dir()
+        used = self.others + sum(file.stat().st_size for file in self.folder.rglob("*.mcap"))
+        self.free_least = min(self.free_least, 20 * MB - used)
+        return 20 * MB, used, 20 * MB - used
+
+
+class Counted(Recorder):
+    """Tells of each value it is done with."""
+
+    taken: threading.Semaphore
+
+    def _take(self, value: SeenFrame | Turn | Said) -> None:
+        super()._take(value)
+        self.taken.release()
+
+
+@dataclass
+class Playing:
+    """A recorder that is handed turns one by one, with a picture each, and has written each before the next."""
+
+    recorder: Counted
+    said: list[str]
+
+    def play(self, from_s: float, to_s: float, keep_at: float | None = None) -> None:
+        for now_s in np.arange(from_s, to_s, 0.1).tolist():
+            self.recorder.hand(SeenFrame("left", now_s, judged_at(now_s), PICTURES[round(10 * now_s) % 8]))
+            keep = keep_at is not None and bool(np.isclose(now_s, keep_at))
+            self.recorder.hand(Turn(tick_at(now_s), Guard(), keep=keep))
+            for _ in range(2):
+                assert self.recorder.taken.acquire(timeout=20.0)
+
+
+@pytest.fixture
+def playing(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Playing]:
+    monkeypatch.setattr("slipguard.recording.recorder.WAIT_S", 0.001)
+    monkeypatch.setattr("slipguard.recording.recorder.TRY_AGAIN_S", 0.0)
+
+    def start(
+        ring: Ring, opener: Callable[[Path], object] = open_new, clock: Clock = CLOCK, **settings: float
+    ) -> Playing:
+        said: list[str] = []
+        asked = RecorderSettings("jpeg", **settings)  # type: ignore[arg-type]
+        one = Counted(ring, asked, lambda: clock, lambda: HEADER, said.append, opener)  # type: ignore[arg-type]
+        one.taken = threading.Semaphore(0)
+        one.start()
+        return Playing(one, said)
+
+    return start
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def ticks(path: Path) -> list[float]:
+    return [item.value.now_s for item in open_recording(path).items() if isinstance(item.value, m.Tick)]
+
+
+def whole(path: Path) -> bool:
+    recording = open_recording(path)
+    list(recording.items())
+    return recording.damage is None
+
+
+def test_the_ring_gives_back_what_the_guard_needs_of_the_disk(tmp_path: Path, playing: Callable[..., Playing]) -> None:
+    disk = Disk(tmp_path, others=15 * MB)
+    one = playing(Ring(tmp_path, LIMITS, disk.usage))
+    one.play(0.0, 12.0)  # some 7 MB
+    one.recorder.stop()
+    assert one.said == []
+    assert disk.free_least > 0.8 * MB
+    held = sorted((tmp_path / "ring").iterdir())
+    assert 3 <= len(held) <= 5, "the newest stay"
+    assert max(path.stat().st_size for path in held) < 1.2 * MB, "no file is larger than what stays free"
+    assert ticks(held[-1])[-1] == pytest.approx(11.9)
+
+
+def test_others_that_fill_the_disk_stop_the_recording_once_and_its_end_is_whole(
+    tmp_path: Path, playing: Callable[..., Playing]
+) -> None:
+    disk = Disk(tmp_path)
+    one = playing(Ring(tmp_path, LIMITS, disk.usage), segment_s=0.5)
+    one.play(0.0, 2.8)
+    assert len(names(tmp_path / "ring")) == 6
+    disk.others = 20 * MB - 100_000
+    one.play(2.8, 2.9)
+    assert len(one.said) == 1
+    assert "recording stopped: less than 1 MB of the disk are free" in one.said[0]
+    one.play(2.9, 4.0)
+    assert names(tmp_path / "ring") == [], "all of it, for the disk is still too full"
+    disk.others = 18 * MB + 100_000
+    one.play(4.0, 5.0)
+    assert len(one.said) == 1, "room for a moment is none to begin with"
+    disk.others = 10 * MB
+    one.play(5.0, 5.2)
+    one.recorder.stop()
+    assert one.said[1:] == ["recording again"]
+    assert one.recorder.stops == 1
+    (path,) = (tmp_path / "ring").iterdir()
+    assert whole(path)
+
+
+def test_a_stop_for_want_of_room_ends_its_file_whole_and_keeps_it(
+    tmp_path: Path, playing: Callable[..., Playing]
+) -> None:
+    disk = Disk(tmp_path)
+    one = playing(Ring(tmp_path, LIMITS, disk.usage), segment_s=1.0)
+    one.play(0.0, 1.5, keep_at=1.3)
+    disk.others = 30 * MB
+    one.play(1.5, 2.0)
+    assert one.recorder.stopped is not None
+    kept = sorted((tmp_path / "kept").iterdir())
+    assert [now_s for path in kept for now_s in ticks(path)] == pytest.approx(np.arange(0.0, 1.5, 0.1))
+    assert all(whole(path) for path in kept)
+    one.recorder.stop()
+
+
+def test_a_disk_without_room_takes_of_the_ring_first_and_goes_on(
+    tmp_path: Path, playing: Callable[..., Playing]
+) -> None:
+    """Free by its own account, as under a quota."""
+    room = iter((400_000, 10**9))
+    (tmp_path / "ring").mkdir(exist_ok=True)
+    for number in range(3):
+        written(tmp_path / "ring" / f"{number}.mcap", 1).close()
+        os.utime(tmp_path / "ring" / f"{number}.mcap", (number, number))
+    one = playing(Ring(tmp_path, LIMITS), opener=lambda path: FullDisk(path, next(room)))
+    one.play(0.0, 2.0)
+    one.recorder.stop()
+    assert one.said == []
+    left = names(tmp_path / "ring")
+    assert len(left) == 4
+    assert left[:2] == ["1.mcap", "2.mcap"], "the oldest made room"
+
+
+@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO])
+def test_what_could_not_be_begun_leaves_no_file_and_takes_none_with_it(
+    tmp_path: Path, playing: Callable[..., Playing], error: int
+) -> None:
+    ring = Ring(tmp_path, Limits(5, 10**9, 10**9))
+    works = False
+
+    def opener(path: Path) -> BinaryIO:
+        return open_new(path) if works else Broken(path, error)  # type: ignore[return-value]
+
+    good = [f"{number}.mcap" for number in range(3)] if error == errno.EIO else []
+    (tmp_path / "ring").mkdir(exist_ok=True)
+    for name in good:
+        written(tmp_path / "ring" / name, 1).close()
+    one = playing(ring, opener=opener)
+    one.play(0.0, 3.0)
+    assert names(tmp_path / "ring") == good
+    assert len(one.said) == 1
+    works = True
+    one.play(3.0, 3.2)
+    one.recorder.stop()
+    assert names(tmp_path / "ring")[: len(good)] == good
+    assert len(names(tmp_path / "ring")) == len(good) + 1
+
+
+class Broken(FullDisk):
+    """A file that takes no more, for a reason of its own."""
+
+    def __init__(self, path: Path, error: int, room: int = 0) -> None:
+        super().__init__(path, room)
+        self.error = error
+
+    def write(self, data: bytes) -> int:
+        if len(data) > self.room:
+            raise OSError(self.error, os.strerror(self.error))
+        return super().write(data)
+
+
+def test_a_slip_before_the_disk_is_full_is_kept_with_what_was_before_it(
+    tmp_path: Path, playing: Callable[..., Playing]
+) -> None:
+    room = iter((10**9, 10**9, 500_000, *[0] * 1000))
+    one = playing(Ring(tmp_path, LIMITS), opener=lambda path: FullDisk(path, next(room)), segment_s=1.0)
+    one.play(0.0, 3.0, keep_at=2.2)
+    assert one.recorder.stopped is not None
+    kept = sorted((tmp_path / "kept").iterdir())
+    assert names(tmp_path / "ring") == []
+    times = [now_s for path in kept for now_s in ticks(path)]
+    assert min(times) == 0.0
+    assert max(times) > 2.2
+    one.recorder.stop()
+
+
+def test_a_slip_while_nothing_is_recorded_keeps_what_was_and_what_comes(
+    tmp_path: Path, playing: Callable[..., Playing]
+) -> None:
+    room = iter((10**9, 500_000, *[0] * 6, *[10**9] * 9))
+    one = playing(Ring(tmp_path, LIMITS), opener=lambda path: Broken(path, errno.EIO, next(room)), segment_s=1.0)
+    one.play(0.0, 3.0, keep_at=2.0)
+    assert one.said
+    one.recorder.stop()
+    assert one.said[-1] == "recording again"
+    assert names(tmp_path / "ring") == []
+    times = [now_s for path in sorted((tmp_path / "kept").iterdir()) for now_s in ticks(path)]
+    assert min(times) == 0.0
+    assert max(times) == pytest.approx(2.9)
+
+
+def test_what_could_not_be_kept_at_once_is_kept_later(
+    tmp_path: Path, playing: Callable[..., Playing], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trouble = iter((True, True))
+    keep = Ring.keep
+
+    def fails_at_first(self: Ring, path: Path) -> Path:
+        if next(trouble, False):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return keep(self, path)
+
+    monkeypatch.setattr(Ring, "keep", fails_at_first)
+    one = playing(Ring(tmp_path, LIMITS), segment_s=1.0)
+    one.play(0.0, 4.5, keep_at=3.4)
+    one.recorder.stop()
+    assert names(tmp_path / "ring") == []
+    begins = [ticks(path)[0] for path in sorted((tmp_path / "kept").iterdir())]
+    assert begins == pytest.approx([0.0, 1.0, 2.0, 3.0, 3.4, 4.4], abs=0.01)
+
+
+def test_the_ring_stays_within_its_megabytes(tmp_path: Path, playing: Callable[..., Playing]) -> None:
+    one = playing(Ring(tmp_path, Limits(4, 8 * MB, 10**9)))
+    most = 0
+    for second in range(20):  # some 12 MB
+        one.play(second, second + 1.0)
+        most = max(most, sum(path.stat().st_size for path in (tmp_path / "ring").iterdir()))
+    one.recorder.stop()
+    assert 5 * MB < most <= 8 * MB
+    assert all(path.stat().st_size < 2.25 * MB for path in (tmp_path / "ring").iterdir())
+
+
+@pytest.mark.parametrize("other_s", [-50.0, 86_400.0], ids=["too long ago", "written while the clock was wrong"])
+def test_a_slip_soon_after_a_restart_keeps_what_was_before_it(
+    tmp_path: Path, playing: Callable[..., Playing], other_s: float
+) -> None:
+    ring = Ring(tmp_path, LIMITS)
+    now = time.time()
+    (tmp_path / "ring").mkdir()
+    for name, ended_s in (("a", now + other_s), ("b", now - 15.0), ("c", now - 5.0)):
+        written(tmp_path / "ring" / f"{name}.mcap", 1).close()
+        os.utime(tmp_path / "ring" / f"{name}.mcap", (ended_s, ended_s))
+    one = playing(ring, clock=Clock(time.time_ns(), 1000.0))
+    one.play(1000.0, 1000.5, keep_at=1000.0)
+    one.recorder.stop()
+    assert names(tmp_path / "kept")[1:] == ["b.mcap", "c.mcap"]
+    assert names(tmp_path / "ring") == ["a.mcap"]
+
+
+def test_a_disk_that_tells_no_size_is_recorded_on(tmp_path: Path, playing: Callable[..., Playing]) -> None:
+    one = playing(Ring(tmp_path, LIMITS, lambda path: (0, 0, 0)))
+    one.play(0.0, 1.0)
+    one.recorder.stop()
+    assert one.said == []
+    assert len(names(tmp_path / "ring")) == 1

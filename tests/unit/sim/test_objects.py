@@ -1,0 +1,117 @@
+"""The catalogue: what every object promises, and that the test set is the published one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slipguard.errors import InputError
+from slipguard.sim import catalogue_test, objects, shapes
+from slipguard.sim.friction import Gel, needed_force_n
+from slipguard.sim.gel import GelCamera
+from slipguard.sim.height_map import relief_of
+from slipguard.sim.unit import Unit
+from slipguard.sim.view import GelView
+
+ALL = (*objects.names("train"), *objects.names("test"))
+AXIS = np.arange(-18.0, 18.0, 0.05, dtype=np.float32)
+
+
+def test_there_are_enough_and_no_name_twice() -> None:
+    assert len(objects.names("train")) >= 18
+    assert len(objects.names("test")) == 10
+    assert len(set(ALL)) == len(ALL)
+
+
+def test_the_test_set_is_the_published_one() -> None:
+    assert catalogue_test.manifest_sha256() == catalogue_test.MANIFEST_SHA256
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_heights_are_float32_with_their_top_at_zero(name: str) -> None:
+    heights = objects.get(name).height_mm(*np.meshgrid(AXIS, -AXIS))
+    assert heights.dtype == np.float32
+    assert np.isfinite(heights).all()
+    assert float(heights.max()) == pytest.approx(0.0, abs=0.015)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_mechanics_need_a_strong_grip(name: str) -> None:
+    item = objects.get(name)
+    assert 48.0 <= needed_force_n(item, Gel()) <= 75.0
+    assert 0.4 <= item.friction <= 1.0
+    assert 0.05 <= item.mass_kg <= 1.5
+    assert item.inertia_kg_m2 > 0.0
+    assert 0.4 <= item.press_mm <= 1.5
+    assert item.width_mm < 85.0
+
+
+def test_one_is_heavy_and_one_strongly_curved() -> None:
+    heavy, curved = objects.get("bar"), objects.get("ball")
+    assert heavy.mass_kg > 1.2
+    assert heavy.com_offset_mm < 60.0
+    camera = GelCamera(Unit.default())
+    picture = camera.draw(GelView("ball", x_mm=-1.5, depth_mm=curved.press_mm)).astype(float)
+    off = np.abs(picture - camera.no_contact())
+    assert off.max() > 90  # the signal range of a real DIGIT is about 100 grey levels
+
+
+def test_the_forces_needed_by_the_test_set_are_spread() -> None:
+    forces = sorted(needed_force_n(objects.get(name), Gel()) for name in objects.names("test"))
+    assert forces[0] < 52
+    assert forces[-1] > 70
+    assert max(np.diff(forces)) < 8
+
+
+@pytest.mark.parametrize("name", ["bar", "wedge", "wrench", "knife_edge", "key", "screwdriver", "hook"])
+def test_axial_objects_have_a_long_patch(name: str) -> None:
+    item = objects.get(name)
+    truth = GelCamera(Unit.default()).draw_with_truth(GelView(name, depth_mm=item.press_mm))
+    rows, columns = np.nonzero(truth.contact)
+    spread = np.linalg.eigvalsh(np.cov(rows, columns))
+    assert item.axial
+    assert spread[1] > 1.3 * spread[0]
+
+
+@pytest.mark.parametrize("name", ["cap", "ring", "ball"])
+def test_round_objects_say_so(name: str) -> None:
+    assert not objects.get(name).axial
+
+
+def test_the_handle_is_clipped_by_the_frame() -> None:
+    item = objects.get("screwdriver")
+    contact = GelCamera(Unit.default()).draw_with_truth(GelView(item.name, depth_mm=item.press_mm)).contact
+    assert contact[:, 0].any()
+
+
+def test_no_test_shape_is_among_the_training_shapes() -> None:
+    """Best match over turns, of the surface to a common depth: well below that of a shape with itself."""
+    train = {name: relief_of(name).coarse for name in objects.names("train")}
+    for name in objects.names("test"):
+        mine = np.maximum(relief_of(name).coarse, -0.8)
+        for other, theirs in train.items():
+            for quarter in range(4):
+                match = np.corrcoef(mine.ravel(), np.rot90(np.maximum(theirs, -0.8), quarter).ravel())[0, 1]
+                assert match < 0.97, (name, other)
+
+
+def test_unknown_names_and_splits_are_refused_with_the_alternatives() -> None:
+    with pytest.raises(InputError, match="screwdriver"):
+        objects.get("spanner")
+    with pytest.raises(InputError, match="train, test"):
+        objects.names("validation")
+
+
+def test_outlines_are_signed_distances() -> None:
+    u, v = (f.astype(np.float32) for f in np.meshgrid(np.linspace(-3, 3, 61), np.linspace(-3, 3, 61)))
+    box = shapes.box(u, v, 2.0, 1.0)
+    assert box[30, 30] == pytest.approx(-1.0)
+    assert box[30, 60] == pytest.approx(1.0, abs=1e-5)
+    square = shapes.polygon(u, v, [(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    assert np.allclose(square, shapes.box(u, v, 1.0, 1.0), atol=1e-5)
+    assert np.allclose(shapes.without(shapes.disc(u, v, 2.0), shapes.disc(u, v, 1.0))[30, 30], 1.0)
+
+
+def test_turned_coordinates_are_counter_clockwise() -> None:
+    u, v = shapes.turned(np.float32([0.0]), np.float32([1.0]), 90.0)
+    assert (float(u[0]), float(v[0])) == pytest.approx((1.0, 0.0), abs=1e-6)

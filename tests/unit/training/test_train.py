@@ -1,0 +1,88 @@
+"""Training says what it needs, goes on where it was stopped, and its export keeps the contract."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slipguard.cli.train import train as train_command
+from slipguard.errors import InputError
+
+TORCH = all(importlib.util.find_spec(name) for name in ("torch", "onnx"))
+needs_torch = pytest.mark.skipif(not TORCH, reason="torch and onnx are the optional extra 'train'")
+
+
+def test_without_torch_one_line_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"pip install 'slipguard\[train\]'") as caught:
+        train_command()
+    assert "\n" not in str(caught.value)
+
+
+@needs_torch
+def test_a_stopped_training_goes_on_and_its_export_keeps_the_contract(tmp_path: Path) -> None:
+    import torch
+
+    from slipguard.datasets.frame_cache import RenderedFrames
+    from slipguard.perception.contact.segmenter import Segmenter
+    from slipguard.training.export import contract_metadata, export_onnx
+    from slipguard.training.small_network import SmallNet
+    from slipguard.training.train import EpochFigures, TrainSettings, train
+
+    rng = np.random.default_rng(0)
+    background = rng.integers(40, 90, (8, 160, 120, 3), np.uint8)
+    label = np.zeros((8, 160, 120), np.uint8)
+    label[:, 40:90, 30:80] = 255
+    frames = RenderedFrames(background + (label[..., None] // 5), background, label)
+    settings = TrainSettings(epochs=3, batch=4, threads=1, patterns=6)
+
+    class Stopped(Exception):
+        pass
+
+    def stop(figures: EpochFigures, net: SmallNet) -> None:
+        if figures.epoch == 2:
+            raise Stopped
+
+    def nothing(*_: object) -> None:
+        return
+
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    whole.mkdir()
+    parts.mkdir()
+    at_once = train(frames, frames, settings, whole, nothing, nothing)
+    assert (whole / "weights.pt").is_file()
+    with pytest.raises(Stopped):
+        train(frames, frames, settings, parts, nothing, stop)
+    epochs: list[int] = []
+    resumed = train(frames, frames, settings, parts, nothing, lambda figures, net: epochs.append(figures.epoch))
+    assert epochs == [2, 3]
+    for one, other in zip(at_once.state_dict().values(), resumed.state_dict().values(), strict=True):
+        torch.testing.assert_close(one, other)
+
+    path = tmp_path / "small.onnx"
+    assert export_onnx(resumed, path, contract_metadata("slipguard train", 0, 0.4), frames) <= 1e-4
+    assert Segmenter(path).threshold == 0.4
+    weights = sum(part.numel() for part in resumed.parameters())
+    assert path.stat().st_size < 2.2 * weights, "large weights take two bytes in the file"
+    assert not list(tmp_path.glob("*.draft.onnx"))
+
+
+@needs_torch
+def test_rendered_frames_come_from_the_cache_the_second_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from slipguard.datasets import frame_cache
+
+    drawn: list[int] = []
+    original = frame_cache.sample
+
+    def counted(seed: int) -> object:
+        drawn.append(seed)
+        return original(seed)
+
+    monkeypatch.setattr(frame_cache, "sample", counted)
+    first = frame_cache.rendered_frames(tmp_path, 5, 4, lambda ready: None)
+    again = frame_cache.rendered_frames(tmp_path, 5, 4, lambda ready: None)
+    assert drawn == [5, 6, 7, 8]
+    np.testing.assert_array_equal(first.frame, again.frame)
+    assert set(np.unique(first.label)) <= set(range(256))
+    assert first.frame.std() > 5.0

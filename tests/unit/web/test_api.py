@@ -1,0 +1,240 @@
+"""The local API on a real Unix socket: what is granted, what is refused, and what is left behind."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import stat
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import httpx
+import numpy as np
+import pytest
+from fake_daemon_api import FakeControl, served
+from pydantic import ValidationError
+
+from slipguard.daemon.api.client import Client, NoDaemon
+from slipguard.errors import CommandRefused, ConfigError, DeviceTimeout, SlipguardError
+from slipguard.web import serve
+from slipguard.web.app import make_app
+from slipguard.web.models import GoBack
+from slipguard.web.route_context import Room
+from slipguard.web.sockets import bind
+
+
+@pytest.fixture
+def control() -> FakeControl:
+    return FakeControl()
+
+
+async def on_socket(control: FakeControl, folder: Path, ask: Callable[[Client], Any]) -> Any:
+    """What a client in another thread gets from the served control."""
+
+    def ask_and_close(path: Path) -> Any:
+        with Client(path) as client:
+            return ask(client)
+
+    async with served(control, folder / "s") as path:
+        return await asyncio.to_thread(ask_and_close, path)
+
+
+def in_memory(control: FakeControl) -> httpx.AsyncClient:
+    """A client of the app without a socket."""
+    return httpx.AsyncClient(transport=httpx.ASGITransport(make_app(Room(control))), base_url="http://slipguard")
+
+
+COMMANDS = [
+    (lambda c: c.grasp(), ("grasp", None)),
+    (lambda c: c.grasp(30), ("grasp", 30.0)),
+    (lambda c: c.lift(), ("lift", None, None)),
+    (lambda c: c.lift(120, 25.5), ("lift", 120.0, 25.5)),
+    (lambda c: c.lower(10), ("lower", 10.0, None)),
+    (lambda c: c.guard(True), ("guard", True)),
+    (lambda c: c.guard(False), ("guard", False)),
+    (lambda c: c.gripper(60, 30), ("gripper", 60.0, 30.0)),
+    (lambda c: c.release(), ("release", None)),
+    (lambda c: c.release(50), ("release", 50.0)),
+    (lambda c: c.clear(), ("clear",)),
+    (lambda c: c.calibrate(), ("calibrate", False)),
+    (lambda c: c.calibrate(force=True), ("calibrate", True)),
+]
+
+
+@pytest.mark.parametrize(("ask", "asked"), COMMANDS)
+async def test_every_command_reaches_the_daemon(
+    ask: Callable[[Client], Any], asked: tuple[object, ...], control: FakeControl, tmp_path: Path
+) -> None:
+    answer = await on_socket(control, tmp_path, ask)
+    assert control.asked == [asked]
+    if asked[0] == "calibrate":
+        assert answer["fingers"]["left"] == {"frames": 30, "noise_bgr": [2.9, 1.5, 2.4], "level_bgr": [90.0] * 3}
+    else:
+        assert answer == {"said": f"{asked[0]}, as asked"}
+
+
+async def test_state_and_health(control: FakeControl, tmp_path: Path) -> None:
+    assert await on_socket(control, tmp_path, Client.state) == control.snapshot()
+    assert await on_socket(control, tmp_path, Client.healthz) == {"status": "ok"}
+    control.why = "left: no frames"
+    with pytest.raises(SlipguardError, match=r"^left: no frames$"):
+        await on_socket(control, tmp_path, Client.healthz)
+
+
+async def test_a_frame_comes_as_a_png_with_its_sensor_number_and_time(control: FakeControl, tmp_path: Path) -> None:
+    seen = await on_socket(control, tmp_path, lambda client: client.frame("right"))
+    assert (seen.serial, seen.sequence, seen.captured_at_s) == ("D20002", 1, 12.25)
+    image = cv2.imdecode(np.frombuffer(seen.png, np.uint8), cv2.IMREAD_COLOR)
+    assert np.array_equal(image, np.random.default_rng(0).integers(0, 256, (320, 240, 3), np.uint8))
+    control.failure = CommandRefused("no frame of the right finger: it was unplugged")
+    with pytest.raises(CommandRefused, match="unplugged"):
+        await on_socket(control, tmp_path, lambda client: client.frame("right"))
+
+
+async def test_a_refusal_and_a_device_error_come_through_in_words(control: FakeControl, tmp_path: Path) -> None:
+    control.failure = CommandRefused("cannot lift while idle")
+    with pytest.raises(CommandRefused, match=r"^cannot lift while idle$"):
+        await on_socket(control, tmp_path, Client.lift)
+    control.failure = DeviceTimeout("gripper: no answer")
+    with pytest.raises(SlipguardError, match=r"^gripper: no answer$"):
+        await on_socket(control, tmp_path, Client.grasp)
+
+
+BAD = [
+    ("POST", "/grasp", "{", 400, "not JSON"),
+    ("POST", "/grasp", "\xff\xfe", 400, "not JSON"),
+    ("POST", "/grasp", "[1]", 422, "the table"),
+    ("POST", "/grasp", '{"force_n": "30"}', 422, "force_n"),
+    ("POST", "/grasp", '{"force_n": -1}', 422, "force_n"),
+    ("POST", "/grasp", '{"force_n": 1e9}', 422, "force_n"),
+    ("POST", "/grasp", '{"force_n": NaN}', 422, "force_n"),
+    ("POST", "/grasp", '{"forse_n": 30}', 422, "force_n"),
+    ("POST", "/lift", '{"height_mm": 0}', 422, "height_mm"),
+    ("POST", "/guard", "{}", 422, "on: missing"),
+    ("POST", "/guard", '{"on": 1}', 422, "on"),
+    ("POST", "/release", "{}", 422, "confirm: missing"),
+    ("POST", "/release", '{"confirm": false}', 422, "confirm"),
+    ("POST", "/release", '{"confirm": 1}', 422, "confirm"),
+    ("POST", "/clear", '{"really": true}', 422, "really"),
+    ("POST", "/grasp", " " * 5000, 413, "4096"),
+    ("GET", "/release", "", 405, "POST"),
+    ("POST", "/state", "", 405, "GET"),
+    ("GET", "/nowhere", "", 404, "no such path"),
+]
+
+
+@pytest.mark.parametrize(("method", "path", "body", "status", "says"), BAD)
+async def test_bad_requests_change_nothing_and_are_answered_in_one_line(
+    method: str, path: str, body: str, status: int, says: str, control: FakeControl
+) -> None:
+    async with in_memory(control) as http:
+        response = await http.request(method, path, content=body.encode("latin-1"))
+    assert response.status_code == status
+    error = response.json()["error"]
+    assert says in error
+    assert "\n" not in error
+    assert control.asked == []
+
+
+async def test_a_mistake_of_ours_is_one_line_too(control: FakeControl) -> None:
+    control.failure = KeyError("secret detail")
+    async with in_memory(control) as http:
+        response = await http.post("/clear")
+    assert response.status_code == 500
+    assert response.json() == {"error": "/clear failed inside the daemon (KeyError); its log says more"}
+
+
+async def test_the_socket_is_for_owner_and_group_and_is_gone_afterwards(control: FakeControl, tmp_path: Path) -> None:
+    path = tmp_path / "run" / "s"
+    async with served(control, path):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o660
+    assert not path.exists()
+
+
+async def test_a_dead_daemons_socket_is_replaced_and_a_live_ones_is_not(control: FakeControl, tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(path))
+    async with served(control, path):
+        with pytest.raises(SlipguardError, match="another daemon listens at"):
+            bind(path)
+        assert await asyncio.to_thread(lambda: _state(path)) == control.snapshot()
+
+
+def test_sockets_that_cannot_be(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(ConfigError, match="no socket"):
+        bind(tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "mine"
+    with pytest.raises(ConfigError, match="cannot be made"):
+        bind(tmp_path / "file" / "s")
+    with pytest.raises(ConfigError, match="107 bytes"):
+        bind(tmp_path / ("x" * 120))
+
+
+async def test_stopping_waits_for_a_short_answer_and_not_for_an_idle_client(
+    control: FakeControl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serve, "GRACE_S", 20)  # a busy machine is slow, and the idle client must not be waited for
+    control.delay_s = 0.3
+    async with served(control, tmp_path / "s") as path:
+        _, idle = await asyncio.open_unix_connection(path)
+        asking = asyncio.create_task(asyncio.to_thread(lambda: _clear(path)))
+        await control.began.wait()
+    assert await asking == {"said": "clear, as asked"}
+    idle.close()
+    await idle.wait_closed()
+
+
+async def test_without_a_daemon_the_client_says_how_to_start_one(tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    with Client(path) as client, pytest.raises(NoDaemon, match=r"no daemon is listening at .*/s: start it with"):
+        client.state()
+
+
+async def test_a_stranger_on_the_socket_is_not_believed(tmp_path: Path) -> None:
+    async def stranger(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.readuntil(b"\r\n\r\n")
+        writer.write(b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nhi")
+        await writer.drain()
+        writer.close()
+        await writer.wait_closed()
+
+    async with await asyncio.start_unix_server(stranger, tmp_path / "s"):
+        with pytest.raises(SlipguardError, match="is no slipguard daemon"):
+            await asyncio.to_thread(lambda: _state(tmp_path / "s"))
+
+
+async def test_many_clients_at_once(control: FakeControl, tmp_path: Path) -> None:
+    async with served(control, tmp_path / "s") as path:
+        transport = httpx.AsyncHTTPTransport(uds=str(path))
+        async with httpx.AsyncClient(transport=transport, base_url="http://slipguard") as http:
+            answers = await asyncio.gather(*(http.post("/lift", json={"height_mm": n}) for n in range(1, 51)))
+    assert [answer.status_code for answer in answers] == [200] * 50
+    assert sorted(asked[1] for asked in control.asked) == [float(n) for n in range(1, 51)]  # type: ignore[type-var]
+    assert json.loads(answers[0].content) == {"said": "lift, as asked"}
+
+
+def _state(path: Path) -> dict[str, Any]:
+    with Client(path) as client:
+        return client.state()
+
+
+def _clear(path: Path) -> dict[str, Any]:
+    with Client(path) as client:
+        return client.clear()
+
+
+@pytest.mark.parametrize(
+    ("number", "taken"), [("3", True), ("3.0", True), ("3.5", False), ("true", False), ("NaN", False)]
+)
+def test_a_whole_number_is_one_however_it_is_written(number: str, taken: bool) -> None:
+    body = '{"finger": "left", "number": %s}' % number  # noqa: UP031
+    if taken:
+        assert GoBack.model_validate_json(body) == GoBack(finger="left", number=3)
+    else:
+        with pytest.raises(ValidationError):
+            GoBack.model_validate_json(body)

@@ -1,0 +1,230 @@
+"""Commands over TCP: on a real port, with the requests that a foreign page in the operator's browser could send."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from fake_daemon_api import TOKEN, FakeControl, served_on_tcp
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
+
+from slipguard.errors import ConfigError
+from slipguard.web.access import CODE_S, CODES_MAX, Access
+from slipguard.web.token import token_file
+
+BEARER = {"authorization": f"Bearer {TOKEN}"}
+
+
+@pytest.fixture
+def control() -> FakeControl:
+    return FakeControl()
+
+
+async def ask(port: int, method: str, path: str, headers: dict[str, str] | None = None, **more: Any) -> httpx.Response:
+    async with httpx.AsyncClient(base_url=f"http://127.0.0.1:{port}", trust_env=False) as http:
+        return await http.request(method, path, headers=headers, **more)
+
+
+REFUSED = [
+    ({}, 401),
+    ({"authorization": "Bearer " + "0" * 64}, 401),
+    ({"authorization": TOKEN}, 401),
+    ({"authorization": "Bearer ü"}, 401),
+    ({"cookie": "slipguard=" + "0" * 64}, 401),
+    ({"cookie": f"slipguard={TOKEN}"}, 401),
+    (BEARER | {"origin": "http://evil.example"}, 403),
+    (BEARER | {"origin": "null"}, 403),
+    (BEARER | {"origin": "http://127.0.0.1:1"}, 403),
+    (BEARER | {"origin": "https://127.0.0.1:{port}"}, 403),
+    (BEARER | {"host": "evil.example:{port}"}, 403),
+    (BEARER | {"host": "evil.example"}, 403),
+    (BEARER | {"host": "127.0.0.1"}, 403),
+    (BEARER | {"host": "127.0.0.1:1"}, 403),
+    (BEARER | {"host": "127.0.0.1.evil.example:{port}"}, 403),
+    (BEARER | {"host": "evil.example:{port}", "origin": "http://evil.example:{port}"}, 403),
+    (BEARER | {"sec-fetch-site": "cross-site"}, 403),
+    (BEARER | {"sec-fetch-site": "same-site"}, 403),
+    (BEARER | {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate", "sec-fetch-dest": "document"}, 403),
+]
+
+
+async def test_commands_that_are_not_ours_change_nothing(control: FakeControl, tmp_path: Path) -> None:
+    commands = [("/release", {"confirm": True}), ("/page-link", None)]
+    async with served_on_tcp(control, tmp_path) as (port, _):
+        for headers, status in REFUSED:
+            told = {name: value.format(port=port).encode() for name, value in headers.items()}
+            for path, body in commands:
+                answer = await ask(port, "POST", path, told, json=body)  # type: ignore[arg-type]
+                assert answer.status_code == status, (headers, answer.text)
+                assert set(answer.json()) == {"error"}
+                assert "\n" not in answer.json()["error"]
+                assert not any(name.startswith("access-control") for name in answer.headers)
+    assert control.asked == []
+
+
+async def test_ours_are_done(control: FakeControl, tmp_path: Path) -> None:
+    async with served_on_tcp(control, tmp_path) as (port, _):
+        for host in (f"127.0.0.1:{port}", f"localhost:{port}"):
+            for more in ({}, {"origin": f"http://{host}"}, {"sec-fetch-site": "same-origin"}):
+                answer = await ask(port, "POST", "/release", BEARER | {"host": host} | more, json={"confirm": True})
+                assert answer.json() == {"said": "release, as asked"}
+    assert len(control.asked) == 6
+
+
+READS = ("/state", "/healthz", "/access", "/picture/left", "/frame/left", "/metrics", "/openapi.json", "/")
+
+
+@pytest.mark.parametrize("path", READS)
+async def test_what_only_tells_needs_no_token_but_our_name(path: str, control: FakeControl, tmp_path: Path) -> None:
+    async with served_on_tcp(control, tmp_path) as (port, _):
+        assert (await ask(port, "GET", path)).status_code == 200
+        for headers in (
+            {"host": f"evil.example:{port}"},
+            {"origin": "http://evil.example"},
+            {"sec-fetch-site": "cross-site", "sec-fetch-mode": "no-cors", "sec-fetch-dest": "image"},
+            {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate", "sec-fetch-dest": "iframe"},
+        ):
+            assert (await ask(port, "GET", path, headers)).status_code == 403, headers
+
+
+async def test_no_page_may_frame_or_embed_ours(control: FakeControl, tmp_path: Path) -> None:
+    async with served_on_tcp(control, tmp_path) as (port, _):
+        for path in ("/", "/picture/left", "/nowhere"):
+            told = (await ask(port, "GET", path)).headers
+            assert "frame-ancestors 'none'" in told["content-security-policy"]
+            assert told["x-frame-options"] == "DENY"
+            assert told["cross-origin-resource-policy"] == "same-origin"
+            assert told["x-content-type-options"] == "nosniff"
+
+
+async def test_a_link_gives_control_once_and_to_a_browser_of_ours(control: FakeControl, tmp_path: Path) -> None:
+    async with served_on_tcp(control, tmp_path) as (port, access):
+        url = (await ask(port, "POST", "/page-link", BEARER)).json()["url"]
+        async with httpx.AsyncClient(trust_env=False) as browser:
+            assert (await browser.get(f"http://127.0.0.1:{port}/access")).json() == {"control": False}
+            answer = await browser.get(url)
+            assert (answer.status_code, answer.headers["location"]) == (303, f"/#session={access.session}")
+            session = {"x-slipguard-session": access.session}
+            for word in ("HttpOnly", "SameSite=strict", "Path=/"):
+                assert word in answer.headers["set-cookie"]
+            assert TOKEN not in answer.headers["set-cookie"]
+            assert (await browser.get(f"http://127.0.0.1:{port}/access")).json() == {"control": False}
+            stolen = await browser.post(f"http://127.0.0.1:{port}/clear")
+            assert stolen.status_code == 401, "whoever listens at another port of this machine is sent the cookie too"
+            told = await browser.get(f"http://127.0.0.1:{port}/access", headers=session)
+            assert told.json() == {"control": True}
+            origin = {"origin": f"http://127.0.0.1:{port}"}
+            done = await browser.post(f"http://127.0.0.1:{port}/clear", headers=origin | session)
+            assert done.json() == {"said": "clear, as asked"}
+            foreign = await browser.post(
+                f"http://127.0.0.1:{port}/clear", headers={"origin": "http://127.0.0.1:1"} | session
+            )
+            assert foreign.status_code == 403, "another port of this machine is not our page"
+            browser.cookies.clear()
+            assert (await browser.post(f"http://127.0.0.1:{port}/clear", headers=session)).status_code == 401
+        again = await ask(port, "GET", url.partition(str(port))[2])
+        assert again.status_code == 401
+        assert "set-cookie" not in again.headers
+        assert "slipguard ctl page" in again.json()["error"]
+        shown = await ask(port, "GET", url.partition(str(port))[2], {"accept": "text/html,*/*;q=0.8"})
+        assert (shown.status_code, shown.headers["content-type"]) == (401, "text/html; charset=utf-8")
+        assert "set-cookie" not in shown.headers
+        assert "slipguard ctl page" in shown.text
+    assert control.asked == [("clear",)]
+
+
+def test_links_end() -> None:
+    now_s = [0.0]
+    access = Access(TOKEN, ("127.0.0.1", 8470), lambda: now_s[0])
+    codes = [access.link().partition("token=")[2] for _ in range(CODES_MAX + 1)]
+    assert access.redeem(codes[0]) is None, "the oldest of too many"
+    assert access.redeem(codes[1]) is not None
+    assert access.redeem(codes[1]) is None
+    now_s[0] = CODE_S
+    assert access.redeem(codes[2]) is None
+    assert access.redeem("") is None
+
+
+def test_links_name_an_address_that_can_be_opened() -> None:
+    assert Access(TOKEN, ("127.0.0.1", 8470)).link().startswith("http://127.0.0.1:8470/login?token=")
+    assert Access(TOKEN, ("::1", 8470)).link().startswith("http://[::1]:8470/login?token=")
+    assert Access(TOKEN, ("0.0.0.0", 8470)).link().startswith(f"http://{os.uname().nodename}:8470/login?token=")
+
+
+HOSTS = [
+    ("127.0.0.1", "127.0.0.1:8470", True),
+    ("127.0.0.1", "LOCALHOST:8470", True),
+    ("::1", "[::1]:8470", True),
+    ("192.0.2.7", "192.0.2.7:8470", True),
+    ("192.0.2.7", "localhost:8470", False),
+    ("192.0.2.7", "evil.example:8470", False),
+    ("0.0.0.0", "192.0.2.7:8470", True),
+    ("0.0.0.0", "localhost:8470", True),
+    ("0.0.0.0", "evil.example:8470", False),
+    ("127.0.0.1", "", False),
+    ("127.0.0.1", ":8470", False),
+    ("127.0.0.1", "127.0.0.1:8470:8470", False),
+    ("127.0.0.1", "evil@127.0.0.1:8470", False),
+]
+
+
+@pytest.mark.parametrize(("listening", "asked", "ours"), HOSTS)
+def test_names_that_are_ours(listening: str, asked: str, ours: bool) -> None:
+    from starlette.datastructures import Headers
+
+    access = Access(TOKEN, (listening, 8470))
+    objection = access.objection({"type": "http", "method": "GET"}, Headers({"host": asked}))
+    assert (objection is None) is ours, objection
+
+
+async def test_two_hosts_are_none(control: FakeControl, tmp_path: Path) -> None:
+    async with served_on_tcp(control, tmp_path) as (port, _):
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        own = f"host: 127.0.0.1:{port}\r\n"
+        writer.write(f"GET /state HTTP/1.1\r\n{own}host: evil\r\nconnection: close\r\n\r\n".encode())
+        assert b" 400 " in (await reader.readline()) or b" 403 " in (await reader.readline())
+        writer.close()
+        await writer.wait_closed()
+
+
+async def test_a_foreign_page_gets_no_live_stream(control: FakeControl, tmp_path: Path) -> None:
+    async with served_on_tcp(control, tmp_path) as (port, _):
+        url = f"ws://127.0.0.1:{port}/live"
+        for foreign in ("http://evil.example", "null", "http://127.0.0.1:1"):
+            with pytest.raises(InvalidStatus, match="403"):
+                await connect(url, origin=foreign)  # type: ignore[arg-type]
+        with pytest.raises(InvalidStatus, match="403"):
+            await connect(f"ws://evil.example:{port}/live", host="127.0.0.1", port=port)
+        async with connect(url, origin=f"http://127.0.0.1:{port}") as socket:  # type: ignore[arg-type]
+            assert '"history"' in await socket.recv(decode=True)
+        async with connect(url) as socket:
+            assert '"history"' in await socket.recv(decode=True)
+
+
+def test_the_token_is_for_its_owner_new_each_time_and_gone_afterwards(tmp_path: Path) -> None:
+    path = tmp_path / "run" / "token"
+    with token_file(path) as first:
+        assert len(first) == 64
+        assert path.read_text() == f"{first}\n"
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert not path.exists()
+    path.write_text("somebody else's, and readable by all")
+    path.chmod(0o644)
+    with token_file(path) as second:
+        assert second != first
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        path.write_text("a successor's")
+    assert path.read_text() == "a successor's"
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_token_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="token cannot be written"), token_file(tmp_path / "file" / "token"):
+        pass

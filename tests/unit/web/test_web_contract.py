@@ -1,0 +1,31 @@
+"""The OpenAPI document against the API: requests made up from it, good and bad, on a real port with the token.
+
+`pytest tests/unit/web/test_web_contract.py --api-examples 500` tries for longer.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from pathlib import Path
+
+import pytest
+from fake_daemon_api import TOKEN, FakeControl, served_on_tcp
+
+
+async def test_every_route_keeps_its_word(tmp_path: Path, pytestconfig: pytest.Config) -> None:
+    """No server error; statuses, types, headers and bodies as described; bad requests refused; the token asked for."""
+    control = FakeControl()
+    async with served_on_tcp(control, tmp_path) as (port, _):
+        trial = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "schemathesis.cli", "run", f"http://127.0.0.1:{port}/openapi.json"),
+            *("--header", f"Authorization: Bearer {TOKEN}", "--checks", "all", "--seed", "1", "--no-color"),
+            *("--max-examples", str(pytestconfig.getoption("--api-examples")), "--suppress-health-check", "all"),
+            cwd=tmp_path,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+        )
+        said, _ = await trial.communicate()
+    assert trial.returncode == 0, said.decode()
+    assert {what for what, *_ in control.asked} >= {"grasp", "lift", "lower", "guard", "gripper", "release", "clear"}

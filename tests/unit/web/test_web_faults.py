@@ -1,0 +1,115 @@
+"""The web process fails in every way there is: the daemon beside it says so, starts another, and goes on."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import os
+import signal
+import socket
+import sys
+from pathlib import Path
+
+import pytest
+from fake_daemon_api import FakeControl
+from hosted_api import hosted, web_process
+
+from slipguard.daemon.loop.event_log import Event
+from slipguard.tools.waiting import until
+from slipguard.web import daemon_endpoint as answering
+from slipguard.web import host
+from slipguard.web.daemon_endpoint import answer
+from slipguard.web.sockets import bind
+
+GARBAGE = "#!{}\nimport os, sys, time\nos.write(int(sys.argv[4]), b'x' * 64)\ntime.sleep(600)\n"
+
+
+async def test_garbage_and_a_process_that_cannot_be_started_end_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "served").mkdir()
+    speaking = tmp_path / "speaking"
+    speaking.write_text(GARBAGE.format(sys.executable))
+    speaking.chmod(0o755)
+    control = FakeControl()
+    monkeypatch.setattr(sys, "executable", str(speaking))
+    async with hosted(control, tmp_path / "served") as served:
+        await until(served.serving, lambda: len(served.warnings) == 1, 30.0, "no word of the garbage")
+        monkeypatch.setattr(sys, "executable", str(tmp_path / "nowhere"))
+        await until(served.serving, lambda: len(served.warnings) == 2, 30.0, "no word of the failed start")
+        monkeypatch.undo()
+        with served.client() as client:
+            assert await asyncio.to_thread(client.clear) == {"said": "clear, as asked"}
+        garbage, nowhere = served.warnings
+        assert garbage.startswith("page and API ended (a message of ")
+        assert "No such file" in nowhere
+        assert len(control.ears) == 1
+        assert not any("\n" in line for line in served.warnings)
+
+
+async def test_a_web_process_that_hangs_is_replaced_and_does_nothing_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(answering, "SILENT_S", 2.0)
+    control = FakeControl()
+    async with hosted(control, tmp_path) as served:
+        with served.client() as client:
+            await asyncio.to_thread(client.state)
+            hanging = web_process()
+            os.kill(hanging, signal.SIGSTOP)
+            asking = asyncio.create_task(asyncio.to_thread(client.state))
+            await until(served.serving, lambda: len(served.warnings) == 1, 30.0, "it is not noticed")
+            assert "(it hangs)" in served.warnings[0]
+            await asyncio.gather(asking, return_exceptions=True)
+        with pytest.raises(ProcessLookupError):
+            os.kill(hanging, 0)
+        with served.client() as client:
+            assert await asyncio.to_thread(client.clear) == {"said": "clear, as asked"}
+    assert control.asked == [("clear",)]
+
+
+@pytest.mark.parametrize(("well_s", "told"), [(0.0, ["reset", "wait"] * 2), (1e9, ["wait"] * 2)])
+async def test_who_was_well_for_long_is_replaced_after_the_first_pause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, well_s: float, told: list[str]
+) -> None:
+    found: list[str] = []
+
+    class Pauses:
+        def __init__(self, *pauses_s: float) -> None:
+            pass
+
+        def reset(self) -> None:
+            found.append("reset")
+
+        async def wait(self) -> None:
+            found.append("wait")
+            if found.count("wait") == 2:
+                raise asyncio.CancelledError
+
+    async def fails(*_: object) -> int:
+        raise OSError("no more processes")
+
+    monkeypatch.setattr(host, "Backoff", Pauses)
+    monkeypatch.setattr(host, "WELL_S", well_s)
+    monkeypatch.setattr(host, "_until_it_ends", fails)
+    with pytest.raises(asyncio.CancelledError):
+        await host.run_api(FakeControl(), bind(tmp_path / "s"), None, tmp_path / "token", lambda line: None)
+    assert found == told
+
+
+async def test_an_event_that_cannot_be_told_harms_nobody() -> None:
+    control = FakeControl()
+    ours, theirs = socket.socketpair()
+    reader, writer = await asyncio.open_connection(sock=ours)
+    answers = asyncio.create_task(answer(control, reader, writer))
+    await until(answers, lambda: bool(control.ears), 5.0, "nobody listens")
+    hear = control.ears[0]
+    hear(Event(math.nan, "info", "no time at all"))
+    theirs.close()
+    for _ in range(3):
+        hear(Event(1.0, "info", "nobody is there"))
+        await asyncio.sleep(0)
+    await answers
+    writer.close()
+    hear(Event(2.0, "info", "it is closed"))
+    assert control.ears == []

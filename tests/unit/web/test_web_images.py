@@ -1,0 +1,157 @@
+"""Pictures for people: what is drawn over a frame, and that it is drawn once however many look."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from pathlib import Path
+
+import cv2
+import httpx
+import numpy as np
+import pytest
+from fake_daemon_api import FakeControl, served_on_tcp
+from numpy.typing import NDArray
+
+from slipguard.daemon.api.daemon_api import Contact, View
+from slipguard.devices import Frame
+from slipguard.errors import CommandRefused
+from slipguard.perception.contact.patch import ClippedSides
+from slipguard.web import images as pictures_module
+from slipguard.web.app import make_app
+from slipguard.web.images import AXIS_BGR, OUTLINE_BGR, SKELETON_BGR, Pictures, draw
+from slipguard.web.route_context import Room
+
+GREY = np.full((320, 240, 3), 90, np.uint8)
+
+
+def bar(angle_deg: float) -> NDArray[np.uint8]:
+    """A bar of 60 x 14 in the middle of (100, 100), counter-clockwise as a viewer sees it."""
+    mask = np.zeros((100, 100), np.uint8)
+    corners = cv2.boxPoints(((49.5, 49.5), (60.0, 14.0), -angle_deg))
+    cv2.fillPoly(mask, [np.round(corners).astype(np.int32)], (1,))
+    return mask
+
+
+def contact_of(mask: NDArray[np.uint8], axis_deg: float | None) -> Contact:
+    return Contact(mask, 30, 50, (160, 213), ClippedSides(), axis_deg)
+
+
+def points(picture: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArray[np.float64]:
+    rows, columns = np.nonzero((picture == np.array(colour, np.uint8)).all(axis=2))
+    return np.stack([columns, rows], axis=1).astype(np.float64)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 30.0, -60.0, 90.0])
+def test_axis_line_and_outline_lie_on_the_contact(angle_deg: float) -> None:
+    picture = draw(GREY, contact_of(bar(angle_deg), angle_deg))
+    middle = np.array([(30 + 50) * 1.5 - 0.5, (50 + 50) * 320 / 213 - 0.5])
+    outline, skeleton = points(picture, OUTLINE_BGR), points(picture, SKELETON_BGR)
+    assert np.abs(outline.mean(axis=0) - middle).max() < 4.0
+    reach = np.hypot(*(outline - middle).T)
+    assert 38.0 < reach.max() < 52.0, "the bar is 60 network pixels long, 90 of the frame"
+    assert skeleton.size == 0 or np.hypot(*(skeleton - middle).T).max() < reach.max()
+    red = (picture[..., 2].astype(int) - picture[..., 0] > 80) & (picture[..., 1] < 140)
+    rows, columns = np.nonzero(red)
+    along = np.linalg.svd(np.stack([columns - columns.mean(), -(rows - rows.mean())], axis=1))[2][0]
+    found_deg = np.degrees(np.arctan2(along[1], along[0]))
+    assert abs((found_deg - angle_deg + 90.0) % 180.0 - 90.0) < 3.0
+    assert (GREY == 90).all(), "drawn into a copy"
+
+
+def test_without_an_axis_only_line_and_outline() -> None:
+    picture = draw(GREY, contact_of(bar(0.0), None))
+    assert points(picture, AXIS_BGR).size == 0
+    assert points(picture, OUTLINE_BGR).size > 0
+    assert points(picture, SKELETON_BGR).size > 0
+
+
+def test_a_contact_at_the_very_edge_can_be_drawn() -> None:
+    mask = np.ones((213, 160), np.uint8)
+    draw(GREY, Contact(mask, 0, 0, (160, 213), ClippedSides(True, True, True, True), 45.0))
+
+
+async def test_drawn_once_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    control, drawn = FakeControl(), []
+
+    def counting(view: View) -> bytes:
+        drawn.append(view.frame.sequence)
+        return b"jpeg"
+
+    monkeypatch.setattr(pictures_module, "overlaid_jpeg_of", counting)
+    pictures = Pictures(control)
+    found = await asyncio.gather(*(pictures.drawn("left", overlay=True) for _ in range(50)))
+    assert drawn == [1]
+    assert {one.sequence for one in found} == {1}
+    await asyncio.sleep(2 * pictures_module.KEEP_S)
+    assert (await pictures.drawn("left", overlay=True)).sequence == 2
+    control.failure = CommandRefused("no frame of the left finger: unplugged")
+    await asyncio.sleep(2 * pictures_module.KEEP_S)
+    with pytest.raises(CommandRefused, match="unplugged"):
+        await pictures.drawn("left", overlay=True)
+    control.failure = None
+    assert (await pictures.drawn("left", overlay=True)).sequence == 3, "a refusal is not kept"
+
+
+async def test_over_http(tmp_path: Path) -> None:
+    control = FakeControl()
+    async with (
+        served_on_tcp(control, tmp_path) as (port, _),
+        httpx.AsyncClient(base_url=f"http://127.0.0.1:{port}", trust_env=False) as http,
+    ):
+        told = await http.get("/picture/left")
+        assert (told.headers["content-type"], told.headers["x-sequence"]) == ("image/jpeg", "1")
+        assert told.headers["x-serial"] == "D20001"
+        shown = cv2.imdecode(np.frombuffer(told.content, np.uint8), cv2.IMREAD_COLOR)
+        plain = await http.get("/picture/left", params={"overlay": "0"})
+        bare = cv2.imdecode(np.frombuffer(plain.content, np.uint8), cv2.IMREAD_COLOR)
+        assert shown.shape == bare.shape == (320, 240, 3)
+        assert np.ptp(bare) < 4
+        assert np.ptp(shown) > 100
+        assert (await http.get("/picture/middle")).status_code == 404
+        assert (await http.get("/picture/left", params={"overlay": "2"})).status_code == 422
+        await asyncio.sleep(2 * pictures_module.KEEP_S)
+        control.failure = CommandRefused("no frame of the left finger: unplugged")
+        refused = await http.get("/picture/left")
+        assert (refused.status_code, refused.json()["error"]) == (409, str(control.failure))
+
+
+def test_a_view_without_contact_is_the_frame() -> None:
+    plain = pictures_module.overlaid_jpeg_of(View("D1", Frame(GREY, 0.0, 1)))
+    assert plain == pictures_module.jpeg_of(View("D1", Frame(GREY, 0.0, 1), contact_of(bar(0.0), 0.0)))
+
+
+async def test_many_who_look_at_what_is_stored_ask_the_daemon_as_one() -> None:
+    at_once, most = 0, 0
+    asked: Counter[str] = Counter()
+
+    class Counting(FakeControl):
+        async def trouble(self) -> str | None:
+            asked["trouble"] += 1
+            return await super().trouble()
+
+        async def no_contacts(self) -> bytes:
+            asked["no_contacts"] += 1
+            return await super().no_contacts()
+
+        async def no_contact(self, finger: str, number: int | None = None) -> View:
+            nonlocal at_once, most
+            at_once += 1
+            most = max(most, at_once)
+            await asyncio.sleep(0.01)
+            at_once -= 1
+            return await super().no_contact(finger, number)
+
+    room = Room(Counting())
+    transport = httpx.ASGITransport(make_app(room))
+    async with httpx.AsyncClient(transport=transport, base_url="http://s") as http:
+        paths = ["/healthz", "/no-contact", "/no-contact/left", "/no-contact/right?number=1"] * 5
+        answers = await asyncio.gather(*(http.get(path) for path in paths))
+        assert {answer.status_code for answer in answers} == {200}
+        assert most == 1
+        before = asked["no_contacts"]
+        assert before < 5
+        assert (await http.post("/clear")).status_code == 200
+        assert (await http.get("/no-contact")).status_code == 200
+        assert asked["no_contacts"] == before + 1
+    assert asked["trouble"] < 5

@@ -1,0 +1,172 @@
+"""What a slow, a silent or a crowd of clients may do: not much, and it is said."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from pathlib import Path
+
+import httpx
+import pytest
+from fake_daemon_api import FakeControl, served_on_tcp
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
+
+from slipguard.web import commands, serve
+from slipguard.web import middleware as shield
+from slipguard.web import timeouts as patience
+from slipguard.web.middleware import Shield
+
+
+async def closed_after_s(port: int, *pieces: bytes, pause_s: float = 0.05) -> tuple[float, bytes]:
+    """When the server ended a connection on which the pieces came one after the other, and what it said."""
+    loop = asyncio.get_running_loop()
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    began_s = loop.time()
+    for piece in pieces:
+        writer.write(piece)
+        await asyncio.sleep(pause_s)
+    async with asyncio.timeout(10.0):
+        try:
+            said = await reader.read()
+        except ConnectionError:
+            said = b""
+    writer.close()
+    return loop.time() - began_s, said
+
+
+async def test_who_never_ends_a_request_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(patience, "REQUEST_S", 0.4)
+    monkeypatch.setattr(commands, "BODY_S", 0.4)
+    monkeypatch.setattr(serve, "IDLE_S", 1)
+    async with served_on_tcp(FakeControl(), tmp_path) as (port, access):
+        silent = closed_after_s(port)
+        drops = closed_after_s(port, *[b"x"] * 30)
+        head = f"GET /access HTTP/1.1\r\nhost: 127.0.0.1:{port}\r\n".encode()
+        unfinished = closed_after_s(port, head)
+        again = closed_after_s(port, head + b"\r\n", head)
+        idle = closed_after_s(port, head + b"\r\n")
+        told = f"authorization: Bearer {access._token}\r\ncontent-length: 9\r\n\r\n"
+        body = closed_after_s(port, head.replace(b"GET /access", b"POST /clear") + told.encode(), b"{")
+        found = await asyncio.gather(silent, drops, unfinished, again, idle, body)
+    assert [time_s < 8.0 for time_s, _ in found] == [True] * 6
+    assert [said for _, said in found[:3]] == [b"", b"", b""]
+    assert found[3][1].count(b"200 OK") == 1
+    assert found[4][1].count(b"200 OK") == 1
+    assert b"408" in found[5][1]
+    assert b"did not come within" in found[5][1]
+
+
+async def test_a_request_under_way_is_not_cut_off(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(patience, "REQUEST_S", 0.2)
+    control = FakeControl()
+    control.delay_s = 0.6
+    async with served_on_tcp(control, tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
+        token = {"authorization": f"Bearer {access._token}"}
+        answer = await http.post(f"http://127.0.0.1:{port}/clear", headers=token)
+        assert answer.json() == {"said": "clear, as asked"}
+
+
+async def test_one_connection_too_many_ends_the_one_silent_for_longest(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(patience, "CONNECTIONS_MAX", 5)
+    async with served_on_tcp(FakeControl(), tmp_path) as (port, _), httpx.AsyncClient(trust_env=False) as http:
+        held = []
+        for _ in range(5):
+            held.append(await asyncio.open_connection("127.0.0.1", port))
+            await asyncio.sleep(0.02)
+        assert (await http.get(f"http://127.0.0.1:{port}/access")).status_code == 200
+        async with asyncio.timeout(5.0):
+            with contextlib.suppress(ConnectionError):
+                assert await held[0][0].read() == b""
+        for _, one in held[1:]:
+            one.write(b"GET /access HTTP/1.1\r\n")
+            assert not one.is_closing()
+        for _, one in held:
+            one.close()
+            with contextlib.suppress(ConnectionError):
+                await one.wait_closed()
+
+
+async def test_too_many_connections_that_are_being_answered_are_told_so(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(patience, "CONNECTIONS_MAX", 1)
+    control = FakeControl()
+    control.delay_s = 3.0
+    async with served_on_tcp(control, tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
+        token = {"authorization": f"Bearer {access._token}"}
+        asking = asyncio.create_task(http.post(f"http://127.0.0.1:{port}/clear", headers=token))
+        await control.began.wait()
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        said = await reader.read()
+        assert said.startswith(b"HTTP/1.1 503 ")
+        assert json.loads(said.partition(b"\r\n\r\n")[2]) == {"error": "too many connections"}
+        writer.close()
+        await writer.wait_closed()
+        assert (await asking).json() == {"said": "clear, as asked"}
+
+
+async def test_whoever_may_command_finds_a_place_among_strangers(tmp_path: Path) -> None:
+    async with served_on_tcp(FakeControl(), tmp_path) as (port, access), contextlib.AsyncExitStack() as stack:
+        live = f"ws://127.0.0.1:{port}/live"
+        for _ in range(shield.STRANGE_STREAMS_MAX):
+            await stack.enter_async_context(connect(live))
+        with pytest.raises(InvalidStatus, match="503"):
+            await stack.enter_async_context(connect(live))
+        token = {"authorization": f"Bearer {access._token}"}
+        await stack.enter_async_context(connect(live, additional_headers=token))
+        async with httpx.AsyncClient(trust_env=False) as http:
+            url = f"http://127.0.0.1:{port}"
+            assert (await http.get(f"{url}/state")).status_code == 200
+            assert (await http.post(f"{url}/clear", headers=token)).status_code == 200
+
+
+async def test_strangers_take_no_more_than_their_places() -> None:
+    done = asyncio.Event()
+
+    async def app(scope: object, receive: object, send: object) -> None:
+        await done.wait()
+
+    guarded = Shield(app, lambda headers: "authorization" in headers)  # type: ignore[arg-type]
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(guarded), base_url="http://s") as http:  # type: ignore[arg-type]
+        scope = {"type": "http", "headers": []}
+        under_way = [
+            asyncio.create_task(guarded(scope, None, None))  # type: ignore[arg-type]
+            for _ in range(shield.STRANGERS_MAX)
+        ]
+        await asyncio.sleep(0)
+        assert (await http.get("/state")).status_code == 503
+        token = [(b"authorization", b"Bearer x")]
+        own = asyncio.create_task(guarded(scope | {"headers": token}, None, None))  # type: ignore[arg-type]
+        await asyncio.sleep(0.05)
+        assert not own.done()
+        done.set()
+        await asyncio.gather(own, *under_way)
+
+
+async def test_too_many_at_once_are_told_so() -> None:
+    full, done = asyncio.Event(), asyncio.Event()
+
+    async def app(scope: object, receive: object, send: object) -> None:
+        full.set()
+        await done.wait()
+
+    guarded = Shield(app, clients_max=1)  # type: ignore[arg-type]
+    first = asyncio.create_task(guarded({"type": "http"}, None, None))  # type: ignore[arg-type, dict-item]
+    await full.wait()
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(guarded), base_url="http://s") as http:  # type: ignore[arg-type]
+        answer = await http.get("/state")
+        assert (answer.status_code, set(answer.json())) == (503, {"error"})
+        assert answer.headers["x-frame-options"] == "DENY"
+        done.set()
+        await first
+    said: list[dict[str, object]] = []
+
+    async def send(message: dict[str, object]) -> None:
+        said.append(message)
+
+    await Shield(app, clients_max=0)({"type": "websocket"}, None, send)  # type: ignore[arg-type, dict-item]
+    assert said == [{"type": "websocket.close", "code": 1008, "reason": "0 clients are being answered already"}]

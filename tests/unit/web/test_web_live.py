@@ -1,0 +1,210 @@
+"""The live stream: history first, states and events as they come, and a slow client that delays nobody."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import structlog
+from fake_daemon_api import FakeControl, served_on_tcp
+from starlette.websockets import WebSocketDisconnect
+from structlog.testing import capture_logs
+from websockets.asyncio.client import connect
+
+from slipguard.daemon.loop.event_log import KEPT, Event
+from slipguard.daemon.loop.virtual_time import run_virtual
+from slipguard.errors import SlipguardError
+from slipguard.web import live as live_module
+from slipguard.web.daemon_proxy import Mistake
+from slipguard.web.live import HISTORY, Live
+
+
+class Client:
+    """A WebSocket that takes messages as fast as it is let."""
+
+    def __init__(self) -> None:
+        self.got: list[dict[str, Any]] = []
+        self.taking = asyncio.Event()
+        self.taking.set()
+        self.gone = asyncio.Event()
+
+    async def accept(self) -> None: ...
+
+    async def send_text(self, text: str) -> None:
+        await self.taking.wait()
+        if self.gone.is_set():
+            raise WebSocketDisconnect(1006)
+        self.got.append(json.loads(text))
+
+    async def receive(self) -> dict[str, str]:
+        await self.gone.wait()
+        return {"type": "websocket.disconnect"}
+
+    def told(self, kind: str) -> list[dict[str, Any]]:
+        return [message for message in self.got if message["type"] == kind]
+
+
+def played(control: FakeControl, scene: Any) -> None:
+    """Run a scene with the stream on, on a virtual clock."""
+
+    async def main() -> None:
+        live = Live(control.state)
+        control.listen(live.hear)
+        running = asyncio.create_task(live.run())
+        try:
+            await scene(live)
+        finally:
+            running.cancel()
+            await asyncio.gather(running, return_exceptions=True)
+
+    run_virtual(main())
+
+
+def test_history_then_events_then_states_at_ten_a_second() -> None:
+    control = FakeControl()
+    client = Client()
+
+    async def scene(live: Live) -> None:
+        await asyncio.sleep(90.05)
+        serving = asyncio.create_task(live.serve(client))  # type: ignore[arg-type]
+        await asyncio.sleep(1.0)
+        live.hear(Event(5.0, "fault", "object lost", "clear it", "object lost"))
+        await asyncio.sleep(0.01)
+        client.gone.set()
+        await serving
+
+    played(control, scene)
+    assert [message["type"] for message in client.got[:3]] == ["history", "event", "state"]
+    samples = client.got[0]["samples"]
+    assert len(samples) == HISTORY == 600
+    known = {
+        "t_s": 12.5, "turn_deg": 1.5, "sigma_deg": 0.25, "force_n": 40.25, "target_n": 40.0, "phase": "holding",
+        "slipping": False,
+    }  # fmt: skip
+    assert samples[0] == known
+    assert len(client.told("state")) == 10
+    assert client.told("state")[0]["state"] == control.snapshot()
+    assert client.told("state")[0]["sample"] == known
+    assert client.got[-1]["event"]["what_to_do"] == "clear it"
+    assert [message["event"]["text"] for message in client.told("event")] == ["gripped", "object lost"]
+
+
+def test_a_slow_client_loses_messages_and_delays_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    slow, quick = Client(), Client()
+    monkeypatch.setattr(live_module, "SEND_S", 60.0)
+
+    async def scene(live: Live) -> None:
+        serving = [asyncio.create_task(live.serve(one)) for one in (slow, quick)]  # type: ignore[arg-type]
+        await asyncio.sleep(0.05)
+        slow.taking.clear()
+        for number in range(3 * KEPT):
+            live.hear(Event(float(number), "info", f"event {number}"))
+            await asyncio.sleep(0.1)
+        slow.taking.set()
+        await asyncio.sleep(0.05)
+        for one in (slow, quick):
+            one.gone.set()
+        await asyncio.gather(*serving)
+
+    played(FakeControl(), scene)
+    assert len(quick.told("state")) == 3 * KEPT
+    assert len(quick.told("event")) == 1 + 3 * KEPT
+    assert len(slow.told("state")) <= 3
+    texts = [message["event"]["text"] for message in slow.told("event")]
+    assert texts[-1] == f"event {3 * KEPT - 1}"
+    assert len(texts) <= KEPT + 2
+
+
+def test_a_client_that_takes_nothing_is_dropped() -> None:
+    stuck = Client()
+
+    async def scene(live: Live) -> None:
+        stuck.taking.clear()
+        await live.serve(stuck)  # type: ignore[arg-type]
+        assert not live._listeners
+
+    played(FakeControl(), scene)
+    assert stuck.got == []
+
+
+def test_the_daemon_is_asked_once_for_all_and_may_fail() -> None:
+    control = FakeControl()
+    clients = [Client() for _ in range(20)]
+    asked: list[int] = []
+
+    async def scene(live: Live) -> None:
+        serving = [asyncio.create_task(live.serve(one)) for one in clients]  # type: ignore[arg-type]
+        await asyncio.sleep(1.05)
+        asked.append(control.looked)
+        for one in clients:
+            one.gone.set()
+        await asyncio.gather(*serving)
+
+    played(control, scene)
+    assert asked == [10]
+    assert all(len(one.told("state")) == 10 for one in clients)
+
+    class Silent(FakeControl):
+        async def state(self) -> bytes:
+            self.looked += 1
+            if self.looked < 5:
+                raise SlipguardError("the daemon did not answer")
+            return json.dumps(self.snapshot()).encode()
+
+    patient = Client()
+
+    async def silence(live: Live) -> None:
+        serving = asyncio.create_task(live.serve(patient))  # type: ignore[arg-type]
+        await asyncio.sleep(1.05)
+        patient.gone.set()
+        await serving
+
+    played(Silent(), silence)
+    assert len(patient.told("state")) == 6
+
+
+def test_a_mistake_in_one_state_ends_nothing_and_is_said_once() -> None:
+    class Mistaken(FakeControl):
+        async def state(self) -> bytes:
+            self.looked += 1
+            if self.looked < 3:
+                raise Mistake("KeyError in the daemon")
+            return b"[]" if self.looked == 3 else json.dumps(self.snapshot()).encode()
+
+    client = Client()
+
+    async def scene(live: Live) -> None:
+        serving = asyncio.create_task(live.serve(client))  # type: ignore[arg-type]
+        await asyncio.sleep(1.05)
+        client.gone.set()
+        await serving
+
+    structlog.reset_defaults()
+    with capture_logs() as said:
+        played(Mistaken(), scene)
+    assert len(client.told("state")) == 7
+    assert [line["event"] for line in said] == 2 * ["the page has missed a state"]
+
+
+async def test_over_a_real_socket_and_what_clients_say_is_not_listened_to(tmp_path: Path) -> None:
+    control = FakeControl()
+    async with served_on_tcp(control, tmp_path) as (port, _), connect(f"ws://127.0.0.1:{port}/live") as socket:
+        kinds = [json.loads(await socket.recv())["type"] for _ in range(4)]
+        assert kinds == ["history", "event", "state", "state"]
+        await socket.send('{"release": true}')
+        for hear in control.ears:
+            hear(Event(2.0, "warning", "a line"))
+        while (message := json.loads(await socket.recv()))["type"] != "event":
+            pass
+        assert message["event"] == {
+            "at_s": 2.0,
+            "level": "warning",
+            "text": "a line",
+            "what_to_do": None,
+            "code": None,
+        }
+    assert control.asked == []
+    assert control.ears == []

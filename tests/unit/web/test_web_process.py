@@ -1,0 +1,166 @@
+"""The web process beside the daemon: asked over its sockets as anybody would, killed, and followed to its end."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import socket
+from contextlib import closing
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from fake_daemon_api import FakeControl
+from hosted_api import free_port, hosted, web_process
+
+from slipguard.daemon.api.client import Client, OverTcp
+from slipguard.daemon.api.daemon_api import Contact, View
+from slipguard.devices import Frame
+from slipguard.errors import CommandRefused, DeviceTimeout, SlipguardError
+from slipguard.perception.contact.patch import ClippedSides
+from slipguard.web.host import run_api
+from slipguard.web.protocol import MESSAGE_MAX_BYTES, packed, receive, view_packed, view_unpacked
+from slipguard.web.sockets import bind, bind_tcp
+
+
+async def test_everything_goes_through_and_failures_keep_their_words(tmp_path: Path) -> None:
+    control = FakeControl()
+    async with hosted(control, tmp_path) as host:
+        with host.client() as client:
+            assert await asyncio.to_thread(client.state) == control.snapshot()
+            assert await asyncio.to_thread(client.healthz) == {"status": "ok"}
+            assert (await asyncio.to_thread(client.lift, 120.0, 20.0)) == {"said": "lift, as asked"}
+            assert "fingers" in await asyncio.to_thread(client.calibrate)
+            assert (await asyncio.to_thread(client.frame, "right")).serial == "D20002"
+            control.failure = CommandRefused("cannot lift while idle")
+            with pytest.raises(CommandRefused, match=r"^cannot lift while idle$"):
+                await asyncio.to_thread(client.lift)
+            control.failure = DeviceTimeout("gripper: no answer")
+            with pytest.raises(SlipguardError, match=r"^gripper: no answer$"):
+                await asyncio.to_thread(client.grasp)
+            control.failure = KeyError("secret detail")
+            with pytest.raises(SlipguardError, match="failed inside the daemon") as raised:
+                await asyncio.to_thread(client.grasp)
+            assert "secret" not in str(raised.value)
+        control.failure = None
+        with host.over_tcp() as client:
+            assert await asyncio.to_thread(client.clear) == {"said": "clear, as asked"}
+            assert (await asyncio.to_thread(client.page_link))["url"].startswith(f"{host.url}/login?token=")
+        with Client(OverTcp(host.url)) as client, pytest.raises(SlipguardError, match="needs the token"):
+            await asyncio.to_thread(client.release)
+    assert [asked[0] for asked in control.asked] == ["lift", "calibrate", "lift", "grasp", "grasp", "clear"]
+    assert host.warnings == []
+
+
+async def test_a_killed_web_process_is_replaced_and_nobody_is_turned_away(tmp_path: Path) -> None:
+    control = FakeControl()
+    async with hosted(control, tmp_path) as host:
+        with host.client() as client:
+            await asyncio.to_thread(client.state)
+        os.kill(web_process(), signal.SIGKILL)
+        with host.client() as client:
+            assert await asyncio.to_thread(client.clear) == {"said": "clear, as asked"}
+        assert len(host.warnings) == 1
+        assert "the guard goes on" in host.warnings[0]
+        assert len(control.ears) == 1, "the first one's ears are taken off"
+
+
+async def test_stopping_finishes_what_was_asked(tmp_path: Path) -> None:
+    control = FakeControl()
+    control.delay_s = 0.3
+    with Client(tmp_path / "s", timeout_s=20.0) as client:
+        async with hosted(control, tmp_path):
+            asking = asyncio.create_task(asyncio.to_thread(client.clear))
+            await control.began.wait()
+        assert await asking == {"said": "clear, as asked"}
+
+
+async def test_a_taken_port_is_done_without(tmp_path: Path) -> None:
+    control = FakeControl()
+    (tmp_path / "own").mkdir()
+    with closing(bind_tcp("127.0.0.1", 0)) as taken:
+        port = int(taken.getsockname()[1])
+        warnings: list[str] = []
+        unix = bind(tmp_path / "own" / "s")
+        api = run_api(control, unix, ("127.0.0.1", port), tmp_path / "own" / "token", warnings.append)
+        serving = asyncio.create_task(api)
+        with Client(tmp_path / "own" / "s", timeout_s=20.0) as client:
+            assert await asyncio.to_thread(client.state) == control.snapshot()
+            with pytest.raises(CommandRefused, match="page is not served"):
+                await asyncio.to_thread(client.page_link)
+        assert not (tmp_path / "own" / "token").exists()
+        serving.cancel()
+        await asyncio.gather(serving, return_exceptions=True)
+    assert [f"127.0.0.1:{port} cannot be listened at" in line for line in warnings] == [True]
+
+
+async def test_an_open_port_is_warned_of(tmp_path: Path) -> None:
+    port = free_port()
+    warnings: list[str] = []
+    serving = asyncio.create_task(
+        run_api(FakeControl(), bind(tmp_path / "s"), ("0.0.0.0", port), tmp_path / "token", warnings.append)
+    )
+    async with httpx.AsyncClient(trust_env=False, timeout=20.0) as http:
+        assert (await http.get(f"http://127.0.0.1:{port}/access")).status_code == 200
+    serving.cancel()
+    await asyncio.gather(serving, return_exceptions=True)
+    assert ["open to the network" in line for line in warnings] == [True]
+
+
+async def test_a_daemon_that_is_gone_is_followed(tmp_path: Path) -> None:
+    """However it went, its socket is free for the next one."""
+    import sys
+
+    unix = bind(tmp_path / "s")
+    ours, theirs = socket.socketpair()
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "slipguard.web", str(theirs.fileno())),
+        pass_fds=(theirs.fileno(), unix.listening.fileno()),
+    )
+    theirs.close()
+    first = {"unix_fd": unix.listening.fileno(), "tcp_fd": None, "host": None, "port": None, "token": None}
+    ours.sendall(b"".join(packed(first)))
+    await asyncio.to_thread(ours.recv, 1)  # it asks for the state, so it serves
+    ours.close()
+    unix.listening.close()
+    async with asyncio.timeout(20.0):
+        assert await process.wait() == 1
+    bind(tmp_path / "s").close()
+
+
+async def test_messages_that_are_none() -> None:
+    for sent, why in (
+        (b"\x00\x00\x00\x02\x00\x00\x00\x00[]", "no object"),
+        (b"\x00\x00\x00\x03\x00\x00\x00\x00{a}", "is none"),
+        (b'\x00\x00\x00\x09\x00\x00\x00\x00{"a":NaN}', "NaN is no number"),
+        ((MESSAGE_MAX_BYTES + 1).to_bytes(4, "big") + b"\x00" * 4, "bytes; at most"),
+    ):
+        reader = asyncio.StreamReader()
+        reader.feed_data(sent)
+        reader.feed_eof()
+        with pytest.raises(SlipguardError, match=why):
+            await receive(reader)
+    cut = asyncio.StreamReader()
+    cut.feed_data(b"".join(packed({"a": 1}))[:-1])
+    cut.feed_eof()
+    assert await receive(cut) is None
+
+
+@pytest.mark.parametrize("axis_deg", [None, -12.5])
+def test_a_view_arrives_as_it_was(axis_deg: float | None) -> None:
+    rng = np.random.default_rng(3)
+    mask = rng.integers(0, 2, (31, 47), np.uint8)
+    contact = Contact(mask, 5, 7, (160, 213), ClippedSides(left=True), axis_deg)
+    view = View("D20001", Frame(rng.integers(0, 256, (320, 240, 3), np.uint8), 12.25, 99), contact)
+    told, pixels = view_packed(view)
+    found = view_unpacked(told, b"".join(pixels))
+    assert np.array_equal(found.frame.image, view.frame.image)
+    assert (found.serial, found.frame.sequence, found.frame.captured_at_s) == ("D20001", 99, 12.25)
+    assert found.contact is not None
+    assert np.array_equal(found.contact.mask, mask)
+    assert (found.contact.left_px, found.contact.top_px, found.contact.picture_size) == (5, 7, (160, 213))
+    assert (found.contact.clipped, found.contact.axis_deg) == (contact.clipped, axis_deg)
+    told, pixels = view_packed(View("D20001", view.frame))
+    assert view_unpacked(told, b"".join(pixels)).contact is None
