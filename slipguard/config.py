@@ -5,7 +5,7 @@ the driver's own `Settings`:
 
     [left]
     driver = "digit"
-    rotation_deg = 0
+    mounting_deg = 0
     [left.digit]
     serial = "D20479"
 """
@@ -64,7 +64,7 @@ class DeviceSection(Section):
 class FingerSection(DeviceSection):
     """One fingertip camera and how it is mounted."""
 
-    rotation_deg: Annotated[Literal[0, 90, 180, 270], BeforeValidator(_whole)] = 0
+    mounting_deg: Annotated[Literal[0, 90, 180, 270], BeforeValidator(_whole)] = 0
     px_per_mm: Annotated[float, Field(ge=5.0, le=60.0)] = 18.5
 
 

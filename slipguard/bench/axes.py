@@ -15,7 +15,7 @@ from slipguard.perception.rotation.axial_angle import axial_difference_deg, wrap
 MIN_AREA_PX = 200
 
 
-class AxialTurn:
+class AxialRotation:
     """The turn since the first axis, the smaller way round: an axis that jumps does not spoil what comes after."""
 
     def __init__(self) -> None:
@@ -23,11 +23,11 @@ class AxialTurn:
 
     def estimate(self, frame: Frame, axis_deg: float, area_px: int, method: str) -> Estimate:
         """What a pipeline without sigmas says of a frame; axis_deg NaN where there is none."""
-        turn_deg = None
+        rotation_deg = None
         if math.isfinite(axis_deg) and area_px >= MIN_AREA_PX:
             if self._first_deg is None:
                 self._first_deg = axis_deg
-            turn_deg = axial_difference_deg(axis_deg, self._first_deg)
+            rotation_deg = axial_difference_deg(axis_deg, self._first_deg)
         return Estimate(
             sequence=frame.sequence,
             captured_at_s=frame.captured_at_s,
@@ -35,8 +35,8 @@ class AxialTurn:
             contact=area_px >= MIN_AREA_PX,
             contact_area_px=area_px,
             method=method,
-            angle_deg=turn_deg,
-            declined=None if turn_deg is not None else "no axis",
+            angle_deg=rotation_deg,
+            declined=None if rotation_deg is not None else "no axis",
         )
 
 
@@ -52,5 +52,5 @@ def axis_of_ellipse(mask: NDArray[np.uint8]) -> float:
     longest = max(outlines, key=len, default=None)
     if longest is None or len(longest) < 5:
         return math.nan
-    _, (first, second), turned = cv2.fitEllipse(longest)
-    return wrap_axial_deg(-turned if first >= second else -turned - 90.0)
+    _, (first, second), rotated = cv2.fitEllipse(longest)
+    return wrap_axial_deg(-rotated if first >= second else -rotated - 90.0)

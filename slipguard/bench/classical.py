@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.bench.axes import AxialTurn, axis_of_ellipse, axis_of_points
+from slipguard.bench.axes import AxialRotation, axis_of_ellipse, axis_of_points
 from slipguard.devices import Frame
 from slipguard.perception.estimate import Estimate
 
@@ -25,7 +25,7 @@ class BackgroundSubtraction:
     def __init__(self, background: NDArray[np.uint8], axis: Literal["pca", "ellipse"]) -> None:
         self._background = background.astype(np.float32)
         self._axis: Literal["pca", "ellipse"] = axis
-        self._turn = AxialTurn()
+        self._rotation = AxialRotation()
         self.last_mask: NDArray[np.uint8] = np.zeros(background.shape[:2], np.uint8)
 
     def process(self, frame: Frame) -> Estimate:
@@ -40,7 +40,7 @@ class BackgroundSubtraction:
         count, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
         if count < 2:
             self.last_mask = np.zeros_like(closed)
-            return self._turn.estimate(frame, math.nan, 0, self._axis)
+            return self._rotation.estimate(frame, math.nan, 0, self._axis)
         largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
         self.last_mask = np.asarray(labels == largest, np.uint8)
         if self._axis == "ellipse":
@@ -48,4 +48,4 @@ class BackgroundSubtraction:
         else:
             y, x = np.nonzero(self.last_mask)
             angle_deg = axis_of_points(x, y)
-        return self._turn.estimate(frame, angle_deg, int(stats[largest, cv2.CC_STAT_AREA]), self._axis)
+        return self._rotation.estimate(frame, angle_deg, int(stats[largest, cv2.CC_STAT_AREA]), self._axis)

@@ -68,7 +68,7 @@ class Tally:
         if shot.compared:
             errors.compared += 1
             if seen.angle_deg is not None:
-                errors.found.append((abs(seen.angle_deg - shot.turn_deg), seen.angle_deg, seen.sigma_deg))
+                errors.found.append((abs(seen.angle_deg - shot.rotation_deg), seen.angle_deg, seen.sigma_deg))
         return seen
 
     def run(self, processor: Processor, grasp: Sequence, shots: Iterable[Shot]) -> None:
@@ -129,8 +129,8 @@ class Tally:
             resolution=subject.resolution,
             skipping=subject.skips.unchanged,
             threads=subject.threads,
-            turns=len(errors) if known else None,
-            turn_sequences=sum(bool(one.found) for one in manifest) if known else None,
+            rotations=len(errors) if known else None,
+            rotation_sequences=sum(bool(one.found) for one in manifest) if known else None,
             mean_ms_per_frame_grasp=grasp_ms,
             cpu_s_per_minute_grasp=cpu_s,
             no_contact_p50_ms=quantile(times.empty_ms, 0.5),
@@ -167,7 +167,7 @@ def declined(grasps: list[Errors]) -> float | None:
 def confident(grasps: list[Errors]) -> float | None:
     """Share of the frames with a turn of more than three sigmas; without a sigma every turn counts."""
     asked = sum(one.compared for one in grasps)
-    sure = [abs(turn) > CONFIDENT_SIGMAS * (sigma or 0.0) for one in grasps for _, turn, sigma in one.found]
+    sure = [abs(rotation) > CONFIDENT_SIGMAS * (sigma or 0.0) for one in grasps for _, rotation, sigma in one.found]
     return sum(sure) / asked if asked else None
 
 

@@ -69,5 +69,5 @@ def hold(subjects: list[Subject], minute: Minute, every: dict[str, int] | None =
             if seen.skipped is not None:
                 own.skipped[seen.skipped] = own.skipped.get(seen.skipped, 0) + 1
             if shot.compared and seen.angle_deg is not None:
-                own.errors_deg.append(abs(seen.angle_deg - shot.turn_deg))
+                own.errors_deg.append(abs(seen.angle_deg - shot.rotation_deg))
     return held

@@ -20,7 +20,7 @@ LIFTED_S = 4.0
 """Until then the arm's motion shakes the object by `SHAKE_MM`."""
 SHAKE_MM, SHAKE_HZ = 0.02, 7.0
 LET_GO_S = 59.5
-_TURNS = ((1.5, 2.1, 8.0, 0.15), (20.0, 23.0, 1.5, 0.0), (40.0, 40.4, 6.0, 0.10))
+_ROTATIONS = ((1.5, 2.1, 8.0, 0.15), (20.0, 23.0, 1.5, 0.0), (40.0, 40.4, 6.0, 0.10))
 """From, to (s), degrees, and the share by which the press grows: a slip, a creep, a quicker slip."""
 DRIFT_LEVELS = 1.5
 """How much the light changes over the minute, grey levels."""
@@ -57,9 +57,11 @@ class Minute:
             if index % 60 == 0:
                 b, g, r = offset + drift * now_s
                 camera.set_light(Light(1.0, (float(b), float(g), float(r))))
-            turn_deg, rate_deg_s, grown = _motion(now_s)
-            turn_deg, rate_deg_s = self.sign * turn_deg, self.sign * rate_deg_s
-            view = GelView(self.object_name, x_mm, y_mm, start_deg + turn_deg, press_mm * grown, rate_deg_s=rate_deg_s)
+            rotation_deg, rate_deg_s, grown = _motion(now_s)
+            rotation_deg, rate_deg_s = self.sign * rotation_deg, self.sign * rate_deg_s
+            view = GelView(
+                self.object_name, x_mm, y_mm, start_deg + rotation_deg, press_mm * grown, rate_deg_s=rate_deg_s
+            )
             if STILL_S <= now_s < LIFTED_S:
                 view = replace(view, y_mm=y_mm + SHAKE_MM * float(np.sin(2.0 * np.pi * SHAKE_HZ * now_s)))
             if now_s < CLOSED_S:
@@ -69,15 +71,15 @@ class Minute:
                 view = replace(view, depth_mm=0.0)
             in_contact = view.depth_mm > 0.0
             compared = in_contact and now_s > STILL_S
-            yield Shot(Frame(camera.draw(view), now_s, index), in_contact, turn_deg, compared, None)
+            yield Shot(Frame(camera.draw(view), now_s, index), in_contact, rotation_deg, compared, None)
 
 
 def _motion(now_s: float) -> tuple[float, float, float]:
     """Turn, rate and depth of the press relative to the first one."""
-    turn_deg, rate_deg_s, grown = 0.0, 0.0, 1.0
-    for begin_s, end_s, way_deg, growth in _TURNS:
+    rotation_deg, rate_deg_s, grown = 0.0, 0.0, 1.0
+    for begin_s, end_s, way_deg, growth in _ROTATIONS:
         part = min(max((now_s - begin_s) / (end_s - begin_s), 0.0), 1.0)
-        turn_deg += way_deg * part * part * (3.0 - 2.0 * part)
+        rotation_deg += way_deg * part * part * (3.0 - 2.0 * part)
         rate_deg_s += way_deg * 6.0 * part * (1.0 - part) / (end_s - begin_s)
         grown *= 1.0 + growth * part
-    return turn_deg, rate_deg_s, grown
+    return rotation_deg, rate_deg_s, grown

@@ -28,7 +28,7 @@ RAMP_S = 0.1
 BEYOND_DEG = 2.0
 """The turn goes on so far beyond `creep_deg`: every slip is seen by then."""
 BEYOND_MM = 0.7
-TURN_RATES_DEG_S = (1.0, 4.0, 15.0, 60.0, 300.0)
+ROTATION_RATES_DEG_S = (1.0, 4.0, 15.0, 60.0, 300.0)
 SLIDE_RATES_MM_S = (1.0, 5.0)
 LAW = GuardParams()
 
@@ -60,10 +60,12 @@ class Onset:
             if self.slides:
                 view = GelView(self.object_name, x_mm, y_mm - moved, start_deg, press_mm, vy_mm_s=-speed)
             else:
-                turned = side * moved
-                view = GelView(self.object_name, x_mm, y_mm, start_deg + turned, press_mm, rate_deg_s=side * speed)
-            turn_deg = 0.0 if self.slides else side * moved
-            shots.append(Shot(Frame(camera.draw(view), index * FRAME_S, index), True, turn_deg, since_s > 0.0, None))
+                rotated = side * moved
+                view = GelView(self.object_name, x_mm, y_mm, start_deg + rotated, press_mm, rate_deg_s=side * speed)
+            rotation_deg = 0.0 if self.slides else side * moved
+            shots.append(
+                Shot(Frame(camera.draw(view), index * FRAME_S, index), True, rotation_deg, since_s > 0.0, None)
+            )
         return Sequence(
             self.object_name, thing.axial, background, unit.noise_bgr, unit.px_per_mm, tuple(shots), self.rate
         )

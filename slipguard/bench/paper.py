@@ -11,7 +11,7 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from slipguard.bench.axes import AxialTurn, axis_of_points
+from slipguard.bench.axes import AxialRotation, axis_of_points
 from slipguard.bench.cached_segmenter import Memory
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import ModelError
@@ -93,7 +93,7 @@ class PaperPipeline:
     def __init__(self, network: FrameNetwork, given_masks: dict[int, NDArray[np.uint8]] | None = None) -> None:
         self._network = network
         self._given = given_masks
-        self._turn = AxialTurn()
+        self._rotation = AxialRotation()
         self._mask: NDArray[np.uint8] = np.zeros((network.height, network.width), np.uint8)
 
     @property
@@ -112,7 +112,7 @@ class PaperPipeline:
         y, x = np.nonzero(skeleton)
         angle_deg = axis_of_points(x, y) if x.size > 1 else math.nan
         area_px = int(np.count_nonzero(mask)) * FRAME_WIDTH_PX * FRAME_HEIGHT_PX // mask.size
-        return self._turn.estimate(frame, angle_deg, area_px, "skeleton")
+        return self._rotation.estimate(frame, angle_deg, area_px, "skeleton")
 
 
 def _at_size(mask: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:

@@ -235,10 +235,10 @@ def _samples(quick: bool) -> list[Sequence]:
     for name in objects:
         grasp = sequence(name, SEED, with_masks=True, mask_every=QUICK_MASK_EVERY)
         chosen = [shot for shot in grasp.shots if shot.contact and shot.mask is not None and shot.mask.any()]
-        turned = [shot for shot in chosen if shot.compared]
-        picks = np.linspace(0, len(turned) - 1, each_object).astype(int)
+        rotated = [shot for shot in chosen if shot.compared]
+        picks = np.linspace(0, len(rotated) - 1, each_object).astype(int)
         still = [shot for shot in chosen if not shot.compared][-1:]
-        found.append(replace(grasp, shots=(*still, *(turned[pick] for pick in picks))))
+        found.append(replace(grasp, shots=(*still, *(rotated[pick] for pick in picks))))
     return found
 
 

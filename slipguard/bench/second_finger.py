@@ -55,8 +55,8 @@ def second_finger(default: Subject) -> Skip:
             fused = fuse(left, right)
             if fused is None:
                 continue
-            if shot.compared and fused.turn_deg is not None:
-                run.errors_deg.append(abs(fused.turn_deg - shot.turn_deg))
+            if shot.compared and fused.rotation_deg is not None:
+                run.errors_deg.append(abs(fused.rotation_deg - shot.rotation_deg))
             sight = look(detectors[spare], fused, LAW)
             detectors[spare] = sight.detector
             if sight.slipping and not slipping[spare]:

@@ -10,7 +10,7 @@ from slipguard.bench.cropping import known_patch
 from slipguard.bench.error_tally import Tally
 from slipguard.bench.holding import Held, hold
 from slipguard.bench.minute import Minute
-from slipguard.bench.onset import SLIDE_RATES_MM_S, TURN_RATES_DEG_S, Onset, first_seen, later_by
+from slipguard.bench.onset import ROTATION_RATES_DEG_S, SLIDE_RATES_MM_S, Onset, first_seen, later_by
 from slipguard.bench.pipelines import Subject
 from slipguard.bench.rows import Skip
 from slipguard.bench.second_finger import second_finger
@@ -47,7 +47,7 @@ def onsets(quick: bool) -> list[Onset]:
     for name in names("test"):
         for k in range(FULL_SEEDS):
             if get(name).axial:
-                found += [Onset(name, SEED + k, rate) for rate in TURN_RATES_DEG_S]
+                found += [Onset(name, SEED + k, rate) for rate in ROTATION_RATES_DEG_S]
             found += [Onset(name, SEED + k, rate, slides=True) for rate in SLIDE_RATES_MM_S]
     return found
 

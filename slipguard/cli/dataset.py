@@ -98,7 +98,7 @@ def import_(
     if show is not None:
         contact_sheet(out, show)
     notes = [f"{done.frames} frames in {out}"]
-    notes += [f"{done.turned} turned upright"] if done.turned else []
+    notes += [f"{done.rotated} turned upright"] if done.rotated else []
     notes += [f"{done.stretched} stretched to 3:4"] if done.stretched else []
     notes += [f"{len(done.left_out)} left out, the first: {done.left_out[0]}"] if done.left_out else []
     print("; ".join(notes) + (f"; a sheet in {show}" if show is not None else ""))

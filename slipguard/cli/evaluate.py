@@ -66,7 +66,7 @@ def calibrate_camera(
 
 
 @app.command()
-def turn(
+def rotation(
     source: Annotated[Path, typer.Argument(help="A film, a folder of images, or a lift's recording (.mcap).")],
     intrinsics: Annotated[Path, typer.Option(help="The camera's intrinsics, of `calibrate-camera`.")],
     side_mm: Annotated[float, typer.Option(min=5.0, max=300.0, help="Side of the markers' black squares.")] = 40.0,
@@ -78,28 +78,28 @@ def turn(
     Example: `slipguard evaluate turn lift.mp4 --intrinsics camera.json --plot turn.png`
     """
     from slipguard.evaluation.intrinsics import read_intrinsics
-    from slipguard.evaluation.marker_rotation import turns
+    from slipguard.evaluation.marker_rotation import rotations
     from slipguard.evaluation.plots import draw_trace
     from slipguard.evaluation.video_files import sightings
 
     lens = read_intrinsics(intrinsics)
     seen = list(sightings(source, lens))
     try:
-        trace = turns(seen, lens, side_mm)
+        trace = rotations(seen, lens, side_mm)
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
     if json:
-        for time_s, turn_deg, sigma_deg in zip(trace.time_s, trace.turn_deg, trace.sigma_deg, strict=True):
+        for time_s, rotation_deg, sigma_deg in zip(trace.time_s, trace.rotation_deg, trace.sigma_deg, strict=True):
             print(
                 jsonlib.dumps(
-                    {"time_s": round(time_s, 4), "turn_deg": round(turn_deg, 3), "sigma_deg": round(sigma_deg, 3)}
+                    {"time_s": round(time_s, 4), "turn_deg": round(rotation_deg, 3), "sigma_deg": round(sigma_deg, 3)}
                 )
             )
     else:
-        largest = max(trace.turn_deg, key=abs)
+        largest = max(trace.rotation_deg, key=abs)
         print(
-            f"{len(trace.time_s)} of {len(seen)} pictures show both markers; turn from {trace.turn_deg.min():+.2f}° to "
-            f"{trace.turn_deg.max():+.2f}°, largest {largest:+.2f}°, sigma {trace.sigma_deg.mean():.2f}°, corners off "
+            f"{len(trace.time_s)} of {len(seen)} pictures show both markers; turn from {trace.rotation_deg.min():+.2f}° to "
+            f"{trace.rotation_deg.max():+.2f}°, largest {largest:+.2f}°, sigma {trace.sigma_deg.mean():.2f}°, corners off "
             f"by {trace.rms_px:.2f} px"
         )
     if plot is not None:

@@ -127,12 +127,12 @@ def _show(done: list[Measured]) -> None:
                 table.add_row("…", "", "", "", "", "", f"{left_out} more; --json prints all")
             continue
         estimate = measured.estimate
-        turn = "" if estimate.angle_deg is None else f"{estimate.angle_deg:+.2f} ± {estimate.sigma_deg or 0.0:.2f}"
+        rotation = "" if estimate.angle_deg is None else f"{estimate.angle_deg:+.2f} ± {estimate.sigma_deg or 0.0:.2f}"
         axis = "" if estimate.orientation_deg is None else f"{estimate.orientation_deg:+.1f}"
         note = estimate.skipped or estimate.declined or ""
         contact = "yes" if estimate.contact else "no"
         area = str(estimate.contact_area_px)
-        table.add_row(measured.still.name, contact, area, turn, axis, estimate.method, note)
+        table.add_row(measured.still.name, contact, area, rotation, axis, estimate.method, note)
     console = Console()
     console.print(table)
     touching = [measured.estimate for measured in done if measured.estimate.contact]

@@ -79,7 +79,7 @@ def replay(
 
 
 def _as_json(done: Replay) -> dict[str, Any]:
-    turns = [abs(turn) for turn in done.turn_differences_deg]
+    rotations = [abs(rotation) for rotation in done.turn_differences_deg]
     return {
         "ticks": done.on_recorded.ticks,
         "commands_differ": len(done.on_recorded.differences),
@@ -88,7 +88,7 @@ def _as_json(done: Replay) -> dict[str, Any]:
         "frames_replayed": len(done.asked),
         "image": done.image,
         "estimates_differ": done.estimates_differ,
-        "turn_difference_max_deg": max(turns) if turns else None,
+        "turn_difference_max_deg": max(rotations) if rotations else None,
         "commands_differ_on_frames": len(done.on_frames.differences),
         "first_difference_on_frames": _first(done.on_frames),
         "phases": [{"at_s": at_s, "phase": phase} for at_s, phase in done.phases],
@@ -121,8 +121,10 @@ def _show(console: Any, done: Replay, against: bool) -> None:
         console.print(f"fault: {fault}")
     table = Table("replayed", "how many", "commands that differ", "turns that differ")
     table.add_row("law on the recorded sights", str(done.on_recorded.ticks), str(len(done.on_recorded.differences)), "")
-    turns = [abs(turn) for turn in done.turn_differences_deg]
-    told = f"{done.estimates_differ} of {len(done.asked)} frames" + (f", by {max(turns):.3f}° at most" if turns else "")
+    rotations = [abs(rotation) for rotation in done.turn_differences_deg]
+    told = f"{done.estimates_differ} of {len(done.asked)} frames" + (
+        f", by {max(rotations):.3f}° at most" if rotations else ""
+    )
     table.add_row(
         f"law on the frames ({done.image})", str(done.on_frames.ticks), str(len(done.on_frames.differences)), told
     )

@@ -12,7 +12,7 @@ import typer
 from slipguard.cli.progress import progress_bar
 
 
-def turned(
+def rotated(
     folder: Annotated[Path, typer.Argument(help="Folder with taxim_sphere/ and anytouch2_force2/.")],
     part: Annotated[str, typer.Option(help="Presses to turn: tune, test or all.")] = "test",
     model: Annotated[Path | None, typer.Option(help="Another network (.onnx) in place of the shipped one.")] = None,
@@ -22,26 +22,26 @@ def turned(
 
     Semi-synthetic: the pixels are a real sensor's, the turn is made. In `rigid` the lights turn along, which flatters.
 
-    Example: `slipguard turned real_digit/ --part test --json`
+    Example: `slipguard rotated real_digit/ --part test --json`
     """
     from rich.console import Console
     from rich.table import Table
 
-    from slipguard.evaluation import rotated_presses_report as turned_report
+    from slipguard.evaluation import rotated_presses_report as rotated_report
     from slipguard.evaluation.rotated_presses import WAYS
     from slipguard.perception.contact.segmenter import Segmenter
 
     segmenter = Segmenter(model)
-    rows: list[turned_report.Figures] = []
+    rows: list[rotated_report.Figures] = []
     for way in WAYS:
         with progress_bar(way) as show:
-            rows += turned_report.figures(turned_report.measure(folder, part, way, segmenter, show), way)
+            rows += rotated_report.figures(rotated_report.measure(folder, part, way, segmenter, show), way)
     if json:
         for row in rows:
             print(jsonlib.dumps(asdict(row)))
         return
     table = Table(title=f"Semi-synthetic turns, part {part}", title_justify="left")
-    for field in fields(turned_report.Figures):
+    for field in fields(rotated_report.Figures):
         table.add_column(field.name.replace("_", " "))
     for row in rows:
         table.add_row(*("" if value is None else str(value) for value in asdict(row).values()))

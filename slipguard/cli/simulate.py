@@ -146,9 +146,9 @@ def _table(live: Live | None) -> Table:
     if live is None:
         table.add_row("starting the simulated cell …")
         return table
-    turn = "cannot tell" if live.turn_deg is None else f"{live.turn_deg:+6.1f}° ± {live.sigma_deg:.1f}°"
+    rotation = "cannot tell" if live.rotation_deg is None else f"{live.rotation_deg:+6.1f}° ± {live.sigma_deg:.1f}°"
     table.add_row(f"lift {live.lift} of {live.lifts}", f"[bold]{live.object_name}[/]", live.phase)
-    table.add_row("turn measured", turn, f"true {live.true_turn_deg:+6.1f}°")
+    table.add_row("turn measured", rotation, f"true {live.true_rotation_deg:+6.1f}°")
     bar = "█" * round(live.force_n / 5)
     table.add_row("grip", f"{live.force_n:5.0f} N", bar)
     if live.latency_ms is not None:

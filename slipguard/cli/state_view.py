@@ -48,7 +48,7 @@ def _grasp(answer: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if fault:
         yield "fault", f"[red]{escape(fault['code'])}[/]: {escape(fault['seen'])}"
         yield "what to do", escape(fault["what_to_do"])
-    yield "turn", escape(_turn(answer))
+    yield "rotation", escape(_rotation(answer))
     yield "grip", escape(_grip(answer))
     arm = answer.get("arm")
     if arm:
@@ -66,17 +66,17 @@ def _guard(answer: Mapping[str, Any], phase: str) -> str:
     return "guarding" if answer.get("guarding") else "[yellow]not guarding[/]"
 
 
-def _turn(answer: Mapping[str, Any]) -> str:
-    turn = answer.get("turn")
-    if not turn:
+def _rotation(answer: Mapping[str, Any]) -> str:
+    rotation = answer.get("rotation")
+    if not rotation:
         return "no finger sees anything now"
-    if turn.get("turn_deg") is None:
-        return f"cannot tell: {turn.get('declined') or answer.get('cannot_see_turn') or 'no contact'}"
-    text = f"{turn['turn_deg']:+.1f}° ± {turn['sigma_deg']:.1f}°, seen by {' and '.join(turn.get('fingers', []))}"
-    shift_mm = turn.get("shift_mm")
+    if rotation.get("rotation_deg") is None:
+        return f"cannot tell: {rotation.get('declined') or answer.get('no_rotation_reason') or 'no contact'}"
+    text = f"{rotation['rotation_deg']:+.1f}° ± {rotation['sigma_deg']:.1f}°, seen by {' and '.join(rotation.get('fingers', []))}"
+    shift_mm = rotation.get("shift_mm")
     if shift_mm is not None:
         text += f"; slid {shift_mm:+.1f} mm"
-    return text + (f"; {turn['conflict']}" if turn.get("conflict") else "")
+    return text + (f"; {rotation['conflict']}" if rotation.get("conflict") else "")
 
 
 def _grip(answer: Mapping[str, Any]) -> str:

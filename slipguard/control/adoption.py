@@ -39,7 +39,7 @@ def adopt_in_fault(state: GuardState, seen: Seen, params: GuardParams) -> tuple[
     """
     gripper, fused = seen.gripper, seen.fused
     if state.gripped and not state.referenced and state.blind is None:
-        told = fused is not None and fused.turn_deg is not None and fused.measured_at_s >= state.since_s
+        told = fused is not None and fused.rotation_deg is not None and fused.measured_at_s >= state.since_s
         return (replace(state, referenced=True) if told else state), None
     if state.adopted or gripper is None or undecided(state, gripper):
         return state, None

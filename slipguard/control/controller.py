@@ -155,7 +155,7 @@ def _reference(state: GuardState, seen: Seen, params: GuardParams) -> Outcome:
     """Wait until both fingers have their reference; after the time-out one will do, or none with a firmer grip."""
     fused = seen.fused
     waited = seen.now_s - state.since_s > params.reference_timeout_s
-    told = fused is not None and fused.turn_deg is not None and fused.measured_at_s >= state.since_s
+    told = fused is not None and fused.rotation_deg is not None and fused.measured_at_s >= state.since_s
     if fused is not None and told and (waited or len(fused.fingers) == 2):
         note = f" by one finger only ({fused.note})" if len(fused.fingers) == 1 else ""
         state = replace(entered(state, Phase.HOLDING, seen.now_s), referenced=True, blind=None)

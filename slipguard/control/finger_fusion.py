@@ -34,10 +34,10 @@ class Fused:
     """What both fingers say together.
 
     left_contact, right_contact: None where the finger says nothing at all.
-    turn_deg: of the object since the reference, positive counter-clockwise in the left picture; None: see `declined`.
-    sigma_deg: one standard deviation, widened when the fingers disagree; None exactly where turn_deg is None.
+    rotation_deg: of the object since the reference, positive counter-clockwise in the left picture; None: see `declined`.
+    sigma_deg: one standard deviation, widened when the fingers disagree; None exactly where rotation_deg is None.
     shift_mm: downwards since the reference, mean of the fingers that know it.
-    captured_at_s: the moment `turn_deg` speaks of. measured_at_s, newest_at_s: the oldest and the newest measurement
+    captured_at_s: the moment `rotation_deg` speaks of. measured_at_s, newest_at_s: the oldest and the newest measurement
     used.
     fingers: who tells a turn. conflict: the two contradict each other, and only the larger turn and its rate and
     measurement are used. note: what is worth telling.
@@ -48,7 +48,7 @@ class Fused:
     captured_at_s: float
     measured_at_s: float
     fingers: tuple[str, ...] = ()
-    turn_deg: float | None = None
+    rotation_deg: float | None = None
     sigma_deg: float | None = None
     rate_deg_s: float | None = None
     shift_mm: float | None = None
@@ -70,11 +70,11 @@ class Fused:
 
 
 @dataclass(frozen=True, slots=True)
-class _Turn:
+class _Rotation:
     """One finger's turn in the left picture's sign."""
 
     finger: str
-    turn_deg: float
+    rotation_deg: float
     sigma_deg: float
     rate_deg_s: float | None
     captured_at_s: float
@@ -92,10 +92,12 @@ def fuse(left: Estimate | None, right: Estimate | None) -> Fused | None:
     if not said:
         return None
     shifts_mm = [-estimate.shift_mm[1] for estimate in said if estimate.shift_mm is not None]
-    turns = [turn for turn in (_turn("left", left, 1.0), _turn("right", right, -1.0)) if turn is not None]
+    rotations = [
+        rotation for rotation in (_rotation("left", left, 1.0), _rotation("right", right, -1.0)) if rotation is not None
+    ]
     notes = [f"{name} finger: {_why(one)}" for name, one in (("left", left), ("right", right)) if _why(one)]
-    if len(turns) == 2:
-        turns, behind = _together(turns[0], turns[1])
+    if len(rotations) == 2:
+        rotations, behind = _together(rotations[0], rotations[1])
         notes += behind
     base = Fused(
         left_contact=left.contact if left is not None else None,
@@ -105,18 +107,18 @@ def fuse(left: Estimate | None, right: Estimate | None) -> Fused | None:
         newest_at_s=max(estimate.measured_at_s for estimate in said),
         shift_mm=sum(shifts_mm) / len(shifts_mm) if shifts_mm else None,
     )
-    if not turns:
+    if not rotations:
         return replace(base, declined="; ".join(notes))
-    conflict = _conflict(*turns) if len(turns) == 2 else None
-    used = turns if conflict is None else [max(turns, key=lambda turn: abs(turn.turn_deg))]
-    turn_deg, sigma_deg = _weigh(used)
+    conflict = _conflict(*rotations) if len(rotations) == 2 else None
+    used = rotations if conflict is None else [max(rotations, key=lambda rotation: abs(rotation.rotation_deg))]
+    rotation_deg, sigma_deg = _weigh(used)
     return replace(
         base,
-        captured_at_s=turns[0].captured_at_s,
-        measured_at_s=min(turn.measured_at_s for turn in used),
-        newest_at_s=max(turn.measured_at_s for turn in used),
-        fingers=tuple(turn.finger for turn in turns),
-        turn_deg=turn_deg,
+        captured_at_s=rotations[0].captured_at_s,
+        measured_at_s=min(rotation.measured_at_s for rotation in used),
+        newest_at_s=max(rotation.measured_at_s for rotation in used),
+        fingers=tuple(rotation.finger for rotation in rotations),
+        rotation_deg=rotation_deg,
         sigma_deg=sigma_deg,
         rate_deg_s=_rate(used),
         conflict=conflict,
@@ -137,12 +139,12 @@ def _sound(estimate: Estimate | None) -> Estimate | None:
     return replace(estimate, angle_deg=None, sigma_deg=None, rate_deg_s=None, shift_mm=None, declined="not a number")
 
 
-def _turn(finger: str, estimate: Estimate | None, sign: float) -> _Turn | None:
+def _rotation(finger: str, estimate: Estimate | None, sign: float) -> _Rotation | None:
     if estimate is None or estimate.angle_deg is None or estimate.sigma_deg is None:
         return None
     rate_deg_s = None if estimate.rate_deg_s is None else sign * estimate.rate_deg_s
     sigma_deg = max(estimate.sigma_deg, SIGMA_FLOOR_DEG)
-    return _Turn(
+    return _Rotation(
         finger, sign * estimate.angle_deg, sigma_deg, rate_deg_s, estimate.captured_at_s, estimate.measured_at_s
     )
 
@@ -156,64 +158,64 @@ def _why(estimate: Estimate | None) -> str | None:
     return estimate.declined or ("no reference yet" if estimate.contact else "no contact")
 
 
-def _together(one: _Turn, other: _Turn) -> tuple[list[_Turn], list[str]]:
+def _together(one: _Rotation, other: _Rotation) -> tuple[list[_Rotation], list[str]]:
     """Both turns at the older one's moment; only the newer one where the other is too far behind.
 
     A finger that knows no rate turns at the other's, for it is one object; where neither knows one, nothing can be
     moved and only the newer one counts.
     """
-    older, newer = sorted((one, other), key=lambda turn: turn.captured_at_s)
+    older, newer = sorted((one, other), key=lambda rotation: rotation.captured_at_s)
     gap_s = newer.captured_at_s - older.captured_at_s
     rate_deg_s = older.rate_deg_s if newer.rate_deg_s is None else newer.rate_deg_s
     if gap_s > GAP_MAX_S or (gap_s > 0.0 and rate_deg_s is None):
         return [newer], [f"{older.finger} finger: {1e3 * gap_s:.0f} ms behind"]
     moved_deg = -gap_s * (rate_deg_s or 0.0)
-    back = replace(newer, turn_deg=newer.turn_deg + moved_deg, captured_at_s=older.captured_at_s)
-    return [back if turn is newer else turn for turn in (one, other)], []
+    back = replace(newer, rotation_deg=newer.rotation_deg + moved_deg, captured_at_s=older.captured_at_s)
+    return [back if rotation is newer else rotation for rotation in (one, other)], []
 
 
-def _conflict(left: _Turn, right: _Turn) -> str | None:
+def _conflict(left: _Rotation, right: _Rotation) -> str | None:
     """How the fingers contradict each other, if they do: one object cannot turn both like that.
 
     The larger turn is believed then: tightening for nothing costs less than a drop. So a finger that sees an imprint of
     its own, or whose pad turns with the object, hides nothing by being sure that nothing turns.
     """
-    apart_deg = abs(left.turn_deg - right.turn_deg)
+    apart_deg = abs(left.rotation_deg - right.rotation_deg)
     apart = apart_deg / math.hypot(left.sigma_deg, right.sigma_deg)
     if apart > AGREE_SIGMAS and _opposed(left, right):
         return (
-            f"both pictures turn the same way (left {left.turn_deg:+.1f}°, right {-right.turn_deg:+.1f}°): "
+            f"both pictures turn the same way (left {left.rotation_deg:+.1f}°, right {-right.rotation_deg:+.1f}°): "
             "a fault of one finger, or the object rolls"
         )
-    larger_deg = max(abs(left.turn_deg), abs(right.turn_deg))
+    larger_deg = max(abs(left.rotation_deg), abs(right.rotation_deg))
     if apart > DIFFER_SIGMAS and apart_deg > DIFFER_DEG + DIFFER_SHARE * larger_deg:
         return (
-            f"the fingers contradict each other (the left one says {left.turn_deg:+.1f}°, the right one "
-            f"{right.turn_deg:+.1f}°): one is stuck or wrong, the larger turn is believed"
+            f"the fingers contradict each other (the left one says {left.rotation_deg:+.1f}°, the right one "
+            f"{right.rotation_deg:+.1f}°): one is stuck or wrong, the larger turn is believed"
         )
     return None
 
 
-def _weigh(turns: list[_Turn]) -> tuple[float, float]:
+def _weigh(rotations: list[_Rotation]) -> tuple[float, float]:
     """Weighted turn and its sigma; disagreement widens sigma (Birge ratio)."""
-    if len(turns) == 1:
-        return turns[0].turn_deg, turns[0].sigma_deg
-    left, right = turns
-    apart = abs(left.turn_deg - right.turn_deg) / math.hypot(left.sigma_deg, right.sigma_deg)
-    weights = [turn.sigma_deg**-2 for turn in turns]
-    mean_deg = sum(w * turn.turn_deg for w, turn in zip(weights, turns, strict=True)) / sum(weights)
+    if len(rotations) == 1:
+        return rotations[0].rotation_deg, rotations[0].sigma_deg
+    left, right = rotations
+    apart = abs(left.rotation_deg - right.rotation_deg) / math.hypot(left.sigma_deg, right.sigma_deg)
+    weights = [rotation.sigma_deg**-2 for rotation in rotations]
+    mean_deg = sum(w * rotation.rotation_deg for w, rotation in zip(weights, rotations, strict=True)) / sum(weights)
     sigma_deg = sum(weights) ** -0.5
     return mean_deg, sigma_deg * (apart if apart > AGREE_SIGMAS else 1.0)
 
 
-def _opposed(left: _Turn, right: _Turn) -> bool:
+def _opposed(left: _Rotation, right: _Rotation) -> bool:
     """Both turned for certain, and not the way one object can turn both."""
-    certain = all(abs(turn.turn_deg) > AGREE_SIGMAS * turn.sigma_deg for turn in (left, right))
-    return certain and left.turn_deg * right.turn_deg < 0.0
+    certain = all(abs(rotation.rotation_deg) > AGREE_SIGMAS * rotation.sigma_deg for rotation in (left, right))
+    return certain and left.rotation_deg * right.rotation_deg < 0.0
 
 
-def _rate(turns: list[_Turn]) -> float | None:
-    known = [(turn.sigma_deg**-2, turn.rate_deg_s) for turn in turns if turn.rate_deg_s is not None]
+def _rate(rotations: list[_Rotation]) -> float | None:
+    known = [(rotation.sigma_deg**-2, rotation.rate_deg_s) for rotation in rotations if rotation.rate_deg_s is not None]
     if not known:
         return None
     return sum(weight * rate for weight, rate in known) / sum(weight for weight, _ in known)

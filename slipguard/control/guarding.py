@@ -32,7 +32,7 @@ RATE_LAG_S = 0.05
 FELT_MAX_S = 0.5
 """A gripper that took longer to close was not waited for."""
 LATE_SHARE = 0.5
-"""Beyond this share of `give_up_turn_deg` there is no waiting whether a step helps."""
+"""Beyond this share of `give_up_rotation_deg` there is no waiting whether a step helps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ def guard(state: GuardState, seen: Seen, params: GuardParams) -> Verdict:
     slip = state.slip
     if slip is not None and sight.detector.elsewhere(state.detector):
         # Turns count from another place now: so must those of the last step.
-        slip = replace(slip, turn_deg=sight.turn_deg, slide_mm=sight.slide_mm)
+        slip = replace(slip, rotation_deg=sight.rotation_deg, slide_mm=sight.slide_mm)
     state = replace(state, detector=sight.detector, slip=slip)
     far_frames = 1 if slip is not None and sight.moving else params.frames
     if state.referenced and sight.detector.far_frames >= far_frames:
@@ -69,7 +69,7 @@ def guard(state: GuardState, seen: Seen, params: GuardParams) -> Verdict:
     if slip is None:
         return _begin(state, sight, seen, params) if sight.slipping else Verdict(state)
     if _calm(state, slip, sight, seen, params):
-        detector = sight.detector.rebased(turned=slip.turns, slid=slip.slides, raised=slip.raised)
+        detector = sight.detector.rebased(rotated=slip.rotations, slid=slip.slides, raised=slip.raised)
         state = replace(state, slip=None, detector=detector)
         return Verdict(state, say=f"calm at {state.target_n:.0f} N")
     return _go_on(state, slip, sight, seen, params)
@@ -77,7 +77,7 @@ def guard(state: GuardState, seen: Seen, params: GuardParams) -> Verdict:
 
 def _begin(state: GuardState, sight: Look, seen: Seen, params: GuardParams) -> Verdict:
     """The first, large step."""
-    slip = Slip(seen.now_s, seen.now_s, sight.turn_deg, sight.rate_deg_s, sight.slide_mm)
+    slip = Slip(seen.now_s, seen.now_s, sight.rotation_deg, sight.rate_deg_s, sight.slide_mm)
     firm_n = limits.firm_n(params, seen.gripper_limits_n)
     return _step(replace(state, slip=slip), slip, sight, seen, params, params.first_step, firm_n)
 
@@ -87,21 +87,21 @@ def _go_on(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: Guard
     waiting = Verdict(state, stop=True)
     if sight.detector.captured_s < slip.stepped_s + _felt_s(state, params):
         # What is seen is from before the step could help: progress counts from here on.
-        slip = replace(slip, turn_deg=sight.turn_deg, rate_deg_s=sight.rate_deg_s, slide_mm=sight.slide_mm)
+        slip = replace(slip, rotation_deg=sight.rotation_deg, rate_deg_s=sight.rate_deg_s, slide_mm=sight.slide_mm)
         return Verdict(replace(state, slip=slip), stop=True)
-    turned_deg, slid_mm = sight.turn_deg - slip.turn_deg, sight.slide_mm - slip.slide_mm
-    slips_on = sight.moving and (turned_deg > PROGRESS_DEG or slid_mm > PROGRESS_MM)
-    if not (slips_on or turned_deg > _crept_deg(seen, params) or slid_mm > CREPT_MM):
+    rotated_deg, slid_mm = sight.rotation_deg - slip.rotation_deg, sight.slide_mm - slip.slide_mm
+    slips_on = sight.moving and (rotated_deg > PROGRESS_DEG or slid_mm > PROGRESS_MM)
+    if not (slips_on or rotated_deg > _crept_deg(seen, params) or slid_mm > CREPT_MM):
         return waiting
     at_rest = seen.gripper is not None and settled(state, seen.gripper)
     within = limits.budget(params.force_max_n, seen.gripper_limits_n)
     if within is None or state.target_n >= within.high_n:
-        further = turned_deg > SPENT_DEG or slid_mm > SPENT_MM
+        further = rotated_deg > SPENT_DEG or slid_mm > SPENT_MM
         return replace(waiting, fault=_spent(state, sight, params)) if at_rest and further else waiting
     slows = sight.rate_deg_s < SLOWING * slip.rate_deg_s and sight.slide_rate_mm_s < params.slide_rate_mm_s
-    late = _turned_deg(seen) > LATE_SHARE * params.give_up_turn_deg
+    late = _rotated_deg(seen) > LATE_SHARE * params.give_up_rotation_deg
     if slows and not late:  # it helps: what counts is whether it goes on slowing down
-        slip = replace(slip, turn_deg=sight.turn_deg, rate_deg_s=sight.rate_deg_s, slide_mm=sight.slide_mm)
+        slip = replace(slip, rotation_deg=sight.rotation_deg, rate_deg_s=sight.rate_deg_s, slide_mm=sight.slide_mm)
         return Verdict(replace(state, slip=slip), stop=True)
     if not (at_rest or late):
         return waiting
@@ -133,11 +133,11 @@ def _step(
         target_n = limits.allowed(least_n, limits.raised(state.target_n, multiple, within), within)
     slip = replace(
         slip,
-        turns=slip.turns or sight.turns,
+        rotations=slip.rotations or sight.rotations,
         slides=slip.slides or sight.slides,
         raised=slip.raised or target_n > state.target_n,
         stepped_s=seen.now_s,
-        turn_deg=sight.turn_deg,
+        rotation_deg=sight.rotation_deg,
         rate_deg_s=sight.rate_deg_s,
         slide_mm=sight.slide_mm,
     )
@@ -162,7 +162,7 @@ def _give_up(state: GuardState, sight: Look, seen: Seen, params: GuardParams) ->
     still = f" and still turning at {sight.rate_deg_s:.0f}°/s" if sight.moving else ""
     fault = Fault(
         FaultCode.TURNED_TOO_FAR,
-        f"turned {_turned_deg(seen):.0f}° since it was gripped{still}",
+        f"turned {_rotated_deg(seen):.0f}° since it was gripped{still}",
         "support the object and release it; grip it nearer to its centre of mass",
     )
     within = limits.budget(params.force_max_n, seen.gripper_limits_n)
@@ -180,6 +180,6 @@ def _calm(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: GuardP
     return at_rest and seen_since and sight.still_s >= params.calm_s
 
 
-def _turned_deg(seen: Seen) -> float:
+def _rotated_deg(seen: Seen) -> float:
     """Turn since the reference, without sign; 0 where it cannot be told."""
-    return abs(seen.fused.turn_deg) if seen.fused is not None and seen.fused.turn_deg is not None else 0.0
+    return abs(seen.fused.rotation_deg) if seen.fused is not None and seen.fused.rotation_deg is not None else 0.0

@@ -100,7 +100,7 @@ class GuardParams(BaseModel):
     """Stop the arm while an object slips; in lift mode the lift goes on when it is calm."""
     on_budget_spent: Literal["stop", "lower"] = "stop"
     """Where all of `force_max_n` does not hold: stop the arm, or (lift mode) go back slowly to where the lift began."""
-    give_up_turn_deg: Annotated[float, Field(ge=5.0, le=90.0)] = 45.0
+    give_up_rotation_deg: Annotated[float, Field(ge=5.0, le=90.0)] = 45.0
     """An object turned beyond this is not being held: grip to the budget, stop the arm, say so."""
     calm_s: Annotated[float, Field(ge=0.05, le=5.0)] = 0.3
     """Slip is over when nothing has moved for so long and the gripper is at rest."""

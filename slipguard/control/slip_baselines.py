@@ -48,14 +48,14 @@ class Detector:
     it is given up.
     """
 
-    base_turn_deg: float | None = None
+    base_rotation_deg: float | None = None
     base_shift_mm: float | None = None
     measured_s: float = -math.inf
     captured_s: float = -math.inf
     frames: int = 0
     counted_s: float = -math.inf
     far_frames: int = 0
-    turns: int = 0
+    rotations: int = 0
     slides: int = 0
     patient: bool = False
     told_by: tuple[str, ...] = ()
@@ -67,7 +67,7 @@ class Detector:
     handover: Handover | None = None
     smooth_shift_mm: float | None = None
     slide_rate_mm_s: float = 0.0
-    rest_turn_deg: float | None = None
+    rest_rotation_deg: float | None = None
     rest_shift_mm: float | None = None
     rest_since_s: float | None = None
     alert: Alert = field(default_factory=Alert)
@@ -76,22 +76,22 @@ class Detector:
         """Whether turns count from another place than before, or are told by others, who may contradict them."""
         if before.told_by and self.told_by != before.told_by:
             return True
-        if self.base_turn_deg is None or before.base_turn_deg is None:
-            return self.base_turn_deg is not before.base_turn_deg
-        moved_deg = (self.base_turn_deg - self.handed_deg) - (before.base_turn_deg - before.handed_deg)
+        if self.base_rotation_deg is None or before.base_rotation_deg is None:
+            return self.base_rotation_deg is not before.base_rotation_deg
+        moved_deg = (self.base_rotation_deg - self.handed_deg) - (before.base_rotation_deg - before.handed_deg)
         return abs(moved_deg) > SAME_DEG
 
-    def rebased(self, *, turned: bool, slid: bool, raised: bool) -> Detector:
+    def rebased(self, *, rotated: bool, slid: bool, raised: bool) -> Detector:
         """An episode is over: from here on only what moves further counts. raised: it was answered with force."""
         return replace(
             self,
-            base_turn_deg=None,
+            base_rotation_deg=None,
             base_shift_mm=None,
             frames=0,
             handover=None,
-            turns=self.turns + (turned and raised),
+            rotations=self.rotations + (rotated and raised),
             slides=self.slides + (slid and raised),
-            patient=self.patient or turned,
+            patient=self.patient or rotated,
             alert=replace(self.alert, near_deg=None, rested_deg=None),
         )
 
@@ -104,7 +104,7 @@ def handed_over(detector: Detector, fused: Fused) -> Detector:
     it does no longer. What a single frame is off by would stay for good: the smallest difference counts, of two
     frames, and from where the turn was on average as from where it was told last.
     """
-    if fused.turn_deg is None:
+    if fused.rotation_deg is None:
         return replace(detector, handover=None)
     if fused.fingers == detector.told_by:
         return _seen_twice(detector, fused)
@@ -148,11 +148,11 @@ def _seen_twice(detector: Detector, fused: Fused) -> Detector:
 
 def _differ_by(before: Handover, fused: Fused, handed_deg: float) -> float:
     """How far these fingers are from what the others told, but for what the object has turned since."""
-    turn_deg = fused.turn_deg or 0.0
-    turned_deg = (fused.rate_deg_s or 0.0) * (fused.captured_at_s - before.told_s)
-    by_deg = turn_deg - before.told_deg - turned_deg
+    rotation_deg = fused.rotation_deg or 0.0
+    rotated_deg = (fused.rate_deg_s or 0.0) * (fused.captured_at_s - before.told_s)
+    by_deg = rotation_deg - before.told_deg - rotated_deg
     if before.near_deg is not None:
-        by_deg = min(by_deg, turn_deg - before.near_deg, key=abs)
+        by_deg = min(by_deg, rotation_deg - before.near_deg, key=abs)
     return _within(handed_deg + by_deg, HANDOVER_DEG) - handed_deg
 
 
@@ -161,8 +161,8 @@ def _moved_by(detector: Detector, by_deg: float) -> Detector:
     return replace(
         detector,
         handed_deg=detector.handed_deg + by_deg,
-        base_turn_deg=moved(detector.base_turn_deg, by_deg),
-        rest_turn_deg=moved(detector.rest_turn_deg, by_deg),
+        base_rotation_deg=moved(detector.base_rotation_deg, by_deg),
+        rest_rotation_deg=moved(detector.rest_rotation_deg, by_deg),
         alert=detector.alert.handed_over(by_deg),
     )
 
@@ -184,17 +184,17 @@ def follow_shift(detector: Detector, fused: Fused) -> Detector:
 def follow_rest(detector: Detector, fused: Fused, params: GuardParams) -> Detector:
     """Where the object rests and since when: within `calm_deg` (or two sigma) and 0.3 mm of one place."""
     calm_deg = max(params.calm_deg, min(2.0 * (fused.sigma_deg or 0.0), params.level_max_deg))
-    rests = _near(fused.turn_deg, detector.rest_turn_deg, calm_deg) and _near(
+    rests = _near(fused.rotation_deg, detector.rest_rotation_deg, calm_deg) and _near(
         fused.shift_mm, detector.rest_shift_mm, CALM_SHIFT_MM
     )
     if rests and detector.rest_since_s is not None:
         return replace(
             detector,
-            rest_turn_deg=fused.turn_deg if detector.rest_turn_deg is None else detector.rest_turn_deg,
+            rest_rotation_deg=fused.rotation_deg if detector.rest_rotation_deg is None else detector.rest_rotation_deg,
             rest_shift_mm=fused.shift_mm if detector.rest_shift_mm is None else detector.rest_shift_mm,
         )
     return replace(
-        detector, rest_turn_deg=fused.turn_deg, rest_shift_mm=fused.shift_mm, rest_since_s=fused.captured_at_s
+        detector, rest_rotation_deg=fused.rotation_deg, rest_shift_mm=fused.shift_mm, rest_since_s=fused.captured_at_s
     )
 
 

@@ -31,18 +31,18 @@ the lift. At rest itself there is time to be sure."""
 class Look:
     """What one look saw.
 
-    turn_deg: away from the base, without sign. rate_deg_s: positive while that grows. slide_mm, slide_rate_mm_s:
+    rotation_deg: away from the base, without sign. rate_deg_s: positive while that grows. slide_mm, slide_rate_mm_s:
     downwards. moving: one of the rates is that of slip. turns, slides: this frame shows slip of that kind.
     slipping: slip, in enough frames. still_s: at rest for so long.
     """
 
     detector: Detector
-    turn_deg: float = 0.0
+    rotation_deg: float = 0.0
     rate_deg_s: float = 0.0
     slide_mm: float = 0.0
     slide_rate_mm_s: float = 0.0
     moving: bool = False
-    turns: bool = False
+    rotations: bool = False
     slides: bool = False
     slipping: bool = False
     still_s: float = 0.0
@@ -50,8 +50,8 @@ class Look:
     @property
     def what(self) -> str:
         """In words, with figures."""
-        turn = f"turned {self.turn_deg:.1f}° at {self.rate_deg_s:.0f}°/s"
-        return f"{turn}, slid {self.slide_mm:.1f} mm" if self.slide_mm > CALM_SHIFT_MM else turn
+        rotation = f"turned {self.rotation_deg:.1f}° at {self.rate_deg_s:.0f}°/s"
+        return f"{rotation}, slid {self.slide_mm:.1f} mm" if self.slide_mm > CALM_SHIFT_MM else rotation
 
 
 def look(
@@ -74,36 +74,36 @@ def look(
     alert = attend(detector.alert, fused, arm, params, putting_down=only_outward)
     detector = replace(follow_shift(detector, fused), alert=alert)
     anew = alert.anew  # what the arm's motion has wound up stays
-    rebased = anew or detector.base_turn_deg is None
+    rebased = anew or detector.base_rotation_deg is None
     detector = replace(
         detector,
-        base_turn_deg=fused.turn_deg if rebased else detector.base_turn_deg,
+        base_rotation_deg=fused.rotation_deg if rebased else detector.base_rotation_deg,
         base_shift_mm=fused.shift_mm if anew or detector.base_shift_mm is None else detector.base_shift_mm,
         measured_s=max(fused.measured_at_s, fused.newest_at_s) if new else detector.measured_s,
         captured_s=max(fused.captured_at_s, detector.captured_s),
     )
     strayed_from_deg = _strayed_from(detector, fused, params)
     if strayed := strayed_from_deg is not None:
-        detector = replace(detector, base_turn_deg=strayed_from_deg)
+        detector = replace(detector, base_rotation_deg=strayed_from_deg)
     if strayed or rebased or near_deg is None:  # these fingers' own places move by no second look
         detector = replace(detector, handover=None)
     detector = follow_rest(detector, fused, params)
-    turn, rate, turning = _turning(detector, fused, params, only_outward)
+    rotation, rate, rotating = _rotating(detector, fused, params, only_outward)
     suddenly = 0 if anew else _suddenly(detector, fused, params, near_deg, firm, only_outward)
     slide = (fused.shift_mm or 0.0) - (detector.base_shift_mm or 0.0) if fused.shift_mm is not None else 0.0
     slides_fast = detector.slide_rate_mm_s >= params.slide_rate_mm_s
     times = growth(detector.slides, params)
     sliding = slide > params.slide_mm * times and (slides_fast or slide > params.slide_creep_mm * times)
     if new:
-        detector = _counted(detector, fused, turning or strayed or sliding, suddenly, params)
+        detector = _counted(detector, fused, rotating or strayed or sliding, suddenly, params)
     return Look(
         detector=detector,
-        turn_deg=turn,
+        rotation_deg=rotation,
         rate_deg_s=rate,
         slide_mm=slide,
         slide_rate_mm_s=detector.slide_rate_mm_s,
         moving=rate >= params.rate_deg_s or slides_fast,
-        turns=turning or strayed or suddenly > 0,
+        rotations=rotating or strayed or suddenly > 0,
         slides=sliding,
         slipping=detector.frames >= params.frames,
         still_s=detector.captured_s - detector.rest_since_s if detector.rest_since_s is not None else 0.0,
@@ -118,14 +118,14 @@ def _counted(detector: Detector, fused: Fused, plainly: bool, suddenly: int, par
     counts = max(int(plainly), suddenly)
     at_rest_again = detector.alert.case is Case.REST and detector.frames > 0 and not plainly
     waits = counts > 0 and at_rest_again and fused.measured_at_s < detector.counted_s + APART_S
-    far = abs(fused.turn_deg or 0.0) > params.give_up_turn_deg and fused.conflict is None
+    far = abs(fused.rotation_deg or 0.0) > params.give_up_rotation_deg and fused.conflict is None
     return replace(
         detector,
         frames=detector.frames if waits else detector.frames + counts if counts else 0,
         counted_s=fused.newest_at_s if counts and not waits else detector.counted_s,
         far_frames=detector.far_frames + 1 if far else 0,
-        told_deg=detector.told_deg if fused.turn_deg is None else fused.turn_deg,
-        told_s=detector.told_s if fused.turn_deg is None else fused.captured_at_s,
+        told_deg=detector.told_deg if fused.rotation_deg is None else fused.rotation_deg,
+        told_s=detector.told_s if fused.rotation_deg is None else fused.captured_at_s,
     )
 
 
@@ -135,37 +135,37 @@ def _strayed_from(detector: Detector, fused: Fused, params: GuardParams) -> floa
     None if it does not. At rest the same load winds the gel up by the same angle, but for the first time the arm has
     lifted it.
     """
-    alert, base_deg = detector.alert, detector.base_turn_deg
-    if fused.turn_deg is None or fused.sigma_deg is None or base_deg is None:
+    alert, base_deg = detector.alert, detector.base_rotation_deg
+    if fused.rotation_deg is None or fused.sigma_deg is None or base_deg is None:
         return None
     if alert.rested_deg is None or alert.case is not Case.REST:
         return None
-    turn_deg = fused.turn_deg
-    level = level_deg(fused.sigma_deg, detector.turns, params)
+    rotation_deg = fused.rotation_deg
+    level = level_deg(fused.sigma_deg, detector.rotations, params)
     level = level if alert.aloft else max(level, params.firm_level_deg)
-    if abs(turn_deg - alert.rested_deg) <= level or abs(turn_deg) <= abs(alert.rested_deg):
+    if abs(rotation_deg - alert.rested_deg) <= level or abs(rotation_deg) <= abs(alert.rested_deg):
         return None
-    return max(alert.rested_deg, base_deg, key=lambda place_deg: abs(turn_deg - place_deg))
+    return max(alert.rested_deg, base_deg, key=lambda place_deg: abs(rotation_deg - place_deg))
 
 
-def _turning(detector: Detector, fused: Fused, params: GuardParams, only_outward: bool) -> tuple[float, float, bool]:
+def _rotating(detector: Detector, fused: Fused, params: GuardParams, only_outward: bool) -> tuple[float, float, bool]:
     """Turn from the base, rate away from it, and whether that is slip whatever the arm does."""
-    if fused.turn_deg is None or fused.sigma_deg is None or detector.base_turn_deg is None:
+    if fused.rotation_deg is None or fused.sigma_deg is None or detector.base_rotation_deg is None:
         return 0.0, 0.0, False
-    away_deg = fused.turn_deg - detector.base_turn_deg
-    turn_deg = abs(away_deg)
+    away_deg = fused.rotation_deg - detector.base_rotation_deg
+    rotation_deg = abs(away_deg)
     rate_deg_s = math.copysign(1.0, away_deg) * (fused.rate_deg_s or 0.0)
-    if only_outward and abs(fused.turn_deg) <= abs(detector.base_turn_deg):
-        return turn_deg, 0.0, False
-    level = level_deg(fused.sigma_deg, detector.turns, params)
-    creep_deg = params.creep_deg * growth(detector.turns, params)
+    if only_outward and abs(fused.rotation_deg) <= abs(detector.base_rotation_deg):
+        return rotation_deg, 0.0, False
+    level = level_deg(fused.sigma_deg, detector.rotations, params)
+    creep_deg = params.creep_deg * growth(detector.rotations, params)
     if detector.alert.case is Case.MOVING:
-        level = max(level, SWING_SHARE * abs(detector.base_turn_deg))
+        level = max(level, SWING_SHARE * abs(detector.base_rotation_deg))
     if detector.alert.case is Case.LIFT_OFF and detector.patient:
         # The far end still on its table leads the turn: its rate is the arm's.
-        return turn_deg, rate_deg_s, turn_deg > params.firm_level_deg
+        return rotation_deg, rate_deg_s, rotation_deg > params.firm_level_deg
     fast = rate_deg_s >= params.rate_deg_s
-    return turn_deg, rate_deg_s, turn_deg > level and (fast or turn_deg > max(creep_deg, level))
+    return rotation_deg, rate_deg_s, rotation_deg > level and (fast or rotation_deg > max(creep_deg, level))
 
 
 def _suddenly(
@@ -176,16 +176,16 @@ def _suddenly(
     near_deg: where it rested before this look.
     """
     alert = detector.alert
-    if fused.turn_deg is None or fused.sigma_deg is None or near_deg is None or only_outward:
+    if fused.rotation_deg is None or fused.sigma_deg is None or near_deg is None or only_outward:
         return 0
     if alert.case is Case.MOVING or (alert.case is Case.LIFT_OFF and detector.patient):
         return 0
     if fused.conflict is not None:  # it is the larger of two turns then, a leap in itself
         return 0
-    away_deg = fused.turn_deg - near_deg
+    away_deg = fused.rotation_deg - near_deg
     may_change = CHANGE_SHARE if alert.case is Case.LIFT_OFF else 1.0
     quick_deg = quick_level_deg(alert, params, firm=firm)
-    level = max(quick_deg, may_change * unsure_deg(fused.sigma_deg, params)) * growth(detector.turns, params)
+    level = max(quick_deg, may_change * unsure_deg(fused.sigma_deg, params)) * growth(detector.rotations, params)
     if abs(away_deg) <= level:
         return 0
     if alert.case is Case.REST:

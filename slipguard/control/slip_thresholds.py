@@ -102,12 +102,12 @@ def attend(
     if rises or putting_down:
         alert = replace(alert, rested_deg=None)
     elif case is Case.REST and alert.rested_deg is None:
-        alert = replace(alert, rested_deg=fused.turn_deg)
-    if fused.turn_deg is None:
+        alert = replace(alert, rested_deg=fused.rotation_deg)
+    if fused.rotation_deg is None:
         return replace(alert, near_deg=None)
     if alert.near_deg is None or anew:
         steady = case is not Case.REST or abs(fused.rate_deg_s or 0.0) <= STEADY_DEG_S
-        near_deg = fused.turn_deg if steady else None
+        near_deg = fused.rotation_deg if steady else None
         return replace(alert, near_deg=near_deg, before_deg=None, measured_s=fused.measured_at_s)
     if case is not Case.REST:
         return replace(alert, measured_s=fused.measured_at_s)
@@ -115,18 +115,18 @@ def attend(
     if passed_s <= 0.0:
         return alert
     near_deg = alert.near_deg
-    away_deg = fused.turn_deg - near_deg
+    away_deg = fused.rotation_deg - near_deg
     if abs(away_deg) > quick_level_deg(alert, params):
         return replace(alert, before_deg=None, measured_s=fused.measured_at_s)
     if alert.before_deg is not None:
         # From frame to frame: the way of a slow slip is none of the sensor's noise.
-        leap_deg2 = 0.5 * (fused.turn_deg - alert.before_deg) ** 2
+        leap_deg2 = 0.5 * (fused.rotation_deg - alert.before_deg) ** 2
         alert = replace(alert, variance_deg2=alert.variance_deg2 + (leap_deg2 - alert.variance_deg2) / NOISE_FRAMES)
     drift_deg = (1.0 - math.exp(-passed_s / FOLLOW_S)) * away_deg
     return replace(
         alert,
         near_deg=near_deg + drift_deg,
-        before_deg=fused.turn_deg,
+        before_deg=fused.rotation_deg,
         rested_deg=moved(alert.rested_deg, drift_deg),
         measured_s=fused.measured_at_s,
     )

@@ -44,10 +44,10 @@ class Slip:
 
     began_s: float
     stepped_s: float
-    turn_deg: float
+    rotation_deg: float
     rate_deg_s: float
     slide_mm: float
-    turns: bool = False
+    rotations: bool = False
     slides: bool = False
     raised: bool = False
 

@@ -32,7 +32,7 @@ class Watch:
 
     began_s: the first tick. arm_known, gripper_known, frames_known: heard since then. untrusted, untrusted_since_s:
     why the turn cannot be believed, and since when; contradicted_s: when the fingers contradicted each other last.
-    help_turn_deg, help_since_s: the first tightening of the present episode. mark_mm, mark_s: last progress of the
+    help_rotation_deg, help_since_s: the first tightening of the present episode. mark_mm, mark_s: last progress of the
     arm, while it should move.
     """
 
@@ -47,7 +47,7 @@ class Watch:
     arm_known: bool = False
     gripper_known: bool = False
     frames_known: bool = False
-    help_turn_deg: float | None = None
+    help_rotation_deg: float | None = None
     help_since_s: float | None = None
     mark_mm: float | None = None
     mark_s: float = 0.0
@@ -182,7 +182,7 @@ def _follow_trust(memory: Watch, state: GuardState, seen: Seen) -> Watch:
     fused = seen.fused
     if fused is None or not state.referenced or state.phase is Phase.REFERENCE:
         return replace(memory, untrusted=None, untrusted_since_s=None)
-    why = fused.conflict if fused.conflict is not None or fused.turn_deg is not None else fused.declined
+    why = fused.conflict if fused.conflict is not None or fused.rotation_deg is not None else fused.declined
     contradicted_s = memory.contradicted_s if fused.conflict is None else seen.now_s
     if why is None and len(fused.fingers) == 1 and seen.now_s - contradicted_s < MOMENT_S:
         why = memory.untrusted
@@ -235,19 +235,19 @@ def _arm_stuck(memory: Watch, state: GuardState, seen: Seen, params: GuardParams
 
 def _follow_help(memory: Watch, state: GuardState, seen: Seen) -> Watch:
     """Mark where the object stood when it was first tightened."""
-    turn_deg = seen.fused.turn_deg if seen.fused is not None else None
+    rotation_deg = seen.fused.rotation_deg if seen.fused is not None else None
     if state.slip is None:
-        return memory if memory.help_since_s is None else replace(memory, help_turn_deg=None, help_since_s=None)
-    if memory.help_turn_deg is None and turn_deg is not None:
-        return replace(memory, help_turn_deg=turn_deg, help_since_s=seen.now_s)
+        return memory if memory.help_since_s is None else replace(memory, help_rotation_deg=None, help_since_s=None)
+    if memory.help_rotation_deg is None and rotation_deg is not None:
+        return replace(memory, help_rotation_deg=rotation_deg, help_since_s=seen.now_s)
     return memory
 
 
 def _no_help(memory: Watch, seen: Seen, params: GuardParams) -> Fault | None:
     fused = seen.fused
-    if fused is None or fused.turn_deg is None or memory.help_turn_deg is None:
+    if fused is None or fused.rotation_deg is None or memory.help_rotation_deg is None:
         return None
-    further_deg = fused.turn_deg - memory.help_turn_deg
+    further_deg = fused.rotation_deg - memory.help_rotation_deg
     outward_deg_s = (fused.rate_deg_s or 0.0) * (1.0 if further_deg > 0.0 else -1.0)
     if not _lasts(memory.help_since_s, seen.now_s, params.help_s):
         return None

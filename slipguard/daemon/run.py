@@ -91,7 +91,7 @@ def build_service(
                 background=None if known is None else known.image,
                 noise=None if known is None else known.noise_bgr,
                 px_per_mm=section.px_per_mm,
-                rotation_deg=section.rotation_deg,
+                mounting_deg=section.mounting_deg,
                 timer=time.perf_counter,
             )
             recall(pipeline, references, name, serial, asyncio.get_running_loop().time())

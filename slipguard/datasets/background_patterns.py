@@ -108,10 +108,10 @@ def _streaks(rng: np.random.Generator, count: int, thickness: tuple[int, int], b
 def _outline(rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Centre (x, y), points about it and size of a wavy closed curve wider than most of the view."""
     centre = np.array([W / 2, H / 2]) + rng.normal(0.0, 1.0, 2) * [90.0, 110.0]
-    turn = np.linspace(0.0, 2.0 * np.pi, 60)
-    wave = 1.0 + 0.15 * np.sin(turn * rng.integers(1, 4) + rng.uniform(0.0, 6.0))
+    rotation = np.linspace(0.0, 2.0 * np.pi, 60)
+    wave = 1.0 + 0.15 * np.sin(rotation * rng.integers(1, 4) + rng.uniform(0.0, 6.0))
     size = rng.uniform(40.0, 200.0)
-    return centre, np.stack([np.cos(turn), np.sin(turn)], -1) * wave[:, None] * size, size
+    return centre, np.stack([np.cos(rotation), np.sin(rotation)], -1) * wave[:, None] * size, size
 
 
 def _region(points: NDArray[np.float64], blur_px: float) -> Pattern:

@@ -50,7 +50,7 @@ class Imported:
     """What came of it. turned: lay on their side; stretched: of another shape than 3 to 4; left_out: why, per name."""
 
     frames: int
-    turned: int
+    rotated: int
     stretched: int
     left_out: tuple[str, ...]
 
@@ -107,7 +107,7 @@ def import_dataset(
         raise InputError(
             f"{source}: {left_out[0]} ({len(left_out)} such files, {len(pairs)} pairs); complete them, or give --skip"
         )
-    turned = stretched = 0
+    rotated = stretched = 0
     under = None if background is None else png(background)
     progress(0, len(pairs))
     with DataSetWriter(out_dir) as writer:
@@ -121,18 +121,18 @@ def import_dataset(
             files = result.files if under is None else result.files | {BACKGROUNDS: under}
             name = {"file": f"{writer.written:06d}.png", "source": pair.name, "split": "imported", "label": LABEL_NAME}
             writer.add(name | {"has_contact": result.share > 0.0, "contact_share": round(result.share, 5)}, files)
-            turned += result.turned
+            rotated += result.rotated
             stretched += result.stretched
     if writer.written == 0:
         raise InputError(f"{source}: none of {len(pairs)} pairs can be used; the first: {left_out[0]}")
-    return Imported(writer.written, turned, stretched, tuple(left_out))
+    return Imported(writer.written, rotated, stretched, tuple(left_out))
 
 
 @dataclass(frozen=True, slots=True)
 class _Read:
     files: Files
     share: float
-    turned: bool
+    rotated: bool
     stretched: bool
 
 

@@ -24,7 +24,7 @@ def composition(rng: np.random.Generator) -> Relief:
         bodies = []
         for _ in range(int(rng.integers(2, 5))):
             place = (float(rng.normal(0.0, 2.2)), float(rng.normal(0.0, 1.6)))
-            x, y = s.turned(u, v, float(rng.uniform(0.0, 180.0)), place)
+            x, y = s.rotated(u, v, float(rng.uniform(0.0, 180.0)), place)
             body = _BODIES[int(rng.integers(len(_BODIES)))](x, y, rng)
             bodies.append(body - np.float32(rng.uniform(0.0, 0.25)))
         height = s.highest(*bodies)
@@ -109,5 +109,5 @@ _BODIES: tuple[_Body, ...] = (_block, _disc, _dome, _pill, _facet, _bow)
 
 def _texture(u: Field, v: Field, rng: np.random.Generator) -> Field:
     pitch, depth = float(rng.uniform(0.7, 2.2)), float(rng.uniform(0.05, 0.35))
-    u, v = s.turned(u, v, float(rng.uniform(0.0, 180.0)))
+    u, v = s.rotated(u, v, float(rng.uniform(0.0, 180.0)))
     return s.grooves(u, pitch, depth) if rng.random() < 0.6 else s.knurl(u, v, pitch, depth)

@@ -25,7 +25,7 @@ from slipguard.sim.view import GelView
 
 FRAME_S = 1.0 / 60.0
 EMPTY_FRAMES, CLOSING_FRAMES, STILL_FRAMES, SHEAR_FRAMES, END_FRAMES = 6, 6, 10, 8, 8
-TURN_DEG = (10.0, 30.0)
+ROTATION_DEG = (10.0, 30.0)
 """Out to one side by this much, then to the other side of the start by this much."""
 RATE_DEG_S = (40.0, 300.0)
 """Highest rate of a turn: a slow slip to a fall."""
@@ -45,14 +45,14 @@ EXTRA_PLAIN = ("plain_disc", "plain_ball")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """One frame and its truth. turn_deg: since the object was held still; mask: (320, 240) uint8, the labelled contact.
+    """One frame and its truth. rotation_deg: since the object was held still; mask: (320, 240) uint8, the labelled contact.
 
     mask is None where it was not asked for; compared: part of the turn's error (after the reference, in contact).
     """
 
     frame: Frame
     contact: bool
-    turn_deg: float
+    rotation_deg: float
     compared: bool
     mask: NDArray[np.uint8] | None
 
@@ -79,7 +79,7 @@ class _Stretch:
     """A stretch of the motion: a smooth step in turn and place, a straight line in depth. rate: at its middle."""
 
     frames: int
-    turn_deg: float
+    rotation_deg: float
     x_mm: float
     y_mm: float
     depth_mm: float
@@ -98,14 +98,14 @@ def sequence(object_name: str, seed: int, with_masks: bool = False, mask_every: 
     camera.set_light(Light(1.0, tuple(rng.uniform(-5.0, 5.0, 3)), tuple(rng.uniform(-1.5, 1.5, 3))))
     shots = []
     peak_deg_s, depths_mm = 0.0, []
-    for index, (view, turn, compared) in enumerate(_views(thing, rng)):
+    for index, (view, rotation, compared) in enumerate(_views(thing, rng)):
         mask = None
         if with_masks and index % mask_every == 0:
             truth = camera.draw_with_truth(view, relief=relief)
             image, mask = truth.image, label(truth)
         else:
             image = camera.draw(view, relief=relief)
-        shots.append(Shot(Frame(image, index * FRAME_S, index), view.depth_mm > 0.0, turn, compared, mask))
+        shots.append(Shot(Frame(image, index * FRAME_S, index), view.depth_mm > 0.0, rotation, compared, mask))
         peak_deg_s = max(peak_deg_s, abs(view.rate_deg_s))
         depths_mm += [view.depth_mm] * compared
     return Sequence(
@@ -148,21 +148,21 @@ def _views(thing: SimObject, rng: np.random.Generator) -> Iterator[tuple[GelView
     before = _Stretch(0, 0.0, x, y, press)
     for stretch in _stretches(before, rng, 1.1 * thing.press_mm):
         duration_s = stretch.frames * FRAME_S
-        way = stretch.turn_deg - before.turn_deg
+        way = stretch.rotation_deg - before.rotation_deg
         for k in range(1, stretch.frames + 1):
             part = k / stretch.frames
             done = part * part * (3.0 - 2.0 * part)
-            turn = before.turn_deg + done * way
+            rotation = before.rotation_deg + done * way
             yield (
                 GelView(
                     name,
                     before.x_mm + done * (stretch.x_mm - before.x_mm),
                     before.y_mm + done * (stretch.y_mm - before.y_mm),
-                    start_deg + turn,
+                    start_deg + rotation,
                     before.depth_mm + part * (stretch.depth_mm - before.depth_mm),
                     rate_deg_s=way * 6.0 * part * (1.0 - part) / duration_s,
                 ),
-                turn,
+                rotation,
                 True,
             )
         before = stretch
@@ -171,7 +171,7 @@ def _views(thing: SimObject, rng: np.random.Generator) -> Iterator[tuple[GelView
 
 def _stretches(start: _Stretch, rng: np.random.Generator, deepest_mm: float) -> list[_Stretch]:
     side = float(rng.choice([-1.0, 1.0]))
-    out_deg, back_deg = side * float(rng.uniform(*TURN_DEG)), -side * float(rng.uniform(*TURN_DEG))
+    out_deg, back_deg = side * float(rng.uniform(*ROTATION_DEG)), -side * float(rng.uniform(*ROTATION_DEG))
     low, high = math.log(RATE_DEG_S[0]), math.log(RATE_DEG_S[1])
     peak_deg_s = math.exp(rng.uniform(low, high))
     grown_mm = min(start.depth_mm * float(rng.uniform(*GROWTH)), deepest_mm)
@@ -187,4 +187,4 @@ def _stretches(start: _Stretch, rng: np.random.Generator, deepest_mm: float) -> 
     out = _Stretch(frames(out_deg), out_deg, *aside(start, SHIFT_MM * float(rng.uniform(0, 1))), grown_mm)
     sheared = _Stretch(SHEAR_FRAMES, out_deg, *aside(out, float(rng.uniform(*SHEAR_MM))), grown_mm)
     back = _Stretch(frames(back_deg - out_deg), back_deg, *aside(sheared, 0.5 * float(rng.uniform(0, 1))), last_mm)
-    return [out, sheared, back, _Stretch(END_FRAMES, back.turn_deg, back.x_mm, back.y_mm, back.depth_mm)]
+    return [out, sheared, back, _Stretch(END_FRAMES, back.rotation_deg, back.x_mm, back.y_mm, back.depth_mm)]

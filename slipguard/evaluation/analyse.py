@@ -14,8 +14,8 @@ from slipguard.errors import FrameCorrupt, InputError
 from slipguard.evaluation.clock_alignment import LAG_MAX_S, Lag, find_lag, seen_at
 from slipguard.evaluation.lift_data import LiftData, TimedPicture
 from slipguard.evaluation.marker_detector import Detector
-from slipguard.evaluation.marker_rotation import TurnTrace, turns
-from slipguard.evaluation.single_estimators import PatchKeeper, SeenPatch, turns_by_estimator
+from slipguard.evaluation.marker_rotation import RotationTrace, rotations
+from slipguard.evaluation.single_estimators import PatchKeeper, SeenPatch, rotations_by_estimator
 from slipguard.evaluation.video_files import FILMS, sightings
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
@@ -57,7 +57,7 @@ class LiftResult:
     repeat: int
     number: int
     simulated: bool = False
-    final_turn_deg: float | None = None
+    final_rotation_deg: float | None = None
     """By the markers."""
     lag_s: float = 0.0
     lag_sigma_s: float = 0.0
@@ -103,48 +103,48 @@ def analyse(data: LiftData) -> LiftResult:
     _score_masks(data, result)
     fused = np.array(data.fused).reshape(-1, 3)
     try:
-        trace = _marker_turns(data, began_s)
+        trace = _marker_rotations(data, began_s)
         result.camera_frames, result.camera_gaps = len(trace.time_s), trace.gaps
         result.camera_rms_px = trace.rms_px
         lag = find_lag(
-            trace.time_s, trace.turn_deg, fused[:, 0], fused[:, 1], LAG_MAX_S if data.camera else FILM_LAG_MAX_S
+            trace.time_s, trace.rotation_deg, fused[:, 0], fused[:, 1], LAG_MAX_S if data.camera else FILM_LAG_MAX_S
         )
         _tell_lag(data, result, lag, trace)
         camera_s = trace.time_s - lag.lag_s
         zero_s = float(fused[0, 0]) if len(fused) else began_s - STILL_S
-        marker_deg = trace.turn_deg - _level(camera_s, trace.turn_deg, zero_s, began_s)
+        marker_deg = trace.rotation_deg - _level(camera_s, trace.rotation_deg, zero_s, began_s)
         _check_sense(fused, camera_s, marker_deg)
     except InputError as problem:
         result.problem = str(problem)
         return result
-    result.final_turn_deg = float(marker_deg[-1])
+    result.final_rotation_deg = float(marker_deg[-1])
     _compare_truth(data, result, trace)
     _curve(result, "markers", camera_s - began_s, marker_deg)
     told = [Measured(*row) for row in fused[fused[:, 0] >= began_s - STILL_S].tolist()]
     for name, stated in {"fused": told, **_estimators(data, began_s)}.items():
         time_s = np.array([one.captured_at_s for one in stated])
-        turn_deg = np.array([one.turn_deg for one in stated])
+        rotation_deg = np.array([one.rotation_deg for one in stated])
         if name != "fused":  # they count from just before the lift
-            turn_deg = turn_deg + float(np.interp(began_s - STILL_S, camera_s, marker_deg))
+            rotation_deg = rotation_deg + float(np.interp(began_s - STILL_S, camera_s, marker_deg))
         compared = seen_at(time_s, camera_s) & (time_s >= began_s)
-        error = turn_deg[compared] - np.interp(time_s[compared], camera_s, marker_deg)
+        error = rotation_deg[compared] - np.interp(time_s[compared], camera_s, marker_deg)
         result.errors[name] = _summed(error)
-        _curve(result, name, time_s - began_s, turn_deg)
+        _curve(result, name, time_s - began_s, rotation_deg)
         if name == "fused" and error.size:
             _judge_sigma(result, error, np.array([one.sigma_deg for one in stated])[compared])
             late = seen_at(time_s, trace.time_s) & (time_s >= began_s)
             if late.any():
-                left_in = turn_deg[late] - np.interp(time_s[late], trace.time_s, marker_deg)
+                left_in = rotation_deg[late] - np.interp(time_s[late], trace.time_s, marker_deg)
                 result.unaligned_mean_deg = float(np.abs(left_in).mean())
     return result
 
 
-def _level(camera_s: Array, turn_deg: Array, zero_s: float, began_s: float) -> float:
+def _level(camera_s: Array, rotation_deg: Array, zero_s: float, began_s: float) -> float:
     """The markers' turn where slipguard took its reference, the object at rest: their zero too."""
     still = (camera_s >= zero_s - ZERO_S) & (camera_s <= min(zero_s + ZERO_S, began_s))
     if still.sum() < ZERO_FRAMES_MIN:
         raise InputError("the markers were not seen while the object was at rest, before the lift began")
-    return float(turn_deg[still].mean())
+    return float(rotation_deg[still].mean())
 
 
 def _check_sense(fused: Array, camera_s: Array, marker_deg: Array) -> None:
@@ -160,7 +160,7 @@ def _check_sense(fused: Array, camera_s: Array, marker_deg: Array) -> None:
         )
 
 
-def _marker_turns(data: LiftData, began_s: float) -> TurnTrace:
+def _marker_rotations(data: LiftData, began_s: float) -> RotationTrace:
     """The markers' turn in the left picture's sign, from when the object lay still."""
     if data.camera:
         detector = Detector()
@@ -178,14 +178,14 @@ def _marker_turns(data: LiftData, began_s: float) -> TurnTrace:
         # A film has a clock of its own; its zero is put where the lift begins, and the lag tells the rest.
         seen = list(sightings(films[0], data.intrinsics, start_s=began_s))
     try:
-        trace = turns(seen, data.intrinsics, data.about.marker_side_mm)
+        trace = rotations(seen, data.intrinsics, data.about.marker_side_mm)
     except np.linalg.LinAlgError:
         raise InputError("the markers' corners do not make squares; are they flat and whole?") from None
     sign = PICTURE_SIGN[data.about.camera_side]
-    return TurnTrace(trace.time_s, sign * trace.turn_deg, trace.sigma_deg, trace.gaps, trace.rms_px)
+    return RotationTrace(trace.time_s, sign * trace.rotation_deg, trace.sigma_deg, trace.gaps, trace.rms_px)
 
 
-def _tell_lag(data: LiftData, result: LiftResult, lag: Lag, trace: TurnTrace) -> None:
+def _tell_lag(data: LiftData, result: LiftResult, lag: Lag, trace: RotationTrace) -> None:
     """Note the lag down. Raises InputError where without it there is no common clock."""
     result.lag_s, result.lag_sigma_s, result.lag_unknown = lag.lag_s, lag.sigma_s, lag.why
     if lag.why is not None and (not data.camera or not data.fused):
@@ -195,12 +195,12 @@ def _tell_lag(data: LiftData, result: LiftResult, lag: Lag, trace: TurnTrace) ->
         result.lag_error_frames = abs(lag.lag_s - data.about.camera_lag_s) / frame_s
 
 
-def _compare_truth(data: LiftData, result: LiftResult, trace: TurnTrace) -> None:
+def _compare_truth(data: LiftData, result: LiftResult, trace: RotationTrace) -> None:
     """The markers themselves against a simulated world, without any lag to find."""
-    time_s, true_deg = data.true_turns()
+    time_s, true_deg = data.true_rotations()
     if data.about.camera_lag_s is None or len(time_s) < 2:
         return
-    error = trace.turn_deg - np.interp(trace.time_s - data.about.camera_lag_s, time_s, true_deg)
+    error = trace.rotation_deg - np.interp(trace.time_s - data.about.camera_lag_s, time_s, true_deg)
     error -= error[:10].mean()  # both count from where the object lay still
     result.marker_error_mean_deg = float(np.abs(error).mean())
     result.marker_error_worst_deg = float(np.abs(error).max())
@@ -234,7 +234,7 @@ def _estimators(data: LiftData, began_s: float) -> dict[str, list[Measured]]:
             settings.background(finger),
             settings.noise_bgr(finger),
             settings.px_per_mm[finger],
-            settings.rotation_deg[finger],
+            settings.mounting_deg[finger],
         )
         keeper = PatchKeeper(finger, pipeline, kept)
         for one in frames:
@@ -246,7 +246,7 @@ def _estimators(data: LiftData, began_s: float) -> dict[str, list[Measured]]:
                 keeper.process(Frame(one.picture.pixels(), one.judged.captured_at_s, one.judged.sequence))
             except FrameCorrupt:
                 continue
-    by_estimator = turns_by_estimator(kept, began_s - STILL_S, float("inf"))
+    by_estimator = rotations_by_estimator(kept, began_s - STILL_S, float("inf"))
     return {name: _together(fingers) for name, fingers in by_estimator.items()}
 
 
@@ -257,7 +257,7 @@ def _together(fingers: list[list[Measured]]) -> list[Measured]:
         return told[0] if told else []
     first, second = told
     other_s = np.array([one.captured_at_s for one in second])
-    other_deg = np.array([one.turn_deg for one in second])
+    other_deg = np.array([one.rotation_deg for one in second])
     together = []
     for one in first:
         beside = int(np.argmin(np.abs(other_s - one.captured_at_s)))
@@ -266,7 +266,7 @@ def _together(fingers: list[list[Measured]]) -> list[Measured]:
             continue
         a, b = one.sigma_deg**-2, second[beside].sigma_deg ** -2
         at_deg = float(np.interp(one.captured_at_s, other_s, other_deg))
-        together.append(Measured(one.captured_at_s, (a * one.turn_deg + b * at_deg) / (a + b), (a + b) ** -0.5))
+        together.append(Measured(one.captured_at_s, (a * one.rotation_deg + b * at_deg) / (a + b), (a + b) ** -0.5))
     return together
 
 
@@ -290,6 +290,6 @@ def mask_of(one: TimedPicture) -> NDArray[np.bool_]:
     return np.asarray(one.picture.pixels()[..., 0] > 127)
 
 
-def _curve(result: LiftResult, name: str, time_s: Array, turn_deg: Array) -> None:
+def _curve(result: LiftResult, name: str, time_s: Array, rotation_deg: Array) -> None:
     step = max(len(time_s) // CURVE_POINTS, 1)
-    result.curves[name] = [np.round(time_s[::step], 4).tolist(), np.round(turn_deg[::step], 4).tolist()]
+    result.curves[name] = [np.round(time_s[::step], 4).tolist(), np.round(rotation_deg[::step], 4).tolist()]

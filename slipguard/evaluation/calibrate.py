@@ -48,10 +48,10 @@ def calibrate(pictures: Iterable[NDArray[np.uint8]]) -> Intrinsics:
     chosen = [seen[int(k)] for k in np.linspace(0, len(seen) - 1, min(len(seen), PICTURES_MAX))]
     points_all, pixels_all = [one[0] for one in chosen], [one[1] for one in chosen]
     answer: Any = cv2.calibrateCamera(points_all, pixels_all, size, None, None)
-    rms, matrix, distortion, turns = answer[:4]
+    rms, matrix, distortion, rotations = answer[:4]
     if not np.isfinite(rms) or rms > RMS_MAX_PX:
         raise InputError(f"no lens explains these pictures (off by {rms:.1f} px); is the board flat, and in focus?")
-    normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])
+    normals = np.array([cv2.Rodrigues(rotation)[0][:, 2] for rotation in rotations])
     spread = np.degrees(np.arccos(np.clip(np.min(normals @ normals.T), -1.0, 1.0)))
     if spread < TILT_MIN_DEG:
         raise InputError(

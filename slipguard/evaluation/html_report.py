@@ -126,8 +126,8 @@ def _object_table(report: dict[str, Any]) -> str:
         fused = one["fused"]
         about = "seen" if one["seen"] else "unseen"
         about += f", {escape(one['hard'])}" if one["hard"] else ""
-        turns = one["turns_deg"]
-        span = f"{min(turns, key=abs):.0f} … {max(turns, key=abs):.0f}" if turns else "–"
+        rotations = one["turns_deg"]
+        span = f"{min(rotations, key=abs):.0f} … {max(rotations, key=abs):.0f}" if rotations else "–"
         rows.append(
             [name.replace("_", " "), about, fused["n"], span, _pm(fused), _n(fused["worst"]),
              _interval(fused), _percent(one["declined_share"])]
@@ -203,7 +203,7 @@ def _problems(report: dict[str, Any]) -> str:
 def _method(protocol: Protocol | None) -> str:
     lifted = ""
     if protocol is not None:
-        low, high = protocol.turn_deg
+        low, high = protocol.rotation_deg
         lifted = (
             f"Every object is gripped and lifted {protocol.repeats} times at {protocol.lift_speed_mm_s:g} mm/s, so "
             f"that it turns by {low:g}° to {high:g}°. "

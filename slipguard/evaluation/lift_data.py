@@ -76,9 +76,9 @@ class LiftData:
         """When a phase was entered first."""
         return next((at_s for at_s, phase in self.phases if phase == name), None)
 
-    def true_turns(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def true_rotations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Times and turns, empty on a real cell."""
-        return np.array([one.now_s for one in self.truth]), np.array([one.turn_deg for one in self.truth])
+        return np.array([one.now_s for one in self.truth]), np.array([one.rotation_deg for one in self.truth])
 
 
 A = TypeVar("A", bound=BaseModel)
@@ -137,10 +137,10 @@ def _take_tick(data: LiftData, tick: m.Tick) -> None:
         return
     fused = tick.seen.fused
     data.held += 1
-    if fused is None or fused.turn_deg is None or fused.sigma_deg is None:
+    if fused is None or fused.rotation_deg is None or fused.sigma_deg is None:
         data.declined += 1
     elif not data.fused or fused.captured_at_s > data.fused[-1][0]:
-        data.fused.append((fused.captured_at_s, fused.turn_deg, fused.sigma_deg))
+        data.fused.append((fused.captured_at_s, fused.rotation_deg, fused.sigma_deg))
 
 
 def _about(recording: Recording) -> About:

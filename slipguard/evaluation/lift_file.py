@@ -21,7 +21,7 @@ from slipguard.errors import SlipguardError
 from slipguard.evaluation.intrinsics import Intrinsics
 from slipguard.evaluation.protocol import Lift, Protocol
 from slipguard.recording import messages as m
-from slipguard.recording.recorder import RecorderSettings, Said, Seen, Turn, write_seen
+from slipguard.recording.recorder import RecorderSettings, Rotation, Said, Seen, write_seen
 from slipguard.recording.writer import Clock, Header, RecordingFile
 
 CAMERA_QUALITY = 88
@@ -106,9 +106,9 @@ class LiftFile:
             why = self._broken.strerror or self._broken
             raise SlipguardError(f"{self._path}: not recorded ({why}); make room, then start again")
 
-    def hand(self, value: Seen | Turn | Said) -> None:
+    def hand(self, value: Seen | Rotation | Said) -> None:
         """Write what the daemon tells."""
-        if isinstance(value, Turn):
+        if isinstance(value, Rotation):
             self._write(lambda file: file.tick(value.tick), first=value)
         elif isinstance(value, Seen):
             self._write(lambda file: write_seen(file, value, FINGERS))
@@ -126,7 +126,7 @@ class LiftFile:
         png = cv2.imencode(".png", mask * np.uint8(255))[1].tobytes()
         self._write(lambda file: file.true_mask(finger, at_s, png))
 
-    def _write(self, what: Callable[[RecordingFile], None], first: Turn | None = None) -> None:
+    def _write(self, what: Callable[[RecordingFile], None], first: Rotation | None = None) -> None:
         """Nothing before the file has begun, which the first turn of the loop does, nor after its disk has failed."""
         if self._broken is not None:
             return
@@ -138,7 +138,7 @@ class LiftFile:
         except OSError as error:
             self._broken = error
 
-    def _begin(self, first: Turn) -> RecordingFile:
+    def _begin(self, first: Rotation) -> RecordingFile:
         plain = header(self._service)
         about = Header(plain.facts, {**plain.attachments, **self._attachments})
         return RecordingFile(self._part, self._clock, about, first.memory, first.tick.now_s)

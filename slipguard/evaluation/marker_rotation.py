@@ -35,21 +35,21 @@ CORNER_SIGMA_MIN_PX = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class TurnTrace:
+class RotationTrace:
     """Turns in degrees, counter-clockwise for the camera, zero at the start (mean of the first 0.3 s).
 
-    time_s, turn_deg, sigma_deg: (n,), frames in which both markers were seen well. gaps: how many were not.
+    time_s, rotation_deg, sigma_deg: (n,), frames in which both markers were seen well. gaps: how many were not.
     rms_px: mean distance of model and corners.
     """
 
     time_s: Array
-    turn_deg: Array
+    rotation_deg: Array
     sigma_deg: Array
     gaps: int
     rms_px: float
 
 
-def turns(sightings: list[Sighting], intrinsics: Intrinsics, side_mm: float) -> TurnTrace:
+def rotations(sightings: list[Sighting], intrinsics: Intrinsics, side_mm: float) -> RotationTrace:
     """The turn in every frame that shows both markers; side_mm: of their black squares.
 
     Raises InputError where too few frames do, or where no rigid motion about one axis explains the corners.
@@ -75,12 +75,12 @@ def turns(sightings: list[Sighting], intrinsics: Intrinsics, side_mm: float) -> 
             f"at most {RMS_MAX_PX:g}): check that the intrinsics are this camera's, that it stands still, and that "
             "both markers are flat"
         )
-    angle = np.degrees(np.unwrap(fit.turn_rad))
+    angle = np.degrees(np.unwrap(fit.rotation_rad))
     sigma = np.degrees(fit.sigma_rad)
     time_s = np.array([time_s for (time_s, _), keep in zip(both, good, strict=True) if keep])
     still = time_s <= time_s[0] + STILL_S
     start_sigma = float(np.sqrt((sigma[still] ** 2).mean() / still.sum()))
-    return TurnTrace(
+    return RotationTrace(
         time_s, angle - angle[still].mean(), np.hypot(sigma, start_sigma), len(sightings) - len(time_s), rms_px
     )
 
@@ -109,7 +109,7 @@ def _square(side_mm: float) -> Array:
 
 @dataclass(slots=True)
 class _Fit:
-    turn_rad: Array
+    rotation_rad: Array
     sigma_rad: Array
     residual_px: Array
 
@@ -126,10 +126,10 @@ class _Model:
         thing = self._best_rotation(1, gripper)
         fixed = gripper.T @ thing
         local = np.zeros((count, 7))
-        local[:, 0] = self._first_turns(gripper, fixed)
+        local[:, 0] = self._first_rotations(gripper, fixed)
         local[:, 1:4] = _positions(self.rays[:, 0], self.square @ gripper.T)
-        turned = gripper @ _about_z(local[:, 0]) @ fixed
-        local[:, 4:7] = _positions(self.rays[:, 1], np.einsum("kj,nij->nki", self.square, turned))
+        rotated = gripper @ _about_z(local[:, 0]) @ fixed
+        local[:, 4:7] = _positions(self.rays[:, 1], np.einsum("kj,nij->nki", self.square, rotated))
         normal = np.zeros((count, 7, 7))
         residual = self._residual(gripper, fixed, np.zeros(6), local)
         damping = 1e-6
@@ -200,17 +200,17 @@ class _Model:
         seen = points[None] + _positions(rays, points)[:, None]
         return float(np.median(np.abs(seen[..., :2] / seen[..., 2:] - rays)))
 
-    def _first_turns(self, gripper: Array, fixed: Array) -> Array:
+    def _first_rotations(self, gripper: Array, fixed: Array) -> Array:
         """(n,) turns to begin with: of each frame's two poses of the object the one nearer to the axis."""
-        turns = np.zeros(len(self.rays))
+        rotations = np.zeros(len(self.rays))
         for number, one in enumerate(self.rays[:, 1]):
             best = -np.inf
             for rotation in _square_poses(one, self.square):
-                turned = gripper.T @ rotation @ fixed.T
-                if turned[2, 2] > best:
-                    best = turned[2, 2]
-                    turns[number] = np.arctan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])
-        return np.unwrap(turns)
+                rotated = gripper.T @ rotation @ fixed.T
+                if rotated[2, 2] > best:
+                    best = rotated[2, 2]
+                    rotations[number] = np.arctan2(rotated[1, 0] - rotated[0, 1], rotated[0, 0] + rotated[1, 1])
+        return np.unwrap(rotations)
 
 
 def _square_poses(rays: Array, square: Array) -> list[Array]:

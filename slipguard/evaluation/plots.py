@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from slipguard.errors import InputError
 from slipguard.evaluation.analyse import LiftResult, mask_of
 from slipguard.evaluation.lift_data import LiftData, read_lift
-from slipguard.evaluation.marker_rotation import TurnTrace
+from slipguard.evaluation.marker_rotation import RotationTrace
 from slipguard.evaluation.summary import PAPER, by_object, errors_of
 from slipguard.tools import plotting as figures
 
@@ -69,9 +69,9 @@ def draw_curves(lifts: list[LiftResult], path: Path) -> None:
         looks = (("truth", TRUTH, 3.0, "-"), ("markers", INK, 1.0, "-"), ("fused", SEEN, 1.2, "--"))
         for name, colour, width, style in looks:
             if name in lift.curves and lift.curves[name][0]:
-                time_s, turn_deg = (np.asarray(part) for part in lift.curves[name])
+                time_s, rotation_deg = (np.asarray(part) for part in lift.curves[name])
                 shown = time_s >= -0.3
-                axes.plot(time_s[shown], turn_deg[shown], style, color=colour, lw=width, label=_LABELS[name])
+                axes.plot(time_s[shown], rotation_deg[shown], style, color=colour, lw=width, label=_LABELS[name])
         mean = lift.errors["fused"].mean_deg if "fused" in lift.errors else None
         told = f"{mean:.2f}°" if mean is not None else "not told"
         axes.set_title(f"{lift.object.replace('_', ' ')}, lift {lift.repeat + 1}: error {told}", fontsize=8)
@@ -155,13 +155,13 @@ def _fused_error(lift: LiftResult) -> float:
     return float("inf") if mean is None else mean
 
 
-def draw_trace(trace: TurnTrace, path: Path) -> None:
+def draw_trace(trace: RotationTrace, path: Path) -> None:
     """One turn over time with its sigma."""
     page = figures.figure(7.0, 3.0)
     axes = page.add_subplot()
-    low, high = trace.turn_deg - trace.sigma_deg, trace.turn_deg + trace.sigma_deg
+    low, high = trace.rotation_deg - trace.sigma_deg, trace.rotation_deg + trace.sigma_deg
     axes.fill_between(trace.time_s, low, high, color=PALE, lw=0)
-    axes.plot(trace.time_s, trace.turn_deg, ".-", color=INK, lw=0.8, ms=3)
+    axes.plot(trace.time_s, trace.rotation_deg, ".-", color=INK, lw=0.8, ms=3)
     axes.set_xlabel("seconds")
     axes.set_ylabel("turn, °")
     _plain(axes)

@@ -31,7 +31,7 @@ class Thing(_Part):
 class Protocol(_Part):
     """Every object is lifted `repeats` times. As in the paper the guard is off: the turn is measured, not stopped.
 
-    turn_deg: the lifts are planned so that turns spread evenly from the first to the second. On a cell that is up to
+    rotation_deg: the lifts are planned so that turns spread evenly from the first to the second. On a cell that is up to
     who places the object: a lift by `lift_height_mm` turns an object whose far end stays on the table by
     asin(height / twice the distance from the grip to the centre of mass).
     camera_side: whose picture turns the way the external camera sees it: it stands behind that finger.
@@ -42,7 +42,7 @@ class Protocol(_Part):
     repeats: Annotated[int, Field(ge=1, le=100)] = 5
     guard: bool = False
     seed: Annotated[int, Field(ge=0)] = 0
-    turn_deg: tuple[float, float] = (5.0, 40.0)
+    rotation_deg: tuple[float, float] = (5.0, 40.0)
     lift_height_mm: Annotated[float, Field(ge=1.0, le=800.0)] = 60.0
     lift_speed_mm_s: Annotated[float, Field(ge=1.0, le=250.0)] = 40.0
     hold_s: Annotated[float, Field(ge=0.2, le=60.0)] = 0.8
@@ -52,9 +52,9 @@ class Protocol(_Part):
 
     @model_validator(mode="after")
     def _sensible(self) -> Self:
-        low, high = self.turn_deg
+        low, high = self.rotation_deg
         if not 0.0 < low <= high <= 60.0:
-            raise ValueError(f"turn_deg [{low:g}, {high:g}]: from above 0 to at most 60, the smaller first")
+            raise ValueError(f"rotation_deg [{low:g}, {high:g}]: from above 0 to at most 60, the smaller first")
         names = [one.name for one in self.objects]
         if len(set(names)) < len(names):
             raise ValueError("an object is named twice; give `repeats` instead")
@@ -62,7 +62,7 @@ class Protocol(_Part):
 
     def lifts(self) -> list[Lift]:
         """All lifts in order: every object once, then again; the repeats of an object spread over the turns."""
-        low, high = self.turn_deg
+        low, high = self.rotation_deg
         rng = np.random.default_rng(self.seed)
         planned: list[Lift] = []
         for repeat in range(self.repeats):

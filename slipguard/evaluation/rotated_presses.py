@@ -39,7 +39,7 @@ WAYS: tuple[Way, ...] = ("relit", "rigid")
 Image = NDArray[np.uint8]
 LIGHTS_DEG = (270.0, 150.0, 30.0)
 """Azimuths of the blue, green and red light, counter-clockwise from the picture's right."""
-TURN_DEG = (10.0, 30.0)
+ROTATION_DEG = (10.0, 30.0)
 RATE_DEG_S = (40.0, 300.0)
 SOFT_PX = 1.2
 """Blur that takes the frame's own noise off the press: it would turn along as if it were the object's texture."""
@@ -96,47 +96,47 @@ def presses(folder: Path) -> Iterator[Press]:
             )
 
 
-def turned(press: Press, way: Way, seed: int) -> Sequence:
+def rotated(press: Press, way: Way, seed: int) -> Sequence:
     """A grasp that turns a press about its patch's centre, frame by frame, with fresh noise; the same for one seed."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, *press.name.encode()]))
     noise = Noise(NOISE_STD_BGR, STRIPE_STD_BGR, int(rng.integers(2**31)))
     base = f32(press.background + rng.uniform(-DRIFT_LEVELS, DRIFT_LEVELS, 3))
     shots = []
-    for index, (share, turn) in enumerate(_course(rng)):
-        image = base if share == 0.0 else base + np.float32(share) * turned_difference(press, turn, way)
+    for index, (share, rotation) in enumerate(_course(rng)):
+        image = base if share == 0.0 else base + np.float32(share) * rotated_difference(press, rotation, way)
         noisy = np.clip(np.rint(image + noise.next()), 0, 255).astype(np.uint8)
         compared = index >= EMPTY_FRAMES + CLOSING_FRAMES + STILL_FRAMES and share > 0.0
-        shots.append(Shot(Frame(noisy, index * FRAME_S, index), share > 0.0, turn, compared, None))
+        shots.append(Shot(Frame(noisy, index * FRAME_S, index), share > 0.0, rotation, compared, None))
     return Sequence(press.name, press.readable, press.background, NOISE_STD_BGR, PX_PER_MM, tuple(shots))
 
 
-def turned_difference(press: Press, turn_deg: float, way: Way) -> Field:
+def rotated_difference(press: Press, rotation_deg: float, way: Way) -> Field:
     """What the press, turned counter-clockwise as seen, changes in the picture: (320, 240, 3) float32 grey levels."""
-    affine = cv2.getRotationMatrix2D(press.centre_px, turn_deg, 1.0)
+    affine = cv2.getRotationMatrix2D(press.centre_px, rotation_deg, 1.0)
     size = (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
     moved = np.asarray(cv2.warpAffine(press.difference, affine, size, flags=cv2.INTER_CUBIC), np.float32)
-    return moved if way == "rigid" else f32(cv2.transform(moved, _relighting(turn_deg)))
+    return moved if way == "rigid" else f32(cv2.transform(moved, _relighting(rotation_deg)))
 
 
-def _relighting(turn_deg: float) -> NDArray[np.float32]:
+def _relighting(rotation_deg: float) -> NDArray[np.float32]:
     """(3, 3): colours -> slope and common brightness -> slope turned -> colours."""
     azimuth = np.radians(np.asarray(LIGHTS_DEG))
     colours = np.stack([np.cos(azimuth), np.sin(azimuth), np.ones(3)], axis=1)
-    c, s = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return np.asarray(colours @ turn @ np.linalg.inv(colours), np.float32)
+    c, s = math.cos(math.radians(rotation_deg)), math.sin(math.radians(rotation_deg))
+    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(colours @ rotation @ np.linalg.inv(colours), np.float32)
 
 
 def _course(rng: np.random.Generator) -> Iterator[tuple[float, float]]:
     """Share of the press and turn, frame by frame: no contact, closing, still, turning, still, no contact."""
-    total = float(rng.uniform(*TURN_DEG) * rng.choice([-1.0, 1.0]))
+    total = float(rng.uniform(*ROTATION_DEG) * rng.choice([-1.0, 1.0]))
     peak = float(math.exp(rng.uniform(math.log(RATE_DEG_S[0]), math.log(RATE_DEG_S[1]))))
-    turning = max(math.ceil(1.5 * abs(total) / peak / FRAME_S), 4)  # a smooth step's peak is 1.5 times its mean
+    rotating = max(math.ceil(1.5 * abs(total) / peak / FRAME_S), 4)  # a smooth step's peak is 1.5 times its mean
     yield from ((0.0, 0.0) for _ in range(EMPTY_FRAMES))
     yield from ((k / CLOSING_FRAMES, 0.0) for k in range(1, CLOSING_FRAMES + 1))
     yield from ((1.0, 0.0) for _ in range(STILL_FRAMES))
-    for k in range(1, turning + END_FRAMES + 1):
-        part = min(k / turning, 1.0)
+    for k in range(1, rotating + END_FRAMES + 1):
+        part = min(k / rotating, 1.0)
         yield 1.0, total * part * part * (3.0 - 2.0 * part)
     yield 0.0, 0.0
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from slipguard.errors import InputError
-from slipguard.evaluation.rotated_presses import Press, Way, presses, turned
+from slipguard.evaluation.rotated_presses import Press, Way, presses, rotated
 from slipguard.perception.pipeline import Pipeline, SegmentsContact
 from slipguard.perception.settings import PerceptionSettings
 
@@ -51,7 +51,7 @@ class Figures:
     within_1_sigma: float | None
     within_2_sigma: float | None
     declined_share: float
-    confident_round_turns: int
+    confident_round_rotations: int
 
 
 def measure(
@@ -86,7 +86,7 @@ def figures(found: Iterable[Told], way: Way) -> list[Figures]:
 
 
 def _told(press: Press, way: Way, segmenter: SegmentsContact) -> Told:
-    grasp = turned(press, way, SEED)
+    grasp = rotated(press, way, SEED)
     pipeline = Pipeline(segmenter, PerceptionSettings(), grasp.background, grasp.noise_bgr, grasp.px_per_mm)
     errors, frames, confident = [], 0, 0
     for shot in grasp.shots:
@@ -95,7 +95,7 @@ def _told(press: Press, way: Way, segmenter: SegmentsContact) -> Told:
             continue
         frames += 1
         if seen.angle_deg is not None and seen.sigma_deg is not None:
-            errors.append((seen.angle_deg - shot.turn_deg, seen.sigma_deg))
+            errors.append((seen.angle_deg - shot.rotation_deg, seen.sigma_deg))
             confident += not press.readable and abs(seen.angle_deg) > CONFIDENT_SIGMAS * seen.sigma_deg
     return Told(press.name, press.readable, tuple(errors), frames, confident)
 
@@ -117,7 +117,7 @@ def _figures(data: str, way: Way, told: list[Told]) -> Figures:
         within_1_sigma=_rounded(np.mean(errors <= sigmas)) if some else None,
         within_2_sigma=_rounded(np.mean(errors <= 2.0 * sigmas)) if some else None,
         declined_share=_rounded(1.0 - len(errors) / max(frames, 1)),
-        confident_round_turns=sum(one.confident for one in told),
+        confident_round_rotations=sum(one.confident for one in told),
     )
 
 

@@ -9,7 +9,7 @@ from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation.axis import ESTIMATORS, estimate
-from slipguard.perception.rotation.tracker import axis_turn
+from slipguard.perception.rotation.tracker import axis_rotation
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim_lifts.lift_record import PICTURE_SIGN, Measured
 
@@ -55,7 +55,7 @@ class PatchKeeper:
         return self._pipeline.last_patch
 
 
-def turns_by_estimator(seen: list[SeenPatch], from_s: float, to_s: float) -> dict[str, list[list[Measured]]]:
+def rotations_by_estimator(seen: list[SeenPatch], from_s: float, to_s: float) -> dict[str, list[list[Measured]]]:
     """Per estimator and finger, the turn since its first patch in the span, in the left picture's sign, unwrapped.
 
     As in the pipeline: where an estimator declines, or is less certain than `sigma_max_deg`, there is no entry, and one
@@ -65,24 +65,26 @@ def turns_by_estimator(seen: list[SeenPatch], from_s: float, to_s: float) -> dic
         finger: [one for one in seen if one.finger == finger and from_s <= one.captured_at_s <= to_s]
         for finger in PICTURE_SIGN
     }
-    return {name: [_turns(patches[finger], name, sign) for finger, sign in PICTURE_SIGN.items()] for name in ESTIMATORS}
+    return {
+        name: [_rotations(patches[finger], name, sign) for finger, sign in PICTURE_SIGN.items()] for name in ESTIMATORS
+    }
 
 
-def _turns(seen: list[SeenPatch], name: str, sign: float) -> list[Measured]:
+def _rotations(seen: list[SeenPatch], name: str, sign: float) -> list[Measured]:
     if not seen:
         return []
     reference = estimate(seen[0].patch, name)
     if reference.angle_deg is None or reference.sigma_deg is None:
         return []
-    turns: list[Measured] = []
+    rotations: list[Measured] = []
     near_deg = 0.0
     for one in seen:
         now = estimate(one.patch, name)
         if now.angle_deg is None or now.sigma_deg is None:
             continue
-        turn = axis_turn(now.angle_deg, now.sigma_deg, reference.angle_deg, reference.sigma_deg, near_deg)
-        if turn.turn_deg is None or turn.sigma_deg is None or turn.sigma_deg > SIGMA_MAX_DEG:
+        rotation = axis_rotation(now.angle_deg, now.sigma_deg, reference.angle_deg, reference.sigma_deg, near_deg)
+        if rotation.rotation_deg is None or rotation.sigma_deg is None or rotation.sigma_deg > SIGMA_MAX_DEG:
             continue
-        near_deg = turn.turn_deg
-        turns.append(Measured(one.captured_at_s, sign * turn.turn_deg, turn.sigma_deg))
-    return turns
+        near_deg = rotation.rotation_deg
+        rotations.append(Measured(one.captured_at_s, sign * rotation.rotation_deg, rotation.sigma_deg))
+    return rotations

@@ -44,7 +44,7 @@ class ObjectFigures:
     lifts: int
     errors: dict[str, Spread]
     declined_share: float
-    turns_deg: tuple[float, ...]
+    rotations_deg: tuple[float, ...]
 
 
 def spread(values: Sequence[float], seed: int = 0) -> Spread:
@@ -70,7 +70,7 @@ def by_object(lifts: list[LiftResult]) -> list[ObjectFigures]:
     figures = []
     for name in dict.fromkeys(lift.object for lift in lifts):
         own = [lift for lift in lifts if lift.object == name]
-        turns = tuple(lift.final_turn_deg for lift in own if lift.final_turn_deg is not None)
+        rotations = tuple(lift.final_rotation_deg for lift in own if lift.final_rotation_deg is not None)
         figures.append(
             ObjectFigures(
                 name,
@@ -79,7 +79,7 @@ def by_object(lifts: list[LiftResult]) -> list[ObjectFigures]:
                 len(own),
                 {estimator: spread(errors_of(own, estimator)) for estimator in ESTIMATORS},
                 float(np.mean([lift.declined_share for lift in own])),
-                turns,
+                rotations,
             )
         )
     return figures
@@ -120,7 +120,7 @@ def report_json(lifts: list[LiftResult], networks: list[dict[str, Any]] | None =
                 "seen": one.seen,
                 "hard": one.hard or None,
                 "declined_share": _rounded(one.declined_share),
-                "turns_deg": [round(turn, 2) for turn in one.turns_deg],
+                "turns_deg": [round(rotation, 2) for rotation in one.rotations_deg],
                 **{name: one.errors[name].as_json() for name in ESTIMATORS},
             }
             for one in objects

@@ -21,7 +21,7 @@ from slipguard.perception.quality.dead_lines import DeadLines
 from slipguard.perception.quality.image_quality import in_other_light, unfit
 from slipguard.perception.rotation.axial_angle import wrap_axial_deg
 from slipguard.perception.rotation.axis import estimate, fuse, skeleton_orientation
-from slipguard.perception.rotation.rotation_meter import TurnMeter
+from slipguard.perception.rotation.rotation_meter import RotationMeter
 from slipguard.perception.rotation.skeleton import middle_line
 from slipguard.perception.settings import EVERY_SKIP, PerceptionSettings, Skips
 from slipguard.perception.stage_timer import StageClock
@@ -59,12 +59,12 @@ class Pipeline:
         background: NDArray[np.uint8] | None,
         noise: Sequence[float] | NDArray[np.floating] | None,
         px_per_mm: float,
-        rotation_deg: int = 0,
+        mounting_deg: int = 0,
         timer: Callable[[], float] | None = None,
         skips: Skips = EVERY_SKIP,
     ) -> None:
-        if rotation_deg not in (0, 90, 180, 270):
-            raise InputError(f"rotation_deg is {rotation_deg}; a sensor is mounted at 0, 90, 180 or 270")
+        if mounting_deg not in (0, 90, 180, 270):
+            raise InputError(f"rotation_deg is {mounting_deg}; a sensor is mounted at 0, 90, 180 or 270")
         if not px_per_mm > 0.0:
             raise InputError(f"px_per_mm is {px_per_mm}; the scale of a DIGIT frame is about 18.5")
         try:
@@ -77,7 +77,7 @@ class Pipeline:
         self._settings = settings
         self._background = background
         self._px_per_mm = px_per_mm
-        self._rotation_deg = rotation_deg
+        self._mounting_deg = mounting_deg
         self._timer = timer
         self._threshold: float = segmenter.threshold if settings.threshold is None else settings.threshold
         self._frame_px = FRAME_WIDTH_PX / segmenter.input_size[0]
@@ -93,7 +93,7 @@ class Pipeline:
     def reset_reference(self) -> None:
         """Forget the reference; the next stable contact makes a new one."""
         noise_bgr = self._gate.noise_bgr if self._gate.noise_known else None
-        self._meter = TurnMeter(self._settings, self._frame_px, self._background, noise_bgr)
+        self._meter = RotationMeter(self._settings, self._frame_px, self._background, noise_bgr)
         self._reference_unlike = 0.0
         self._forget()
 
@@ -169,10 +169,10 @@ class Pipeline:
             return axes
 
         had_reference = self.has_reference
-        turn, shift_px = self._meter.measure(image, patch, axes_of, now_s, clock)
+        rotation, shift_px = self._meter.measure(image, patch, axes_of, now_s, clock)
         if not had_reference:
             self._reference_unlike = unlike
-        turn = in_other_light(turn, unlike - self._reference_unlike)
+        rotation = in_other_light(rotation, unlike - self._reference_unlike)
         shown = fuse(list(axes_of(False).values())).angle_deg
         answer = Estimate(
             sequence=frame.sequence,
@@ -181,12 +181,12 @@ class Pipeline:
             contact=True,
             contact_area_px=patch.area_px,
             method=self._settings.estimator,
-            angle_deg=turn.turn_deg,
-            sigma_deg=turn.sigma_deg,
-            orientation_deg=None if shown is None else wrap_axial_deg(shown + self._rotation_deg),
-            rate_deg_s=None if turn.turn_deg is None else self._meter.tracker.rate_deg_s(now_s),
+            angle_deg=rotation.rotation_deg,
+            sigma_deg=rotation.sigma_deg,
+            orientation_deg=None if shown is None else wrap_axial_deg(shown + self._mounting_deg),
+            rate_deg_s=None if rotation.rotation_deg is None else self._meter.tracker.rate_deg_s(now_s),
             shift_mm=None if shift_px is None else self._shift_mm(shift_px),
-            declined=turn.declined,
+            declined=rotation.declined,
             stage_ms=clock.stage_ms,
         )
         clock.mark("track")
@@ -282,7 +282,7 @@ class Pipeline:
 
     def _shift_mm(self, shift_px: tuple[float, float]) -> tuple[float, float]:
         """Frame pixels right and down to millimetres right and up, as the mounting turns them."""
-        c, s = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}[self._rotation_deg]
+        c, s = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}[self._mounting_deg]
         right, up = shift_px[0] / self._px_per_mm, -shift_px[1] / self._px_per_mm
         return (c * right - s * up, s * right + c * up)
 

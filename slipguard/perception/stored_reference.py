@@ -27,11 +27,11 @@ RECALLING = "recalling the reference"
 class KnownReference:
     """A finger's reference. image: (320, 240, 3) uint8 BGR, the frame it was taken from.
 
-    turn_deg: the last one known, from there. counted_deg: what had been turned before.
+    rotation_deg: the last one known, from there. counted_deg: what had been turned before.
     """
 
     image: NDArray[np.uint8]
-    turn_deg: float
+    rotation_deg: float
     counted_deg: float = 0.0
 
 
@@ -77,7 +77,7 @@ class RecallingPipeline(Pipeline):
             self._add_axes(axes, patch, every, clock)
             return axes
 
-        self._meter.refer_to(image, patch, axes_of, now_s, clock, known.turn_deg)
+        self._meter.refer_to(image, patch, axes_of, now_s, clock, known.rotation_deg)
         self._reference_unlike = unlike
 
     def reset_reference(self) -> None:
@@ -108,4 +108,4 @@ class RecallingPipeline(Pipeline):
 
     def _differs(self, known: KnownReference) -> None:
         self.reset_reference()
-        self.recalled, self.counted_deg = "differs", known.counted_deg + known.turn_deg
+        self.recalled, self.counted_deg = "differs", known.counted_deg + known.rotation_deg

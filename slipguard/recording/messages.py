@@ -70,10 +70,10 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What a simulated world knows. turn_deg: since the grasp, in the left picture's sign."""
+    """What a simulated world knows. rotation_deg: since the grasp, in the left picture's sign."""
 
     now_s: float
-    turn_deg: float
+    rotation_deg: float
     height_mm: float
 
 

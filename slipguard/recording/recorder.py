@@ -65,7 +65,7 @@ class Seen:
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class Rotation:
     """One turn of the loop. memory: the law's, before it. keep: this is worth keeping."""
 
     tick: m.Tick
@@ -106,7 +106,7 @@ class Recorder:
         self.path: Path | None = None
         self._ring, self._settings, self._clock, self._header = ring, settings, clock, header
         self._on_trouble, self._opener = on_trouble, opener
-        self._waiting: deque[Seen | Turn | Said] = deque()
+        self._waiting: deque[Seen | Rotation | Said] = deque()
         self._ending = threading.Event()
         self._file: RecordingFile | None = None
         self._began_s = self._last_s = 0.0
@@ -136,7 +136,7 @@ class Recorder:
         """Begin; the first file is opened with the first turn of the loop."""
         self._thread.start()
 
-    def hand(self, value: Seen | Turn | Said) -> None:
+    def hand(self, value: Seen | Rotation | Said) -> None:
         """Take a value over; never waits, and may leave it out. To be called from one thread only."""
         if isinstance(value, Seen) and value.image is not None and len(self._waiting) >= BACKLOG_MAX // 4:
             value = replace(value, image=None, mask=None)
@@ -162,8 +162,8 @@ class Recorder:
                 self._take(self._waiting.popleft())
         self._guarded(self._finish)
 
-    def _take(self, value: Seen | Turn | Said) -> None:
-        if isinstance(value, Turn) and value.keep:  # also while nothing is recorded
+    def _take(self, value: Seen | Rotation | Said) -> None:
+        if isinstance(value, Rotation) and value.keep:  # also while nothing is recorded
             self._guarded(lambda: self._keep_around(value.tick.now_s))
         if self.stopped is not None and time.monotonic() < self._try_again_at:
             return
@@ -210,9 +210,9 @@ class Recorder:
         with contextlib.suppress(OSError):
             self._keeping.move()
 
-    def _write(self, value: Seen | Turn | Said) -> None:
-        if isinstance(value, Turn):
-            self._turn(value)
+    def _write(self, value: Seen | Rotation | Said) -> None:
+        if isinstance(value, Rotation):
+            self._rotation(value)
         elif self._file is None:
             return  # a file begins with the law's memory, so with a turn
         elif isinstance(value, Seen):
@@ -220,8 +220,8 @@ class Recorder:
         else:
             self._file.log(value.at_s, "error" if value.error else "info", value.text)
 
-    def _turn(self, turn: Turn) -> None:
-        now_s = turn.tick.now_s
+    def _rotation(self, rotation: Rotation) -> None:
+        now_s = rotation.tick.now_s
         if self._file is not None:
             self._see_that_there_is_room()
             if (
@@ -229,9 +229,9 @@ class Recorder:
                 or self._file.size_bytes >= self._full_bytes
             ):
                 self._finish()
-        file = self._file or self._begin(turn.memory, now_s)
+        file = self._file or self._begin(rotation.memory, now_s)
         self._last_s = now_s
-        file.tick(turn.tick)
+        file.tick(rotation.tick)
 
     def _see_that_there_is_room(self) -> None:
         try:

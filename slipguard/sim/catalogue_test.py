@@ -29,7 +29,7 @@ def _wedge(u: Field, v: Field) -> Field:
 
 def _wrench(u: Field, v: Field) -> Field:
     head = s.disc(u, v, 4.6, (-3.4, 0.0))
-    jaw = s.box(*s.turned(u, v, 15.0, (-6.6, -0.85)), 4.0, 1.9)
+    jaw = s.box(*s.rotated(u, v, 15.0, (-6.6, -0.85)), 4.0, 1.9)
     shaft = s.box(u, v, 16.0, 1.9, (14.5, 0.0))
     panel = s.box(u, v, 14.0, 0.95, (15.5, 0.0), corner=0.9)
     return s.plateau(s.union(s.without(head, jaw), shaft), 0.5) - np.float32(0.35) * s.inside(panel, 0.3)

@@ -20,7 +20,7 @@ from slipguard.sim.objects import SimObject
 from slipguard.sim.scenario import Scenario
 from slipguard.sim.view import GelView
 
-MAX_TURN_DEG = 60.0
+MAX_ROTATION_DEG = 60.0
 """An object turned further than this counts as dropped."""
 MAX_SLIDE_MM = 12.0
 """An object that slid this far is out of the fingers: the gel is 25.5 mm high, a grasp is near its middle."""
@@ -85,14 +85,14 @@ def step(cell: Cell, now_s: float, step_s: float, *, gripper_works: bool = True)
     dropped = _why_dropped(motion, thing.body, gripper)
     held = pressed and dropped is None
     if not pressed and dropped is None:  # set down: it lies still again
-        motion = Motion(turn_rad=motion.turn_rad, slide_m=motion.slide_m, on_table=True)
+        motion = Motion(rotation_rad=motion.rotation_rad, slide_m=motion.slide_m, on_table=True)
     return replace(cell, gripper=gripper, motion=motion, held=held, dropped=dropped)
 
 
 def _why_dropped(motion: Motion, body: Body, gripper: GripperPlant) -> str | None:
     """The reason, in words, why the object is lost in this state; None while it is not."""
-    if abs(motion.turn_rad) > math.radians(MAX_TURN_DEG):
-        return f"turned more than {MAX_TURN_DEG:.0f} deg"
+    if abs(motion.rotation_rad) > math.radians(MAX_ROTATION_DEG):
+        return f"turned more than {MAX_ROTATION_DEG:.0f} deg"
     if abs(motion.slide_m) > 1e-3 * MAX_SLIDE_MM:
         return "contact lost"
     if motion.on_table or motion.load_n < body.n_fingers * body.friction * gripper.force_n:
@@ -121,15 +121,15 @@ def view(cell: Cell, finger_sign: int) -> GelView:
     if thing is None:
         return GelView(object_name="", depth_mm=-1.0)
     motion, scenario = cell.motion, thing.scenario
-    turn_sign = finger_sign * scenario.lever_sign
+    rotation_sign = finger_sign * scenario.lever_sign
     return GelView(
         object_name=thing.item.name,
         x_mm=finger_sign * scenario.x_mm,
         y_mm=scenario.y_mm - 1e3 * motion.slide_m,
-        angle_deg=finger_sign * scenario.angle_deg + turn_sign * math.degrees(motion.turn_rad),
+        angle_deg=finger_sign * scenario.angle_deg + rotation_sign * math.degrees(motion.rotation_rad),
         depth_mm=depth_mm(thing.item, cell.gripper),
         vy_mm_s=-1e3 * motion.slide_m_s,
-        rate_deg_s=turn_sign * math.degrees(motion.rate_rad_s),
+        rate_deg_s=rotation_sign * math.degrees(motion.rate_rad_s),
     )
 
 
@@ -145,18 +145,18 @@ class Truth:
     """What really happens; for evaluation only, never for the loop. After a drop, how it was at that moment.
 
     Angles are degrees in the left picture, counter-clockwise positive; turns count from the present grasp on the table:
-    turn_deg = elastic_deg (the gel's wind-up, comes back) + slip_deg. right_*: the same in the right picture.
+    rotation_deg = elastic_deg (the gel's wind-up, comes back) + slip_deg. right_*: the same in the right picture.
     needed_force_n: per finger, to hold the level object at rest. load_n: tangential load per finger.
     """
 
     time_s: float
     object_name: str | None
-    turn_deg: float
+    rotation_deg: float
     elastic_deg: float
     slip_deg: float
     rate_deg_s: float
     angle_deg: float
-    right_turn_deg: float
+    right_rotation_deg: float
     right_angle_deg: float
     slide_mm: float
     slide_rate_mm_s: float
@@ -176,18 +176,18 @@ def truth(cell: Cell, here: ArmPose, now_s: float) -> Truth:
     motion, thing = cell.motion, cell.thing
     sign = thing.scenario.lever_sign if thing is not None else 1
     start_deg = thing.scenario.angle_deg if thing is not None else 0.0
-    turn_deg = sign * math.degrees(motion.turn_rad)
+    rotation_deg = sign * math.degrees(motion.rotation_rad)
     elastic_deg = sign * math.degrees(motion.twist_rad)
     return Truth(
         time_s=now_s,
         object_name=thing.item.name if thing is not None else None,
-        turn_deg=turn_deg,
+        rotation_deg=rotation_deg,
         elastic_deg=elastic_deg,
-        slip_deg=turn_deg - elastic_deg,
+        slip_deg=rotation_deg - elastic_deg,
         rate_deg_s=sign * math.degrees(motion.rate_rad_s),
-        angle_deg=start_deg + turn_deg,
-        right_turn_deg=-turn_deg,
-        right_angle_deg=-start_deg - turn_deg,
+        angle_deg=start_deg + rotation_deg,
+        right_rotation_deg=-rotation_deg,
+        right_angle_deg=-start_deg - rotation_deg,
         slide_mm=1e3 * motion.slide_m,
         slide_rate_mm_s=1e3 * motion.slide_m_s,
         force_n=cell.gripper.force_n,

@@ -75,7 +75,7 @@ class Onlooker:
 class Scene:
     """What there is to see. height_mm: of the gripper; covered: markers that something hides, "gripper", "object"."""
 
-    turn_deg: float = 0.0
+    rotation_deg: float = 0.0
     height_mm: float = 0.0
     slide_mm: float = 0.0
     covered: frozenset[str] = frozenset()
@@ -103,11 +103,11 @@ class Studio:
         look = self.onlooker
         up = np.array([0.0, scene.height_mm, 0.0])
         down = np.array([0.0, scene.slide_mm, 0.0])
-        turn = _turned(math.radians(scene.turn_deg))
+        rotation = _rotated(math.radians(scene.rotation_deg))
         body = np.array([[-55, 38, 0], [55, 38, 0], [48, 150, 0], [-48, 150, 0]], np.float64) + up
         palm = np.array([[-14, -14, 2], [14, -14, 2], [14, 40, 2], [-14, 40, 2]], np.float64) + up
         bar = np.array([[-22, -14, 4], [130, -14, 4], [130, 14, 4], [-22, 14, 4]], np.float64)
-        thing = bar @ turn.T + up - down
+        thing = bar @ rotation.T + up - down
         shapes = ((body, BODY_BGR), (thing, OBJECT_BGR), (palm, FINGER_BGR))
         picture = self._backdrop.copy()
         for shape, colour in shapes:
@@ -115,7 +115,7 @@ class Studio:
         if "gripper" not in scene.covered:
             self._stick(picture, look.gripper, np.eye(3), up)
         if "object" not in scene.covered:
-            self._stick(picture, look.thing, turn, up - down)
+            self._stick(picture, look.thing, rotation, up - down)
         left, top, right, bottom = self._window(np.concatenate([shape for shape, _ in shapes]))
         seen = self._empty.copy()
         seen[top:bottom, left:right] = self._exposed(picture, left, top, right, bottom)
@@ -157,14 +157,14 @@ class Studio:
         fixed = np.round(self.project(corners_mm) * 16).astype(np.int32)
         cv2.fillConvexPoly(picture, fixed, colour, cv2.LINE_AA, 4)
 
-    def _stick(self, picture: NDArray[np.float32], plate: Plate, turn: Points, offset_mm: Points) -> None:
+    def _stick(self, picture: NDArray[np.float32], plate: Plate, rotation: Points, offset_mm: Points) -> None:
         """A marker with its white margin of one cell, foreshortened and averaged over pixels."""
         count = len(plate.cells)
         cell_mm = plate.side_mm / count
         half = plate.side_mm / 2 + cell_mm
         flat = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]], np.float64)
-        flat = flat @ _turned(math.radians(plate.roll_deg)).T + np.array(plate.centre_mm)
-        corners = self.project(flat @ turn.T + offset_mm)
+        flat = flat @ _rotated(math.radians(plate.roll_deg)).T + np.array(plate.centre_mm)
+        corners = self.project(flat @ rotation.T + offset_mm)
         low = np.floor(corners.min(0)).astype(int) - 2
         high = np.ceil(corners.max(0)).astype(int) + 3
         low, high = np.maximum(low, 0), np.minimum(high, (picture.shape[1], picture.shape[0]))
@@ -187,7 +187,7 @@ class Studio:
         part += 25.0 * cover + 205.0 * ink
 
 
-def _turned(angle_rad: float) -> Points:
+def _rotated(angle_rad: float) -> Points:
     """About z, counter-clockwise."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -203,8 +203,8 @@ def _looking(look: Onlooker) -> tuple[Points, Points]:
     right /= np.linalg.norm(right)
     down = np.cross(forward, right)
     roll = math.radians(look.roll_deg)
-    turned = math.cos(roll) * right + math.sin(roll) * down, math.cos(roll) * down - math.sin(roll) * right
-    return np.stack([*turned, forward]), centre
+    rotated = math.cos(roll) * right + math.sin(roll) * down, math.cos(roll) * down - math.sin(roll) * right
+    return np.stack([*rotated, forward]), centre
 
 
 def _backdrop(lens: Lens) -> NDArray[np.float32]:

@@ -146,8 +146,8 @@ class Imprinter:
 
     def _motion_px(self, view: GelView, exposure_s: float) -> float:
         """The longest way a point of the imprint moves in the picture during the exposure, pixels."""
-        turning_mm_s = math.radians(abs(view.rate_deg_s)) * _MOTION_REACH_MM
-        speed_mm_s = math.hypot(view.vx_mm_s, view.vy_mm_s) + turning_mm_s
+        rotating_mm_s = math.radians(abs(view.rate_deg_s)) * _MOTION_REACH_MM
+        speed_mm_s = math.hypot(view.vx_mm_s, view.vy_mm_s) + rotating_mm_s
         return min(speed_mm_s * exposure_s * self._unit.px_per_mm, _MOTION_LIMIT_PX)
 
     def _smear(self, change: Field, view: GelView, exposure_s: float, corner: tuple[int, int]) -> Field:
@@ -160,10 +160,10 @@ class Imprinter:
         size = (change.shape[1], change.shape[0])
 
         def moved(image: Field, share: float) -> Field:
-            turn = cv2.getRotationMatrix2D(origin, view.rate_deg_s * exposure_s * share, 1.0)
-            turn[0, 2] += view.vx_mm_s * exposure_s * scale * share
-            turn[1, 2] -= view.vy_mm_s * exposure_s * scale * share
-            return cast("Field", cv2.warpAffine(image, turn, size, flags=cv2.INTER_LINEAR))
+            rotation = cv2.getRotationMatrix2D(origin, view.rate_deg_s * exposure_s * share, 1.0)
+            rotation[0, 2] += view.vx_mm_s * exposure_s * scale * share
+            rotation[1, 2] -= view.vy_mm_s * exposure_s * scale * share
+            return cast("Field", cv2.warpAffine(image, rotation, size, flags=cv2.INTER_LINEAR))
 
         passes = max(math.ceil(math.log2(self._motion_px(view, exposure_s))), 1)  # copies about a pixel apart
         for k in range(passes):

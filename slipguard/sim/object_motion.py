@@ -61,11 +61,11 @@ class Body:
 class Motion:
     """Where the object is in the fingers and how it moves; all 0 at the moment it is grasped.
 
-    turn_rad = what has slipped + twist_rad, and likewise slide_m with shear_m; twist and shear are the gel's and come
+    rotation_rad = what has slipped + twist_rad, and likewise slide_m with shear_m; twist and shear are the gel's and come
     back.
     """
 
-    turn_rad: float = 0.0
+    rotation_rad: float = 0.0
     rate_rad_s: float = 0.0
     twist_rad: float = 0.0
     twist_n_m: float = 0.0
@@ -116,8 +116,8 @@ def table_reaction_n(motion: Motion, body: Body, load: Load) -> tuple[float, flo
     stiffness = half_n / SUPPORT_M
     damping = 2.0 * TABLE_DAMPING * math.sqrt(stiffness * 0.5 * body.mass_kg)
     near_m_s = load.rise_m_s - motion.slide_m_s
-    far_m = near_m - 2.0 * body.lever_m * math.sin(motion.turn_rad)
-    far_m_s = near_m_s - 2.0 * body.lever_m * math.cos(motion.turn_rad) * motion.rate_rad_s
+    far_m = near_m - 2.0 * body.lever_m * math.sin(motion.rotation_rad)
+    far_m_s = near_m_s - 2.0 * body.lever_m * math.cos(motion.rotation_rad) * motion.rate_rad_s
     near_n = half_n - stiffness * near_m - damping * near_m_s if near_m < SUPPORT_M else 0.0
     far_n = half_n - stiffness * far_m - damping * far_m_s if far_m < SUPPORT_M else 0.0
     return max(near_n, 0.0), max(far_n, 0.0), min(near_m, far_m) < LANDING_M
@@ -131,14 +131,14 @@ def advance(motion: Motion, body: Body, gel: Gel, load: Load, step_s: float) -> 
     dt = step_s
     weight_n = body.mass_kg * (GRAVITY_M_S2 + load.acceleration_m_s2)
     near_n, far_n, on_table = table_reaction_n(motion, body, load)
-    lever_m = body.lever_m * math.cos(motion.turn_rad)
+    lever_m = body.lever_m * math.cos(motion.rotation_rad)
     torque_n_m = (weight_n - 2.0 * far_n) * lever_m if load.torque_n_m is None else load.torque_n_m
     load_n = weight_n - near_n - far_n
     if load.force_n <= NO_CONTACT_N:
         rate = motion.rate_rad_s + dt * torque_n_m / body.inertia_kg_m2
         fall = motion.slide_m_s + dt * load_n / body.mass_kg if body.slides else 0.0
         return Motion(
-            turn_rad=motion.turn_rad + dt * rate,
+            rotation_rad=motion.rotation_rad + dt * rate,
             rate_rad_s=rate,
             slide_m=motion.slide_m + dt * fall,
             slide_m_s=fall,
@@ -169,16 +169,16 @@ def advance(motion: Motion, body: Body, gel: Gel, load: Load, step_s: float) -> 
     force_max = n * body.friction * load.force_n
     torque_max = 2.0 * pressure_shape(gel.pressure_k) * gel.contact_radius_m(load.force_n) * force_max
     # Slip rate per missing friction: the object gains speed, the gel takes less of it, drag takes some back.
-    turn_give = dt / inertia + 1.0 / twist_gain
+    rotation_give = dt / inertia + 1.0 / twist_gain
     slide_give = dt / mass + 1.0 / shear_gain
-    turn_give /= 1.0 + turn_give * drag
+    rotation_give /= 1.0 + rotation_give * drag
     slide_give /= 1.0 + slide_give * shear_drag
     dry_force, dry_torque = return_to_surface(
-        (stick_force, stick_torque), (force_max, torque_max), (slide_give, turn_give)
+        (stick_force, stick_torque), (force_max, torque_max), (slide_give, rotation_give)
     )
-    turn_slip = turn_give * (stick_torque - dry_torque)
+    rotation_slip = rotation_give * (stick_torque - dry_torque)
     slide_slip = slide_give * (stick_force - dry_force)
-    torque = dry_torque + drag * turn_slip
+    torque = dry_torque + drag * rotation_slip
     force = dry_force + shear_drag * slide_slip
 
     rate = motion.rate_rad_s + dt * (torque_n_m - torque) / inertia
@@ -189,7 +189,7 @@ def advance(motion: Motion, body: Body, gel: Gel, load: Load, step_s: float) -> 
     else:
         speed = shear_rate = 0.0
     return Motion(
-        turn_rad=motion.turn_rad + dt * rate,
+        rotation_rad=motion.rotation_rad + dt * rate,
         rate_rad_s=rate,
         twist_rad=motion.twist_rad + dt * twist_rate,
         twist_n_m=motion.twist_n_m + n * torsion * dt * twist_rate,
@@ -199,5 +199,5 @@ def advance(motion: Motion, body: Body, gel: Gel, load: Load, step_s: float) -> 
         shear_n=motion.shear_n + n * shear * dt * shear_rate,
         load_n=load_n,
         on_table=on_table,
-        slipping=turn_slip != 0.0 or slide_slip != 0.0,
+        slipping=rotation_slip != 0.0 or slide_slip != 0.0,
     )

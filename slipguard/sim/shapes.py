@@ -20,7 +20,7 @@ _WALL = 8.0
 """Fall of a face's flank, mm per mm: steep, not infinite, so that it can be sampled."""
 
 
-def turned(u: Field, v: Field, angle_deg: float, about: Point = (0.0, 0.0)) -> tuple[Field, Field]:
+def rotated(u: Field, v: Field, angle_deg: float, about: Point = (0.0, 0.0)) -> tuple[Field, Field]:
     """Coordinates in a frame that lies at `about`, turned counter-clockwise by `angle_deg`."""
     c, s = np.float32(math.cos(math.radians(angle_deg))), np.float32(math.sin(math.radians(angle_deg)))
     du, dv = u - np.float32(about[0]), v - np.float32(about[1])

@@ -18,7 +18,7 @@ from slipguard.daemon.loop.service import Service
 from slipguard.daemon.loop.worker import StatedLatencyWorker, ThreadWorker, Worker
 from slipguard.daemon.run import build_service
 from slipguard.errors import CommandRefused
-from slipguard.evaluation.single_estimators import PatchKeeper, SeenPatch, turns_by_estimator
+from slipguard.evaluation.single_estimators import PatchKeeper, SeenPatch, rotations_by_estimator
 from slipguard.sim.objects import names
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World
@@ -65,9 +65,9 @@ class Live:
     lifts: int = 0
     object_name: str = ""
     phase: str = ""
-    turn_deg: float | None = None
+    rotation_deg: float | None = None
     sigma_deg: float | None = None
-    true_turn_deg: float = 0.0
+    true_rotation_deg: float = 0.0
     force_n: float = 0.0
     latency_ms: float | None = None
 
@@ -111,7 +111,7 @@ async def run_campaign(settings: CampaignSettings, show: Callable[[Live], None])
             await asyncio.gather(running, return_exceptions=True)
         for record in records:
             if record.reference_s is not None:
-                record.other_estimators = turns_by_estimator(patches, record.reference_s, record.ended_at_s)
+                record.other_estimators = rotations_by_estimator(patches, record.reference_s, record.ended_at_s)
         return records
 
 
@@ -194,28 +194,28 @@ def _watched(
         if truth.dropped is None and truth.object_name is not None:
             log = record.truth
             log.time_s.append(truth.time_s)
-            log.turn_deg.append(truth.turn_deg)
+            log.rotation_deg.append(truth.rotation_deg)
             log.force_n.append(truth.force_n)
             log.needed_n.append(truth.needed_force_n)
             log.height_mm.append(truth.height_mm)
-        live.true_turn_deg, live.force_n = truth.turn_deg, truth.force_n
+        live.true_rotation_deg, live.force_n = truth.rotation_deg, truth.force_n
 
     def decided(decision: Decision) -> None:
         live.phase = decision.phase.value
         fresh_grip = decision.command.new_reference  # what was seen before it belongs to an older reference
         if decision.phase not in GRIPPED or fresh_grip or loop.time() > record.ended_at_s:
-            live.turn_deg = live.sigma_deg = None
+            live.rotation_deg = live.sigma_deg = None
             return
         for finger, estimate in decision.new_estimates.items():
             record.estimates[finger].append(estimate)
         record.latency_s.extend(decision.latencies_s)
         fused = decision.seen.fused
-        if fused is not None and fused.turn_deg is not None and fused.sigma_deg is not None:
+        if fused is not None and fused.rotation_deg is not None and fused.sigma_deg is not None:
             if decision.new_estimates:
-                record.fused.append(Measured(fused.captured_at_s, fused.turn_deg, fused.sigma_deg))
-            live.turn_deg, live.sigma_deg = fused.turn_deg, fused.sigma_deg
+                record.fused.append(Measured(fused.captured_at_s, fused.rotation_deg, fused.sigma_deg))
+            live.rotation_deg, live.sigma_deg = fused.rotation_deg, fused.sigma_deg
         else:
-            live.turn_deg = live.sigma_deg = None
+            live.rotation_deg = live.sigma_deg = None
         if decision.latencies_s:
             live.latency_ms = 1e3 * decision.latencies_s[-1]
         show(live)

@@ -14,7 +14,7 @@ FINGERS = ("left", "right")
 PICTURE_SIGN = {"left": 1.0, "right": -1.0}
 """A turn that is counter-clockwise in the left picture is clockwise in the right one."""
 
-TURN_THAT_COUNTS_DEG = 10.0
+ROTATION_THAT_COUNTS_DEG = 10.0
 """Turn errors are taken over lifts whose true turn reached this."""
 
 
@@ -23,22 +23,22 @@ class TruthLog:
     """The world's truth over time, to be read at any frame's capture time."""
 
     time_s: list[float] = field(default_factory=list)
-    turn_deg: list[float] = field(default_factory=list)
+    rotation_deg: list[float] = field(default_factory=list)
     force_n: list[float] = field(default_factory=list)
     needed_n: list[float] = field(default_factory=list)
     height_mm: list[float] = field(default_factory=list)
 
-    def turn_at(self, when_s: float | NDArray[np.float64]) -> NDArray[np.float64]:
+    def rotation_at(self, when_s: float | NDArray[np.float64]) -> NDArray[np.float64]:
         """True turn in the left picture, linearly between samples."""
-        return np.asarray(np.interp(when_s, self.time_s, self.turn_deg), np.float64)
+        return np.asarray(np.interp(when_s, self.time_s, self.rotation_deg), np.float64)
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One turn slipguard stated. turn_deg: in the left picture. captured_at_s: of the frame it speaks of."""
+    """One turn slipguard stated. rotation_deg: in the left picture. captured_at_s: of the frame it speaks of."""
 
     captured_at_s: float
-    turn_deg: float
+    rotation_deg: float
     sigma_deg: float
 
 
@@ -72,12 +72,12 @@ class LiftRecord:
         return min(firsts, default=None)
 
     @property
-    def true_turn_deg(self) -> float:
+    def true_rotation_deg(self) -> float:
         """Largest true turn since the object was gripped, in degrees, signed as in the left picture."""
-        turns = np.asarray(self.truth.turn_deg)[np.asarray(self.truth.time_s) <= self.ended_at_s]
-        if turns.size == 0:
+        rotations = np.asarray(self.truth.rotation_deg)[np.asarray(self.truth.time_s) <= self.ended_at_s]
+        if rotations.size == 0:
             return 0.0
-        since = turns - turns[0]
+        since = rotations - rotations[0]
         return float(since[np.argmax(np.abs(since))])
 
     def measured(self, finger: str) -> list[Measured]:
@@ -94,14 +94,14 @@ class LiftRecord:
         if not stated or not self.truth.time_s:
             return np.empty(0)
         when_s = np.array([one.captured_at_s for one in stated])
-        true_deg = self.truth.turn_at(when_s)
-        stated_deg = np.array([one.turn_deg for one in stated], np.float64)
+        true_deg = self.truth.rotation_at(when_s)
+        stated_deg = np.array([one.rotation_deg for one in stated], np.float64)
         return np.asarray(stated_deg - (true_deg - true_deg[0]), np.float64)
 
     @property
     def counts(self) -> bool:
         """Whether this lift enters the turn errors."""
-        return abs(self.true_turn_deg) >= TURN_THAT_COUNTS_DEG
+        return abs(self.true_rotation_deg) >= ROTATION_THAT_COUNTS_DEG
 
     @property
     def skips(self) -> Counter[str]:
@@ -122,7 +122,7 @@ def mean_abs(errors_deg: NDArray[np.float64]) -> float | None:
 
 
 @dataclass(frozen=True, slots=True)
-class TurnErrors:
+class RotationErrors:
     """Turn errors of one source (a finger, the fused turn, an estimator) over all lifts that count."""
 
     source: str
@@ -133,7 +133,7 @@ class TurnErrors:
     p95_deg: float | None
 
 
-def turn_errors(records: list[LiftRecord], source: str) -> TurnErrors:
+def turn_errors(records: list[LiftRecord], source: str) -> RotationErrors:
     """Errors of `source`: "left", "right", "fused" or the name of an estimator."""
     per_object: dict[str, list[NDArray[np.float64]]] = {}
     for record in records:
@@ -149,18 +149,18 @@ def turn_errors(records: list[LiftRecord], source: str) -> TurnErrors:
         if errors.size:
             per_object.setdefault(record.object_name, []).append(errors)
     if not per_object:
-        return TurnErrors(source, 0, None, None, None, None)
+        return RotationErrors(source, 0, None, None, None, None)
     means = {name: float(np.mean(np.abs(np.concatenate(parts)))) for name, parts in per_object.items()}
     every = np.abs(np.concatenate([part for parts in per_object.values() for part in parts]))
     worst = max(means, key=lambda name: means[name])
     lifts = sum(len(parts) for parts in per_object.values())
-    return TurnErrors(source, lifts, float(every.mean()), means[worst], worst, float(np.percentile(every, 95)))
+    return RotationErrors(source, lifts, float(every.mean()), means[worst], worst, float(np.percentile(every, 95)))
 
 
 def summary(records: list[LiftRecord], *, realtime: bool) -> dict[str, object]:
     """The figures of a campaign, under the names of the public `--json` line."""
     fused = turn_errors(records, "fused")
-    turns = np.abs([record.true_turn_deg for record in records]) if records else np.empty(0)
+    rotations = np.abs([record.true_rotation_deg for record in records]) if records else np.empty(0)
     latencies_ms = 1e3 * np.array([value for record in records for value in record.latency_s])
     timed = realtime and latencies_ms.size > 0
     frames = sum(record.frames for record in records)
@@ -174,10 +174,10 @@ def summary(records: list[LiftRecord], *, realtime: bool) -> dict[str, object]:
         "turn_error_lifts": fused.lifts,
         "turn_error_mean_deg": _rounded(fused.mean_deg, 3),
         "turn_error_worst_object_deg": _rounded(fused.worst_object_deg, 3),
-        "true_turn_median_deg": _rounded(float(np.median(turns)) if turns.size else None, 2),
-        "true_turn_max_deg": _rounded(float(turns.max()) if turns.size else None, 2),
+        "true_turn_median_deg": _rounded(float(np.median(rotations)) if rotations.size else None, 2),
+        "true_turn_max_deg": _rounded(float(rotations.max()) if rotations.size else None, 2),
         "over_20_deg_or_dropped": sum(
-            record.outcome == "dropped" or abs(record.true_turn_deg) > 20.0 for record in records
+            record.outcome == "dropped" or abs(record.true_rotation_deg) > 20.0 for record in records
         ),
         "latency_p50_ms": _rounded(float(np.percentile(latencies_ms, 50)), 2) if timed else None,
         "latency_p99_ms": _rounded(float(np.percentile(latencies_ms, 99)), 2) if timed else None,

@@ -29,14 +29,14 @@ def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
     timed = realtime and latencies_ms.size > 0
     error = mean_abs(record.errors_deg(record.fused))
     sigmas = [one.sigma_deg for one in record.fused]
-    turns_deg: list[float] = [one.turn_deg for one in record.fused if one.captured_at_s <= record.ended_at_s]
-    peak_deg: float = max(turns_deg, key=abs, default=0.0)
+    rotations_deg: list[float] = [one.rotation_deg for one in record.fused if one.captured_at_s <= record.ended_at_s]
+    peak_deg: float = max(rotations_deg, key=abs, default=0.0)
     return {
         "object": record.object_name,
         "outcome": record.outcome,
         "why": record.why or None,
-        "true_turn_deg": round(record.true_turn_deg, 2),
-        "measured_turn_deg": round(peak_deg, 2) if turns_deg else None,
+        "true_turn_deg": round(record.true_rotation_deg, 2),
+        "measured_turn_deg": round(peak_deg, 2) if rotations_deg else None,
         "turn_error_deg": None if error is None else round(error, 3),
         "sigma_deg": round(float(np.median(sigmas)), 3) if sigmas else None,
         "peak_force_n": round(max(record.truth.force_n, default=0.0), 1),
@@ -160,13 +160,15 @@ def draw(records: list[LiftRecord], path: Path) -> None:
         upper, lower = place.subplots(2, 1, sharex=True, height_ratios=(2, 1))
         truth_s = np.asarray(record.truth.time_s)
         start_s = truth_s[0] if truth_s.size else 0.0
-        turn = np.asarray(record.truth.turn_deg)
-        upper.plot(truth_s - start_s, turn - (turn[0] if turn.size else 0.0), color="black", lw=2.2, label="true")
+        rotation = np.asarray(record.truth.rotation_deg)
+        upper.plot(
+            truth_s - start_s, rotation - (rotation[0] if rotation.size else 0.0), color="black", lw=2.2, label="true"
+        )
         for finger, colour in zip(FINGERS, ("tab:blue", "tab:orange"), strict=True):
             stated = record.measured(finger)
             upper.plot(
                 [one.captured_at_s - start_s for one in stated],
-                [one.turn_deg for one in stated],
+                [one.rotation_deg for one in stated],
                 ".",
                 ms=2.5,
                 color=colour,
@@ -174,7 +176,7 @@ def draw(records: list[LiftRecord], path: Path) -> None:
             )
         upper.plot(
             [one.captured_at_s - start_s for one in record.fused],
-            [one.turn_deg for one in record.fused],
+            [one.rotation_deg for one in record.fused],
             color="tab:red",
             lw=1.0,
             label="fused",

@@ -16,7 +16,7 @@ def unguarded_tick(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard
     if fused is not None and (fused.left_contact or fused.right_contact):
         fused = replace(
             fused,
-            turn_deg=0.0,
+            rotation_deg=0.0,
             sigma_deg=1.0,
             rate_deg_s=0.0,
             shift_mm=0.0,

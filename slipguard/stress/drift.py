@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import Orientation
-from slipguard.perception.rotation.rotation_meter import TurnMeter
-from slipguard.perception.rotation.tracker import Turn
+from slipguard.perception.rotation.rotation_meter import RotationMeter
+from slipguard.perception.rotation.tracker import Rotation
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stage_timer import StageClock
 from slipguard.stress.family import Family, Notes, Trial
@@ -56,11 +56,11 @@ class _Contacts:
 def _begin(subject: Subject) -> Trial:
     contacts = _Contacts(subject)
     # Outlines alone: reliefs, keys and left-out frames are those of the family `holding`.
-    meter = TurnMeter(PerceptionSettings(reference="first", estimator="registration"), MAP_PX)
+    meter = RotationMeter(PerceptionSettings(reference="first", estimator="registration"), MAP_PX)
     meter.tracker = subject.tracker()
     frame = 0
 
-    def measured(angle_deg: int, variant: int) -> Turn:
+    def measured(angle_deg: int, variant: int) -> Rotation:
         patch, axes = contacts.at(angle_deg, variant)
 
         def axes_of(every: bool) -> Mapping[str, Orientation]:
@@ -76,12 +76,12 @@ def _begin(subject: Subject) -> Trial:
         for variant in rng.integers(1, VARIANTS + 1, STRETCH_FRAMES):
             frame += 1
             truth = round(SWING_DEG * math.sin(2.0 * math.pi * frame / STRETCH_FRAMES))
-            turn = notes.attempt("meter", measured, REFERENCE_DEG + truth, int(variant))
-            if turn is None:
+            rotation = notes.attempt("meter", measured, REFERENCE_DEG + truth, int(variant))
+            if rotation is None:
                 return
-            error = notes.angle("meter", turn.turn_deg, turn.sigma_deg, float(truth), axial=False)
-            if error is not None and turn.turn_deg is not None:
-                errors.append(turn.turn_deg - truth)
+            error = notes.angle("meter", rotation.rotation_deg, rotation.sigma_deg, float(truth), axial=False)
+            if error is not None and rotation.rotation_deg is not None:
+                errors.append(rotation.rotation_deg - truth)
         if errors:
             notes.limit(DRIFT, abs(float(np.mean(errors))), DRIFT_DEG)
 

@@ -7,7 +7,7 @@ import numpy as np
 from slipguard.stress.family import Family, Notes, Trial
 from slipguard.stress.map_checks import Map, compare
 from slipguard.stress.product_functions import Subject
-from slipguard.stress.rotating_shapes import readings_of, turn_held
+from slipguard.stress.rotating_shapes import readings_of, rotation_held
 from slipguard.stress.shapes import ALONG_U, ELONGATED, LONG_BAR, Pose, soft
 
 
@@ -28,8 +28,8 @@ def _begin(subject: Subject) -> Trial:
         mirrored = bool(rng.integers(2))
         a = Pose(rng.uniform(-180, 180), 59.5 + rng.uniform(-1, 1) * spread, 79.5 + rng.uniform(-1, 1) * spread,
                  rng.uniform(0.6, 1.2), mirrored)  # fmt: skip
-        turn = float(rng.uniform(-90, 90))
-        b = Pose(a.angle_deg + turn, 59.5 + rng.uniform(-1, 1) * spread, 79.5 + rng.uniform(-1, 1) * spread,
+        rotation = float(rng.uniform(-90, 90))
+        b = Pose(a.angle_deg + rotation, 59.5 + rng.uniform(-1, 1) * spread, 79.5 + rng.uniform(-1, 1) * spread,
                  rng.uniform(0.6, 1.2), mirrored)  # fmt: skip
         maps = soft(shape, a), soft(shape, b)
         # What the frame leaves of a shape that is not symmetric has another axis: only the pipeline, which knows the
@@ -38,14 +38,14 @@ def _begin(subject: Subject) -> Trial:
         readings = readings_of(maps, subject, notes) if whole else None
         if readings is not None:
             before, now = readings
-            compare(before, now, turn, notes)
+            compare(before, now, rotation, notes)
             if name in ALONG_U:
                 for reader, found in now.items():
                     notes.angle(f"{reader}, absolute", found.angle_deg, found.sigma_deg, b.angle_deg, axial=True)
-        turn = float(rng.uniform(-25, 25))
-        near = Pose(a.angle_deg + turn, a.x_px + rng.uniform(-8, 8), a.y_px + rng.uniform(-8, 8),
+        rotation = float(rng.uniform(-25, 25))
+        near = Pose(a.angle_deg + rotation, a.x_px + rng.uniform(-8, 8), a.y_px + rng.uniform(-8, 8),
                     a.scale * rng.uniform(0.95, 1.1), mirrored)  # fmt: skip
-        turn_held(shape, a, near, subject, notes, (None, None))
+        rotation_held(shape, a, near, subject, notes, (None, None))
 
     return trial
 

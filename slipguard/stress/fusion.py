@@ -24,21 +24,21 @@ def _estimate(angle_deg: float | None, sigma_deg: float | None, rate_deg_s: floa
 
 def _begin(subject: Subject) -> Trial:
     def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
-        turn = float(rng.uniform(-120, 120))
+        rotation = float(rng.uniform(-120, 120))
         rate = float(rng.choice((0.0, 30.0, 300.0))) * float(rng.choice((-1.0, 1.0)))
         now_s = float(10.0 ** rng.uniform(-3, 9))
         pair: list[Estimate | None] = []
         for sign in (1.0, -1.0):
             late_s = float(rng.choice((0.0, 0.017, 0.05, 0.09, 3.0)))
             sigma = float(10.0 ** rng.uniform(-2, 1))
-            seen = turn - rate * late_s + sigma * float(rng.normal())
+            seen = rotation - rate * late_s + sigma * float(rng.normal())
             said = rate + float(rng.normal()) * 5.0
             one = _estimate(sign * seen, sigma, sign * said if rng.random() < 0.8 else None, now_s - late_s)
             pair.append(None if rng.random() < 0.1 else one)
         fused = notes.attempt("fusion", subject.fuse, *pair)
-        if fused is not None and fused.turn_deg is not None:
-            truth = turn - rate * (now_s - fused.captured_at_s)
-            notes.angle("fusion", fused.turn_deg, fused.sigma_deg, truth, axial=False)
+        if fused is not None and fused.rotation_deg is not None:
+            truth = rotation - rate * (now_s - fused.captured_at_s)
+            notes.angle("fusion", fused.rotation_deg, fused.sigma_deg, truth, axial=False)
         _check_odd(rng, pair, subject, notes)
 
     return trial
@@ -57,7 +57,14 @@ def _check_odd(rng: np.random.Generator, pair: list[Estimate | None], subject: S
     fused = notes.attempt(said, subject.fuse, *broken)
     if fused is None:
         return
-    out = (fused.turn_deg, fused.sigma_deg, fused.rate_deg_s, fused.shift_mm, fused.captured_at_s, fused.measured_at_s)
+    out = (
+        fused.rotation_deg,
+        fused.sigma_deg,
+        fused.rate_deg_s,
+        fused.shift_mm,
+        fused.captured_at_s,
+        fused.measured_at_s,
+    )
     if notes.finite(said, *out) and fused.sigma_deg is not None and fused.sigma_deg <= 0.0:
         notes.failed("limit", f"{said}: sigma is {fused.sigma_deg:g}°")
 

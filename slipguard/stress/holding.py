@@ -36,13 +36,13 @@ UNIT_SEED = 8100
 
 @dataclass(slots=True)
 class _Held:
-    """One contact. turns_deg: of the cycle under way. first_deg: mean of the first whole cycle."""
+    """One contact. rotations_deg: of the cycle under way. first_deg: mean of the first whole cycle."""
 
     name: str
     camera: GelCamera
     pipeline: Any
     frame: int = 0
-    turns_deg: list[float] = field(default_factory=list)
+    rotations_deg: list[float] = field(default_factory=list)
     first_deg: float | None = None
 
     def image(self) -> Frame:
@@ -85,10 +85,10 @@ def _begin(subject: Subject) -> Trial:
                 return
             notes.angle(one.name, answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
             if answer.angle_deg is not None and math.isfinite(answer.angle_deg):
-                one.turns_deg.append(answer.angle_deg)
-            if one.frame % CYCLE_FRAMES == 0 and one.turns_deg:
-                mean = float(np.mean(one.turns_deg))
-                one.turns_deg.clear()
+                one.rotations_deg.append(answer.angle_deg)
+            if one.frame % CYCLE_FRAMES == 0 and one.rotations_deg:
+                mean = float(np.mean(one.rotations_deg))
+                one.rotations_deg.clear()
                 one.first_deg = mean if one.first_deg is None else one.first_deg
                 notes.limit(HOLDING, abs(mean - one.first_deg), DRIFT_DEG)
 

@@ -22,7 +22,7 @@ from slipguard.stress.product_functions import FRAME_S, PX_PER_MM, Subject
 NoiseBgr = tuple[float, float, float]
 
 GRASPS = 24
-STILL_FRAMES, TURNED_FRAMES = 6, 5
+STILL_FRAMES, ROTATED_FRAMES = 6, 5
 STEP_DEG = 4.0
 NOISE_LEVELS = (0.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 STRENGTHS = (0.03, 0.06, 0.12, 0.25, 0.5, 0.75, 1.0)
@@ -35,7 +35,7 @@ class Grasp:
     background: Image
     noise_bgr: NoiseBgr
     frames: tuple[Image, ...]
-    turns_deg: tuple[float, ...]
+    rotations_deg: tuple[float, ...]
 
 
 @cache
@@ -49,9 +49,9 @@ def grasp(number: int) -> Grasp:
     x, y, start = rng.uniform(-2, 2), rng.uniform(-3, 3), rng.uniform(-180, 180)
     depth = thing.press_mm * rng.uniform(0.5, 1.0)
     way = float(rng.choice((-1.0, 1.0)))
-    turns = [0.0] * STILL_FRAMES + [way * STEP_DEG * (k + 1) for k in range(TURNED_FRAMES)]
-    frames = [camera.draw(GelView(thing.name, x, y, start + turn, depth)) for turn in turns]
-    return Grasp(camera.no_contact(), camera.unit.noise_bgr, tuple(frames), tuple(turns))
+    rotations = [0.0] * STILL_FRAMES + [way * STEP_DEG * (k + 1) for k in range(ROTATED_FRAMES)]
+    frames = [camera.draw(GelView(thing.name, x, y, start + rotation, depth)) for rotation in rotations]
+    return Grasp(camera.no_contact(), camera.unit.noise_bgr, tuple(frames), tuple(rotations))
 
 
 def _begin(subject: Subject) -> Trial:
@@ -70,7 +70,7 @@ def _begin(subject: Subject) -> Trial:
         if kind == 0:
             level = NOISE_LEVELS[seed % len(NOISE_LEVELS)]
             spoiled = [SPOILS["noise"](image, level / 64.0, rng) for image in shown.frames]
-            error = _watch(pipeline(shown.background, noise_bgr, notes), spoiled, shown.turns_deg, notes, "noise")
+            error = _watch(pipeline(shown.background, noise_bgr, notes), spoiled, shown.rotations_deg, notes, "noise")
             notes.point("frame noise/pipeline", level, error)
             return
         name, spoil = spoils[seed % len(spoils)]
@@ -87,7 +87,7 @@ def _begin(subject: Subject) -> Trial:
             frames = [spoil(image, strength, rng) for image in shown.frames]
         else:  # not calibrated at all
             background = noise_bgr = None
-        _watch(pipeline(background, noise_bgr, notes), frames, shown.turns_deg, notes, name)
+        _watch(pipeline(background, noise_bgr, notes), frames, shown.rotations_deg, notes, name)
         if rng.random() < 0.25:
             _look_at_nonsense(pipeline(shown.background, noise_bgr, notes), shown, rng, notes)
 
@@ -101,22 +101,22 @@ def _measured_noise(still: Sequence[Image]) -> NoiseBgr:
 
 
 def _watch(
-    pipeline: Any, frames: Sequence[Image], turns_deg: Sequence[float], notes: Notes, label: str
+    pipeline: Any, frames: Sequence[Image], rotations_deg: Sequence[float], notes: Notes, label: str
 ) -> float | None:
     """Feed frames and judge every answer against the turn since the reference; the last one's error, None: declined."""
     error = None
     since_deg: float | None = None
     if pipeline is None:
         return None
-    for k, (image, truth) in enumerate(zip(frames, turns_deg, strict=True)):
+    for k, (image, truth) in enumerate(zip(frames, rotations_deg, strict=True)):
         answer = notes.attempt(f"pipeline, {label}", pipeline.process, Frame(image, k * FRAME_S, k))
         if since_deg is None and pipeline.has_reference:
             since_deg = truth
         error = None
         if answer is not None:
-            turn = truth - (since_deg or 0.0)
+            rotation = truth - (since_deg or 0.0)
             notes.finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
-            error = notes.angle(f"pipeline, {label}", answer.angle_deg, answer.sigma_deg, turn, axial=False)
+            error = notes.angle(f"pipeline, {label}", answer.angle_deg, answer.sigma_deg, rotation, axial=False)
     return error
 
 

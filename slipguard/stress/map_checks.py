@@ -13,7 +13,7 @@ from slipguard.perception.rotation.axis import ESTIMATORS, FUSED, fuse
 from slipguard.perception.rotation.contour_registration import Pose
 from slipguard.perception.rotation.contour_template import make_template
 from slipguard.stress.family import Notes
-from slipguard.stress.masks import Mask, opencv_thinned, turned, turned_axis_deg
+from slipguard.stress.masks import Mask, opencv_thinned, rotated, rotated_axis_deg
 from slipguard.stress.product_functions import THRESHOLD, Subject
 
 Map = NDArray[np.float32]
@@ -64,21 +64,21 @@ def read(patch: Patch, subject: Subject, notes: Notes) -> dict[str, Orientation]
 
 
 def compare(
-    before: dict[str, Orientation], now: dict[str, Orientation], turn_deg: float | None, notes: Notes
+    before: dict[str, Orientation], now: dict[str, Orientation], rotation_deg: float | None, notes: Notes
 ) -> dict[str, float | None]:
     """Judge the turn between two readings, estimator by estimator; the errors without sign, None where declined."""
     errors: dict[str, float | None] = {}
     for name in before.keys() & now.keys():
         a, b = before[name], now[name]
-        turn = sigma = None
+        rotation = sigma = None
         if None not in (a.angle_deg, b.angle_deg, a.sigma_deg, b.sigma_deg):
-            turn = (b.angle_deg or 0.0) - (a.angle_deg or 0.0)
+            rotation = (b.angle_deg or 0.0) - (a.angle_deg or 0.0)
             sigma = math.hypot(a.sigma_deg or 0.0, b.sigma_deg or 0.0)
-        errors[name] = notes.angle(name, turn, sigma, turn_deg, axial=True)
+        errors[name] = notes.angle(name, rotation, sigma, rotation_deg, axial=True)
     return errors
 
 
-def check_turned(
+def check_rotated(
     probability: Map, which: int, min_area_px: float, frame_px: float, subject: Subject, notes: Notes
 ) -> None:
     """A picture mirrored or turned by quarter turns reads the same axis, mirrored or turned."""
@@ -86,7 +86,7 @@ def check_turned(
     if patch is None:
         return
     here = read(patch, subject, notes)
-    there = np.asarray(turned(probability, which), np.float32)
+    there = np.asarray(rotated(probability, which), np.float32)
     other = patch_of(there, min_area_px, frame_px, subject, notes)
     if other is None:
         notes.failed("limit", "a patch is lost when its picture is turned")
@@ -96,7 +96,7 @@ def check_turned(
         angle, sigma = here[name].angle_deg, here[name].sigma_deg
         if angle is None or sigma is None:
             continue
-        expected = turned_axis_deg(angle, which)
+        expected = rotated_axis_deg(angle, which)
         own = now[name].sigma_deg
         both = None if own is None else math.hypot(own, sigma)
         notes.angle(name, now[name].angle_deg, both, expected, axial=True)
@@ -108,9 +108,9 @@ def check_laid_over_itself(patch: Patch, subject: Subject, notes: Notes) -> None
     def lay() -> tuple[float | None, float | None]:
         registration = subject.registrar(make_template(patch), patch).fit(Pose())
         pose = registration.pose
-        notes.finite("registration", pose.turn_deg, pose.dx_px, pose.dy_px, *pose.growth, registration.sigma_deg)
+        notes.finite("registration", pose.rotation_deg, pose.dx_px, pose.dy_px, *pose.growth, registration.sigma_deg)
         said = registration.declined is None
-        return (pose.turn_deg if said else None, registration.sigma_deg if said else None)
+        return (pose.rotation_deg if said else None, registration.sigma_deg if said else None)
 
     laid = notes.attempt("registration", lay)
     if laid is not None:

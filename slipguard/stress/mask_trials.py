@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from slipguard.stress.family import Family, Notes, Trial
-from slipguard.stress.map_checks import Map, check_laid_over_itself, check_thinning, check_turned, patch_of
-from slipguard.stress.masks import Mask, degenerate, scattered, turned
+from slipguard.stress.map_checks import Map, check_laid_over_itself, check_rotated, check_thinning, patch_of
+from slipguard.stress.masks import Mask, degenerate, rotated, scattered
 from slipguard.stress.product_functions import MAP_PX, MAP_WIDTH_PX, THRESHOLD, Finger, Subject
 
 STYLES = 3
@@ -31,11 +31,11 @@ def _begin_degenerate(subject: Subject) -> Trial:
     def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
         seed, number = divmod(seed, len(masks))
         style, which = divmod(seed, 8)
-        mask = np.asarray(turned(masks[number], which), np.uint8)
+        mask = np.asarray(rotated(masks[number], which), np.uint8)
         check_thinning(mask, subject, notes)
         probability = as_map(mask, style % STYLES)
         for min_area_px in (1.0, 200.0):
-            check_turned(probability, int(rng.integers(1, 8)), min_area_px, MAP_PX, subject, notes)
+            check_rotated(probability, int(rng.integers(1, 8)), min_area_px, MAP_PX, subject, notes)
         patch = patch_of(probability, 1.0, MAP_PX, subject, notes)
         if patch is not None:
             check_laid_over_itself(patch, subject, notes)
@@ -63,7 +63,7 @@ def _begin_random(subject: Subject) -> Trial:
         mask = scattered(rng)
         check_thinning(mask, subject, notes)
         probability = as_map(mask, int(rng.choice((0, 2))))
-        check_turned(probability, int(rng.integers(1, 8)), float(rng.choice((1, 100))), MAP_PX, subject, notes)
+        check_rotated(probability, int(rng.integers(1, 8)), float(rng.choice((1, 100))), MAP_PX, subject, notes)
 
     return trial
 

@@ -16,12 +16,12 @@ def opencv_thinned(mask: Mask) -> Mask:
     return np.asarray(cv2.ximgproc.thinning(grey, thinningType=cv2.ximgproc.THINNING_GUOHALL) > 0, np.uint8)
 
 
-def turned(array: NDArray[np.generic], which: int) -> NDArray[np.generic]:
+def rotated(array: NDArray[np.generic], which: int) -> NDArray[np.generic]:
     """One of the eight ways to turn and mirror a picture: which & 4 mirrors left-right, then quarter turns ccw."""
     return np.ascontiguousarray(np.rot90(np.fliplr(array) if which & 4 else array, which & 3))
 
 
-def turned_axis_deg(angle_deg: float, which: int) -> float:
+def rotated_axis_deg(angle_deg: float, which: int) -> float:
     """The axis of a picture after `turned`, not wrapped."""
     return (-angle_deg if which & 4 else angle_deg) + 90.0 * (which & 3)
 

@@ -7,7 +7,7 @@ import numpy as np
 from slipguard.stress.family import Family, Notes, Trial
 from slipguard.stress.map_checks import Map, compare
 from slipguard.stress.product_functions import Finger, Subject
-from slipguard.stress.rotating_shapes import readings_of, turn_held
+from slipguard.stress.rotating_shapes import readings_of, rotation_held
 from slipguard.stress.shapes import ELONGATED, Pose, roughness, soft
 
 OUTLINE_PX = (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0)
@@ -24,17 +24,17 @@ def _begin(subject: Subject) -> Trial:
         curve, level = levels[seed % len(levels)]
         shape = ELONGATED[names[seed // len(levels) % len(names)]]
         a = Pose(rng.uniform(-180, 180), rng.uniform(50, 69), rng.uniform(65, 94), rng.uniform(0.8, 1.15))
-        turn = float(rng.uniform(-20, 20))
-        b = Pose(a.angle_deg + turn, a.x_px + rng.uniform(-4, 4), a.y_px + rng.uniform(-4, 4), a.scale)
+        rotation = float(rng.uniform(-20, 20))
+        b = Pose(a.angle_deg + rotation, a.x_px + rng.uniform(-4, 4), a.y_px + rng.uniform(-4, 4), a.scale)
         if curve == "outline":
             rough = roughness(rng, level), roughness(rng, level)
             maps = soft(shape, a, rough[0]), soft(shape, b, rough[1])
-            error = turn_held(shape, a, b, subject, notes, rough)
+            error = rotation_held(shape, a, b, subject, notes, rough)
         else:
             maps = _grey(soft(shape, a), level, rng), _grey(soft(shape, b), level, rng)
             finger = Finger(subject)
             error = None
-            for shown, truth in zip(maps, (0.0, turn), strict=True):
+            for shown, truth in zip(maps, (0.0, rotation), strict=True):
                 answer = notes.attempt("pipeline", finger.see, shown)
                 if answer is None:
                     return
@@ -42,7 +42,7 @@ def _begin(subject: Subject) -> Trial:
         notes.point(f"{curve}/pipeline", level, error)
         readings = readings_of(maps, subject, notes)
         if readings is not None:
-            for name, one in compare(readings[0], readings[1], turn, notes).items():
+            for name, one in compare(readings[0], readings[1], rotation, notes).items():
                 notes.point(f"{curve}/{name}", level, one)
 
     return trial

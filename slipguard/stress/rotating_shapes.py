@@ -19,7 +19,7 @@ def readings_of(maps: tuple[Map, Map], subject: Subject, notes: Notes) -> list[d
     return [read(one, subject, notes) for one in patches if one is not None] if None not in patches else None
 
 
-def turn_held(
+def rotation_held(
     shape: Distance, start: Pose, end: Pose, subject: Subject, notes: Notes, noise: tuple[Map | None, Map | None]
 ) -> float | None:
     """Turn a shape frame by frame through the pipeline; the last answer's error, None where it declined.
@@ -27,13 +27,13 @@ def turn_held(
     noise: roughness of the reference and of the last frame; those between carry the last one's.
     """
     finger = Finger(subject)
-    turn = end.angle_deg - start.angle_deg
-    steps = max(1, math.ceil(abs(turn) / STEP_DEG))
+    rotation = end.angle_deg - start.angle_deg
+    steps = max(1, math.ceil(abs(rotation) / STEP_DEG))
     error = None
     for k in range(steps + 1):
         part = k / steps
         pose = Pose(
-            start.angle_deg + part * turn,
+            start.angle_deg + part * rotation,
             start.x_px + part * (end.x_px - start.x_px),
             start.y_px + part * (end.y_px - start.y_px),
             start.scale + part * (end.scale - start.scale),
@@ -43,5 +43,5 @@ def turn_held(
         if answer is None:
             return None
         notes.finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
-        error = notes.angle("pipeline", answer.angle_deg, answer.sigma_deg, part * turn, axial=False)
+        error = notes.angle("pipeline", answer.angle_deg, answer.sigma_deg, part * rotation, axial=False)
     return error

@@ -8,7 +8,7 @@ from slipguard.stress import shapes
 from slipguard.stress.family import Family, Notes, Trial
 from slipguard.stress.map_checks import compare
 from slipguard.stress.product_functions import Finger, Subject
-from slipguard.stress.rotating_shapes import readings_of, turn_held
+from slipguard.stress.rotating_shapes import readings_of, rotation_held
 from slipguard.stress.shapes import Pose, roughness, soft
 
 ASPECTS = (1.0, 1.01, 1.02, 1.05, 1.1, 1.15, 1.2, 1.25, 1.3, 1.5)
@@ -23,20 +23,20 @@ def _begin(subject: Subject) -> Trial:
         seed, choice = divmod(seed, len(ASPECTS) + 4)
         rough_px = ROUGHS_PX[seed % len(ROUGHS_PX)]
         shape, label, truth = _near_round(choice, rng)
-        turn = float(rng.uniform(-20, 20))
+        rotation = float(rng.uniform(-20, 20))
         out = 1.0 if choice < len(ASPECTS) or rng.random() < 0.5 else float(rng.uniform(1.0, 4.0))
         x, y = 59.5 + out * rng.uniform(-14, 14), 79.5 + out * rng.uniform(-14, 14)
         a = Pose(float(rng.uniform(-180, 180)), x, y, float(rng.uniform(0.7, 1.2)))
-        b = Pose(a.angle_deg + turn, x + rng.uniform(-2, 2), y + rng.uniform(-2, 2), a.scale)
+        b = Pose(a.angle_deg + rotation, x + rng.uniform(-2, 2), y + rng.uniform(-2, 2), a.scale)
         rough = roughness(rng, rough_px), roughness(rng, rough_px)
         readings = readings_of((soft(shape, a, rough[0]), soft(shape, b, rough[1])), subject, notes)
         errors: dict[str, float | None] = {}
         if readings is not None:
-            errors = compare(readings[0], readings[1], turn if truth == "axis" else None, notes)
+            errors = compare(readings[0], readings[1], rotation if truth == "axis" else None, notes)
         if truth == "nothing":
             _hold_round(shape, a, rough_px, rng, subject, notes)
         else:
-            errors["pipeline"] = turn_held(shape, a, b, subject, notes, rough)
+            errors["pipeline"] = rotation_held(shape, a, b, subject, notes, rough)
         if choice < len(ASPECTS):
             for reader, error in errors.items():
                 notes.point(f"aspect, outline {rough_px:g} px/{reader}", ASPECTS[choice], error)

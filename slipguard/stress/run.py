@@ -78,13 +78,13 @@ def schedule(families: Sequence[Family]) -> Iterator[tuple[int, int]]:
 
     Time is reckoned by `cost_ms`, not measured: the order is the same on every machine.
     """
-    turns = [(family.cost_ms, index, 0) for index, family in enumerate(families)]
-    heapq.heapify(turns)
-    while turns:
-        used_ms, index, number = heapq.heappop(turns)
+    rotations = [(family.cost_ms, index, 0) for index, family in enumerate(families)]
+    heapq.heapify(rotations)
+    while rotations:
+        used_ms, index, number = heapq.heappop(rotations)
         yield index, number
         if number + 1 < families[index].full:
-            heapq.heappush(turns, (used_ms + families[index].cost_ms, index, number + 1))
+            heapq.heappush(rotations, (used_ms + families[index].cost_ms, index, number + 1))
 
 
 def run(

@@ -9,13 +9,13 @@ import numpy as np
 from slipguard.perception.rotation.axial_angle import (
     axial_difference_deg,
     axial_mean_deg,
-    nearest_turn_deg,
+    nearest_rotation_deg,
     wrap_axial_deg,
 )
 from slipguard.stress.family import Family, Notes, Trial
 from slipguard.stress.map_checks import patch_of, read
 from slipguard.stress.product_functions import MAP_PX, Subject
-from slipguard.stress.rotating_shapes import turn_held
+from slipguard.stress.rotating_shapes import rotation_held
 from slipguard.stress.shapes import ALONG_U, Pose, soft
 
 OFFSETS_DEG = (0.0, 1e-12, -1e-12, 1e-6, -1e-6, 0.01, -0.01, 0.3, -0.3, 2.0, -2.0)
@@ -36,9 +36,9 @@ def _begin(subject: Subject) -> Trial:
         if patch is not None:
             for reader, found in read(patch, subject, notes).items():
                 notes.angle(reader, found.angle_deg, found.sigma_deg, angle, axial=True)
-        turn = float(rng.choice((-1.0, 1.0)) * rng.uniform(4, 24))
-        across = Pose(angle - turn / 2, *centre), Pose(angle + turn / 2, *centre)
-        turn_held(shape, *across, subject, notes, (None, None))
+        rotation = float(rng.choice((-1.0, 1.0)) * rng.uniform(4, 24))
+        across = Pose(angle - rotation / 2, *centre), Pose(angle + rotation / 2, *centre)
+        rotation_held(shape, *across, subject, notes, (None, None))
 
     return trial
 
@@ -50,18 +50,18 @@ def _check_axial(rng: np.random.Generator, notes: Notes) -> None:
                               rng.normal(0, 1e9), 5e-324)))  # fmt: skip
     near = float(rng.normal(0, 1e4))
     wrapped = notes.attempt("wrap", wrap_axial_deg, value)
-    turned = notes.attempt("unwrap", nearest_turn_deg, value, near)
+    rotated = notes.attempt("unwrap", nearest_rotation_deg, value, near)
     apart = notes.attempt("difference", axial_difference_deg, value, near)
     mean = notes.attempt("mean", axial_mean_deg, [value, value + 180.0, value - 180.0], [1.0, 2.0, 3.0])
     for what, result in (("wrapped axis", wrapped), ("axial difference", apart), ("axial mean", mean)):
         if result is not None and notes.finite(what, result) and not -90.0 < result <= 90.0:
             notes.failed("limit", f"{what} of {value!r} is {result!r}, not in (-90, 90]")
     rounding = 1e-9 + 1e-13 * abs(value)
-    for what, result in (("wrapped axis", wrapped), ("unwrapped turn", turned), ("axial mean", mean)):
+    for what, result in (("wrapped axis", wrapped), ("unwrapped turn", rotated), ("axial mean", mean)):
         if result is not None and math.isfinite(result):
             notes.limit(f"{what}, error in roundings", abs(math.remainder(result - value, 180.0)) / rounding, 100.0)
-    if turned is not None and math.isfinite(turned) and abs(turned - near) > 90.0 + rounding:
-        notes.failed("limit", f"the turn nearest {near!r} of {value!r} is {turned!r}")
+    if rotated is not None and math.isfinite(rotated) and abs(rotated - near) > 90.0 + rounding:
+        notes.failed("limit", f"the turn nearest {near!r} of {value!r} is {rotated!r}")
 
 
 CASES = len(ALONG_U) * len(SEAMS_DEG) * len(OFFSETS_DEG)

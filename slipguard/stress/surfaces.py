@@ -70,11 +70,11 @@ def nut(u: Heights, v: Heights) -> Heights:
     return np.asarray(9.0 * np.exp(-away * away / 100.0) - 7.0 * hole, np.float32)
 
 
-def heights(surface: Surface, turn_deg: float, at: tuple[float, float], force: float) -> Heights:
+def heights(surface: Surface, rotation_deg: float, at: tuple[float, float], force: float) -> Heights:
     """A surface turned counter-clockwise about `at` (frame pixels right and down), (320, 240) float32."""
     rows, columns = np.mgrid[0:FRAME_HEIGHT_PX, 0:FRAME_WIDTH_PX].astype(np.float32)
     x, y = columns - np.float32(at[0]), np.float32(at[1]) - rows
-    c, s = np.float32(math.cos(math.radians(turn_deg))), np.float32(math.sin(math.radians(turn_deg)))
+    c, s = np.float32(math.cos(math.radians(rotation_deg))), np.float32(math.sin(math.radians(rotation_deg)))
     return np.asarray(np.float32(force) * surface(c * x + s * y, c * y - s * x), np.float32)
 
 

@@ -107,9 +107,9 @@ def _left(
 ) -> None:  # fmt: skip
     """Held still, out of sight, and turned meanwhile by up to what can fall: told, or the count is known to be lost."""
     gap_s = float(rng.choice(LEFT_S))
-    turn = float(rng.uniform(-1.0, 1.0)) * min(0.5 * ACCELERATION_DEG_S2 * gap_s**2, LEFT_MAX_DEG)
+    rotation = float(rng.uniform(-1.0, 1.0)) * min(0.5 * ACCELERATION_DEG_S2 * gap_s**2, LEFT_MAX_DEG)
     for k in range(HELD_FRAMES):
-        truth = 0.0 if k < 2 else turn
+        truth = 0.0 if k < 2 else rotation
         height = heights(surface, start + truth, at, 1.0)
         image = drawn(height, lamps, noise, rng)
         answer = notes.attempt("pipeline", finger.see, image, contact(height), gap_s if k == 2 else FRAME_S)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from slipguard.perception.rotation.tracker import Turn
+from slipguard.perception.rotation.tracker import Rotation
 from slipguard.stress.family import Family, Notes, Trial
 from slipguard.stress.product_functions import FRAME_S, Finger, Subject
 from slipguard.stress.shapes import Pose, box, soft
@@ -52,7 +52,7 @@ def _track(rng: np.random.Generator, subject: Subject, notes: Notes) -> None:
     tracker.start(now_s)
     for _ in range(20):
         now_s += float(rng.choice(STEPS_S))
-        seen = Turn(float(rng.normal()) * NOISE_DEG, NOISE_DEG)
+        seen = Rotation(float(rng.normal()) * NOISE_DEG, NOISE_DEG)
         predicted = notes.attempt("prediction", tracker.predicted_deg, now_s)
         accepted = notes.attempt("tracker", tracker.accept, now_s, seen)
         rate = notes.attempt("rate", tracker.rate_deg_s, now_s)
@@ -60,13 +60,13 @@ def _track(rng: np.random.Generator, subject: Subject, notes: Notes) -> None:
         if rate is not None:
             notes.limit("rate at rest, degrees/s", abs(rate), REST_RATE_DEG_S)
         if accepted is not None:
-            notes.angle("tracker", accepted.turn_deg, accepted.sigma_deg, 0.0, axial=False)
+            notes.angle("tracker", accepted.rotation_deg, accepted.sigma_deg, 0.0, axial=False)
     if abs(now_s) > 1e9:  # a double tells no 60 Hz frames apart beyond: no rate can be right
         return
     rate = None
     for k in range(REGULAR_FRAMES):
         now_s += FRAME_S
-        seen = Turn(RATE_DEG_S * FRAME_S * k + float(rng.normal()) * NOISE_DEG, NOISE_DEG)
+        seen = Rotation(RATE_DEG_S * FRAME_S * k + float(rng.normal()) * NOISE_DEG, NOISE_DEG)
         notes.attempt("tracker", tracker.accept, now_s, seen)
         rate = notes.attempt("rate", tracker.rate_deg_s, now_s)
     wrong = math.inf if rate is None else abs(rate - RATE_DEG_S)

@@ -95,22 +95,24 @@ def plot(results: list[Measured], path: Path, background_known: bool) -> None:
     from slipguard.tools.plotting import figure, save
 
     drawing = figure(9.0, 6.5)
-    turn, axis, area = drawing.subplots(3, 1, sharex=True, height_ratios=(3, 2, 1))
+    rotation, axis, area = drawing.subplots(3, 1, sharex=True, height_ratios=(3, 2, 1))
     number = np.arange(len(results))
     angle = _series([r.estimate.angle_deg for r in results])
     sigma = _series([r.estimate.sigma_deg for r in results])
-    turn.fill_between(number, angle - 2.0 * sigma, angle + 2.0 * sigma, alpha=0.25, label="± 2 sigma")
-    turn.plot(number, angle, marker=".", label="turn since the reference")
-    turn.set_ylabel("turn, degrees (ccw +)")
-    turn.legend(loc="best")
+    rotation.fill_between(number, angle - 2.0 * sigma, angle + 2.0 * sigma, alpha=0.25, label="± 2 sigma")
+    rotation.plot(number, angle, marker=".", label="turn since the reference")
+    rotation.set_ylabel("turn, degrees (ccw +)")
+    rotation.legend(loc="best")
     axis.plot(number, _series([r.estimate.orientation_deg for r in results]), ".", color="tab:green")
     axis.set_ylabel("orientation, degrees")
     axis.set_ylim(-95.0, 95.0)
     area.plot(number, [r.estimate.contact_area_px for r in results], color="tab:gray")
     area.set_ylabel("contact, px")
     area.set_xlabel(f"frame, from {results[0].still.name} to {results[-1].still.name}")
-    turn.set_title("with the unit's no-contact image" if background_known else "no-contact image not given: guessed")
-    for axes in (turn, axis, area):
+    rotation.set_title(
+        "with the unit's no-contact image" if background_known else "no-contact image not given: guessed"
+    )
+    for axes in (rotation, axis, area):
         axes.grid(alpha=0.3)
     save(drawing, path)
 

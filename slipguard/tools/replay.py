@@ -89,7 +89,7 @@ class Replay:
     @property
     def turn_differences_deg(self) -> list[float]:
         """Where both tell a turn: now minus then."""
-        both = ((_turn(one.recorded.estimate), _turn(one.replayed)) for one in self.asked)
+        both = ((_rotation(one.recorded.estimate), _rotation(one.replayed)) for one in self.asked)
         return [now - then for then, now in both if then is not None and now is not None]
 
 
@@ -191,7 +191,7 @@ class _Player:
                 settings.background(finger),
                 settings.noise_bgr(finger),
                 settings.px_per_mm[finger],
-                settings.rotation_deg[finger],
+                settings.mounting_deg[finger],
             )
         return self._pipelines[finger]
 
@@ -223,7 +223,7 @@ class _Player:
         return memory
 
 
-def _turn(estimate: Estimate | None) -> float | None:
+def _rotation(estimate: Estimate | None) -> float | None:
     return None if estimate is None else estimate.angle_deg
 
 
@@ -243,7 +243,7 @@ class Settings:
     guard: GuardParams
     perception: PerceptionSettings
     px_per_mm: dict[str, float]
-    rotation_deg: dict[str, int]
+    mounting_deg: dict[str, int]
     recording: Recording
 
     def background(self, finger: str) -> np.ndarray | None:
@@ -270,7 +270,7 @@ def settings_of(recording: Recording) -> Settings:
             GuardParams.model_validate(config["guard"]),
             PerceptionSettings.model_validate(perception),
             {finger: float(config[finger]["px_per_mm"]) for finger in m.FINGERS},
-            {finger: int(config[finger]["rotation_deg"]) for finger in m.FINGERS},
+            {finger: int(config[finger]["mounting_deg"]) for finger in m.FINGERS},
             recording,
         )
     except ValidationError as error:

@@ -25,7 +25,7 @@ ESTIMATE_COLUMNS = (
     "sigma_deg", "orientation_deg", "rate_deg_s", "shift_right_mm", "shift_up_mm", "skipped", "declined", "refused",
 )  # fmt: skip
 TICK_COLUMNS = (
-    "wall_ns", "now_s", "phase", "turn_deg", "sigma_deg", "rate_deg_s", "shift_mm", "force_n", "width_mm", "holding",
+    "wall_ns", "now_s", "phase", "rotation_deg", "sigma_deg", "rate_deg_s", "shift_mm", "force_n", "width_mm", "holding",
     "height_mm", "hold_force_n", "arm", "say", "fault",
 )  # fmt: skip
 
@@ -79,12 +79,14 @@ def _estimate_row(item: Item, judged: m.Judged) -> list[Any]:
 
 def _tick_row(item: Item, tick: m.Tick) -> list[Any]:
     fused, gripper, arm, command = tick.seen.fused, tick.seen.gripper, tick.seen.arm, tick.command
-    turn = [fused.turn_deg, fused.sigma_deg, fused.rate_deg_s, fused.shift_mm] if fused is not None else [None] * 4
+    rotation = (
+        [fused.rotation_deg, fused.sigma_deg, fused.rate_deg_s, fused.shift_mm] if fused is not None else [None] * 4
+    )
     grip = [gripper.force_n, gripper.width_mm, gripper.holding] if gripper is not None else [None] * 3
     height_mm = arm.height_mm if arm is not None else None
     fault = str(command.fault) if command.fault is not None else None
     commanded = [command.hold_force_n, command.arm, command.say, fault]
-    return [item.at_ns, tick.now_s, tick.phase, *turn, *grip, height_mm, *commanded]
+    return [item.at_ns, tick.now_s, tick.phase, *rotation, *grip, height_mm, *commanded]
 
 
 def _pictures(items: Iterable[Item], folder: Path) -> list[Path]:

@@ -120,10 +120,10 @@ class Augment:
 
     def _warped_real(self) -> Tensor:
         """A real no-contact image turned by up to 15 degrees, enlarged, shifted, perhaps mirrored."""
-        which, turn, scale, right, down, mirror = torch.rand(6, generator=self._rng).tolist()
+        which, rotation, scale, right, down, mirror = torch.rand(6, generator=self._rng).tolist()
         image = self._backgrounds[int(which * len(self._backgrounds))]
         centre = (self._size[0] / 2, self._size[1] / 2)
-        matrix = cv2.getRotationMatrix2D(centre, 30.0 * turn - 15.0, 1.0 + 0.4 * scale)
+        matrix = cv2.getRotationMatrix2D(centre, 30.0 * rotation - 15.0, 1.0 + 0.4 * scale)
         matrix[:, 2] += (20.0 * right - 10.0, 20.0 * down - 10.0)
         warped = cv2.warpAffine(image, matrix, self._size, borderMode=cv2.BORDER_REFLECT)
         return torch.from_numpy(warped[:, ::-1].copy() if mirror < 0.3 else warped).float()

@@ -131,11 +131,11 @@ async def _gone(socket: WebSocket) -> None:
 
 def sample_of(state: dict[str, Any]) -> dict[str, Any]:
     """What a minute's curves are drawn from; None where it is not known."""
-    turn, gripper = state.get("turn") or {}, state.get("gripper") or {}
+    rotation, gripper = state.get("rotation") or {}, state.get("gripper") or {}
     return {
         "t_s": state.get("now_s"),
-        "turn_deg": turn.get("turn_deg"),
-        "sigma_deg": turn.get("sigma_deg"),
+        "rotation_deg": rotation.get("rotation_deg"),
+        "sigma_deg": rotation.get("sigma_deg"),
         "force_n": gripper.get("force_n"),
         "target_n": state.get("target_force_n"),
         "phase": state.get("phase"),

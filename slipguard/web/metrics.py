@@ -43,11 +43,15 @@ class _Told(Collector):
 
     def _grasp(self) -> Iterator[Metric]:
         state = self._state
-        turn, gripper = state.get("turn") or {}, state.get("gripper") or {}
+        rotation, gripper = state.get("rotation") or {}, state.get("gripper") or {}
         yield _gauge(
-            "slipguard_turn_degrees", "Turn since the grasp, as seen in the left picture.", turn.get("turn_deg")
+            "slipguard_rotation_degrees",
+            "Rotation since the grasp, with the sign of the left image.",
+            rotation.get("rotation_deg"),
         )
-        yield _gauge("slipguard_turn_sigma_degrees", "One standard deviation of the turn.", turn.get("sigma_deg"))
+        yield _gauge(
+            "slipguard_rotation_sigma_degrees", "One standard deviation of the rotation.", rotation.get("sigma_deg")
+        )
         yield _gauge("slipguard_force_newtons", "Force last applied, per finger.", gripper.get("force_n"))
         yield _gauge("slipguard_target_force_newtons", "Force wanted, per finger.", state.get("target_force_n"))
         yield _gauge("slipguard_jaws_millimetres", "Width between the jaws.", gripper.get("width_mm"))

@@ -157,7 +157,7 @@ class State(Answer):
     slipping: bool
     target_force_n: float
     fault: FaultNow | None
-    turn: dict[str, Any] | None
+    rotation: dict[str, Any] | None
     gripper: dict[str, Any] | None
     arm: dict[str, Any] | None
     fingers: dict[str, dict[str, Any]]

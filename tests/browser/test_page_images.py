@@ -71,10 +71,10 @@ async def test_headings_landmarks_and_pictures_in_words(running: Daemon, look) -
     for region in ("State", "Commands", "Fingers", "Last minute", "Devices", "Pace", "What happened"):
         await expect(page.get_by_role("region", name=region, exact=True)).to_have_count(1)
     await expect(page.get_by_role("main")).to_have_count(1)
-    turn = page.get_by_role("img", name="Turn over the last minute")
+    rotation = page.get_by_role("img", name="Turn over the last minute")
     await expect(page.get_by_role("img", name="Grip per finger over the last minute")).to_have_count(1)
     await expect(page.get_by_role("img", name="Gel picture of the left finger, contact, turn")).to_be_visible()
     await expect(page.get_by_role("button", name="Release")).to_have_accessible_description("opens: what is held drops")
     await page.emulate_media(reduced_motion="reduce")
     await expect(page.locator("#do-release")).to_have_css("transition-duration", "0s")
-    await expect(turn).to_have_attribute("aria-label", re.compile("±"))
+    await expect(rotation).to_have_attribute("aria-label", re.compile("±"))

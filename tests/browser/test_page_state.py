@@ -99,7 +99,7 @@ async def test_without_a_connection_nothing_is_shown_as_if_it_were_so(running: D
         await expect(page.locator("#ask-yes")).to_be_disabled()
         await expect(page.locator("#ask-now")).to_contain_text("no connection")
         await page.keyboard.press("Escape")
-        for figure in ("turn", "force", "height"):
+        for figure in ("rotation", "force", "height"):
             await expect(page.locator(f"#{figure}")).to_have_text("–")
         await expect(page.locator("#finger-left .stale")).to_have_text("last picture, not live")
         await expect(page.locator("#hint-release")).to_have_text("no connection")

@@ -30,7 +30,7 @@ from slipguard.web.sockets import bind, bind_tcp
 SETTLE_S = 1.5
 """After clients came or went, before it counts."""
 SHARE_MAX, RISE_MAX_MS = 0.10, 1.0
-TURNED_AWAY_PER = 20
+ROTATED_AWAY_PER = 20
 """So many good answers at least for each client that was turned away or cut off."""
 
 
@@ -75,9 +75,9 @@ class Crowd:
         """Why it tells nothing of clients: each should have got something in each block, few been turned away."""
         polling = -(-self.options.clients // 2)
         wanted = {"answers 200": polling, "live messages": self.options.clients - polling}
-        turned_away = {what: count for what, count in self.got.items() if what not in wanted and count}
+        rotated_away = {what: count for what, count in self.got.items() if what not in wanted and count}
         few = any(self.got.get(what, 0) < self.options.pairs * each for what, each in wanted.items())
-        if not few and sum(turned_away.values()) * TURNED_AWAY_PER <= self.got["answers 200"]:
+        if not few and sum(rotated_away.values()) * ROTATED_AWAY_PER <= self.got["answers 200"]:
             return None
         told = ", ".join(f"{count} {what}" for what, count in self.got.items()) or "nothing"
         return (

@@ -38,9 +38,9 @@ async def poll(host: str, port: int, number: int, got: Counter[str]) -> None:
     loop = asyncio.get_running_loop()
     reader, writer = await asyncio.open_connection(host, port)
     try:
-        for turn in range(number, sys.maxsize):
+        for rotation in range(number, sys.maxsize):
             asked_at_s = loop.time()
-            path = PATHS[turn % len(PATHS)]
+            path = PATHS[rotation % len(PATHS)]
             writer.write(f"GET {path} HTTP/1.1\r\nhost: {host}:{port}\r\n\r\n".encode())
             head = await reader.readuntil(b"\r\n\r\n")
             await reader.readexactly(_length(head))

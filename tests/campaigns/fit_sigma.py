@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from slipguard.datasets import rendered_grasps as sequences
 from slipguard.datasets.rendered_grasps import FRAME_S, Shot
 from slipguard.devices import Frame
-from slipguard.evaluation.rotated_presses import PX_PER_MM, presses, turned
+from slipguard.evaluation.rotated_presses import PX_PER_MM, presses, rotated
 from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.rotation.texture_map import ReliefReader
@@ -74,11 +74,11 @@ def samples(grasps: Iterable[sequences.Sequence], segmenter: Segmenter, kind: st
             if reference is None or patch is None or not grasp.shots[k].compared:
                 continue
             relief = reader.read(grasp.shots[k].frame.image, patch)
-            answer = fit(reference, relief, replace(pose, turn_deg=pose.turn_deg + rate))
+            answer = fit(reference, relief, replace(pose, rotation_deg=pose.rotation_deg + rate))
             if answer.declined is not None:
                 continue
-            rate, pose = answer.pose.turn_deg - pose.turn_deg, answer.pose
-            error = answer.pose.turn_deg - grasp.shots[k].turn_deg
+            rate, pose = answer.pose.rotation_deg - pose.rotation_deg, answer.pose
+            error = answer.pose.rotation_deg - grasp.shots[k].rotation_deg
             yield Sample(f"{kind} {grasp.object_name} {number}", error, answer, kind)
 
 
@@ -161,7 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"{len(found)} turns of {len({one.grasp for one in found})} grasps, training objects, seeds from {SEED}")
     if chosen.real is not None:
         tuning = [press for press in presses(chosen.real) if press.part == "tune" and press.readable]
-        found += samples((turned(press, "relit", SEED) for press in tuning), segmenter, "relit")
+        found += samples((rotated(press, "relit", SEED) for press in tuning), segmenter, "relit")
         found += samples(sheared(chosen.real), segmenter, "sheared")
     for word, constants in (("in use", shares()), ("fitted", fitted(found))):
         print(

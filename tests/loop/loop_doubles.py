@@ -108,25 +108,25 @@ class Oracle:
         if not touched:
             self.stable = 0
             return replace(plain, skipped="no contact", declined="no contact")
-        turn_deg = self.sign * truth.turn_deg + self.rng.normal(0.0, SIGMA_DEG)
+        rotation_deg = self.sign * truth.rotation_deg + self.rng.normal(0.0, SIGMA_DEG)
         if self.swings_since_s is not None:
-            turn_deg += self.sign * SWING_DEG_S * (now_s - self.swings_since_s)
+            rotation_deg += self.sign * SWING_DEG_S * (now_s - self.swings_since_s)
         slide_mm = truth.slide_mm + self.rng.normal(0.0, NOISE_MM)
         self.stable += 1
         if self.reference is None:
             if self.stable < STABLE_FRAMES:
                 return replace(plain, declined="no reference yet")
-            self.reference, self.tracked_s = (turn_deg, slide_mm), now_s
+            self.reference, self.tracked_s = (rotation_deg, slide_mm), now_s
         shift_mm = (0.0, self.reference[1] - slide_mm)
         if self.blind is not None:
             return replace(plain, shift_mm=shift_mm, declined=self.blind)
-        turn_deg -= self.reference[0]
+        rotation_deg -= self.reference[0]
         passed_s = max(now_s - self.tracked_s, 1e-3)
         value, rate = self.track[0] + self.track[1] * passed_s, self.track[1]
-        self.track = (value + ALPHA * (turn_deg - value), rate + BETA * (turn_deg - value) / passed_s)
+        self.track = (value + ALPHA * (rotation_deg - value), rate + BETA * (rotation_deg - value) / passed_s)
         self.tracked_s = now_s
         return replace(
-            plain, angle_deg=turn_deg, sigma_deg=SIGMA_DEG, orientation_deg=0.0,
+            plain, angle_deg=rotation_deg, sigma_deg=SIGMA_DEG, orientation_deg=0.0,
             rate_deg_s=self.track[1], shift_mm=shift_mm,
         )  # fmt: skip
 

@@ -18,9 +18,9 @@ def test_no_collection_of_garbage_looks_at_what_stays(tmp_path: Path) -> None:
     frozen: list[int] = []
 
     async def beside(service: Any) -> None:
-        turned = asyncio.Event()
-        service.observers.append(lambda decision: turned.set())
-        await turned.wait()
+        rotated = asyncio.Event()
+        service.observers.append(lambda decision: rotated.set())
+        await rotated.wait()
         frozen.append(gc.get_freeze_count())
         os.kill(os.getpid(), signal.SIGTERM)
         await asyncio.Event().wait()

@@ -134,8 +134,8 @@ def test_one_finger_gone_is_said_and_the_other_guards_on(finger: str, kind: str)
         await cell.lift()
         assert cell.phase is Phase.HOLDING
         assert cell.truth.dropped is None
-        assert abs(cell.truth.turn_deg) < 20.0
-        turned_deg = cell.truth.turn_deg
+        assert abs(cell.truth.rotation_deg) < 20.0
+        rotated_deg = cell.truth.rotation_deg
         cell.world.faults.mend(finger, kind)
         await cell.until(lambda: not cell.service.waiting_for)
         await asyncio.sleep(0.5)
@@ -143,7 +143,7 @@ def test_one_finger_gone_is_said_and_the_other_guards_on(finger: str, kind: str)
         assert fused is not None
         assert fused.fingers == ("left", "right")
         assert fused.conflict is None
-        assert fused.turn_deg == pytest.approx(turned_deg, abs=3.0)  # with its old reference
+        assert fused.rotation_deg == pytest.approx(rotated_deg, abs=3.0)  # with its old reference
         assert cell.phase is Phase.HOLDING
 
     cell = play(Cell("wrench", 1, guard=BRISK), scene)

@@ -61,7 +61,7 @@ class Eye:
         studio = Studio(self.look, 1)
         while True:
             truth = self.world.truth(asyncio.get_running_loop().time())
-            taker(studio.draw(Scene(truth.turn_deg, truth.height_mm, truth.slide_mm)))
+            taker(studio.draw(Scene(truth.rotation_deg, truth.height_mm, truth.slide_mm)))
             await asyncio.sleep(1 / 30)
 
 

@@ -12,7 +12,7 @@ from slipguard.cli.app import run
 PROTOCOL = """
 name = "two lifts"
 repeats = 2
-turn_deg = [8.0, 16.0]
+rotation_deg = [8.0, 16.0]
 hold_s = 0.3
 objects = [{name = "bar", hard = "heavy"}]
 """
@@ -37,7 +37,7 @@ def test_the_report_says_what_the_truth_says(experiment: Path) -> None:
     assert report["aruco_error_mean_deg"] <= 0.3
     assert report["dice"]["mean"] > 0.9
     assert report["per_object"]["bar"]["hard"] == "heavy"
-    assert all(7.0 <= abs(turn) <= 17.5 for turn in report["per_object"]["bar"]["turns_deg"])
+    assert all(7.0 <= abs(rotation) <= 17.5 for rotation in report["per_object"]["bar"]["rotations_deg"])
     page = (experiment / "report.html").read_text()
     assert "data:image/png;base64," in page
     assert "http" not in page.replace("http-equiv", "")

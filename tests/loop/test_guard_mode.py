@@ -34,7 +34,7 @@ def test_guarding_starts_by_itself_when_something_is_held() -> None:
         await gripped_by_another_program(cell)
         await lifted_by_another_program(cell)
         assert cell.truth.dropped is None
-        assert abs(cell.truth.turn_deg) < 25.0
+        assert abs(cell.truth.rotation_deg) < 25.0
         assert cell.truth.applied_n > GRIP_N + 5.0
 
     cell = play(Cell("wrench", 1, guard=GUARD), scene)
@@ -54,7 +54,7 @@ def test_guard_on_guards_what_is_held_after_guard_off() -> None:
         await cell.until(lambda: cell.phase is Phase.HOLDING)
         await lifted_by_another_program(cell)
         assert cell.truth.dropped is None
-        assert abs(cell.truth.turn_deg) < 25.0
+        assert abs(cell.truth.rotation_deg) < 25.0
 
     play(Cell("wrench", 1, guard=GUARD), scene)
 

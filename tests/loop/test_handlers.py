@@ -84,7 +84,7 @@ def test_a_grasp_and_a_fault_as_the_page_and_prometheus_see_them() -> None:
     assert faulty["slipguard_faults_total", (("code", "frames lost"),)] == 1.0
     assert faulty["slipguard_device_ready", (("device", "left"),)] == 0.0
     assert faulty["slipguard_frames_lost_total", (("finger", "left"), ("reason", "stalled"))] >= 1.0
-    assert ("slipguard_turn_degrees", ()) not in faulty, "what nobody knows is no number"
+    assert ("slipguard_rotation_degrees", ()) not in faulty, "what nobody knows is no number"
 
 
 def test_a_recorder_whose_thread_is_gone_is_not_said_to_record() -> None:

@@ -199,11 +199,11 @@ def test_a_fault_without_a_gripper_is_noted_with_the_grip_of_before_the_restart(
     async def scene() -> None:
         keeper = GraspKeeper(shelf, list[str]().append, list[str]().append)
         before = Guard(GuardState(remembered=grip, person_near=True))
-        turn = Decision(1.0, Phase.IDLE, Seen(1.0), Command(), before)
-        keeper.decided(turn)
+        rotation = Decision(1.0, Phase.IDLE, Seen(1.0), Command(), before)
+        keeper.decided(rotation)
         await asyncio.sleep(0.1)
         assert shelf.load_last_grasp() is None, "nothing is known yet"
-        keeper.decided(replace(turn, phase=Phase.FAULT, command=Command(fault=fault)))
+        keeper.decided(replace(rotation, phase=Phase.FAULT, command=Command(fault=fault)))
         await asyncio.sleep(0.1)
 
     asyncio.run(scene())

@@ -18,10 +18,10 @@ BRISK = {"lift_height_mm": 60.0, "lift_speed_mm_s": 100.0, "lower_speed_mm_s": 1
 
 def carried(object_name: str, seed: int, law: Law = tick, height_mm: float = 60.0) -> tuple[Cell, list[float]]:
     """Grasp, lift, hold for a second, lower, release; all turns on the way."""
-    turns: list[float] = []
+    rotations: list[float] = []
 
     async def scene(cell: Cell) -> None:
-        cell.service.observers.append(lambda decision: turns.append(abs(cell.truth.turn_deg)))
+        cell.service.observers.append(lambda decision: rotations.append(abs(cell.truth.rotation_deg)))
         await cell.grasp()
         await cell.lift()
         await asyncio.sleep(1.0)
@@ -35,14 +35,14 @@ def carried(object_name: str, seed: int, law: Law = tick, height_mm: float = 60.
         assert cell.width_mm == pytest.approx(85.0, abs=0.5)
         assert not cell.truth.in_contact
 
-    return play(Cell(object_name, seed, guard=BRISK | {"lift_height_mm": height_mm}, law=law), scene), turns
+    return play(Cell(object_name, seed, guard=BRISK | {"lift_height_mm": height_mm}, law=law), scene), rotations
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("object_name", ["bar", "wrench", "knife_edge", "key"])
 def test_an_object_is_carried_and_put_down(object_name: str, seed: int) -> None:
-    cell, turns = carried(object_name, seed)
-    assert max(turns) < 20.0
+    cell, rotations = carried(object_name, seed)
+    assert max(rotations) < 20.0
     assert cell.phases == [
         Phase.IDLE, Phase.CLOSING, Phase.REFERENCE, Phase.HOLDING, Phase.LIFTING,
         Phase.HOLDING, Phase.LOWERING, Phase.HOLDING, Phase.RELEASED, Phase.IDLE,
@@ -53,8 +53,8 @@ def test_an_object_is_carried_and_put_down(object_name: str, seed: int) -> None:
 
 @pytest.mark.parametrize("object_name", ["bar", "wrench"])
 def test_without_the_guard_it_turns_far(object_name: str) -> None:
-    cell, turns = carried(object_name, 1, law=unguarded_tick, height_mm=120.0)
-    assert max(turns) > 25.0
+    cell, rotations = carried(object_name, 1, law=unguarded_tick, height_mm=120.0)
+    assert max(rotations) > 25.0
     assert [force_n for _, what, force_n in cell.gripper.told if what == "hold"] == [pytest.approx(40.0, abs=0.9)]
 
 
@@ -114,7 +114,7 @@ def test_one_finger_that_sees_is_enough() -> None:
         await cell.lift()
         await asyncio.sleep(0.5)
         assert cell.phase is Phase.HOLDING
-        assert abs(cell.truth.turn_deg) < 25.0
+        assert abs(cell.truth.rotation_deg) < 25.0
 
     cell = play(Cell("wrench", 1, guard=BRISK, blind={"right": "round contact"}), scene)
     assert any("by one finger only (right finger: round contact)" in said for said in cell.says)

@@ -62,7 +62,7 @@ def test_a_force_on_its_way_when_the_daemon_was_killed_is_applied_after_all(arri
         assert rig.truth.force_n > 120.0
         rig.world.take_table(rig.now_s)
         await asyncio.sleep(4.0)
-        assert abs(rig.truth.turn_deg) < 15.0
+        assert abs(rig.truth.rotation_deg) < 15.0
 
     lines = play(scene)
     assert any("asked for again" in line for line in lines) is not arrived

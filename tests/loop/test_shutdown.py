@@ -28,7 +28,7 @@ from slipguard.sim.world import World, WorldSettings
 from slipguard.web.sockets import UnixSocket
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
 
-TURNS = range(16)
+ROTATIONS = range(16)
 
 
 async def swallowing() -> None:
@@ -66,10 +66,10 @@ class Careless:
         await swallowing()
 
 
-def ended_when_cancelled_at(turn: int, make: Callable[[], Coroutine[Any, Any, None]]) -> bool:
+def ended_when_cancelled_at(rotation: int, make: Callable[[], Coroutine[Any, Any, None]]) -> bool:
     async def main() -> bool:
         task = asyncio.create_task(make())
-        for _ in range(turn):
+        for _ in range(rotation):
             await asyncio.sleep(0)
         task.cancel()
         done, _ = await asyncio.wait([task], timeout=5.0)
@@ -79,34 +79,34 @@ def ended_when_cancelled_at(turn: int, make: Callable[[], Coroutine[Any, Any, No
 
 
 @pytest.mark.parametrize("there", [False, True])
-@pytest.mark.parametrize("turn", TURNS)
-def test_a_device_that_swallows_a_cancellation_is_let_go(turn: int, there: bool) -> None:
+@pytest.mark.parametrize("rotation", ROTATIONS)
+def test_a_device_that_swallows_a_cancellation_is_let_go(rotation: int, there: bool) -> None:
     def driven() -> Coroutine[Any, Any, None]:
         device = Careless(there)
         actuator: Actuator[int] = Actuator("motor", device, 0.02, 0.5, lambda: None, lambda said: None)
         actuator.command(device.stop)
         return actuator.run()
 
-    assert ended_when_cancelled_at(turn, driven)
+    assert ended_when_cancelled_at(rotation, driven)
 
 
 @pytest.mark.parametrize("there", [False, True])
-@pytest.mark.parametrize("turn", TURNS)
-def test_so_is_a_sensor(turn: int, there: bool) -> None:
+@pytest.mark.parametrize("rotation", ROTATIONS)
+def test_so_is_a_sensor(rotation: int, there: bool) -> None:
     def sensed() -> Coroutine[Any, Any, None]:
         finger = Cell().service.fingers["left"]
         finger.sensor = Careless(there)  # type: ignore[assignment]
         return finger.run()
 
-    assert ended_when_cancelled_at(turn, sensed)
+    assert ended_when_cancelled_at(rotation, sensed)
 
 
-@pytest.mark.parametrize("turn", range(10))
-async def test_a_stop_in_the_middle_of_an_attempt_at_a_port_that_is_absent(turn: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("rotation", range(10))
+async def test_a_stop_in_the_middle_of_an_attempt_at_a_port_that_is_absent(rotation: int, tmp_path: Path) -> None:
     settings = RobotiqGripper.Settings(port=str(tmp_path / "ttyAbsent"))
     gripper = RobotiqGripper(settings, DriverContext("gripper"))
     running = asyncio.create_task(Actuator("gripper", gripper, 0.025, 0.5, lambda: None, lambda said: None).run())
-    for _ in range(turn):
+    for _ in range(rotation):
         await asyncio.sleep(0)
     running.cancel()
     done, _ = await asyncio.wait([running], timeout=5.0)

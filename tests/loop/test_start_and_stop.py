@@ -124,7 +124,7 @@ def test_a_restart_takes_over_what_is_held_and_guards_on(first: str) -> None:
             await asyncio.sleep(0.5)
             assert new.phase is Phase.HOLDING
             assert new.truth.dropped is None
-            assert abs(new.truth.turn_deg) < 20.0
+            assert abs(new.truth.rotation_deg) < 20.0
             assert new.truth.applied_n > held_n
 
     run_virtual(main())

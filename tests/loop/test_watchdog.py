@@ -59,12 +59,12 @@ def test_a_healthy_loop_feeds_the_watchdog_twice_in_its_time(systemd: socket.soc
 
 def test_a_law_that_fails_ends_the_service_and_feeds_nothing_more(systemd: socket.socket) -> None:
     """Sensors, gripper and arm go on answering until then: they are no sign of health."""
-    turns = 0
+    rotations = 0
 
     def broken(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
-        nonlocal turns
-        turns += 1
-        if turns > 50:
+        nonlocal rotations
+        rotations += 1
+        if rotations > 50:
             raise ZeroDivisionError("a mistake in the law")
         return tick(guard, seen, params)
 

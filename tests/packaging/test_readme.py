@@ -125,6 +125,6 @@ def test_the_table_of_the_configuration_is_that_of_config_toml() -> None:
 
 def test_the_keys_it_names_are_in_the_configuration() -> None:
     configuration = Path(ROOT / "config.toml").read_text()
-    for key in ("force_max_n", "mode", "give_up_turn_deg", "blind_force_n", "on_blind", "fps"):
+    for key in ("force_max_n", "mode", "give_up_rotation_deg", "blind_force_n", "on_blind", "fps"):
         assert f"`{key}`" in README or f"`{key} = " in README
         assert re.search(rf"^(# )?{key} = ", configuration, re.M), key

@@ -57,7 +57,7 @@ class FakeControl(Control):
             "slipping": False,
             "target_force_n": 40.0,
             "fault": None,
-            "turn": {"turn_deg": 1.5, "sigma_deg": 0.25},
+            "rotation": {"rotation_deg": 1.5, "sigma_deg": 0.25},
             "gripper": asdict(GripperState(True, False, True, False, 60.0, 40.25, None, 12.4)),
             "arm": None,
             "fingers": {},

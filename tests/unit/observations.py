@@ -25,13 +25,13 @@ def arm(
 
 
 def fused(
-    turn_deg: float | None = 0.0, rate_deg_s: float | None = 0.0, *, at_s: float = 0.0, shift_mm: float | None = 0.0,
+    rotation_deg: float | None = 0.0, rate_deg_s: float | None = 0.0, *, at_s: float = 0.0, shift_mm: float | None = 0.0,
     contact: bool = True, sigma_deg: float = 0.5, fingers: tuple[str, ...] = ("left", "right"),
     conflict: str | None = None, note: str | None = None, declined: str | None = None,
 ) -> Fused:  # fmt: skip
-    blind = turn_deg is None
+    blind = rotation_deg is None
     return Fused(
-        contact, contact, at_s, at_s, () if blind else fingers, turn_deg, None if blind else sigma_deg,
+        contact, contact, at_s, at_s, () if blind else fingers, rotation_deg, None if blind else sigma_deg,
         None if blind else rate_deg_s, shift_mm, conflict, note, declined,
     )  # fmt: skip
 

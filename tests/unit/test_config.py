@@ -56,7 +56,7 @@ def test_a_typo_names_the_nearest_key() -> None:
     assert "guard.first_forse_n: no such key; did you mean 'first_force_n'?" in complaint(
         {"guard": {"first_forse_n": 3}}
     )
-    assert "left.rotation: no such key; did you mean 'rotation_deg'?" in complaint({"left": {"rotation": 0}})
+    assert "left.mounting: no such key; did you mean 'mounting_deg'?" in complaint({"left": {"mounting": 0}})
 
 
 def test_a_typo_in_the_name_of_a_drivers_table_or_of_the_driver() -> None:
@@ -77,7 +77,7 @@ def test_a_typo_in_a_drivers_table_names_that_table() -> None:
         ({"guard": {"first_force_n": "much"}}, "guard.first_force_n = 'much'"),
         ({"guard": {"first_force_n": float("nan")}}, "guard.first_force_n = nan"),
         ({"guard": {"force_max_n": 1e9}}, "guard.force_max_n = 1000000000.0"),
-        ({"left": {"rotation_deg": 45}}, "left.rotation_deg = 45"),
+        ({"left": {"mounting_deg": 45}}, "left.mounting_deg = 45"),
         ({"left": 7}, "left = 7: a table is needed, [left]"),
         ({"left": {"driver": 5}}, "left.driver = 5"),
         ({"left": {"settings": {}}}, "left.settings: no such key"),
@@ -92,8 +92,8 @@ def test_a_typo_in_a_drivers_table_names_that_table() -> None:
         ({"guard": {"stop_on_slip": 1}}, "guard.stop_on_slip = 1"),
         ({"guard": {"frames": 2.0}}, "guard.frames = 2:"),
         ({"guard": {"level_deg": list(range(999))}}, "guard.level_deg = [0, 1, 2"),
-        ({"left": {"rotation_deg": False}}, "left.rotation_deg = false: a whole number"),
-        ({"left": {"rotation_deg": 0.0}}, "left.rotation_deg = 0: a whole number"),
+        ({"left": {"mounting_deg": False}}, "left.mounting_deg = false: a whole number"),
+        ({"left": {"mounting_deg": 0.0}}, "left.mounting_deg = 0: a whole number"),
         ({"left": {"fake": {"stall_ms": "250"}}}, "left.fake.stall_ms = '250'"),
         ({"left": {"fake": 5}}, "left.fake = 5"),
         ({"left": {"fak": {}}}, "left.fak: no such key"),

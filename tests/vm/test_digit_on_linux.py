@@ -9,7 +9,7 @@ pytestmark = pytest.mark.vm
 
 LOOKS = 4
 """The kernel and the driver are measured, not what else this host is doing: the best of so many looks counts."""
-TURNED_GREY_LEVELS = 4.0
+ROTATED_GREY_LEVELS = 4.0
 """Colours survive YUYV within a grey level or two; a picture turned or mirrored is off by tens."""
 
 
@@ -36,7 +36,7 @@ def test_two_sensors_found_by_serial_with_leds_rights_and_their_own_pictures(mac
     assert seen["zoom"] == [0xF73, 0x124]
     assert seen["modes_given"] == ["320x240 YUYV at 30 frames a second"] * 2
     assert seen["in_order"]
-    assert max(seen["own"]) < TURNED_GREY_LEVELS < min(seen["other"])
+    assert max(seen["own"]) < ROTATED_GREY_LEVELS < min(seen["other"])
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_old_firmware_and_other_formats(machine: Machine, pixels: str, settings:
     assert seen["zoom"] == zoom
     assert seen["mode"] == f"320x240 {'MJPG' if pixels == 'MJPG' else 'YUYV'} at 60 frames a second"
     assert [remark for remark in seen["remarks"] if "LED" in remark] == []
-    assert seen["off_by"] < TURNED_GREY_LEVELS
+    assert seen["off_by"] < ROTATED_GREY_LEVELS
 
 
 def test_every_fault_is_told_by_its_name(machine: Machine) -> None:

@@ -39,7 +39,7 @@ class Kill:
     """One kill and what came after. at_s: after the lift was asked for; dead_s: until the next daemon was started.
 
     guarding_s: from the start of the process until it guarded what it found held; cpu_s: its own work until then.
-    turn_deg: the true turn at the kill; true_deg, told_deg: the true turn and the one told once guarding again.
+    rotation_deg: the true turn at the kill; true_deg, told_deg: the true turn and the one told once guarding again.
     """
 
     at_s: float
@@ -48,12 +48,12 @@ class Kill:
     force_n: float
     guarding_s: float
     cpu_s: float
-    turn_deg: float
+    rotation_deg: float
     true_deg: float
     told_deg: float
 
     @property
-    def turn_kept(self) -> bool:
+    def rotation_kept(self) -> bool:
         """The turn is told from where the object was gripped, not from where the daemon was killed."""
         return abs(self.told_deg - self.true_deg) < KEPT_DEG
 
@@ -96,13 +96,21 @@ def campaign(cell: Cell, kills: int, seed: int) -> Iterator[Kill]:
         started_s = time.time()
         with running(cell, 2 * number + 1) as (process, client):
             guarding_s, cpu_s = guarded_at_s(process) - started_s, process.cpu_s
-            told = wait_for(client, told_firm, "not firm")["turn"]["turn_deg"]
+            told = wait_for(client, told_firm, "not firm")["rotation"]["rotation_deg"]
             after = cell.truth()[-1]
             assert len(cell.events("let go")) == let_go, f"kill {number}: the jaws opened"
             assert not after["dropped"], f"kill {number}: it fell: {after}"
             assert after["force"] >= before["force"] - LOOSER_N, f"kill {number}: looser: {before} {after}"
             yield Kill(
-                at_s, phase, before["height"], after["force"], guarding_s, cpu_s, before["turn"], after["turn"], told
+                at_s,
+                phase,
+                before["height"],
+                after["force"],
+                guarding_s,
+                cpu_s,
+                before["rotation"],
+                after["rotation"],
+                told,
             )
             put_down(cell, client)
             assert len(cell.events("let go")) == let_go + 1
@@ -113,7 +121,7 @@ def firm(state: dict[str, Any]) -> bool:
 
 
 def told_firm(state: dict[str, Any]) -> bool:
-    return firm(state) and state["turn"] is not None
+    return firm(state) and state["rotation"] is not None
 
 
 def guarded_at_s(process: Process) -> float:
@@ -146,7 +154,7 @@ def report(kills: list[Kill], folder: Path) -> str:
     """Figures in one line."""
     times = sorted(kill.guarding_s for kill in kills)
     cpu = sorted(kill.cpu_s for kill in kills)
-    kept = sum(kill.turn_kept for kill in kills)
+    kept = sum(kill.rotation_kept for kill in kills)
     phases = {phase: sum(kill.phase == phase for kill in kills) for phase in sorted({kill.phase for kill in kills})}
     p50, p99 = times[len(times) // 2], times[min(len(times) - 1, int(0.99 * len(times)))]
     return (

@@ -19,7 +19,7 @@ from slipguard.daemon.api.client import Client
 from slipguard.doctor import examine
 
 OPTIONS = ("--object", "wrench", "--seed", 0, "--fps", 30, "--height-mm", 80)
-TURN_MAX_DEG = 25.0
+ROTATION_MAX_DEG = 25.0
 
 
 def grasp(client: Client) -> None:
@@ -39,7 +39,7 @@ def check(cell: Cell) -> list[dict[str, Any]]:
     assert not [line for line in truth if line["dropped"]], "it fell"
     up = [line for line in truth if line["height"] > 1.0]
     assert max(line["height"] for line in up) > 70.0
-    assert 2.0 < max(abs(line["turn"]) for line in up) < TURN_MAX_DEG
+    assert 2.0 < max(abs(line["rotation"]) for line in up) < ROTATION_MAX_DEG
     assert up[0]["force"] < up[0]["needed"] < up[-1]["force"], "the first grip was too weak, the last is enough"
     for before, after in pairwise(up):
         assert after["force"] >= before["force"] - 0.01

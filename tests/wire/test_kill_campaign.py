@@ -34,4 +34,4 @@ def test_the_object_is_still_held_and_soon_guarded_again(
     assert len(kills) == count
     allowed_s = GUARDING_S if count >= SHORT else PATIENT_S
     assert [kill for kill in kills if kill.guarding_s > allowed_s] == []
-    assert [kill for kill in kills if not kill.turn_kept] == []
+    assert [kill for kill in kills if not kill.rotation_kept] == []

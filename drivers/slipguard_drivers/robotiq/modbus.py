@@ -71,7 +71,7 @@ class RegisterLine:
         self._probe_address = probe_address
         self._probe_sizes = cycle((1, 2))
         self._client: AsyncModbusSerialClient | None = None
-        self._turn = asyncio.Lock()
+        self._rotation = asyncio.Lock()
         self._free_at_s = 0.0
         self._in_doubt = False
         self._silent_from_s = 0.0
@@ -147,13 +147,13 @@ class RegisterLine:
 
     async def read(self, address: int, count: int, by_s: float) -> list[int]:
         """Read input registers (FC 4). Raises DeviceTimeout, DeviceLost."""
-        async with self._turn:
+        async with self._rotation:
             await self._make_sure(by_s)
             return await self._read(address, count)
 
     async def write(self, address: int, values: list[int], by_s: float) -> None:
         """Write holding registers (FC 16). Raises DeviceTimeout, DeviceLost; what was written is not known then."""
-        async with self._turn:
+        async with self._rotation:
             await self._make_sure(by_s)
             answer = await self._ask(
                 Awaited(bytes([self._slave_id, WRITE]), 8),

@@ -19,11 +19,11 @@ class Dashboard:
     def __init__(self, name: str, host: str) -> None:
         self._name, self._host = name, host
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
-        self._turn = asyncio.Lock()
+        self._rotation = asyncio.Lock()
 
     async def ask(self, line: str, deadline_s: float = ANSWER_S) -> str:
         """Ask or order; the answer without its newline. Raises DeviceLost where there is none in time."""
-        async with self._turn:
+        async with self._rotation:
             kept = self._streams is not None
             try:
                 answer = await self._exchange(line, deadline_s)

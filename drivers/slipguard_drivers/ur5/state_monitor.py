@@ -36,7 +36,7 @@ PROTECTIVE = 1 << 2 | 1 << 4
 EMERGENCY = 1 << 5 | 1 << 6 | 1 << 7 | 1 << 8 | 1 << 9
 """System, robot and emergency stop, safety violation, safety fault."""
 MOVING_M_S = 0.0005
-TURNING_RAD_S = 0.01
+ROTATING_RAD_S = 0.01
 STOPPED, PLAYING, PAUSED = 1, 2, 4
 """`runtime_state`: 0 stopping, 1 stopped, 2 playing, 3 pausing, 4 paused, 5 resuming."""
 RUNNING = 7
@@ -80,8 +80,8 @@ class Sight:
     @property
     def moving(self) -> bool:
         """The tool moves or turns."""
-        speed_m_s, turn_rad_s = math.hypot(*self.velocity[:3]), math.hypot(*self.velocity[3:])
-        return speed_m_s > MOVING_M_S or turn_rad_s > TURNING_RAD_S
+        speed_m_s, rotation_rad_s = math.hypot(*self.velocity[:3]), math.hypot(*self.velocity[3:])
+        return speed_m_s > MOVING_M_S or rotation_rad_s > ROTATING_RAD_S
 
 
 class Eyes:

@@ -29,7 +29,7 @@ class WorkerLink:
         self._child: Child | None = None
         self._spare: Child | None = None
         self._asking: Child | None = None
-        self._turn = asyncio.Lock()
+        self._rotation = asyncio.Lock()
         self.connected = False
         """Whether it has the arm in hand."""
 
@@ -60,7 +60,7 @@ class WorkerLink:
 
         Raises CommandRefused, or DeviceLost where the worker is dead, hangs, or has lost the controller.
         """
-        async with self._turn:
+        async with self._rotation:
             if self._child is None:
                 raise DeviceLost(f"{self._name}: the connection is not open; open it first")
             # A request once sent is answered to its end, whoever stops waiting: answers carry no number.

@@ -19,7 +19,7 @@ def line_of(truth: Truth) -> dict[str, object]:
     return {
         "t": round(truth.time_s, 4),
         "object": truth.object_name,
-        "turn": round(truth.turn_deg, 3),
+        "rotation": round(truth.rotation_deg, 3),
         "slip": round(truth.slip_deg, 3),
         "slide_mm": round(truth.slide_mm, 3),
         "force": round(truth.force_n, 2),

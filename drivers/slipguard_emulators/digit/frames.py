@@ -20,7 +20,7 @@ PICTURES = 48
 """Drawn once and sent in turn: no picture equals the one before it."""
 TOUCHING = range(16, 44)
 """The pictures with contact: it is pressed in, turns by TURN_DEG, and is let go."""
-TURN_DEG = 12.0
+ROTATION_DEG = 12.0
 DEPTH_MM = 0.5
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp"})
 JPEG_QUALITY = 90
@@ -36,7 +36,7 @@ def drawn(seed: int, object_name: str) -> tuple[Image, ...]:
         if number in TOUCHING:
             share = (number - TOUCHING.start) / len(TOUCHING)
             pressed = min(1.0, 6.0 * share, 6.0 * (1.0 - share))
-            view = GelView(object_name, angle_deg=30.0 + TURN_DEG * share, depth_mm=DEPTH_MM * max(pressed, 0.05))
+            view = GelView(object_name, angle_deg=30.0 + ROTATION_DEG * share, depth_mm=DEPTH_MM * max(pressed, 0.05))
         images.append(camera.draw(view))
     return tuple(images)
 

@@ -24,7 +24,7 @@ STARTED_BYTES = 48
 OPERATION = struct.Struct(">HHI")
 COMMAND = struct.Struct(">5I")
 SUBMITTED = struct.Struct(">Iiiii8s")
-RETURNED = struct.Struct(">5I5i8x")
+REROTATED = struct.Struct(">5I5i8x")
 UNLINKED = struct.Struct(">5Ii24x")
 DEVICE = struct.Struct(">256s32sIIIHHHBBBBBB")
 REQUEST_MAX_BYTES = 1 << 20
@@ -134,7 +134,7 @@ class UsbDevice(Protocol):
 
 def returned(number: int, status: int, data: bytes, length: int) -> bytes:
     """The answer to request `number`."""
-    return RETURNED.pack(SUBMIT_REPLY, number, 0, 0, 0, status, length, 0, 0, 0) + data
+    return REROTATED.pack(SUBMIT_REPLY, number, 0, 0, 0, status, length, 0, 0, 0) + data
 
 
 def unlinked(number: int, status: int) -> bytes:

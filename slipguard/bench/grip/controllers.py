@@ -71,10 +71,10 @@ class Nobody:
 
     def _go_on(self, seen: Seen) -> ArmLift | None:
         """An arm that stands below its goal goes on when neither object nor gripper has moved for a while."""
-        turn_deg = seen.fused.turn_deg if seen.fused is not None else None
-        moves = seen.gripper is None or seen.gripper.moving or turn_deg is None
-        if moves or abs((turn_deg or 0.0) - self.still_deg) > CALM_DEG:
-            self.still_deg, self.still_s = turn_deg or 0.0, seen.now_s
+        rotation_deg = seen.fused.rotation_deg if seen.fused is not None else None
+        moves = seen.gripper is None or seen.gripper.moving or rotation_deg is None
+        if moves or abs((rotation_deg or 0.0) - self.still_deg) > CALM_DEG:
+            self.still_deg, self.still_s = rotation_deg or 0.0, seen.now_s
         if self.goal_mm is None or seen.arm is None or seen.arm.moving or seen.now_s - self.still_s < CALM_S:
             return None
         way_mm = self.goal_mm - seen.arm.height_mm
@@ -90,10 +90,10 @@ class FixedStep(Nobody):
 
     def more_n(self, seen: Seen) -> float | None:
         fused = seen.fused
-        if fused is None or fused.turn_deg is None or fused.captured_at_s <= self.captured_s:
+        if fused is None or fused.rotation_deg is None or fused.captured_at_s <= self.captured_s:
             return None
         self.captured_s = fused.captured_at_s
-        if abs(fused.turn_deg) <= STEP_ABOVE_DEG or self.target_n >= self.force_max_n:
+        if abs(fused.rotation_deg) <= STEP_ABOVE_DEG or self.target_n >= self.force_max_n:
             return None
         return min(self.target_n * STEP, self.force_max_n)
 

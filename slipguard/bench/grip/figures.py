@@ -166,7 +166,7 @@ def _trial(one: Played) -> dict[str, object]:
 def _outcome(outcome: Outcome) -> dict[str, object]:
     return {
         "slip_deg": round(outcome.slip_deg, 3),
-        "turn_deg": round(outcome.turn_deg, 3),
+        "turn_deg": round(outcome.rotation_deg, 3),
         "force_over_needed": round(outcome.force_over_needed, 3),
         "arrest_s": rounded(outcome.arrested_s),
         "tightenings": outcome.tightenings,

@@ -34,21 +34,21 @@ def fitted(object_name: str, grasps: int = FULL_GRASPS) -> SightError:
         found = [(shot, pipeline.process(shot.frame)) for shot in grasp.shots]
         compared = [(shot, estimate) for shot, estimate in found if shot.compared]
         told = [
-            (shot.turn_deg, estimate.angle_deg - shot.turn_deg, estimate.sigma_deg or 0.0)
+            (shot.rotation_deg, estimate.angle_deg - shot.rotation_deg, estimate.sigma_deg or 0.0)
             for shot, estimate in compared
             if estimate.angle_deg is not None
         ]
         asked, declined = asked + len(compared), declined + len(compared) - len(told)
         if len(told) < SHORTEST:
             continue
-        turn, error, sigma = np.asarray(told).T
+        rotation, error, sigma = np.asarray(told).T
         noises.append(float(np.median(np.abs(np.diff(error)))) / MEDIAN_OF_A_DIFFERENCE)
-        near, far = np.abs(turn) < SMALL_DEG, np.abs(turn) > LARGE_DEG
+        near, far = np.abs(rotation) < SMALL_DEG, np.abs(rotation) > LARGE_DEG
         if near.any():  # where a slip is noticed; a long turn's sigma comes too late to matter
             sigmas.append(float(np.median(sigma[near])))
             offsets.append(float(np.mean(error[near])))
         if far.any():
-            slopes.append(float(np.median(error[far] / turn[far])))
+            slopes.append(float(np.median(error[far] / rotation[far])))
     return SightError(
         noise_deg=_rms(noises),
         bias_per_deg=_rms(slopes),

@@ -49,7 +49,7 @@ class Trace:
     """How it went, a sample a tick."""
 
     time_s: list[float] = field(default_factory=list)
-    turn_deg: list[float] = field(default_factory=list)
+    rotation_deg: list[float] = field(default_factory=list)
     slip_deg: list[float] = field(default_factory=list)
     sliding: list[bool] = field(default_factory=list)
     force_n: list[float] = field(default_factory=list)
@@ -57,7 +57,7 @@ class Trace:
 
     def add(self, truth: Truth) -> None:
         self.time_s.append(truth.time_s)
-        self.turn_deg.append(truth.turn_deg)
+        self.rotation_deg.append(truth.rotation_deg)
         self.slip_deg.append(truth.slip_deg)
         self.sliding.append(truth.slipping and abs(truth.slide_rate_mm_s) > SLIDES_MM_S)
         self.force_n.append(truth.force_n)

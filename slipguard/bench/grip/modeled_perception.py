@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipguard.perception.estimate import Estimate
-from slipguard.perception.rotation.tracker import Tracker, Turn
+from slipguard.perception.rotation.tracker import Rotation, Tracker
 from slipguard.sim.view import GelView
 
 REFERENCE_FRAMES = 5
@@ -103,8 +103,8 @@ class ModelSight:
                 sequence, captured_at_s, captured_at_s, True, 4000, "model", shift_mm=shift_mm, declined="too uncertain"
             )
         moved = math.tanh(true_deg)
-        turn_deg = seen_deg - start_deg - start_error_deg + self._bias_per_deg * true_deg + self._bias_deg * moved
-        turn = self._tracker.accept(captured_at_s, Turn(turn_deg, self._error.sigma_deg))
+        rotation_deg = seen_deg - start_deg - start_error_deg + self._bias_per_deg * true_deg + self._bias_deg * moved
+        rotation = self._tracker.accept(captured_at_s, Rotation(rotation_deg, self._error.sigma_deg))
         return Estimate(
             sequence,
             captured_at_s,
@@ -112,10 +112,10 @@ class ModelSight:
             True,
             4000,
             "model",
-            angle_deg=turn.turn_deg,
-            sigma_deg=turn.sigma_deg,
-            orientation_deg=None if turn.turn_deg is None else 0.0,
-            rate_deg_s=None if turn.turn_deg is None else self._tracker.rate_deg_s(captured_at_s),
+            angle_deg=rotation.rotation_deg,
+            sigma_deg=rotation.sigma_deg,
+            orientation_deg=None if rotation.rotation_deg is None else 0.0,
+            rate_deg_s=None if rotation.rotation_deg is None else self._tracker.rate_deg_s(captured_at_s),
             shift_mm=shift_mm,
-            declined=turn.declined,
+            declined=rotation.declined,
         )

@@ -32,7 +32,7 @@ SLIPPED_DEG = 0.1
 class Outcome:
     """How one trial went for one controller.
 
-    slip_deg: true slip at the end, turn less wind-up; turn_deg: largest true turn. arrested_s: from the first slip to
+    slip_deg: true slip at the end, turn less wind-up; rotation_deg: largest true turn. arrested_s: from the first slip to
     the last; None without slip. tightenings: forces commanded after the grip. early: the first of them before any slip.
     trace: where asked for. fault: of the law, at the end. up: the arm has lifted the object as high as it was told to;
     of a support that went away, True.
@@ -40,7 +40,7 @@ class Outcome:
 
     who: Who
     slip_deg: float
-    turn_deg: float
+    rotation_deg: float
     force_n: float
     needed_n: float
     arrested_s: float | None
@@ -149,7 +149,7 @@ def _outcome(loop: Loop, trial: Trial, who: Who, begun_s: float, traced: bool) -
     return Outcome(
         who=who,
         slip_deg=abs(truth.slip_deg),
-        turn_deg=max(float(np.abs(trace.turn_deg).max()), abs(truth.turn_deg)),
+        rotation_deg=max(float(np.abs(trace.rotation_deg).max()), abs(truth.rotation_deg)),
         force_n=max(trace.force_n),
         needed_n=trial.needed_n,
         arrested_s=arrested_s,

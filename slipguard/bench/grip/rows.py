@@ -137,12 +137,12 @@ def ended_for_nothing(one: Played) -> bool:
     Where the support goes at once only if the oracle's turn stayed within what the law gives up at.
     """
     ended = any(law.dropped is None and (law.fault is not None or not law.up) for law in _laws(one))
-    return ended and not _beyond_help(one, GuardParams().give_up_turn_deg)
+    return ended and not _beyond_help(one, GuardParams().give_up_rotation_deg)
 
 
-def _beyond_help(one: Played, turn_deg: float = math.inf) -> bool:
+def _beyond_help(one: Played, rotation_deg: float = math.inf) -> bool:
     oracle = one.outcomes["oracle"]
-    return one.trial.event == "support gone" and (oracle.dropped is not None or oracle.turn_deg > turn_deg)
+    return one.trial.event == "support gone" and (oracle.dropped is not None or oracle.rotation_deg > rotation_deg)
 
 
 def _laws(one: Played) -> list[Outcome]:

@@ -81,7 +81,7 @@ class Desk(Control):
         patch, estimate = judged.patch, judged.estimate
         if patch is None or estimate is None or not estimate.contact:
             return None
-        told_deg, mounted_deg = estimate.orientation_deg, getattr(self._service.config, finger).rotation_deg
+        told_deg, mounted_deg = estimate.orientation_deg, getattr(self._service.config, finger).mounting_deg
         axis_deg = None if told_deg is None else wrap_axial_deg(told_deg - mounted_deg)
         return Contact(patch.mask, patch.left_px, patch.top_px, patch.picture_size, patch.clipped, axis_deg)
 

@@ -32,11 +32,11 @@ def snapshot(service: Service) -> dict[str, object]:
             "force_max_n": guard.force_max_n,
             "lift_height_mm": guard.lift_height_mm,
         },
-        "cannot_see_turn": state.blind,
+        "no_rotation_reason": state.blind,
         "fault": None
         if fault is None
         else {"code": fault.code.value, "seen": fault.seen, "what_to_do": fault.what_to_do},
-        "turn": _plain(seen.fused) if seen is not None else None,
+        "rotation": _plain(seen.fused) if seen is not None else None,
         "gripper": _plain(service.gripper.newest),
         "arm": _plain(service.arm.newest),
         "fingers": {

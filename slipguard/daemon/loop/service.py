@@ -176,12 +176,12 @@ class Service:
             await ticker.wait(self._wake)
             self._wake.clear()
             self.deadlines_missed = ticker.missed
-            self._turn(loop.time())
+            self._rotation(loop.time())
             if feed_every_s is not None and loop.time() >= feed_at_s:
                 notify("WATCHDOG=1")
                 feed_at_s = loop.time() + feed_every_s
 
-    def _turn(self, now_s: float) -> None:
+    def _rotation(self, now_s: float) -> None:
         """Gather, ask the law, hand commands on, tell observers."""
         request, answer = self._next_request() or (Request(), None)
         fresh, seen = self._gather(now_s, request)

@@ -15,7 +15,7 @@ from slipguard.daemon.store.disk_writer import DiskWork
 from slipguard.errors import InputError
 from slipguard.perception.stored_reference import KnownReference, RecallingPipeline
 
-TURN_DEG = 1.0
+ROTATION_DEG = 1.0
 """A turn that has grown by less is not worth a write,"""
 AGAIN_S = 300.0
 """... but after this time it is: a reference's age tells it from somebody else's."""
@@ -27,7 +27,7 @@ class Shelf(Protocol):
 
     def save(self, finger: str, serial: str, known: KnownReference) -> None: ...
 
-    def turn(self, finger: str, serial: str, known: KnownReference) -> None: ...
+    def rotation(self, finger: str, serial: str, known: KnownReference) -> None: ...
 
     def load(self, finger: str, serial: str) -> KnownReference | None: ...
 
@@ -116,15 +116,15 @@ class ReferenceKeeper:
         pipeline, newest = finger.pipeline, finger.newest
         if not isinstance(pipeline, RecallingPipeline) or newest is None or finger.serial is None:
             return None
-        image, turn_deg = pipeline.reference_image, newest.estimate.angle_deg
-        if image is None or turn_deg is None:
+        image, rotation_deg = pipeline.reference_image, newest.estimate.angle_deg
+        if image is None or rotation_deg is None:
             return None
-        known = KnownReference(image, turn_deg - pipeline.counted_deg, pipeline.counted_deg)
+        known = KnownReference(image, rotation_deg - pipeline.counted_deg, pipeline.counted_deg)
         before = self._kept.get(name)
         if (
             before is not None
             and before.known.image is image
-            and abs(known.turn_deg - before.known.turn_deg) < TURN_DEG
+            and abs(known.rotation_deg - before.known.rotation_deg) < ROTATION_DEG
             and now_s - before.noted_at_s < AGAIN_S
         ):
             return None
@@ -133,6 +133,6 @@ class ReferenceKeeper:
     def _save(self, new: Mapping[str, _Kept], before: Mapping[str, _Kept]) -> None:
         for name, kept in new.items():
             if name in before and before[name].known.image is kept.known.image:
-                self._shelf.turn(name, kept.serial, kept.known)
+                self._shelf.rotation(name, kept.serial, kept.known)
             else:
                 self._shelf.save(name, kept.serial, kept.known)

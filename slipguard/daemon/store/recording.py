@@ -25,7 +25,7 @@ from slipguard.errors import InputError
 from slipguard.perception.contact.segmenter import default_model_path
 from slipguard.perception.estimate import Estimate
 from slipguard.recording import messages as m
-from slipguard.recording.recorder import Recorder, RecorderSettings, Said, Seen, Turn
+from slipguard.recording.recorder import Recorder, RecorderSettings, Rotation, Said, Seen
 from slipguard.recording.ring import Limits, Ring
 from slipguard.recording.writer import Clock, Header
 
@@ -84,7 +84,7 @@ class Taker(Protocol):
     @property
     def takes_pictures(self) -> bool: ...
 
-    def hand(self, value: Seen | Turn | Said) -> None: ...
+    def hand(self, value: Seen | Rotation | Said) -> None: ...
 
 
 class Watcher:
@@ -140,7 +140,7 @@ class Watcher:
             _sequence(estimates.get("left")),
             _sequence(estimates.get("right")),
         )
-        self._recorder.hand(Turn(tick, decision.memory, keep))
+        self._recorder.hand(Rotation(tick, decision.memory, keep))
 
 
 def _sequence(estimate: Estimate | None) -> int | None:

@@ -28,7 +28,7 @@ GOOD_FOR = timedelta(hours=1)
 """A reference last held longer ago than this is somebody else's by now."""
 
 
-Turn = Annotated[float, Field(ge=-1e6, le=1e6)]
+Rotation = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class _Facts(BaseModel):
@@ -37,8 +37,8 @@ class _Facts(BaseModel):
     format: Literal[1] = 1
     serial: str
     saved_at: datetime
-    turn_deg: Turn
-    counted_deg: Turn
+    rotation_deg: Rotation
+    counted_deg: Rotation
     sha256: str
 
 
@@ -56,9 +56,9 @@ class ReferenceShelf:
         picture = png.tobytes()
         write_whole(self._folder / f"{finger}.png", picture)
         self._sha256[finger] = hashlib.sha256(picture).hexdigest()
-        self.turn(finger, serial, known)
+        self.rotation(finger, serial, known)
 
-    def turn(self, finger: str, serial: str, known: KnownReference) -> None:
+    def rotation(self, finger: str, serial: str, known: KnownReference) -> None:
         """How far the object has turned, of the reference saved or loaded last; without one it is saved."""
         if finger not in self._sha256:
             self.save(finger, serial, known)
@@ -66,7 +66,7 @@ class ReferenceShelf:
         facts = _Facts(
             serial=serial,
             saved_at=datetime.now(UTC),
-            turn_deg=known.turn_deg,
+            rotation_deg=known.rotation_deg,
             counted_deg=known.counted_deg,
             sha256=self._sha256[finger],
         )
@@ -94,7 +94,7 @@ class ReferenceShelf:
         pixels = np.asarray(image, np.uint8)
         pixels.setflags(write=False)
         self._sha256[finger] = facts.sha256
-        return KnownReference(pixels, facts.turn_deg, facts.counted_deg)
+        return KnownReference(pixels, facts.rotation_deg, facts.counted_deg)
 
     def forget(self) -> None:
         """Nothing is held any more."""

@@ -115,7 +115,7 @@ class Stillness:
         found = difference.ravel() @ moves
         return bool((np.abs(found) <= MOVED_STD * math.sqrt(noise) * strengths).all())
 
-    def telling(self, with_turn: bool) -> bool:
+    def telling(self, with_rotation: bool) -> bool:
         """Whether a small turn (where there is one to tell) and a small shift would not go unnoticed."""
         if self._kept is None:
             return False
@@ -124,7 +124,7 @@ class Stillness:
         own = 0.5 * _CHANNELS * self._lever2(self._kept) / self._kept.count
         signal = np.sqrt(np.maximum(strengths**2 - own, 1e-9))
         least = MOVED_STD * math.sqrt(1.0 + 1.0 / self._kept.count) / signal
-        if with_turn and math.degrees(float(least[0])) > TELLING_DEG:
+        if with_rotation and math.degrees(float(least[0])) > TELLING_DEG:
             return False
         return bool((least[1:] <= TELLING_BLOCKS).all())
 
@@ -174,10 +174,10 @@ class Stillness:
             slope_y[1:-1] = 0.5 * (picture[2:] - picture[:-2])
             x, y = _places(kept.near)
             near = kept.near.reshape(BLOCKS_HIGH, BLOCKS_WIDE)
-            turn = slope_x * (near * y)[..., None] - slope_y * (near * x)[..., None]
+            rotation = slope_x * (near * y)[..., None] - slope_y * (near * x)[..., None]
             slope_x *= near[..., None]
             slope_y *= near[..., None]
-            kept.moves = np.stack([turn.ravel(), slope_x.ravel(), slope_y.ravel()], axis=1).astype(np.float32)
+            kept.moves = np.stack([rotation.ravel(), slope_x.ravel(), slope_y.ravel()], axis=1).astype(np.float32)
             kept.strengths = np.sqrt(np.einsum("ij,ij->j", kept.moves, kept.moves).astype(np.float64)) + 1e-6
         return kept.moves, kept.strengths
 

@@ -11,7 +11,7 @@ from slipguard.perception.contact.gate import Blocks, Gate
 from slipguard.perception.quality.compressed import coarsely_compressed
 from slipguard.perception.quality.few_levels import few_levels
 from slipguard.perception.quality.noisy import noisy
-from slipguard.perception.rotation.tracker import Turn
+from slipguard.perception.rotation.tracker import Rotation
 
 UNLIKE = "picture unlike the no-contact image"
 BLURRED = "picture out of focus"
@@ -49,8 +49,8 @@ def unfit(
     return (NOISY if noisy(image) else None), unlike
 
 
-def in_other_light(turn: Turn, levels: float) -> Turn:
+def in_other_light(rotation: Rotation, levels: float) -> Rotation:
     """A turn whose picture is further from the no-contact image than the reference's was: the network errs apart."""
-    if turn.turn_deg is None or turn.sigma_deg is None or levels <= LIGHT_FREE_LEVELS:
-        return turn
-    return Turn(turn.turn_deg, math.hypot(turn.sigma_deg, LIGHT_DEG * (levels - LIGHT_FREE_LEVELS)))
+    if rotation.rotation_deg is None or rotation.sigma_deg is None or levels <= LIGHT_FREE_LEVELS:
+        return rotation
+    return Rotation(rotation.rotation_deg, math.hypot(rotation.sigma_deg, LIGHT_DEG * (levels - LIGHT_FREE_LEVELS)))

@@ -19,7 +19,7 @@ def axial_difference_deg(now_deg: float, before_deg: float) -> float:
     return wrap_axial_deg(now_deg - before_deg)
 
 
-def nearest_turn_deg(axial_deg: float, near_deg: float) -> float:
+def nearest_rotation_deg(axial_deg: float, near_deg: float) -> float:
     """Of the turns that differ from `axial_deg` by half turns the one nearest `near_deg`: unwraps an axis."""
     return near_deg + wrap_axial_deg(axial_deg - near_deg)
 

@@ -254,11 +254,11 @@ def _ellipse_axis(patch: Patch) -> tuple[Axis | None, str | None]:
             return None, _CLIPPED
     if len(points) < 12:
         return None, _TOO_FEW
-    (x, y), (first, second), turned = cv2.fitEllipseDirect(points.astype(np.float32))
-    values = (x, y, first, second, turned)
+    (x, y), (first, second), rotated = cv2.fitEllipseDirect(points.astype(np.float32))
+    values = (x, y, first, second, rotated)
     if not all(math.isfinite(v) for v in values) or max(first, second) > 4.0 * max(patch.mask.shape):
         return None, _CLIPPED if sides.any else _ROUND
-    angle = wrap_axial_deg(-turned if first >= second else -turned - 90.0)
+    angle = wrap_axial_deg(-rotated if first >= second else -rotated - 90.0)
     return Axis(angle, x, y, max(first, second) / 2.0, min(first, second) / 2.0), None
 
 

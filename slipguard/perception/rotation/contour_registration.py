@@ -53,7 +53,7 @@ class Pose:
     growth: how far the outline has grown (network pixels) and the patch stretched along and across (shares).
     """
 
-    turn_deg: float = 0.0
+    rotation_deg: float = 0.0
     dx_px: float = 0.0
     dy_px: float = 0.0
     growth: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -89,19 +89,19 @@ class Registrar:
         The shift is held near its start where the outline hardly tells it, and at 0 along a template's rail.
         """
         t = self._template
-        turn, dx, dy = math.radians(start.turn_deg), start.dx_px, start.dy_px
+        rotation, dx, dy = math.radians(start.rotation_deg), start.dx_px, start.dy_px
         if t.value.size < 30:
             return Registration(start, 180.0, 180.0, 1.0, _CLIPPED)
         nuisance = np.array(start.growth, np.float32)
         last_step = 0.0
         for _ in range(MAX_ROUNDS):
-            difference, weight = self._difference(turn, dx, dy, nuisance)
+            difference, weight = self._difference(rotation, dx, dy, nuisance)
             weighted = t.motion.T * weight
             normal = (weighted @ t.motion).astype(np.float64)
             noise2 = max(float(weight @ difference**2) / max(float(weight.sum()), 1.0), 1e-4)
             gradient = (weighted @ difference).astype(np.float64)
             prior = _CORRELATED_PX * noise2 / _PRIOR_STD**2
-            c, s = math.cos(turn), math.sin(turn)
+            c, s = math.cos(rotation), math.sin(rotation)
             away_x, away_y = dx - start.dx_px, dy - start.dy_px
             gradient[1] += prior[1] * (c * away_x - s * away_y)
             gradient[2] += prior[2] * (s * away_x + c * away_y)
@@ -115,31 +115,31 @@ class Registrar:
                 held[1:3, 1:3] += _RAIL * np.outer(t.rail, t.rail)
             step = np.linalg.solve(held, gradient)
             nuisance += step[3:].astype(np.float32)
-            turn_step, move_x, move_y = float(step[0]), float(step[1]), float(step[2])
-            small = abs(turn_step) < 4e-4 and abs(move_x) + abs(move_y) < 0.02
+            rotation_step, move_x, move_y = float(step[0]), float(step[1]), float(step[2])
+            small = abs(rotation_step) < 4e-4 and abs(move_x) + abs(move_y) < 0.02
             # A rough outline makes every step too short by the same share: go on to where the steps lead.
-            ratio = turn_step / last_step if last_step else 0.0
-            last_step = turn_step
+            ratio = rotation_step / last_step if last_step else 0.0
+            last_step = rotation_step
             if 0.1 < ratio < 0.75:
-                turn_step /= 1.0 - ratio
+                rotation_step /= 1.0 - ratio
                 last_step = 0.0
-            turn_step = min(max(turn_step, -0.3), 0.3)
+            rotation_step = min(max(rotation_step, -0.3), 0.3)
             # Inverse composition: undo the step before the present pose.
-            turn -= turn_step
-            c, s = math.cos(turn), math.sin(turn)
+            rotation -= rotation_step
+            c, s = math.cos(rotation), math.sin(rotation)
             dx -= c * move_x + s * move_y
             dy -= -s * move_x + c * move_y
             if small:
                 break
-        pose = Pose(math.degrees(turn), dx, dy, (float(nuisance[0]), float(nuisance[1]), float(nuisance[2])))
+        pose = Pose(math.degrees(rotation), dx, dy, (float(nuisance[0]), float(nuisance[1]), float(nuisance[2])))
         return self._judged(pose, normal, noise2, weight)
 
     def _difference(
-        self, turn: float, dx: float, dy: float, nuisance: NDArray[np.float32]
+        self, rotation: float, dx: float, dy: float, nuisance: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Picture minus grown and stretched template along the outline; a robust weight, 0 outside the frame."""
         t, patch = self._template, self._patch
-        c, s = np.float32(math.cos(turn)), np.float32(math.sin(turn))
+        c, s = np.float32(math.cos(rotation)), np.float32(math.sin(rotation))
         grown_x, grown_y = t.x_px + t.growth_x @ nuisance, t.y_px + t.growth_y @ nuisance
         x = grown_x * c + grown_y * s + np.float32(t.centre_px[0] + dx - patch.left_px)
         y = grown_y * c - grown_x * s + np.float32(t.centre_px[1] + dy - patch.top_px)

@@ -81,8 +81,8 @@ def make_template(patch: Patch) -> Template:
     slope_x, slope_y = gx[y, x], gy[y, x]
     value, slope = soft[y, x], steep[y, x]
     dx, dy = (x - centre_x).astype(np.float32), (y - centre_y).astype(np.float32)
-    turned = math.atan2(2.0 * m["mu11"], m["mu20"] - m["mu02"]) / 2.0
-    c, s = np.float32(math.cos(turned)), np.float32(math.sin(turned))
+    rotated = math.atan2(2.0 * m["mu11"], m["mu20"] - m["mu02"]) / 2.0
+    c, s = np.float32(math.cos(rotated)), np.float32(math.sin(rotated))
     along, across = dx * c + dy * s, dy * c - dx * s
     along_slope, across_slope = slope_x * c + slope_y * s, slope_y * c - slope_x * s
     contrast, repeats = _contrast(soft, dx, dy, value, (centre_x, centre_y))
@@ -121,9 +121,9 @@ def _contrast(
     An outline that repeats within `REPEATS_DEG`, a gear's, cannot tell a turn from the next tooth.
     """
     differences = []
-    for turn_deg in np.arange(TELLING_DEG / 2.0, REPEATS_DEG + 0.1, TELLING_DEG / 4.0):
-        turn = math.radians(float(turn_deg))
-        c, s = np.float32(math.cos(turn)), np.float32(math.sin(turn))
+    for rotation_deg in np.arange(TELLING_DEG / 2.0, REPEATS_DEG + 0.1, TELLING_DEG / 4.0):
+        rotation = math.radians(float(rotation_deg))
+        c, s = np.float32(math.cos(rotation)), np.float32(math.sin(rotation))
         x, y = dx * c + dy * s + np.float32(centre[0]), dy * c - dx * s + np.float32(centre[1])
         differences.append(_rms(sampled(soft, x, y, cv2.BORDER_REPLICATE) - value))
     highest = 0.0

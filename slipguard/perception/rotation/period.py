@@ -39,15 +39,15 @@ def pitch_deg(texture: Texture) -> float | None:
     dx, dy, (centre_x, centre_y) = texture.x_px, texture.y_px, texture.origin_px
     highest = 0.0
     found: tuple[float, float] | None = None
-    for turn_deg in np.arange(LOOK_DEG, FURTHEST_DEG + 0.1, LOOK_DEG):
-        c, s = np.float32(math.cos(math.radians(turn_deg))), np.float32(math.sin(math.radians(turn_deg)))
+    for rotation_deg in np.arange(LOOK_DEG, FURTHEST_DEG + 0.1, LOOK_DEG):
+        c, s = np.float32(math.cos(math.radians(rotation_deg))), np.float32(math.sin(math.radians(rotation_deg)))
         x, y = dx * c + dy * s + np.float32(centre_x), dy * c - dx * s + np.float32(centre_y)
         away = sampled(texture.picture, x, y, cv2.BORDER_REPLICATE) - texture.value
         square = float(away @ away)
         if found is not None and square >= found[0]:
             break
         if square < SHARE * highest:
-            found = square, float(turn_deg)
+            found = square, float(rotation_deg)
         highest = max(highest, square)
     return None if found is None else found[1]
 

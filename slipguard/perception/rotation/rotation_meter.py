@@ -21,10 +21,10 @@ from slipguard.perception.rotation.texture_registration import make_texture
 from slipguard.perception.rotation.texture_tracker import LOST_COUNT, Followed, ReliefTrack
 from slipguard.perception.rotation.tracker import (
     AGREE_SIGMA,
+    Rotation,
     Tracker,
-    Turn,
     agree,
-    axis_turn,
+    axis_rotation,
     checked,
     combined,
     less_sure,
@@ -63,7 +63,7 @@ class Reference:
     area_px: int
 
 
-class TurnMeter:
+class RotationMeter:
     """Takes the reference and measures every patch against it.
 
     frame_px: frame pixels per network pixel. background: the unit's no-contact image, (320, 240, 3) uint8, or None.
@@ -105,7 +105,7 @@ class TurnMeter:
         axes_of: Callable[[bool], Mapping[str, Orientation]],
         now_s: float,
         clock: StageClock,
-    ) -> tuple[Turn, tuple[float, float] | None]:
+    ) -> tuple[Rotation, tuple[float, float] | None]:
         """Turn and shift (frame pixels right and down) since the reference, which this patch may become.
 
         image: the frame, (320, 240, 3) uint8 BGR. axes_of: the patch's axes; called with False for the plainest one
@@ -114,37 +114,37 @@ class TurnMeter:
         self._take_reference(image, patch, axes_of, now_s, clock)
         reference = self.reference
         if reference is None:
-            return Turn(None, None, NO_REFERENCE), None
+            return Rotation(None, None, NO_REFERENCE), None
         predicted = self.tracker.predicted_deg(now_s)
-        turn = self._axial(reference, axes_of(False), predicted)
+        rotation = self._axial(reference, axes_of(False), predicted)
         self._keep_count(now_s)
         followed = Followed(None, None, None, 1.0, NO_RELIEF)
         relief: Relief | None = None
         if self._settings.estimator in ("fused", "registration"):
             relief = self._read(reference, image, patch)
-            followed = self._by_relief(reference, relief, patch, predicted, turn)
+            followed = self._by_relief(reference, relief, patch, predicted, rotation)
             clock.mark("relief")
-        by_relief = Turn(followed.turn_deg, followed.sigma_deg, followed.declined)
+        by_relief = Rotation(followed.rotation_deg, followed.sigma_deg, followed.declined)
         shift_px = followed.shift(lambda: _difference(_centre_px(patch), reference.centre_px))
         sure = by_relief.sigma_deg is not None and by_relief.sigma_deg <= SURE_DEG
-        if sure and agree(by_relief, turn):
-            turn = combined(by_relief, turn) if self._settings.estimator == "fused" else by_relief
+        if sure and agree(by_relief, rotation):
+            rotation = combined(by_relief, rotation) if self._settings.estimator == "fused" else by_relief
         else:
             # A sure relief needs but one witness against the axis: its own turn, tried on the outline.
-            turn = turn if sure else self._axial(reference, axes_of(True), predicted)
-            by_outline = turn
+            rotation = rotation if sure else self._axial(reference, axes_of(True), predicted)
+            by_outline = rotation
             if self._settings.estimator in ("fused", "registration"):
-                near = predicted if by_relief.turn_deg is None else by_relief.turn_deg
-                by_outline, laid, outline_shift_px = self._by_outline(reference, patch, turn, near, only_near=sure)
+                near = predicted if by_relief.rotation_deg is None else by_relief.rotation_deg
+                by_outline, laid, outline_shift_px = self._by_outline(reference, patch, rotation, near, only_near=sure)
                 clock.mark("register")
                 followed = self._again(reference, relief, patch, predicted, followed, laid, outline_shift_px)
-                by_relief = Turn(followed.turn_deg, followed.sigma_deg, followed.declined)
+                by_relief = Rotation(followed.rotation_deg, followed.sigma_deg, followed.declined)
                 clock.mark("relief")
                 shift_px = followed.shift(lambda: outline_shift_px)
-            turn = combined(by_relief, less_sure(by_outline, followed.unlike))
-        if turn.sigma_deg is not None and turn.sigma_deg > self._settings.sigma_max_deg:
-            turn = Turn(None, None, UNSURE)
-        return self.tracker.accept(now_s, turn), shift_px
+            rotation = combined(by_relief, less_sure(by_outline, followed.unlike))
+        if rotation.sigma_deg is not None and rotation.sigma_deg > self._settings.sigma_max_deg:
+            rotation = Rotation(None, None, UNSURE)
+        return self.tracker.accept(now_s, rotation), shift_px
 
     def _take_reference(
         self,
@@ -170,11 +170,11 @@ class TurnMeter:
         axes_of: Callable[[bool], Mapping[str, Orientation]],
         now_s: float,
         clock: StageClock,
-        turn_deg: float | None = None,
+        rotation_deg: float | None = None,
     ) -> None:
         """This patch is the reference from now on.
 
-        turn_deg: how far the object had turned when it was last seen, where that is an old patch; None: it is as now.
+        rotation_deg: how far the object had turned when it was last seen, where that is an old patch; None: it is as now.
         """
         relief = None
         if self._reader is not None:
@@ -185,13 +185,13 @@ class TurnMeter:
         axes = dict(axes_of(True))
         self.reference = Reference(image, axes, patch, relief, _centre_px(patch), patch.area_px)
         clock.mark("reference")
-        self.tracker.start(now_s, turn_deg or 0.0)
+        self.tracker.start(now_s, rotation_deg or 0.0)
         self._template = None
-        self._pose = Pose(turn_deg or 0.0)
-        self._lost_count = turn_deg is not None and relief is not None and relief.pitch_deg is not None
+        self._pose = Pose(rotation_deg or 0.0)
+        self._lost_count = rotation_deg is not None and relief is not None and relief.pitch_deg is not None
         self._stands_at_s = -math.inf
 
-    def _axial(self, reference: Reference, axes: Mapping[str, Orientation], predicted_deg: float) -> Turn:
+    def _axial(self, reference: Reference, axes: Mapping[str, Orientation], predicted_deg: float) -> Rotation:
         known = reference.axes
         return pooled([_between(known[name], axis, predicted_deg) for name, axis in axes.items() if name in known])
 
@@ -212,7 +212,7 @@ class TurnMeter:
         return None if self._reader is None or reference.relief is None else self._reader.read(image, patch)
 
     def _by_relief(
-        self, reference: Reference, relief: Relief | None, patch: Patch, predicted_deg: float, axial: Turn
+        self, reference: Reference, relief: Relief | None, patch: Patch, predicted_deg: float, axial: Rotation
     ) -> Followed:
         """The turn by the relief in the contact, from where the track leads, or the axis where a count is lost."""
         track = reference.relief
@@ -221,72 +221,74 @@ class TurnMeter:
         if not self._lost_count:
             return track.follow(relief, patch, predicted_deg, unseen_deg=self._unseen_deg)
         step_deg = track.pitch_deg or 0.0
-        if axial.turn_deg is None or axial.sigma_deg is None or AGREE_SIGMA * axial.sigma_deg >= 0.5 * step_deg:
+        if axial.rotation_deg is None or axial.sigma_deg is None or AGREE_SIGMA * axial.sigma_deg >= 0.5 * step_deg:
             return Followed(None, None, None, 1.0, LOST_COUNT)
-        found = track.follow(relief, patch, axial.turn_deg)
-        self._lost_count = found.turn_deg is None
+        found = track.follow(relief, patch, axial.rotation_deg)
+        self._lost_count = found.rotation_deg is None
         return found
 
     def _again(
         self, reference: Reference, relief: Relief | None, patch: Patch, predicted_deg: float, found: Followed,
-        outline: Turn, shift_px: tuple[float, float],
+        outline: Rotation, shift_px: tuple[float, float],
     ) -> Followed:  # fmt: skip
         """The relief looked for once more where the outline is, where that is far from where it was looked for."""
         track = reference.relief
-        before_deg = predicted_deg if found.turn_deg is None else found.turn_deg
-        if relief is None or track is None or self._lost_count or outline.turn_deg is None:
+        before_deg = predicted_deg if found.rotation_deg is None else found.rotation_deg
+        if relief is None or track is None or self._lost_count or outline.rotation_deg is None:
             return found
-        if abs(outline.turn_deg - before_deg) <= AGAIN_DEG:
+        if abs(outline.rotation_deg - before_deg) <= AGAIN_DEG:
             return found
-        again = track.follow(relief, patch, predicted_deg, (outline.turn_deg, shift_px), unseen_deg=self._unseen_deg)
+        again = track.follow(
+            relief, patch, predicted_deg, (outline.rotation_deg, shift_px), unseen_deg=self._unseen_deg
+        )
         if again.sigma_deg is None or again.sigma_deg >= (found.sigma_deg or 180.0):
             return found
         return again
 
     def _by_outline(
-        self, reference: Reference, patch: Patch, turn: Turn, near_deg: float, only_near: bool
-    ) -> tuple[Turn, Turn, tuple[float, float]]:
+        self, reference: Reference, patch: Patch, rotation: Rotation, near_deg: float, only_near: bool
+    ) -> tuple[Rotation, Rotation, tuple[float, float]]:
         """The turn by the outline, checked by the one that the axes show; unchecked, or the axes' alone; the shift.
 
         near_deg: where to look for it first. only_near: and not from where the axes point.
         """
         shift_px = _difference(_centre_px(patch), reference.centre_px)
-        laid = self._laid_over(reference, patch, Turn(None, None) if only_near else turn, near_deg)
-        registered = Turn(None, None, laid.declined)
-        if laid.declined == NOT_SAME and turn.turn_deg is not None and turn.sigma_deg is not None:
+        laid = self._laid_over(reference, patch, Rotation(None, None) if only_near else rotation, near_deg)
+        registered = Rotation(None, None, laid.declined)
+        if laid.declined == NOT_SAME and rotation.rotation_deg is not None and rotation.sigma_deg is not None:
             # An outline that has become another one has moved its axis too.
-            turn = Turn(turn.turn_deg, math.hypot(turn.sigma_deg, MISFIT_SIGMAS * laid.misfit_deg))
+            rotation = Rotation(rotation.rotation_deg, math.hypot(rotation.sigma_deg, MISFIT_SIGMAS * laid.misfit_deg))
         if laid.declined is None:
             self._pose = laid.pose
-            registered = Turn(laid.pose.turn_deg, laid.sigma_deg)
+            registered = Rotation(laid.pose.rotation_deg, laid.sigma_deg)
             shift_px = (laid.pose.dx_px * self._frame_px, laid.pose.dy_px * self._frame_px)
-        if self._lost_count and turn.turn_deg is None:
-            registered = Turn(None, None, LOST_COUNT)  # a nut's outline repeats with its relief
+        if self._lost_count and rotation.rotation_deg is None:
+            registered = Rotation(None, None, LOST_COUNT)  # a nut's outline repeats with its relief
         only = self._settings.estimator == "registration"
-        laid_turn = turn if registered.turn_deg is None else registered
-        return registered if only else checked(registered, turn), laid_turn, shift_px
+        laid_rotation = rotation if registered.rotation_deg is None else registered
+        return registered if only else checked(registered, rotation), laid_rotation, shift_px
 
-    def _laid_over(self, reference: Reference, patch: Patch, turn: Turn, near_deg: float) -> Registration:
+    def _laid_over(self, reference: Reference, patch: Patch, rotation: Rotation, near_deg: float) -> Registration:
         """The patch laid over the reference, from a turn that is likely or from where its axis points."""
         if self._template is None:  # made when it is first needed: many grasps never ask for the outline
             self._template = make_template(reference.patch)
         registrar = Registrar(self._template, patch)
-        best = registrar.fit(replace(self._pose, turn_deg=near_deg))
-        if turn.turn_deg is None or abs(turn.turn_deg - best.pose.turn_deg) < 4.0:
+        best = registrar.fit(replace(self._pose, rotation_deg=near_deg))
+        if rotation.rotation_deg is None or abs(rotation.rotation_deg - best.pose.rotation_deg) < 4.0:
             return best
         dx, dy = _difference(_centre_px(patch), reference.centre_px)
-        other = registrar.fit(Pose(turn.turn_deg, dx / self._frame_px, dy / self._frame_px))
+        other = registrar.fit(Pose(rotation.rotation_deg, dx / self._frame_px, dy / self._frame_px))
         better = other.declined is None and (best.declined is not None or other.residual < best.residual)
         return other if better else best
 
 
-def _between(reference: Orientation, now: Orientation, near_deg: float) -> Turn:
+def _between(reference: Orientation, now: Orientation, near_deg: float) -> Rotation:
     """The turn between two answers of one estimator."""
     if reference.angle_deg is None or reference.sigma_deg is None:
-        return Turn(None, None, reference.declined)
+        return Rotation(None, None, reference.declined)
     if now.angle_deg is None or now.sigma_deg is None:
-        return Turn(None, None, now.declined)
-    return axis_turn(now.angle_deg, now.sigma_deg, reference.angle_deg, reference.sigma_deg, near_deg)
+        return Rotation(None, None, now.declined)
+    return axis_rotation(now.angle_deg, now.sigma_deg, reference.angle_deg, reference.sigma_deg, near_deg)
 
 
 def _centre_px(patch: Patch) -> tuple[float, float]:

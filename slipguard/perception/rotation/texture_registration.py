@@ -68,7 +68,7 @@ Field = NDArray[np.float32]
 class TexturePose:
     """Where the reference's relief has moved to: degrees counter-clockwise, relief pixels right and down, shares."""
 
-    turn_deg: float = 0.0
+    rotation_deg: float = 0.0
     dx_px: float = 0.0
     dy_px: float = 0.0
     scale: float = 1.0
@@ -182,10 +182,10 @@ def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:
     """Lay the reference's relief over another, from a start within some degrees and pixels."""
     if texture.round:
         return TextureFit(start, 180.0, 180.0, 180.0, 0.0, 0.0, 1.0, 0.0, ROUND)
-    turn, dx, dy, scale, gain = math.radians(start.turn_deg), start.dx_px, start.dy_px, start.scale, start.gain
+    rotation, dx, dy, scale, gain = math.radians(start.rotation_deg), start.dx_px, start.dy_px, start.scale, start.gain
     motion = texture.motion
     for _ in range(MAX_ROUNDS):
-        value, weight = _laid(texture, relief, turn, dx, dy, scale)
+        value, weight = _laid(texture, relief, rotation, dx, dy, scale)
         difference = value - np.float32(gain) * texture.value
         square = difference * difference
         noise2 = max(float(weight @ square) / max(float(weight.sum()), 1.0), 1e-6)
@@ -195,7 +195,7 @@ def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:
         normal = (weighted @ motion).astype(np.float64) * np.outer(gains, gains)
         gradient = (weighted @ difference).astype(np.float64) * gains
         prior = _CORRELATED * noise2 / _PRIOR_STD**2
-        c, s = math.cos(turn), math.sin(turn)
+        c, s = math.cos(rotation), math.sin(rotation)
         away_x, away_y = dx - start.dx_px, dy - start.dy_px
         gradient[1] += prior[1] * (c * away_x - s * away_y)
         gradient[2] += prior[2] * (s * away_x + c * away_y)
@@ -203,20 +203,20 @@ def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:
         gradient[4] -= prior[4] * (gain - 1.0)
         held = normal + np.diag(prior + 1e-7 * np.trace(normal))
         step = np.linalg.solve(held, gradient)
-        turn_step = min(max(float(step[0]), -0.2), 0.2)
+        rotation_step = min(max(float(step[0]), -0.2), 0.2)
         move_x, move_y = float(step[1]), float(step[2])
         scale = min(max(scale + float(step[3]), 0.5), 2.0)
         gain = min(max(gain + float(step[4]), 0.2), 5.0)
         # Inverse composition: undo the step before the present pose.
-        turn -= turn_step
-        c, s = math.cos(turn), math.sin(turn)
+        rotation -= rotation_step
+        c, s = math.cos(rotation), math.sin(rotation)
         dx -= c * move_x + s * move_y
         dy -= -s * move_x + c * move_y
-        if abs(turn_step) < 8e-4 and abs(move_x) + abs(move_y) < 0.04:
+        if abs(rotation_step) < 8e-4 and abs(move_x) + abs(move_y) < 0.04:
             break
-    pose = TexturePose(math.degrees(turn), dx, dy, scale, gain)
+    pose = TexturePose(math.degrees(rotation), dx, dy, scale, gain)
     left, top = (round(at - inside) for at, inside in zip(texture.centre_px, texture.origin_px, strict=True))
-    unmoved, seen = _laid(texture, Relief(Window(left, top, 0, 0), texture.picture), turn, dx, dy, scale)
+    unmoved, seen = _laid(texture, Relief(Window(left, top, 0, 0), texture.picture), rotation, dx, dy, scale)
     back = held_back(motion, weight * seen, difference, unmoved)
     return _judged(texture, relief.noise, pose, held, difference, value, weight, back)
 
@@ -256,14 +256,14 @@ def _judged(
         deformed=1.0 - min(max(both2 / math.sqrt(clean2 * clean_now2), 0.0), 1.0),
         strength=math.sqrt(clean2),
         declined=CLIPPED if sight < SIGHT_MIN else None if alike >= ALIKE_MIN else OTHER,
-        held_deg=back * abs(pose.turn_deg) * (1.0 - min(max(alike, 0.0), 1.0)),
+        held_deg=back * abs(pose.rotation_deg) * (1.0 - min(max(alike, 0.0), 1.0)),
     )
 
 
-def _laid(texture: Texture, relief: Relief, turn: float, dx: float, dy: float, scale: float) -> tuple[Field, Field]:
+def _laid(texture: Texture, relief: Relief, rotation: float, dx: float, dy: float, scale: float) -> tuple[Field, Field]:
     """What now lies where the reference's points have moved to, and 1 where that is in the picture, else 0."""
     window = relief.window
-    c, s = np.float32(scale * math.cos(turn)), np.float32(scale * math.sin(turn))
+    c, s = np.float32(scale * math.cos(rotation)), np.float32(scale * math.sin(rotation))
     x = texture.x_px * c + texture.y_px * s + np.float32(texture.centre_px[0] + dx - window.left_px)
     y = texture.y_px * c - texture.x_px * s + np.float32(texture.centre_px[1] + dy - window.top_px)
     rows, columns = relief.curvature.shape

@@ -37,7 +37,7 @@ class Followed:
     length 1) along which the relief tells no shift; None where there is none.
     """
 
-    turn_deg: float | None
+    rotation_deg: float | None
     sigma_deg: float | None
     shift_px: tuple[float, float] | None
     unlike: float
@@ -60,7 +60,7 @@ class _Key:
     """A relief and where the reference was when it was taken. at_px: the reference's centre from the key's."""
 
     texture: Texture
-    turn_deg: float
+    rotation_deg: float
     sigma_deg: float
     shift_px: tuple[float, float]
     at_px: tuple[float, float]
@@ -97,28 +97,30 @@ class ReliefTrack:
         start: another turn and shift (frame pixels right and down) to look from; None: from where the track leads.
         unseen_deg: how far from there the contact may have come since it was last seen.
         """
-        pose = replace(self._pose, turn_deg=predicted_deg)
+        pose = replace(self._pose, rotation_deg=predicted_deg)
         if start is not None:
             pose = TexturePose(start[0], start[1][0] / REDUCTION, start[1][1] / REDUCTION)
         answer = fit(self._first, relief, pose)
-        found = self._followed(self._first, answer, (answer.pose.dx_px, answer.pose.dy_px), answer.pose.turn_deg, 0.0)
+        found = self._followed(
+            self._first, answer, (answer.pose.dx_px, answer.pose.dy_px), answer.pose.rotation_deg, 0.0
+        )
         laid = answer
         if found.sigma_deg is None or found.sigma_deg > SURE_DEG:
-            by_key = self._by_key(relief, pose.turn_deg)
+            by_key = self._by_key(relief, pose.rotation_deg)
             if by_key is not None and (found.sigma_deg is None or (by_key[0].sigma_deg or 180.0) < found.sigma_deg):
                 found, laid = by_key
-        if found.turn_deg is None or found.sigma_deg is None or found.shift_px is None:
+        if found.rotation_deg is None or found.sigma_deg is None or found.shift_px is None:
             return found
-        if self.leaps(found.turn_deg - predicted_deg, unseen_deg):
+        if self.leaps(found.rotation_deg - predicted_deg, unseen_deg):
             return Followed(None, None, None, 1.0, LOST_COUNT)
         shift = (found.shift_px[0] / REDUCTION, found.shift_px[1] / REDUCTION)
         if laid is not answer:
-            self._pose = TexturePose(found.turn_deg, shift[0], shift[1])
+            self._pose = TexturePose(found.rotation_deg, shift[0], shift[1])
         else:
             self._pose = answer.pose
         newer = self._key is None or found.sigma_deg > KEY_STEP * self._key.sigma_deg
         if laid is answer and newer and laid.alike < KEY_ALIKE and found.sigma_deg < KEY_SIGMA_DEG:
-            self._take_key(relief, patch, found.turn_deg, found.sigma_deg, shift)
+            self._take_key(relief, patch, found.rotation_deg, found.sigma_deg, shift)
         return found
 
     def leaps(self, by_deg: float, unseen_deg: float) -> bool:
@@ -131,43 +133,48 @@ class ReliefTrack:
         key = self._key
         if key is None:
             return None
-        laid = fit(key.texture, relief, replace(self._key_pose, turn_deg=predicted_deg - key.turn_deg))
+        laid = fit(key.texture, relief, replace(self._key_pose, rotation_deg=predicted_deg - key.rotation_deg))
         if laid.declined is not None:
             return None
         self._key_pose = laid.pose
-        turn = math.radians(laid.pose.turn_deg)
-        c, s = math.cos(turn), math.sin(turn)
+        rotation = math.radians(laid.pose.rotation_deg)
+        c, s = math.cos(rotation), math.sin(rotation)
         x, y = key.at_px
         shift = (
             key.shift_px[0] + laid.pose.dx_px + c * x + s * y - x,
             key.shift_px[1] + laid.pose.dy_px + c * y - s * x - y,
         )
-        return self._followed(key.texture, laid, shift, key.turn_deg + laid.pose.turn_deg, key.sigma_deg), laid
+        return self._followed(key.texture, laid, shift, key.rotation_deg + laid.pose.rotation_deg, key.sigma_deg), laid
 
     def _take_key(
-        self, relief: Relief, patch: Patch, turn_deg: float, sigma: float, shift_px: tuple[float, float]
+        self, relief: Relief, patch: Patch, rotation_deg: float, sigma: float, shift_px: tuple[float, float]
     ) -> None:
         texture = make_texture(relief, patch)
         if texture is None:
             return
         first = self._first.centre_px
         at = (first[0] + shift_px[0] - texture.centre_px[0], first[1] + shift_px[1] - texture.centre_px[1])
-        self._key = _Key(texture, turn_deg, sigma, shift_px, at)
+        self._key = _Key(texture, rotation_deg, sigma, shift_px, at)
         self._key_pose = TexturePose()
 
     def _followed(
-        self, texture: Texture, laid: TextureFit, shift_px: tuple[float, float], turn_deg: float, key_sigma_deg: float
+        self,
+        texture: Texture,
+        laid: TextureFit,
+        shift_px: tuple[float, float],
+        rotation_deg: float,
+        key_sigma_deg: float,
     ) -> Followed:
         if laid.declined is not None:
             return Followed(None, None, None, laid.unlike, laid.declined)
         shift = (REDUCTION * shift_px[0], REDUCTION * shift_px[1])
-        smooth = None if texture.smooth is None else _turned(texture.smooth, laid.pose.turn_deg)
+        smooth = None if texture.smooth is None else _rotated(texture.smooth, laid.pose.rotation_deg)
         if self._first.smooth is not None:  # what it has not told at the start no key knows, either
-            smooth = _turned(self._first.smooth, turn_deg)
-        return Followed(turn_deg, math.hypot(key_sigma_deg, sigma_deg(laid)), shift, laid.unlike, smooth=smooth)
+            smooth = _rotated(self._first.smooth, rotation_deg)
+        return Followed(rotation_deg, math.hypot(key_sigma_deg, sigma_deg(laid)), shift, laid.unlike, smooth=smooth)
 
 
-def _turned(way: tuple[float, float], turn_deg: float) -> tuple[float, float]:
+def _rotated(way: tuple[float, float], rotation_deg: float) -> tuple[float, float]:
     """A direction (right, down) turned counter-clockwise as seen."""
-    c, s = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
+    c, s = math.cos(math.radians(rotation_deg)), math.sin(math.radians(rotation_deg))
     return c * way[0] + s * way[1], c * way[1] - s * way[0]

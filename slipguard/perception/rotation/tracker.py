@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from slipguard.perception.rotation.axial_angle import nearest_turn_deg
+from slipguard.perception.rotation.axial_angle import nearest_rotation_deg
 
 RATE_WINDOW_S = 0.10
 """The rate is the slope of the turns of this long: six frames at 60 Hz."""
@@ -32,26 +32,26 @@ DISAGREE = "estimators disagree"
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class Rotation:
     """A turn since the reference, degrees counter-clockwise, one standard deviation; declined: why there is none."""
 
-    turn_deg: float | None
+    rotation_deg: float | None
     sigma_deg: float | None
     declined: str | None = None
 
 
-def axis_turn(
+def axis_rotation(
     now_deg: float, now_sigma_deg: float, reference_deg: float, reference_sigma_deg: float, near_deg: float
-) -> Turn:
+) -> Rotation:
     """The turn between two axes, of all that differ by half turns the one nearest `near_deg`.
 
     From -6 to +6 it is +12, from 80 to 100 (the axis -80) it is +20.
     """
-    turn = nearest_turn_deg(now_deg - reference_deg, near_deg)
-    return Turn(turn, math.hypot(now_sigma_deg, reference_sigma_deg))
+    rotation = nearest_rotation_deg(now_deg - reference_deg, near_deg)
+    return Rotation(rotation, math.hypot(now_sigma_deg, reference_sigma_deg))
 
 
-def checked(laid: Turn, axial: Turn) -> Turn:
+def checked(laid: Rotation, axial: Rotation) -> Rotation:
     """The turn by registration, checked by the one that the axes show.
 
     Both come from one mask and err together, so their mean would be no better than the surer: that is registration's
@@ -59,48 +59,48 @@ def checked(laid: Turn, axial: Turn) -> Turn:
     far apart, there is no turn. An axis alone is taken as it is, registration alone up to a sigma of `ALONE_DEG`; where
     both are declined, registration's reason counts.
     """
-    if laid.turn_deg is None or laid.sigma_deg is None:
-        return axial if axial.turn_deg is not None else laid
-    if axial.turn_deg is None or axial.sigma_deg is None:
-        return laid if laid.sigma_deg <= ALONE_DEG else Turn(None, None, UNSURE_ALONE)
-    apart = abs(laid.turn_deg - axial.turn_deg)
+    if laid.rotation_deg is None or laid.sigma_deg is None:
+        return axial if axial.rotation_deg is not None else laid
+    if axial.rotation_deg is None or axial.sigma_deg is None:
+        return laid if laid.sigma_deg <= ALONE_DEG else Rotation(None, None, UNSURE_ALONE)
+    apart = abs(laid.rotation_deg - axial.rotation_deg)
     surer = laid if laid.sigma_deg <= 1.5 * axial.sigma_deg else axial
     if apart <= AGREE_SIGMA * math.hypot(laid.sigma_deg, axial.sigma_deg):
         return surer
     if apart > DISAGREE_DEG:
-        return Turn(None, None, DISAGREE)
-    return Turn(surer.turn_deg, max(surer.sigma_deg or 0.0, 0.5 * apart))
+        return Rotation(None, None, DISAGREE)
+    return Rotation(surer.rotation_deg, max(surer.sigma_deg or 0.0, 0.5 * apart))
 
 
-def combined(relief: Turn, outline: Turn) -> Turn:
+def combined(relief: Rotation, outline: Rotation) -> Rotation:
     """One turn from the relief inside a contact and from its outline, which err apart: the mean by 1 / sigma^2.
 
     One alone is taken as it is; where both are declined, the relief's reason counts. Where they differ by more than
     both sigmas allow the surer is taken, with a sigma that covers both; far apart, there is no turn.
     """
-    if relief.turn_deg is None or relief.sigma_deg is None:
-        return outline if outline.turn_deg is not None else relief
-    if outline.turn_deg is None or outline.sigma_deg is None:
+    if relief.rotation_deg is None or relief.sigma_deg is None:
+        return outline if outline.rotation_deg is not None else relief
+    if outline.rotation_deg is None or outline.sigma_deg is None:
         return relief
-    apart = abs(relief.turn_deg - outline.turn_deg)
+    apart = abs(relief.rotation_deg - outline.rotation_deg)
     if apart > AGREE_SIGMA * math.hypot(relief.sigma_deg, outline.sigma_deg):
         if apart > DISAGREE_DEG:
-            return Turn(None, None, DISAGREE)
+            return Rotation(None, None, DISAGREE)
         surer = relief if relief.sigma_deg <= outline.sigma_deg else outline
-        return Turn(surer.turn_deg, max(surer.sigma_deg or 0.0, 0.5 * apart))
+        return Rotation(surer.rotation_deg, max(surer.sigma_deg or 0.0, 0.5 * apart))
     trust, other = relief.sigma_deg**-2, outline.sigma_deg**-2
-    mean = (trust * relief.turn_deg + other * outline.turn_deg) / (trust + other)
-    return Turn(mean, (trust + other) ** -0.5)
+    mean = (trust * relief.rotation_deg + other * outline.rotation_deg) / (trust + other)
+    return Rotation(mean, (trust + other) ** -0.5)
 
 
-def pooled(turns: Sequence[Turn]) -> Turn:
+def pooled(rotations: Sequence[Rotation]) -> Rotation:
     """One turn from those of several estimators of axes: the surest, averaged with all that agree with it.
 
     One that does not agree is left out but widens sigma. Declined, for the first one's reason, where all are.
     """
-    said = [(t.turn_deg, t.sigma_deg) for t in turns if t.turn_deg is not None and t.sigma_deg is not None]
+    said = [(t.rotation_deg, t.sigma_deg) for t in rotations if t.rotation_deg is not None and t.sigma_deg is not None]
     if not said:
-        return turns[0]
+        return rotations[0]
     best, sigma = min(said, key=lambda one: one[1])
     total = weights = 0.0
     widened = sigma
@@ -111,21 +111,28 @@ def pooled(turns: Sequence[Turn]) -> Turn:
             weights += 1.0 / own**2
         else:
             widened = max(widened, apart / 4.0)
-    return Turn(total / weights, widened)
+    return Rotation(total / weights, widened)
 
 
-def less_sure(by_outline: Turn, unlike: float) -> Turn:
+def less_sure(by_outline: Rotation, unlike: float) -> Rotation:
     """The outline of a contact that has deformed is off by more than it shows."""
     if by_outline.sigma_deg is None:
         return by_outline
-    return Turn(by_outline.turn_deg, unlike * by_outline.sigma_deg)
+    return Rotation(by_outline.rotation_deg, unlike * by_outline.sigma_deg)
 
 
-def agree(by_relief: Turn, axial: Turn) -> bool:
+def agree(by_relief: Rotation, axial: Rotation) -> bool:
     """Whether the patch's axis, where it has one, does not contradict the relief."""
-    if by_relief.turn_deg is None or by_relief.sigma_deg is None or axial.turn_deg is None or axial.sigma_deg is None:
+    if (
+        by_relief.rotation_deg is None
+        or by_relief.sigma_deg is None
+        or axial.rotation_deg is None
+        or axial.sigma_deg is None
+    ):
         return True
-    return abs(by_relief.turn_deg - axial.turn_deg) <= AGREE_SIGMA * math.hypot(by_relief.sigma_deg, axial.sigma_deg)
+    return abs(by_relief.rotation_deg - axial.rotation_deg) <= AGREE_SIGMA * math.hypot(
+        by_relief.sigma_deg, axial.sigma_deg
+    )
 
 
 class Tracker:
@@ -141,50 +148,50 @@ class Tracker:
         return self._history[-1][0] if self._history else -math.inf
 
     @property
-    def last_turn_deg(self) -> float:
+    def last_rotation_deg(self) -> float:
         """The last turn accepted; 0 at the reference."""
         return self._last[1]
 
-    def start(self, now_s: float, turn_deg: float = 0.0) -> None:
-        """The turn since the reference is `turn_deg` at `now_s`; 0 where it is taken just then."""
+    def start(self, now_s: float, rotation_deg: float = 0.0) -> None:
+        """The turn since the reference is `rotation_deg` at `now_s`; 0 where it is taken just then."""
         self._history.clear()
-        self._history.append((now_s, turn_deg))
-        self._last = (now_s, turn_deg)
+        self._history.append((now_s, rotation_deg))
+        self._last = (now_s, rotation_deg)
 
     def predicted_deg(self, now_s: float) -> float:
         """Where the turn would be at `now_s` if the rate stayed; never more than 15 degrees ahead."""
         rate = self.rate_deg_s(now_s)
-        last_s, turn = self._last
+        last_s, rotation = self._last
         if rate is None or not math.isfinite(last_s):
-            return turn
-        return turn + min(max(rate * max(now_s - last_s, 0.0), -15.0), 15.0)
+            return rotation
+        return rotation + min(max(rate * max(now_s - last_s, 0.0), -15.0), 15.0)
 
-    def accept(self, now_s: float, turn: Turn) -> Turn:
+    def accept(self, now_s: float, rotation: Rotation) -> Rotation:
         """Take a turn measured at `now_s` into the history, or decline it as implausible."""
-        if turn.turn_deg is None or turn.sigma_deg is None:
-            return turn
-        if not (math.isfinite(turn.turn_deg) and math.isfinite(turn.sigma_deg)):
-            return Turn(None, None, NO_NUMBER)
+        if rotation.rotation_deg is None or rotation.sigma_deg is None:
+            return rotation
+        if not (math.isfinite(rotation.rotation_deg) and math.isfinite(rotation.sigma_deg)):
+            return Rotation(None, None, NO_NUMBER)
         last_s, last = self._last
         since_s = max(now_s - last_s, 0.0) if math.isfinite(last_s) else 0.0
         allowed = min(JUMP_DEG + JUMP_RATE_DEG_S * since_s, JUMP_MAX_DEG)
-        if abs(turn.turn_deg - last) > allowed:
-            return Turn(None, None, IMPLAUSIBLE)
-        self._last = (now_s, turn.turn_deg)
-        self._remember(now_s, turn.turn_deg)
-        return turn
+        if abs(rotation.rotation_deg - last) > allowed:
+            return Rotation(None, None, IMPLAUSIBLE)
+        self._last = (now_s, rotation.rotation_deg)
+        self._remember(now_s, rotation.rotation_deg)
+        return rotation
 
     def unchanged(self, now_s: float) -> None:
         """The picture at `now_s` shows no change: the turn is still the last one."""
         if self._history:
             self._remember(now_s, self._history[-1][1])
 
-    def _remember(self, now_s: float, turn_deg: float) -> None:
+    def _remember(self, now_s: float, rotation_deg: float) -> None:
         """A clock that went back makes what came after `now_s` worthless for rates."""
         while self._history and self._history[-1][0] > now_s:
             self._history.pop()
         if not self._history or now_s - self._history[-1][0] >= STEP_MIN_S:
-            self._history.append((now_s, turn_deg))
+            self._history.append((now_s, rotation_deg))
 
     def rate_deg_s(self, now_s: float) -> float | None:
         """Slope of the turns of the last `RATE_WINDOW_S`, of at least the last three; None where there are too few."""

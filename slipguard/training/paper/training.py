@@ -147,9 +147,9 @@ def _batch(
     frame, mask = frames.frame[pick], frames.mask[pick]
     if mirrored:
         for axis in (1, 2):
-            turned = rng.random(len(pick)) < 0.5
+            rotated = rng.random(len(pick)) < 0.5
             for array in (frame, mask):
-                array[turned] = np.flip(array[turned], axis)
+                array[rotated] = np.flip(array[rotated], axis)
     return torch.from_numpy(np.asarray(frame)), torch.from_numpy((np.asarray(mask)[:, None] > 127).astype(np.float32))
 
 

@@ -54,7 +54,7 @@ export function headline(state) {
     if (AT_STAKE.has(state.phase)) notes.push("guarding");
   } else notes.push("NOT guarding: slip is only shown");
   if (state.mode === "guard") notes.push("another program moves the arm");
-  if (state.cannot_see_turn && AT_STAKE.has(state.phase)) notes.push(`the turn cannot be seen (${state.cannot_see_turn})`);
+  if (state.no_rotation_reason && AT_STAKE.has(state.phase)) notes.push(`the turn cannot be seen (${state.no_rotation_reason})`);
   if (state.slipping) return { word: "Slipping", detail: `${word.toLowerCase()}; ${notes.join("; ")}`, tone: "slip" };
   const waiting = waits(state);
   if (waiting.length && state.phase === "idle") {
@@ -73,8 +73,8 @@ function faultDetail(state) {
 }
 
 /** The turn of one finger or of both in words. */
-export function turnWords(turn_deg, sigma_deg) {
-  return turn_deg === null || turn_deg === undefined ? "not told" : `${signed(turn_deg)}° ± ${sigma_deg.toFixed(1)}°`;
+export function turnWords(rotation_deg, sigma_deg) {
+  return rotation_deg === null || rotation_deg === undefined ? "not told" : `${signed(rotation_deg)}° ± ${sigma_deg.toFixed(1)}°`;
 }
 
 /** {force, target, budget} of a state in newtons; null where not known. */

@@ -40,8 +40,8 @@ export class Graphs {
     const state = view.state;
     const last = samples.at(-1);
     const newest = view.live ? "now" : "last known";
-    const turn = last ? turnWords(last.turn_deg, last.sigma_deg) : "not told";
-    const turnRange = summary(samples, "turn_deg", "°", true);
+    const turn = last ? turnWords(last.rotation_deg, last.sigma_deg) : "not told";
+    const turnRange = summary(samples, "rotation_deg", "°", true);
     const { force_n, budget_n } = state ? forces(state) : { force_n: null, budget_n: null };
     const force = force_n === null ? "not known" : `${plain(force_n)} N of ${plain(budget_n ?? 0)} N`;
     const forceRange = summary(samples, "force_n", " N", false);
@@ -62,8 +62,8 @@ function shades(stretches, colour) {
 }
 
 function turnPlot(samples) {
-  const told = samples.filter((one) => one.turn_deg !== null);
-  const reach = told.flatMap((one) => [one.turn_deg - one.sigma_deg, one.turn_deg + one.sigma_deg]);
+  const told = samples.filter((one) => one.rotation_deg !== null);
+  const reach = told.flatMap((one) => [one.rotation_deg - one.sigma_deg, one.rotation_deg + one.sigma_deg]);
   return {
     unit: "°",
     low: Math.min(-TURN_ROOM_DEG, ...reach.map((value) => value - 1)),
@@ -73,13 +73,13 @@ function turnPlot(samples) {
       {
         colour: "--turn-band",
         points: samples.map((one) =>
-          one.turn_deg === null
+          one.rotation_deg === null
             ? [one.t_s, null, null]
-            : [one.t_s, one.turn_deg - one.sigma_deg, one.turn_deg + one.sigma_deg],
+            : [one.t_s, one.rotation_deg - one.sigma_deg, one.rotation_deg + one.sigma_deg],
         ),
       },
     ],
-    lines: [{ colour: "--turn-line", points: samples.map((one) => [one.t_s, one.turn_deg]) }],
+    lines: [{ colour: "--turn-line", points: samples.map((one) => [one.t_s, one.rotation_deg]) }],
   };
 }
 

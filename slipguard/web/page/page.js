@@ -157,9 +157,9 @@ function showFault(fault) {
 }
 
 function showFigures(state) {
-  const turn = state.turn;
-  const told = view.live && turn && turn.turn_deg !== null;
-  setText(byId("turn"), told ? `${signed(turn.turn_deg)}°` : "–");
+  const turn = state.rotation;
+  const told = view.live && turn && turn.rotation_deg !== null;
+  setText(byId("turn"), told ? `${signed(turn.rotation_deg)}°` : "–");
   setText(byId("sigma"), told ? `± ${turn.sigma_deg.toFixed(1)}°` : "");
   const { force_n, target_n, budget_n } = forces(state);
   const gripped = view.live && force_n !== null;

@@ -97,7 +97,7 @@ def _camera(finger: str, fault: str, rig: Rig) -> bool:
     if fault == "light":
         return held
     if fault == "mirrored":
-        return held and len(rig.mirrored) == 1 and _both_turned(rig)
+        return held and len(rig.mirrored) == 1 and _both_rotated(rig)
     return True
 
 
@@ -109,12 +109,12 @@ def _hidden(device: str, fault: str, rig: Rig) -> bool:
     return fault in rank and any(graver in active for graver in rank[: rank.index(fault)])
 
 
-def _both_turned(rig: Rig) -> bool:
+def _both_rotated(rig: Rig) -> bool:
     newest = [finger.newest for finger in rig.service.fingers.values()]
-    turns = [abs(one.estimate.angle_deg or 0.0) for one in newest if one is not None]
+    rotations = [abs(one.estimate.angle_deg or 0.0) for one in newest if one is not None]
     seen = rig.service.seen
     both = seen is not None and seen.fused is not None and len(seen.fused.fingers) == 2
-    return both and len(turns) == 2 and min(turns) > TELLING_DEG
+    return both and len(rotations) == 2 and min(rotations) > TELLING_DEG
 
 
 def _stuck(standing: Standing, rig: Rig) -> bool:

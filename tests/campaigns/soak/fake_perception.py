@@ -50,7 +50,7 @@ class Truthful:
     def _forget(self) -> None:
         self._stable = 0
         self._reference: tuple[float, float] | None = None
-        self._turn_deg = self._rate_deg_s = self._tracked_s = 0.0
+        self._rotation_deg = self._rate_deg_s = self._tracked_s = 0.0
 
     def process(self, frame: Frame) -> Estimate:
         """One frame. Raises FrameCorrupt as the pipeline does."""
@@ -60,26 +60,26 @@ class Truthful:
             return self._pipeline.process(frame)
         at_s = frame.captured_at_s
         plain = Estimate(frame.sequence, at_s, at_s, True, AREA_PX, "truth")
-        turn_deg = self._sign * truth.turn_deg + self._rng.normal(0.0, SIGMA_DEG)
+        rotation_deg = self._sign * truth.rotation_deg + self._rng.normal(0.0, SIGMA_DEG)
         slide_mm = truth.slide_mm + self._rng.normal(0.0, NOISE_MM)
         self._stable += 1
         if self._reference is None:
             if self._stable < STABLE_FRAMES:
                 return replace(plain, declined="no reference yet")
-            self._reference, self._tracked_s = (turn_deg, slide_mm), at_s
-        self._track(turn_deg - self._reference[0], at_s)
+            self._reference, self._tracked_s = (rotation_deg, slide_mm), at_s
+        self._track(rotation_deg - self._reference[0], at_s)
         return replace(
             plain,
-            angle_deg=self._turn_deg,
+            angle_deg=self._rotation_deg,
             sigma_deg=SIGMA_DEG,
             orientation_deg=0.0,
             rate_deg_s=self._rate_deg_s,
             shift_mm=(0.0, self._reference[1] - slide_mm),
         )
 
-    def _track(self, turn_deg: float, at_s: float) -> None:
+    def _track(self, rotation_deg: float, at_s: float) -> None:
         passed_s = max(at_s - self._tracked_s, 1e-3)
-        expected_deg = self._turn_deg + self._rate_deg_s * passed_s
-        self._turn_deg = expected_deg + ALPHA * (turn_deg - expected_deg)
-        self._rate_deg_s += BETA * (turn_deg - expected_deg) / passed_s
+        expected_deg = self._rotation_deg + self._rate_deg_s * passed_s
+        self._rotation_deg = expected_deg + ALPHA * (rotation_deg - expected_deg)
+        self._rate_deg_s += BETA * (rotation_deg - expected_deg) / passed_s
         self._tracked_s = at_s

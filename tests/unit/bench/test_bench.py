@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from slipguard.bench import table
-from slipguard.bench.axes import AxialTurn, axis_of_points
+from slipguard.bench.axes import AxialRotation, axis_of_points
 from slipguard.bench.classical import BackgroundSubtraction
 from slipguard.bench.error_tally import Errors, Tally, quarters, within_se
 from slipguard.bench.minute import Minute
@@ -27,7 +27,7 @@ from slipguard.bench.plot import picture
 from slipguard.bench.rows import Bench, Row, Skip, Thinning, on_the_front
 from slipguard.bench.thinning import thinning
 from slipguard.datasets.mask_scores import dice
-from slipguard.datasets.rendered_grasps import EMPTY_FRAMES, TURN_DEG, Sequence, sequence
+from slipguard.datasets.rendered_grasps import EMPTY_FRAMES, ROTATION_DEG, Sequence, sequence
 from slipguard.devices import Frame
 from slipguard.errors import InputError, ModelError
 from slipguard.perception.contact.segmenter import default_model_path
@@ -39,7 +39,7 @@ KEYS = [
 MORE_KEYS = {
     "mean_ms_per_frame_grasp", "round_textured_error_mean_deg", "round_plain_declined_share", "within_1_sigma",
     "within_2_sigma", "turn_error_sd_deg", "turn_error_p95_deg", "turn_error_by_quartile_deg", "stage_ms", "pareto",
-    "cpu_s_per_minute_grasp", "within_1_sigma_se", "within_2_sigma_se", "turns", "turn_sequences",
+    "cpu_s_per_minute_grasp", "within_1_sigma_se", "within_2_sigma_se", "rotations", "rotation_sequences",
 }  # fmt: skip
 PEER_PATH = default_model_path().with_name(PEER_MODEL)
 PAPER_PATH = Path(__file__).resolve().parents[3] / "models" / "deeplabv3plus-resnet18.onnx"
@@ -152,8 +152,8 @@ def test_a_tally_of_one_grasp_fills_a_row() -> None:
     assert row.skipped_p50_ms < (row.p50_ms or 0.0)
     assert row.round_plain_declined_share is None
     assert {"gate", "segment"} < set(row.stage_ms)
-    assert row.turns == len(tally.grasps[0].found) > 0
-    assert row.turn_sequences == 1
+    assert row.rotations == len(tally.grasps[0].found) > 0
+    assert row.rotation_sequences == 1
 
 
 def test_background_subtraction_turns_the_right_way() -> None:
@@ -162,17 +162,19 @@ def test_background_subtraction_turns_the_right_way() -> None:
     for axis in ("pca", "ellipse"):
         pipeline = BackgroundSubtraction(grasp.background, "ellipse" if axis == "ellipse" else "pca")
         said = [pipeline.process(shot.frame).angle_deg for shot in compared]
-        truth = [shot.turn_deg - compared[0].turn_deg for shot in compared]
+        truth = [shot.rotation_deg - compared[0].rotation_deg for shot in compared]
         assert np.corrcoef(np.array(said, float), truth)[0, 1] > 0.95
 
 
 def test_plain_axes_are_counter_clockwise_and_turn_the_smaller_way() -> None:
     steps = np.arange(50)
     assert axis_of_points(steps, -steps) == pytest.approx(45.0)
-    turn = AxialTurn()
-    said = [turn.estimate(Frame(np.zeros((1, 1, 3), np.uint8), 0.0, k), 80.0 + 15.0 * k, 900, "pca") for k in range(5)]
+    rotation = AxialRotation()
+    said = [
+        rotation.estimate(Frame(np.zeros((1, 1, 3), np.uint8), 0.0, k), 80.0 + 15.0 * k, 900, "pca") for k in range(5)
+    ]
     assert [one.angle_deg for one in said] == pytest.approx([0.0, 15.0, 30.0, 45.0, 60.0])
-    assert turn.estimate(Frame(np.zeros((1, 1, 3), np.uint8), 0.0, 9), math.nan, 900, "pca").declined
+    assert rotation.estimate(Frame(np.zeros((1, 1, 3), np.uint8), 0.0, 9), math.nan, 900, "pca").declined
 
 
 def test_thinning_is_timed_beside_the_others_and_exact() -> None:
@@ -194,15 +196,15 @@ def test_a_minute_is_a_minute() -> None:
 
 def test_a_sequence_is_repeatable_and_its_truth_begins_at_nothing() -> None:
     one, again = sequence("battery", 3, with_masks=True), sequence("battery", 3)
-    assert [s.turn_deg for s in one.shots] == [s.turn_deg for s in again.shots]
+    assert [s.rotation_deg for s in one.shots] == [s.rotation_deg for s in again.shots]
     np.testing.assert_array_equal(one.shots[20].frame.image, again.shots[20].frame.image)
     assert not any(s.contact for s in one.shots[:EMPTY_FRAMES])
     compared = [s for s in one.shots if s.compared]
-    assert abs(compared[0].turn_deg) < 6.0
-    turns = [s.turn_deg for s in compared]
-    assert TURN_DEG[0] <= abs(turns[-1]) <= TURN_DEG[1]
-    assert min(turns) * max(turns) < 0.0
-    assert max(map(abs, turns)) <= TURN_DEG[1]
+    assert abs(compared[0].rotation_deg) < 6.0
+    rotations = [s.rotation_deg for s in compared]
+    assert ROTATION_DEG[0] <= abs(rotations[-1]) <= ROTATION_DEG[1]
+    assert min(rotations) * max(rotations) < 0.0
+    assert max(map(abs, rotations)) <= ROTATION_DEG[1]
     assert 1.0 <= one.growth < 2.0
     assert one.peak_deg_s > 0.0
     assert all(s.mask is not None for s in one.shots)

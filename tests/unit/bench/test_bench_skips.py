@@ -77,7 +77,7 @@ def test_a_crop_shows_what_the_whole_shows() -> None:
 def test_a_spared_finger_is_cheaper_and_no_slip_is_overlooked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(minute, "LIFTED_S", 1.0)
     monkeypatch.setattr(minute, "MINUTE_S", 4.0)
-    monkeypatch.setattr(minute, "_TURNS", ((3.0, 3.4, 8.0, 0.1),))
+    monkeypatch.setattr(minute, "_ROTATIONS", ((3.0, 3.4, 8.0, 0.1),))
     worth = second.second_finger(default())
     assert worth.frames_later is not None
     assert worth.frames_later <= 1
@@ -90,7 +90,7 @@ def test_a_spared_finger_is_cheaper_and_no_slip_is_overlooked(monkeypatch: pytes
 def test_a_minute_is_held_with_most_frames_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(minute, "LIFTED_S", 1.0)
     monkeypatch.setattr(minute, "MINUTE_S", 4.0)
-    monkeypatch.setattr(minute, "_TURNS", ())
+    monkeypatch.setattr(minute, "_ROTATIONS", ())
     held = hold([default()], Minute())[default().name]
     assert held.frames == 240
     assert held.skipped["unchanged"] > 60

@@ -99,10 +99,10 @@ def test_the_error_model_takes_its_reference_and_errs_as_told() -> None:
     sight = ModelSight(SightError(0.0, 0.1, 0.0, 0.2, 0.0), np.random.default_rng(1), Drift(0.5, 40.0, 0.0))
     at_rest = [sight.look(GelView("key", angle_deg=20.0, depth_mm=0.5), 0.02 * k, k) for k in range(6)]
     assert [one.angle_deg is None for one in at_rest] == [True] * 4 + [False] * 2
-    turned = sight.look(GelView("key", angle_deg=40.0, depth_mm=0.5), 0.14, 7)
-    assert turned.angle_deg == pytest.approx(20.0, abs=6.0)
-    assert turned.angle_deg != pytest.approx(20.0, abs=1e-3)
-    assert turned.sigma_deg == 0.2
+    rotated = sight.look(GelView("key", angle_deg=40.0, depth_mm=0.5), 0.14, 7)
+    assert rotated.angle_deg == pytest.approx(20.0, abs=6.0)
+    assert rotated.angle_deg != pytest.approx(20.0, abs=1e-3)
+    assert rotated.sigma_deg == 0.2
     assert not sight.look(GelView("key"), 0.16, 8).contact
     blind = ModelSight(SightError(declined=1.0), np.random.default_rng(1))
     answers = [blind.look(GelView("key", depth_mm=0.5), 0.02 * k, k) for k in range(6)]

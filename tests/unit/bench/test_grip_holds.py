@@ -58,8 +58,8 @@ def test_one_frame_is_off_and_its_turn_is_common_to_both_fingers() -> None:
     assert abs(off["left"].deg) == 0.6
     sight = ModelSight(SightError(0.0, 0.0, 0.0, 0.1, 0.0), np.random.default_rng(1))
     sight.err_at(Outliers((1.0,), 0.6))
-    turns = [sight.look(GelView("key", depth_mm=0.5), 0.9 + 0.02 * k, k).angle_deg for k in range(12)]
-    assert turns[5:] == [pytest.approx(0.6), *[pytest.approx(0.0, abs=1e-9)] * 6]
+    rotations = [sight.look(GelView("key", depth_mm=0.5), 0.9 + 0.02 * k, k).angle_deg for k in range(12)]
+    assert rotations[5:] == [pytest.approx(0.6), *[pytest.approx(0.0, abs=1e-9)] * 6]
 
 
 def test_a_blind_finger_says_nothing_once_its_newest_frame_is_old() -> None:

@@ -108,7 +108,7 @@ def test_it_sees_a_crash(monkeypatch: pytest.MonkeyPatch) -> None:
     def breaks(self: Service, now_s: float) -> None:
         raise ZeroDivisionError("of all things")
 
-    monkeypatch.setattr(Service, "_turn", breaks)
+    monkeypatch.setattr(Service, "_rotation", breaks)
     outcome = with_plans(monkeypatch, ("left.corrupt", 4.0, np.inf))
     assert any("of all things" in crash for crash in outcome.crashes)
 

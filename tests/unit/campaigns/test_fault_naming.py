@@ -16,15 +16,15 @@ from tests.campaigns.faults.kinds import KINDS, RANKS, Plan
 from tests.campaigns.faults.naming import TELLING_DEG, WITHIN_S, Watched, can_be_seen
 
 
-def told(turn_deg: float | None) -> SimpleNamespace:
-    return SimpleNamespace(estimate=SimpleNamespace(angle_deg=turn_deg))
+def told(rotation_deg: float | None) -> SimpleNamespace:
+    return SimpleNamespace(estimate=SimpleNamespace(angle_deg=rotation_deg))
 
 
-def rig(phase: Phase = Phase.HOLDING, turns_deg: tuple[float, float] = (5.0, -5.0)) -> Any:
+def rig(phase: Phase = Phase.HOLDING, rotations_deg: tuple[float, float] = (5.0, -5.0)) -> Any:
     """A cell in which everything is well and the object is held, 5 degrees from where it was gripped."""
     fingers = {
-        name: SimpleNamespace(health=SimpleNamespace(state="ready", ready=True), newest=told(turn_deg))
-        for name, turn_deg in zip(("left", "right"), turns_deg, strict=True)
+        name: SimpleNamespace(health=SimpleNamespace(state="ready", ready=True), newest=told(rotation_deg))
+        for name, rotation_deg in zip(("left", "right"), rotations_deg, strict=True)
     }
     gripper = SimpleNamespace(
         newest=SimpleNamespace(holding=True, closed_on_nothing=False), health=SimpleNamespace(ready=True)
@@ -122,7 +122,7 @@ def test_where_nothing_is_held_a_finger_s_word_does_not_count(fault: str) -> Non
 
 
 def test_mirrored_pictures_show_once_both_have_turned_and_only_one_is_mirrored() -> None:
-    assert not seen("left.mirrored", rig(turns_deg=(5.0, 0.5 * TELLING_DEG)))
+    assert not seen("left.mirrored", rig(rotations_deg=(5.0, 0.5 * TELLING_DEG)))
     cell = rig()
     assert seen("left.mirrored", cell)
     assert not seen("right.mirrored", cell), "two mirrored pictures agree"

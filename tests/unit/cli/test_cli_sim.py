@@ -49,7 +49,7 @@ def record(name: str, outcome: str, why: str = "") -> LiftRecord:
     made = LiftRecord(object_name=name, outcome=outcome, why=why, hard="heavy" if name == "bar" else "")
     for step in range(50):
         made.truth.time_s.append(0.1 * step)
-        made.truth.turn_deg.append(-0.9 * step)
+        made.truth.rotation_deg.append(-0.9 * step)
         made.truth.force_n.append(40.0 + 1.8 * step)
         made.truth.needed_n.append(66.0)
         made.truth.height_mm.append(3.0 * step)

@@ -16,8 +16,8 @@ from slipguard.daemon.loop.worker import StatedLatencyWorker
 from slipguard.daemon.run import build_service
 from slipguard.sim.world import World
 
-TURN = {
-    "turn_deg": 12.34, "sigma_deg": 0.42, "fingers": ["left", "right"],
+ROTATION = {
+    "rotation_deg": 12.34, "sigma_deg": 0.42, "fingers": ["left", "right"],
     "shift_mm": 0.31, "conflict": None, "declined": None,
 }  # fmt: skip
 HELD: dict[str, Any] = {
@@ -26,9 +26,9 @@ HELD: dict[str, Any] = {
     "guarding": True,
     "slipping": True,
     "target_force_n": 61.0,
-    "cannot_see_turn": None,
+    "no_rotation_reason": None,
     "fault": None,
-    "turn": TURN,
+    "rotation": ROTATION,
     "gripper": {
         "active": True, "moving": False, "holding": True, "closed_on_nothing": False,
         "width_mm": 28.0, "force_n": 40.2, "fault": None, "measured_at_s": 1.0,
@@ -87,11 +87,11 @@ def test_a_fault_comes_with_what_to_do() -> None:
 
 CHANGES: dict[str, tuple[dict[str, Any], str]] = {
     "blind": (
-        {"turn": TURN | {"turn_deg": None, "sigma_deg": None, "declined": "round contact"}},
+        {"rotation": ROTATION | {"rotation_deg": None, "sigma_deg": None, "declined": "round contact"}},
         "cannot tell: round",
     ),
-    "no turn": ({"turn": None}, "no finger sees anything now"),
-    "contradiction": ({"turn": TURN | {"conflict": "left +3°, right -4°"}}, "left +3°, right -4°"),
+    "no turn": ({"rotation": None}, "no finger sees anything now"),
+    "contradiction": ({"rotation": ROTATION | {"conflict": "left +3°, right -4°"}}, "left +3°, right -4°"),
     "not guarding": ({"guarding": False}, "not guarding"),
     "held and idle": (
         {"phase": "idle", "target_force_n": 0.0, "slipping": False},

@@ -23,8 +23,8 @@ GUARD_MODE = GuardParams(mode="guard", **COARSE)  # type: ignore[arg-type]
 NOW_S = 10.0
 FAULT = Fault(FaultCode.ARM_SILENT, "no state for 0.5 s", "check the network")
 PRIMED = Detector(
-    base_turn_deg=0.0, base_shift_mm=0.0, measured_s=NOW_S - 0.02, captured_s=NOW_S - 0.02, frames=1,
-    smooth_shift_mm=0.0, rest_turn_deg=0.0, rest_shift_mm=0.0, rest_since_s=NOW_S - 2.0,
+    base_rotation_deg=0.0, base_shift_mm=0.0, measured_s=NOW_S - 0.02, captured_s=NOW_S - 0.02, frames=1,
+    smooth_shift_mm=0.0, rest_rotation_deg=0.0, rest_shift_mm=0.0, rest_since_s=NOW_S - 2.0,
     alert=Alert(start_mm=0.0, near_deg=0.0, measured_s=NOW_S - 0.02, case=Case.REST),
 )  # fmt: skip
 """One frame of slip has been seen already."""
@@ -103,7 +103,7 @@ class Play:
         self.ticks(0.5)
         return self
 
-    def slips(self, turn_deg: float = 4.0, rate_deg_s: float = 30.0, frames: int = 2) -> Command:
+    def slips(self, rotation_deg: float = 4.0, rate_deg_s: float = 30.0, frames: int = 2) -> Command:
         """Measured frames of slip; the last one's command."""
-        self.view = replace(self.view, turn_deg=turn_deg, rate_deg_s=rate_deg_s)
+        self.view = replace(self.view, rotation_deg=rotation_deg, rate_deg_s=rate_deg_s)
         return [self.tick() for _ in range(frames)][-1]

@@ -74,13 +74,13 @@ EVENTS: dict[str, View] = {
     "no fingers": fixed(fused=None, left=GONE, right=GONE),
     "old fingers": fixed(fused=None, left=OLD, right=OLD),
     "one finger": sight(fingers=("left",), note="right finger: round contact"),
-    "round": sight(turn_deg=None, declined="left finger: round contact; right finger: round contact"),
+    "round": sight(rotation_deg=None, declined="left finger: round contact; right finger: round contact"),
     "conflict": sight(conflict="both pictures turn the same way (left +2.0°, right +2.1°)"),
-    "no contact": sight(turn_deg=None, contact=False, shift_mm=None, declined="no contact"),
+    "no contact": sight(rotation_deg=None, contact=False, shift_mm=None, declined="no contact"),
     "no contact, one finger": lambda view: replace(
         view, fused=replace(fused(None, at_s=view.now_s, contact=False, shift_mm=None), left_contact=None)
     ),
-    "turned far": sight(turn_deg=60.0),
+    "turned far": sight(rotation_deg=60.0),
     "told": sight(),
 }
 WISHES: dict[str, Request] = {

@@ -66,7 +66,7 @@ class Run:
 
     @property
     def peak_deg(self) -> float:
-        return max(abs(turn) for turn in self.loop.trace.turn_deg)
+        return max(abs(rotation) for rotation in self.loop.trace.rotation_deg)
 
     @property
     def phase(self) -> Phase:

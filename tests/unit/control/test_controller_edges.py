@@ -112,11 +112,11 @@ def test_no_number_is_no_turn(bad: dict[str, object]) -> None:
     one = replace(estimate(3.0, 0.5, shift_mm=(0.0, 0.0)), **bad)  # type: ignore[arg-type]
     answer = fuse(one, None)
     assert answer is not None
-    assert answer.turn_deg is answer.sigma_deg is answer.rate_deg_s is answer.shift_mm is None
+    assert answer.rotation_deg is answer.sigma_deg is answer.rate_deg_s is answer.shift_mm is None
     assert "left finger: not a number" in (answer.declined or "")
     beside = fuse(one, estimate(-4.0, 0.5))
     assert beside is not None
-    assert (beside.turn_deg, beside.fingers) == (4.0, ("right",))
+    assert (beside.rotation_deg, beside.fingers) == (4.0, ("right",))
 
 
 @pytest.mark.parametrize("bad", [{"captured_at_s": float("nan")}, {"measured_at_s": float("inf")}])
@@ -132,7 +132,7 @@ def test_without_a_time_a_finger_says_nothing(bad: dict[str, float]) -> None:
 def test_the_ends_of_what_a_sigma_may_be(sigma_deg: float) -> None:
     answer = fuse(estimate(3.0, sigma_deg), None)
     assert answer is not None
-    assert answer.turn_deg == 3.0
+    assert answer.rotation_deg == 3.0
 
 
 def test_no_force_is_added_to_what_is_found_until_the_arm_says_that_nobody_is_near() -> None:

@@ -25,11 +25,11 @@ requests = st.one_of(
     st.builds(lambda n: ask(RequestKind.GRASP, force_n=n), st.floats(1.0, 235.0)),
 )
 releases = st.builds(ask, st.just(RequestKind.RELEASE))
-turns = st.one_of(st.none(), st.floats(-90.0, 90.0))
+rotations = st.one_of(st.none(), st.floats(-90.0, 90.0))
 views = st.one_of(
     st.none(),
     st.builds(
-        fused, turns, st.one_of(st.none(), st.floats(-400.0, 400.0)), contact=st.booleans(),
+        fused, rotations, st.one_of(st.none(), st.floats(-400.0, 400.0)), contact=st.booleans(),
         shift_mm=st.one_of(st.none(), st.floats(-5.0, 5.0)), sigma_deg=st.floats(0.1, 6.0),
         conflict=st.one_of(st.none(), st.just("a conflict")),
     ),

@@ -53,8 +53,8 @@ class Lifted(Play):
 
     def spend(self) -> Command:
         """Slip on until there is nothing left; the command of the tick at which that was found."""
-        for turn_deg in range(4, 40, 2):
-            self.view = replace(self.view, turn_deg=float(turn_deg), rate_deg_s=40.0)
+        for rotation_deg in range(4, 40, 2):
+            self.view = replace(self.view, rotation_deg=float(rotation_deg), rate_deg_s=40.0)
             for _ in range(10):
                 command = self.tick()
                 if command.fault is not None:
@@ -111,10 +111,10 @@ def test_tightening_that_does_not_help_stops_as_ever() -> None:
     """There is force left: it is not known that nothing holds it."""
     play = Lifted(GuardParams(on_budget_spent="lower", lift_height_mm=80.0, help_s=0.2))
     play.slips(4.0, 30.0)
-    turn_deg, command = 4.0, Command()
+    rotation_deg, command = 4.0, Command()
     while command.fault is None:
-        turn_deg += 0.4
-        command = play.slips(turn_deg, 20.0, frames=1)
+        rotation_deg += 0.4
+        command = play.slips(rotation_deg, 20.0, frames=1)
     assert command.fault.code is FaultCode.NO_HELP
     assert command.arm == "stop"
     assert not play.law.putting_down
@@ -164,8 +164,8 @@ def test_an_object_lost_or_not_seen_any_more_stops_it(view: object) -> None:
 def test_slip_that_goes_on_does_not_stop_it() -> None:
     play = Lifted(LOWER)
     play.spend()
-    for turn_deg in range(40, 60):
-        play.slips(float(turn_deg), 40.0, frames=5)
+    for rotation_deg in range(40, 60):
+        play.slips(float(rotation_deg), 40.0, frames=5)
     assert play.law.putting_down
     assert FaultCode.NO_HELP in play.law.besides
 

@@ -33,7 +33,7 @@ def test_a_turn_either_way_is_slip() -> None:
 
 
 @pytest.mark.parametrize(
-    ("turn_deg", "rate_deg_s", "sigma_deg", "frames"),
+    ("rotation_deg", "rate_deg_s", "sigma_deg", "frames"),
     [
         (1.9, 90.0, 0.5, 5),  # below the level
         (4.0, 7.0, 0.5, 5),  # too slow: a gel that winds up
@@ -43,11 +43,11 @@ def test_a_turn_either_way_is_slip() -> None:
         (4.0, None, 0.5, 5),  # no rate known
     ],
 )
-def test_what_is_not_slip(turn_deg: float, rate_deg_s: float | None, sigma_deg: float, frames: int) -> None:
+def test_what_is_not_slip(rotation_deg: float, rate_deg_s: float | None, sigma_deg: float, frames: int) -> None:
     play = Play().held()
     play.view = replace(play.view, sigma_deg=sigma_deg)
     commands = []
-    play.view = replace(play.view, turn_deg=turn_deg, rate_deg_s=rate_deg_s)
+    play.view = replace(play.view, rotation_deg=rotation_deg, rate_deg_s=rate_deg_s)
     commands = [play.tick() for _ in range(frames)]
     assert all(command.hold_force_n is None for command in commands)
 
@@ -83,7 +83,7 @@ def test_further_steps_wait_until_the_last_could_be_felt_and_for_progress() -> N
 
 
 @pytest.mark.parametrize(
-    ("moving", "turn_deg", "rate_deg_s", "steps"),
+    ("moving", "rotation_deg", "rate_deg_s", "steps"),
     [
         (True, 8.0, 60.0, False),  # the force still rises
         (False, 8.0, 60.0, True),
@@ -93,13 +93,13 @@ def test_further_steps_wait_until_the_last_could_be_felt_and_for_progress() -> N
     ],
 )
 def test_while_the_force_rises_or_the_turn_slows_down_it_waits(
-    moving: bool, turn_deg: float, rate_deg_s: float, steps: bool
+    moving: bool, rotation_deg: float, rate_deg_s: float, steps: bool
 ) -> None:
     play = Play().held()
     play.slips(4.0, 60.0)
     play.jaws = replace(play.jaws, moving=moving)
     play.ticks(0.24)
-    assert (play.slips(turn_deg, rate_deg_s, frames=1).hold_force_n is not None) is steps
+    assert (play.slips(rotation_deg, rate_deg_s, frames=1).hold_force_n is not None) is steps
 
 
 def test_a_turn_that_does_not_go_on_slowing_down_is_answered_again() -> None:
@@ -153,7 +153,7 @@ def test_slides_have_levels_too(episodes: int, slid_mm: float, at_once: bool, sl
 def test_calm_ends_an_episode_and_the_next_needs_twice_the_turn() -> None:
     play = Play().held()
     play.slips(4.0)
-    play.view = replace(play.view, turn_deg=4.5, rate_deg_s=0.0)
+    play.view = replace(play.view, rotation_deg=4.5, rate_deg_s=0.0)
     said = " ".join(command.say or "" for command in play.ticks(0.6))
     assert "calm at" in said
     assert play.law.slip is None
@@ -192,7 +192,7 @@ def test_slip_too_slow_to_be_told_by_its_rate_takes_all_the_force_and_then_is_a_
     for tick in range(round(5.0 / 0.02)):
         passed_s = 0.02 * tick
         play.view = replace(
-            play.view, turn_deg=deg_s * passed_s, rate_deg_s=deg_s, shift_mm=mm_s * passed_s, sigma_deg=0.1
+            play.view, rotation_deg=deg_s * passed_s, rate_deg_s=deg_s, shift_mm=mm_s * passed_s, sigma_deg=0.1
         )
         forces.append(play.tick().hold_force_n or forces[-1])
     assert forces == sorted(forces)
@@ -204,8 +204,8 @@ def test_slip_too_slow_to_be_told_by_its_rate_takes_all_the_force_and_then_is_a_
 
 def test_the_budget_spent_is_a_fault_that_keeps_the_grip() -> None:
     play = Play(GuardParams(force_max_n=60.0, blind_force_n=60.0)).held()
-    for turn_deg in range(4, 40, 2):
-        play.slips(float(turn_deg), 40.0, frames=5)
+    for rotation_deg in range(4, 40, 2):
+        play.slips(float(rotation_deg), 40.0, frames=5)
     assert play.law.fault is not None
     assert play.law.fault.code is FaultCode.BUDGET_SPENT
     assert play.law.target_n <= 60.0
@@ -221,7 +221,7 @@ def test_with_the_whole_budget_applied_the_arm_waits_and_it_is_said() -> None:
     play.view = replace(play.view, rate_deg_s=0.0)
     play.ticks(0.6)
     assert play.law.slip is None
-    assert (play.law.detector.turns, play.law.detector.patient) == (0, True)
+    assert (play.law.detector.rotations, play.law.detector.patient) == (0, True)
     assert play.law.target_n == strongest_n
 
 
@@ -241,24 +241,24 @@ def test_what_slid_and_what_turned_is_remembered_until_all_is_calm() -> None:
     play.view = replace(play.view, shift_mm=2.5)
     assert play.slips(0.0, 0.0).hold_force_n is not None
     assert play.law.slip is not None
-    assert (play.law.slip.turns, play.law.slip.slides, play.law.slip.raised) == (False, True, True)
+    assert (play.law.slip.rotations, play.law.slip.slides, play.law.slip.raised) == (False, True, True)
     play.ticks(0.24)
     play.view = replace(play.view, shift_mm=2.6)
     assert play.slips(7.0, 30.0, frames=1).hold_force_n is not None
-    assert (play.law.slip.turns, play.law.slip.slides) == (True, True)
+    assert (play.law.slip.rotations, play.law.slip.slides) == (True, True)
     play.view = replace(play.view, rate_deg_s=0.0)
     play.ticks(0.8)
-    assert (play.law.detector.turns, play.law.detector.slides) == (1, 1)
+    assert (play.law.detector.rotations, play.law.detector.slides) == (1, 1)
 
 
-@pytest.mark.parametrize(("turn_deg", "gives_up"), [(44.5, False), (45.5, True), (-45.5, True)])
-def test_an_object_turned_too_far_is_given_up_though_it_rests(turn_deg: float, gives_up: bool) -> None:
+@pytest.mark.parametrize(("rotation_deg", "gives_up"), [(44.5, False), (45.5, True), (-45.5, True)])
+def test_an_object_turned_too_far_is_given_up_though_it_rests(rotation_deg: float, gives_up: bool) -> None:
     play = Play().held()
-    detector = replace(play.law.detector, base_turn_deg=turn_deg, rest_turn_deg=turn_deg)
-    detector = replace(detector, alert=replace(detector.alert, near_deg=turn_deg, rested_deg=turn_deg))
+    detector = replace(play.law.detector, base_rotation_deg=rotation_deg, rest_rotation_deg=rotation_deg)
+    detector = replace(detector, alert=replace(detector.alert, near_deg=rotation_deg, rested_deg=rotation_deg))
     play.guard = replace(play.guard, law=replace(play.law, detector=detector))
-    assert play.slips(turn_deg, 0.0, frames=1).fault is None
-    command = play.slips(turn_deg, 0.0, frames=1)
+    assert play.slips(rotation_deg, 0.0, frames=1).fault is None
+    command = play.slips(rotation_deg, 0.0, frames=1)
     assert (command.fault is not None) is gives_up
     if gives_up:
         assert play.law.fault is not None
@@ -270,8 +270,8 @@ def test_an_object_turned_too_far_is_given_up_though_it_rests(turn_deg: float, g
 
 def test_fingers_that_contradict_each_other_give_nothing_up_nor_does_a_single_frame() -> None:
     play = Play().held()
-    for turn_deg in (50.0, 0.0, 50.0, 0.0):
-        assert play.slips(turn_deg, 0.0, frames=1).fault is None
+    for rotation_deg in (50.0, 0.0, 50.0, 0.0):
+        assert play.slips(rotation_deg, 0.0, frames=1).fault is None
     play.view = replace(play.view, conflict="both pictures turn the same way")
     assert all(play.slips(50.0, 0.0, frames=1).fault is None for _ in range(5))
 
@@ -307,7 +307,7 @@ def test_no_force_is_added_near_a_person() -> None:
 
 
 def test_a_turn_back_while_putting_down_is_no_slip() -> None:
-    slipped = replace(PRIMED, base_turn_deg=20.0)
+    slipped = replace(PRIMED, base_rotation_deg=20.0)
     back = seen_in(Phase.LOWERING, fused=fused(15.0, -30.0, at_s=NOW_S))
     for phase, tightens in ((Phase.LOWERING, False), (Phase.HOLDING, True)):
         _, command = step(state_in(phase, detector=slipped), back, PARAMS)

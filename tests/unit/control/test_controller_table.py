@@ -41,7 +41,7 @@ EVENTS: dict[str, dict[str, object]] = {
     "jaws tighter": {"request": ask(RequestKind.GRIPPER, force_n=60.0)},
     "release": {"request": ask(RequestKind.RELEASE)},
     "clear": {"request": ask(RequestKind.CLEAR)},
-    "turn": {"fused": SLIP},
+    "rotation": {"fused": SLIP},
     "slide": {"fused": SLIDE},
     "turn back": {"fused": BACK},
     "fault": {"fault": FAULT},
@@ -72,7 +72,7 @@ fault          | -            | fault stop    | fault stop        | fault stop  
 no devices     | -            | -             | -                 | -             | -             | -             | -             | stop
 on nothing     | -            | idle          | -                 | -             | -             | -             | idle          | -
 turn in a stop | -            | halt          | holding           | stop          | stop          | stop          | -             | -
-"""  # noqa: E501
+"""
 CASES = [
     (phase, row.split("|")[0].strip(), cell.strip())
     for row in TABLE.strip("\n").splitlines()[1:]

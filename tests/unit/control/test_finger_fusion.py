@@ -11,7 +11,7 @@ from observations import estimate
 
 from slipguard.control.finger_fusion import SIGMA_FLOOR_DEG, fuse
 
-turns = st.floats(-60.0, 60.0)
+rotations = st.floats(-60.0, 60.0)
 sigmas = st.floats(0.05, 6.0)
 
 
@@ -22,7 +22,7 @@ def test_nobody_says_anything() -> None:
 def test_a_turn_has_opposite_signs_in_the_two_pictures() -> None:
     both = fuse(estimate(12.0), estimate(-12.0))
     assert both is not None
-    assert both.turn_deg == pytest.approx(12.0)
+    assert both.rotation_deg == pytest.approx(12.0)
     assert both.sigma_deg == pytest.approx(0.5 / math.sqrt(2))
     assert both.fingers == ("left", "right")
     assert both.conflict is None
@@ -32,16 +32,16 @@ def test_a_turn_has_opposite_signs_in_the_two_pictures() -> None:
 
 def test_from_minus_6_to_plus_6_is_12_and_80_to_100_is_20() -> None:
     """The published code, which averages magnitudes, reads 0 for both."""
-    for turn in (12.0, 20.0):
-        both = fuse(estimate(turn), estimate(-turn))
+    for rotation in (12.0, 20.0):
+        both = fuse(estimate(rotation), estimate(-rotation))
         assert both is not None
-        assert both.turn_deg == pytest.approx(turn)
+        assert both.rotation_deg == pytest.approx(rotation)
 
 
 def test_the_surer_finger_weighs_more() -> None:
     both = fuse(estimate(10.0, 0.5), estimate(-11.0, 1.0))
     assert both is not None
-    assert both.turn_deg == pytest.approx((4 * 10 + 1 * 11) / 5)
+    assert both.rotation_deg == pytest.approx((4 * 10 + 1 * 11) / 5)
     assert both.sigma_deg == pytest.approx((4 + 1) ** -0.5)
 
 
@@ -59,7 +59,7 @@ def test_rates_and_shifts_are_fused_too() -> None:
 
 
 @pytest.mark.parametrize(
-    ("left", "right", "turn", "finger", "note"),
+    ("left", "right", "rotation", "finger", "note"),
     [
         (estimate(8.0), None, 8.0, "left", "right finger: no frames"),
         (None, estimate(8.0), -8.0, "right", "left finger: no frames"),
@@ -69,11 +69,11 @@ def test_rates_and_shifts_are_fused_too() -> None:
     ],
 )
 def test_one_blind_finger_leaves_the_other_with_a_note(
-    left: object, right: object, turn: float, finger: str, note: str
+    left: object, right: object, rotation: float, finger: str, note: str
 ) -> None:
     one = fuse(left, right)  # type: ignore[arg-type]
     assert one is not None
-    assert one.turn_deg == pytest.approx(turn)
+    assert one.rotation_deg == pytest.approx(rotation)
     assert one.sigma_deg == pytest.approx(0.5)
     assert one.fingers == (finger,)
     assert one.note == note
@@ -83,7 +83,7 @@ def test_one_blind_finger_leaves_the_other_with_a_note(
 def test_two_blind_fingers_decline_with_both_reasons() -> None:
     none = fuse(estimate(None, declined="round contact", shift_mm=(0.0, -1.0)), estimate(None, contact=False))
     assert none is not None
-    assert none.turn_deg is None
+    assert none.rotation_deg is None
     assert none.sigma_deg is None
     assert none.declined == "left finger: round contact; right finger: no contact"
     assert none.shift_mm == 1.0
@@ -108,7 +108,7 @@ def test_the_same_way_in_both_pictures_is_a_conflict_and_the_larger_turn_is_take
     assert both is not None
     assert both.conflict is not None
     assert "left +5.0°, right +9.0°" in both.conflict
-    assert both.turn_deg == pytest.approx(-9.0)
+    assert both.rotation_deg == pytest.approx(-9.0)
 
 
 def test_opposed_within_the_noise_is_no_conflict() -> None:
@@ -121,7 +121,7 @@ def test_opposed_within_the_noise_is_no_conflict() -> None:
 def test_disagreement_widens_sigma() -> None:
     apart = fuse(estimate(10.0), estimate(-7.0))
     assert apart is not None
-    assert apart.turn_deg == pytest.approx(8.5)
+    assert apart.rotation_deg == pytest.approx(8.5)
     assert apart.conflict is None
     # Birge: sigma / sqrt(2) times the disagreement over its own sigma.
     assert apart.sigma_deg == pytest.approx(0.5 / math.sqrt(2) * 3.0 / math.hypot(0.5, 0.5))
@@ -131,14 +131,14 @@ def test_the_newer_turn_is_moved_back_to_the_moment_of_the_older() -> None:
     both = fuse(estimate(10.0, at_s=1.00, rate_deg_s=100.0), estimate(-12.0, at_s=1.02, rate_deg_s=-100.0))
     assert both is not None
     assert both.captured_at_s == both.measured_at_s == 1.00
-    assert both.turn_deg == pytest.approx(10.0)
+    assert both.rotation_deg == pytest.approx(10.0)
     assert both.sigma_deg == pytest.approx(0.5 / math.sqrt(2))
 
 
 def test_a_finger_far_behind_is_left_out() -> None:
     one = fuse(estimate(10.0, at_s=1.0), estimate(-40.0, at_s=1.15))
     assert one is not None
-    assert one.turn_deg == pytest.approx(40.0)
+    assert one.rotation_deg == pytest.approx(40.0)
     assert one.fingers == ("right",)
     assert one.captured_at_s == 1.15
     assert one.note == "left finger: 150 ms behind"
@@ -151,14 +151,14 @@ def test_a_skipped_frame_keeps_its_age() -> None:
     assert both.measured_at_s == 0.8
 
 
-@given(turns, sigmas, turns, sigmas)
+@given(rotations, sigmas, rotations, sigmas)
 def test_both_fingers_mirrored_give_the_mirrored_turn(a: float, sa: float, b: float, sb: float) -> None:
     one, other = fuse(estimate(a, sa), estimate(b, sb)), fuse(estimate(-a, sa), estimate(-b, sb))
     assert one is not None
     assert other is not None
-    assert one.turn_deg is not None
+    assert one.rotation_deg is not None
     assert one.sigma_deg is not None
-    assert other.turn_deg == pytest.approx(-one.turn_deg)
+    assert other.rotation_deg == pytest.approx(-one.rotation_deg)
     assert other.sigma_deg == pytest.approx(one.sigma_deg)
     assert one.sigma_deg >= SIGMA_FLOOR_DEG / math.sqrt(2)
-    assert min(a, -b) - 1e-9 <= one.turn_deg <= max(a, -b) + 1e-9
+    assert min(a, -b) - 1e-9 <= one.rotation_deg <= max(a, -b) + 1e-9

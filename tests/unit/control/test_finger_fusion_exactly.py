@@ -20,7 +20,7 @@ def test_both() -> None:
         captured_at_s=8.0,
         measured_at_s=7.25,
         fingers=("left", "right"),
-        turn_deg=pytest.approx((4.0 * 4.0 + 6.0) / 5.0),
+        rotation_deg=pytest.approx((4.0 * 4.0 + 6.0) / 5.0),
         sigma_deg=pytest.approx(5.0**-0.5),
         rate_deg_s=pytest.approx((4.0 * 16.0 + 6.0) / 5.0),
         shift_mm=2.0,
@@ -60,11 +60,11 @@ def test_the_later_one_is_moved_back_by_its_own_rate() -> None:
     answer = fuse(LEFT, late)
     assert answer is not None
     assert answer.captured_at_s == 8.0
-    assert answer.turn_deg == pytest.approx((4.0 + 4.375 - 0.0625 * 6.0) / 2.0)
+    assert answer.rotation_deg == pytest.approx((4.0 + 4.375 - 0.0625 * 6.0) / 2.0)
     assert answer.note is None
     unknown = fuse(LEFT, replace(late, rate_deg_s=None))
     assert unknown is not None
-    assert unknown.turn_deg == pytest.approx((4.0 + 4.375 - 0.0625 * 16.0) / 2.0)
+    assert unknown.rotation_deg == pytest.approx((4.0 + 4.375 - 0.0625 * 16.0) / 2.0)
     assert unknown.rate_deg_s == 16.0
 
 
@@ -81,7 +81,7 @@ def test_without_a_rate_only_the_newer_counts() -> None:
     early, late = replace(LEFT, rate_deg_s=None), replace(RIGHT, captured_at_s=8.0625, rate_deg_s=None)
     answer = fuse(early, late)
     assert answer is not None
-    assert (answer.fingers, answer.turn_deg, answer.note) == (("right",), 6.0, "left finger: 62 ms behind")
+    assert (answer.fingers, answer.rotation_deg, answer.note) == (("right",), 6.0, "left finger: 62 ms behind")
     together = fuse(early, replace(late, captured_at_s=8.0))
     assert together is not None
     assert together.fingers == ("left", "right")
@@ -92,15 +92,15 @@ def test_disagreement_is_worth_less() -> None:
     answer = fuse(LEFT, far)
     assert answer is not None
     assert answer.conflict is None
-    assert answer.turn_deg == pytest.approx(5.5)
+    assert answer.rotation_deg == pytest.approx(5.5)
     assert answer.sigma_deg == pytest.approx(0.5 / 2**0.5 * 3.0 / (0.5 * 2**0.5))
 
 
-@pytest.mark.parametrize(("angle_deg", "turn_deg", "sigma_deg"), [(6.0, -6.0, 0.25), (3.0, 4.0, 0.5)])
-def test_the_same_way_in_both_pictures(angle_deg: float, turn_deg: float, sigma_deg: float) -> None:
+@pytest.mark.parametrize(("angle_deg", "rotation_deg", "sigma_deg"), [(6.0, -6.0, 0.25), (3.0, 4.0, 0.5)])
+def test_the_same_way_in_both_pictures(angle_deg: float, rotation_deg: float, sigma_deg: float) -> None:
     answer = fuse(LEFT, replace(RIGHT, angle_deg=angle_deg, sigma_deg=0.25))
     assert answer is not None
-    assert (answer.turn_deg, answer.sigma_deg) == (turn_deg, sigma_deg)
+    assert (answer.rotation_deg, answer.sigma_deg) == (rotation_deg, sigma_deg)
     assert answer.conflict == (
         f"both pictures turn the same way (left +4.0°, right +{angle_deg:.1f}°): "
         "a fault of one finger, or the object rolls"
@@ -115,7 +115,7 @@ def test_a_turn_that_is_not_certain_contradicts_nobody(angle_deg: float, opposed
 
 
 @pytest.mark.parametrize(
-    ("left_deg", "right_deg", "sigma_deg", "turn_deg"),
+    ("left_deg", "right_deg", "sigma_deg", "rotation_deg"),
     [
         (0.0, -3.5, 0.125, 3.5),
         (0.0, -3.25, 0.125, None),
@@ -127,14 +127,14 @@ def test_a_turn_that_is_not_certain_contradicts_nobody(angle_deg: float, opposed
         (0.0, -3.5, 0.5, None),
     ],
 )
-def test_one_that_turns_alone(left_deg: float, right_deg: float, sigma_deg: float, turn_deg: float | None) -> None:
+def test_one_that_turns_alone(left_deg: float, right_deg: float, sigma_deg: float, rotation_deg: float | None) -> None:
     """Beyond 3 degrees, a tenth of the turn, and five combined standard deviations; all of the larger one is used."""
     left = replace(LEFT, angle_deg=left_deg, sigma_deg=sigma_deg)
     right = replace(RIGHT, angle_deg=right_deg, sigma_deg=sigma_deg)
     answer = fuse(left, right)
     assert answer is not None
     assert answer.fingers == ("left", "right")
-    if turn_deg is None:
+    if rotation_deg is None:
         assert answer.conflict is None
         return
     assert answer.conflict == (
@@ -142,7 +142,7 @@ def test_one_that_turns_alone(left_deg: float, right_deg: float, sigma_deg: floa
         "one is stuck or wrong, the larger turn is believed"
     )
     used = left if abs(left_deg) > abs(right_deg) else right
-    assert (answer.turn_deg, answer.sigma_deg) == (turn_deg, sigma_deg)
+    assert (answer.rotation_deg, answer.sigma_deg) == (rotation_deg, sigma_deg)
     assert answer.rate_deg_s == (16.0 if used is left else 6.0)
     assert answer.measured_at_s == answer.newest_at_s == used.measured_at_s
     assert answer.captured_at_s == 8.0

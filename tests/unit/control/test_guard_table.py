@@ -29,12 +29,12 @@ View = Callable[[Seen, float], Seen]
 """What the event makes of what is seen in that phase; the time since it began."""
 
 
-def turning(view: Seen, since_s: float) -> Seen:
+def rotating(view: Seen, since_s: float) -> Seen:
     return replace(view, fused=fused(22.0 + 10.0 * since_s, 10.0, at_s=view.now_s))
 
 
-def turning_while_it_tightens(view: Seen, since_s: float) -> Seen:
-    return turning(replace(view, gripper=view.gripper and replace(view.gripper, moving=True)), since_s)
+def rotating_while_it_tightens(view: Seen, since_s: float) -> Seen:
+    return rotating(replace(view, gripper=view.gripper and replace(view.gripper, moving=True)), since_s)
 
 
 EVENTS: dict[FaultCode, tuple[View, frozenset[Phase], dict[str, object]]] = {
@@ -66,8 +66,8 @@ EVENTS: dict[FaultCode, tuple[View, frozenset[Phase], dict[str, object]]] = {
         frozenset({Phase.LIFTING, Phase.LOWERING}),
         {},
     ),
-    FaultCode.NO_HELP: (turning_while_it_tightens, SEEN, {"slip": SLIPS, "target_n": 60.0}),
-    FaultCode.BUDGET_SPENT: (turning, SEEN, {"slip": replace(SLIPS, turn_deg=2.0), "target_n": 129.57}),
+    FaultCode.NO_HELP: (rotating_while_it_tightens, SEEN, {"slip": SLIPS, "target_n": 60.0}),
+    FaultCode.BUDGET_SPENT: (rotating, SEEN, {"slip": replace(SLIPS, rotation_deg=2.0), "target_n": 129.57}),
     FaultCode.TURNED_TOO_FAR: (
         lambda view, since_s: replace(view, fused=fused(50.0 + 60.0 * since_s, 60.0, at_s=view.now_s)),
         SEEN,

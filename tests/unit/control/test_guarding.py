@@ -23,17 +23,17 @@ FELT_S = 0.25
 BUDGET_N = 129.6
 
 
-def slipping(turn_deg: float = 4.0, rate_deg_s: float = 60.0, slide_mm: float = 0.0, since_s: float = 1.0) -> Slip:
+def slipping(rotation_deg: float = 4.0, rate_deg_s: float = 60.0, slide_mm: float = 0.0, since_s: float = 1.0) -> Slip:
     """Tightened so long ago, at this turn and rate."""
-    return Slip(NOW_S - since_s, NOW_S - since_s, turn_deg, rate_deg_s, slide_mm, turns=True, raised=True)
+    return Slip(NOW_S - since_s, NOW_S - since_s, rotation_deg, rate_deg_s, slide_mm, rotations=True, raised=True)
 
 
 def state(slip: Slip | None = None, detector: Detector = PRIMED, **changes: object) -> GuardState:
     return state_in(Phase.HOLDING, slip=slip, detector=detector, delay=GripperDelay(felt_s=0.2), **changes)
 
 
-def view(turn_deg: float | None = 0.0, rate_deg_s: float = 0.0, shift_mm: float = 0.0, **changes: object) -> Seen:
-    seen = seen_in(Phase.HOLDING, fused=fused(turn_deg, rate_deg_s, at_s=NOW_S, shift_mm=shift_mm, sigma_deg=0.1))
+def view(rotation_deg: float | None = 0.0, rate_deg_s: float = 0.0, shift_mm: float = 0.0, **changes: object) -> Seen:
+    seen = seen_in(Phase.HOLDING, fused=fused(rotation_deg, rate_deg_s, at_s=NOW_S, shift_mm=shift_mm, sigma_deg=0.1))
     return replace(seen, **changes)  # type: ignore[arg-type]
 
 
@@ -66,9 +66,9 @@ def test_a_firm_grip_bears_more_of_a_turn_while_it_lifts_off() -> None:
 def test_a_base_that_moves_takes_the_last_steps_turn_and_slide_along() -> None:
     lifting = replace(PRIMED, alert=replace(PRIMED.alert, case=Case.LIFT_OFF))
     verdict = look(state(slipping(5.0, slide_mm=0.2), lifting), view(6.0, shift_mm=0.4))
-    assert verdict.state.detector.base_turn_deg == 6.0
+    assert verdict.state.detector.base_rotation_deg == 6.0
     assert verdict.state.slip is not None
-    assert (verdict.state.slip.turn_deg, verdict.state.slip.slide_mm) == (0.0, 0.0)
+    assert (verdict.state.slip.rotation_deg, verdict.state.slip.slide_mm) == (0.0, 0.0)
 
 
 # --- the first step ---
@@ -80,7 +80,7 @@ def test_the_first_step_is_remembered_as_it_was() -> None:
     law = verdict.state
     rate_mm_s = law.detector.slide_rate_mm_s
     assert rate_mm_s > PARAMS.slide_rate_mm_s
-    assert law.slip == Slip(NOW_S, NOW_S, 7.0, 60.0, 0.4, turns=True, slides=False, raised=True)
+    assert law.slip == Slip(NOW_S, NOW_S, 7.0, 60.0, 0.4, rotations=True, slides=False, raised=True)
     assert verdict.hold_n == law.target_n > 40.0
     assert law.commanded_s == NOW_S
     assert verdict.stop
@@ -112,19 +112,19 @@ def test_until_a_step_can_be_felt_progress_does_not_count() -> None:
     early = slipping(4.0, 60.0, 0.1, since_s=FELT_S - 0.01)
     verdict = look(state(early), view(9.0, 50.0, 0.3))
     assert verdict == Verdict(verdict.state, stop=True)
-    assert verdict.state.slip == replace(early, turn_deg=9.0, rate_deg_s=50.0, slide_mm=0.3)
+    assert verdict.state.slip == replace(early, rotation_deg=9.0, rate_deg_s=50.0, slide_mm=0.3)
     felt = look(state(slipping(4.0, 60.0, since_s=FELT_S)), view(9.0, 60.0))
     assert felt.hold_n is not None
 
 
 @pytest.mark.parametrize(
-    ("turn_deg", "shift_mm", "steps"), [(5.0, 0.0, False), (5.01, 0.0, True), (4.5, 0.2, False), (4.5, 0.21, True)]
+    ("rotation_deg", "shift_mm", "steps"), [(5.0, 0.0, False), (5.01, 0.0, True), (4.5, 0.2, False), (4.5, 0.21, True)]
 )
 def test_a_step_is_followed_by_another_only_if_the_object_moved_on(
-    turn_deg: float, shift_mm: float, steps: bool
+    rotation_deg: float, shift_mm: float, steps: bool
 ) -> None:
     before = slipping(4.0)
-    verdict = look(state(before), view(turn_deg, 70.0, shift_mm))
+    verdict = look(state(before), view(rotation_deg, 70.0, shift_mm))
     assert (verdict.hold_n is not None) is steps
     assert verdict.stop
     if not steps:
@@ -133,26 +133,26 @@ def test_a_step_is_followed_by_another_only_if_the_object_moved_on(
         assert verdict.state.slip is not None
         assert verdict.state.slip.stepped_s == verdict.state.commanded_s == NOW_S
         assert verdict.state.slip.began_s == before.began_s
-        assert (verdict.state.slip.turn_deg, verdict.state.slip.rate_deg_s) == (turn_deg, 70.0)
+        assert (verdict.state.slip.rotation_deg, verdict.state.slip.rate_deg_s) == (rotation_deg, 70.0)
         assert verdict.state.slip.slide_mm == shift_mm
 
 
 @pytest.mark.parametrize(
-    ("sigma_deg", "turn_deg", "steps"),
+    ("sigma_deg", "rotation_deg", "steps"),
     [(0.1, 7.0, False), (0.1, 7.01, True), (1.5, 8.5, False), (1.5, 8.51, True), (9.0, 9.0, False), (9.0, 9.01, True)],
 )
 def test_a_step_is_followed_by_another_where_the_object_creeps_on(
-    sigma_deg: float, turn_deg: float, steps: bool
+    sigma_deg: float, rotation_deg: float, steps: bool
 ) -> None:
-    creeping = fused(turn_deg, 4.0, at_s=NOW_S, sigma_deg=sigma_deg)
+    creeping = fused(rotation_deg, 4.0, at_s=NOW_S, sigma_deg=sigma_deg)
     assert (look(state(slipping(4.0, 4.0)), view(fused=creeping)).hold_n is not None) is steps
 
 
 @pytest.mark.parametrize(("slid_mm", "steps"), [(0.5, False), (0.51, True)])
-@pytest.mark.parametrize("turn_deg", [None, 4.0])
-def test_so_where_it_slides_on_slowly(turn_deg: float | None, slid_mm: float, steps: bool) -> None:
+@pytest.mark.parametrize("rotation_deg", [None, 4.0])
+def test_so_where_it_slides_on_slowly(rotation_deg: float | None, slid_mm: float, steps: bool) -> None:
     slow = replace(PRIMED, smooth_shift_mm=slid_mm - 0.01, captured_s=NOW_S - 0.02)
-    verdict = look(state(slipping(4.0, 0.0), slow), view(turn_deg, 0.0, slid_mm))
+    verdict = look(state(slipping(4.0, 0.0), slow), view(rotation_deg, 0.0, slid_mm))
     assert verdict.stop
     assert (verdict.hold_n is not None) is steps
 
@@ -169,13 +169,13 @@ def test_a_fifth_slower_is_help(rate_deg_s: float, steps: bool) -> None:
     assert verdict.stop
     if not steps:
         assert verdict == Verdict(verdict.state, stop=True)
-        assert verdict.state.slip == replace(before, turn_deg=8.0, rate_deg_s=rate_deg_s, slide_mm=0.01)
+        assert verdict.state.slip == replace(before, rotation_deg=8.0, rate_deg_s=rate_deg_s, slide_mm=0.01)
 
 
-@pytest.mark.parametrize(("turn_deg", "steps"), [(22.5, False), (22.6, True), (-22.6, True)])
-def test_half_way_to_giving_up_there_is_no_waiting(turn_deg: float, steps: bool) -> None:
-    rate_deg_s = 30.0 if turn_deg > 0.0 else -30.0
-    seen = view(turn_deg, rate_deg_s, gripper=gripper(40.0, moving=True, at_s=NOW_S))
+@pytest.mark.parametrize(("rotation_deg", "steps"), [(22.5, False), (22.6, True), (-22.6, True)])
+def test_half_way_to_giving_up_there_is_no_waiting(rotation_deg: float, steps: bool) -> None:
+    rate_deg_s = 30.0 if rotation_deg > 0.0 else -30.0
+    seen = view(rotation_deg, rate_deg_s, gripper=gripper(40.0, moving=True, at_s=NOW_S))
     assert (look(state(slipping(4.0, 60.0)), seen).hold_n is not None) is steps
 
 
@@ -191,7 +191,7 @@ def test_a_slide_that_goes_on_though_the_object_does_not_turn_is_answered_again(
 
 
 @pytest.mark.parametrize(
-    ("turn_deg", "shift_mm", "moving", "spent"),
+    ("rotation_deg", "shift_mm", "moving", "spent"),
     [
         (9.0, 0.0, False, False),
         (9.1, 0.0, False, True),
@@ -202,10 +202,10 @@ def test_a_slide_that_goes_on_though_the_object_does_not_turn_is_answered_again(
     ],
 )
 def test_the_budget_is_spent_when_the_object_moves_on_under_all_of_it(
-    turn_deg: float, shift_mm: float, moving: bool, spent: bool
+    rotation_deg: float, shift_mm: float, moving: bool, spent: bool
 ) -> None:
     law = state(slipping(4.0), target_n=BUDGET_N + 0.1)
-    verdict = look(law, view(turn_deg, 60.0, shift_mm, gripper=gripper(130.0, moving=moving, at_s=NOW_S)))
+    verdict = look(law, view(rotation_deg, 60.0, shift_mm, gripper=gripper(130.0, moving=moving, at_s=NOW_S)))
     assert verdict.stop
     assert verdict.hold_n is None
     if not spent:
@@ -214,7 +214,7 @@ def test_the_budget_is_spent_when_the_object_moves_on_under_all_of_it(
         assert verdict.fault is not None
         assert verdict.fault.code is FaultCode.BUDGET_SPENT
         slid = f", slid {shift_mm:.1f} mm" if shift_mm else ""
-        assert verdict.fault.seen == f"turned {turn_deg:.1f}° at 60°/s{slid} at 130 N, and force_max_n = 130 N"
+        assert verdict.fault.seen == f"turned {rotation_deg:.1f}° at 60°/s{slid} at 130 N, and force_max_n = 130 N"
         assert verdict.fault.what_to_do == (
             "support the object, lower it or release it; raise force_max_n if object and gel allow it"
         )
@@ -261,7 +261,7 @@ def test_given_up_without_more_force(changes: dict[str, object]) -> None:
 
 
 def resting(for_s: float) -> Detector:
-    return replace(PRIMED, rest_turn_deg=4.5, rest_since_s=NOW_S - for_s, base_turn_deg=0.0)
+    return replace(PRIMED, rest_rotation_deg=4.5, rest_since_s=NOW_S - for_s, base_rotation_deg=0.0)
 
 
 @pytest.mark.parametrize(
@@ -283,8 +283,8 @@ def test_calm_is_rest_with_the_last_step_done_and_seen(
     assert (verdict.say == "calm at 40 N") is calm
     assert verdict.stop is not calm
     if calm:
-        assert (verdict.state.detector.turns, verdict.state.detector.slides) == (1, 0)
-        assert verdict.state.detector.base_turn_deg is None
+        assert (verdict.state.detector.rotations, verdict.state.detector.slides) == (1, 0)
+        assert verdict.state.detector.base_rotation_deg is None
         assert verdict.state.detector.base_shift_mm is None
 
 

@@ -53,7 +53,7 @@ def test_a_grasp_uses_it_and_so_does_the_first_step() -> None:
     gentle.tick(RequestKind.GRASP, force_n=25.0)
     gentle.tick()
     gentle.view = replace(
-        gentle.view, left_contact=True, right_contact=True, turn_deg=0.0, sigma_deg=0.1, rate_deg_s=0.0
+        gentle.view, left_contact=True, right_contact=True, rotation_deg=0.0, sigma_deg=0.1, rate_deg_s=0.0
     )
     gentle.view = replace(gentle.view, fingers=("left", "right"), shift_mm=0.0, declined=None)
     gentle.ticks(0.6)

@@ -18,26 +18,28 @@ from slipguard.devices import ArmState
 PARAMS = GuardParams()
 NOW_S = 10.05
 BEFORE = Detector(
-    base_turn_deg=4.0, base_shift_mm=1.0, measured_s=10.0, captured_s=10.0, turns=0, slides=0,
+    base_rotation_deg=4.0, base_shift_mm=1.0, measured_s=10.0, captured_s=10.0, rotations=0, slides=0,
     told_by=("left", "right"), told_deg=5.0, told_s=10.0, handed_deg=0.1, handed_mm=0.05, smooth_shift_mm=1.2,
-    slide_rate_mm_s=2.0, rest_turn_deg=4.9, rest_shift_mm=1.1, rest_since_s=9.0,
+    slide_rate_mm_s=2.0, rest_rotation_deg=4.9, rest_shift_mm=1.1, rest_since_s=9.0,
     alert=Alert(start_mm=0.0, near_deg=4.5, before_deg=4.6, rested_deg=4.4, measured_s=10.0),
 )  # fmt: skip
 """The arm moves, or nobody knows."""
 
 
-def seen(turn_deg: float | None = 5.0, rate_deg_s: float | None = 0.0, **changes: object) -> Fused:
-    told = fused(turn_deg, rate_deg_s, at_s=NOW_S, shift_mm=1.3, sigma_deg=0.1)
+def seen(rotation_deg: float | None = 5.0, rate_deg_s: float | None = 0.0, **changes: object) -> Fused:
+    told = fused(rotation_deg, rate_deg_s, at_s=NOW_S, shift_mm=1.3, sigma_deg=0.1)
     return replace(told, **{"newest_at_s": NOW_S, **changes})  # type: ignore[arg-type]
 
 
-def at_rest(turn_deg: float = 5.0, **changes: object) -> Detector:
+def at_rest(rotation_deg: float = 5.0, **changes: object) -> Detector:
     """At rest in the air for a while, at that turn."""
     alert = Alert(
-        start_mm=0.0, near_deg=turn_deg, before_deg=turn_deg, rested_deg=turn_deg, measured_s=10.0, case=Case.REST,
+        start_mm=0.0, near_deg=rotation_deg, before_deg=rotation_deg, rested_deg=rotation_deg, measured_s=10.0, case=Case.REST,
         aloft=True,
     )  # fmt: skip
-    before = replace(BEFORE, base_turn_deg=turn_deg, told_deg=turn_deg, rest_turn_deg=turn_deg, alert=alert)
+    before = replace(
+        BEFORE, base_rotation_deg=rotation_deg, told_deg=rotation_deg, rest_rotation_deg=rotation_deg, alert=alert
+    )
     return replace(before, **changes)  # type: ignore[arg-type]
 
 
@@ -52,7 +54,7 @@ def test_a_change_of_finger_moves_every_place_that_is_remembered() -> None:
     rate_mm_s = (1.5 - smooth_mm) / 0.05
     assert sight == Look(
         detector=Detector(
-            base_turn_deg=pytest.approx(4.2),
+            base_rotation_deg=pytest.approx(4.2),
             base_shift_mm=pytest.approx(1.2),
             measured_s=NOW_S,
             captured_s=NOW_S,
@@ -65,7 +67,7 @@ def test_a_change_of_finger_moves_every_place_that_is_remembered() -> None:
             handover=Handover(5.0, 10.0, None, pytest.approx(0.2), NOW_S),
             smooth_shift_mm=pytest.approx(smooth_mm),
             slide_rate_mm_s=pytest.approx(rate_mm_s),
-            rest_turn_deg=pytest.approx(5.1),
+            rest_rotation_deg=pytest.approx(5.1),
             rest_shift_mm=pytest.approx(1.3),
             rest_since_s=9.0,
             alert=Alert(
@@ -76,7 +78,7 @@ def test_a_change_of_finger_moves_every_place_that_is_remembered() -> None:
                 measured_s=NOW_S,
             ),
         ),
-        turn_deg=pytest.approx(1.6),
+        rotation_deg=pytest.approx(1.6),
         rate_deg_s=12.0,
         slide_mm=pytest.approx(0.3),
         slide_rate_mm_s=pytest.approx(rate_mm_s),
@@ -94,61 +96,61 @@ def test_told_anew_without_a_new_measurement_it_is_the_same_frame() -> None:
 
 def test_a_finger_without_rate_or_shift_is_taken_as_it_is() -> None:
     after = look(BEFORE, seen(5.3, None, fingers=("right",), shift_mm=None), PARAMS).detector
-    assert (after.base_turn_deg, after.handed_deg) == (pytest.approx(4.3), pytest.approx(0.4))
+    assert (after.base_rotation_deg, after.handed_deg) == (pytest.approx(4.3), pytest.approx(0.4))
     assert (after.base_shift_mm, after.handed_mm, after.smooth_shift_mm) == (1.0, 0.05, None)
 
 
 @pytest.mark.parametrize(
-    ("turn_deg", "rate_deg_s", "by_deg"),
+    ("rotation_deg", "rate_deg_s", "by_deg"),
     [(5.05, 0.0, 0.05), (5.5, 0.0, 0.2), (4.9, 0.0, -0.1), (4.7, 0.0, 0.2), (6.25, 12.0, 0.05)],
 )
 def test_what_a_change_of_finger_moves_is_the_smaller_of_two_looks(
-    turn_deg: float, rate_deg_s: float, by_deg: float
+    rotation_deg: float, rate_deg_s: float, by_deg: float
 ) -> None:
     """The first frame said 0.2; by the second's rate the object may have turned since."""
     first = look(BEFORE, seen(5.2, fingers=("left",)), PARAMS).detector
-    again = seen(turn_deg, rate_deg_s, fingers=("left",), captured_at_s=NOW_S + 0.05, measured_at_s=NOW_S + 0.05)
+    again = seen(rotation_deg, rate_deg_s, fingers=("left",), captured_at_s=NOW_S + 0.05, measured_at_s=NOW_S + 0.05)
     second = look(first, again, PARAMS).detector
-    assert (second.base_turn_deg, second.handed_deg) == (pytest.approx(4.0 + by_deg), pytest.approx(0.1 + by_deg))
+    assert (second.base_rotation_deg, second.handed_deg) == (pytest.approx(4.0 + by_deg), pytest.approx(0.1 + by_deg))
     assert second.alert.rested_deg == pytest.approx(4.4 + by_deg)
     assert second.handover is None
 
 
 @pytest.mark.parametrize(
-    ("told_deg", "turn_deg", "rate_deg_s", "by_deg"),
+    ("told_deg", "rotation_deg", "rate_deg_s", "by_deg"),
     [(5.0, 5.4, 0.0, 0.4), (5.3, 5.4, 0.0, 0.1), (4.8, 5.1, 0.0, 0.1), (5.3, 5.0, 0.0, 0.0), (5.0, 5.6, 10.0, 0.1)],
 )
 def test_at_rest_what_fingers_differ_by_is_the_smaller_from_where_it_rested_and_was_told(
-    told_deg: float, turn_deg: float, rate_deg_s: float, by_deg: float
+    told_deg: float, rotation_deg: float, rate_deg_s: float, by_deg: float
 ) -> None:
     """At rest at 5 degrees, told last with some noise."""
     before = at_rest(5.0, told_deg=told_deg)
-    after = look(before, seen(turn_deg, rate_deg_s, fingers=("left",)), PARAMS, arm=stands()).detector
-    assert after.base_turn_deg == pytest.approx(5.0 + by_deg)
+    after = look(before, seen(rotation_deg, rate_deg_s, fingers=("left",)), PARAMS, arm=stands()).detector
+    assert after.base_rotation_deg == pytest.approx(5.0 + by_deg)
     assert after.handover == Handover(told_deg, 10.0, 5.0, pytest.approx(by_deg), NOW_S)
 
 
 def test_both_looks_together_move_no_further_than_all_difference() -> None:
     handed = replace(BEFORE, handed_deg=1.9)
     first = look(handed, seen(7.0, fingers=("left",)), PARAMS).detector
-    assert (first.base_turn_deg, first.handed_deg) == (pytest.approx(4.1), pytest.approx(2.0))
+    assert (first.base_rotation_deg, first.handed_deg) == (pytest.approx(4.1), pytest.approx(2.0))
     second = look(first, seen(4.95, fingers=("left",), measured_at_s=NOW_S + 0.01), PARAMS).detector
-    assert (second.base_turn_deg, second.handed_deg) == (pytest.approx(3.95), pytest.approx(1.85))
+    assert (second.base_rotation_deg, second.handed_deg) == (pytest.approx(3.95), pytest.approx(1.85))
 
 
 def test_the_second_look_is_at_another_measurement_of_every_finger() -> None:
     first = look(BEFORE, seen(5.2, fingers=("left",), newest_at_s=NOW_S + 0.01), PARAMS).detector
     for measured_s in (NOW_S + 0.005, NOW_S + 0.01):
         same = look(first, seen(5.0, fingers=("left",), measured_at_s=measured_s), PARAMS).detector
-        assert (same.base_turn_deg, same.handover) == (pytest.approx(4.2), first.handover)
+        assert (same.base_rotation_deg, same.handover) == (pytest.approx(4.2), first.handover)
 
 
 def follow(before: Detector, told: list[tuple[tuple[str, ...], float]]) -> list[Look]:
     """Frame after frame at 60 a second, at rest: who tells it, and what."""
     looks: list[Look] = []
-    for k, (fingers, turn_deg) in enumerate(told, 1):
+    for k, (fingers, rotation_deg) in enumerate(told, 1):
         at_s = NOW_S + k / 60.0
-        one = seen(turn_deg, fingers=fingers, captured_at_s=at_s, measured_at_s=at_s, newest_at_s=at_s)
+        one = seen(rotation_deg, fingers=fingers, captured_at_s=at_s, measured_at_s=at_s, newest_at_s=at_s)
         looks.append(look(before, one, PARAMS, arm=arm(200.0, at_s=at_s)))
         before = looks[-1].detector
     return looks
@@ -162,7 +164,7 @@ def test_a_finger_that_drops_out_and_returns_hides_no_slip(slip_deg: float) -> N
     """The object turns as the right finger drops out, and the left one differs by just as much."""
     told = [(BOTH, 5.0), *[(LEFT, 5.0)] * 6, *[(BOTH, 5.0 + slip_deg)] * 3]
     looks = follow(at_rest(5.0), told)
-    assert looks[-1].turn_deg == pytest.approx(abs(slip_deg))
+    assert looks[-1].rotation_deg == pytest.approx(abs(slip_deg))
     assert looks[-1].slipping
 
 
@@ -173,7 +175,7 @@ def test_creep_is_not_swallowed_bit_by_bit_by_a_finger_that_comes_and_goes() -> 
         told.append((fingers, 5.0 + 2.0 * k / 60.0 - 0.5 * (fingers == LEFT)))
     looks = follow(at_rest(5.0), told)
     assert any(one.slipping for one in looks)
-    assert looks[-1].turn_deg == pytest.approx(2.0 * 39 / 60.0, abs=0.05)
+    assert looks[-1].rotation_deg == pytest.approx(2.0 * 39 / 60.0, abs=0.05)
 
 
 def test_a_frame_after_a_gap_is_no_second_look() -> None:
@@ -184,26 +186,30 @@ def test_a_frame_after_a_gap_is_no_second_look() -> None:
     for before in (first, blind):
         later = seen(4.0, fingers=LEFT, measured_at_s=later_s, captured_at_s=later_s, newest_at_s=later_s)
         after = look(before, later, PARAMS).detector
-        assert (after.base_turn_deg, after.handed_deg, after.handover) == (first.base_turn_deg, first.handed_deg, None)
+        assert (after.base_rotation_deg, after.handed_deg, after.handover) == (
+            first.base_rotation_deg,
+            first.handed_deg,
+            None,
+        )
 
 
 def test_a_place_that_these_fingers_have_told_themselves_is_moved_by_no_second_look() -> None:
     lifting = replace(BEFORE, alert=replace(BEFORE.alert, case=Case.LIFT_OFF, rested_deg=None))
     first = look(lifting, seen(6.0, fingers=LEFT), PARAMS, arm=stands()).detector
-    assert (first.base_turn_deg, first.handover) == (6.0, None)
+    assert (first.base_rotation_deg, first.handover) == (6.0, None)
     waits = look(BEFORE, seen(5.2, fingers=LEFT), PARAMS).detector
     assert waits.handover is not None
-    assert waits.rebased(turned=False, slid=False, raised=False).handover is None
+    assert waits.rebased(rotated=False, slid=False, raised=False).handover is None
     assert look(waits, seen(5.0, fingers=BOTH, measured_at_s=NOW_S + 0.01), PARAMS).detector.handover is None
 
 
 def test_what_counts_as_another_place() -> None:
     assert not BEFORE.elsewhere(BEFORE)
-    assert not replace(BEFORE, base_turn_deg=4.3, handed_deg=0.4).elsewhere(BEFORE)  # a second look
+    assert not replace(BEFORE, base_rotation_deg=4.3, handed_deg=0.4).elsewhere(BEFORE)  # a second look
     assert replace(BEFORE, told_by=LEFT).elsewhere(BEFORE)
     assert not BEFORE.elsewhere(replace(BEFORE, told_by=()))
-    assert replace(BEFORE, base_turn_deg=4.3).elsewhere(BEFORE)
-    nowhere = replace(BEFORE, base_turn_deg=None)
+    assert replace(BEFORE, base_rotation_deg=4.3).elsewhere(BEFORE)
+    nowhere = replace(BEFORE, base_rotation_deg=None)
     assert nowhere.elsewhere(BEFORE)
     assert BEFORE.elsewhere(nowhere)
     assert not nowhere.elsewhere(nowhere)
@@ -219,9 +225,9 @@ def test_fingers_that_change_again_are_looked_at_anew() -> None:
 
 def test_no_turn_leaves_everything_where_it_is() -> None:
     sight = look(BEFORE, seen(None), PARAMS)
-    assert (sight.turn_deg, sight.rate_deg_s, sight.slide_mm) == (0.0, 0.0, pytest.approx(0.3))
+    assert (sight.rotation_deg, sight.rate_deg_s, sight.slide_mm) == (0.0, 0.0, pytest.approx(0.3))
     assert (sight.detector.told_deg, sight.detector.told_s) == (5.0, 10.0)
-    assert (sight.detector.told_by, sight.detector.base_turn_deg) == (BEFORE.told_by, 4.0)
+    assert (sight.detector.told_by, sight.detector.base_rotation_deg) == (BEFORE.told_by, 4.0)
     assert look(BEFORE, seen(shift_mm=None), PARAMS).slide_mm == 0.0
     assert look(replace(BEFORE, base_shift_mm=0.0, smooth_shift_mm=1.3), seen(), PARAMS).slide_mm == 1.3
 
@@ -229,18 +235,18 @@ def test_no_turn_leaves_everything_where_it_is() -> None:
 def test_where_the_arm_comes_to_rest_is_where_turns_and_slides_count_from() -> None:
     lifting = replace(BEFORE, alert=replace(BEFORE.alert, case=Case.LIFT_OFF, rested_deg=None))
     after = look(lifting, seen(), PARAMS, arm=stands()).detector
-    assert (after.base_turn_deg, after.base_shift_mm, after.alert.rested_deg) == (5.0, 1.3, 5.0)
+    assert (after.base_rotation_deg, after.base_shift_mm, after.alert.rested_deg) == (5.0, 1.3, 5.0)
     kept = look(BEFORE, seen(), PARAMS).detector
-    assert (kept.base_turn_deg, kept.base_shift_mm) == (4.0, 1.0)
+    assert (kept.base_rotation_deg, kept.base_shift_mm) == (4.0, 1.0)
     first = look(Detector(), seen(), PARAMS).detector
-    assert (first.base_turn_deg, first.base_shift_mm) == (5.0, 1.3)
+    assert (first.base_rotation_deg, first.base_shift_mm) == (5.0, 1.3)
 
 
 def test_an_end_of_an_episode_forgets_the_places_and_nothing_else() -> None:
     before = replace(BEFORE, frames=2, far_frames=1)
-    assert before.rebased(turned=False, slid=False, raised=True) == replace(
+    assert before.rebased(rotated=False, slid=False, raised=True) == replace(
         before,
-        base_turn_deg=None,
+        base_rotation_deg=None,
         base_shift_mm=None,
         frames=0,
         alert=replace(before.alert, near_deg=None, rested_deg=None),
@@ -250,14 +256,14 @@ def test_an_end_of_an_episode_forgets_the_places_and_nothing_else() -> None:
 def test_a_grip_is_not_firm_and_a_turn_back_no_exception_unless_said_so() -> None:
     lifting = at_rest(0.0, alert=Alert(start_mm=0.0, near_deg=0.0, measured_s=10.0, case=Case.LIFT_OFF))
     rising = arm(10.0, moving=True, at_s=NOW_S)
-    assert look(lifting, seen(0.8), PARAMS, arm=rising).turns
-    assert not look(lifting, seen(0.8), PARAMS, arm=rising, firm=True).turns
-    assert look(at_rest(5.0), seen(4.0), PARAMS, arm=stands()).turns
-    assert not look(at_rest(5.0), seen(4.0), PARAMS, arm=stands(), only_outward=True).turns
+    assert look(lifting, seen(0.8), PARAMS, arm=rising).rotations
+    assert not look(lifting, seen(0.8), PARAMS, arm=rising, firm=True).rotations
+    assert look(at_rest(5.0), seen(4.0), PARAMS, arm=stands()).rotations
+    assert not look(at_rest(5.0), seen(4.0), PARAMS, arm=stands(), only_outward=True).rotations
 
 
 @pytest.mark.parametrize(
-    ("turn_deg", "told_deg", "fingers", "frames"),
+    ("rotation_deg", "told_deg", "fingers", "frames"),
     [
         (5.39, 5.2, ("left", "right"), 0),
         (5.41, 5.2, ("left", "right"), 1),
@@ -271,13 +277,13 @@ def test_a_grip_is_not_firm_and_a_turn_back_no_exception_unless_said_so() -> Non
     ],
 )
 def test_what_a_sudden_turn_counts_in_a_lift_off(
-    turn_deg: float, told_deg: float, fingers: tuple[str, ...], frames: int
+    rotation_deg: float, told_deg: float, fingers: tuple[str, ...], frames: int
 ) -> None:
     lifting = Alert(start_mm=0.0, near_deg=5.0, measured_s=10.0, case=Case.LIFT_OFF)
     before = at_rest(5.0, told_deg=told_deg, told_by=fingers, alert=lifting)
-    sight = look(before, seen(turn_deg, fingers=fingers), PARAMS, arm=arm(10.0, moving=True, at_s=NOW_S))
+    sight = look(before, seen(rotation_deg, fingers=fingers), PARAMS, arm=arm(10.0, moving=True, at_s=NOW_S))
     assert sight.detector.frames == frames
-    assert sight.turns is (frames > 0)
+    assert sight.rotations is (frames > 0)
     assert sight.slipping is (frames >= 2)
 
 
@@ -289,14 +295,14 @@ def test_a_slide_counts_beyond_its_level(slide_mm: float, smooth_mm: float, slid
     sight = look(before, seen(4.0, shift_mm=slide_mm), PARAMS)
     assert sight.slides is slides
     assert sight.detector.frames == int(slides)
-    assert not sight.turns
+    assert not sight.rotations
 
 
-@pytest.mark.parametrize(("turn_deg", "far"), [(45.0, 0), (-45.0, 0), (45.1, 3), (-45.1, 3)])
-def test_frames_beyond_the_turn_at_which_it_is_given_up_are_counted(turn_deg: float, far: int) -> None:
-    before = at_rest(turn_deg, far_frames=2)
-    assert look(before, seen(turn_deg), PARAMS).detector.far_frames == far
-    assert look(before, seen(turn_deg, conflict="the same way"), PARAMS).detector.far_frames == 0
+@pytest.mark.parametrize(("rotation_deg", "far"), [(45.0, 0), (-45.0, 0), (45.1, 3), (-45.1, 3)])
+def test_frames_beyond_the_turn_at_which_it_is_given_up_are_counted(rotation_deg: float, far: int) -> None:
+    before = at_rest(rotation_deg, far_frames=2)
+    assert look(before, seen(rotation_deg), PARAMS).detector.far_frames == far
+    assert look(before, seen(rotation_deg, conflict="the same way"), PARAMS).detector.far_frames == 0
     assert look(at_rest(0.0, far_frames=2), seen(None), PARAMS).detector.far_frames == 0
 
 
@@ -307,26 +313,26 @@ def test_it_moves_from_the_rate_of_slip_on(rate_deg_s: float, moving: bool) -> N
 
 
 def test_what_has_strayed_counts_from_its_last_rest() -> None:
-    strayed = at_rest(5.0, base_turn_deg=7.2, told_deg=7.2, alert=replace(at_rest(5.0).alert, near_deg=7.2))
+    strayed = at_rest(5.0, base_rotation_deg=7.2, told_deg=7.2, alert=replace(at_rest(5.0).alert, near_deg=7.2))
     sight = look(strayed, seen(7.2), PARAMS, arm=stands())
-    assert (sight.detector.base_turn_deg, sight.turn_deg) == (5.0, pytest.approx(2.2))
-    assert (sight.turns, sight.detector.frames) == (True, 1)
-    further = look(replace(strayed, base_turn_deg=4.0), seen(7.2), PARAMS, arm=stands())
-    assert further.detector.base_turn_deg == 4.0
+    assert (sight.detector.base_rotation_deg, sight.rotation_deg) == (5.0, pytest.approx(2.2))
+    assert (sight.rotations, sight.detector.frames) == (True, 1)
+    further = look(replace(strayed, base_rotation_deg=4.0), seen(7.2), PARAMS, arm=stands())
+    assert further.detector.base_rotation_deg == 4.0
     near = look(replace(strayed, told_deg=6.9), seen(6.9), PARAMS, arm=stands())
-    assert (near.detector.base_turn_deg, near.turns) == (7.2, False)
+    assert (near.detector.base_rotation_deg, near.rotations) == (7.2, False)
 
 
 def test_after_a_tightening_a_sudden_turn_must_be_twice_as_large() -> None:
-    for turn_deg, counts in ((5.7, 0), (5.75, 1)):
-        sight = look(at_rest(5.0, turns=1), seen(turn_deg), PARAMS, arm=stands())
+    for rotation_deg, counts in ((5.7, 0), (5.75, 1)):
+        sight = look(at_rest(5.0, rotations=1), seen(rotation_deg), PARAMS, arm=stands())
         assert sight.detector.frames == counts
     assert look(at_rest(5.0), seen(5.4), PARAMS, arm=stands()).detector.frames == 1
 
 
-@pytest.mark.parametrize(("turn_deg", "frames"), [(5.35, 0), (5.37, 1), (4.63, 1), (5.9, 1)])
-def test_what_a_sudden_turn_counts_at_rest(turn_deg: float, frames: int) -> None:
-    assert look(at_rest(5.0, told_deg=5.2), seen(turn_deg), PARAMS, arm=stands()).detector.frames == frames
+@pytest.mark.parametrize(("rotation_deg", "frames"), [(5.35, 0), (5.37, 1), (4.63, 1), (5.9, 1)])
+def test_what_a_sudden_turn_counts_at_rest(rotation_deg: float, frames: int) -> None:
+    assert look(at_rest(5.0, told_deg=5.2), seen(rotation_deg), PARAMS, arm=stands()).detector.frames == frames
 
 
 def test_at_rest_another_frame_counts_if_it_is_later_than_any_flash() -> None:
@@ -349,17 +355,17 @@ def test_fingers_that_speak_in_turns_show_a_frame_each_time_both_have_spoken() -
 
 
 def test_a_turn_all_the_way_back_is_neither_slip_nor_an_error() -> None:
-    for turn_deg in (0.0, -0.5):
-        rested = replace(at_rest(5.0).alert, near_deg=turn_deg)
-        back = at_rest(5.0, base_turn_deg=turn_deg, told_deg=turn_deg, alert=rested)
-        assert not look(back, seen(turn_deg), PARAMS, arm=stands()).turns
-        put_down = look(replace(BEFORE, told_deg=turn_deg), seen(turn_deg, -30.0), PARAMS, only_outward=True)
-        assert (put_down.turns, put_down.rate_deg_s, put_down.turn_deg) == (False, 0.0, 4.0 - turn_deg)
+    for rotation_deg in (0.0, -0.5):
+        rested = replace(at_rest(5.0).alert, near_deg=rotation_deg)
+        back = at_rest(5.0, base_rotation_deg=rotation_deg, told_deg=rotation_deg, alert=rested)
+        assert not look(back, seen(rotation_deg), PARAMS, arm=stands()).rotations
+        put_down = look(replace(BEFORE, told_deg=rotation_deg), seen(rotation_deg, -30.0), PARAMS, only_outward=True)
+        assert (put_down.rotations, put_down.rate_deg_s, put_down.rotation_deg) == (False, 0.0, 4.0 - rotation_deg)
     beyond = look(replace(BEFORE, told_deg=-4.1), seen(-4.1, -30.0), PARAMS, only_outward=True)
-    assert (beyond.turns, beyond.rate_deg_s) == (True, 30.0)
+    assert (beyond.rotations, beyond.rate_deg_s) == (True, 30.0)
 
 
 def test_creep_too_must_be_larger_after_a_tightening() -> None:
-    for turns, turn_deg, creeps in ((0, 10.0, False), (0, 10.1, True), (1, 15.9, False), (1, 16.1, True)):
-        before = replace(BEFORE, turns=turns, told_deg=turn_deg)
-        assert look(before, seen(turn_deg, 1.0), PARAMS).turns is creeps
+    for rotations, rotation_deg, creeps in ((0, 10.0, False), (0, 10.1, True), (1, 15.9, False), (1, 16.1, True)):
+        before = replace(BEFORE, rotations=rotations, told_deg=rotation_deg)
+        assert look(before, seen(rotation_deg, 1.0), PARAMS).rotations is creeps

@@ -38,11 +38,11 @@ class Watched:
         self.putting_down = False
         self.conflict: str | None = None
 
-    def see(self, turn_deg: float, *, sigma_deg: float = 0.05) -> Look:
+    def see(self, rotation_deg: float, *, sigma_deg: float = 0.05) -> Look:
         self.now_s += FRAME_S
         fingers = ("left",) if self.left_alone else ("left", "right")
         view = fused(
-            turn_deg, self.rate_deg_s, at_s=self.now_s, sigma_deg=sigma_deg, fingers=fingers, shift_mm=self.shift_mm,
+            rotation_deg, self.rate_deg_s, at_s=self.now_s, sigma_deg=sigma_deg, fingers=fingers, shift_mm=self.shift_mm,
             conflict=self.conflict,
         )  # fmt: skip
         here = replace(self.here, measured_at_s=self.now_s)
@@ -50,9 +50,9 @@ class Watched:
         self.detector = sight.detector
         return sight
 
-    def rest(self, seconds: float = 0.5, turn_deg: float = 0.0) -> Watched:
+    def rest(self, seconds: float = 0.5, rotation_deg: float = 0.0) -> Watched:
         for _ in range(round(seconds / FRAME_S)):
-            assert not self.see(turn_deg).slipping
+            assert not self.see(rotation_deg).slipping
         return self
 
     def lifts(self, height_mm: float) -> Watched:
@@ -112,7 +112,7 @@ def test_a_little_above_the_level_takes_two_frames() -> None:
     assert not watched.see(-0.4).slipping
     assert watched.see(-0.4).slipping
     flickers = Watched().rest()
-    assert not any(flickers.see(turn).slipping for turn in (0.4, 0.0, 0.4, 0.0, 0.4))
+    assert not any(flickers.see(rotation).slipping for rotation in (0.4, 0.0, 0.4, 0.0, 0.4))
 
 
 def test_an_unsure_turn_needs_three_sigmas_or_half_of_that_in_a_lift_off() -> None:
@@ -143,8 +143,10 @@ def test_slow_slip_at_rest_does_not_pass_for_the_sensors_noise(rate_deg_s: float
     for _ in range(120):
         watched.see(float(rng.normal(0.0, noise_deg)))
     watched.rate_deg_s = min(rate_deg_s, PARAMS.rate_deg_s - 1.0)
-    turns = [rate_deg_s * k * FRAME_S for k in range(1, 300)]
-    found = next(turn for turn in turns if watched.see(turn + float(rng.normal(0.0, noise_deg))).slipping)
+    rotations = [rate_deg_s * k * FRAME_S for k in range(1, 300)]
+    found = next(
+        rotation for rotation in rotations if watched.see(rotation + float(rng.normal(0.0, noise_deg))).slipping
+    )
     assert PARAMS.rest_level_deg < found < 0.8
 
 
@@ -163,7 +165,7 @@ def test_an_object_wound_up_by_the_lift_is_watched_from_where_it_came_to_rest() 
     watched.here = arm(120.0)
     watched.rate_deg_s = 0.0
     watched.rest(2.0, 10.0)
-    assert watched.detector.base_turn_deg == 10.0
+    assert watched.detector.base_rotation_deg == 10.0
     watched.see(10.6)
     assert watched.see(10.6).slipping
 
@@ -186,7 +188,7 @@ def test_at_rest_a_firm_grip_is_watched_as_closely() -> None:
 
 def test_after_a_tightening_a_lift_goes_on_with_more_patience() -> None:
     watched = Watched().rest().lifts(10.0)
-    watched.detector = watched.detector.rebased(turned=True, slid=False, raised=True)
+    watched.detector = watched.detector.rebased(rotated=True, slid=False, raised=True)
     assert not any(watched.see(0.2 * k).slipping for k in range(31))
     assert not watched.see(6.1).slipping
     assert watched.see(6.3).slipping
@@ -199,7 +201,7 @@ def test_what_the_arms_motion_may_swing_depends_on_what_is_wound_up(
     watched = Watched(patient=True)
     watched.rest(0.1)
     watched.here = arm(LIFT_OFF_MM + 50.0)
-    watched.detector = replace(watched.detector, base_turn_deg=None, alert=Alert(start_mm=0.0, aloft=True))
+    watched.detector = replace(watched.detector, base_rotation_deg=None, alert=Alert(start_mm=0.0, aloft=True))
     for _ in range(60):
         watched.see(wound_deg)
     watched.here = arm(LIFT_OFF_MM + 50.0, moving=True)
@@ -232,13 +234,13 @@ def test_without_an_arm_or_a_turn_nothing_counts_as_sudden() -> None:
 # --- rest against rest ---
 
 
-def aloft(turn_deg: float = 0.0) -> Watched:
+def aloft(rotation_deg: float = 0.0) -> Watched:
     """At rest in the air, after a lift that wound the gel up."""
     watched = Watched(patient=True).rest().lifts(10.0)
-    watched.see(turn_deg)
-    watched.lifts(200.0).see(turn_deg)
+    watched.see(rotation_deg)
+    watched.lifts(200.0).see(rotation_deg)
     watched.here = arm(200.0)
-    return watched.rest(1.0, turn_deg)
+    return watched.rest(1.0, rotation_deg)
 
 
 def travels(watched: Watched, to_deg: float) -> bool:
@@ -256,7 +258,7 @@ def test_what_the_motions_turn_bit_by_bit_adds_up(sign: float) -> None:
     assert not travels(watched, 6.0 * sign)
     assert not travels(watched, 6.9 * sign)
     assert travels(watched, 7.1 * sign)
-    assert watched.see(7.1 * sign).turn_deg == pytest.approx(2.1)
+    assert watched.see(7.1 * sign).rotation_deg == pytest.approx(2.1)
 
 
 def test_what_was_wound_up_when_the_object_left_its_table_does_not() -> None:
@@ -287,7 +289,7 @@ def test_a_turn_back_to_the_reference_between_two_rests_is_no_slip() -> None:
 def test_after_an_episode_the_next_rest_counts() -> None:
     watched = aloft(5.0)
     assert travels(watched, 7.5)
-    watched.detector = watched.detector.rebased(turned=True, slid=False, raised=False)
+    watched.detector = watched.detector.rebased(rotated=True, slid=False, raised=False)
     watched.rest(1.0, 7.5)
     assert not travels(watched, 9.4)
     assert travels(watched, 9.6)
@@ -323,7 +325,7 @@ def test_levels_grow_with_what_was_answered_up_to_four_times() -> None:
 
 
 @pytest.mark.parametrize(
-    ("turned", "slid", "raised", "turns", "slides", "patient"),
+    ("rotated", "slid", "raised", "rotations", "slides", "patient"),
     [
         (True, False, True, 3, 5, True),
         (False, True, True, 2, 6, False),
@@ -333,11 +335,11 @@ def test_levels_grow_with_what_was_answered_up_to_four_times() -> None:
     ],
 )
 def test_each_kind_of_slip_raises_its_own_levels_and_only_if_the_force_was_raised(
-    turned: bool, slid: bool, raised: bool, turns: int, slides: int, patient: bool
+    rotated: bool, slid: bool, raised: bool, rotations: int, slides: int, patient: bool
 ) -> None:
-    after = Detector(turns=2, slides=5, frames=2).rebased(turned=turned, slid=slid, raised=raised)
-    assert (after.turns, after.slides, after.patient, after.frames) == (turns, slides, patient, 0)
-    assert after.alert.near_deg is after.alert.rested_deg is after.base_turn_deg is after.base_shift_mm is None
+    after = Detector(rotations=2, slides=5, frames=2).rebased(rotated=rotated, slid=slid, raised=raised)
+    assert (after.rotations, after.slides, after.patient, after.frames) == (rotations, slides, patient, 0)
+    assert after.alert.near_deg is after.alert.rested_deg is after.base_rotation_deg is after.base_shift_mm is None
 
 
 # --- a finger more or less ---
@@ -374,7 +376,7 @@ def test_slip_is_seen_though_a_finger_comes_and_goes() -> None:
 def test_fingers_that_begin_to_contradict_each_other_turn_nothing_by_that() -> None:
     watched = Watched().rest(0.5, 0.2)
     watched.conflict = "both pictures turn the same way"
-    assert not any(watched.see(turn).slipping for turn in (0.9, 0.9, -0.8, -0.8, 0.9, 0.9))
+    assert not any(watched.see(rotation).slipping for rotation in (0.9, 0.9, -0.8, -0.8, 0.9, 0.9))
     watched.conflict = None
     assert not any(watched.see(0.2).slipping for _ in range(5))
     watched.conflict = "both pictures turn the same way"
@@ -385,9 +387,9 @@ def test_fingers_that_begin_to_contradict_each_other_turn_nothing_by_that() -> N
 def test_what_one_frame_shows_counts_once_though_the_fingers_tell_it_one_after_the_other() -> None:
     """The left picture is taken first: left new with right old, then both new."""
     watched = Watched().rest()
-    for moment, turn_deg in enumerate((0.3, 0.6, 0.3, 0.0, 0.0)):
+    for moment, rotation_deg in enumerate((0.3, 0.6, 0.3, 0.0, 0.0)):
         watched.now_s += 0.5 * FRAME_S
-        view = fused(turn_deg, 0.0, at_s=watched.now_s - 0.5 * FRAME_S, sigma_deg=0.05)
+        view = fused(rotation_deg, 0.0, at_s=watched.now_s - 0.5 * FRAME_S, sigma_deg=0.05)
         view = replace(view, newest_at_s=watched.now_s)
         sight = look(watched.detector, view, PARAMS, arm=replace(watched.here, measured_at_s=watched.now_s))
         watched.detector = sight.detector
@@ -396,11 +398,11 @@ def test_what_one_frame_shows_counts_once_though_the_fingers_tell_it_one_after_t
 
 def test_nor_is_slow_slip_hidden_by_it_where_no_rate_is_known() -> None:
     watched = Watched().rest()
-    watched.rate_deg_s, slips, turns = None, [], [0.1 * k for k in range(1, 30)]  # type: ignore[assignment]
-    for turn_deg in turns:
+    watched.rate_deg_s, slips, rotations = None, [], [0.1 * k for k in range(1, 30)]  # type: ignore[assignment]
+    for rotation_deg in rotations:
         watched.left_alone = not watched.left_alone
-        slips.append(watched.see(turn_deg).slipping)
-    assert turns[slips.index(True)] < 0.8
+        slips.append(watched.see(rotation_deg).slipping)
+    assert rotations[slips.index(True)] < 0.8
     slides = Watched().rest()
     for k in range(1, 60):
         slides.left_alone, slides.shift_mm = not slides.left_alone, 0.05 * k

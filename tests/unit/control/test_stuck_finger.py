@@ -41,7 +41,7 @@ class Pair:
     right: Estimate | None = None
     looks: list[float] = field(default_factory=list)
 
-    def turn_deg(self, now_s: float) -> float:
+    def rotation_deg(self, now_s: float) -> float:
         return min(max(now_s - CALM_S - self.phase_s, 0.0) * self.rate_deg_s, self.rests_deg)
 
     def look(self, now_s: float) -> Estimate:
@@ -49,9 +49,9 @@ class Pair:
         silent = self.silent_s[0] <= now_s < self.silent_s[1]
         if silent or (self.declines_every and len(self.looks) % self.declines_every == 0):
             return estimate(None, at_s=now_s, shift_mm=(0.0, 0.0), declined="estimators disagree")
-        turn_deg = self.turn_deg(now_s)
-        rate_deg_s = -self.rate_deg_s * (0.0 < turn_deg < self.rests_deg)
-        return estimate(-turn_deg, self.sigma_deg, at_s=now_s, rate_deg_s=rate_deg_s, shift_mm=(0.0, 0.0))
+        rotation_deg = self.rotation_deg(now_s)
+        rate_deg_s = -self.rate_deg_s * (0.0 < rotation_deg < self.rests_deg)
+        return estimate(-rotation_deg, self.sigma_deg, at_s=now_s, rate_deg_s=rate_deg_s, shift_mm=(0.0, 0.0))
 
     def see(self, now_s: float) -> Fused:
         skips = now_s - self.left_measured_s < NOTICED_S
@@ -87,7 +87,7 @@ def test_the_law_tightens_and_then_stops_the_arm(sigma_deg: float, within_deg: f
     guard, log = played(pair, CALM_S + 2.5)
     late_deg = 20.0 * NOTICED_S * spare  # a finger that is left out is looked at that late
     tightened_s = next(now_s for now_s, _, command in log if command.hold_force_n is not None)
-    assert 0.0 < pair.turn_deg(tightened_s) <= within_deg + late_deg
+    assert 0.0 < pair.rotation_deg(tightened_s) <= within_deg + late_deg
     begun_s = next(now_s for now_s, view, _ in log if view.conflict is not None)
     told = [command.say for _, _, command in log if command.say is not None and "left one says +0.0°" in command.say]
     assert len(told) == 2  # once when it begins, once as a fault
@@ -105,7 +105,7 @@ def test_the_law_tightens_and_then_stops_the_arm(sigma_deg: float, within_deg: f
 def test_what_a_finger_that_is_left_out_would_say_is_known_within_250_ms(rate_deg_s: float, phase_s: float) -> None:
     pair = Pair(0.3, rate_deg_s, spare=True, phase_s=phase_s)
     _, log = played(pair, CALM_S + 1.5)
-    beyond_s = next(now_s for now_s, _, _ in log if pair.turn_deg(now_s) * (1.0 - DIFFER_SHARE) > DIFFER_DEG)
+    beyond_s = next(now_s for now_s, _, _ in log if pair.rotation_deg(now_s) * (1.0 - DIFFER_SHARE) > DIFFER_DEG)
     noticed_s = next(now_s for now_s, view, _ in log if view.conflict is not None)
     assert noticed_s - beyond_s <= NOTICED_S
     at_rest = [now_s for now_s in pair.looks if now_s < CALM_S]
@@ -145,13 +145,13 @@ def test_a_finger_that_is_silent_for_good_leaves_the_other_one_to_be_believed() 
 
 
 @pytest.mark.parametrize("name", ERRORS)
-@pytest.mark.parametrize("turn_deg", [0.0, 2.0, 10.0, 20.0, 30.0])
-def test_honest_fingers_do_not_contradict_each_other(name: str, turn_deg: float) -> None:
+@pytest.mark.parametrize("rotation_deg", [0.0, 2.0, 10.0, 20.0, 30.0])
+def test_honest_fingers_do_not_contradict_each_other(name: str, rotation_deg: float) -> None:
     """Apart by three joint standard deviations of all that the shipped pipeline errs by."""
     error = ERRORS[name]
-    one_deg = math.hypot(error.noise_deg, error.bias_deg * math.tanh(turn_deg), error.bias_per_deg * turn_deg)
+    one_deg = math.hypot(error.noise_deg, error.bias_deg * math.tanh(rotation_deg), error.bias_per_deg * rotation_deg)
     half_deg = 0.5 * 3.0 * math.sqrt(2.0) * one_deg
     sigma_deg = error.sigma_deg
-    both = fuse(estimate(turn_deg + half_deg, sigma_deg), estimate(-(turn_deg - half_deg), sigma_deg))
+    both = fuse(estimate(rotation_deg + half_deg, sigma_deg), estimate(-(rotation_deg - half_deg), sigma_deg))
     assert both is not None
     assert both.conflict is None

@@ -75,7 +75,7 @@ async def test_a_restart_goes_on_with_the_reference_and_says_so(tmp_path: Path) 
     old.sees(12.0)
     await settled(keeper, decision(Phase.HOLDING), decision(Phase.HOLDING))
     written = json.loads((tmp_path / "left.json").read_text())
-    assert written["turn_deg"] == pytest.approx(12.0, abs=0.5)
+    assert written["rotation_deg"] == pytest.approx(12.0, abs=0.5)
 
     new = Finger(pipeline())
     recall(new.pipeline, ReferenceShelf(tmp_path), "left", "D1", 0.0)
@@ -85,7 +85,7 @@ async def test_a_restart_goes_on_with_the_reference_and_says_so(tmp_path: Path) 
     await settled(keeper, decision(Phase.REFERENCE), decision(Phase.HOLDING))
     assert new.newest.estimate.angle_deg == pytest.approx(15.0, abs=0.5)  # type: ignore[attr-defined]
     assert said == ["left finger: goes on with the reference of before the restart"]
-    assert json.loads((tmp_path / "left.json").read_text())["turn_deg"] == pytest.approx(15.0, abs=0.5)
+    assert json.loads((tmp_path / "left.json").read_text())["rotation_deg"] == pytest.approx(15.0, abs=0.5)
 
     await settled(keeper, decision(Phase.IDLE, holding=False))
     assert ReferenceShelf(tmp_path).load("left", "D1") is None
@@ -102,7 +102,7 @@ async def test_what_does_not_match_is_said_with_the_turn_it_counts_from(tmp_path
     assert len(said) == 1
     assert "a new reference, counted from 12°" in said[0]
     written = json.loads((tmp_path / "left.json").read_text())
-    assert (written["turn_deg"], written["counted_deg"]) == (pytest.approx(0.0, abs=0.5), 12.0)
+    assert (written["rotation_deg"], written["counted_deg"]) == (pytest.approx(0.0, abs=0.5), 12.0)
 
 
 async def test_a_full_disk_is_said_once(tmp_path: Path) -> None:
@@ -155,7 +155,7 @@ def test_a_turn_never_goes_with_the_picture_of_another_reference(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shelf = ReferenceShelf(tmp_path)
-    shelf.turn("left", "D1", KnownReference(IMAGE, 7.0))  # never saved before: as if it were
+    shelf.rotation("left", "D1", KnownReference(IMAGE, 7.0))  # never saved before: as if it were
     new = KnownReference(IMAGE[::-1].copy(), 0.0)
     with monkeypatch.context() as failing:
         failing.setattr("slipguard.daemon.store.reference_store.write_whole", fails)
@@ -163,11 +163,11 @@ def test_a_turn_never_goes_with_the_picture_of_another_reference(
             shelf.save("left", "D1", new)
     old = ReferenceShelf(tmp_path).load("left", "D1")
     assert old is not None
-    assert (old.turn_deg, np.array_equal(old.image, IMAGE)) == (7.0, True)
-    shelf.turn("left", "D1", new)
+    assert (old.rotation_deg, np.array_equal(old.image, IMAGE)) == (7.0, True)
+    shelf.rotation("left", "D1", new)
     known = ReferenceShelf(tmp_path).load("left", "D1")
     assert known is not None
-    assert (known.turn_deg, np.array_equal(known.image, new.image)) == (0.0, True)
+    assert (known.rotation_deg, np.array_equal(known.image, new.image)) == (0.0, True)
 
 
 def fails(path: Path, content: bytes) -> None:
@@ -180,7 +180,7 @@ def test_only_the_same_sensor_and_not_for_long(tmp_path: Path) -> None:
     known = ReferenceShelf(tmp_path).load("left", "D1")
     assert known is not None
     assert np.array_equal(known.image, IMAGE)
-    assert (known.turn_deg, known.counted_deg) == (7.0, 1.0)
+    assert (known.rotation_deg, known.counted_deg) == (7.0, 1.0)
     assert shelf.load("left", "D2") is None
     assert shelf.load("right", "D1") is None
     assert shelf.load("left", "D1", datetime.now(UTC) + GOOD_FOR + timedelta(seconds=1)) is None

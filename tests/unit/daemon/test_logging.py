@@ -29,7 +29,7 @@ class Terminal(io.StringIO):
 def logged(monkeypatch: pytest.MonkeyPatch, stream: io.StringIO, **options: bool | None) -> str:
     monkeypatch.setattr(sys, "stderr", stream)
     configure(**options)  # type: ignore[arg-type]
-    structlog.get_logger().warning("the grip slips", turn_deg=3.5)
+    structlog.get_logger().warning("the grip slips", rotation_deg=3.5)
     return stream.getvalue()
 
 
@@ -89,10 +89,10 @@ def test_of_lines_that_differ_in_figures_one_a_second_is_logged_and_all_are_told
     configure()
     journal = Journal()
     journal.listeners.append(lambda event: told.append(event.line))
-    for turn in range(250):
-        now_s = turn * 0.01
-        journal.warn(f"left: its newest frame is {turn}.5 ms old")
-        if turn == 100:
+    for rotation in range(250):
+        now_s = rotation * 0.01
+        journal.warn(f"left: its newest frame is {rotation}.5 ms old")
+        if rotation == 100:
             journal.say("something else")
     lines = [json.loads(line) for line in stream.getvalue().splitlines()]
     assert [line["event"] for line in lines] == [

@@ -113,7 +113,7 @@ def test_somebody_elses_configuration_is_not_replaced(tmp_path: Path) -> None:
 
 def test_a_line_of_truth_is_json_with_plain_names(world: World) -> None:
     line = json.loads(json.dumps(line_of(world.truth(0.5))))
-    assert {"t", "turn", "slip", "force", "needed", "height", "dropped"} <= set(line)
+    assert {"t", "rotation", "slip", "force", "needed", "height", "dropped"} <= set(line)
     assert line["dropped"] is None
     assert line["needed"] > 0.0
 

@@ -12,7 +12,7 @@ from slipguard.evaluation.clock_alignment import find_lag, seen_at
 FRAME_S = 1 / 30
 
 
-def turn_at(time_s: np.ndarray) -> np.ndarray:
+def rotation_at(time_s: np.ndarray) -> np.ndarray:
     return 15.0 * np.clip(time_s - 1.0, 0.0, 1.4) ** 1.3 + 0.8 * np.sin(2.0 * time_s) * (time_s > 1.0)
 
 
@@ -20,8 +20,8 @@ def streams(lag_s: float, noise_deg: float, seed: int) -> tuple[np.ndarray, np.n
     rng = np.random.default_rng(seed)
     camera_s = np.arange(0.0, 3.2, FRAME_S)
     tactile_s = np.arange(0.2, 3.0, 1 / 60) + rng.normal(0.0, 1e-3, 168)
-    camera = turn_at(camera_s - lag_s) + rng.normal(0.0, noise_deg / 4, len(camera_s))
-    return camera_s, camera, tactile_s, turn_at(tactile_s) + 0.7 + rng.normal(0.0, noise_deg, len(tactile_s))
+    camera = rotation_at(camera_s - lag_s) + rng.normal(0.0, noise_deg / 4, len(camera_s))
+    return camera_s, camera, tactile_s, rotation_at(tactile_s) + 0.7 + rng.normal(0.0, noise_deg, len(tactile_s))
 
 
 @settings(max_examples=40, deadline=None)

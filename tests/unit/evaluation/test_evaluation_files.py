@@ -36,8 +36,8 @@ def film(path: Path, covered: frozenset[str] = frozenset(), count: int = 24) -> 
     studio = Studio(LOOK, 1)
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (LENS.width_px, LENS.height_px))
     for number in range(count):
-        turn_deg = float(np.clip((number - 11) * 2.0, 0.0, 20.0))
-        writer.write(studio.draw(Scene(turn_deg, covered=covered)))
+        rotation_deg = float(np.clip((number - 11) * 2.0, 0.0, 20.0))
+        writer.write(studio.draw(Scene(rotation_deg, covered=covered)))
     writer.release()
     return path
 
@@ -49,12 +49,12 @@ def camera(tmp_path: Path) -> Path:
     return path
 
 
-def turn(source: Path, camera: Path, *more: str) -> int:
+def rotation(source: Path, camera: Path, *more: str) -> int:
     return run(["evaluate", "turn", str(source), "--intrinsics", str(camera), *more])
 
 
 def test_a_film_tells_the_turn(tmp_path: Path, camera: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert turn(film(tmp_path / "a.avi"), camera, "--json", "--plot", str(tmp_path / "turn.png")) == 0
+    assert rotation(film(tmp_path / "a.avi"), camera, "--json", "--plot", str(tmp_path / "turn.png")) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert len(lines) == 24
     assert lines[-1]["turn_deg"] == pytest.approx(20.0, abs=0.3)
@@ -65,7 +65,7 @@ def test_a_folder_of_images_will_do(tmp_path: Path, camera: Path, capsys: pytest
     studio = Studio(LOOK, 1)
     for number in range(12):
         cv2.imwrite(str(tmp_path / f"{number:03d}.png"), studio.draw(Scene(0.5 * number)))
-    assert turn(tmp_path, camera) == 0
+    assert rotation(tmp_path, camera) == 0
     assert "12 of 12 pictures show both markers" in capsys.readouterr().out
 
 
@@ -76,7 +76,7 @@ def test_a_folder_of_images_will_do(tmp_path: Path, camera: Path, capsys: pytest
 def test_films_without_markers_are_one_line(
     tmp_path: Path, camera: Path, capsys: pytest.CaptureFixture[str], covered: set[str], word: str
 ) -> None:
-    assert turn(film(tmp_path / "a.avi", frozenset(covered), 8), camera) == 2
+    assert rotation(film(tmp_path / "a.avi", frozenset(covered), 8), camera) == 2
     said = capsys.readouterr().err
     assert word in said
     assert said.count("\n") == 1
@@ -114,7 +114,7 @@ def test_wrong_intrinsics_are_one_line(
 ) -> None:
     path = tmp_path / "camera.json"
     path.write_text(content)
-    assert turn(film(tmp_path / "a.avi", count=6), path) == 2
+    assert rotation(film(tmp_path / "a.avi", count=6), path) == 2
     said = capsys.readouterr().err
     assert word in said
     assert said.count("\n") == 1
@@ -144,9 +144,9 @@ def board_pictures(tilts_deg: list[tuple[float, float]]) -> list[np.ndarray]:
     grid = np.stack(np.meshgrid(np.arange(640), np.arange(480)), -1).reshape(-1, 1, 2).astype(np.float64)
     ideal = cv2.undistortPoints(grid, matrix, LENS.distortion(), P=matrix).reshape(480, 640, 2).astype(np.float32)
     for number, (a, b) in enumerate(tilts_deg):
-        turned = cv2.Rodrigues(np.radians([a, b, 3.0 * number]))[0]
+        rotated = cv2.Rodrigues(np.radians([a, b, 3.0 * number]))[0]
         corners = np.array([[-122.5, -87.5, 0], [122.5, -87.5, 0], [122.5, 87.5, 0], [-122.5, 87.5, 0]])
-        seen = corners @ turned.T + np.array([8.0 * (number % 3 - 1), 5.0 * (number % 2), 380.0])
+        seen = corners @ rotated.T + np.array([8.0 * (number % 3 - 1), 5.0 * (number % 2), 380.0])
         pixels = (seen[:, :2] / seen[:, 2:] * LENS.focal_px + np.array(LENS.centre_px)).astype(np.float32)
         source = np.array([[0, 0], [1400, 0], [1400, 1000], [0, 1000]], np.float32) - 0.5
         warp = cv2.getPerspectiveTransform(source, pixels)

@@ -11,7 +11,7 @@ import pytest
 from slipguard.errors import InputError
 from slipguard.evaluation.intrinsics import Intrinsics
 from slipguard.evaluation.marker_detector import Detector, Sighting
-from slipguard.evaluation.marker_rotation import TurnTrace, turns
+from slipguard.evaluation.marker_rotation import RotationTrace, rotations
 from slipguard.evaluation.markers import cells
 from slipguard.evaluation.simulated import intrinsics_of
 from slipguard.sim.external_camera import Onlooker, Plate, Scene, Studio
@@ -27,23 +27,23 @@ FRAMES = 24
 def motion(sign: float = 1.0, largest_deg: float = 35.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, true turns, heights: at rest, then turning while it rises."""
     time_s = np.linspace(0.0, 2.5, FRAMES)
-    turn_deg = sign * np.clip((time_s - 0.8) * 22.0, 0.0, largest_deg)
-    return time_s, turn_deg, np.maximum(time_s - 0.7, 0.0) * 25.0
+    rotation_deg = sign * np.clip((time_s - 0.8) * 22.0, 0.0, largest_deg)
+    return time_s, rotation_deg, np.maximum(time_s - 0.7, 0.0) * 25.0
 
 
 def seen(look: Onlooker, sign: float = 1.0, covered: range = range(0), what: str = "object") -> list[Sighting]:
     studio, detector = Studio(look, 3), Detector()
     sightings = []
-    for number, (time_s, turn_deg, height_mm) in enumerate(zip(*motion(sign), strict=True)):
+    for number, (time_s, rotation_deg, height_mm) in enumerate(zip(*motion(sign), strict=True)):
         hidden = frozenset({what}) if number in covered else frozenset()
-        image = studio.draw(Scene(float(turn_deg), float(height_mm), covered=hidden))
+        image = studio.draw(Scene(float(rotation_deg), float(height_mm), covered=hidden))
         sightings.append(detector.look(image, float(time_s)))
     return sightings
 
 
-def errors(trace: TurnTrace, sign: float = 1.0) -> np.ndarray:
-    time_s, turn_deg, _ = motion(sign)
-    return np.asarray(trace.turn_deg - np.interp(trace.time_s, time_s, turn_deg))
+def errors(trace: RotationTrace, sign: float = 1.0) -> np.ndarray:
+    time_s, rotation_deg, _ = motion(sign)
+    return np.asarray(trace.rotation_deg - np.interp(trace.time_s, time_s, rotation_deg))
 
 
 GRID = list(itertools.product((300.0, 600.0, 1000.0), (0.0, 20.0, 40.0)))
@@ -58,7 +58,7 @@ def test_turns_are_found_at_every_distance_and_tilt(distance_mm: float, tilt_deg
         LOOK, distance_mm=distance_mm, tilt_deg=tilt_deg, azimuth_deg=azimuth, aim_mm=aim, blur_px=blur, noise=noise
     )
     sign = -1.0 if tilt_deg == 20.0 else 1.0
-    trace = turns(seen(look, sign), intrinsics_of(look.lens), 40.0)
+    trace = rotations(seen(look, sign), intrinsics_of(look.lens), 40.0)
     error = np.abs(errors(trace, sign))
     assert error.mean() <= 0.3
     assert error.max() <= 1.0
@@ -67,7 +67,7 @@ def test_turns_are_found_at_every_distance_and_tilt(distance_mm: float, tilt_deg
 
 def test_covered_markers_are_gaps_and_not_guesses() -> None:
     sightings = seen(LOOK, covered=range(10, 16))
-    trace = turns(sightings, intrinsics_of(LOOK.lens), 40.0)
+    trace = rotations(sightings, intrinsics_of(LOOK.lens), 40.0)
     assert trace.gaps == 6
     times = [one.time_s for one in sightings]
     assert not set(times[10:16]) & set(trace.time_s)
@@ -76,7 +76,7 @@ def test_covered_markers_are_gaps_and_not_guesses() -> None:
 
 def test_sigma_tells_the_size_of_the_errors() -> None:
     look = replace(LOOK, distance_mm=900.0, noise=5.0, blur_px=1.0, tilt_deg=15.0)
-    trace = turns(seen(look), intrinsics_of(look.lens), 40.0)
+    trace = rotations(seen(look), intrinsics_of(look.lens), 40.0)
     scaled = np.abs(errors(trace)) / trace.sigma_deg
     assert np.mean(scaled <= 2.0) >= 0.85
     assert np.median(scaled) >= 0.2
@@ -85,23 +85,23 @@ def test_sigma_tells_the_size_of_the_errors() -> None:
 def test_a_marker_that_is_never_seen_is_named() -> None:
     lens = intrinsics_of(LOOK.lens)
     with pytest.raises(InputError, match=r"marker of the object \(id 1\) was never seen"):
-        turns(seen(LOOK, covered=range(FRAMES)), lens, 40.0)
+        rotations(seen(LOOK, covered=range(FRAMES)), lens, 40.0)
     with pytest.raises(InputError, match=r"marker of the gripper \(id 0\) was never seen"):
-        turns(seen(LOOK, covered=range(FRAMES), what="gripper"), lens, 40.0)
+        rotations(seen(LOOK, covered=range(FRAMES), what="gripper"), lens, 40.0)
     with pytest.raises(InputError, match="no marker was seen in 3 pictures"):
-        turns([Sighting(0.1 * k, None, None) for k in range(3)], lens, 40.0)
+        rotations([Sighting(0.1 * k, None, None) for k in range(3)], lens, 40.0)
 
 
 def test_too_few_pictures_are_refused() -> None:
     with pytest.raises(InputError, match="at least 5 are needed"):
-        turns(seen(LOOK)[:4], intrinsics_of(LOOK.lens), 40.0)
+        rotations(seen(LOOK)[:4], intrinsics_of(LOOK.lens), 40.0)
 
 
 def test_intrinsics_of_another_camera_do_not_pass_for_a_turn() -> None:
     frontal = replace(LOOK, tilt_deg=0.0)
     wrong = intrinsics_of(frontal.lens).model_copy(update={"fy_px": 1150.0})
     with pytest.raises(InputError, match="check that the intrinsics are this camera's"):
-        turns(seen(frontal), wrong, 40.0)
+        rotations(seen(frontal), wrong, 40.0)
 
 
 @pytest.mark.parametrize(

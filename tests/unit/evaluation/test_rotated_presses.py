@@ -11,7 +11,7 @@ import pytest
 
 from slipguard.cli.app import run
 from slipguard.errors import InputError
-from slipguard.evaluation.rotated_presses import Press, presses, turned, turned_difference
+from slipguard.evaluation.rotated_presses import Press, presses, rotated, rotated_difference
 from slipguard.stress.surfaces import LEVEL, Lamps, contact, drawn, heights, lettered
 
 
@@ -47,23 +47,23 @@ def test_presses_are_split_into_parts(folder: Path) -> None:
 
 
 def test_relit_is_what_the_lights_would_show(press: Press) -> None:
-    for turn in (25.0, -70.0):
-        height = heights(lettered, 10.0 + turn, press.centre_px, 1.0)
+    for rotation in (25.0, -70.0):
+        height = heights(lettered, 10.0 + rotation, press.centre_px, 1.0)
         true = drawn(height, Lamps(), 0.0, np.random.default_rng(0)).astype(np.float32) - LEVEL
         inside = cv2.erode(np.asarray(contact(height) > 0.5, np.uint8), np.ones((9, 9), np.uint8))
         inside = cv2.resize(inside, (240, 320), interpolation=cv2.INTER_NEAREST) > 0
-        relit = turned_difference(press, turn, "relit")[inside]
-        rigid = turned_difference(press, turn, "rigid")[inside]
+        relit = rotated_difference(press, rotation, "relit")[inside]
+        rigid = rotated_difference(press, rotation, "rigid")[inside]
         alike = float(np.corrcoef(relit.ravel(), true[inside].ravel())[0, 1])
         assert alike > 0.93
         assert alike > float(np.corrcoef(rigid.ravel(), true[inside].ravel())[0, 1]) + 0.05
 
 
 def test_a_grasp_is_the_same_for_one_seed_and_ends_without_contact(press: Press) -> None:
-    one, again, other = turned(press, "relit", 5), turned(press, "relit", 5), turned(press, "relit", 6)
+    one, again, other = rotated(press, "relit", 5), rotated(press, "relit", 5), rotated(press, "relit", 6)
     assert all(np.array_equal(a.frame.image, b.frame.image) for a, b in zip(one.shots, again.shots, strict=True))
-    assert [shot.turn_deg for shot in one.shots] != [shot.turn_deg for shot in other.shots]
-    assert 10.0 <= max(abs(shot.turn_deg) for shot in one.shots) <= 30.0
+    assert [shot.rotation_deg for shot in one.shots] != [shot.rotation_deg for shot in other.shots]
+    assert 10.0 <= max(abs(shot.rotation_deg) for shot in one.shots) <= 30.0
     assert not one.shots[0].contact
     assert not one.shots[-1].contact
     assert sum(shot.compared for shot in one.shots) >= 12

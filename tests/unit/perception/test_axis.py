@@ -41,14 +41,14 @@ def test_angles_are_counter_clockwise_with_zero_to_the_right(name: str, shape: s
 
 
 @given(st.sampled_from(ELONGATED), st.floats(-90, 90), st.floats(-90, 90), st.integers(0, 99))
-def test_the_axis_turns_with_the_patch(shape: str, before: float, turn: float, seed: int) -> None:
+def test_the_axis_turns_with_the_patch(shape: str, before: float, rotation: float, seed: int) -> None:
     here = patch_of(drawn(shape, before, ragged_px=0.3, seed=seed))
-    there = patch_of(drawn(shape, before + turn, (58, 82), ragged_px=0.3, seed=seed + 1))
+    there = patch_of(drawn(shape, before + rotation, (58, 82), ragged_px=0.3, seed=seed + 1))
     for name in ALL:
         a, b = estimate(here, name), estimate(there, name)
         if a.angle_deg is None or b.angle_deg is None or a.sigma_deg is None or b.sigma_deg is None:
             continue
-        error = abs(axial_difference_deg(b.angle_deg - a.angle_deg, turn))
+        error = abs(axial_difference_deg(b.angle_deg - a.angle_deg, rotation))
         assert error < 4.5 * np.hypot(a.sigma_deg, b.sigma_deg) + 0.3, (name, error)
 
 

@@ -19,16 +19,16 @@ from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.quality.image_quality import UNLIKE
 from slipguard.perception.rotation.axis import estimate
-from slipguard.perception.rotation.tracker import RATE_STALE_S, Tracker, Turn
+from slipguard.perception.rotation.tracker import RATE_STALE_S, Rotation, Tracker
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.stress.images import grasp
 from slipguard.stress.light import SPOILS
 
 
-def turning(tracker: Tracker, from_s: float, rate_deg_s: float, frames: int) -> float | None:
+def rotating(tracker: Tracker, from_s: float, rate_deg_s: float, frames: int) -> float | None:
     """The rate after so many regular frames of a steady turn."""
     for k in range(frames):
-        tracker.accept(from_s + k / 60, Turn(rate_deg_s * k / 60, 0.3))
+        tracker.accept(from_s + k / 60, Rotation(rate_deg_s * k / 60, 0.3))
     return tracker.rate_deg_s(from_s + (frames - 1) / 60)
 
 
@@ -36,24 +36,26 @@ def turning(tracker: Tracker, from_s: float, rate_deg_s: float, frames: int) -> 
 def test_the_rate_is_right_again_after_the_clock_went_back(back_s: float) -> None:
     tracker = Tracker()
     tracker.start(1e6)
-    turning(tracker, 1e6, 0.0, 20)
-    assert turning(tracker, 1e6 + 19 / 60 - back_s, 60.0, 12) == pytest.approx(60.0, abs=1.0)
+    rotating(tracker, 1e6, 0.0, 20)
+    assert rotating(tracker, 1e6 + 19 / 60 - back_s, 60.0, 12) == pytest.approx(60.0, abs=1.0)
 
 
 def test_frames_a_nanosecond_apart_tell_no_rate() -> None:
     tracker = Tracker()
     tracker.start(5.0)
     for k in range(10):
-        tracker.accept(5.0 + k * 1e-9, Turn(0.1 * (-1) ** k, 0.1))
+        tracker.accept(5.0 + k * 1e-9, Rotation(0.1 * (-1) ** k, 0.1))
     assert tracker.rate_deg_s(5.0 + RATE_STALE_S / 2) is None
 
 
-@pytest.mark.parametrize("bad", [Turn(math.nan, 1.0), Turn(1.0, math.nan), Turn(math.inf, 1.0), Turn(1.0, math.inf)])
-def test_the_tracker_takes_no_turn_that_is_no_number(bad: Turn) -> None:
+@pytest.mark.parametrize(
+    "bad", [Rotation(math.nan, 1.0), Rotation(1.0, math.nan), Rotation(math.inf, 1.0), Rotation(1.0, math.inf)]
+)
+def test_the_tracker_takes_no_turn_that_is_no_number(bad: Rotation) -> None:
     tracker = Tracker()
     tracker.start(0.0)
     assert tracker.accept(0.1, bad).declined == "not a number"
-    assert tracker.last_turn_deg == 0.0
+    assert tracker.last_rotation_deg == 0.0
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e308])
@@ -62,7 +64,7 @@ def test_a_finger_whose_numbers_are_none_tells_no_turn(field: str, bad: float) -
     values = {"angle_deg": 10.0, "sigma_deg": 0.5, "rate_deg_s": 0.0, field: bad}
     fused = fuse(said(**values), said(-12.0, rate_deg_s=0.0))  # type: ignore[arg-type]
     assert fused is not None
-    assert fused.turn_deg == pytest.approx(12.0)
+    assert fused.rotation_deg == pytest.approx(12.0)
     assert fused.fingers == ("right",)
     assert fused.note == "left finger: not a number"
     assert fused.left_contact
@@ -71,7 +73,7 @@ def test_a_finger_whose_numbers_are_none_tells_no_turn(field: str, bad: float) -
 def test_a_finger_without_a_time_says_nothing() -> None:
     fused = fuse(said(10.0, at_s=math.nan), said(-12.0))
     assert fused is not None
-    assert fused.turn_deg == pytest.approx(12.0)
+    assert fused.rotation_deg == pytest.approx(12.0)
     assert fused.left_contact is None
     assert fuse(said(10.0, at_s=math.inf), None) is None
 
@@ -85,14 +87,14 @@ def test_a_shift_that_is_no_number_is_left_out() -> None:
 def test_a_finger_that_knows_no_rate_turns_at_the_others() -> None:
     fused = fuse(said(10.0, at_s=1.0, rate_deg_s=100.0), said(-12.0, at_s=1.02))
     assert fused is not None
-    assert fused.turn_deg == pytest.approx(10.0)
+    assert fused.rotation_deg == pytest.approx(10.0)
     assert fused.fingers == ("left", "right")
 
 
 def test_without_any_rate_the_older_finger_is_left_out() -> None:
     fused = fuse(said(10.0, at_s=1.0), said(-30.0, at_s=1.05))
     assert fused is not None
-    assert fused.turn_deg == pytest.approx(30.0)
+    assert fused.rotation_deg == pytest.approx(30.0)
     assert fused.fingers == ("right",)
     assert fused.note == "left finger: 50 ms behind"
 
@@ -174,9 +176,9 @@ def test_light_that_changes_after_the_reference_makes_turns_less_certain() -> No
         assert answer.sigma_deg is not None
         return answer.angle_deg, answer.sigma_deg
 
-    (_, steady), (turned, tilted) = last(0.0), last(1.0)
+    (_, steady), (rotated, tilted) = last(0.0), last(1.0)
     assert tilted > steady + 0.5
-    assert abs(turned - shown.turns_deg[7]) < 3.0 * tilted
+    assert abs(rotated - shown.rotations_deg[7]) < 3.0 * tilted
 
 
 def test_a_turn_in_an_almost_dark_picture_is_measured_not_skipped() -> None:
@@ -218,7 +220,7 @@ def test_a_camera_with_another_light_tells_no_turn_and_takes_no_reference(what: 
     assert not [answer for answer in answers if answer.angle_deg is not None]
     assert not pipeline.has_reference
     clean = [pipeline.process(Frame(image, (20 + k) / 60, 20 + k)) for k, image in enumerate(shown.frames)]
-    assert clean[-1].angle_deg == pytest.approx(shown.turns_deg[-1], abs=3.0)
+    assert clean[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=3.0)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -27,7 +27,7 @@ def still_on(scene: NDArray[np.float64], rng: np.random.Generator, frames: int =
     return still
 
 
-def turned(degrees: float) -> NDArray[np.float64]:
+def rotated(degrees: float) -> NDArray[np.float64]:
     """The dent, its smaller end turned about its middle."""
     a = np.radians(degrees)
     return press(press(glow(), 60, 40, (120, 130)), 50, 15, (120 + 70 * np.sin(a), 130 + 70 * np.cos(a)))
@@ -46,8 +46,8 @@ def test_noise_and_flickering_columns_are_unchanged(seed: int) -> None:
 def test_a_degree_is_a_change(degrees: float) -> None:
     rng = np.random.default_rng(4)
     still = still_on(DENT, rng)
-    assert still.telling(with_turn=True)
-    assert not any(still.unchanged(block_means(camera(turned(degrees), rng))) for _ in range(20))
+    assert still.telling(with_rotation=True)
+    assert not any(still.unchanged(block_means(camera(rotated(degrees), rng))) for _ in range(20))
 
 
 def test_a_shift_by_a_pixel_and_a_spot_far_away_are_changes() -> None:
@@ -60,7 +60,7 @@ def test_a_shift_by_a_pixel_and_a_spot_far_away_are_changes() -> None:
 def test_a_creep_adds_up_until_it_is_seen() -> None:
     rng = np.random.default_rng(5)
     still = still_on(DENT, rng)
-    seen = [still.unchanged(block_means(camera(turned(0.02 * k), rng))) for k in range(60)]
+    seen = [still.unchanged(block_means(camera(rotated(0.02 * k), rng))) for k in range(60)]
     assert seen[:5] == [True] * 5
     assert not any(seen[50:])
 
@@ -84,7 +84,7 @@ def test_rest_must_last_as_long_again_as_the_last_change_took() -> None:
 def test_a_glitch_does_not_end_the_rest_and_a_change_that_stays_does() -> None:
     rng = np.random.default_rng(6)
     still = still_on(DENT, rng)
-    same, other = (block_means(camera(scene, rng)) for scene in (DENT, turned(5.0)))
+    same, other = (block_means(camera(scene, rng)) for scene in (DENT, rotated(5.0)))
     still.note(other, NEAR, 2.0, still.unchanged(other))
     assert not still.at_rest(2.01)
     assert not still.restored
@@ -94,7 +94,7 @@ def test_a_glitch_does_not_end_the_rest_and_a_change_that_stays_does() -> None:
     assert still.unchanged(same)
     assert not still.restored
     for k in range(6):
-        other = block_means(camera(turned(5.0), rng))
+        other = block_means(camera(rotated(5.0), rng))
         still.note(other, NEAR, 3.0 + k * FRAME_S, still.unchanged(other))
     assert not still.unchanged(same)
     assert not still.at_rest(3.2)
@@ -103,8 +103,8 @@ def test_a_glitch_does_not_end_the_rest_and_a_change_that_stays_does() -> None:
 def test_a_faint_contact_is_never_at_rest_enough() -> None:
     rng = np.random.default_rng(7)
     faint = press(glow(), 1.5, 40, (120, 160))
-    assert not still_on(faint, rng).telling(with_turn=True)
-    assert still_on(DENT, rng).telling(with_turn=True)
+    assert not still_on(faint, rng).telling(with_rotation=True)
+    assert still_on(DENT, rng).telling(with_rotation=True)
 
 
 def test_nothing_is_unchanged_before_a_picture_was_kept_or_after_it_was_forgotten() -> None:
@@ -114,7 +114,7 @@ def test_nothing_is_unchanged_before_a_picture_was_kept_or_after_it_was_forgotte
     assert still.unchanged(blocks)
     still.forget()
     assert not still.unchanged(blocks)
-    assert not still.telling(with_turn=False)
+    assert not still.telling(with_rotation=False)
     assert not still.at_rest(100.0)
 
 

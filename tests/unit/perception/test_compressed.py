@@ -70,7 +70,7 @@ def test_a_coarsely_compressed_contact_tells_no_turn_and_a_finer_one_does(spoile
         if declined:
             assert {answer.declined for answer in answers} == {COMPRESSED}
         else:
-            assert answers[-1].angle_deg == pytest.approx(shown.turns_deg[-1], abs=2.0)
+            assert answers[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=2.0)
 
 
 @pytest.mark.parametrize("seed", [821, 3063])

@@ -22,33 +22,37 @@ def patch_of(probability: NDArray[np.float32]) -> Patch:
 
 
 def followed(
-    shape: str, turns: list[float], centre: tuple[float, float] = (60, 80), growth: float = 0.0, ragged_px: float = 0.3
+    shape: str,
+    rotations: list[float],
+    centre: tuple[float, float] = (60, 80),
+    growth: float = 0.0,
+    ragged_px: float = 0.3,
 ) -> list[Registration]:
     """Register a turning shape frame by frame, each from the last pose."""
     template = make_template(patch_of(drawn(shape, 17.0, centre, ragged_px=ragged_px)))
     pose, answers = Pose(), []
-    for k, turn in enumerate(turns, start=1):
+    for k, rotation in enumerate(rotations, start=1):
         there = (centre[0] + 0.2 * k, centre[1] - 0.1 * k)
-        picture = drawn(shape, 17.0 + turn, there, 1.0 + growth * k / len(turns), ragged_px, seed=k)
+        picture = drawn(shape, 17.0 + rotation, there, 1.0 + growth * k / len(rotations), ragged_px, seed=k)
         answers.append(Registrar(template, patch_of(picture)).fit(pose))
         pose = answers[-1].pose
     return answers
 
 
-TURNS = [3.0 * k for k in range(1, 21)]
+ROTATIONS = [3.0 * k for k in range(1, 21)]
 
 
 @pytest.mark.parametrize("shape", ["bar", "rectangle", "square", "key", "wedge", "cross", "ellipse"])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_turns_are_followed_through_growth_and_shift(shape: str, sign: float) -> None:
-    turns = [sign * turn for turn in TURNS]
-    for turn, answer in zip(turns, followed(shape, turns, growth=0.12), strict=True):
+    rotations = [sign * rotation for rotation in ROTATIONS]
+    for rotation, answer in zip(rotations, followed(shape, rotations, growth=0.12), strict=True):
         assert answer.declined is None
-        assert abs(answer.pose.turn_deg - turn) < min(1.6, 4.0 * answer.sigma_deg)
+        assert abs(answer.pose.rotation_deg - rotation) < min(1.6, 4.0 * answer.sigma_deg)
 
 
 def test_shift_is_that_of_the_patch() -> None:
-    answer = followed("key", TURNS)[-1]
+    answer = followed("key", ROTATIONS)[-1]
     m = followed("key", [0.5] * 20)[-1]
     assert (m.pose.dx_px, m.pose.dy_px) == pytest.approx((4.0, -2.0), abs=0.6)
     assert answer.residual < 0.1
@@ -56,16 +60,16 @@ def test_shift_is_that_of_the_patch() -> None:
 
 @pytest.mark.parametrize("centre", [(60, 80), (80, 100), (40, 70)])
 def test_a_bar_cut_twice_is_followed_and_does_not_run_along_itself(centre: tuple[float, float]) -> None:
-    turns = [2.0 * k for k in range(1, 21)]
-    for turn, answer in zip(turns, followed("long bar", turns, centre), strict=True):
-        assert abs(answer.pose.turn_deg - turn) < 0.8
+    rotations = [2.0 * k for k in range(1, 21)]
+    for rotation, answer in zip(rotations, followed("long bar", rotations, centre), strict=True):
+        assert abs(answer.pose.rotation_deg - rotation) < 0.8
         assert np.hypot(answer.pose.dx_px, answer.pose.dy_px) < 20.0
 
 
 @pytest.mark.parametrize("shape", ["disc", "ring"])
 @pytest.mark.parametrize("centre", [(60, 80), (105, 80), (108, 150)])
 def test_round_contacts_decline(shape: str, centre: tuple[float, float]) -> None:
-    assert all(answer.declined for answer in followed(shape, TURNS[:5], centre))
+    assert all(answer.declined for answer in followed(shape, ROTATIONS[:5], centre))
 
 
 def test_an_outline_that_repeats_declines() -> None:
@@ -94,5 +98,5 @@ def test_any_two_maps_give_finite_numbers(before: NDArray[np.float32], now: NDAr
     if reference is None or patch is None:
         return
     answer = Registrar(make_template(reference), patch).fit(Pose(start))
-    assert np.isfinite([answer.pose.turn_deg, answer.sigma_deg, answer.residual]).all()
+    assert np.isfinite([answer.pose.rotation_deg, answer.sigma_deg, answer.residual]).all()
     assert answer.sigma_deg > 0.0

@@ -96,6 +96,6 @@ def test_a_turn_is_told_under_many_stuck_lines_and_the_mask_has_no_gaps() -> Non
     for spoil in (np.copy, drawn_over):
         pipeline = Pipeline(segmenter, PerceptionSettings(), spoil(shown.background), shown.noise_bgr, 18.5)
         answers = [pipeline.process(Frame(spoil(one), k / 60, k)) for k, one in enumerate(shown.frames)]
-        assert answers[-1].angle_deg == pytest.approx(shown.turns_deg[-1], abs=1.5)
+        assert answers[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=1.5)
         told.append(answers[-1])
     assert told[1].contact_area_px == pytest.approx(told[0].contact_area_px, rel=0.05)

@@ -54,7 +54,7 @@ def test_a_contact_in_few_levels_tells_no_turn_and_one_in_64_does() -> None:
         if declined:
             assert {answer.declined for answer in answers} == {FEW_LEVELS}
         else:
-            assert answers[-1].angle_deg == pytest.approx(shown.turns_deg[-1], abs=2.0)
+            assert answers[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=2.0)
 
 
 @pytest.mark.parametrize("seed", [6649, 7545])

@@ -44,7 +44,7 @@ def test_a_contact_in_noise_tells_no_turn_and_a_grainy_one_does() -> None:
         if declined:
             assert NOISY in {answer.declined for answer in answers}
         else:
-            assert answers[-1].angle_deg == pytest.approx(shown.turns_deg[-1], abs=2.0)
+            assert answers[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=2.0)
 
 
 def test_no_confident_turn_is_told_in_noise() -> None:

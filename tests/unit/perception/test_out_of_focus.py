@@ -36,7 +36,7 @@ def test_a_blurred_faint_contact_tells_no_turn_and_makes_no_reference(number: in
     assert not [answer for answer in answers if answer.angle_deg is not None]
     assert not pipeline.has_reference
     sharp = [pipeline.process(Frame(one, (20 + k) / 60, 20 + k)) for k, one in enumerate(shown.frames)]
-    assert sharp[-1].angle_deg == pytest.approx(shown.turns_deg[-1], abs=3.0)
+    assert sharp[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=3.0)
 
 
 @pytest.mark.parametrize("sigma_px", [0.0, 1.5, 3.0, 9.0, 15.0])

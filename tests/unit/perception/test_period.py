@@ -119,24 +119,24 @@ class Held:
         self._frames = 0
         self.now_s = 0.0
 
-    def see(self, turn_deg: float, after_s: float = FRAME_S) -> Estimate:
+    def see(self, rotation_deg: float, after_s: float = FRAME_S) -> Estimate:
         self._frames += 1
         self.now_s += after_s
-        height = heights(self._surface, 15.0 + turn_deg, AT, 1.0)
+        height = heights(self._surface, 15.0 + rotation_deg, AT, 1.0)
         self._segmenter.map = contact(height)
         image = drawn(height, Lamps(), 2.0, np.random.default_rng(self._frames))
         return self.pipe.process(Frame(image, self.now_s, self._frames))
 
 
 @pytest.mark.parametrize(
-    ("surface", "gap_s", "turn_deg"),
+    ("surface", "gap_s", "rotation_deg"),
     [(gear, 0.1, 22.0), (nut, 0.145, 50.0), (nut, 2.0, 44.0), (polygon(4), 2.0, 75.0), (polygon(5), 0.145, 50.0)],
 )
-def test_a_gap_long_enough_for_a_step_loses_the_count(surface: Surface, gap_s: float, turn_deg: float) -> None:
+def test_a_gap_long_enough_for_a_step_loses_the_count(surface: Surface, gap_s: float, rotation_deg: float) -> None:
     held = Held(surface)
     for _ in range(3):
         assert held.see(0.0).angle_deg == pytest.approx(0.0, abs=0.5)
-    after = [held.see(turn_deg, gap_s), *(held.see(turn_deg) for _ in range(10))]
+    after = [held.see(rotation_deg, gap_s), *(held.see(rotation_deg) for _ in range(10))]
     assert {one.declined for one in after} == {LOST_COUNT}
     assert {one.angle_deg for one in after} == {None}
 
@@ -160,11 +160,11 @@ def test_what_does_not_repeat_is_told_after_any_gap() -> None:
 @pytest.mark.parametrize(("gap_s", "on_deg", "told"), [(0.045, 14.0, True), (0.045, 0.0, False), (0.09, 28.0, False)])
 def test_what_turns_fast_may_have_stopped(gap_s: float, on_deg: float, told: bool) -> None:
     held = Held(gear)
-    turns = [0.0, 0.0, *(6.0 * k for k in range(1, 7))]
+    rotations = [0.0, 0.0, *(6.0 * k for k in range(1, 7))]
     assert held.see(0.0).angle_deg is not None
-    assert [held.see(turn).angle_deg for turn in turns] == pytest.approx(turns, abs=0.5)
-    after = held.see(turns[-1] + on_deg, gap_s).angle_deg
-    assert after == (pytest.approx(turns[-1] + on_deg, abs=0.5) if told else None)
+    assert [held.see(rotation).angle_deg for rotation in rotations] == pytest.approx(rotations, abs=0.5)
+    after = held.see(rotations[-1] + on_deg, gap_s).angle_deg
+    assert after == (pytest.approx(rotations[-1] + on_deg, abs=0.5) if told else None)
 
 
 def test_one_frame_of_thirty_a_second_that_is_lost_loses_no_count_of_fine_teeth() -> None:
@@ -253,14 +253,14 @@ def rendered(name: str, seed: int) -> tuple[Pipeline, GelCamera, GelView, int]:
     return pipe, camera, view, 6
 
 
-@pytest.mark.parametrize(("seed", "turn_deg"), [(1, 15.0), (1, -22.0), (2, 30.0), (4, 30.0)])
+@pytest.mark.parametrize(("seed", "rotation_deg"), [(1, 15.0), (1, -22.0), (2, 30.0), (4, 30.0)])
 def test_a_relief_that_is_looked_for_in_the_wrong_place_is_found_where_the_outline_is(
-    seed: int, turn_deg: float
+    seed: int, rotation_deg: float
 ) -> None:
     pipe, camera, view, frames = rendered("hook", seed)
-    turned = GelView(view.object_name, view.x_mm, view.y_mm, view.angle_deg + turn_deg, view.depth_mm)
+    rotated = GelView(view.object_name, view.x_mm, view.y_mm, view.angle_deg + rotation_deg, view.depth_mm)
     for k in range(3):
-        answer = pipe.process(Frame(camera.draw(turned), (frames + k) * FRAME_S + 0.1, frames + k))
-        assert answer.angle_deg == pytest.approx(turn_deg, abs=2.0)
+        answer = pipe.process(Frame(camera.draw(rotated), (frames + k) * FRAME_S + 0.1, frames + k))
+        assert answer.angle_deg == pytest.approx(rotation_deg, abs=2.0)
         assert answer.sigma_deg is not None
         assert answer.sigma_deg < 0.5

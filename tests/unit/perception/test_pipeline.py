@@ -28,14 +28,14 @@ class ReadsNaN(ReadsBlue):
         return np.full((160, 120), np.nan, np.float32)
 
 
-def pipeline(rotation_deg: int = 0, segmenter: ReadsBlue | None = None, **settings: object) -> Pipeline:
+def pipeline(mounting_deg: int = 0, segmenter: ReadsBlue | None = None, **settings: object) -> Pipeline:
     return Pipeline(
         segmenter or ReadsBlue(),
         PerceptionSettings(**settings),  # type: ignore[arg-type]
         BACKGROUND,
         (1.0, 1.0, 1.0),
         18.5,
-        rotation_deg,
+        mounting_deg,
     )
 
 
@@ -44,11 +44,13 @@ def run(pipe: Pipeline, shape: str, angles: list[float], start: int = 0) -> list
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
-@pytest.mark.parametrize(("before", "now", "turn"), [(-6, 6, 12), (80, 100, 20), (10, -35, -45)])
-def test_turns_are_signed_and_cross_the_seam(estimator: EstimatorName, before: float, now: float, turn: float) -> None:
+@pytest.mark.parametrize(("before", "now", "rotation"), [(-6, 6, 12), (80, 100, 20), (10, -35, -45)])
+def test_turns_are_signed_and_cross_the_seam(
+    estimator: EstimatorName, before: float, now: float, rotation: float
+) -> None:
     steps = list(np.linspace(before, now, 12))
     last = run(pipeline(estimator=estimator), "bar", [before] * 6 + steps)[-1]
-    assert last.angle_deg == pytest.approx(turn, abs=1.0)
+    assert last.angle_deg == pytest.approx(rotation, abs=1.0)
     assert last.orientation_deg is not None
     assert -90 < last.orientation_deg <= 90
     assert abs(axial_difference_deg(last.orientation_deg, now)) < 1.0
@@ -104,13 +106,13 @@ def test_round_contacts_are_declined_but_their_shift_is_told(estimator: Estimato
 
 
 @pytest.mark.parametrize(
-    ("rotation_deg", "shift_mm", "orientation_deg"),
+    ("mounting_deg", "shift_mm", "orientation_deg"),
     [(0, (1.0, 2.0), 30), (90, (-2.0, 1.0), -60), (180, (-1.0, -2.0), 30), (270, (2.0, -1.0), -60)],
 )
 def test_mounting_turns_directions_but_no_turn(
-    rotation_deg: int, shift_mm: tuple[float, float], orientation_deg: float
+    mounting_deg: int, shift_mm: tuple[float, float], orientation_deg: float
 ) -> None:
-    pipe = pipeline(rotation_deg)
+    pipe = pipeline(mounting_deg)
     run(pipe, "ellipse", [20.0] * 6)
     moved = pipe.process(frame(drawn("ellipse", 30, (69.25, 61.5)), 9))
     assert moved.angle_deg == pytest.approx(10.0, abs=0.8)
@@ -143,9 +145,9 @@ def test_an_unchanged_picture_reuses_the_answer_for_a_quarter_second_at_most() -
     assert all(0.0 < a.captured_at_s - a.measured_at_s < 0.25 for a in reused)
     assert [a.sequence for a in answers] == list(range(180))
     assert all(a.contact and a.angle_deg is not None for a in answers[6:])
-    turned = pipe.process(frame(drawn("bar", 21.5), 180))
-    assert turned.skipped is None
-    assert turned.angle_deg == pytest.approx(1.5, abs=0.4)
+    rotated = pipe.process(frame(drawn("bar", 21.5), 180))
+    assert rotated.skipped is None
+    assert rotated.angle_deg == pytest.approx(1.5, abs=0.4)
 
 
 @pytest.mark.parametrize("knock", [3.0, 70.0])
@@ -246,7 +248,7 @@ def test_noise_in_place_of_a_mask_gives_no_sure_turn() -> None:
 
 @pytest.mark.parametrize(
     ("change", "says"),
-    [({"rotation_deg": 45}, "0, 90, 180 or 270"), ({"px_per_mm": 0.0}, "px_per_mm"), ({"background": 0}, "no-contact")],
+    [({"mounting_deg": 45}, "0, 90, 180 or 270"), ({"px_per_mm": 0.0}, "px_per_mm"), ({"background": 0}, "no-contact")],
 )
 def test_a_senseless_setting_is_one_line(change: dict[str, float], says: str) -> None:
     background = BACKGROUND[:10] if "background" in change else BACKGROUND
@@ -257,7 +259,7 @@ def test_a_senseless_setting_is_one_line(change: dict[str, float], says: str) ->
             background,
             None,
             change.get("px_per_mm", 18.5),
-            int(change.get("rotation_deg", 0)),
+            int(change.get("mounting_deg", 0)),
         )
     assert "\n" not in str(caught.value)
 

@@ -18,42 +18,44 @@ from slipguard.stress.images import PICTURES
 from slipguard.stress.product_functions import Subject
 from slipguard.stress.surfaces import Lamps, contact, drawn, heights, lettered
 
-TURNS_DEG = (2.0, 4.0, 8.0, 12.0)
+ROTATIONS_DEG = (2.0, 4.0, 8.0, 12.0)
 
 
-def seen(turn_deg: float, levels: float) -> tuple[NDArray[np.uint8], Patch]:
+def seen(rotation_deg: float, levels: float) -> tuple[NDArray[np.uint8], Patch]:
     """Letters that turn under dirt that stays where it is."""
-    height = heights(lettered, 15.0 + turn_deg, (120.0, 160.0), 1.0)
+    height = heights(lettered, 15.0 + rotation_deg, (120.0, 160.0), 1.0)
     patch = find_patch(contact(height), 0.5, 100, 2.0)
     assert patch is not None
     clean = drawn(height, Lamps(), 0.0, np.random.default_rng(0)).astype(np.float64)
     rng = np.random.default_rng(5)
     dirt = cv2.GaussianBlur(rng.standard_normal((320, 240, 3)), (0, 0), 4.0)
-    noise = 2.0 * np.random.default_rng(int(10 * turn_deg)).standard_normal(clean.shape)
+    noise = 2.0 * np.random.default_rng(int(10 * rotation_deg)).standard_normal(clean.shape)
     return np.clip(np.rint(clean + levels * dirt / dirt.std() + noise), 0, 255).astype(np.uint8), patch
 
 
-def turned(levels: float) -> list[TextureFit]:
+def rotated(levels: float) -> list[TextureFit]:
     reader = ReliefReader(np.full((320, 240, 3), 100, np.uint8), (2.0, 2.0, 2.0))
     image, patch = seen(0.0, levels)
     reader.learn(image, patch)
     reference = make_texture(reader.read(image, patch), patch)
     assert reference is not None
     pose, found = TexturePose(), []
-    for turn in TURNS_DEG:
-        image, patch = seen(turn, levels)
+    for rotation in ROTATIONS_DEG:
+        image, patch = seen(rotation, levels)
         found.append(fit(reference, reader.read(image, patch), pose))
         pose = found[-1].pose
     return found
 
 
 def sigmas_off(found: list[TextureFit]) -> float:
-    return max(abs(a.pose.turn_deg - turn) / sigma_deg(a) for a, turn in zip(found, TURNS_DEG, strict=True))
+    return max(
+        abs(a.pose.rotation_deg - rotation) / sigma_deg(a) for a, rotation in zip(found, ROTATIONS_DEG, strict=True)
+    )
 
 
 @pytest.mark.parametrize("levels", [6.0, 7.0])
 def test_dirt_that_stays_makes_the_turn_less_certain(levels: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = turned(levels)
+    found = rotated(levels)
     with_it = [sigma_deg(answer) for answer in found]
     assert sigmas_off(found) < 4.0
     monkeypatch.setattr(texture_sigma, "HELD", 0.0)
@@ -61,7 +63,7 @@ def test_dirt_that_stays_makes_the_turn_less_certain(levels: float, monkeypatch:
 
 
 def test_a_contact_that_turns_alone_is_as_sure_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = turned(0.0)
+    found = rotated(0.0)
     sigmas = [sigma_deg(answer) for answer in found]
     monkeypatch.setattr(texture_sigma, "HELD", 0.0)
     assert sigmas == pytest.approx([sigma_deg(answer) for answer in found], rel=0.02)

@@ -27,30 +27,30 @@ def run(pipe: RecallingPipeline, shape: str, angles: list[float], start: int = 0
     return [pipe.process(frame(drawn(shape, a, ragged_px=0.2, seed=k), k)) for k, a in enumerate(angles, start)]
 
 
-def before(shape: str, turn_deg: float) -> KnownReference:
+def before(shape: str, rotation_deg: float) -> KnownReference:
     """What a pipeline that is gone now has left behind."""
     pipe = pipeline()
-    steps = list(np.linspace(0.0, turn_deg, 12))
+    steps = list(np.linspace(0.0, rotation_deg, 12))
     last = run(pipe, shape, [0.0] * 6 + steps)[-1]
     assert pipe.reference_image is not None
     assert last.angle_deg is not None
     return KnownReference(pipe.reference_image, last.angle_deg)
 
 
-@pytest.mark.parametrize("turn_deg", [0.0, 14.0, -38.0, 70.0])
-def test_the_turn_goes_on_being_counted(turn_deg: float) -> None:
+@pytest.mark.parametrize("rotation_deg", [0.0, 14.0, -38.0, 70.0])
+def test_the_turn_goes_on_being_counted(rotation_deg: float) -> None:
     pipe = pipeline()
-    known = before("key", turn_deg)
+    known = before("key", rotation_deg)
     pipe.recall(known, 10.0)
     assert pipe.recalled == "waiting"
     assert pipe.reference_image is None
-    answers = run(pipe, "key", [turn_deg + 3.0] * 6, start=600)
+    answers = run(pipe, "key", [rotation_deg + 3.0] * 6, start=600)
     assert [answer.declined for answer in answers[: MATCHES_AFTER - 1]] == [RECALLING] * (MATCHES_AFTER - 1)
     assert pipe.recalled == "matches"
-    assert answers[-1].angle_deg == pytest.approx(turn_deg + 3.0, abs=1.0)
+    assert answers[-1].angle_deg == pytest.approx(rotation_deg + 3.0, abs=1.0)
     assert pipe.reference_image is known.image
-    on = run(pipe, "key", list(np.linspace(turn_deg + 3.0, turn_deg + 15.0, 6)), start=606)[-1]
-    assert on.angle_deg == pytest.approx(turn_deg + 15.0, abs=1.0)
+    on = run(pipe, "key", list(np.linspace(rotation_deg + 3.0, rotation_deg + 15.0, 6)), start=606)[-1]
+    assert on.angle_deg == pytest.approx(rotation_deg + 15.0, abs=1.0)
 
 
 def test_another_object_is_a_new_reference_counted_from_the_last_turn() -> None:
@@ -61,8 +61,8 @@ def test_another_object_is_a_new_reference_counted_from_the_last_turn() -> None:
     assert answers[-1].angle_deg is None
     assert pipe.recalled == "differs"
     run(pipe, "bar", [40.0] * 6, start=600 + DIFFERS_AFTER)
-    turned = run(pipe, "bar", list(np.linspace(40.0, 47.0, 6)), start=620)[-1]
-    assert turned.angle_deg == pytest.approx(14.0 + 7.0, abs=1.0)
+    rotated = run(pipe, "bar", list(np.linspace(40.0, 47.0, 6)), start=620)[-1]
+    assert rotated.angle_deg == pytest.approx(14.0 + 7.0, abs=1.0)
     assert pipe.counted_deg == pytest.approx(14.0, abs=1.0)
     assert pipe.reference_image is not None
 
@@ -70,11 +70,11 @@ def test_another_object_is_a_new_reference_counted_from_the_last_turn() -> None:
 def test_what_was_counted_before_the_old_reference_is_counted_on() -> None:
     known = before("key", 14.0)
     pipe = pipeline()
-    pipe.recall(KnownReference(known.image, known.turn_deg, 5.0), 10.0)
+    pipe.recall(KnownReference(known.image, known.rotation_deg, 5.0), 10.0)
     answers = run(pipe, "key", [16.0] * 6, start=600)
     assert answers[-1].angle_deg == pytest.approx(5.0 + 16.0, abs=1.0)
     assert pipe.counted_deg == 5.0
-    pipe.recall(KnownReference(known.image, known.turn_deg, 5.0), 10.0)
+    pipe.recall(KnownReference(known.image, known.rotation_deg, 5.0), 10.0)
     run(pipe, "disc", [0.0] * DIFFERS_AFTER, start=700)
     assert pipe.counted_deg == pytest.approx(5.0 + 14.0, abs=1.0)
 

@@ -18,16 +18,16 @@ BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
 NO_STRIPES = (0.0, 0.0, 0.0)
 
 
-def seen(surface: Surface, turn_deg: float, noise: Noise) -> tuple[NDArray[np.uint8], Patch]:
+def seen(surface: Surface, rotation_deg: float, noise: Noise) -> tuple[NDArray[np.uint8], Patch]:
     """A frame with the sensor's own noise, and its patch."""
-    height = heights(surface, 15.0 + turn_deg, (120.0, 160.0), 1.0)
+    height = heights(surface, 15.0 + rotation_deg, (120.0, 160.0), 1.0)
     patch = find_patch(contact(height), 0.5, 100, 2.0)
     assert patch is not None
     clean = drawn(height, Lamps(), 0.0, np.random.default_rng(0)).astype(np.float32)
     return np.clip(np.rint(clean + noise.next()), 0, 255).astype(np.uint8), patch
 
 
-def turned(surface: Surface, known: bool) -> list[TextureFit]:
+def rotated(surface: Surface, known: bool) -> list[TextureFit]:
     """Letters that have turned by 6 degrees and become another surface, seen ten times."""
     noise = Noise(NOISE_STD_BGR, NO_STRIPES, 3)
     reader = ReliefReader(BACKGROUND, NOISE_STD_BGR if known else None)
@@ -38,7 +38,7 @@ def turned(surface: Surface, known: bool) -> list[TextureFit]:
     found = []
     for _ in range(10):
         image, patch = seen(surface, 6.0, noise)
-        found.append(fit(reference, reader.read(image, patch), TexturePose(turn_deg=5.0)))
+        found.append(fit(reference, reader.read(image, patch), TexturePose(rotation_deg=5.0)))
     return found
 
 
@@ -63,17 +63,17 @@ def test_the_noise_of_the_relief_is_that_of_untouched_frames(std: tuple[float, f
 
 
 def test_a_contact_that_has_only_turned_is_surer_where_the_noise_is_known() -> None:
-    known = turned(lettered, known=True)
-    assert sigma(known) < 0.8 * sigma(turned(lettered, known=False))
-    assert all(abs(answer.pose.turn_deg - 6.0) < 4.0 * sigma_deg(answer) for answer in known)
+    known = rotated(lettered, known=True)
+    assert sigma(known) < 0.8 * sigma(rotated(lettered, known=False))
+    assert all(abs(answer.pose.rotation_deg - 6.0) < 4.0 * sigma_deg(answer) for answer in known)
 
 
 def test_a_contact_that_has_deformed_is_not() -> None:
-    known = turned(partly, known=True)
-    assert sigma(known) > 0.85 * sigma(turned(partly, known=False))
-    assert sigma(known) > 2.0 * sigma(turned(lettered, known=True))
-    assert all(abs(answer.pose.turn_deg - 6.0) < 4.0 * sigma_deg(answer) for answer in known)
+    known = rotated(partly, known=True)
+    assert sigma(known) > 0.85 * sigma(rotated(partly, known=False))
+    assert sigma(known) > 2.0 * sigma(rotated(lettered, known=True))
+    assert all(abs(answer.pose.rotation_deg - 6.0) < 4.0 * sigma_deg(answer) for answer in known)
 
 
 def test_without_a_known_noise_none_is_taken_out() -> None:
-    assert all(parts_deg(answer)[1] == 0.0 for answer in turned(lettered, known=False))
+    assert all(parts_deg(answer)[1] == 0.0 for answer in rotated(lettered, known=False))

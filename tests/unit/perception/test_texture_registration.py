@@ -40,7 +40,7 @@ def gear(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def pressed(
     height: Height,
-    turn_deg: float,
+    rotation_deg: float,
     *,
     at: tuple[float, float] = (120.0, 160.0),
     force: float = 1.0,
@@ -51,7 +51,7 @@ def pressed(
     """A frame of a surface under three lights that stay where they are, on level 100, and its patch."""
     rows, columns = np.mgrid[0:320, 0:240].astype(np.float64)
     x, y = columns - at[0], at[1] - rows
-    c, s = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
+    c, s = math.cos(math.radians(rotation_deg)), math.sin(math.radians(rotation_deg))
     surface = force * height(c * x + s * y, c * y - s * x)
     down, right = np.gradient(surface)
     azimuth = np.radians(lights_deg)
@@ -77,39 +77,39 @@ def referenced(height: Height, **how: object) -> tuple[ReliefReader, Texture]:
     return reader, texture
 
 
-def followed(height: Height, turns: list[float], growth: float = 0.0, **how: object) -> list[TextureFit]:
+def followed(height: Height, rotations: list[float], growth: float = 0.0, **how: object) -> list[TextureFit]:
     reader, texture = referenced(height, **how)
     pose, answers = TexturePose(), []
-    for k, turn in enumerate(turns, start=1):
-        force = 1.0 + growth * k / len(turns)
+    for k, rotation in enumerate(rotations, start=1):
+        force = 1.0 + growth * k / len(rotations)
         at = (120.0 + 0.6 * k, 160.0 - 0.4 * k)
-        image, patch = pressed(height, 20.0 + turn, at=at, force=force, seed=k, **how)  # type: ignore[arg-type]
+        image, patch = pressed(height, 20.0 + rotation, at=at, force=force, seed=k, **how)  # type: ignore[arg-type]
         answers.append(fit(texture, reader.read(image, patch), pose))
         pose = answers[-1].pose
     return answers
 
 
-TURNS = [3.0 * k for k in range(1, 11)]
+ROTATIONS = [3.0 * k for k in range(1, 11)]
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("growth", [0.0, 1.2])
 def test_a_round_contact_with_texture_is_followed_while_the_force_grows(sign: float, growth: float) -> None:
-    turns = [sign * turn for turn in TURNS]
-    for turn, answer in zip(turns, followed(lettered, turns, growth), strict=True):
+    rotations = [sign * rotation for rotation in ROTATIONS]
+    for rotation, answer in zip(rotations, followed(lettered, rotations, growth), strict=True):
         assert answer.declined is None
-        assert abs(answer.pose.turn_deg - turn) < 0.4
-        assert abs(answer.pose.turn_deg - turn) < 5.0 * sigma_deg(answer)
+        assert abs(answer.pose.rotation_deg - rotation) < 0.4
+        assert abs(answer.pose.rotation_deg - rotation) < 5.0 * sigma_deg(answer)
 
 
 def test_the_shift_is_that_of_the_object() -> None:
-    pose = followed(lettered, TURNS)[-1].pose
+    pose = followed(lettered, ROTATIONS)[-1].pose
     assert (pose.dx_px, pose.dy_px) == pytest.approx((3.0, -2.0), abs=0.25)
 
 
 def worst_deg(gains: tuple[float, float, float]) -> float:
-    answers = followed(lettered, TURNS, gains=gains)
-    return max(abs(a.pose.turn_deg - turn) for a, turn in zip(answers, TURNS, strict=True))
+    answers = followed(lettered, ROTATIONS, gains=gains)
+    return max(abs(a.pose.rotation_deg - rotation) for a, rotation in zip(answers, ROTATIONS, strict=True))
 
 
 @pytest.mark.parametrize("gains", [(1.0, 0.6, 1.5), (0.5, 1.0, 1.0), (0.15, 1.0, 1.0)])
@@ -123,14 +123,14 @@ def test_lights_of_unequal_strength_are_learnt(
 
 
 def test_lights_in_the_other_sense_are_recognised() -> None:
-    answers = followed(lettered, TURNS, lights_deg=(270.0, 30.0, 150.0))
+    answers = followed(lettered, ROTATIONS, lights_deg=(270.0, 30.0, 150.0))
     assert all(answer.declined is None for answer in answers)
-    assert max(abs(a.pose.turn_deg - turn) for a, turn in zip(answers, TURNS, strict=True)) < 0.6
+    assert max(abs(a.pose.rotation_deg - rotation) for a, rotation in zip(answers, ROTATIONS, strict=True)) < 0.6
 
 
 @pytest.mark.parametrize("gains", [(1.0, 1.0, 1.0), (1.0, 0.6, 1.5)])
 def test_a_plain_ball_declines_under_any_light(gains: tuple[float, float, float]) -> None:
-    assert {answer.declined for answer in followed(dome, TURNS, gains=gains)} == {"round contact"}
+    assert {answer.declined for answer in followed(dome, ROTATIONS, gains=gains)} == {"round contact"}
 
 
 def test_relief_of_another_object_declines() -> None:
@@ -152,4 +152,4 @@ def test_a_picture_without_any_relief_gives_finite_numbers() -> None:
     _, patch = pressed(lettered, 20.0)
     answer = fit(texture, reader.read(background(), patch), TexturePose())
     assert answer.declined is not None
-    assert np.isfinite([answer.pose.turn_deg, sigma_deg(answer), answer.alike]).all()
+    assert np.isfinite([answer.pose.rotation_deg, sigma_deg(answer), answer.alike]).all()

@@ -40,15 +40,15 @@ class Held:
         self._track = ReliefTrack(texture)
         self._last_deg = 0.0
 
-    def see(self, surface: Surface, turn_deg: float, at: tuple[float, float] = (120.0, 160.0)) -> Followed:
-        image, patch = self._shown(surface, turn_deg, at)
+    def see(self, surface: Surface, rotation_deg: float, at: tuple[float, float] = (120.0, 160.0)) -> Followed:
+        image, patch = self._shown(surface, rotation_deg, at)
         found = self._track.follow(self._reader.read(image, patch), patch, self._last_deg)
-        self._last_deg = self._last_deg if found.turn_deg is None else found.turn_deg
+        self._last_deg = self._last_deg if found.rotation_deg is None else found.rotation_deg
         return found
 
-    def _shown(self, surface: Surface, turn_deg: float, at: tuple[float, float]) -> tuple[np.ndarray, Patch]:
+    def _shown(self, surface: Surface, rotation_deg: float, at: tuple[float, float]) -> tuple[np.ndarray, Patch]:
         self._frames += 1
-        height = heights(surface, self._way_deg + turn_deg, at, 1.0)
+        height = heights(surface, self._way_deg + rotation_deg, at, 1.0)
         patch = find_patch(contact(height), 0.5, 100, 2.0)
         assert patch is not None
         return drawn(height, Lamps(), NOISE, np.random.default_rng(self._frames)), patch
@@ -71,10 +71,10 @@ def test_a_contact_that_changes_is_followed_further_by_a_key(monkeypatch: pytest
     with_key = told()
     monkeypatch.setattr(ReliefTrack, "_take_key", lambda *_: None)
     without = told()
-    assert sum(one.turn_deg is not None for one in with_key) > sum(one.turn_deg is not None for one in without)
+    assert sum(one.rotation_deg is not None for one in with_key) > sum(one.rotation_deg is not None for one in without)
     for share, one in zip(SHARES, with_key, strict=True):
-        if one.turn_deg is not None and one.sigma_deg is not None:
-            assert abs(one.turn_deg - 15.0 * share) < max(4.0 * one.sigma_deg, 0.5)
+        if one.rotation_deg is not None and one.sigma_deg is not None:
+            assert abs(one.rotation_deg - 15.0 * share) < max(4.0 * one.sigma_deg, 0.5)
 
 
 def test_the_reference_is_taken_up_again_without_a_trace() -> None:
@@ -82,7 +82,7 @@ def test_the_reference_is_taken_up_again_without_a_trace() -> None:
     for share in SHARES:
         held.see(becoming(share), 0.0)
     back = [held.see(lettered, 0.0) for _ in range(3)][-1]
-    assert back.turn_deg == pytest.approx(0.0, abs=0.15)
+    assert back.rotation_deg == pytest.approx(0.0, abs=0.15)
     assert back.unlike < 1.6
 
 
@@ -107,7 +107,7 @@ def test_a_shaft_cut_by_the_frame_turns_but_tells_no_shift_along_itself() -> Non
         found = held.see(
             shaft, 0.05 * k, (120.0 + 0.05 * 0.94 * k + 0.1 * 0.34 * k, 160.0 + 0.05 * 0.34 * k - 0.1 * 0.94 * k)
         )
-        assert found.turn_deg == pytest.approx(0.05 * k, abs=0.3)
+        assert found.rotation_deg == pytest.approx(0.05 * k, abs=0.3)
     assert found.shift_px is not None
     assert found.smooth is not None
     along = np.array(found.smooth)

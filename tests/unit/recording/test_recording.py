@@ -20,7 +20,7 @@ from slipguard.control.state import GuardState, Phase
 from slipguard.errors import InputError
 from slipguard.recording import messages as m
 from slipguard.recording.reader import Line, Picture, open_recording
-from slipguard.recording.recorder import Recorder, RecorderSettings, Said, Turn
+from slipguard.recording.recorder import Recorder, RecorderSettings, Rotation, Said
 from slipguard.recording.recorder import Seen as SeenFrame
 from slipguard.recording.ring import Limits, Ring
 from slipguard.recording.writer import Clock, Header
@@ -42,7 +42,9 @@ def play(one: Recorder, times: np.ndarray, keep_at: float | None = None) -> None
     one.start()
     for now_s in times:
         one.hand(SeenFrame("left", float(now_s), judged_at(float(now_s)), picture(), picture()[..., 0] // 128))
-        one.hand(Turn(tick_at(float(now_s)), Guard(), keep=keep_at is not None and bool(np.isclose(now_s, keep_at))))
+        one.hand(
+            Rotation(tick_at(float(now_s)), Guard(), keep=keep_at is not None and bool(np.isclose(now_s, keep_at)))
+        )
     one.stop(20.0)
 
 
@@ -240,7 +242,7 @@ def test_any_other_trouble_stops_the_recording_and_not_its_thread(
     assert not one.dead
     one.start()
     for number in range(4):
-        one.hand(Turn(tick_at(number / 10), Guard()))
+        one.hand(Rotation(tick_at(number / 10), Guard()))
     one.stop(20.0)
     assert "recording stopped: ValueError: a model that is none" in said[0]
     assert said[1:] == ["recording again"]
@@ -279,7 +281,7 @@ def test_handing_over_never_waits_and_leaves_pictures_out_first(tmp_path: Path) 
 def test_png_keeps_every_pixel(tmp_path: Path) -> None:
     one = recorder(tmp_path, image="png")
     one.start()
-    one.hand(Turn(tick_at(0.0), Guard()))
+    one.hand(Rotation(tick_at(0.0), Guard()))
     one.hand(SeenFrame("right", 0.0, judged_at(0.0), picture(5)))
     one.stop(20.0)
     (path,) = (tmp_path / "ring").iterdir()

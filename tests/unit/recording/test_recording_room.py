@@ -18,7 +18,7 @@ from recorded_cycles import CLOCK, HEADER, FullDisk, judged_at, picture, tick_at
 from slipguard.control.guard import Guard
 from slipguard.recording import messages as m
 from slipguard.recording.reader import open_recording
-from slipguard.recording.recorder import Recorder, RecorderSettings, Said, Turn
+from slipguard.recording.recorder import Recorder, RecorderSettings, Rotation, Said
 from slipguard.recording.recorder import Seen as SeenFrame
 from slipguard.recording.ring import Limits, Ring
 from slipguard.recording.writer import Clock, open_new
@@ -48,7 +48,7 @@ class Counted(Recorder):
 
     taken: threading.Semaphore
 
-    def _take(self, value: SeenFrame | Turn | Said) -> None:
+    def _take(self, value: SeenFrame | Rotation | Said) -> None:
         super()._take(value)
         self.taken.release()
 
@@ -64,7 +64,7 @@ class Playing:
         for now_s in np.arange(from_s, to_s, 0.1).tolist():
             self.recorder.hand(SeenFrame("left", now_s, judged_at(now_s), PICTURES[round(10 * now_s) % 8]))
             keep = keep_at is not None and bool(np.isclose(now_s, keep_at))
-            self.recorder.hand(Turn(tick_at(now_s), Guard(), keep=keep))
+            self.recorder.hand(Rotation(tick_at(now_s), Guard(), keep=keep))
             for _ in range(2):
                 assert self.recorder.taken.acquire(timeout=20.0)
 

@@ -79,8 +79,8 @@ def test_needed_force_lies_on_the_limit_surface(
     force_n = needed_force_n(bar(mass_kg, lever_mm, friction), GEL, n_fingers, acceleration)
     load_n = mass_kg * (GRAVITY_M_S2 + acceleration) / n_fingers
     share = (load_n / (friction * force_n)) ** 2
-    turn = load_n * lever_mm * 1e-3 / torque_limit_n_m(force_n, friction, GEL)
-    assert share + turn**2 == pytest.approx(1.0, abs=1e-9)
+    rotation = load_n * lever_mm * 1e-3 / torque_limit_n_m(force_n, friction, GEL)
+    assert share + rotation**2 == pytest.approx(1.0, abs=1e-9)
 
 
 def test_without_a_lever_only_sliding_counts() -> None:
@@ -99,20 +99,20 @@ loads = st.floats(-1e4, 1e4)
 
 @given(loads, loads, sizes, sizes, sizes, sizes)
 def test_slip_is_normal_to_the_surface_and_dissipates(
-    force: float, torque: float, force_max: float, torque_max: float, give: float, turn_give: float
+    force: float, torque: float, force_max: float, torque_max: float, give: float, rotation_give: float
 ) -> None:
     inside = math.hypot(force / force_max, torque / torque_max)
-    got_force, got_torque = return_to_surface((force, torque), (force_max, torque_max), (give, turn_give))
+    got_force, got_torque = return_to_surface((force, torque), (force_max, torque_max), (give, rotation_give))
     if inside <= 1.0:
         assert (got_force, got_torque) == (force, torque)
         return
     assert math.hypot(got_force / force_max, got_torque / torque_max) == pytest.approx(1.0, abs=1e-12)
-    slip, turn_slip = give * (force - got_force), turn_give * (torque - got_torque)
+    slip, rotation_slip = give * (force - got_force), rotation_give * (torque - got_torque)
     # In units of the half-axes; the answer is good to 1e-12 of them.
-    rounding = 1e-11 * (give * force_max**2 + turn_give * torque_max**2) * inside
-    assert got_force * slip + got_torque * turn_slip >= -rounding
+    rounding = 1e-11 * (give * force_max**2 + rotation_give * torque_max**2) * inside
+    assert got_force * slip + got_torque * rotation_slip >= -rounding
     normal = (got_force / force_max, got_torque / torque_max)
-    rates = (slip * force_max, turn_slip * torque_max)
+    rates = (slip * force_max, rotation_slip * torque_max)
     cross = rates[0] * normal[1] - rates[1] * normal[0]
     assert abs(cross) <= 1e-9 * math.hypot(*rates) + rounding
 

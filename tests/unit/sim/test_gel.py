@@ -79,9 +79,9 @@ def test_noise_has_the_measured_size_and_correlation() -> None:
 def test_a_turn_is_counter_clockwise_and_y_is_up() -> None:
     camera = GelCamera(QUIET)
     level = camera.draw_with_truth(GelView("bar", depth_mm=0.6)).contact
-    turned = camera.draw_with_truth(GelView("bar", angle_deg=30.0, depth_mm=0.6)).contact
+    rotated = camera.draw_with_truth(GelView("bar", angle_deg=30.0, depth_mm=0.6)).contact
     assert axis_deg(level) == pytest.approx(0.0, abs=0.3)
-    assert axis_deg(turned) == pytest.approx(30.0, abs=0.3)
+    assert axis_deg(rotated) == pytest.approx(30.0, abs=0.3)
     moved = camera.draw_with_truth(GelView("ring", x_mm=1.0, y_mm=2.0, depth_mm=0.6)).contact
     rows, columns = np.nonzero(moved)
     assert columns.mean() - 119.5 == pytest.approx(1.0 * QUIET.px_per_mm, abs=1.0)
@@ -137,9 +137,9 @@ def test_motion_smears_along_the_motion() -> None:
     assert np.abs(moving[middle] - still[middle]).max() < 3.0
     sharp = [np.abs(np.diff(picture[160, 180:], axis=0)).max() for picture in (still, moving)]
     assert sharp[1] < 0.8 * sharp[0]
-    turning = change(QUIET, GelView("bar", depth_mm=0.6, rate_deg_s=900.0))
-    assert np.abs(turning[middle] - still[middle]).max() < 6.0
-    assert np.abs(turning[end] - still[end]).max() > 10.0
+    rotating = change(QUIET, GelView("bar", depth_mm=0.6, rate_deg_s=900.0))
+    assert np.abs(rotating[middle] - still[middle]).max() < 6.0
+    assert np.abs(rotating[end] - still[end]).max() > 10.0
 
 
 def test_a_slow_turn_is_drawn_sharp_and_in_place() -> None:

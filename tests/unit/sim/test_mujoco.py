@@ -58,15 +58,15 @@ def in_mujoco(mujoco: Any, item: SimObject, force: Callable[[float], float], sec
         data.ctrl[:] = force_n
         model.geom_friction[:, 1] = torsion_m(force_n, item.friction)
         mujoco.mj_step(model, data)
-    turn = data.qpos[5:9]  # the quaternion of the free body, behind two slides and three coordinates
-    return math.degrees(2.0 * math.atan2(turn[2], turn[0]))
+    rotation = data.qpos[5:9]  # the quaternion of the free body, behind two slides and three coordinates
+    return math.degrees(2.0 * math.atan2(rotation[2], rotation[0]))
 
 
 def in_ours(item: SimObject, force: Callable[[float], float], seconds: float) -> float:
     motion, body, step_s = Motion(), Body.of(item), 1e-4
     for index in range(round(seconds / step_s)):
         motion = advance(motion, body, RIGID, Load(force(index * step_s)), step_s)
-    return math.degrees(motion.turn_rad)
+    return math.degrees(motion.rotation_rad)
 
 
 @pytest.mark.mujoco

@@ -48,8 +48,8 @@ def tau_c(force_n: float, body: Body = HINGED) -> float:
 def test_a_torque_below_the_limit_winds_up_and_does_not_drift() -> None:
     torque = 0.9 * tau_c(20.0)
     motions = run(HINGED, STIFF, 20.0, lambda t: Load(30.0, torque_n_m=torque), step_s=1e-3)
-    assert motions[-1].turn_rad == pytest.approx(torque / (2 * 50.0), rel=1e-9)
-    assert all(abs(m.turn_rad - m.twist_rad) < 1e-12 and not m.slipping for m in motions)
+    assert motions[-1].rotation_rad == pytest.approx(torque / (2 * 50.0), rel=1e-9)
+    assert all(abs(m.rotation_rad - m.twist_rad) < 1e-12 and not m.slipping for m in motions)
 
 
 def test_shaking_below_the_limit_does_not_ratchet() -> None:
@@ -57,16 +57,16 @@ def test_shaking_below_the_limit_does_not_ratchet() -> None:
     motions = run(
         HINGED, SOFT, 5.0, lambda t: Load(30.0, torque_n_m=torque * 0.3 * (1 + math.sin(90 * t))), step_s=1e-3
     )
-    assert abs(motions[-1].turn_rad - motions[-1].twist_rad) < 1e-12
+    assert abs(motions[-1].rotation_rad - motions[-1].twist_rad) < 1e-12
 
 
 def test_exactly_at_the_limit_it_sticks_just_above_it_runs_away() -> None:
     limit = tau_c(20.0)
-    wound = Motion(turn_rad=limit / 100.0, twist_rad=limit / 100.0, twist_n_m=limit)
+    wound = Motion(rotation_rad=limit / 100.0, twist_rad=limit / 100.0, twist_n_m=limit)
 
     def slipped(factor: float) -> float:
         end = run(HINGED, STIFF, 2.0, lambda t: Load(20.0, torque_n_m=factor * limit), wound, step_s=1e-3)[-1]
-        return end.turn_rad - end.twist_rad
+        return end.rotation_rad - end.twist_rad
 
     assert abs(slipped(1.0)) < 1e-9
     assert slipped(1.01) > math.radians(10.0)
@@ -76,13 +76,13 @@ def test_constant_torque_above_the_limit_accelerates_evenly() -> None:
     surplus, seconds = 0.05, 0.2
     motions = run(HINGED, RIGID, seconds, lambda t: Load(8.0, torque_n_m=tau_c(8.0) + surplus))
     alpha = surplus / HINGED.inertia_kg_m2
-    assert motions[-1].turn_rad == pytest.approx(0.5 * alpha * seconds**2, rel=3e-3)
+    assert motions[-1].rotation_rad == pytest.approx(0.5 * alpha * seconds**2, rel=3e-3)
     assert motions[-1].rate_rad_s == pytest.approx(alpha * seconds, rel=3e-3)
 
 
 def test_without_grip_it_swings_like_a_pendulum() -> None:
-    motions = run(HINGED, RIGID, 3.0, lambda t: Load(0.0), Motion(turn_rad=math.pi / 2 - 0.05))
-    swing = [m.turn_rad - math.pi / 2 for m in motions]
+    motions = run(HINGED, RIGID, 3.0, lambda t: Load(0.0), Motion(rotation_rad=math.pi / 2 - 0.05))
+    swing = [m.rotation_rad - math.pi / 2 for m in motions]
     crossings = [i for i in range(1, len(swing)) if swing[i - 1] < 0 <= swing[i]]
     period = (crossings[-1] - crossings[0]) * 1e-4 / (len(crossings) - 1)
     exact = 2 * math.pi * math.sqrt(HINGED.inertia_kg_m2 / (0.35 * GRAVITY_M_S2 * 0.06))
@@ -98,7 +98,7 @@ def test_tightening_arrests_after_the_exact_angle_and_time() -> None:
     torque, rate = 0.17, 1.5
     motions = run(HINGED, RIGID, 0.4, lambda t: Load(40.0, torque_n_m=torque), Motion(rate_rad_s=rate))
     deceleration = (tau_c(40.0) - torque) / HINGED.inertia_kg_m2
-    assert motions[-1].turn_rad == pytest.approx(rate**2 / (2 * deceleration), rel=2e-2)
+    assert motions[-1].rotation_rad == pytest.approx(rate**2 / (2 * deceleration), rel=2e-2)
     stopped = next(i for i, m in enumerate(motions) if m.rate_rad_s <= 0.0) * 1e-4
     assert stopped == pytest.approx(rate / deceleration, rel=3e-2)
 
@@ -112,10 +112,10 @@ def test_viscous_terminal_speed() -> None:
 def test_a_coulomb_pendulum_loses_the_same_amplitude_every_half_swing() -> None:
     body = Body.of(bar(lever_mm=150.0), slides=False)
     force_n = 0.05
-    motions = run(body, RIGID, 2.0, lambda t: Load(force_n), Motion(turn_rad=math.pi / 2 - 0.25))
-    swing = [m.turn_rad - math.pi / 2 for m in motions]
-    turns = [abs(b) for a, b, c in zip(swing, swing[1:], swing[2:], strict=False) if (b - a) * (c - b) < 0]
-    peaks = [0.25, *turns[:3]]
+    motions = run(body, RIGID, 2.0, lambda t: Load(force_n), Motion(rotation_rad=math.pi / 2 - 0.25))
+    swing = [m.rotation_rad - math.pi / 2 for m in motions]
+    rotations = [abs(b) for a, b, c in zip(swing, swing[1:], swing[2:], strict=False) if (b - a) * (c - b) < 0]
+    peaks = [0.25, *rotations[:3]]
     lost = (peaks[0] - peaks[-1]) / (len(peaks) - 1)
     exact = 2 * tau_c(force_n, body) / (0.35 * GRAVITY_M_S2 * 0.15)
     assert lost == pytest.approx(exact, rel=0.03)
@@ -124,8 +124,8 @@ def test_a_coulomb_pendulum_loses_the_same_amplitude_every_half_swing() -> None:
 def test_energy_goes_into_motion_and_friction() -> None:
     force_n = 8.0
     end = run(HINGED, RIGID, 0.15, lambda t: Load(force_n))[-1]
-    given_up = 0.35 * GRAVITY_M_S2 * 0.06 * math.sin(end.turn_rad)
-    kept = 0.5 * HINGED.inertia_kg_m2 * end.rate_rad_s**2 + tau_c(force_n) * end.turn_rad
+    given_up = 0.35 * GRAVITY_M_S2 * 0.06 * math.sin(end.rotation_rad)
+    kept = 0.5 * HINGED.inertia_kg_m2 * end.rate_rad_s**2 + tau_c(force_n) * end.rotation_rad
     assert kept == pytest.approx(given_up, rel=3e-3)
 
 
@@ -133,13 +133,13 @@ def test_mirrored_torque_mirrors_the_motion() -> None:
     def ends(sign: float) -> Motion:
         return run(HINGED, SOFT, 0.3, lambda t: Load(8.0, torque_n_m=sign * (tau_c(8.0) + 0.05)))[-1]
 
-    assert ends(1.0).turn_rad == -ends(-1.0).turn_rad
+    assert ends(1.0).rotation_rad == -ends(-1.0).rotation_rad
     assert ends(1.0).twist_rad == -ends(-1.0).twist_rad
 
 
 def test_halving_the_step_halves_the_error() -> None:
     def angle(step_s: float) -> float:
-        return run(FREE, SOFT, 0.2, lambda t: Load(15.0), step_s=step_s)[-1].turn_rad
+        return run(FREE, SOFT, 0.2, lambda t: Load(15.0), step_s=step_s)[-1].rotation_rad
 
     exact = angle(1e-5)
     errors = [abs(angle(step_s) - exact) for step_s in (1e-3, 5e-4, 2.5e-4)]
@@ -157,7 +157,7 @@ def test_the_critical_grip_is_the_closed_form_whatever_the_step(step_s: float) -
             return Load(force_n, acceleration_m_s2=-GRAVITY_M_S2 * max(0.0, 1.0 - t))
 
         end = run(FREE, STIFF, 1.5, eased, step_s=step_s)[-1]
-        return end.turn_rad - end.twist_rad > 1e-4
+        return end.rotation_rad - end.twist_rad > 1e-4
 
     # The lever levels off by less than 1 mrad of wind-up: one part in a million.
     assert slips(needed_n * 0.999)
@@ -170,7 +170,9 @@ def test_turning_under_load_lets_it_creep_down_along_the_flow_rule() -> None:
     f, f_max = 0.35 * GRAVITY_M_S2, 2 * 0.8 * force_n
     torque_max = tau_c(force_n)
     torque = torque_max * math.sqrt(1 - (f / f_max) ** 2)
-    assert motions[-1].slide_m / motions[-1].turn_rad == pytest.approx(f / f_max**2 * torque_max**2 / torque, rel=0.02)
+    assert motions[-1].slide_m / motions[-1].rotation_rad == pytest.approx(
+        f / f_max**2 * torque_max**2 / torque, rel=0.02
+    )
 
 
 BALANCED = Body.of(bar(lever_mm=0.0))
@@ -181,7 +183,7 @@ def test_a_balanced_object_slides_straight_down_when_the_load_is_too_much() -> N
     end = run(BALANCED, RIGID, 0.2, lambda t: Load(force_n))[-1]
     acceleration = GRAVITY_M_S2 - 2 * 0.8 * force_n / 0.35
     assert end.slide_m == pytest.approx(0.5 * acceleration * 0.2**2, rel=5e-3)
-    assert end.turn_rad == 0.0
+    assert end.rotation_rad == 0.0
 
 
 def test_a_slide_is_caught_by_tightening() -> None:
@@ -199,8 +201,8 @@ def test_wind_up_is_large_on_a_soft_gel_and_comes_back() -> None:
         return Load(40.0, torque_n_m=torque if t < 2.0 else 0.0)
 
     motions = run(HINGED, SOFT, 4.0, pulse, step_s=1e-3)
-    assert motions[1999].turn_rad == pytest.approx(torque / (2 * 0.3), rel=1e-3)
-    assert abs(motions[-1].turn_rad) < math.radians(0.01)
+    assert motions[1999].rotation_rad == pytest.approx(torque / (2 * 0.3), rel=1e-3)
+    assert abs(motions[-1].rotation_rad) < math.radians(0.01)
 
 
 def test_after_a_slip_only_the_wind_up_comes_back() -> None:
@@ -209,21 +211,21 @@ def test_after_a_slip_only_the_wind_up_comes_back() -> None:
 
     motions = run(HINGED, SOFT, 3.0, pulse, step_s=1e-3)
     end = motions[-1]
-    assert end.turn_rad > math.radians(1.0)
+    assert end.rotation_rad > math.radians(1.0)
     assert end.twist_rad == pytest.approx(0.0, abs=1e-6)
-    assert max(m.turn_rad for m in motions) > end.turn_rad + math.radians(1.0)
+    assert max(m.rotation_rad for m in motions) > end.rotation_rad + math.radians(1.0)
 
 
 def test_tightening_does_not_untwist_the_gel() -> None:
     gel = Gel(torsion_n_m_rad=0.2, stiffening=3.0, relaxation_s=0.03)
     motions = run(HINGED, gel, 3.0, lambda t: Load(20.0 if t < 1.5 else 60.0, torque_n_m=0.05), step_s=1e-3)
-    assert motions[-1].turn_rad == pytest.approx(motions[1490].turn_rad, rel=1e-3)
+    assert motions[-1].rotation_rad == pytest.approx(motions[1490].rotation_rad, rel=1e-3)
 
 
 def test_on_the_table_nothing_moves() -> None:
     for force_n in (0.0, 10.0):
         end = run(FREE, SOFT, 1.0, lambda t, n=force_n: Load(n, rise_m=0.0), step_s=1e-3)[-1]  # type: ignore[misc]
-        assert end.turn_rad == pytest.approx(0.0, abs=1e-12)
+        assert end.rotation_rad == pytest.approx(0.0, abs=1e-12)
         assert end.load_n == pytest.approx(0.0, abs=1e-9)
 
 
@@ -244,7 +246,7 @@ def test_a_weak_grip_lets_it_pivot_on_its_far_end() -> None:
 
     end = run(FREE, STIFF, 1.0, lifted, step_s=1e-3)[-1]
     assert end.on_table
-    assert math.sin(end.turn_rad) * 2 * 0.06 == pytest.approx(0.05, abs=SUPPORT_M)
+    assert math.sin(end.rotation_rad) * 2 * 0.06 == pytest.approx(0.05, abs=SUPPORT_M)
 
 
 @settings(max_examples=60, deadline=None)
@@ -264,7 +266,9 @@ def test_no_sequence_of_grips_breaks_it(
             rise = max(rise + 1e-3 * rise_m_s, 0.0)
             load = Load(force_n, acceleration, rise if table else None, rise_m_s)
             motion = advance(motion, body, gel, load, 1e-3)
-            assert all(math.isfinite(x) for x in (motion.turn_rad, motion.rate_rad_s, motion.slide_m, motion.slide_m_s))
+            assert all(
+                math.isfinite(x) for x in (motion.rotation_rad, motion.rate_rad_s, motion.slide_m, motion.slide_m_s)
+            )
             # It only ever gets energy from gravity, the table and the acceleration: speeds stay those of a fall.
             assert abs(motion.slide_m_s) < 40.0
             assert abs(motion.twist_n_m) < 1e3
@@ -293,4 +297,4 @@ def test_it_turns_as_far_as_in_mujoco(ratio: float, tightened: float, mujoco_deg
     needed_n = needed_force_n(bar(), RIGID)
     seconds = 0.4 if tightened != ratio else 0.25
     end = run(FREE, RIGID, seconds, lambda t: Load(needed_n * (ratio if t < 0.12 else tightened)))[-1]
-    assert math.degrees(end.turn_rad) == pytest.approx(mujoco_deg, abs=0.5)
+    assert math.degrees(end.rotation_rad) == pytest.approx(mujoco_deg, abs=0.5)

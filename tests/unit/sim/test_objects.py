@@ -113,5 +113,5 @@ def test_outlines_are_signed_distances() -> None:
 
 
 def test_turned_coordinates_are_counter_clockwise() -> None:
-    u, v = shapes.turned(np.float32([0.0]), np.float32([1.0]), 90.0)
+    u, v = shapes.rotated(np.float32([0.0]), np.float32([1.0]), 90.0)
     assert (float(u[0]), float(v[0])) == pytest.approx((1.0, 0.0), abs=1e-6)

@@ -44,7 +44,7 @@ def test_a_good_grip_lifts_without_a_turn() -> None:
     world, now_s = grasped(30.0)
     world.command_lift(now_s, 60.0, 50.0)
     end = follow(world, now_s, 3.0)[-1]
-    assert abs(end.turn_deg) < 0.2
+    assert abs(end.rotation_deg) < 0.2
     assert end.height_mm == 60.0
     assert not end.on_table
     assert end.load_n == pytest.approx(0.35 * 9.80665 / 2, rel=1e-6)
@@ -56,11 +56,11 @@ def test_a_weak_grip_turns_and_tightening_stops_it() -> None:
     world.command_lift(now_s, 60.0, 50.0)
 
     def guard(truth: Truth) -> None:
-        if truth.turn_deg > 2.0:
+        if truth.rotation_deg > 2.0:
             world.command_hold(truth.time_s, 34.0)
 
     truths = follow(world, now_s, 3.0, guard)
-    assert 2.0 < truths[-1].turn_deg < 8.0
+    assert 2.0 < truths[-1].rotation_deg < 8.0
     assert truths[-1].rate_deg_s == pytest.approx(0.0, abs=1e-3)
     assert truths[-1].dropped is None
 
@@ -70,8 +70,8 @@ def test_the_two_pictures_mirror_each_other() -> None:
     world.command_lift(now_s, 60.0, 50.0)
     now_s += 1.0
     left, right, truth = world.view("left", now_s), world.view("right", now_s), world.truth(now_s)
-    assert truth.turn_deg > 5.0
-    assert left.angle_deg == pytest.approx(30.0 + truth.turn_deg) == truth.angle_deg
+    assert truth.rotation_deg > 5.0
+    assert left.angle_deg == pytest.approx(30.0 + truth.rotation_deg) == truth.angle_deg
     assert right.angle_deg == -left.angle_deg == truth.right_angle_deg
     assert (left.x_mm, right.x_mm) == (1.5, -1.5)
     assert left.y_mm == right.y_mm == pytest.approx(-0.5 - truth.slide_mm)
@@ -84,7 +84,7 @@ def test_the_lever_decides_which_way_it_turns() -> None:
         world, now_s = grasped(20.0, lever_sign=sign)
         world.command_lift(now_s, 60.0, 50.0)
         ends.append(follow(world, now_s, 1.0)[-1])
-    assert ends[0].turn_deg == -ends[1].turn_deg > 5.0
+    assert ends[0].rotation_deg == -ends[1].rotation_deg > 5.0
     assert ends[0].slip_deg == -ends[1].slip_deg
 
 
@@ -108,7 +108,7 @@ def test_too_weak_for_the_weight_slides_and_is_lost() -> None:
     world.command_lift(now_s + 1.0, 60.0, 50.0)
     end = follow(world, now_s + 1.0, 2.0)[-1]
     assert end.dropped == "contact lost"
-    assert end.turn_deg == 0.0
+    assert end.rotation_deg == 0.0
 
 
 def test_a_slide_is_seen_in_the_pictures_and_tightening_ends_it() -> None:
@@ -159,23 +159,23 @@ def test_opening_in_the_air_is_a_drop_and_on_the_table_is_not() -> None:
 def test_set_down_and_grasped_again_it_starts_afresh() -> None:
     world, now_s = grasped(20.0)
     world.command_lift(now_s, 30.0, 50.0)
-    assert world.truth(now_s + 1.0).turn_deg > 5.0
+    assert world.truth(now_s + 1.0).rotation_deg > 5.0
     world.command_lift(now_s + 1.0, -29.0, 50.0)
     world.command_release(now_s + 3.0, 85.0)
     lying = world.truth(now_s + 5.0)
     assert lying.dropped is None
-    assert lying.turn_deg > 0.1
+    assert lying.rotation_deg > 0.1
     world.command_hold(now_s + 5.0, 30.0)
     again = world.truth(now_s + 7.0)
     assert again.in_contact
-    assert again.turn_deg == pytest.approx(0.0, abs=1e-6)
+    assert again.rotation_deg == pytest.approx(0.0, abs=1e-6)
 
 
 def test_an_even_motion_is_not_taken_for_rest() -> None:
     gripper = GripperPlant(width_mm=30.0, force_n=30.0, holding=True)
-    turning = Cell(gripper, QUICK, motion=Motion(rate_rad_s=0.5), held=True)
-    assert not is_still(turning, turning, T0)
-    resting = replace(turning, motion=Motion(turn_rad=0.5))
+    rotating = Cell(gripper, QUICK, motion=Motion(rate_rad_s=0.5), held=True)
+    assert not is_still(rotating, rotating, T0)
+    resting = replace(rotating, motion=Motion(rotation_rad=0.5))
     assert is_still(resting, resting, T0)
 
 

@@ -26,7 +26,7 @@ def test_wind_up_on_a_soft_gel_is_told_apart_from_slip() -> None:
     assert up.slip_deg == pytest.approx(0.0, abs=1e-9)
     assert not up.slipping
     world.command_lift(now_s + 3.0, -60.0, 50.0)
-    assert follow(world, now_s + 3.0, 3.0)[-1].turn_deg == pytest.approx(0.0, abs=0.1)
+    assert follow(world, now_s + 3.0, 3.0)[-1].rotation_deg == pytest.approx(0.0, abs=0.1)
 
 
 def test_answers_do_not_depend_on_how_often_it_is_asked() -> None:
@@ -55,7 +55,7 @@ def test_a_held_object_at_rest_costs_nothing_for_a_day() -> None:
     world.command_lift(now_s, 60.0, 50.0)
     before = world.truth(now_s + 5.0)
     after = world.truth(now_s + 86_400.0)  # 86 million steps, if it took them
-    assert after.turn_deg == pytest.approx(before.turn_deg, abs=1e-6)
+    assert after.rotation_deg == pytest.approx(before.rotation_deg, abs=1e-6)
     assert world.command_hold(now_s + 86_400.0, 60.0) > 59.0
     assert world.truth(now_s + 86_402.0).force_n > 59.0
 
@@ -190,7 +190,7 @@ def test_no_sequence_of_commands_breaks_the_world(story: list[tuple[tuple[str, f
         truth = world.truth(now_s)
         numbers = [v for v in (getattr(truth, f) for f in Truth.__slots__) if isinstance(v, float)]
         assert all(math.isfinite(v) for v in numbers)
-        assert truth.turn_deg == pytest.approx(truth.elastic_deg + truth.slip_deg)
+        assert truth.rotation_deg == pytest.approx(truth.elastic_deg + truth.slip_deg)
         assert 0.0 <= truth.height_mm <= 800.0
         assert was_dropped is None or truth.dropped == was_dropped
         was_dropped = truth.dropped
@@ -209,9 +209,9 @@ def test_what_a_loop_can_reach(ratio: float, low_deg: float, high_deg: float, ra
     motion, force_n, fires_s = Motion(), ratio * needed_n, math.inf
     for i in range(1200):
         now_s = i * 1e-3
-        if i % 33 == 0 and math.degrees(motion.turn_rad) > 2.0:
+        if i % 33 == 0 and math.degrees(motion.rotation_rad) > 2.0:
             fires_s = min(fires_s, now_s + 0.1)
         if now_s >= fires_s:
             force_n = min(force_n + ramp_n_s * 1e-3, 1.6 * needed_n)
         motion = advance(motion, body, gel, Load(force_n), 1e-3)
-    assert low_deg < math.degrees(motion.turn_rad) < high_deg
+    assert low_deg < math.degrees(motion.rotation_rad) < high_deg

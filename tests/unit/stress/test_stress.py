@@ -22,10 +22,10 @@ from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import Estimate, Orientation
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation.axis import estimate
-from slipguard.perception.rotation.tracker import Tracker, Turn
+from slipguard.perception.rotation.tracker import Rotation, Tracker
 from slipguard.stress.family import KEPT_FAILURES, Family, Notes
 from slipguard.stress.floats import fitted_ellipse_deg, second_moments_deg
-from slipguard.stress.masks import degenerate, turned, turned_axis_deg
+from slipguard.stress.masks import degenerate, rotated, rotated_axis_deg
 from slipguard.stress.product_functions import Subject
 from slipguard.stress.report import as_json, first_failures
 from slipguard.stress.run import FAMILIES, Outcome, chosen, run, schedule
@@ -79,9 +79,9 @@ def broken_pipeline(flaw: str) -> type[Pipeline]:
 class BrokenTracker(Tracker):
     flaw = "biased"
 
-    def accept(self, now_s: float, turn: Turn) -> Turn:
-        accepted = super().accept(now_s, turn)
-        return Turn(*spoiled(self.flaw, accepted.turn_deg))
+    def accept(self, now_s: float, rotation: Rotation) -> Rotation:
+        accepted = super().accept(now_s, rotation)
+        return Rotation(*spoiled(self.flaw, accepted.rotation_deg))
 
 
 def broken_tracker(flaw: str) -> type[Tracker]:
@@ -93,8 +93,8 @@ def broken_fuse(flaw: str) -> Callable[[Estimate | None, Estimate | None], Fused
         fused = fuse(left, right)
         if fused is None:
             return None
-        angle, sigma = spoiled(flaw, fused.turn_deg)
-        return replace(fused, turn_deg=angle, sigma_deg=sigma)
+        angle, sigma = spoiled(flaw, fused.rotation_deg)
+        return replace(fused, rotation_deg=angle, sigma_deg=sigma)
 
     return broken
 
@@ -131,10 +131,10 @@ def test_a_drift_of_a_tenth_of_a_degree_is_caught() -> None:
     class Drifting(Tracker):
         off = 0.0
 
-        def accept(self, now_s: float, turn: Turn) -> Turn:
-            accepted = super().accept(now_s, turn)
+        def accept(self, now_s: float, rotation: Rotation) -> Rotation:
+            accepted = super().accept(now_s, rotation)
             self.off += 1e-4
-            return replace(accepted, turn_deg=(accepted.turn_deg or 0.0) + self.off)
+            return replace(accepted, rotation_deg=(accepted.rotation_deg or 0.0) + self.off)
 
     outcome = tried("drift", 4, Subject(tracker=Drifting))
     assert outcome.notes[0].counts["limit"] > 0
@@ -296,8 +296,8 @@ def test_the_float64_references_read_the_drawn_axis() -> None:
 def test_turned_pictures_and_axes_agree() -> None:
     drawn = soft(ELONGATED["bar"], Pose(20.0, scale=0.8))
     for which in range(8):
-        seen = second_moments_deg(np.asarray(turned(drawn, which), np.float32))
-        assert abs(math.remainder(seen - turned_axis_deg(20.0, which), 180.0)) < 0.1
+        seen = second_moments_deg(np.asarray(rotated(drawn, which), np.float32))
+        assert abs(math.remainder(seen - rotated_axis_deg(20.0, which), 180.0)) < 0.1
 
 
 def test_there_are_masks_of_every_degenerate_kind() -> None:

@@ -14,9 +14,9 @@ from rich.console import Console
 from slipguard.devices import Frame
 from slipguard.perception.estimate import Estimate, Orientation
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation import rotation_meter as turns
+from slipguard.perception.rotation import rotation_meter as rotations
 from slipguard.perception.rotation.contour_registration import Pose, Registrar, Registration
-from slipguard.perception.rotation.tracker import Tracker, Turn
+from slipguard.perception.rotation.tracker import Rotation, Tracker
 from slipguard.stress import holding
 from slipguard.stress import run as runs
 from slipguard.stress.drift import DRIFT
@@ -39,8 +39,8 @@ class Mute:
 
 
 class MuteTracker(Tracker):
-    def accept(self, now_s: float, turn: Turn) -> Turn:
-        return Turn(None, None, "mute")
+    def accept(self, now_s: float, rotation: Rotation) -> Rotation:
+        return Rotation(None, None, "mute")
 
 
 def mute() -> Subject:
@@ -96,11 +96,11 @@ def test_a_registration_that_goes_on_from_where_it_was_wrong_is_caught(monkeypat
     class Dragged(Registrar):
         def fit(self, start: Pose) -> Registration:
             found = super().fit(start)
-            drawn = 0.5 * (found.pose.turn_deg + start.turn_deg) + 0.15
-            return replace(found, pose=replace(found.pose, turn_deg=drawn))
+            drawn = 0.5 * (found.pose.rotation_deg + start.rotation_deg) + 0.15
+            return replace(found, pose=replace(found.pose, rotation_deg=drawn))
 
     assert tried("drift", 2).notes[0].promises[DRIFT] < 0.05
-    monkeypatch.setattr(turns, "Registrar", Dragged)
+    monkeypatch.setattr(rotations, "Registrar", Dragged)
     assert tried("drift", 2).notes[0].counts["limit"] > 0
 
 

@@ -37,10 +37,10 @@ def glow(seed: int) -> np.ndarray:
     return CAMERA.draw(GelView("", depth_mm=-1.0))
 
 
-def bar(seed: int, turn_deg: float) -> np.ndarray:
+def bar(seed: int, rotation_deg: float) -> np.ndarray:
     """A bar pressed 0.8 mm into the gel."""
     CAMERA.reseed(seed)
-    return CAMERA.draw(GelView("bar", angle_deg=turn_deg, depth_mm=0.8))
+    return CAMERA.draw(GelView("bar", angle_deg=rotation_deg, depth_mm=0.8))
 
 
 def run(paths: list[Path], **options: Any) -> None:
@@ -62,7 +62,7 @@ def lines(capsys: pytest.CaptureFixture[str]) -> list[dict[str, Any]]:
 
 
 @pytest.fixture
-def turning(tmp_path: Path) -> Path:
+def rotating(tmp_path: Path) -> Path:
     """A folder: two frames without contact, six held still, then a turn by 12 degrees; beside it the background."""
     folder = tmp_path / "frames"
     folder.mkdir()
@@ -74,8 +74,8 @@ def turning(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_turn_is_read_with_sign_and_every_key(turning: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run([turning], background=turning.parent / "background.png")
+def test_a_turn_is_read_with_sign_and_every_key(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run([rotating], background=rotating.parent / "background.png")
     seen = lines(capsys)
     assert all(set(line) == KEYS for line in seen)
     assert [line["frame"] for line in seen] == [f"f{n:02d}.png" for n in range(14)]
@@ -89,15 +89,15 @@ def test_a_turn_is_read_with_sign_and_every_key(turning: Path, capsys: pytest.Ca
     assert all(isinstance(value, float) for value in seen[-1]["stage_ms"].values())
 
 
-def test_reference_first_counts_from_the_first_contact(turning: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run([turning], background=turning.parent / "background.png", reference=ReferenceChoice.first)
+def test_reference_first_counts_from_the_first_contact(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run([rotating], background=rotating.parent / "background.png", reference=ReferenceChoice.first)
     seen = lines(capsys)
     assert seen[2]["angle_deg"] == pytest.approx(0.0, abs=0.5)
     assert seen[-1]["angle_deg"] == pytest.approx(12.0, abs=1.5)
 
 
-def test_independent_frames_have_an_orientation_but_no_turn(turning: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run([turning], background=turning.parent / "background.png", independent=True)
+def test_independent_frames_have_an_orientation_but_no_turn(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run([rotating], background=rotating.parent / "background.png", independent=True)
     seen = lines(capsys)
     assert all(line["angle_deg"] is None for line in seen)
     assert seen[-1]["orientation_deg"] == pytest.approx(32.0, abs=3.0)
@@ -120,9 +120,9 @@ def test_masks_have_the_size_of_the_frame(tmp_path: Path, capsys: pytest.Capture
     assert not nothing.any()
 
 
-def test_people_get_a_table_a_summary_and_a_picture(turning: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    picture = turning.parent / "turn.png"
-    run([turning], background=turning.parent / "background.png", json=False, plot=picture)
+def test_people_get_a_table_a_summary_and_a_picture(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = rotating.parent / "turn.png"
+    run([rotating], background=rotating.parent / "background.png", json=False, plot=picture)
     said = capsys.readouterr()
     assert "14 frames, contact in 12" in said.out
     assert said.err == ""
@@ -131,8 +131,8 @@ def test_people_get_a_table_a_summary_and_a_picture(turning: Path, capsys: pytes
     assert drawn.std() > 5.0
 
 
-def test_without_a_background_it_works_and_says_so(turning: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run([turning / "f05.png"])
+def test_without_a_background_it_works_and_says_so(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run([rotating / "f05.png"])
     said = capsys.readouterr()
     assert "no --background given" in said.err
     assert said.err.count("\n") == 1
@@ -237,8 +237,8 @@ def test_equal_stems_would_overwrite_masks(tmp_path: Path) -> None:
         run([tmp_path], masks=tmp_path / "masks")
 
 
-def test_unknown_estimator_and_model_are_refused(turning: Path) -> None:
+def test_unknown_estimator_and_model_are_refused(rotating: Path) -> None:
     with pytest.raises(InputError, match="did you mean 'moments'"):
-        run([turning], estimator="moment")
+        run([rotating], estimator="moment")
     with pytest.raises(ModelError, match="no such file"):
-        run([turning], model=turning / "none.onnx")
+        run([rotating], model=rotating / "none.onnx")

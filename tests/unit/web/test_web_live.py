@@ -81,7 +81,7 @@ def test_history_then_events_then_states_at_ten_a_second() -> None:
     samples = client.got[0]["samples"]
     assert len(samples) == HISTORY == 600
     known = {
-        "t_s": 12.5, "turn_deg": 1.5, "sigma_deg": 0.25, "force_n": 40.25, "target_n": 40.0, "phase": "holding",
+        "t_s": 12.5, "rotation_deg": 1.5, "sigma_deg": 0.25, "force_n": 40.25, "target_n": 40.0, "phase": "holding",
         "slipping": False,
     }  # fmt: skip
     assert samples[0] == known
