@@ -47,7 +47,7 @@ def calibrate(
     """
     from slipguard.config import read_config
     from slipguard.daemon import logging as log
-    from slipguard.daemon.api.client import Client, NoDaemon
+    from slipguard.daemon.api.client import Client, DaemonNotRunning
     from slipguard.daemon.api.paths import running_socket
     from slipguard.errors import InputError
 
@@ -63,7 +63,7 @@ def calibrate(
             answer = _asked(client, look_only, force, new_gel, back_to, finger)
             stored: Stored = client.no_contacts()
             pictures = _pictures(client, stored) if plot is not None else {}
-    except NoDaemon:
+    except DaemonNotRunning:
         with left_to_the_loop():
             answer, stored, pictures = asyncio.run(_alone(settings, look_only, force, new_gel, back_to, finger))
     if plot is not None:
@@ -91,12 +91,12 @@ async def _alone(
     settings: Config, look_only: bool, force: bool, new_gel: bool, back_to: int | None, finger: str | None
 ) -> tuple[dict[str, Any], Stored, dict[str, bytes]]:
     """The same without a daemon: it opens the sensors, where they must be looked at or tell their serial numbers."""
-    from slipguard.daemon.api.handlers import Desk
+    from slipguard.daemon.api.handlers import RequestHandlers
     from slipguard.daemon.run import sensors_alone
     from slipguard.tools.background_plot import png_of
 
     async with sensors_alone(settings, look_only=look_only) as service:
-        desk = Desk(service)
+        desk = RequestHandlers(service)
         answer: dict[str, Any] = {}
         if back_to is not None and finger is not None:
             answer = {"said": await desk.go_back(finger, back_to)}

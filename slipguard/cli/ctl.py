@@ -15,7 +15,7 @@ import typer
 from slipguard.errors import InputError, SlipguardError
 
 if TYPE_CHECKING:
-    from slipguard.daemon.api.client import Client, OverTcp
+    from slipguard.daemon.api.client import Client, TcpAddress
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -239,28 +239,28 @@ def _sure(question: str) -> bool:
         return False
 
 
-def _where(context: typer.Context, socket: Path | None) -> Path | OverTcp | None:
+def _where(context: typer.Context, socket: Path | None) -> Path | TcpAddress | None:
     """Whom to ask: what stands after the command counts before what stands after `ctl`; None: whoever runs here."""
     before: _Told = context.obj
     if before.url is None:
         return socket or before.socket
     if socket or before.socket:
         raise InputError("--url and --socket: one daemon at a time; leave one of them out")
-    from slipguard.daemon.api.client import OverTcp
+    from slipguard.daemon.api.client import TcpAddress
     from slipguard.daemon.api.paths import token_for
 
-    return OverTcp(before.url, token_for(before.url, before.token_file))
+    return TcpAddress(before.url, token_for(before.url, before.token_file))
 
 
 @contextmanager
-def _client(where: Path | OverTcp | None) -> Iterator[Client]:
+def _client(where: Path | TcpAddress | None) -> Iterator[Client]:
     from slipguard.daemon.api.client import Client
 
     with Client(where) as client:
         yield client
 
 
-def _ask(where: Path | OverTcp | None, json: bool, command: Callable[[Client], dict[str, Any]]) -> None:
+def _ask(where: Path | TcpAddress | None, json: bool, command: Callable[[Client], dict[str, Any]]) -> None:
     with _client(where) as client:
         answer = command(client)
     if json:

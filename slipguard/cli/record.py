@@ -38,7 +38,7 @@ def record(
     from slipguard.cli.interrupt import left_to_the_loop
     from slipguard.cli.progress import count_bar
     from slipguard.config import read_config
-    from slipguard.daemon.api.client import Client, NoDaemon
+    from slipguard.daemon.api.client import Client, DaemonNotRunning
     from slipguard.daemon.api.paths import running_socket
     from slipguard.datasets.contact_sheet import contact_sheet
     from slipguard.datasets.files import check_new
@@ -63,7 +63,7 @@ def record(
         try:
             client.state()
             asked: Client | None = client
-        except NoDaemon:
+        except DaemonNotRunning:
             asked = None
         with left_to_the_loop():
             touched = asyncio.run(all_of_it(asked))

@@ -19,7 +19,7 @@ import structlog
 from slipguard import __version__
 from slipguard.config import GROUP_OF, Config
 from slipguard.control.guard import tick
-from slipguard.daemon.api.handlers import Desk
+from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.paths import socket_path, token_path
 from slipguard.daemon.loop.finger import Perceiver
 from slipguard.daemon.loop.gel_monitor import GelWatch
@@ -140,7 +140,7 @@ async def run(
     service.observers.append(GraspKeeper(kept, service.journal.say, service.journal.warn).decided)
     shelf = ReferenceShelf(kept.path / REFERENCES)
     service.observers.append(ReferenceKeeper(shelf, service.fingers, service.journal.say, service.journal.warn).decided)
-    desk = Desk(service)
+    desk = RequestHandlers(service)
     path = socket_path(config)
     unix = bind(path)  # before any device is opened: a second daemon must not touch what the first one owns
     log.info("slipguard starts", version=__version__, mode=config.guard.mode, socket=str(path))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from slipguard.config import GROUP_OF, Config
-from slipguard.daemon.api.client import Client, NoDaemon
+from slipguard.daemon.api.client import Client, DaemonNotRunning
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import DriverContext
 from slipguard.diagnosis import Diagnosable, Finding, Verdict, fine, from_error, note, wrong
@@ -60,7 +60,7 @@ def _ask_daemon(socket: Path) -> Looks | Finding:
             before = client.state()
             threading.Event().wait(LOOK_S)
             return Looks(before, client.state(), LOOK_S)
-    except NoDaemon:
+    except DaemonNotRunning:
         return fine("daemon", "none runs; the devices were opened for this look and closed again")
     except SlipguardError as error:
         return from_error("daemon", error, "", "stop it (`systemctl stop slipguard`) and run the doctor again")

@@ -119,7 +119,7 @@ class Access:
         return name == self._host.lower()
 
 
-class Gate:
+class AccessMiddleware:
     """ASGI: lets through what `access` has no objection to, and commands only with the token."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:

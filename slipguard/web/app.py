@@ -18,11 +18,11 @@ from slipguard import __version__
 from slipguard.web import models as b
 from slipguard.web.access import CONTROL_KEY, COOKIE, SESSION
 from slipguard.web.commands import add_commands
-from slipguard.web.errors import error, http_error, in_words, refusals
+from slipguard.web.errors import error, error_responses, http_error, with_error_response
 from slipguard.web.images import FINGERS
 from slipguard.web.metrics import exposition
 from slipguard.web.page_routes import add_page
-from slipguard.web.route_context import Room
+from slipguard.web.route_context import RouteContext
 
 ABOUT = """Keeps a robot from dropping what it holds. On the Unix socket, file permissions decide who may ask.
 On TCP every command needs the token in the daemon's runtime directory, or the page's cookie and second secret."""
@@ -32,7 +32,7 @@ TEXT: dict[int | str, dict[str, Any]] = {
 FingerName = Annotated[str, Path(json_schema_extra={"enum": list(FINGERS)})]
 
 
-def make_app(room: Room) -> FastAPI:
+def make_app(room: RouteContext) -> FastAPI:
     """The API of one daemon. Whoever may reach it may command, unless `slipguard.web.access.Gate` stands before it."""
     app = FastAPI(
         title="slipguard",
@@ -62,17 +62,17 @@ def make_app(room: Room) -> FastAPI:
     return app
 
 
-def _add_reads(app: FastAPI, room: Room) -> None:
-    @app.get("/state", response_model=b.State, responses=refusals())
+def _add_reads(app: FastAPI, room: RouteContext) -> None:
+    @app.get("/state", response_model=b.StateResponse, responses=error_responses())
     async def state() -> Response:
         """Everything the daemon knows now, at most a tenth of a second old."""
 
         async def look() -> Response:
             return Response(await room.state.get(), media_type="application/json")
 
-        return await in_words("/state", look())
+        return await with_error_response("/state", look())
 
-    @app.get("/healthz", response_model=b.Healthy, responses=refusals())
+    @app.get("/healthz", response_model=b.HealthyResponse, responses=error_responses())
     async def healthz() -> Response:
         """Whether the daemon is well; 503 with the reason where it is not."""
 
@@ -80,9 +80,9 @@ def _add_reads(app: FastAPI, room: Room) -> None:
             why = await room.trouble.get()
             return JSONResponse({"status": "ok"}) if why is None else error(503, why)
 
-        return await in_words("/healthz", look())
+        return await with_error_response("/healthz", look())
 
-    @app.get("/metrics", response_class=Response, responses=TEXT | refusals())
+    @app.get("/metrics", response_class=Response, responses=TEXT | error_responses())
     async def metrics() -> Response:
         """State and tallies as Prometheus reads them."""
 
@@ -90,18 +90,18 @@ def _add_reads(app: FastAPI, room: Room) -> None:
             text = exposition(await room.state.get(), await room.tallies.get())
             return Response(text, media_type=CONTENT_TYPE_LATEST)
 
-        return await in_words("/metrics", look())
+        return await with_error_response("/metrics", look())
 
-    @app.get("/no-contact", response_model=dict[str, b.StoredImages], responses=refusals())
+    @app.get("/no-contact", response_model=dict[str, b.StoredBackgrounds], responses=error_responses())
     async def no_contacts() -> Response:
         """What is stored of each finger's sensor: number, time, noise and light of every no-contact image."""
 
         async def look() -> Response:
             return Response(await room.no_contacts.get(), media_type="application/json")
 
-        return await in_words("/no-contact", look())
+        return await with_error_response("/no-contact", look())
 
-    @app.get("/access", response_model=b.MayCommand, responses=refusals())
+    @app.get("/access", response_model=b.AccessInfo, responses=error_responses())
     async def access(request: Request) -> Response:
         """Whether whoever asks may also command."""
         return JSONResponse({"control": bool(request.scope.get(CONTROL_KEY, True))})
@@ -112,10 +112,10 @@ def _add_reads(app: FastAPI, room: Room) -> None:
         await room.live.serve(socket)
 
 
-def _add_pictures(app: FastAPI, room: Room) -> None:
+def _add_pictures(app: FastAPI, room: RouteContext) -> None:
     def answers(kind: str, about: str) -> dict[int | str, dict[str, Any]]:
         picture = {"type": "string", "format": "binary"}
-        return {200: {"description": about, "content": {kind: {"schema": picture}}}} | refusals(404, 409, 422)
+        return {200: {"description": about, "content": {kind: {"schema": picture}}}} | error_responses(404, 409, 422)
 
     @app.get("/frame/{finger}", response_class=Response, responses=answers("image/png", "As the sensor gave it."))
     async def frame(finger: FingerName) -> Response:
@@ -134,7 +134,7 @@ def _add_pictures(app: FastAPI, room: Room) -> None:
             told = {"x-serial": found.serial, "x-sequence": str(found.sequence), "x-captured-at-s": "0"}
             return Response(found.content, media_type="image/png", headers=told)
 
-        return await in_words("/no-contact", look())
+        return await with_error_response("/no-contact", look())
 
     @app.get("/picture/{finger}", response_class=Response, responses=answers("image/jpeg", "For people."))
     async def picture(finger: FingerName, overlay: Annotated[Literal["0", "1"], Query()] = "1") -> Response:
@@ -142,7 +142,7 @@ def _add_pictures(app: FastAPI, room: Room) -> None:
         return await _picture(room, "/picture", finger, "image/jpeg", overlay == "1")
 
 
-async def _picture(room: Room, path: str, finger: str, kind: str, overlay: bool = False) -> Response:
+async def _picture(room: RouteContext, path: str, finger: str, kind: str, overlay: bool = False) -> Response:
     async def look() -> Response:
         _check(finger)
         found = await (room.pictures.raw(finger) if kind == "image/png" else room.pictures.drawn(finger, overlay))
@@ -153,7 +153,7 @@ async def _picture(room: Room, path: str, finger: str, kind: str, overlay: bool 
         }
         return Response(found.content, media_type=kind, headers=told)
 
-    return await in_words(path, look())
+    return await with_error_response(path, look())
 
 
 def _check(finger: str) -> None:

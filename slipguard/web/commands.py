@@ -14,9 +14,9 @@ from starlette.exceptions import HTTPException
 from slipguard.config_errors import first_complaint
 from slipguard.errors import CommandRefused
 from slipguard.web import models as b
-from slipguard.web.disconnect import is_gone
-from slipguard.web.errors import error, in_words, refusals
-from slipguard.web.route_context import Room
+from slipguard.web.disconnect import is_disconnected
+from slipguard.web.errors import error, error_responses, with_error_response
+from slipguard.web.route_context import RouteContext
 
 BODY_MAX_BYTES = 4096
 """No request of this API needs more."""
@@ -26,14 +26,16 @@ B = TypeVar("B", bound=b.Body)
 Act = Callable[[B], Awaitable[Mapping[str, object]]]
 
 
-def add_commands(app: FastAPI, room: Room) -> None:
+def add_commands(app: FastAPI, room: RouteContext) -> None:
     """One POST route for each command."""
     control = room.control
 
     async def calibrate(body: b.Calibrate) -> Mapping[str, object]:
         return await control.calibrate(body.force, body.new_gel)
 
-    def add(path: str, kind: type[B], act: Act[B], about: str, answer: type[b.Said] = b.Said) -> None:
+    def add(
+        path: str, kind: type[B], act: Act[B], about: str, answer: type[b.MessageResponse] = b.MessageResponse
+    ) -> None:
         _add(app, room, path, kind, act, about, answer)
 
     add("/grasp", b.Grasp, lambda body: _said(control.grasp(body.force_n)), "Close on what is between the jaws.")
@@ -69,10 +71,12 @@ def add_commands(app: FastAPI, room: Room) -> None:
         lambda body: _said(control.go_back(body.finger, body.number)),
         "Put an older no-contact image of a finger's sensor to use again.",
     )
-    add("/calibrate", b.Calibrate, calibrate, "Take and store both fingers' no-contact images.", b.Calibrated)
+    add("/calibrate", b.Calibrate, calibrate, "Take and store both fingers' no-contact images.", b.CalibrationResponse)
 
 
-def _add(app: FastAPI, room: Room, path: str, kind: type[B], act: Act[B], about: str, answer: type[b.Said]) -> None:
+def _add(
+    app: FastAPI, room: RouteContext, path: str, kind: type[B], act: Act[B], about: str, answer: type[b.MessageResponse]
+) -> None:
     async def endpoint(request: Request) -> Response:
         async def do() -> Response:
             raw = await _read(request)
@@ -81,14 +85,14 @@ def _add(app: FastAPI, room: Room, path: str, kind: type[B], act: Act[B], about:
             except ValidationError as wrong:
                 broken = wrong.errors(include_url=False)[0]["type"] == "json_invalid"
                 return error(400, "the body is not JSON") if broken else error(422, first_complaint(wrong, kind))
-            if is_gone(request.scope):
+            if is_disconnected(request.scope):
                 raise CommandRefused(f"{path} was given up by whoever asked for it, and is not done")
             try:
                 return JSONResponse(dict(await act(body)))
             finally:
                 room.forget()
 
-        return await in_words(path, do())
+        return await with_error_response(path, do())
 
     needed = any(field.is_required() for field in kind.model_fields.values())
     app.post(
@@ -96,7 +100,7 @@ def _add(app: FastAPI, room: Room, path: str, kind: type[B], act: Act[B], about:
         name=path[1:],
         description=about,
         response_model=answer,
-        responses=refusals(400, 401, 408, 409, 413, 422),
+        responses=error_responses(400, 401, 408, 409, 413, 422),
         openapi_extra={"requestBody": _described(kind, needed), "security": SECURITY},
     )(endpoint)
 

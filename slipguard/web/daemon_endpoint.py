@@ -10,10 +10,10 @@ from typing import Any
 
 import structlog
 
-from slipguard.daemon.api.daemon_api import Control
+from slipguard.daemon.api.daemon_api import DaemonApi
 from slipguard.daemon.loop.event_log import Event
 from slipguard.errors import CommandRefused, SlipguardError
-from slipguard.web.protocol import COMMANDS, packed, receive, view_packed
+from slipguard.web.protocol import COMMANDS, encode_finger_frame, encode_message, read_message
 
 UNDER_WAY_MAX = 100
 SILENT_S = 10.0
@@ -29,7 +29,7 @@ VIEWS = ("frame", "view", "no_contact")
 log = structlog.get_logger()
 
 
-async def answer(control: Control, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+async def answer(control: DaemonApi, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     """Answer until the other side is gone, or cancelled; what is under way then is finished or cancelled with it.
 
     Raises SlipguardError where the other side hangs, or says what is no message.
@@ -41,7 +41,7 @@ async def answer(control: Control, reader: asyncio.StreamReader, writer: asyncio
         if writer.is_closing() or writer.transport.get_write_buffer_size() >= BEHIND_MAX_BYTES:
             return
         try:
-            writer.write(b"".join(packed({"event": asdict(event)})))
+            writer.write(b"".join(encode_message({"event": asdict(event)})))
         except Exception as mistake:  # whoever told it, maybe in the middle of the loop's turn, has no part in this
             log.warning("an event did not reach the web process", why=repr(mistake))
 
@@ -53,7 +53,7 @@ async def answer(control: Control, reader: asyncio.StreamReader, writer: asyncio
             room.release()
 
     async def take_all() -> None:
-        while (received := await receive(reader)) is not None:
+        while (received := await read_message(reader)) is not None:
             pulse.beat()
             await room.acquire()
             task = asyncio.create_task(one(received[0]), name="web: answer")
@@ -94,7 +94,7 @@ class _Pulse:
                 self._left -= 1
 
 
-async def _answered(control: Control, message: dict[str, Any]) -> list[bytes | memoryview]:
+async def _answered(control: DaemonApi, message: dict[str, Any]) -> list[bytes | memoryview]:
     number, what, told = message.get("id"), message.get("ask"), message.get("told")
     behind: list[Any] = []
     try:
@@ -104,17 +104,17 @@ async def _answered(control: Control, message: dict[str, Any]) -> list[bytes | m
             answer, behind = None, [await getattr(control, what)()]
         elif what in VIEWS:
             assert isinstance(told, dict)
-            answer, behind = view_packed(await getattr(control, what)(**told))
+            answer, behind = encode_finger_frame(await getattr(control, what)(**told))
         elif what in SPOKEN:
             assert isinstance(told, dict)
             answer = await getattr(control, what)(**told)
         else:
             raise SlipguardError(f"{what!r} is nothing that can be asked")
-        return packed({"id": number, "answer": answer}, *behind)
+        return encode_message({"id": number, "answer": answer}, *behind)
     except CommandRefused as refused:
-        return packed({"id": number, "refused": str(refused)})
+        return encode_message({"id": number, "refused": str(refused)})
     except SlipguardError as trouble:
-        return packed({"id": number, "trouble": str(trouble)})
+        return encode_message({"id": number, "trouble": str(trouble)})
     except Exception as mistake:
         log.exception("a question of the web process failed", asked=what)
-        return packed({"id": number, "mistake": type(mistake).__name__})
+        return encode_message({"id": number, "mistake": type(mistake).__name__})

@@ -8,30 +8,30 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from slipguard.daemon.api.daemon_api import Control, View
+from slipguard.daemon.api.daemon_api import DaemonApi, FingerFrame
 from slipguard.daemon.loop.event_log import Event
 from slipguard.errors import CommandRefused, SlipguardError
-from slipguard.web.protocol import COMMANDS, packed, receive, view_unpacked
+from slipguard.web.protocol import COMMANDS, decode_finger_frame, encode_message, read_message
 
 ANSWER_S = 5.0
 CALIBRATE_S = 30.0
 COMMAND_S = 2.0
 """A command that has not reached the daemon by then is not begun: with the loop's own 2 s, nothing is done that was
 reported as failed."""
-Answer = tuple[dict[str, Any], bytes]
+ApiResponse = tuple[dict[str, Any], bytes]
 
 
-class Mistake(Exception):
+class DaemonInternalError(Exception):
     """The daemon made one; its log says which."""
 
 
-class RemoteControl(Control):
+class DaemonProxy(DaemonApi):
     """Call `run`. Every question raises CommandRefused, or SlipguardError where the daemon does not answer in time."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._reader, self._writer = reader, writer
         self._numbers = itertools.count()
-        self._waiting: dict[int, asyncio.Future[Answer]] = {}
+        self._waiting: dict[int, asyncio.Future[ApiResponse]] = {}
         self._events: list[Event] = []
         self._ears: list[Callable[[Event], None]] = []
         self.stop = asyncio.Event()
@@ -39,7 +39,7 @@ class RemoteControl(Control):
 
     async def run(self) -> None:
         """Take what comes, until the daemon is gone."""
-        while (received := await receive(self._reader)) is not None:
+        while (received := await read_message(self._reader)) is not None:
             message, behind = received
             if message.get("stop"):
                 self.stop.set()
@@ -60,15 +60,17 @@ class RemoteControl(Control):
         self._ears.append(hear)
         return lambda: self._ears.remove(hear)
 
-    async def _ask(self, what: str, told: Mapping[str, object] | None = None, within_s: float = ANSWER_S) -> Answer:
+    async def _ask(
+        self, what: str, told: Mapping[str, object] | None = None, within_s: float = ANSWER_S
+    ) -> ApiResponse:
         number = next(self._numbers)
-        answer: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+        answer: asyncio.Future[ApiResponse] = asyncio.get_running_loop().create_future()
         self._waiting[number] = answer
         try:
             asked: dict[str, object] = {"id": number, "ask": what, "told": told or {}}
             if what in COMMANDS:
                 asked["until_s"] = time.monotonic() + COMMAND_S  # one clock for all processes of a machine
-            self._writer.write(b"".join(packed(asked)))
+            self._writer.write(b"".join(encode_message(asked)))
             async with asyncio.timeout(within_s):
                 message, behind = await answer
         except (TimeoutError, ConnectionError):
@@ -80,7 +82,7 @@ class RemoteControl(Control):
         if "trouble" in message:
             raise SlipguardError(message["trouble"])
         if "mistake" in message:
-            raise Mistake(message["mistake"])
+            raise DaemonInternalError(message["mistake"])
         return message, behind
 
     async def _said(self, what: str, **told: object) -> str:
@@ -96,13 +98,13 @@ class RemoteControl(Control):
     async def tallies(self) -> bytes:
         return (await self._ask("tallies"))[1]
 
-    async def frame(self, finger: str) -> View:
+    async def frame(self, finger: str) -> FingerFrame:
         message, pixels = await self._ask("frame", {"finger": finger})
-        return view_unpacked(message["answer"], pixels)
+        return decode_finger_frame(message["answer"], pixels)
 
-    async def view(self, finger: str) -> View:
+    async def view(self, finger: str) -> FingerFrame:
         message, pixels = await self._ask("view", {"finger": finger})
-        return view_unpacked(message["answer"], pixels)
+        return decode_finger_frame(message["answer"], pixels)
 
     async def grasp(self, force_n: float | None = None) -> str:
         return await self._said("grasp", force_n=force_n)
@@ -137,6 +139,6 @@ class RemoteControl(Control):
     async def no_contacts(self) -> bytes:
         return (await self._ask("no_contacts"))[1]
 
-    async def no_contact(self, finger: str, number: int | None = None) -> View:
+    async def no_contact(self, finger: str, number: int | None = None) -> FingerFrame:
         message, pixels = await self._ask("no_contact", {"finger": finger, "number": number})
-        return view_unpacked(message["answer"], pixels)
+        return decode_finger_frame(message["answer"], pixels)

@@ -15,8 +15,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 _GONE_KEY = "slipguard.gone"
 
 
-def knowing_who_is_gone(app: ASGIApp, transport: asyncio.Transport) -> ASGIApp:
-    """ASGI: `app` for one connection, so that `is_gone` can tell of it."""
+def track_disconnect(app: ASGIApp, transport: asyncio.Transport) -> ASGIApp:
+    """ASGI: `app` for one connection, so that `is_disconnected` can tell of it."""
 
     async def knowing(scope: Scope, receive: Receive, send: Send) -> None:
         await app({**scope, _GONE_KEY: partial(_hung_up, transport)}, receive, send)
@@ -24,7 +24,7 @@ def knowing_who_is_gone(app: ASGIApp, transport: asyncio.Transport) -> ASGIApp:
     return knowing
 
 
-def is_gone(scope: Scope) -> bool:
+def is_disconnected(scope: Scope) -> bool:
     """Whether the client of a request has closed its connection by now, read or not; False where nobody can know."""
     gone = scope.get(_GONE_KEY)
     return gone is not None and gone()

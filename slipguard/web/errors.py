@@ -13,7 +13,7 @@ from starlette.routing import BaseRoute, Match
 from starlette.types import Scope
 
 from slipguard.errors import CommandRefused, SlipguardError
-from slipguard.web.models import Refused
+from slipguard.web.models import ErrorResponse
 
 MEANS = {
     400: "The body is no JSON.",
@@ -30,9 +30,9 @@ MEANS = {
 log = structlog.get_logger()
 
 
-def refusals(*statuses: int) -> dict[int | str, dict[str, Any]]:
+def error_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """For `responses=` of a route; what the gate may say on TCP is added."""
-    return {status: {"description": MEANS[status], "model": Refused} for status in sorted({403, 503, *statuses})}
+    return {status: {"description": MEANS[status], "model": ErrorResponse} for status in sorted({403, 503, *statuses})}
 
 
 def error(status: int, text: str, headers: dict[str, str] | None = None) -> JSONResponse:
@@ -40,7 +40,7 @@ def error(status: int, text: str, headers: dict[str, str] | None = None) -> JSON
     return JSONResponse({"error": " ".join(text.split())}, status_code=status, headers=headers)
 
 
-async def in_words(path: str, answer: Awaitable[Response]) -> Response:
+async def with_error_response(path: str, answer: Awaitable[Response]) -> Response:
     """The answer, or why there is none."""
     try:
         return await answer

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slipguard.cancellation import heed_cancel
-from slipguard.daemon.api.daemon_api import Control
+from slipguard.daemon.api.daemon_api import DaemonApi
 from slipguard.daemon.loop.backoff import Backoff
 from slipguard.errors import ConfigError, SlipguardError
 from slipguard.web.daemon_endpoint import answer
-from slipguard.web.protocol import packed
+from slipguard.web.protocol import encode_message
 from slipguard.web.sockets import UnixSocket, bind_tcp
 from slipguard.web.token import token_file
 
@@ -32,7 +32,7 @@ GONE_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Tcp:
+class TcpListener:
     """A port that is listened at, and the token that commands need there."""
 
     listening: socket.socket
@@ -42,7 +42,7 @@ class Tcp:
 
 
 async def run_api(
-    control: Control, unix: UnixSocket, listen: tuple[str, int] | None, token_at: Path, warn: Callable[[str], None]
+    control: DaemonApi, unix: UnixSocket, listen: tuple[str, int] | None, token_at: Path, warn: Callable[[str], None]
 ) -> None:
     """Serve until cancelled, and close `unix`. A web process that ends is replaced; nobody's grip depends on it.
 
@@ -69,7 +69,7 @@ async def run_api(
 
 def _tcp(
     stack: contextlib.ExitStack, listen: tuple[str, int] | None, token_at: Path, warn: Callable[[str], None]
-) -> Tcp | None:
+) -> TcpListener | None:
     if listen is None:
         return None
     host, port = listen
@@ -81,10 +81,10 @@ def _tcp(
         return None
     if not ipaddress.ip_address(host).is_loopback:
         warn(f"the page at {host}:{port} is open to the network, unencrypted: anybody may look, and read along")
-    return Tcp(listening, host, port, token)
+    return TcpListener(listening, host, port, token)
 
 
-async def _until_it_ends(control: Control, unix: UnixSocket, tcp: Tcp | None) -> int:
+async def _until_it_ends(control: DaemonApi, unix: UnixSocket, tcp: TcpListener | None) -> int:
     """Start the web process and answer it until it ends, with its exit status; it is ended where this is cancelled."""
     ours, theirs = socket.socketpair()
     served = [unix.listening] + ([] if tcp is None else [tcp.listening])
@@ -105,12 +105,12 @@ async def _until_it_ends(control: Control, unix: UnixSocket, tcp: Tcp | None) ->
         except BaseException:
             writer.close()
             raise
-    writer.write(b"".join(packed(_first_words(unix, tcp))))
+    writer.write(b"".join(encode_message(_first_words(unix, tcp))))
     answering = asyncio.create_task(answer(control, reader, writer), name="web: answers")
     try:
         await asyncio.shield(answering)
     finally:
-        writer.write(b"".join(packed({"stop": True})))  # answers under way are still given
+        writer.write(b"".join(encode_message({"stop": True})))  # answers under way are still given
         await asyncio.wait((answering,), timeout=STOP_S)
         answering.cancel()
         await asyncio.gather(answering, return_exceptions=True)
@@ -134,7 +134,7 @@ async def end(process: asyncio.subprocess.Process, within_s: float) -> int:
             raise
 
 
-def _first_words(unix: UnixSocket, tcp: Tcp | None) -> dict[str, object]:
+def _first_words(unix: UnixSocket, tcp: TcpListener | None) -> dict[str, object]:
     return {
         "unix_fd": unix.listening.fileno(),
         "tcp_fd": None if tcp is None else tcp.listening.fileno(),

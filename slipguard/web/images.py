@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.daemon.api.daemon_api import Contact, Control, View
+from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.pipeline import at_frame_size
 from slipguard.perception.rotation.skeleton import middle_line
-from slipguard.web.ttl_cache import Shared
+from slipguard.web.ttl_cache import TtlCache
 
 FINGERS = ("left", "right")
 FRAME_KEEP_S = 1 / 60
@@ -31,7 +31,7 @@ AXIS_BGR = (60, 60, 255)
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class EncodedImage:
     """A PNG or JPEG of 240 x 320, of frame `sequence`, taken at `captured_at_s` of the daemon's clock."""
 
     content: bytes
@@ -40,31 +40,33 @@ class Picture:
     captured_at_s: float
 
 
-class Pictures:
+class FingerImages:
     """Of both fingers, encoded in a thread. All methods raise CommandRefused where there is no picture."""
 
-    def __init__(self, control: Control) -> None:
+    def __init__(self, control: DaemonApi) -> None:
         self._stored, self._one_stored = control.no_contact, asyncio.Lock()
-        self._frames = {name: Shared(partial(control.frame, name), FRAME_KEEP_S) for name in FINGERS}
-        self._views = {name: Shared(partial(control.view, name), KEEP_S) for name in FINGERS}
-        self._made: dict[tuple[str, str], tuple[View, asyncio.Task[Picture]]] = {}
+        self._frames = {name: TtlCache(partial(control.frame, name), FRAME_KEEP_S) for name in FINGERS}
+        self._views = {name: TtlCache(partial(control.view, name), KEEP_S) for name in FINGERS}
+        self._made: dict[tuple[str, str], tuple[FingerFrame, asyncio.Task[EncodedImage]]] = {}
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="slipguard-pictures")
 
-    async def raw(self, finger: str) -> Picture:
+    async def raw(self, finger: str) -> EncodedImage:
         """The newest frame of `left` or `right` as it came, a PNG."""
         return await self._once(finger, "png", await self._frames[finger].get(), png_of)
 
-    async def drawn(self, finger: str, overlay: bool) -> Picture:
+    async def drawn(self, finger: str, overlay: bool) -> EncodedImage:
         """The newest judged frame of `left` or `right`, a JPEG; with what was found in it where `overlay`."""
         encode = overlaid_jpeg_of if overlay else jpeg_of
         return await self._once(finger, encode.__name__, await self._views[finger].get(), encode)
 
-    async def stored(self, finger: str, number: int | None) -> Picture:
+    async def stored(self, finger: str, number: int | None) -> EncodedImage:
         """A stored no-contact image, the newest if not told which, a PNG; one after the other, for the disk is read."""
         async with self._one_stored:
             return await self._make(await self._stored(finger, number), png_of)
 
-    async def _once(self, finger: str, kind: str, view: View, encode: Callable[[View], bytes]) -> Picture:
+    async def _once(
+        self, finger: str, kind: str, view: FingerFrame, encode: Callable[[FingerFrame], bytes]
+    ) -> EncodedImage:
         """Encode a view once, however many ask for it."""
         of, making = self._made.get((finger, kind), (None, None))
         if making is None or of is not view:
@@ -72,22 +74,22 @@ class Pictures:
             self._made[finger, kind] = view, making
         return await asyncio.shield(making)
 
-    async def _make(self, view: View, encode: Callable[[View], bytes]) -> Picture:
+    async def _make(self, view: FingerFrame, encode: Callable[[FingerFrame], bytes]) -> EncodedImage:
         content = await asyncio.get_running_loop().run_in_executor(self._pool, encode, view)
-        return Picture(content, view.serial, view.frame.sequence, view.frame.captured_at_s)
+        return EncodedImage(content, view.serial, view.frame.sequence, view.frame.captured_at_s)
 
 
-def png_of(view: View) -> bytes:
+def png_of(view: FingerFrame) -> bytes:
     """The frame without loss."""
     return bytes(cv2.imencode(".png", view.frame.image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
 
 
-def jpeg_of(view: View) -> bytes:
+def jpeg_of(view: FingerFrame) -> bytes:
     """The frame for people."""
     return _jpeg(view.frame.image)
 
 
-def overlaid_jpeg_of(view: View) -> bytes:
+def overlaid_jpeg_of(view: FingerFrame) -> bytes:
     """The frame with outline, thinned line and axis of its contact."""
     return _jpeg(view.frame.image if view.contact is None else draw(view.frame.image, view.contact))
 
@@ -96,7 +98,7 @@ def _jpeg(image: NDArray[np.uint8]) -> bytes:
     return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes())
 
 
-def draw(image: NDArray[np.uint8], contact: Contact) -> NDArray[np.uint8]:
+def draw(image: NDArray[np.uint8], contact: ContactOverlay) -> NDArray[np.uint8]:
     """A copy of a frame with what was found in it. image: (320, 240, 3) uint8 BGR."""
     picture = image.copy()
     patch = _patch(contact)
@@ -124,7 +126,7 @@ def _draw_axis(picture: NDArray[np.uint8], mask: NDArray[np.uint8], axis_deg: fl
     cv2.line(picture, ends[0], ends[1], AXIS_BGR, 1, cv2.LINE_AA)
 
 
-def _patch(contact: Contact) -> Patch:
+def _patch(contact: ContactOverlay) -> Patch:
     return Patch(
         mask=contact.mask,
         probability=contact.mask.astype(np.float32),

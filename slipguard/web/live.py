@@ -27,7 +27,7 @@ SEND_S = 10.0
 log = structlog.get_logger()
 
 
-class Listener:
+class LiveClient:
     """What waits for one client: events, the oldest dropped where they are too many, and the newest state alone."""
 
     def __init__(self) -> None:
@@ -57,14 +57,14 @@ class Listener:
         return told
 
 
-class Live:
+class LiveStream:
     """state: asks the daemon, and gives a JSON object. Call `run`, and `hear` for each event."""
 
     def __init__(self, state: Callable[[], Awaitable[bytes]]) -> None:
         self._state = state
         self._samples: deque[dict[str, Any]] = deque(maxlen=HISTORY)
         self._events: deque[str] = deque(maxlen=KEPT)
-        self._listeners: set[Listener] = set()
+        self._listeners: set[LiveClient] = set()
 
     def hear(self, event: Event) -> None:
         """Pass an event on at once."""
@@ -100,7 +100,7 @@ class Live:
 
     async def serve(self, socket: WebSocket) -> None:
         """History, the events kept, then everything as it comes, until the client goes or takes nothing any more."""
-        listener = Listener()
+        listener = LiveClient()
         await socket.accept()
         told = [json.dumps({"type": "history", "samples": list(self._samples)}), *self._events]
         self._listeners.add(listener)

@@ -27,7 +27,7 @@ HEADERS = {
 """No foreign page may frame, embed or read anything of ours, and nothing is kept."""
 
 
-class Shield:
+class ApiMiddleware:
     """ASGI: adds the headers to every answer, and answers 503 beyond `clients_max` requests and streams at once.
 
     knows: whether a request's headers tell of somebody who may command; None: all may.

@@ -81,44 +81,44 @@ class GoBack(Body):
     number: Annotated[int, Field(ge=1, le=1_000_000), BeforeValidator(_whole)]
 
 
-class Answer(BaseModel):
+class ApiResponse(BaseModel):
     """Base of all answers. They may grow: a client leaves alone what it does not know."""
 
     model_config = ConfigDict(extra="allow")
 
 
-class Said(Answer):
+class MessageResponse(ApiResponse):
     """A command was taken on."""
 
     said: str
 
 
-class Refused(Answer):
+class ErrorResponse(ApiResponse):
     """Why something could not be done."""
 
     error: str
 
 
-class Healthy(Answer):
+class HealthyResponse(ApiResponse):
     """The daemon is well."""
 
     status: Literal["ok"]
 
 
-class MayCommand(Answer):
+class AccessInfo(ApiResponse):
     """Whether whoever asks may also command."""
 
     control: bool
 
 
-class PageLink(Said):
+class PageLink(MessageResponse):
     """A link that gives one browser control over the page; it works once, and not for long."""
 
     url: str
     valid_s: float
 
 
-class NoContactImage(Answer):
+class BackgroundImageInfo(ApiResponse):
     """Of one finger."""
 
     frames: int
@@ -126,20 +126,20 @@ class NoContactImage(Answer):
     level_bgr: list[float]
 
 
-class StoredImages(Answer):
+class StoredBackgrounds(ApiResponse):
     """Of one finger's sensor, oldest first; serial: None where it was not seen yet."""
 
     serial: str | None
     versions: list[dict[str, Any]]
 
 
-class Calibrated(Said):
+class CalibrationResponse(MessageResponse):
     """The no-contact images taken, by finger."""
 
-    fingers: dict[str, NoContactImage]
+    fingers: dict[str, BackgroundImageInfo]
 
 
-class FaultNow(Answer):
+class FaultNow(ApiResponse):
     """What is wrong, and what to do about it."""
 
     code: str
@@ -147,7 +147,7 @@ class FaultNow(Answer):
     what_to_do: str
 
 
-class State(Answer):
+class StateResponse(ApiResponse):
     """Everything the daemon knows now. Times are of its monotonic clock, forces newtons per finger, angles degrees."""
 
     version: str

@@ -13,13 +13,13 @@ from slipguard.errors import CommandRefused
 from slipguard.web import models as b
 from slipguard.web.access import CODE_S, COOKIE
 from slipguard.web.commands import SECURITY
-from slipguard.web.errors import error, in_words, refusals
-from slipguard.web.route_context import Room
+from slipguard.web.errors import error, error_responses, with_error_response
+from slipguard.web.route_context import RouteContext
 
 PAGE = Path(__file__).parent / "page"
 
 
-def add_page(app: FastAPI, room: Room) -> None:
+def add_page(app: FastAPI, room: RouteContext) -> None:
     """`/`, its files under `/page/`, `/login`, and `/page-link`, which makes the links that `/login` takes."""
 
     @app.get("/", include_in_schema=False)
@@ -28,7 +28,7 @@ def add_page(app: FastAPI, room: Room) -> None:
 
     app.mount("/page", StaticFiles(directory=PAGE), name="page")
 
-    @app.get("/login", status_code=303, response_class=Response, responses=refusals(401, 422))
+    @app.get("/login", status_code=303, response_class=Response, responses=error_responses(401, 422))
     async def login(request: Request, token: Annotated[str, Query(max_length=200)]) -> Response:
         """Give the browser that opens a link from `/page-link` control of the page. A link works once."""
         cookie = room.access.redeem(token) if room.access is not None else None
@@ -43,7 +43,7 @@ def add_page(app: FastAPI, room: Room) -> None:
     @app.post(
         "/page-link",
         response_model=b.PageLink,
-        responses=refusals(401, 409),
+        responses=error_responses(401, 409),
         openapi_extra={"security": SECURITY},
     )
     async def page_link() -> Response:
@@ -55,4 +55,4 @@ def add_page(app: FastAPI, room: Room) -> None:
             url = room.access.link()
             return JSONResponse({"said": url, "url": url, "valid_s": CODE_S})
 
-        return await in_words("/page-link", make())
+        return await with_error_response("/page-link", make())

@@ -16,24 +16,24 @@ import cv2
 from slipguard.daemon import logging as log
 from slipguard.errors import SlipguardError
 from slipguard.web.access import Access
-from slipguard.web.daemon_proxy import RemoteControl
-from slipguard.web.protocol import receive
-from slipguard.web.route_context import Room
+from slipguard.web.daemon_proxy import DaemonProxy
+from slipguard.web.protocol import read_message
+from slipguard.web.route_context import RouteContext
 from slipguard.web.serve import serve
 
 
 async def run(link: socket.socket) -> bool:
     """Serve as the first message says; True where the daemon asked to stop, False where it is gone."""
     reader, writer = await asyncio.open_connection(sock=link)
-    received = await receive(reader)
+    received = await read_message(reader)
     if received is None:
         return False
     told, _ = received
     access = None if told["token"] is None else Access(told["token"], (told["host"], told["port"]))
     unix = socket.socket(fileno=told["unix_fd"])
     tcp = None if told["tcp_fd"] is None else socket.socket(fileno=told["tcp_fd"])
-    control = RemoteControl(reader, writer)
-    serving = asyncio.create_task(serve(Room(control, access), unix, tcp), name="serve")
+    control = DaemonProxy(reader, writer)
+    serving = asyncio.create_task(serve(RouteContext(control, access), unix, tcp), name="serve")
     hearing = asyncio.create_task(control.run(), name="hear")
     stopping = asyncio.create_task(control.stop.wait(), name="stop")
     await asyncio.wait((serving, hearing, stopping), return_when=asyncio.FIRST_COMPLETED)

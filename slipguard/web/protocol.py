@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.daemon.api.daemon_api import Contact, View
+from slipguard.daemon.api.daemon_api import ContactOverlay, FingerFrame
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import SlipguardError
 from slipguard.perception.contact.patch import ClippedSides
@@ -26,13 +26,13 @@ COMMANDS = ("grasp", "lift", "lower", "guard", "gripper", "release", "clear", "c
 IMAGE_BYTES = FRAME_HEIGHT_PX * FRAME_WIDTH_PX * 3
 
 
-def packed(message: Mapping[str, Any], *behind: bytes | memoryview) -> list[bytes | memoryview]:
+def encode_message(message: Mapping[str, Any], *behind: bytes | memoryview) -> list[bytes | memoryview]:
     """One message as it goes over the socket, in pieces: what is behind it is large, and not copied."""
     text = json.dumps(message, allow_nan=False).encode()
     return [_HEAD.pack(len(text), sum(map(len, behind))) + text, *behind]
 
 
-async def receive(reader: asyncio.StreamReader) -> tuple[dict[str, Any], bytes] | None:
+async def read_message(reader: asyncio.StreamReader) -> tuple[dict[str, Any], bytes] | None:
     """The next message; None where the other side is gone. Raises SlipguardError for what is no message."""
     try:
         text_bytes, behind_bytes = _HEAD.unpack(await reader.readexactly(_HEAD.size))
@@ -54,7 +54,7 @@ def _no_number(text: str) -> float:
     raise ValueError(f"{text} is no number")
 
 
-def view_packed(view: View) -> tuple[dict[str, Any], list[memoryview]]:
+def encode_finger_frame(view: FingerFrame) -> tuple[dict[str, Any], list[memoryview]]:
     """A view as a message's object and what is behind it: the frame's pixels, then the mask's."""
     told: dict[str, Any] = {
         "serial": view.serial,
@@ -80,15 +80,15 @@ def _pixels(picture: NDArray[np.uint8]) -> memoryview:
     return np.ascontiguousarray(picture).data.cast("B")
 
 
-def view_unpacked(told: Mapping[str, Any], pixels: bytes) -> View:
-    """The view that `view_packed` packed."""
+def decode_finger_frame(told: Mapping[str, Any], pixels: bytes) -> FingerFrame:
+    """The view that `encode_finger_frame` packed."""
     image = np.frombuffer(pixels, np.uint8, IMAGE_BYTES).reshape(FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3)
     frame = Frame(image, told["captured_at_s"], told["sequence"])
     contact = told.get("contact")
     if contact is None:
-        return View(told["serial"], frame)
+        return FingerFrame(told["serial"], frame)
     mask = np.frombuffer(pixels, np.uint8, offset=IMAGE_BYTES).reshape(contact["shape"])
     width, height = contact["picture_size"]
     sides = ClippedSides(*contact["clipped"])
-    found = Contact(mask, contact["left_px"], contact["top_px"], (width, height), sides, contact["axis_deg"])
-    return View(told["serial"], frame, found)
+    found = ContactOverlay(mask, contact["left_px"], contact["top_px"], (width, height), sides, contact["axis_deg"])
+    return FingerFrame(told["serial"], frame, found)

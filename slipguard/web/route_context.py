@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from slipguard.daemon.api.daemon_api import Control
+from slipguard.daemon.api.daemon_api import DaemonApi
 from slipguard.web.access import Access
-from slipguard.web.images import Pictures
-from slipguard.web.live import PERIOD_S, Live
-from slipguard.web.ttl_cache import Shared
+from slipguard.web.images import FingerImages
+from slipguard.web.live import PERIOD_S, LiveStream
+from slipguard.web.ttl_cache import TtlCache
 
 STORED_S = 1.0
 """What is stored changes by a command only, or by somebody's hand."""
 
 
-class Room:
+class RouteContext:
     """access: None where no TCP port is listened at."""
 
-    def __init__(self, control: Control, access: Access | None = None) -> None:
+    def __init__(self, control: DaemonApi, access: Access | None = None) -> None:
         self.control = control
         self.access = access
-        self.state = Shared(control.state, PERIOD_S)
-        self.trouble = Shared(control.trouble, PERIOD_S)
-        self.tallies = Shared(control.tallies, PERIOD_S)
-        self.no_contacts = Shared(control.no_contacts, STORED_S)
-        self.pictures = Pictures(control)
-        self.live = Live(self.state.get)
+        self.state = TtlCache(control.state, PERIOD_S)
+        self.trouble = TtlCache(control.trouble, PERIOD_S)
+        self.tallies = TtlCache(control.tallies, PERIOD_S)
+        self.no_contacts = TtlCache(control.no_contacts, STORED_S)
+        self.pictures = FingerImages(control)
+        self.live = LiveStream(self.state.get)
 
     def forget(self) -> None:
         """What is asked for next is as it is from now on: something was changed."""

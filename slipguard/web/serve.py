@@ -10,11 +10,11 @@ from collections.abc import Iterator
 import uvicorn
 from starlette.types import ASGIApp
 
-from slipguard.web.access import Gate
+from slipguard.web.access import AccessMiddleware
 from slipguard.web.app import make_app
-from slipguard.web.middleware import Shield
-from slipguard.web.route_context import Room
-from slipguard.web.timeouts import PatientHttp
+from slipguard.web.middleware import ApiMiddleware
+from slipguard.web.route_context import RouteContext
+from slipguard.web.timeouts import TimeoutHttpProtocol
 
 GRACE_S = 1
 """How long answers under way may take when the daemon stops."""
@@ -32,12 +32,12 @@ class _Server(uvicorn.Server):
         yield
 
 
-async def serve(room: Room, unix: socket.socket, tcp: socket.socket | None = None) -> None:
+async def serve(room: RouteContext, unix: socket.socket, tcp: socket.socket | None = None) -> None:
     """Serve until cancelled. tcp: only where the room has an `access`; commands need its token there."""
     app = make_app(room)
-    servers = [(_server(Shield(app)), unix)]
+    servers = [(_server(ApiMiddleware(app)), unix)]
     if tcp is not None and room.access is not None:
-        servers.append((_server(Shield(Gate(app, room.access), room.access.knows)), tcp))
+        servers.append((_server(ApiMiddleware(AccessMiddleware(app, room.access), room.access.knows)), tcp))
     live = asyncio.create_task(room.run(), name="web: live")
     serving = [asyncio.create_task(server.serve(sockets=[at]), name="web: http") for server, at in servers]
     try:
@@ -56,7 +56,7 @@ def _server(app: ASGIApp) -> _Server:
     return _Server(
         uvicorn.Config(
             app,
-            http=PatientHttp,
+            http=TimeoutHttpProtocol,
             ws="websockets-sansio",
             ws_max_size=MESSAGE_MAX_BYTES,
             ws_per_message_deflate=False,  # it costs more time than loopback costs bytes

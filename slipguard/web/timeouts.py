@@ -10,7 +10,7 @@ from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from slipguard.web.disconnect import knowing_who_is_gone
+from slipguard.web.disconnect import track_disconnect
 
 REQUEST_S = 10.0
 """From the first byte, or the connection's beginning, to the end of the request's headers."""
@@ -20,7 +20,7 @@ BODY = b'{"error": "too many connections"}'
 FULL = b"HTTP/1.1 503 Service Unavailable\r\nconnection: close\r\ncontent-type: application/json\r\ncontent-length: "
 
 
-class PatientHttp(H11Protocol):
+class TimeoutHttpProtocol(H11Protocol):
     """uvicorn's HTTP/1.1, with an end to its patience."""
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
@@ -30,7 +30,7 @@ class PatientHttp(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        self.app = knowing_who_is_gone(self.app, transport)
+        self.app = track_disconnect(self.app, transport)
         self._heard_at_s = self.loop.time()
         if len(self.connections) > CONNECTIONS_MAX and not self._one_gives_way():
             transport.write(FULL + f"{len(BODY)}\r\n\r\n".encode() + BODY)
@@ -57,7 +57,7 @@ class PatientHttp(H11Protocol):
 
     def _one_gives_way(self) -> bool:
         """Nobody may keep all places taken by saying nothing: that would lock out whoever may command."""
-        others = [one for one in self.connections if isinstance(one, PatientHttp) and one is not self]
+        others = [one for one in self.connections if isinstance(one, TimeoutHttpProtocol) and one is not self]
         idle = [one for one in others if not one._answering and not one.transport.is_closing()]
         if not idle:
             return False

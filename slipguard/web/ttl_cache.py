@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Shared(Generic[T]):
+class TtlCache(Generic[T]):
     """What `ask` gives, asked again only when the last answer is older than `keep_s`, however many want it.
 
     A failure is told to all who waited for it, and not kept.

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from slipguard.bench.wire_latency import HOST, Spread, every_frame_in_full, grip
-from slipguard.daemon.api.handlers import Desk
+from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.run import build_service
 from slipguard.errors import SlipguardError
@@ -96,7 +96,9 @@ async def measure_crowd(options: CrowdOptions, tell: Callable[[str, float], None
             service = build_service(every_frame_in_full(cell.config))
             with closing(bind_tcp(HOST, 0)) as probe:
                 port = int(probe.getsockname()[1])
-            api = run_api(Desk(service), bind(folder / "s"), (HOST, port), folder / "token", service.journal.warn)
+            api = run_api(
+                RequestHandlers(service), bind(folder / "s"), (HOST, port), folder / "token", service.journal.warn
+            )
             tasks = [asyncio.create_task(service.run(), name="service"), asyncio.create_task(api, name="api")]
             try:
                 tell("gripping", 0.0)

@@ -13,7 +13,7 @@ import pytest
 from loop_cell import Cell, play
 from loop_doubles import SHAPE
 
-from slipguard.daemon.api.handlers import Desk
+from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.store.calibration import NoContact, Version
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.errors import CommandRefused
@@ -23,7 +23,7 @@ def taken(level: int) -> NoContact:
     return NoContact(np.full(SHAPE, level, np.uint8), (2.0, 2.0, 2.0), 30)
 
 
-def with_history(tmp_path: Path, scene: Callable[[Cell, Desk, StateDir], Coroutine[Any, Any, None]]) -> None:
+def with_history(tmp_path: Path, scene: Callable[[Cell, RequestHandlers, StateDir], Coroutine[Any, Any, None]]) -> None:
     """Both sensors have been calibrated twice."""
     store = StateDir(tmp_path)
     for serial in ("SIM-L", "SIM-R"):
@@ -33,13 +33,13 @@ def with_history(tmp_path: Path, scene: Callable[[Cell, Desk, StateDir], Corouti
     async def main(cell: Cell) -> None:
         cell.service.store = store
         await cell.ready()
-        await scene(cell, Desk(cell.service), store)
+        await scene(cell, RequestHandlers(cell.service), store)
 
     play(Cell(), main)
 
 
 def test_all_that_is_stored_is_told(tmp_path: Path) -> None:
-    async def scene(cell: Cell, desk: Desk, store: StateDir) -> None:
+    async def scene(cell: Cell, desk: RequestHandlers, store: StateDir) -> None:
         told = json.loads(await desk.no_contacts())
         assert {name: one["serial"] for name, one in told.items()} == {"left": "SIM-L", "right": "SIM-R"}
         assert [one["number"] for one in told["left"]["versions"]] == [1, 2]
@@ -56,7 +56,7 @@ def test_all_that_is_stored_is_told(tmp_path: Path) -> None:
 
 
 def test_an_older_one_is_put_to_use_again_and_the_pipeline_built_with_it(tmp_path: Path) -> None:
-    async def scene(cell: Cell, desk: Desk, store: StateDir) -> None:
+    async def scene(cell: Cell, desk: RequestHandlers, store: StateDir) -> None:
         assert await desk.go_back("left", 1) == "left (SIM-L): no-contact image 1 is in use again"
         known = store.load_no_contact("SIM-L")
         assert known is not None
@@ -71,7 +71,7 @@ def test_an_older_one_is_put_to_use_again_and_the_pipeline_built_with_it(tmp_pat
 
 
 def test_not_while_something_is_held(tmp_path: Path) -> None:
-    async def scene(cell: Cell, desk: Desk, store: StateDir) -> None:
+    async def scene(cell: Cell, desk: RequestHandlers, store: StateDir) -> None:
         await cell.grasp()
         with pytest.raises(CommandRefused, match="cannot calibrate while holding; release first"):
             await desk.go_back("left", 1)
@@ -82,7 +82,7 @@ def test_not_while_something_is_held(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("new_gel", [False, True])
 def test_a_calibration_says_whether_the_gel_is_new(tmp_path: Path, new_gel: bool) -> None:
-    async def scene(cell: Cell, desk: Desk, store: StateDir) -> None:
+    async def scene(cell: Cell, desk: RequestHandlers, store: StateDir) -> None:
         await desk.calibrate(new_gel=new_gel)
         newest = store.no_contact_history("SIM-R")[-1]
         assert (newest.number, newest.new_gel) == (3, new_gel)
@@ -96,7 +96,7 @@ def test_a_calibration_says_whether_the_gel_is_new(tmp_path: Path, new_gel: bool
 def test_a_store_without_a_past_has_none() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        desk = Desk(cell.service)
+        desk = RequestHandlers(cell.service)
         assert json.loads(await desk.no_contacts())["left"] == {"serial": "SIM-L", "versions": []}
         with pytest.raises(CommandRefused, match="no sensor of the left finger was seen yet"):
             await desk.go_back("left", 1)
@@ -120,7 +120,7 @@ async def test_what_is_stored_is_read_in_a_thread_of_its_own(tmp_path: Path) -> 
     store = Noting(tmp_path)
     store.save_no_contact("SIM-L", taken(50))
     threads.clear()
-    desk = Desk(Cell().service)
+    desk = RequestHandlers(Cell().service)
     desk._service.store = store
     desk._service.fingers["left"].serial = "SIM-L"
     assert [one["number"] for one in json.loads(await desk.no_contacts())["left"]["versions"]] == [1]

@@ -12,12 +12,12 @@ from loop_cell import Cell, play
 from prometheus_client.parser import text_string_to_metric_families
 
 from slipguard.control.state import Phase
-from slipguard.daemon.api.daemon_api import View
-from slipguard.daemon.api.handlers import Desk
+from slipguard.daemon.api.daemon_api import FingerFrame
+from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.loop.event_log import Event
 from slipguard.errors import CommandRefused
 from slipguard.web.metrics import exposition
-from slipguard.web.models import State
+from slipguard.web.models import StateResponse
 
 
 def samples(text: bytes) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
@@ -34,7 +34,7 @@ def test_a_grasp_and_a_fault_as_the_page_and_prometheus_see_them() -> None:
     heard: list[Event] = []
 
     async def scene(cell: Cell) -> None:
-        desk = Desk(cell.service)
+        desk = RequestHandlers(cell.service)
         with pytest.raises(CommandRefused):
             await desk.view("left")
         await cell.grasp()
@@ -53,8 +53,8 @@ def test_a_grasp_and_a_fault_as_the_page_and_prometheus_see_them() -> None:
         told["faulty"] = exposition(await desk.state(), await desk.tallies())
 
     play(Cell("wrench", 1), scene)
-    State.model_validate_json(told["state"])
-    view: View = told["view"]
+    StateResponse.model_validate_json(told["state"])
+    view: FingerFrame = told["view"]
     assert view.serial == "SIM-L"
     assert view.frame.image.shape == (320, 240, 3)
     (fault,) = [event for event in told["after"] if event.level == "fault"]
@@ -92,7 +92,7 @@ def test_a_recorder_whose_thread_is_gone_is_not_said_to_record() -> None:
 
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        desk = Desk(cell.service)
+        desk = RequestHandlers(cell.service)
         for dead in (False, True):
             recorder = SimpleNamespace(stopped=None, dead=dead, left_out=3)
             desk.noting(lambda service, folder, made=recorder: made)(cell.service, Path())  # type: ignore[misc,arg-type]

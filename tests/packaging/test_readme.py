@@ -16,10 +16,10 @@ from sandbox import ROOT
 
 from slipguard.cli.app import app
 from slipguard.web.app import make_app
-from slipguard.web.route_context import Room
+from slipguard.web.route_context import RouteContext
 
 if TYPE_CHECKING:
-    from slipguard.daemon.api.daemon_api import Control
+    from slipguard.daemon.api.daemon_api import DaemonApi
 
 README = (ROOT / "README.md").read_text()
 GATE = (ROOT / ".ci" / "run").read_text().replace("\\\n", "")
@@ -101,7 +101,7 @@ def test_every_command_is_in_the_table() -> None:
 
 
 def test_every_path_of_the_api_is_in_its_table() -> None:
-    paths = make_app(Room(cast("Control", Mock()))).openapi()["paths"]
+    paths = make_app(RouteContext(cast("DaemonApi", Mock()))).openapi()["paths"]
     there = {(method.upper(), path.replace("{finger}", "left")) for path, asked in paths.items() for method in asked}
     section = README.partition("## The local API")[2].partition("\n## ")[0]
     told = set()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slipguard.daemon.api.daemon_api import Contact, Control, View
+from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
 from slipguard.daemon.api.handlers import calibration_answer
 from slipguard.daemon.loop.event_log import Event
 from slipguard.daemon.store.calibration import NoContact
@@ -19,14 +19,14 @@ from slipguard.devices import Frame, GripperState
 from slipguard.perception.contact.patch import ClippedSides
 from slipguard.web.access import Access
 from slipguard.web.images import FINGERS
-from slipguard.web.route_context import Room
+from slipguard.web.route_context import RouteContext
 from slipguard.web.serve import serve
 from slipguard.web.sockets import bind, bind_tcp
 
 TOKEN = "f" * 64
 
 
-class FakeControl(Control):
+class FakeDaemonApi(DaemonApi):
     def __init__(self) -> None:
         self.asked: list[tuple[object, ...]] = []
         self.failure: Exception | None = None
@@ -77,21 +77,21 @@ class FakeControl(Control):
     async def tallies(self) -> bytes:
         return b"{}"
 
-    async def frame(self, finger: str) -> View:
+    async def frame(self, finger: str) -> FingerFrame:
         if self.failure is not None:
             raise self.failure
         image = np.random.default_rng(self.frames).integers(0, 256, (320, 240, 3), np.uint8)
         self.frames += 1
-        return View(f"D2000{1 + (finger == 'right')}", Frame(image, 12.25, self.frames))
+        return FingerFrame(f"D2000{1 + (finger == 'right')}", Frame(image, 12.25, self.frames))
 
-    async def view(self, finger: str) -> View:
+    async def view(self, finger: str) -> FingerFrame:
         if self.failure is not None:
             raise self.failure
         self.frames += 1
         mask = np.zeros((60, 40), np.uint8)
         mask[5:55, 15:25] = 1
-        contact = Contact(mask, 50, 60, (160, 213), ClippedSides(), 90.0)
-        return View("D20001", Frame(np.full((320, 240, 3), 90, np.uint8), 12.25, self.frames), contact)
+        contact = ContactOverlay(mask, 50, 60, (160, 213), ClippedSides(), 90.0)
+        return FingerFrame("D20001", Frame(np.full((320, 240, 3), 90, np.uint8), 12.25, self.frames), contact)
 
     async def grasp(self, force_n: float | None = None) -> str:
         return await self._note("grasp", force_n)
@@ -134,11 +134,11 @@ class FakeControl(Control):
             {name: {"serial": f"SIM-{name[0].upper()}", "versions": versions} for name in FINGERS}
         ).encode()
 
-    async def no_contact(self, finger: str, number: int | None = None) -> View:
+    async def no_contact(self, finger: str, number: int | None = None) -> FingerFrame:
         if self.failure is not None:
             raise self.failure
         picture = np.full((320, 240, 3), 90 + (number or 2) % 100, np.uint8)
-        return View(f"SIM-{finger[0].upper()}", Frame(picture, 0.0, number or 2))
+        return FingerFrame(f"SIM-{finger[0].upper()}", Frame(picture, 0.0, number or 2))
 
     def listen(self, hear: Callable[[Event], None]) -> Callable[[], None]:
         for event in self.events:
@@ -148,10 +148,10 @@ class FakeControl(Control):
 
 
 @asynccontextmanager
-async def served(control: FakeControl, path: Path) -> AsyncIterator[Path]:
+async def served(control: FakeDaemonApi, path: Path) -> AsyncIterator[Path]:
     """The API on a real Unix socket, for as long as the block lasts."""
     with closing(bind(path)) as unix:
-        serving = asyncio.create_task(serve(Room(control), unix.listening), name="api")
+        serving = asyncio.create_task(serve(RouteContext(control), unix.listening), name="api")
         try:
             await answering(serving, path)
             yield path
@@ -161,12 +161,12 @@ async def served(control: FakeControl, path: Path) -> AsyncIterator[Path]:
 
 
 @asynccontextmanager
-async def served_on_tcp(control: FakeControl, folder: Path) -> AsyncIterator[tuple[int, Access]]:
+async def served_on_tcp(control: FakeDaemonApi, folder: Path) -> AsyncIterator[tuple[int, Access]]:
     """The API on a port of this machine as well; the port and who has access."""
     with closing(bind(folder / "s")) as unix, closing(bind_tcp("127.0.0.1", 0)) as tcp:
         port = int(tcp.getsockname()[1])
         access = Access(TOKEN, ("127.0.0.1", port))
-        serving = asyncio.create_task(serve(Room(control, access), unix.listening, tcp), name="api")
+        serving = asyncio.create_task(serve(RouteContext(control, access), unix.listening, tcp), name="api")
         try:
             await answering(serving, folder / "s")
             yield port, access

@@ -8,14 +8,14 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, closing
 from pathlib import Path
 
-from fake_daemon_api import FakeControl
+from fake_daemon_api import FakeDaemonApi
 
-from slipguard.daemon.api.client import Client, OverTcp
+from slipguard.daemon.api.client import Client, TcpAddress
 from slipguard.web.host import run_api
 from slipguard.web.sockets import bind, bind_tcp
 
 
-class Hosted:
+class HostedApi:
     """A served daemon: what it warned of, and where it listens."""
 
     def __init__(self, folder: Path, port: int) -> None:
@@ -28,7 +28,7 @@ class Hosted:
         return Client(self.socket, timeout_s=20.0)
 
     def over_tcp(self) -> Client:
-        return Client(OverTcp(self.url, self.token_at.read_text().strip()), timeout_s=20.0)
+        return Client(TcpAddress(self.url, self.token_at.read_text().strip()), timeout_s=20.0)
 
 
 def free_port() -> int:
@@ -37,9 +37,9 @@ def free_port() -> int:
 
 
 @asynccontextmanager
-async def hosted(control: FakeControl, folder: Path) -> AsyncIterator[Hosted]:
+async def hosted(control: FakeDaemonApi, folder: Path) -> AsyncIterator[HostedApi]:
     port = free_port()
-    host = Hosted(folder, port)
+    host = HostedApi(folder, port)
     api = run_api(control, bind(host.socket), ("127.0.0.1", port), host.token_at, host.warnings.append)
     serving = host.serving = asyncio.create_task(api, name="api")
     try:

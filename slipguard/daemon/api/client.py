@@ -28,12 +28,12 @@ class SensorFrame:
     captured_at_s: float
 
 
-class NoDaemon(SlipguardError):
+class DaemonNotRunning(SlipguardError):
     """Nothing listens there."""
 
 
 @dataclass(frozen=True, slots=True)
-class OverTcp:
+class TcpAddress:
     """A daemon's address, such as http://127.0.0.1:8470, and the token that its commands need; None: look only."""
 
     url: str
@@ -54,11 +54,11 @@ class Client:
     Raises NoDaemon, CommandRefused with the daemon's reason, or SlipguardError.
     """
 
-    def __init__(self, at: Path | OverTcp | None = None, timeout_s: float = TIMEOUT_S) -> None:
+    def __init__(self, at: Path | TcpAddress | None = None, timeout_s: float = TIMEOUT_S) -> None:
         """at: the Unix socket, or a TCP address; None: the socket of the daemon that runs on this machine."""
         at = running_socket() if at is None else at
         self._unix: Path | None = None
-        if isinstance(at, OverTcp):
+        if isinstance(at, TcpAddress):
             self._where = at.url
             headers = {} if at.token is None else {"authorization": f"Bearer {at.token}"}
             self._http = httpx.Client(base_url=at.url, headers=headers, timeout=timeout_s, trust_env=False)
@@ -163,7 +163,7 @@ class Client:
                     f"{self._where} belongs to another user; ask as that user or as root, with sudo"
                 ) from None
             except OSError:
-                raise NoDaemon(NO_DAEMON.format(self._where)) from None
+                raise DaemonNotRunning(NO_DAEMON.format(self._where)) from None
 
     def _post(self, path: str, **body: object) -> dict[str, Any]:
         return self._ask("POST", path, {key: value for key, value in body.items() if value is not None})
@@ -183,7 +183,7 @@ class Client:
         except httpx.TimeoutException:
             raise SlipguardError(f"the daemon at {self._where} did not answer {path} in time") from None
         except httpx.ConnectError:
-            raise NoDaemon(NO_DAEMON.format(self._where)) from None
+            raise DaemonNotRunning(NO_DAEMON.format(self._where)) from None
         except httpx.TransportError as error:
             raise SlipguardError(f"the daemon at {self._where} broke off: {error}") from None
 

@@ -19,7 +19,7 @@ from slipguard.perception.contact.patch import ClippedSides
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Contact:
+class ContactOverlay:
     """The contact found in a picture: the part of `slipguard.perception.contact.patch.Patch` that can be drawn.
 
     mask: (h, w) uint8, 0 or 1, a crop of the network's picture. left_px, top_px: its first column and row there.
@@ -36,15 +36,15 @@ class Contact:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class FingerFrame:
     """A finger's newest judged frame and the contact in it; None: there is none."""
 
     serial: str
     frame: Frame
-    contact: Contact | None = None
+    contact: ContactOverlay | None = None
 
 
-class Control(Protocol):
+class DaemonApi(Protocol):
     """Commands answer with one line and raise CommandRefused with the reason."""
 
     @abstractmethod
@@ -60,11 +60,11 @@ class Control(Protocol):
         """What was counted and timed since the start, as a JSON object: see `slipguard.daemon.loop.loop_metrics`."""
 
     @abstractmethod
-    async def frame(self, finger: str) -> View:
+    async def frame(self, finger: str) -> FingerFrame:
         """A finger's newest frame, as it came; raises CommandRefused where there is none."""
 
     @abstractmethod
-    async def view(self, finger: str) -> View:
+    async def view(self, finger: str) -> FingerFrame:
         """A finger's newest judged frame with what was found in it; raises CommandRefused where there is none."""
 
     @abstractmethod
@@ -101,7 +101,7 @@ class Control(Protocol):
         """What is stored of each finger's sensor, as a JSON object: see `slipguard.daemon.store.background_history`."""
 
     @abstractmethod
-    async def no_contact(self, finger: str, number: int | None = None) -> View:
+    async def no_contact(self, finger: str, number: int | None = None) -> FingerFrame:
         """A stored no-contact image, the newest if not told which; its number is the frame's `sequence`."""
 
     @abstractmethod

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from slipguard.daemon.api.controls import Controls
-from slipguard.daemon.api.daemon_api import Contact, Control, View
+from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
 from slipguard.daemon.loop.event_log import Event
 from slipguard.daemon.loop.finger import Judgement
 from slipguard.daemon.loop.loop_metrics import Tally
@@ -23,7 +23,7 @@ from slipguard.recording.recorder import Recorder
 from slipguard.thread_priority import let_the_loop_first
 
 
-class Desk(Control):
+class RequestHandlers(DaemonApi):
     """One service's."""
 
     def __init__(self, service: Service) -> None:
@@ -65,25 +65,25 @@ class Desk(Control):
         """What was counted and timed since the start."""
         return json.dumps(self._tally.as_dict()).encode()
 
-    async def frame(self, finger: str) -> View:
+    async def frame(self, finger: str) -> FingerFrame:
         """Serial number and newest frame of a finger."""
-        return View(*self._controls.frame(finger))
+        return FingerFrame(*self._controls.frame(finger))
 
-    async def view(self, finger: str) -> View:
+    async def view(self, finger: str) -> FingerFrame:
         """The newest judged frame and the contact in it; none of a sensor that is gone."""
         serial, _ = self._controls.frame(finger)
         judged = self._judged.get(finger)
         if judged is None:
             raise CommandRefused(f"no frame of the {finger} finger was judged yet; ask again in a second")
-        return View(serial, judged.frame, self._contact(finger, judged))
+        return FingerFrame(serial, judged.frame, self._contact(finger, judged))
 
-    def _contact(self, finger: str, judged: Judgement) -> Contact | None:
+    def _contact(self, finger: str, judged: Judgement) -> ContactOverlay | None:
         patch, estimate = judged.patch, judged.estimate
         if patch is None or estimate is None or not estimate.contact:
             return None
         told_deg, mounted_deg = estimate.orientation_deg, getattr(self._service.config, finger).mounting_deg
         axis_deg = None if told_deg is None else wrap_axial_deg(told_deg - mounted_deg)
-        return Contact(patch.mask, patch.left_px, patch.top_px, patch.picture_size, patch.clipped, axis_deg)
+        return ContactOverlay(patch.mask, patch.left_px, patch.top_px, patch.picture_size, patch.clipped, axis_deg)
 
     async def grasp(self, force_n: float | None = None) -> str:
         return await self._controls.grasp(force_n)
@@ -117,10 +117,10 @@ class Desk(Control):
         """What is stored of each finger's sensor."""
         return json.dumps(await history(self._service, self._reading)).encode()
 
-    async def no_contact(self, finger: str, number: int | None = None) -> View:
+    async def no_contact(self, finger: str, number: int | None = None) -> FingerFrame:
         """A stored no-contact image."""
         serial, found, image = await stored_image(self._service, self._reading, finger, number)
-        return View(serial, Frame(image, 0.0, found))
+        return FingerFrame(serial, Frame(image, 0.0, found))
 
     def listen(self, hear: Callable[[Event], None]) -> Callable[[], None]:
         """Tell the newest events, and from then on each as it happens."""

@@ -20,7 +20,7 @@ import numpy as np
 
 from slipguard.config import Config
 from slipguard.daemon import run as root
-from slipguard.daemon.api import paths as whereabouts
+from slipguard.daemon.api import paths
 from slipguard.daemon.loop.finger import Perceiver
 from slipguard.daemon.loop.service import Service
 from slipguard.daemon.loop.worker import StatedLatencyWorker
@@ -159,7 +159,7 @@ class _Run:
         page = PageProcess() if self._settings.page and not self._settings.virtual else None
         try:
             if page is not None:
-                await page.open(whereabouts.socket_path(self.config))
+                await page.open(paths.socket_path(self.config))
             if self._settings.page and self._settings.virtual:
                 await self._page_there()
             await shift.start()
@@ -209,7 +209,7 @@ class _Run:
             yield self._drawn_lifts(shift)
             yield self._keep_pace()
             if self._settings.page:
-                yield look(whereabouts.socket_path(self.config), self._page, VIRTUAL_PICTURE_EVERY_S)
+                yield look(paths.socket_path(self.config), self._page, VIRTUAL_PICTURE_EVERY_S)
 
     async def _drawn_lifts(self, shift: Shift) -> None:
         """Now and then a second daemon in this process: pictures drawn, looked at by the network, one lift, the end."""

@@ -7,7 +7,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from fake_daemon_api import FakeControl, served_on_tcp
+from fake_daemon_api import FakeDaemonApi, served_on_tcp
 
 from slipguard.errors import SlipguardError
 from slipguard.tools.waiting import until
@@ -60,7 +60,7 @@ def test_clients_that_got_nothing_measure_nothing(
 async def test_clients_hear_and_poll_and_come_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(crowd_clients, "POLL_S", 0.01)
     got: Counter[str] = Counter()
-    async with served_on_tcp(FakeControl(), tmp_path) as (port, _):
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, _):
         crowd = asyncio.create_task(crowd_clients.crowd("127.0.0.1", port, 4, got))
         await until(crowd, lambda: got["answers 200"] >= 20 and got["live messages"] >= 6, 30.0, "no answers")
         crowd.cancel()

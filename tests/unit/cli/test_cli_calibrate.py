@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import Ran, slipguard
-from fake_daemon_api import FakeControl, served
+from fake_daemon_api import FakeDaemonApi, served
 
 from slipguard.daemon.store.calibration import NoContact
 from slipguard.daemon.store.state_dir import StateDir
@@ -19,11 +19,11 @@ CONFIG = Path(__file__).parents[3] / "config.toml"
 
 
 @pytest.fixture
-def control() -> FakeControl:
-    return FakeControl()
+def control() -> FakeDaemonApi:
+    return FakeDaemonApi()
 
 
-async def calibrate(capfd: pytest.CaptureFixture[str], control: FakeControl, folder: Path, *words: object) -> Ran:
+async def calibrate(capfd: pytest.CaptureFixture[str], control: FakeDaemonApi, folder: Path, *words: object) -> Ran:
     async with served(control, folder / "s") as path:
         line = ("calibrate", "--config", CONFIG, "--socket", path, *words)
         return await asyncio.to_thread(slipguard, capfd, *line)
@@ -41,7 +41,7 @@ async def calibrate(capfd: pytest.CaptureFixture[str], control: FakeControl, fol
 async def test_what_is_asked_reaches_the_daemon_and_what_is_stored_is_shown(
     words: list[str],
     asked: tuple[object, ...],
-    control: FakeControl,
+    control: FakeDaemonApi,
     tmp_path: Path,
     capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -56,7 +56,7 @@ async def test_what_is_asked_reaches_the_daemon_and_what_is_stored_is_shown(
 
 
 async def test_show_takes_nothing_and_shows_every_image(
-    control: FakeControl, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    control: FakeDaemonApi, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "120")
     ran = await calibrate(capfd, control, tmp_path, "--show")
@@ -67,7 +67,7 @@ async def test_show_takes_nothing_and_shows_every_image(
 
 
 async def test_a_picture_of_them_is_drawn(
-    control: FakeControl, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    control: FakeDaemonApi, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     ran = await calibrate(capfd, control, tmp_path, "--plot", tmp_path / "gels.png")
     assert ran.code == 0, ran.err
@@ -77,7 +77,9 @@ async def test_a_picture_of_them_is_drawn(
     assert drawn.std() > 10
 
 
-async def test_programs_get_all_of_it(control: FakeControl, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+async def test_programs_get_all_of_it(
+    control: FakeDaemonApi, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     told = json.loads((await calibrate(capfd, control, tmp_path, "--json")).out)
     assert set(told["fingers"]) == {"left", "right"}
     assert [one["number"] for one in told["stored"]["left"]["versions"]] == [1, 2]

@@ -9,22 +9,22 @@ import sys
 from pathlib import Path
 
 import pytest
-from fake_daemon_api import TOKEN, FakeControl, served, served_on_tcp
+from fake_daemon_api import TOKEN, FakeDaemonApi, served, served_on_tcp
 from typer.testing import CliRunner
 
 from slipguard.cli.ctl import app
-from slipguard.daemon.api import paths as whereabouts
-from slipguard.daemon.api.client import NoDaemon
+from slipguard.daemon.api import paths
+from slipguard.daemon.api.client import DaemonNotRunning
 from slipguard.daemon.api.paths import running_socket
 from slipguard.errors import CommandRefused, InputError, SlipguardError
 
 
 @pytest.fixture
-def control() -> FakeControl:
-    return FakeControl()
+def control() -> FakeDaemonApi:
+    return FakeDaemonApi()
 
 
-async def ctl(control: FakeControl, folder: Path, *words: str, typed: str | None = None) -> tuple[int, str]:
+async def ctl(control: FakeDaemonApi, folder: Path, *words: str, typed: str | None = None) -> tuple[int, str]:
     """Exit code and output of one command; errors of slipguard come through."""
     async with served(control, folder / "s") as path:
         line = [words[0], "--socket", str(path), *words[1:]]
@@ -49,7 +49,7 @@ LINES = [
 
 
 @pytest.mark.parametrize(("words", "asked"), LINES, ids=lambda value: " ".join(map(str, value)))
-async def test_commands(words: list[str], asked: tuple[object, ...], control: FakeControl, tmp_path: Path) -> None:
+async def test_commands(words: list[str], asked: tuple[object, ...], control: FakeDaemonApi, tmp_path: Path) -> None:
     code, output = await ctl(control, tmp_path, *words)
     assert code == 0
     assert control.asked == [asked]
@@ -59,7 +59,7 @@ async def test_commands(words: list[str], asked: tuple[object, ...], control: Fa
     assert "said" in json.loads(output)
 
 
-async def test_state_for_people_and_programs(control: FakeControl, tmp_path: Path) -> None:
+async def test_state_for_people_and_programs(control: FakeDaemonApi, tmp_path: Path) -> None:
     _, output = await ctl(control, tmp_path, "state")
     assert "holding" in output
     assert "gripped" in output
@@ -67,7 +67,7 @@ async def test_state_for_people_and_programs(control: FakeControl, tmp_path: Pat
     assert json.loads(output) == control.snapshot()
 
 
-async def test_a_release_is_asked_for_twice(control: FakeControl, tmp_path: Path) -> None:
+async def test_a_release_is_asked_for_twice(control: FakeDaemonApi, tmp_path: Path) -> None:
     code, _ = await ctl(control, tmp_path, "release", typed="n\n")
     assert code == 1
     assert control.asked == []
@@ -80,7 +80,7 @@ async def test_a_release_is_asked_for_twice(control: FakeControl, tmp_path: Path
     assert control.asked == [("release", None)]
 
 
-async def test_a_refusal_comes_through(control: FakeControl, tmp_path: Path) -> None:
+async def test_a_refusal_comes_through(control: FakeDaemonApi, tmp_path: Path) -> None:
     control.failure = CommandRefused("cannot lift while idle")
     with pytest.raises(CommandRefused, match="cannot lift while idle"):
         await ctl(control, tmp_path, "lift")
@@ -88,7 +88,7 @@ async def test_a_refusal_comes_through(control: FakeControl, tmp_path: Path) -> 
 
 def test_without_a_daemon(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["state", "--socket", str(tmp_path / "s")])
-    assert isinstance(result.exception, NoDaemon)
+    assert isinstance(result.exception, DaemonNotRunning)
     assert "start it with `slipguard run`" in str(result.exception)
 
 
@@ -105,7 +105,7 @@ def test_help_has_an_example(command: str) -> None:
     assert f"slipguard ctl {command}" in " ".join(output.split())
 
 
-async def test_the_refusal_is_one_line_and_exit_code_1(control: FakeControl, tmp_path: Path) -> None:
+async def test_the_refusal_is_one_line_and_exit_code_1(control: FakeDaemonApi, tmp_path: Path) -> None:
     """The whole program, in its own process."""
     control.failure = CommandRefused("cannot clear: no fault is latched")
     async with served(control, tmp_path / "s") as path:
@@ -126,7 +126,7 @@ def test_where_the_daemon_is_looked_for(tmp_path: Path) -> None:
     assert running_socket(environ={"RUNTIME_DIRECTORY": "/run/x", "HOME": "/h"}) == Path("/run/x/slipguard.sock")
 
 
-async def over_tcp(folder: Path, control: FakeControl, *words: str, token: str | None = TOKEN) -> tuple[int, str]:
+async def over_tcp(folder: Path, control: FakeDaemonApi, *words: str, token: str | None = TOKEN) -> tuple[int, str]:
     """Exit code and output of one command over TCP; errors of slipguard come through."""
     async with served_on_tcp(control, folder) as (port, _):
         line = ["--url", f"http://127.0.0.1:{port}"]
@@ -145,11 +145,11 @@ def nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     own = tmp_path / "own"
     own.mkdir()
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(own))
-    monkeypatch.setattr(whereabouts, "SYSTEM_FOLDER", tmp_path / "system")
+    monkeypatch.setattr(paths, "SYSTEM_FOLDER", tmp_path / "system")
     return own
 
 
-async def test_commands_over_tcp(control: FakeControl, nowhere: Path, tmp_path: Path) -> None:
+async def test_commands_over_tcp(control: FakeDaemonApi, nowhere: Path, tmp_path: Path) -> None:
     assert (await over_tcp(tmp_path, control, "lift", "--height-mm", "30"))[0] == 0
     assert (await over_tcp(tmp_path, control, "state"))[0] == 0
     with pytest.raises(SlipguardError, match="this needs the token"):
@@ -161,7 +161,7 @@ async def test_commands_over_tcp(control: FakeControl, nowhere: Path, tmp_path: 
     assert control.asked == [("lift", 30.0, None), ("clear",)]
 
 
-async def test_a_link_to_the_page(control: FakeControl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_link_to_the_page(control: FakeDaemonApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) or True)
@@ -204,14 +204,14 @@ def test_whom_to_ask_is_said_once() -> None:
 
 def test_a_token_nobody_named_stays_on_this_machine(nowhere: Path) -> None:
     (nowhere / "token").write_text("secret\n")
-    assert whereabouts.token_for("http://127.0.0.1:8470") == "secret"
-    assert whereabouts.token_for("http://[::1]:8470") == "secret"
-    assert whereabouts.token_for("http://localhost:8470") == "secret"
+    assert paths.token_for("http://127.0.0.1:8470") == "secret"
+    assert paths.token_for("http://[::1]:8470") == "secret"
+    assert paths.token_for("http://localhost:8470") == "secret"
     for foreign in ("http://192.0.2.7:8470", "http://127.0.0.1.evil.example:8470", "http://evil.example"):
-        assert whereabouts.token_for(foreign) is None
+        assert paths.token_for(foreign) is None
 
 
-async def test_a_socket_named_before_the_command_counts_too(control: FakeControl, tmp_path: Path) -> None:
+async def test_a_socket_named_before_the_command_counts_too(control: FakeDaemonApi, tmp_path: Path) -> None:
     async with served(control, tmp_path / "s") as path:
         result = await asyncio.to_thread(CliRunner().invoke, app, ["--socket", str(path), "clear"])
     assert (result.exit_code, result.output) == (0, "clear, as asked\n")

@@ -12,7 +12,7 @@ import pytest
 from command_line import slipguard
 
 from slipguard.config import Config, sim_config
-from slipguard.daemon.api import paths as whereabouts
+from slipguard.daemon.api import paths
 from slipguard.daemon.api.paths import running_socket, socket_path
 
 CONFIG = """
@@ -35,13 +35,13 @@ def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Config:
     """Nothing configured; the user's folder and the system's are empty ones."""
     (tmp_path / "system").mkdir()
     (tmp_path / "own").mkdir()
-    monkeypatch.setattr(whereabouts, "SYSTEM_FOLDER", tmp_path / "system")
+    monkeypatch.setattr(paths, "SYSTEM_FOLDER", tmp_path / "system")
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path / "own"))
     return sim_config()
 
 
 def system() -> Path:
-    return whereabouts.SYSTEM_FOLDER / "slipguard.sock"
+    return paths.SYSTEM_FOLDER / "slipguard.sock"
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import slipguard
-from fake_daemon_api import FakeControl, served
+from fake_daemon_api import FakeDaemonApi, served
 from numpy.typing import NDArray
 from pipe_capture import PipeCapture, delivery, found
 
@@ -73,7 +73,7 @@ async def test_a_recording_is_a_data_set(tmp_path: Path) -> None:
 
 
 async def test_a_daemon_is_asked_finger_by_finger(tmp_path: Path) -> None:
-    control = FakeControl()
+    control = FakeDaemonApi()
     async with served(control, tmp_path / "s") as path:
         with Client(path) as client:
             shots = from_daemon(client, ["left", "right"], 0.0)
@@ -85,7 +85,7 @@ async def test_a_daemon_is_asked_finger_by_finger(tmp_path: Path) -> None:
 
 async def test_a_finger_that_stays_away_ends_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dataset_record, "PATIENCE_S", 0.05)
-    control = FakeControl()
+    control = FakeDaemonApi()
     control.failure = CommandRefused("no frame of the left finger: unplugged")
     async with served(control, tmp_path / "s") as path:
         with Client(path) as client, pytest.raises(CommandRefused, match="unplugged"):

@@ -14,24 +14,24 @@ import cv2
 import httpx
 import numpy as np
 import pytest
-from fake_daemon_api import FakeControl, served
+from fake_daemon_api import FakeDaemonApi, served
 from pydantic import ValidationError
 
-from slipguard.daemon.api.client import Client, NoDaemon
+from slipguard.daemon.api.client import Client, DaemonNotRunning
 from slipguard.errors import CommandRefused, ConfigError, DeviceTimeout, SlipguardError
 from slipguard.web import serve
 from slipguard.web.app import make_app
 from slipguard.web.models import GoBack
-from slipguard.web.route_context import Room
+from slipguard.web.route_context import RouteContext
 from slipguard.web.sockets import bind
 
 
 @pytest.fixture
-def control() -> FakeControl:
-    return FakeControl()
+def control() -> FakeDaemonApi:
+    return FakeDaemonApi()
 
 
-async def on_socket(control: FakeControl, folder: Path, ask: Callable[[Client], Any]) -> Any:
+async def on_socket(control: FakeDaemonApi, folder: Path, ask: Callable[[Client], Any]) -> Any:
     """What a client in another thread gets from the served control."""
 
     def ask_and_close(path: Path) -> Any:
@@ -42,9 +42,11 @@ async def on_socket(control: FakeControl, folder: Path, ask: Callable[[Client], 
         return await asyncio.to_thread(ask_and_close, path)
 
 
-def in_memory(control: FakeControl) -> httpx.AsyncClient:
+def in_memory(control: FakeDaemonApi) -> httpx.AsyncClient:
     """A client of the app without a socket."""
-    return httpx.AsyncClient(transport=httpx.ASGITransport(make_app(Room(control))), base_url="http://slipguard")
+    return httpx.AsyncClient(
+        transport=httpx.ASGITransport(make_app(RouteContext(control))), base_url="http://slipguard"
+    )
 
 
 COMMANDS = [
@@ -66,7 +68,7 @@ COMMANDS = [
 
 @pytest.mark.parametrize(("ask", "asked"), COMMANDS)
 async def test_every_command_reaches_the_daemon(
-    ask: Callable[[Client], Any], asked: tuple[object, ...], control: FakeControl, tmp_path: Path
+    ask: Callable[[Client], Any], asked: tuple[object, ...], control: FakeDaemonApi, tmp_path: Path
 ) -> None:
     answer = await on_socket(control, tmp_path, ask)
     assert control.asked == [asked]
@@ -76,7 +78,7 @@ async def test_every_command_reaches_the_daemon(
         assert answer == {"said": f"{asked[0]}, as asked"}
 
 
-async def test_state_and_health(control: FakeControl, tmp_path: Path) -> None:
+async def test_state_and_health(control: FakeDaemonApi, tmp_path: Path) -> None:
     assert await on_socket(control, tmp_path, Client.state) == control.snapshot()
     assert await on_socket(control, tmp_path, Client.healthz) == {"status": "ok"}
     control.why = "left: no frames"
@@ -84,7 +86,7 @@ async def test_state_and_health(control: FakeControl, tmp_path: Path) -> None:
         await on_socket(control, tmp_path, Client.healthz)
 
 
-async def test_a_frame_comes_as_a_png_with_its_sensor_number_and_time(control: FakeControl, tmp_path: Path) -> None:
+async def test_a_frame_comes_as_a_png_with_its_sensor_number_and_time(control: FakeDaemonApi, tmp_path: Path) -> None:
     seen = await on_socket(control, tmp_path, lambda client: client.frame("right"))
     assert (seen.serial, seen.sequence, seen.captured_at_s) == ("D20002", 1, 12.25)
     image = cv2.imdecode(np.frombuffer(seen.png, np.uint8), cv2.IMREAD_COLOR)
@@ -94,7 +96,7 @@ async def test_a_frame_comes_as_a_png_with_its_sensor_number_and_time(control: F
         await on_socket(control, tmp_path, lambda client: client.frame("right"))
 
 
-async def test_a_refusal_and_a_device_error_come_through_in_words(control: FakeControl, tmp_path: Path) -> None:
+async def test_a_refusal_and_a_device_error_come_through_in_words(control: FakeDaemonApi, tmp_path: Path) -> None:
     control.failure = CommandRefused("cannot lift while idle")
     with pytest.raises(CommandRefused, match=r"^cannot lift while idle$"):
         await on_socket(control, tmp_path, Client.lift)
@@ -128,7 +130,7 @@ BAD = [
 
 @pytest.mark.parametrize(("method", "path", "body", "status", "says"), BAD)
 async def test_bad_requests_change_nothing_and_are_answered_in_one_line(
-    method: str, path: str, body: str, status: int, says: str, control: FakeControl
+    method: str, path: str, body: str, status: int, says: str, control: FakeDaemonApi
 ) -> None:
     async with in_memory(control) as http:
         response = await http.request(method, path, content=body.encode("latin-1"))
@@ -139,7 +141,7 @@ async def test_bad_requests_change_nothing_and_are_answered_in_one_line(
     assert control.asked == []
 
 
-async def test_a_mistake_of_ours_is_one_line_too(control: FakeControl) -> None:
+async def test_a_mistake_of_ours_is_one_line_too(control: FakeDaemonApi) -> None:
     control.failure = KeyError("secret detail")
     async with in_memory(control) as http:
         response = await http.post("/clear")
@@ -147,14 +149,14 @@ async def test_a_mistake_of_ours_is_one_line_too(control: FakeControl) -> None:
     assert response.json() == {"error": "/clear failed inside the daemon (KeyError); its log says more"}
 
 
-async def test_the_socket_is_for_owner_and_group_and_is_gone_afterwards(control: FakeControl, tmp_path: Path) -> None:
+async def test_the_socket_is_for_owner_and_group_and_is_gone_afterwards(control: FakeDaemonApi, tmp_path: Path) -> None:
     path = tmp_path / "run" / "s"
     async with served(control, path):
         assert stat.S_IMODE(path.stat().st_mode) == 0o660
     assert not path.exists()
 
 
-async def test_a_dead_daemons_socket_is_replaced_and_a_live_ones_is_not(control: FakeControl, tmp_path: Path) -> None:
+async def test_a_dead_daemons_socket_is_replaced_and_a_live_ones_is_not(control: FakeDaemonApi, tmp_path: Path) -> None:
     path = tmp_path / "s"
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(str(path))
@@ -176,7 +178,7 @@ def test_sockets_that_cannot_be(tmp_path: Path) -> None:
 
 
 async def test_stopping_waits_for_a_short_answer_and_not_for_an_idle_client(
-    control: FakeControl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    control: FakeDaemonApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serve, "GRACE_S", 20)  # a busy machine is slow, and the idle client must not be waited for
     control.delay_s = 0.3
@@ -191,7 +193,10 @@ async def test_stopping_waits_for_a_short_answer_and_not_for_an_idle_client(
 
 async def test_without_a_daemon_the_client_says_how_to_start_one(tmp_path: Path) -> None:
     path = tmp_path / "s"
-    with Client(path) as client, pytest.raises(NoDaemon, match=r"no daemon is listening at .*/s: start it with"):
+    with (
+        Client(path) as client,
+        pytest.raises(DaemonNotRunning, match=r"no daemon is listening at .*/s: start it with"),
+    ):
         client.state()
 
 
@@ -208,7 +213,7 @@ async def test_a_stranger_on_the_socket_is_not_believed(tmp_path: Path) -> None:
             await asyncio.to_thread(lambda: _state(tmp_path / "s"))
 
 
-async def test_many_clients_at_once(control: FakeControl, tmp_path: Path) -> None:
+async def test_many_clients_at_once(control: FakeDaemonApi, tmp_path: Path) -> None:
     async with served(control, tmp_path / "s") as path:
         transport = httpx.AsyncHTTPTransport(uds=str(path))
         async with httpx.AsyncClient(transport=transport, base_url="http://slipguard") as http:

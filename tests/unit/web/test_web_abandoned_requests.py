@@ -9,14 +9,13 @@ import socket
 from pathlib import Path
 
 import pytest
-from fake_daemon_api import FakeControl
+from fake_daemon_api import FakeDaemonApi
 from hosted_api import hosted, web_process
 
 from slipguard.errors import CommandRefused, SlipguardError
-from slipguard.web import daemon_proxy as remote
-from slipguard.web import host
+from slipguard.web import daemon_proxy, host
 from slipguard.web.daemon_endpoint import answer
-from slipguard.web.daemon_proxy import RemoteControl
+from slipguard.web.daemon_proxy import DaemonProxy
 
 BODY = b'{"confirm": true}'
 RELEASE = b"POST /release HTTP/1.1\r\nhost: slipguard\r\ncontent-length: %d\r\n\r\n%b" % (len(BODY), BODY)
@@ -33,7 +32,7 @@ async def test_a_release_given_up_while_nobody_served_is_not_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(host, "RETRY_S", 0.1)
-    control = FakeControl()
+    control = FakeDaemonApi()
     async with hosted(control, tmp_path) as served:
         with served.client() as client:
             await asyncio.to_thread(client.state)
@@ -45,7 +44,7 @@ async def test_a_release_given_up_while_nobody_served_is_not_done(
 
 
 async def test_a_release_given_up_while_the_web_process_was_stopped_is_not_done(tmp_path: Path) -> None:
-    control = FakeControl()
+    control = FakeDaemonApi()
     async with hosted(control, tmp_path) as served:
         with served.client() as client:
             await asyncio.to_thread(client.state)
@@ -59,20 +58,20 @@ async def test_a_release_given_up_while_the_web_process_was_stopped_is_not_done(
 
 
 async def test_a_command_that_the_daemon_comes_to_too_late_is_not_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    control = FakeControl()
+    control = FakeDaemonApi()
     ours, theirs = socket.socketpair()
     reader, writer = await asyncio.open_connection(sock=ours)
-    asking = RemoteControl(reader, writer)
+    asking = DaemonProxy(reader, writer)
     hearing = asyncio.create_task(asking.run())
-    monkeypatch.setattr(remote, "COMMAND_S", 0.05)
+    monkeypatch.setattr(daemon_proxy, "COMMAND_S", 0.05)
     with pytest.raises(SlipguardError, match="did not answer"):
         await asking._ask("release", {"width_mm": None}, within_s=0.1)
     there, back = await asyncio.open_connection(sock=theirs)
     answering = asyncio.create_task(answer(control, there, back))
-    monkeypatch.setattr(remote, "COMMAND_S", -1.0)
+    monkeypatch.setattr(daemon_proxy, "COMMAND_S", -1.0)
     with pytest.raises(CommandRefused, match="release came to the daemon too late and is not done"):
         await asking.release()
-    monkeypatch.setattr(remote, "COMMAND_S", 60.0)
+    monkeypatch.setattr(daemon_proxy, "COMMAND_S", 60.0)
     assert await asking.clear() == "clear, as asked"
     assert control.asked == [("clear",)]
     for task in (hearing, answering):

@@ -10,7 +10,7 @@ from typing import Any
 
 import httpx
 import pytest
-from fake_daemon_api import TOKEN, FakeControl, served_on_tcp
+from fake_daemon_api import TOKEN, FakeDaemonApi, served_on_tcp
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
@@ -22,8 +22,8 @@ BEARER = {"authorization": f"Bearer {TOKEN}"}
 
 
 @pytest.fixture
-def control() -> FakeControl:
-    return FakeControl()
+def control() -> FakeDaemonApi:
+    return FakeDaemonApi()
 
 
 async def ask(port: int, method: str, path: str, headers: dict[str, str] | None = None, **more: Any) -> httpx.Response:
@@ -54,7 +54,7 @@ REFUSED = [
 ]
 
 
-async def test_commands_that_are_not_ours_change_nothing(control: FakeControl, tmp_path: Path) -> None:
+async def test_commands_that_are_not_ours_change_nothing(control: FakeDaemonApi, tmp_path: Path) -> None:
     commands = [("/release", {"confirm": True}), ("/page-link", None)]
     async with served_on_tcp(control, tmp_path) as (port, _):
         for headers, status in REFUSED:
@@ -68,7 +68,7 @@ async def test_commands_that_are_not_ours_change_nothing(control: FakeControl, t
     assert control.asked == []
 
 
-async def test_ours_are_done(control: FakeControl, tmp_path: Path) -> None:
+async def test_ours_are_done(control: FakeDaemonApi, tmp_path: Path) -> None:
     async with served_on_tcp(control, tmp_path) as (port, _):
         for host in (f"127.0.0.1:{port}", f"localhost:{port}"):
             for more in ({}, {"origin": f"http://{host}"}, {"sec-fetch-site": "same-origin"}):
@@ -81,7 +81,7 @@ READS = ("/state", "/healthz", "/access", "/picture/left", "/frame/left", "/metr
 
 
 @pytest.mark.parametrize("path", READS)
-async def test_what_only_tells_needs_no_token_but_our_name(path: str, control: FakeControl, tmp_path: Path) -> None:
+async def test_what_only_tells_needs_no_token_but_our_name(path: str, control: FakeDaemonApi, tmp_path: Path) -> None:
     async with served_on_tcp(control, tmp_path) as (port, _):
         assert (await ask(port, "GET", path)).status_code == 200
         for headers in (
@@ -93,7 +93,7 @@ async def test_what_only_tells_needs_no_token_but_our_name(path: str, control: F
             assert (await ask(port, "GET", path, headers)).status_code == 403, headers
 
 
-async def test_no_page_may_frame_or_embed_ours(control: FakeControl, tmp_path: Path) -> None:
+async def test_no_page_may_frame_or_embed_ours(control: FakeDaemonApi, tmp_path: Path) -> None:
     async with served_on_tcp(control, tmp_path) as (port, _):
         for path in ("/", "/picture/left", "/nowhere"):
             told = (await ask(port, "GET", path)).headers
@@ -103,7 +103,7 @@ async def test_no_page_may_frame_or_embed_ours(control: FakeControl, tmp_path: P
             assert told["x-content-type-options"] == "nosniff"
 
 
-async def test_a_link_gives_control_once_and_to_a_browser_of_ours(control: FakeControl, tmp_path: Path) -> None:
+async def test_a_link_gives_control_once_and_to_a_browser_of_ours(control: FakeDaemonApi, tmp_path: Path) -> None:
     async with served_on_tcp(control, tmp_path) as (port, access):
         url = (await ask(port, "POST", "/page-link", BEARER)).json()["url"]
         async with httpx.AsyncClient(trust_env=False) as browser:
@@ -183,7 +183,7 @@ def test_names_that_are_ours(listening: str, asked: str, ours: bool) -> None:
     assert (objection is None) is ours, objection
 
 
-async def test_two_hosts_are_none(control: FakeControl, tmp_path: Path) -> None:
+async def test_two_hosts_are_none(control: FakeDaemonApi, tmp_path: Path) -> None:
     async with served_on_tcp(control, tmp_path) as (port, _):
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         own = f"host: 127.0.0.1:{port}\r\n"
@@ -193,7 +193,7 @@ async def test_two_hosts_are_none(control: FakeControl, tmp_path: Path) -> None:
         await writer.wait_closed()
 
 
-async def test_a_foreign_page_gets_no_live_stream(control: FakeControl, tmp_path: Path) -> None:
+async def test_a_foreign_page_gets_no_live_stream(control: FakeDaemonApi, tmp_path: Path) -> None:
     async with served_on_tcp(control, tmp_path) as (port, _):
         url = f"ws://127.0.0.1:{port}/live"
         for foreign in ("http://evil.example", "null", "http://127.0.0.1:1"):

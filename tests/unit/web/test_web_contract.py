@@ -10,12 +10,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from fake_daemon_api import TOKEN, FakeControl, served_on_tcp
+from fake_daemon_api import TOKEN, FakeDaemonApi, served_on_tcp
 
 
 async def test_every_route_keeps_its_word(tmp_path: Path, pytestconfig: pytest.Config) -> None:
     """No server error; statuses, types, headers and bodies as described; bad requests refused; the token asked for."""
-    control = FakeControl()
+    control = FakeDaemonApi()
     async with served_on_tcp(control, tmp_path) as (port, _):
         trial = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "schemathesis.cli", "run", f"http://127.0.0.1:{port}/openapi.json"),

@@ -11,13 +11,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from fake_daemon_api import FakeControl
+from fake_daemon_api import FakeDaemonApi
 from hosted_api import hosted, web_process
 
 from slipguard.daemon.loop.event_log import Event
 from slipguard.tools.waiting import until
-from slipguard.web import daemon_endpoint as answering
-from slipguard.web import host
+from slipguard.web import daemon_endpoint, host
 from slipguard.web.daemon_endpoint import answer
 from slipguard.web.sockets import bind
 
@@ -31,7 +30,7 @@ async def test_garbage_and_a_process_that_cannot_be_started_end_nothing(
     speaking = tmp_path / "speaking"
     speaking.write_text(GARBAGE.format(sys.executable))
     speaking.chmod(0o755)
-    control = FakeControl()
+    control = FakeDaemonApi()
     monkeypatch.setattr(sys, "executable", str(speaking))
     async with hosted(control, tmp_path / "served") as served:
         await until(served.serving, lambda: len(served.warnings) == 1, 30.0, "no word of the garbage")
@@ -50,8 +49,8 @@ async def test_garbage_and_a_process_that_cannot_be_started_end_nothing(
 async def test_a_web_process_that_hangs_is_replaced_and_does_nothing_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(answering, "SILENT_S", 2.0)
-    control = FakeControl()
+    monkeypatch.setattr(daemon_endpoint, "SILENT_S", 2.0)
+    control = FakeDaemonApi()
     async with hosted(control, tmp_path) as served:
         with served.client() as client:
             await asyncio.to_thread(client.state)
@@ -93,12 +92,12 @@ async def test_who_was_well_for_long_is_replaced_after_the_first_pause(
     monkeypatch.setattr(host, "WELL_S", well_s)
     monkeypatch.setattr(host, "_until_it_ends", fails)
     with pytest.raises(asyncio.CancelledError):
-        await host.run_api(FakeControl(), bind(tmp_path / "s"), None, tmp_path / "token", lambda line: None)
+        await host.run_api(FakeDaemonApi(), bind(tmp_path / "s"), None, tmp_path / "token", lambda line: None)
     assert found == told
 
 
 async def test_an_event_that_cannot_be_told_harms_nobody() -> None:
-    control = FakeControl()
+    control = FakeDaemonApi()
     ours, theirs = socket.socketpair()
     reader, writer = await asyncio.open_connection(sock=ours)
     answers = asyncio.create_task(answer(control, reader, writer))

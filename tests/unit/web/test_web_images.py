@@ -10,17 +10,17 @@ import cv2
 import httpx
 import numpy as np
 import pytest
-from fake_daemon_api import FakeControl, served_on_tcp
+from fake_daemon_api import FakeDaemonApi, served_on_tcp
 from numpy.typing import NDArray
 
-from slipguard.daemon.api.daemon_api import Contact, View
+from slipguard.daemon.api.daemon_api import ContactOverlay, FingerFrame
 from slipguard.devices import Frame
 from slipguard.errors import CommandRefused
 from slipguard.perception.contact.patch import ClippedSides
 from slipguard.web import images as pictures_module
 from slipguard.web.app import make_app
-from slipguard.web.images import AXIS_BGR, OUTLINE_BGR, SKELETON_BGR, Pictures, draw
-from slipguard.web.route_context import Room
+from slipguard.web.images import AXIS_BGR, OUTLINE_BGR, SKELETON_BGR, FingerImages, draw
+from slipguard.web.route_context import RouteContext
 
 GREY = np.full((320, 240, 3), 90, np.uint8)
 
@@ -33,8 +33,8 @@ def bar(angle_deg: float) -> NDArray[np.uint8]:
     return mask
 
 
-def contact_of(mask: NDArray[np.uint8], axis_deg: float | None) -> Contact:
-    return Contact(mask, 30, 50, (160, 213), ClippedSides(), axis_deg)
+def contact_of(mask: NDArray[np.uint8], axis_deg: float | None) -> ContactOverlay:
+    return ContactOverlay(mask, 30, 50, (160, 213), ClippedSides(), axis_deg)
 
 
 def points(picture: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArray[np.float64]:
@@ -68,18 +68,18 @@ def test_without_an_axis_only_line_and_outline() -> None:
 
 def test_a_contact_at_the_very_edge_can_be_drawn() -> None:
     mask = np.ones((213, 160), np.uint8)
-    draw(GREY, Contact(mask, 0, 0, (160, 213), ClippedSides(True, True, True, True), 45.0))
+    draw(GREY, ContactOverlay(mask, 0, 0, (160, 213), ClippedSides(True, True, True, True), 45.0))
 
 
 async def test_drawn_once_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    control, drawn = FakeControl(), []
+    control, drawn = FakeDaemonApi(), []
 
-    def counting(view: View) -> bytes:
+    def counting(view: FingerFrame) -> bytes:
         drawn.append(view.frame.sequence)
         return b"jpeg"
 
     monkeypatch.setattr(pictures_module, "overlaid_jpeg_of", counting)
-    pictures = Pictures(control)
+    pictures = FingerImages(control)
     found = await asyncio.gather(*(pictures.drawn("left", overlay=True) for _ in range(50)))
     assert drawn == [1]
     assert {one.sequence for one in found} == {1}
@@ -94,7 +94,7 @@ async def test_drawn_once_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 async def test_over_http(tmp_path: Path) -> None:
-    control = FakeControl()
+    control = FakeDaemonApi()
     async with (
         served_on_tcp(control, tmp_path) as (port, _),
         httpx.AsyncClient(base_url=f"http://127.0.0.1:{port}", trust_env=False) as http,
@@ -117,15 +117,15 @@ async def test_over_http(tmp_path: Path) -> None:
 
 
 def test_a_view_without_contact_is_the_frame() -> None:
-    plain = pictures_module.overlaid_jpeg_of(View("D1", Frame(GREY, 0.0, 1)))
-    assert plain == pictures_module.jpeg_of(View("D1", Frame(GREY, 0.0, 1), contact_of(bar(0.0), 0.0)))
+    plain = pictures_module.overlaid_jpeg_of(FingerFrame("D1", Frame(GREY, 0.0, 1)))
+    assert plain == pictures_module.jpeg_of(FingerFrame("D1", Frame(GREY, 0.0, 1), contact_of(bar(0.0), 0.0)))
 
 
 async def test_many_who_look_at_what_is_stored_ask_the_daemon_as_one() -> None:
     at_once, most = 0, 0
     asked: Counter[str] = Counter()
 
-    class Counting(FakeControl):
+    class Counting(FakeDaemonApi):
         async def trouble(self) -> str | None:
             asked["trouble"] += 1
             return await super().trouble()
@@ -134,7 +134,7 @@ async def test_many_who_look_at_what_is_stored_ask_the_daemon_as_one() -> None:
             asked["no_contacts"] += 1
             return await super().no_contacts()
 
-        async def no_contact(self, finger: str, number: int | None = None) -> View:
+        async def no_contact(self, finger: str, number: int | None = None) -> FingerFrame:
             nonlocal at_once, most
             at_once += 1
             most = max(most, at_once)
@@ -142,7 +142,7 @@ async def test_many_who_look_at_what_is_stored_ask_the_daemon_as_one() -> None:
             at_once -= 1
             return await super().no_contact(finger, number)
 
-    room = Room(Counting())
+    room = RouteContext(Counting())
     transport = httpx.ASGITransport(make_app(room))
     async with httpx.AsyncClient(transport=transport, base_url="http://s") as http:
         paths = ["/healthz", "/no-contact", "/no-contact/left", "/no-contact/right?number=1"] * 5

@@ -9,14 +9,12 @@ from pathlib import Path
 
 import httpx
 import pytest
-from fake_daemon_api import FakeControl, served_on_tcp
+from fake_daemon_api import FakeDaemonApi, served_on_tcp
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
-from slipguard.web import commands, serve
-from slipguard.web import middleware as shield
-from slipguard.web import timeouts as patience
-from slipguard.web.middleware import Shield
+from slipguard.web import commands, middleware, serve, timeouts
+from slipguard.web.middleware import ApiMiddleware
 
 
 async def closed_after_s(port: int, *pieces: bytes, pause_s: float = 0.05) -> tuple[float, bytes]:
@@ -37,10 +35,10 @@ async def closed_after_s(port: int, *pieces: bytes, pause_s: float = 0.05) -> tu
 
 
 async def test_who_never_ends_a_request_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(patience, "REQUEST_S", 0.4)
+    monkeypatch.setattr(timeouts, "REQUEST_S", 0.4)
     monkeypatch.setattr(commands, "BODY_S", 0.4)
     monkeypatch.setattr(serve, "IDLE_S", 1)
-    async with served_on_tcp(FakeControl(), tmp_path) as (port, access):
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, access):
         silent = closed_after_s(port)
         drops = closed_after_s(port, *[b"x"] * 30)
         head = f"GET /access HTTP/1.1\r\nhost: 127.0.0.1:{port}\r\n".encode()
@@ -59,8 +57,8 @@ async def test_who_never_ends_a_request_is_not_waited_for(monkeypatch: pytest.Mo
 
 
 async def test_a_request_under_way_is_not_cut_off(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(patience, "REQUEST_S", 0.2)
-    control = FakeControl()
+    monkeypatch.setattr(timeouts, "REQUEST_S", 0.2)
+    control = FakeDaemonApi()
     control.delay_s = 0.6
     async with served_on_tcp(control, tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
         token = {"authorization": f"Bearer {access._token}"}
@@ -71,8 +69,8 @@ async def test_a_request_under_way_is_not_cut_off(monkeypatch: pytest.MonkeyPatc
 async def test_one_connection_too_many_ends_the_one_silent_for_longest(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(patience, "CONNECTIONS_MAX", 5)
-    async with served_on_tcp(FakeControl(), tmp_path) as (port, _), httpx.AsyncClient(trust_env=False) as http:
+    monkeypatch.setattr(timeouts, "CONNECTIONS_MAX", 5)
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, _), httpx.AsyncClient(trust_env=False) as http:
         held = []
         for _ in range(5):
             held.append(await asyncio.open_connection("127.0.0.1", port))
@@ -93,8 +91,8 @@ async def test_one_connection_too_many_ends_the_one_silent_for_longest(
 async def test_too_many_connections_that_are_being_answered_are_told_so(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(patience, "CONNECTIONS_MAX", 1)
-    control = FakeControl()
+    monkeypatch.setattr(timeouts, "CONNECTIONS_MAX", 1)
+    control = FakeDaemonApi()
     control.delay_s = 3.0
     async with served_on_tcp(control, tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
         token = {"authorization": f"Bearer {access._token}"}
@@ -110,9 +108,9 @@ async def test_too_many_connections_that_are_being_answered_are_told_so(
 
 
 async def test_whoever_may_command_finds_a_place_among_strangers(tmp_path: Path) -> None:
-    async with served_on_tcp(FakeControl(), tmp_path) as (port, access), contextlib.AsyncExitStack() as stack:
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, access), contextlib.AsyncExitStack() as stack:
         live = f"ws://127.0.0.1:{port}/live"
-        for _ in range(shield.STRANGE_STREAMS_MAX):
+        for _ in range(middleware.STRANGE_STREAMS_MAX):
             await stack.enter_async_context(connect(live))
         with pytest.raises(InvalidStatus, match="503"):
             await stack.enter_async_context(connect(live))
@@ -130,12 +128,12 @@ async def test_strangers_take_no_more_than_their_places() -> None:
     async def app(scope: object, receive: object, send: object) -> None:
         await done.wait()
 
-    guarded = Shield(app, lambda headers: "authorization" in headers)  # type: ignore[arg-type]
+    guarded = ApiMiddleware(app, lambda headers: "authorization" in headers)  # type: ignore[arg-type]
     async with httpx.AsyncClient(transport=httpx.ASGITransport(guarded), base_url="http://s") as http:  # type: ignore[arg-type]
         scope = {"type": "http", "headers": []}
         under_way = [
             asyncio.create_task(guarded(scope, None, None))  # type: ignore[arg-type]
-            for _ in range(shield.STRANGERS_MAX)
+            for _ in range(middleware.STRANGERS_MAX)
         ]
         await asyncio.sleep(0)
         assert (await http.get("/state")).status_code == 503
@@ -154,7 +152,7 @@ async def test_too_many_at_once_are_told_so() -> None:
         full.set()
         await done.wait()
 
-    guarded = Shield(app, clients_max=1)  # type: ignore[arg-type]
+    guarded = ApiMiddleware(app, clients_max=1)  # type: ignore[arg-type]
     first = asyncio.create_task(guarded({"type": "http"}, None, None))  # type: ignore[arg-type, dict-item]
     await full.wait()
     async with httpx.AsyncClient(transport=httpx.ASGITransport(guarded), base_url="http://s") as http:  # type: ignore[arg-type]
@@ -168,5 +166,5 @@ async def test_too_many_at_once_are_told_so() -> None:
     async def send(message: dict[str, object]) -> None:
         said.append(message)
 
-    await Shield(app, clients_max=0)({"type": "websocket"}, None, send)  # type: ignore[arg-type, dict-item]
+    await ApiMiddleware(app, clients_max=0)({"type": "websocket"}, None, send)  # type: ignore[arg-type, dict-item]
     assert said == [{"type": "websocket.close", "code": 1008, "reason": "0 clients are being answered already"}]

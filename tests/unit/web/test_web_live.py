@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import structlog
-from fake_daemon_api import FakeControl, served_on_tcp
+from fake_daemon_api import FakeDaemonApi, served_on_tcp
 from starlette.websockets import WebSocketDisconnect
 from structlog.testing import capture_logs
 from websockets.asyncio.client import connect
@@ -18,8 +18,8 @@ from slipguard.daemon.loop.event_log import KEPT, Event
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.errors import SlipguardError
 from slipguard.web import live as live_module
-from slipguard.web.daemon_proxy import Mistake
-from slipguard.web.live import HISTORY, Live
+from slipguard.web.daemon_proxy import DaemonInternalError
+from slipguard.web.live import HISTORY, LiveStream
 
 
 class Client:
@@ -47,11 +47,11 @@ class Client:
         return [message for message in self.got if message["type"] == kind]
 
 
-def played(control: FakeControl, scene: Any) -> None:
+def played(control: FakeDaemonApi, scene: Any) -> None:
     """Run a scene with the stream on, on a virtual clock."""
 
     async def main() -> None:
-        live = Live(control.state)
+        live = LiveStream(control.state)
         control.listen(live.hear)
         running = asyncio.create_task(live.run())
         try:
@@ -64,10 +64,10 @@ def played(control: FakeControl, scene: Any) -> None:
 
 
 def test_history_then_events_then_states_at_ten_a_second() -> None:
-    control = FakeControl()
+    control = FakeDaemonApi()
     client = Client()
 
-    async def scene(live: Live) -> None:
+    async def scene(live: LiveStream) -> None:
         await asyncio.sleep(90.05)
         serving = asyncio.create_task(live.serve(client))  # type: ignore[arg-type]
         await asyncio.sleep(1.0)
@@ -96,7 +96,7 @@ def test_a_slow_client_loses_messages_and_delays_nobody(monkeypatch: pytest.Monk
     slow, quick = Client(), Client()
     monkeypatch.setattr(live_module, "SEND_S", 60.0)
 
-    async def scene(live: Live) -> None:
+    async def scene(live: LiveStream) -> None:
         serving = [asyncio.create_task(live.serve(one)) for one in (slow, quick)]  # type: ignore[arg-type]
         await asyncio.sleep(0.05)
         slow.taking.clear()
@@ -109,7 +109,7 @@ def test_a_slow_client_loses_messages_and_delays_nobody(monkeypatch: pytest.Monk
             one.gone.set()
         await asyncio.gather(*serving)
 
-    played(FakeControl(), scene)
+    played(FakeDaemonApi(), scene)
     assert len(quick.told("state")) == 3 * KEPT
     assert len(quick.told("event")) == 1 + 3 * KEPT
     assert len(slow.told("state")) <= 3
@@ -121,21 +121,21 @@ def test_a_slow_client_loses_messages_and_delays_nobody(monkeypatch: pytest.Monk
 def test_a_client_that_takes_nothing_is_dropped() -> None:
     stuck = Client()
 
-    async def scene(live: Live) -> None:
+    async def scene(live: LiveStream) -> None:
         stuck.taking.clear()
         await live.serve(stuck)  # type: ignore[arg-type]
         assert not live._listeners
 
-    played(FakeControl(), scene)
+    played(FakeDaemonApi(), scene)
     assert stuck.got == []
 
 
 def test_the_daemon_is_asked_once_for_all_and_may_fail() -> None:
-    control = FakeControl()
+    control = FakeDaemonApi()
     clients = [Client() for _ in range(20)]
     asked: list[int] = []
 
-    async def scene(live: Live) -> None:
+    async def scene(live: LiveStream) -> None:
         serving = [asyncio.create_task(live.serve(one)) for one in clients]  # type: ignore[arg-type]
         await asyncio.sleep(1.05)
         asked.append(control.looked)
@@ -147,7 +147,7 @@ def test_the_daemon_is_asked_once_for_all_and_may_fail() -> None:
     assert asked == [10]
     assert all(len(one.told("state")) == 10 for one in clients)
 
-    class Silent(FakeControl):
+    class Silent(FakeDaemonApi):
         async def state(self) -> bytes:
             self.looked += 1
             if self.looked < 5:
@@ -156,7 +156,7 @@ def test_the_daemon_is_asked_once_for_all_and_may_fail() -> None:
 
     patient = Client()
 
-    async def silence(live: Live) -> None:
+    async def silence(live: LiveStream) -> None:
         serving = asyncio.create_task(live.serve(patient))  # type: ignore[arg-type]
         await asyncio.sleep(1.05)
         patient.gone.set()
@@ -167,16 +167,16 @@ def test_the_daemon_is_asked_once_for_all_and_may_fail() -> None:
 
 
 def test_a_mistake_in_one_state_ends_nothing_and_is_said_once() -> None:
-    class Mistaken(FakeControl):
+    class Mistaken(FakeDaemonApi):
         async def state(self) -> bytes:
             self.looked += 1
             if self.looked < 3:
-                raise Mistake("KeyError in the daemon")
+                raise DaemonInternalError("KeyError in the daemon")
             return b"[]" if self.looked == 3 else json.dumps(self.snapshot()).encode()
 
     client = Client()
 
-    async def scene(live: Live) -> None:
+    async def scene(live: LiveStream) -> None:
         serving = asyncio.create_task(live.serve(client))  # type: ignore[arg-type]
         await asyncio.sleep(1.05)
         client.gone.set()
@@ -190,7 +190,7 @@ def test_a_mistake_in_one_state_ends_nothing_and_is_said_once() -> None:
 
 
 async def test_over_a_real_socket_and_what_clients_say_is_not_listened_to(tmp_path: Path) -> None:
-    control = FakeControl()
+    control = FakeDaemonApi()
     async with served_on_tcp(control, tmp_path) as (port, _), connect(f"ws://127.0.0.1:{port}/live") as socket:
         kinds = [json.loads(await socket.recv())["type"] for _ in range(4)]
         assert kinds == ["history", "event", "state", "state"]

@@ -12,21 +12,27 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
-from fake_daemon_api import FakeControl
+from fake_daemon_api import FakeDaemonApi
 from hosted_api import free_port, hosted, web_process
 
-from slipguard.daemon.api.client import Client, OverTcp
-from slipguard.daemon.api.daemon_api import Contact, View
+from slipguard.daemon.api.client import Client, TcpAddress
+from slipguard.daemon.api.daemon_api import ContactOverlay, FingerFrame
 from slipguard.devices import Frame
 from slipguard.errors import CommandRefused, DeviceTimeout, SlipguardError
 from slipguard.perception.contact.patch import ClippedSides
 from slipguard.web.host import run_api
-from slipguard.web.protocol import MESSAGE_MAX_BYTES, packed, receive, view_packed, view_unpacked
+from slipguard.web.protocol import (
+    MESSAGE_MAX_BYTES,
+    decode_finger_frame,
+    encode_finger_frame,
+    encode_message,
+    read_message,
+)
 from slipguard.web.sockets import bind, bind_tcp
 
 
 async def test_everything_goes_through_and_failures_keep_their_words(tmp_path: Path) -> None:
-    control = FakeControl()
+    control = FakeDaemonApi()
     async with hosted(control, tmp_path) as host:
         with host.client() as client:
             assert await asyncio.to_thread(client.state) == control.snapshot()
@@ -48,14 +54,14 @@ async def test_everything_goes_through_and_failures_keep_their_words(tmp_path: P
         with host.over_tcp() as client:
             assert await asyncio.to_thread(client.clear) == {"said": "clear, as asked"}
             assert (await asyncio.to_thread(client.page_link))["url"].startswith(f"{host.url}/login?token=")
-        with Client(OverTcp(host.url)) as client, pytest.raises(SlipguardError, match="needs the token"):
+        with Client(TcpAddress(host.url)) as client, pytest.raises(SlipguardError, match="needs the token"):
             await asyncio.to_thread(client.release)
     assert [asked[0] for asked in control.asked] == ["lift", "calibrate", "lift", "grasp", "grasp", "clear"]
     assert host.warnings == []
 
 
 async def test_a_killed_web_process_is_replaced_and_nobody_is_turned_away(tmp_path: Path) -> None:
-    control = FakeControl()
+    control = FakeDaemonApi()
     async with hosted(control, tmp_path) as host:
         with host.client() as client:
             await asyncio.to_thread(client.state)
@@ -68,7 +74,7 @@ async def test_a_killed_web_process_is_replaced_and_nobody_is_turned_away(tmp_pa
 
 
 async def test_stopping_finishes_what_was_asked(tmp_path: Path) -> None:
-    control = FakeControl()
+    control = FakeDaemonApi()
     control.delay_s = 0.3
     with Client(tmp_path / "s", timeout_s=20.0) as client:
         async with hosted(control, tmp_path):
@@ -78,7 +84,7 @@ async def test_stopping_finishes_what_was_asked(tmp_path: Path) -> None:
 
 
 async def test_a_taken_port_is_done_without(tmp_path: Path) -> None:
-    control = FakeControl()
+    control = FakeDaemonApi()
     (tmp_path / "own").mkdir()
     with closing(bind_tcp("127.0.0.1", 0)) as taken:
         port = int(taken.getsockname()[1])
@@ -100,7 +106,7 @@ async def test_an_open_port_is_warned_of(tmp_path: Path) -> None:
     port = free_port()
     warnings: list[str] = []
     serving = asyncio.create_task(
-        run_api(FakeControl(), bind(tmp_path / "s"), ("0.0.0.0", port), tmp_path / "token", warnings.append)
+        run_api(FakeDaemonApi(), bind(tmp_path / "s"), ("0.0.0.0", port), tmp_path / "token", warnings.append)
     )
     async with httpx.AsyncClient(trust_env=False, timeout=20.0) as http:
         assert (await http.get(f"http://127.0.0.1:{port}/access")).status_code == 200
@@ -121,7 +127,7 @@ async def test_a_daemon_that_is_gone_is_followed(tmp_path: Path) -> None:
     )
     theirs.close()
     first = {"unix_fd": unix.listening.fileno(), "tcp_fd": None, "host": None, "port": None, "token": None}
-    ours.sendall(b"".join(packed(first)))
+    ours.sendall(b"".join(encode_message(first)))
     await asyncio.to_thread(ours.recv, 1)  # it asks for the state, so it serves
     ours.close()
     unix.listening.close()
@@ -141,26 +147,26 @@ async def test_messages_that_are_none() -> None:
         reader.feed_data(sent)
         reader.feed_eof()
         with pytest.raises(SlipguardError, match=why):
-            await receive(reader)
+            await read_message(reader)
     cut = asyncio.StreamReader()
-    cut.feed_data(b"".join(packed({"a": 1}))[:-1])
+    cut.feed_data(b"".join(encode_message({"a": 1}))[:-1])
     cut.feed_eof()
-    assert await receive(cut) is None
+    assert await read_message(cut) is None
 
 
 @pytest.mark.parametrize("axis_deg", [None, -12.5])
 def test_a_view_arrives_as_it_was(axis_deg: float | None) -> None:
     rng = np.random.default_rng(3)
     mask = rng.integers(0, 2, (31, 47), np.uint8)
-    contact = Contact(mask, 5, 7, (160, 213), ClippedSides(left=True), axis_deg)
-    view = View("D20001", Frame(rng.integers(0, 256, (320, 240, 3), np.uint8), 12.25, 99), contact)
-    told, pixels = view_packed(view)
-    found = view_unpacked(told, b"".join(pixels))
+    contact = ContactOverlay(mask, 5, 7, (160, 213), ClippedSides(left=True), axis_deg)
+    view = FingerFrame("D20001", Frame(rng.integers(0, 256, (320, 240, 3), np.uint8), 12.25, 99), contact)
+    told, pixels = encode_finger_frame(view)
+    found = decode_finger_frame(told, b"".join(pixels))
     assert np.array_equal(found.frame.image, view.frame.image)
     assert (found.serial, found.frame.sequence, found.frame.captured_at_s) == ("D20001", 99, 12.25)
     assert found.contact is not None
     assert np.array_equal(found.contact.mask, mask)
     assert (found.contact.left_px, found.contact.top_px, found.contact.picture_size) == (5, 7, (160, 213))
     assert (found.contact.clipped, found.contact.axis_deg) == (contact.clipped, axis_deg)
-    told, pixels = view_packed(View("D20001", view.frame))
-    assert view_unpacked(told, b"".join(pixels)).contact is None
+    told, pixels = encode_finger_frame(FingerFrame("D20001", view.frame))
+    assert decode_finger_frame(told, b"".join(pixels)).contact is None
