@@ -34,7 +34,7 @@ def add_page(app: FastAPI, room: RouteContext) -> None:
         cookie = room.access.redeem(token) if room.access is not None else None
         if room.access is None or cookie is None:
             if "text/html" in request.headers.get("accept", ""):
-                return FileResponse(PAGE / "used.html", status_code=401)
+                return FileResponse(PAGE / "link_used.html", status_code=401)
             return error(401, "this link was used, or is too old; `slipguard ctl page` makes another")
         answer = RedirectResponse(f"/#session={room.access.session}", status_code=303)  # a fragment is sent nowhere
         answer.set_cookie(COOKIE, cookie, httponly=True, samesite="strict", path="/")

@@ -22,7 +22,7 @@ KINDS = {
     "grasp": RequestKind.GRASP, "lift": RequestKind.LIFT, "lower": RequestKind.LOWER, "clear": RequestKind.CLEAR,
 }  # fmt: skip
 ASK = """async (cases) => {
-  const { guards, hindrance } = await import("/page/may.js");
+  const { guards, hindrance } = await import("/page/permissions.js");
   const names = ["grasp", "lift", "lower", "clear", "guard", "release"];
   return cases.map((state) => {
     const view = { live: true, control: true, state };
