@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 
-def heed_cancel() -> None:
+def raise_if_cancelled() -> None:
     """Raise CancelledError where this task was cancelled and whatever it awaited has swallowed that.
 
     For loops that go on whatever a driver or a library raises. Until Python 3.12 `asyncio.wait_for`, which pymodbus

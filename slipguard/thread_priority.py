@@ -16,7 +16,7 @@ FIRST, SECOND = 2, 1
 pause. The two lowest there are: before everything that has none, and behind what the kernel itself needs."""
 
 
-def go_first() -> None:
+def set_realtime_priority() -> None:
     """Real-time priority as in the service: for this thread, and those it will start. Raises SlipguardError."""
     try:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(FIRST))
@@ -25,14 +25,14 @@ def go_first() -> None:
         raise SlipguardError(f"{why}; run it as root, or allow it with `ulimit -r {FIRST}`") from None
 
 
-def let_the_loop_first() -> None:
+def set_worker_priority() -> None:
     """This thread, and those it will start, come behind the loop from now on; without real-time priority none does."""
     with contextlib.suppress(OSError):
         if os.sched_getscheduler(0) == os.SCHED_RR:
             os.sched_setparam(0, os.sched_param(SECOND))  # no other call is allowed to the service
 
 
-def stand_back(niceness: int) -> None:
+def set_batch_priority(niceness: int) -> None:
     """Give way from now on: this thread, and the threads and processes it will start, on Linux.
 
     niceness: 0 ... 19, among those that give way. A system that forbids even that leaves it as it is.

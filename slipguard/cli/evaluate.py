@@ -220,7 +220,7 @@ def _on_cell(
     from slipguard.config import read_config
     from slipguard.daemon.api.paths import socket_path
     from slipguard.daemon.run import build_service
-    from slipguard.daemon.store.last_grasp import GraspKeeper
+    from slipguard.daemon.store.last_grasp import LastGraspSaver
     from slipguard.daemon.store.state_dir import StateDir
     from slipguard.evaluation.external_camera import Camera
     from slipguard.evaluation.intrinsics import read_intrinsics
@@ -231,7 +231,7 @@ def _on_cell(
     settings = read_config(config)
     service, lens = build_service(settings), read_intrinsics(intrinsics)
     service.observers.append(
-        GraspKeeper(StateDir(settings.state.directory), service.journal.say, service.journal.warn).decided
+        LastGraspSaver(StateDir(settings.state.directory), service.event_log.say, service.event_log.warn).decided
     )
     with in_the_daemons_place(socket_path(settings)):
         external = nullcontext() if camera is None else Camera(camera, lens)

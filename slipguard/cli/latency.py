@@ -9,7 +9,7 @@ import typer
 
 from slipguard.cli.interrupt import left_to_the_loop
 from slipguard.cli.progress import progress_bar
-from slipguard.thread_priority import go_first
+from slipguard.thread_priority import set_realtime_priority
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -44,7 +44,7 @@ def latency(
 
     log.configure(level=logging.CRITICAL)
     if as_service:
-        go_first()
+        set_realtime_priority()
     with progress_bar("latency") as show, left_to_the_loop():
         found = asyncio.run(measure(Options(commands=commands, baud=baud, fps=int(fps)), show))
     if json:

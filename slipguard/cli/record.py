@@ -124,7 +124,7 @@ def _backgrounds(serials: list[str], given: Path | None, settings: Config | None
     store = StateDir(settings.state.directory if settings is not None else None)
     found = {}
     for serial in serials:
-        known = store.load_no_contact(serial)
+        known = store.load_background(serial)
         if known is None:
             raise InputError(
                 f"{store.path} holds no no-contact image of {serial}; jaws open and empty: `slipguard calibrate`, "

@@ -21,17 +21,17 @@ from slipguard.config import GROUP_OF, Config
 from slipguard.control.guard import tick
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.paths import socket_path, token_path
-from slipguard.daemon.loop.finger import Perceiver
-from slipguard.daemon.loop.gel_monitor import GelWatch
+from slipguard.daemon.loop.finger import PerceptionPipeline
+from slipguard.daemon.loop.gel_monitor import GelMonitor
 from slipguard.daemon.loop.service import FINGERS, Law, Service
 from slipguard.daemon.loop.worker import ThreadWorker, Worker
 from slipguard.daemon.reload import Reloader
-from slipguard.daemon.shutdown import Ending
-from slipguard.daemon.store.calibration import NoContact
-from slipguard.daemon.store.last_grasp import GraspKeeper, remembered
-from slipguard.daemon.store.last_reference import ReferenceKeeper, recall
+from slipguard.daemon.shutdown import Shutdown
+from slipguard.daemon.store.calibration import BackgroundImage
+from slipguard.daemon.store.last_grasp import LastGraspSaver, remembered
+from slipguard.daemon.store.last_reference import ReferenceSaver, recall
 from slipguard.daemon.store.recording import make_recorder, record
-from slipguard.daemon.store.reference_store import REFERENCES, ReferenceShelf
+from slipguard.daemon.store.reference_store import REFERENCES, ReferenceStore
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import DriverContext
 from slipguard.errors import DeviceTimeout, InputError
@@ -40,7 +40,7 @@ from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.stored_reference import RecallingPipeline
 from slipguard.recording.recorder import Recorder
 from slipguard.registry import load_driver
-from slipguard.thread_priority import let_the_loop_first
+from slipguard.thread_priority import set_worker_priority
 from slipguard.web.host import run_api
 from slipguard.web.sockets import bind
 
@@ -61,7 +61,7 @@ def build_service(
     world: object | None = None,
     make_worker: Callable[[str], Worker] = ThreadWorker,
     law: Law = tick,
-    around: Callable[[str, Pipeline], Perceiver] = lambda finger, pipeline: pipeline,
+    around: Callable[[str, Pipeline], PerceptionPipeline] = lambda finger, pipeline: pipeline,
 ) -> Service:
     """Build all devices and the guard around them; touches no hardware.
 
@@ -72,19 +72,19 @@ def build_service(
     cv2.setNumThreads(1)
     sys.setswitchinterval(SWITCH_S)
     state_dir = StateDir(config.state.directory)
-    references = ReferenceShelf(state_dir.path / REFERENCES)
+    references = ReferenceStore(state_dir.path / REFERENCES)
 
     def device(name: str) -> Any:
         section = getattr(config, name)
         driver = load_driver(GROUP_OF[name], section.driver)
         return driver(section.settings, DriverContext(name=name, world=world, mode=config.guard.mode))
 
-    def pipeline_maker(name: str) -> Callable[[str], Perceiver]:
+    def pipeline_maker(name: str) -> Callable[[str], PerceptionPipeline]:
         section = getattr(config, name)
         segmenter = Segmenter(config.perception.model)
 
-        def make(serial: str) -> Perceiver:
-            known = _no_contact(state_dir, serial)
+        def make(serial: str) -> PerceptionPipeline:
+            known = _stored_background(state_dir, serial)
             pipeline = RecallingPipeline(
                 segmenter,
                 config.perception,
@@ -112,10 +112,10 @@ def build_service(
     )
 
 
-def _no_contact(store: StateDir, serial: str) -> NoContact | None:
+def _stored_background(store: StateDir, serial: str) -> BackgroundImage | None:
     """The unit's image; a damaged one counts as none, so that the sensor runs and can be calibrated anew."""
     try:
-        return store.load_no_contact(serial)
+        return store.load_background(serial)
     except InputError as error:
         log.error("no-contact image", why=str(error))
         return None
@@ -137,16 +137,18 @@ async def run(
     """
     service = build(config, world=world)
     kept = StateDir(config.state.directory)
-    service.observers.append(GraspKeeper(kept, service.journal.say, service.journal.warn).decided)
-    shelf = ReferenceShelf(kept.path / REFERENCES)
-    service.observers.append(ReferenceKeeper(shelf, service.fingers, service.journal.say, service.journal.warn).decided)
+    service.observers.append(LastGraspSaver(kept, service.event_log.say, service.event_log.warn).decided)
+    shelf = ReferenceStore(kept.path / REFERENCES)
+    service.observers.append(
+        ReferenceSaver(shelf, service.fingers, service.event_log.say, service.event_log.warn).decided
+    )
     desk = RequestHandlers(service)
     path = socket_path(config)
     unix = bind(path)  # before any device is opened: a second daemon must not touch what the first one owns
     log.info("slipguard starts", version=__version__, mode=config.guard.mode, socket=str(path))
     stop, hung_up, changed = asyncio.Event(), asyncio.Event(), asyncio.Event()
-    loop, ending = asyncio.get_running_loop(), Ending()
-    loop.set_default_executor(ThreadPoolExecutor(thread_name_prefix="slipguard", initializer=let_the_loop_first))
+    loop, ending = asyncio.get_running_loop(), Shutdown()
+    loop.set_default_executor(ThreadPoolExecutor(thread_name_prefix="slipguard", initializer=set_worker_priority))
     handlers = {signal.SIGINT: stop.set, signal.SIGTERM: stop.set}
     if reread is not None:
         handlers[signal.SIGHUP] = hung_up.set
@@ -164,10 +166,10 @@ async def run(
         async with asyncio.TaskGroup() as group:
             group.create_task(service.run(), name="service")
             group.create_task(
-                run_api(desk, unix, config.api.address, token_path(config), service.journal.warn), name="api"
+                run_api(desk, unix, config.api.address, token_path(config), service.event_log.warn), name="api"
             )
             group.create_task(until_stopped(), name="signals")
-            group.create_task(GelWatch(service).run(), name="gels")
+            group.create_task(GelMonitor(service).run(), name="gels")
             group.create_task(_recordings(service, desk.noting(recorder), changed), name="recorder")
             if reread is not None:
                 reloader = Reloader(service, reread, changed.set)

@@ -19,7 +19,7 @@ LEAVE_S = 8.0
 log = structlog.get_logger()
 
 
-class Ending:
+class Shutdown:
     """Made in the task that waits for all others. leave: ends the process on the spot, with its exit status."""
 
     def __init__(self, leave: Callable[[int], None] = os._exit) -> None:

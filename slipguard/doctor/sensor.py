@@ -147,9 +147,9 @@ def no_contact(serial: str, store: StateDir, now: datetime) -> Finding:
     """The stored picture of the untouched gel, without which nothing is grasped."""
     again = "jaws open and empty: `slipguard calibrate`"
     try:
-        taken_at = store.no_contact_created_at(serial)
+        taken_at = store.background_created_at(serial)
         if taken_at is not None:
-            store.load_no_contact(serial)
+            store.load_background(serial)
     except InputError as error:
         return wrong("no-contact image", str(error), again)
     if taken_at is None:

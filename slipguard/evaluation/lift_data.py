@@ -17,7 +17,7 @@ from slipguard.errors import InputError
 from slipguard.evaluation.intrinsics import Intrinsics
 from slipguard.evaluation.lift_file import INTRINSICS_ATTACHMENT, LIFT_ATTACHMENT
 from slipguard.recording import messages as m
-from slipguard.recording.reader import Picture, Recording, open_recording
+from slipguard.recording.reader import Recording, StoredImage, open_recording
 
 
 class About(BaseModel):
@@ -42,15 +42,15 @@ class TimedPicture:
     """A compressed picture and its time stamp."""
 
     time_s: float
-    picture: Picture
+    picture: StoredImage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedPicture:
     """A frame of a finger with what was made of it; the picture is None where none was recorded."""
 
-    judged: m.Judged
-    picture: Picture | None
+    judged: m.FrameRecord
+    picture: StoredImage | None
 
 
 @dataclass(slots=True, eq=False)
@@ -70,7 +70,7 @@ class LiftData:
     """Turns of the loop while the object was held that had no turn to go by."""
     held: int = 0
     phases: list[tuple[float, str]] = field(default_factory=list)
-    truth: list[m.Truth] = field(default_factory=list)
+    truth: list[m.TruthRecord] = field(default_factory=list)
 
     def phase_began_s(self, name: str) -> float | None:
         """When a phase was entered first."""
@@ -90,19 +90,19 @@ def read_lift(path: Path) -> LiftData:
     recording = open_recording(path)
     data = LiftData(path, _about(recording), _intrinsics(recording), recording)
     offset_s: float | None = None
-    pending: dict[str, Picture] = {}
-    timed: list[tuple[list[TimedPicture], int, Picture]] = []
+    pending: dict[str, StoredImage] = {}
+    timed: list[tuple[list[TimedPicture], int, StoredImage]] = []
     for item in recording.items():
         value = item.value
-        if isinstance(value, m.Tick):
+        if isinstance(value, m.CycleRecord):
             offset_s = 1e-9 * item.at_ns - value.now_s
             _take_tick(data, value)
-        elif isinstance(value, m.Truth):
+        elif isinstance(value, m.TruthRecord):
             data.truth.append(value)
-        elif isinstance(value, m.Judged):
+        elif isinstance(value, m.FrameRecord):
             finger = item.topic.split("/")[1]
             data.fingers[finger].append(JudgedPicture(value, pending.pop(finger, None)))
-        elif isinstance(value, Picture):
+        elif isinstance(value, StoredImage):
             home = _home(data, item.topic)
             if home is None:
                 pending[value.source] = value
@@ -130,7 +130,7 @@ def _home(data: LiftData, topic: str) -> list[TimedPicture] | None:
     return None
 
 
-def _take_tick(data: LiftData, tick: m.Tick) -> None:
+def _take_tick(data: LiftData, tick: m.CycleRecord) -> None:
     if not data.phases or data.phases[-1][1] != tick.phase:
         data.phases.append((tick.now_s, tick.phase))
     if tick.phase not in HELD or tick.phase == "reference":

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.store.recording import Watcher, header
+from slipguard.daemon.store.recording import RecordingObserver, header
 from slipguard.errors import SlipguardError
 from slipguard.evaluation.intrinsics import Intrinsics
 from slipguard.evaluation.protocol import Lift, Protocol
 from slipguard.recording import messages as m
-from slipguard.recording.recorder import RecorderSettings, Rotation, Said, Seen, write_seen
-from slipguard.recording.writer import Clock, Header, RecordingFile
+from slipguard.recording.recorder import RecordedCycle, RecordedFrame, RecordedMessage, RecorderSettings, write_frame
+from slipguard.recording.writer import RecordingClock, RecordingFile, RecordingHeader
 
 CAMERA_QUALITY = 88
 FINGERS = RecorderSettings("jpeg", 95)
@@ -68,10 +68,10 @@ class LiftFile:
         self._file: RecordingFile | None = None
         self._broken: OSError | None = None
         self._part = path.with_name(path.name + PART)
-        self._clock = Clock(time.time_ns(), asyncio.get_running_loop().time())
-        self._watcher = Watcher(self)
+        self._clock = RecordingClock(time.time_ns(), asyncio.get_running_loop().time())
+        self._watcher = RecordingObserver(self)
         self._judges = {
-            name: (lambda judgement, name=name: self._watcher.judged(name, judgement)) for name in service.fingers
+            name: (lambda processed, name=name: self._watcher.judged(name, processed)) for name in service.fingers
         }
 
     takes_pictures = True
@@ -106,18 +106,18 @@ class LiftFile:
             why = self._broken.strerror or self._broken
             raise SlipguardError(f"{self._path}: not recorded ({why}); make room, then start again")
 
-    def hand(self, value: Seen | Rotation | Said) -> None:
+    def hand(self, value: RecordedFrame | RecordedCycle | RecordedMessage) -> None:
         """Write what the daemon tells."""
-        if isinstance(value, Rotation):
+        if isinstance(value, RecordedCycle):
             self._write(lambda file: file.tick(value.tick), first=value)
-        elif isinstance(value, Seen):
-            self._write(lambda file: write_seen(file, value, FINGERS))
+        elif isinstance(value, RecordedFrame):
+            self._write(lambda file: write_frame(file, value, FINGERS))
 
     def camera(self, at_s: float, encoded: bytes) -> None:
         """A picture of the external camera, as JPEG; at_s: its time stamp on the loop's clock."""
         self._write(lambda file: file.image(m.CAMERA, at_s, encoded, "jpeg"))
 
-    def truth(self, truth: m.Truth) -> None:
+    def truth(self, truth: m.TruthRecord) -> None:
         """What a simulated world knows."""
         self._write(lambda file: file.truth(truth))
 
@@ -126,7 +126,7 @@ class LiftFile:
         png = cv2.imencode(".png", mask * np.uint8(255))[1].tobytes()
         self._write(lambda file: file.true_mask(finger, at_s, png))
 
-    def _write(self, what: Callable[[RecordingFile], None], first: Rotation | None = None) -> None:
+    def _write(self, what: Callable[[RecordingFile], None], first: RecordedCycle | None = None) -> None:
         """Nothing before the file has begun, which the first turn of the loop does, nor after its disk has failed."""
         if self._broken is not None:
             return
@@ -138,9 +138,9 @@ class LiftFile:
         except OSError as error:
             self._broken = error
 
-    def _begin(self, first: Rotation) -> RecordingFile:
+    def _begin(self, first: RecordedCycle) -> RecordingFile:
         plain = header(self._service)
-        about = Header(plain.facts, {**plain.attachments, **self._attachments})
+        about = RecordingHeader(plain.facts, {**plain.attachments, **self._attachments})
         return RecordingFile(self._part, self._clock, about, first.memory, first.tick.now_s)
 
 

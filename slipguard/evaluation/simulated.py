@@ -166,7 +166,7 @@ async def _film(file: LiftFile, world: World, studio: Studio, lag_s: float, sign
     at_s = loop.time()
     while True:
         truth = world.truth(at_s)
-        file.truth(m.Truth(at_s, truth.rotation_deg, truth.height_mm))
+        file.truth(m.TruthRecord(at_s, truth.rotation_deg, truth.height_mm))
         scene = Scene(sign * truth.rotation_deg, truth.height_mm, truth.slide_mm)
         file.camera(at_s + lag_s, encoded(studio.draw(scene)))
         at_s += 1.0 / CAMERA_FPS

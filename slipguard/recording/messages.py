@@ -38,7 +38,7 @@ CONFIG_ATTACHMENT = "config.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class FrameRecord:
     """One frame that a finger's pipeline was given.
 
     new_reference: the pipeline forgot its reference just before. new_pipeline: it was built anew (another unit, or a
@@ -54,7 +54,7 @@ class Judged:
 
 
 @dataclass(frozen=True, slots=True)
-class Tick:
+class CycleRecord:
     """One turn of the loop: what the law was told and what it commanded.
 
     left_sequence, right_sequence: the frame whose estimate spoke for the finger; None where none was fresh.
@@ -69,7 +69,7 @@ class Tick:
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class TruthRecord:
     """What a simulated world knows. rotation_deg: since the grasp, in the left picture's sign."""
 
     now_s: float
@@ -105,12 +105,12 @@ class Json(Generic[T]):
             raise InputError(f"no {self.name}: {first_complaint(error)}") from None
 
 
-JUDGED = Json(Judged)
-TICK = Json(Tick)
+FRAME_RECORD = Json(FrameRecord)
+CYCLE_RECORD = Json(CycleRecord)
 MEMORY = Json(Guard)
-TRUTH = Json(Truth)
+TRUTH_RECORD = Json(TruthRecord)
 
 
-def no_contact_name(finger: str) -> str:
+def background_name(finger: str) -> str:
     """Attachment that holds the finger's no-contact image."""
     return f"no_contact-{finger}.png"

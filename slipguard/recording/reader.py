@@ -38,7 +38,7 @@ _DAMAGE = (
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class StoredImage:
     """One compressed picture, of a finger or the external camera: an image or a mask. format: "jpeg" or "png"."""
 
     source: str
@@ -54,18 +54,18 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class StoredMessage:
     """One line that was said."""
 
     text: str
     error: bool
 
 
-Value = Guard | m.Judged | m.Tick | m.Truth | Picture | Line
+Value = Guard | m.FrameRecord | m.CycleRecord | m.TruthRecord | StoredImage | StoredMessage
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class RecordedItem:
     """One message: its topic, when (wall clock, nanoseconds since 1970), and what it says."""
 
     topic: str
@@ -83,7 +83,7 @@ class Recording:
     damage: str | None = None
     """Why reading ended before the file's own end; None if it did not."""
 
-    def items(self) -> Iterator[Item]:
+    def items(self) -> Iterator[RecordedItem]:
         """All messages in the order written; ends early, and says so in `damage`, where the file is damaged."""
         topics: dict[int, str] = {}
         self.damage = None
@@ -95,7 +95,7 @@ class Recording:
                     elif isinstance(record, Message):
                         value = _value(topics[record.channel_id], record.data)
                         if value is not None:
-                            yield Item(topics[record.channel_id], record.log_time, value)
+                            yield RecordedItem(topics[record.channel_id], record.log_time, value)
         except _DAMAGE as error:
             if isinstance(error, EndOfFile):
                 self.damage = "is cut off (killed, or the disk was full)"
@@ -136,10 +136,10 @@ def _records(file: Any) -> Iterator[Any]:
 
 
 _TOPICS: dict[str, m.Json[Any]] = {
-    m.TICK_TOPIC: m.TICK,
+    m.TICK_TOPIC: m.CYCLE_RECORD,
     m.MEMORY_TOPIC: m.MEMORY,
-    m.TRUTH_TOPIC: m.TRUTH,
-    **dict.fromkeys(m.JUDGED_TOPIC.values(), m.JUDGED),
+    m.TRUTH_TOPIC: m.TRUTH_RECORD,
+    **dict.fromkeys(m.JUDGED_TOPIC.values(), m.FRAME_RECORD),
 }
 _SOURCE_OF = {
     topic: source for topics in (m.IMAGE_TOPIC, m.MASK_TOPIC, m.TRUE_MASK_TOPIC) for source, topic in topics.items()
@@ -149,12 +149,12 @@ _SOURCE_OF = {
 def _value(topic: str, data: bytes) -> Value | None:
     """The message; None for a topic that a later version may have added."""
     if topic in _TOPICS:
-        value: Guard | m.Judged | m.Tick | m.Truth = _TOPICS[topic].decode(data)
+        value: Guard | m.FrameRecord | m.CycleRecord | m.TruthRecord = _TOPICS[topic].decode(data)
         return value
     if topic in _SOURCE_OF:
         picture = CompressedImage.FromString(data)
-        return Picture(_SOURCE_OF[topic], picture.data, picture.format)
+        return StoredImage(_SOURCE_OF[topic], picture.data, picture.format)
     if topic == m.LOG_TOPIC:
         line = Log.FromString(data)
-        return Line(line.message, line.level >= Log.ERROR)
+        return StoredMessage(line.message, line.level >= Log.ERROR)
     return None

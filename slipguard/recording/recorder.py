@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from slipguard.control.guard import Guard
 from slipguard.perception.pipeline import at_frame_size
 from slipguard.recording import messages as m
-from slipguard.recording.retention import Keeping
+from slipguard.recording.retention import Retention
 from slipguard.recording.ring import NoRoom, Ring
-from slipguard.recording.writer import Clock, Header, RecordingFile, open_new
-from slipguard.thread_priority import let_the_loop_first
+from slipguard.recording.writer import RecordingClock, RecordingFile, RecordingHeader, open_new
+from slipguard.thread_priority import set_worker_priority
 
 BACKLOG_MAX = 2000
 """Values waiting for the disk. Pictures are left out from a quarter of it on: 250 of them are 60 MB."""
@@ -51,7 +51,7 @@ class RecorderSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class RecordedFrame:
     """A judged frame of one finger. image: (320, 240, 3) uint8; mask: (h, w) uint8, 0 or 1, of any size.
 
     What is None was left out.
@@ -59,22 +59,22 @@ class Seen:
 
     finger: str
     at_s: float
-    judged: m.Judged
+    judged: m.FrameRecord
     image: NDArray[np.uint8] | None = None
     mask: NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Rotation:
+class RecordedCycle:
     """One turn of the loop. memory: the law's, before it. keep: this is worth keeping."""
 
-    tick: m.Tick
+    tick: m.CycleRecord
     memory: Guard
     keep: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class RecordedMessage:
     """One line of the log."""
 
     at_s: float
@@ -92,8 +92,8 @@ class Recorder:
         self,
         ring: Ring,
         settings: RecorderSettings,
-        clock: Callable[[], Clock],
-        header: Callable[[], Header],
+        clock: Callable[[], RecordingClock],
+        header: Callable[[], RecordingHeader],
         on_trouble: Callable[[str], None],
         opener: Callable[[Path], BinaryIO] = open_new,
     ) -> None:
@@ -106,12 +106,12 @@ class Recorder:
         self.path: Path | None = None
         self._ring, self._settings, self._clock, self._header = ring, settings, clock, header
         self._on_trouble, self._opener = on_trouble, opener
-        self._waiting: deque[Seen | Rotation | Said] = deque()
+        self._waiting: deque[RecordedFrame | RecordedCycle | RecordedMessage] = deque()
         self._ending = threading.Event()
         self._file: RecordingFile | None = None
         self._began_s = self._last_s = 0.0
         self._renew_s = float("inf")
-        self._keeping = Keeping(ring, settings.keep_before_s, settings.keep_after_s)
+        self._keeping = Retention(ring, settings.keep_before_s, settings.keep_after_s)
         self._full_bytes = 0
         self._try_again_at = 0.0
         self._no_room = False
@@ -136,9 +136,9 @@ class Recorder:
         """Begin; the first file is opened with the first turn of the loop."""
         self._thread.start()
 
-    def hand(self, value: Seen | Rotation | Said) -> None:
+    def hand(self, value: RecordedFrame | RecordedCycle | RecordedMessage) -> None:
         """Take a value over; never waits, and may leave it out. To be called from one thread only."""
-        if isinstance(value, Seen) and value.image is not None and len(self._waiting) >= BACKLOG_MAX // 4:
+        if isinstance(value, RecordedFrame) and value.image is not None and len(self._waiting) >= BACKLOG_MAX // 4:
             value = replace(value, image=None, mask=None)
             self.left_out += 1
         if len(self._waiting) >= BACKLOG_MAX:
@@ -152,7 +152,7 @@ class Recorder:
         self._thread.join(timeout_s)
 
     def _run(self) -> None:
-        let_the_loop_first()
+        set_worker_priority()
         self._guarded(self._ring.keep_unfinished)
         self._guarded(lambda: self._keeping.look_back(self._clock))
         ending = False
@@ -162,8 +162,8 @@ class Recorder:
                 self._take(self._waiting.popleft())
         self._guarded(self._finish)
 
-    def _take(self, value: Seen | Rotation | Said) -> None:
-        if isinstance(value, Rotation) and value.keep:  # also while nothing is recorded
+    def _take(self, value: RecordedFrame | RecordedCycle | RecordedMessage) -> None:
+        if isinstance(value, RecordedCycle) and value.keep:  # also while nothing is recorded
             self._guarded(lambda: self._keep_around(value.tick.now_s))
         if self.stopped is not None and time.monotonic() < self._try_again_at:
             return
@@ -210,18 +210,18 @@ class Recorder:
         with contextlib.suppress(OSError):
             self._keeping.move()
 
-    def _write(self, value: Seen | Rotation | Said) -> None:
-        if isinstance(value, Rotation):
-            self._rotation(value)
+    def _write(self, value: RecordedFrame | RecordedCycle | RecordedMessage) -> None:
+        if isinstance(value, RecordedCycle):
+            self._cycle(value)
         elif self._file is None:
             return  # a file begins with the law's memory, so with a turn
-        elif isinstance(value, Seen):
-            self._seen(self._file, value)
+        elif isinstance(value, RecordedFrame):
+            self._frame(self._file, value)
         else:
             self._file.log(value.at_s, "error" if value.error else "info", value.text)
 
-    def _rotation(self, rotation: Rotation) -> None:
-        now_s = rotation.tick.now_s
+    def _cycle(self, cycle: RecordedCycle) -> None:
+        now_s = cycle.tick.now_s
         if self._file is not None:
             self._see_that_there_is_room()
             if (
@@ -229,9 +229,9 @@ class Recorder:
                 or self._file.size_bytes >= self._full_bytes
             ):
                 self._finish()
-        file = self._file or self._begin(rotation.memory, now_s)
+        file = self._file or self._begin(cycle.memory, now_s)
         self._last_s = now_s
-        file.tick(rotation.tick)
+        file.tick(cycle.tick)
 
     def _see_that_there_is_room(self) -> None:
         try:
@@ -240,10 +240,10 @@ class Recorder:
             self._finish()  # whole, there is room for its index
             raise
 
-    def _seen(self, file: RecordingFile, seen: Seen) -> None:
-        if seen.judged.new_pipeline:
-            self._renew_s = seen.at_s + SETTLE_S  # the file's no-contact images are those of its beginning
-        write_seen(file, seen, self._settings)
+    def _frame(self, file: RecordingFile, frame: RecordedFrame) -> None:
+        if frame.judged.new_pipeline:
+            self._renew_s = frame.at_s + SETTLE_S  # the file's no-contact images are those of its beginning
+        write_frame(file, frame, self._settings)
 
     def _begin(self, memory: Guard, now_s: float) -> RecordingFile:
         clock = self._clock()  # anew: a computer learns the right time some while after its start
@@ -276,15 +276,15 @@ class Recorder:
         self._ring.tidy(self.path)
 
 
-def write_seen(file: RecordingFile, seen: Seen, settings: RecorderSettings) -> None:
+def write_frame(file: RecordingFile, frame: RecordedFrame, settings: RecorderSettings) -> None:
     """One judged frame: its picture, its mask, and what was made of it. May raise OSError."""
-    frame_s = seen.judged.captured_at_s
-    if seen.image is not None and settings.image != "none":
-        file.image(seen.finger, frame_s, _encoded(seen.image, settings), settings.image)
-    if seen.mask is not None:
-        mask = at_frame_size(seen.mask) * np.uint8(255)
-        file.mask(seen.finger, frame_s, cv2.imencode(".png", mask)[1].tobytes())
-    file.judged(seen.finger, seen.at_s, seen.judged)
+    frame_s = frame.judged.captured_at_s
+    if frame.image is not None and settings.image != "none":
+        file.image(frame.finger, frame_s, _encoded(frame.image, settings), settings.image)
+    if frame.mask is not None:
+        mask = at_frame_size(frame.mask) * np.uint8(255)
+        file.mask(frame.finger, frame_s, cv2.imencode(".png", mask)[1].tobytes())
+    file.judged(frame.finger, frame.at_s, frame.judged)
 
 
 def _encoded(image: NDArray[np.uint8], settings: RecorderSettings) -> bytes:

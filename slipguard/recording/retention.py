@@ -7,13 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from slipguard.recording.ring import Ring
-from slipguard.recording.writer import Clock
+from slipguard.recording.writer import RecordingClock
 
 FILES_MAX = 5000
 """Files that are remembered: the longest ring there is, of a day."""
 
 
-class Keeping:
+class Retention:
     """Told of each file's beginning and end, and of events; moves what is worth it out of the ring.
 
     Times are the event loop's, in seconds. What moves files may raise OSError; they are tried again with the next.
@@ -26,7 +26,7 @@ class Keeping:
         self._until_s = float("-inf")
         self._this = False
 
-    def look_back(self, clock: Callable[[], Clock]) -> None:
+    def look_back(self, clock: Callable[[], RecordingClock]) -> None:
         """What lies in the ring already is worth keeping as well, if something happens at once."""
         ended = self._ring.ended()
         if ended:

@@ -35,7 +35,7 @@ class NoRoom(OSError):
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class RingLimits:
     """How much may lie in the folder. ring_files: how many files the ring has, 1 or more; whatever is older goes."""
 
     ring_files: int
@@ -50,7 +50,7 @@ class Ring:
     """
 
     def __init__(
-        self, folder: Path, limits: Limits, usage: Callable[[Path], tuple[int, int, int]] = shutil.disk_usage
+        self, folder: Path, limits: RingLimits, usage: Callable[[Path], tuple[int, int, int]] = shutil.disk_usage
     ) -> None:
         self.ring, self.kept = folder / "ring", folder / "kept"
         self._limits, self._usage = limits, usage

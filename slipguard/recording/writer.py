@@ -26,7 +26,7 @@ _LEVELS = {"info": Log.INFO, "error": Log.ERROR}
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class RecordingClock:
     """From the event loop's monotonic seconds to the wall clock's nanoseconds that a recording carries."""
 
     wall_ns: int
@@ -42,7 +42,7 @@ class Clock:
 
 
 @dataclass(frozen=True, slots=True)
-class Header:
+class RecordingHeader:
     """What a file says of itself. facts: texts, such as versions. attachments: name -> content, .json or .png."""
 
     facts: Mapping[str, str]
@@ -63,8 +63,8 @@ class RecordingFile:
     def __init__(
         self,
         path: Path,
-        clock: Clock,
-        header: Header,
+        clock: RecordingClock,
+        header: RecordingHeader,
         memory: Guard,
         now_s: float,
         opener: Callable[[Path], BinaryIO] = open_new,
@@ -83,7 +83,7 @@ class RecordingFile:
             path.unlink(missing_ok=True)
             raise
 
-    def _begin(self, header: Header, memory: Guard, now_s: float) -> None:
+    def _begin(self, header: RecordingHeader, memory: Guard, now_s: float) -> None:
         self._writer.start(profile="", library="slipguard")
         self._writer.add_metadata(m.HEADER, {"format": m.FORMAT, **header.facts})
         now_ns = self._clock.ns(now_s)
@@ -109,17 +109,17 @@ class RecordingFile:
         """What a person would outline in the picture taken at `at_s`, where that is known."""
         self._picture(m.TRUE_MASK_TOPIC[finger], finger, at_s, png, "png")
 
-    def truth(self, truth: m.Truth) -> None:
+    def truth(self, truth: m.TruthRecord) -> None:
         """What a simulated world knows."""
-        self._json(m.TRUTH_TOPIC, m.TRUTH, truth, truth.now_s)
+        self._json(m.TRUTH_TOPIC, m.TRUTH_RECORD, truth, truth.now_s)
 
-    def judged(self, finger: str, at_s: float, judged: m.Judged) -> None:
+    def judged(self, finger: str, at_s: float, judged: m.FrameRecord) -> None:
         """What a finger's pipeline made of a frame; `at_s` is when it was known."""
-        self._json(m.JUDGED_TOPIC[finger], m.JUDGED, judged, at_s)
+        self._json(m.JUDGED_TOPIC[finger], m.FRAME_RECORD, judged, at_s)
 
-    def tick(self, tick: m.Tick) -> None:
+    def tick(self, tick: m.CycleRecord) -> None:
         """One turn of the loop."""
-        self._json(m.TICK_TOPIC, m.TICK, tick, tick.now_s)
+        self._json(m.TICK_TOPIC, m.CYCLE_RECORD, tick, tick.now_s)
 
     def log(self, at_s: float, level: Level, text: str) -> None:
         """One line that was said."""

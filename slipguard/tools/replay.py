@@ -30,7 +30,7 @@ from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.recording import messages as m
-from slipguard.recording.reader import Item, Picture, Recording, open_recording
+from slipguard.recording.reader import RecordedItem, Recording, StoredImage, open_recording
 from slipguard.recording.ring import SUFFIX
 
 KEPT_ESTIMATES = 64
@@ -51,7 +51,7 @@ class Answer:
     """One judged frame: what was recorded, and what the pipeline says now (None: it was not asked)."""
 
     finger: str
-    recorded: m.Judged
+    recorded: m.FrameRecord
     replayed: Estimate | None
 
 
@@ -130,7 +130,7 @@ class _Player:
         self._pipelines: dict[str, Pipeline] = {}
         self._live = dict.fromkeys(m.FINGERS, False)
         self._renewed = dict.fromkeys(m.FINGERS, False)
-        self._pictures: dict[str, Picture] = {}
+        self._pictures: dict[str, StoredImage] = {}
         self._now: dict[str, dict[int, Estimate]] = {finger: {} for finger in m.FINGERS}
         self._memory: dict[str, Guard] = {}
 
@@ -139,15 +139,19 @@ class _Player:
             value = item.value
             if isinstance(value, Guard):
                 self._memory = {"recorded": value, "frames": value}
-            elif isinstance(value, m.Judged):
+            elif isinstance(value, m.FrameRecord):
                 self._judged(_finger(item), value)
-            elif isinstance(value, m.Tick):
+            elif isinstance(value, m.CycleRecord):
                 self._tick(value)
-            elif isinstance(value, Picture) and item.topic == m.IMAGE_TOPIC[value.source] and value.source in m.FINGERS:
+            elif (
+                isinstance(value, StoredImage)
+                and item.topic == m.IMAGE_TOPIC[value.source]
+                and value.source in m.FINGERS
+            ):
                 self._pictures[value.source] = value
                 self._done.image = value.format
 
-    def _judged(self, finger: str, judged: m.Judged) -> None:
+    def _judged(self, finger: str, judged: m.FrameRecord) -> None:
         picture = self._pictures.pop(finger, None)
         if judged.new_pipeline:  # its no-contact image is in the next file
             self._live[finger], self._renewed[finger] = False, True
@@ -169,7 +173,7 @@ class _Player:
             while len(known) > KEPT_ESTIMATES:
                 del known[next(iter(known))]
 
-    def _process(self, finger: str, picture: Picture, judged: m.Judged) -> Estimate | None:
+    def _process(self, finger: str, picture: StoredImage, judged: m.FrameRecord) -> Estimate | None:
         spared = judged.estimate is not None and judged.estimate.skipped == OTHER_FINGER
         last = next(reversed(self._now[finger].values()), None)
         if spared and last is not None:
@@ -195,7 +199,7 @@ class _Player:
             )
         return self._pipelines[finger]
 
-    def _tick(self, told: m.Tick) -> None:
+    def _tick(self, told: m.CycleRecord) -> None:
         done = self._done
         if not done.phases or done.phases[-1][1] != told.phase:
             done.phases.append((told.now_s, told.phase))
@@ -215,7 +219,7 @@ class _Player:
         seen = replace(told.seen, fused=fuse(fresh["left"], fresh["right"]))
         self._memory["frames"] = self._compare(done.on_frames, self._memory["frames"], replace(told, seen=seen))
 
-    def _compare(self, into: LawReplay, memory: Guard, told: m.Tick) -> Guard:
+    def _compare(self, into: LawReplay, memory: Guard, told: m.CycleRecord) -> Guard:
         memory, command = tick(memory, told.seen, self._params)
         into.ticks += 1
         if command != told.command:
@@ -232,7 +236,7 @@ def _plain(estimate: Estimate | None) -> Estimate | None:
     return None if estimate is None else replace(estimate, stage_ms={})
 
 
-def _finger(item: Item) -> str:
+def _finger(item: RecordedItem) -> str:
     return item.topic.split("/")[1]
 
 
@@ -248,7 +252,7 @@ class Settings:
 
     def background(self, finger: str) -> np.ndarray | None:
         """The finger's no-contact image, (320, 240, 3) uint8."""
-        encoded = self.recording.attachments.get(m.no_contact_name(finger))
+        encoded = self.recording.attachments.get(m.background_name(finger))
         if encoded is None:
             return None
         image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_COLOR)
@@ -279,7 +283,7 @@ def settings_of(recording: Recording) -> Settings:
         raise InputError(f"{where}: missing or damaged ({error})") from None
 
 
-def items_of(opened: list[Recording]) -> Iterator[Item]:
+def items_of(opened: list[Recording]) -> Iterator[RecordedItem]:
     """All messages of several recordings, in order."""
     for recording in opened:
         yield from recording.items()

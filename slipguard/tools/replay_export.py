@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from slipguard.errors import InputError
 from slipguard.perception.estimate import Estimate
 from slipguard.recording import messages as m
-from slipguard.recording.reader import Item, Line, Picture, Recording
+from slipguard.recording.reader import RecordedItem, Recording, StoredImage, StoredMessage
 from slipguard.tools.replay import items_of
 
 FILM_FPS = 30.0
@@ -49,7 +49,7 @@ def export(opened: list[Recording], folder: Path, kinds: set[str]) -> list[Path]
     return written
 
 
-def _tables(items: Iterable[Item], folder: Path) -> list[Path]:
+def _tables(items: Iterable[RecordedItem], folder: Path) -> list[Path]:
     paths = [folder / name for name in ("estimates.csv", "ticks.csv", "log.csv")]
     with paths[0].open("w", newline="") as first, paths[1].open("w", newline="") as second, paths[2].open("w") as third:
         estimates, ticks, log = (csv.writer(file) for file in (first, second, third))
@@ -57,16 +57,16 @@ def _tables(items: Iterable[Item], folder: Path) -> list[Path]:
         ticks.writerow(TICK_COLUMNS)
         log.writerow(("wall_ns", "error", "text"))
         for item in items:
-            if isinstance(item.value, m.Judged):
+            if isinstance(item.value, m.FrameRecord):
                 estimates.writerow(_estimate_row(item, item.value))
-            elif isinstance(item.value, m.Tick):
+            elif isinstance(item.value, m.CycleRecord):
                 ticks.writerow(_tick_row(item, item.value))
-            elif isinstance(item.value, Line):
+            elif isinstance(item.value, StoredMessage):
                 log.writerow((item.at_ns, item.value.error, item.value.text))
     return paths
 
 
-def _estimate_row(item: Item, judged: m.Judged) -> list[Any]:
+def _estimate_row(item: RecordedItem, judged: m.FrameRecord) -> list[Any]:
     finger = item.topic.split("/")[1]
     head = [finger, item.at_ns, judged.sequence, judged.captured_at_s]
     e = judged.estimate
@@ -77,7 +77,7 @@ def _estimate_row(item: Item, judged: m.Judged) -> list[Any]:
     return [*head, *told, right_mm, up_mm, e.skipped, e.declined, None]
 
 
-def _tick_row(item: Item, tick: m.Tick) -> list[Any]:
+def _tick_row(item: RecordedItem, tick: m.CycleRecord) -> list[Any]:
     fused, gripper, arm, command = tick.seen.fused, tick.seen.gripper, tick.seen.arm, tick.command
     rotation = (
         [fused.rotation_deg, fused.sigma_deg, fused.rate_deg_s, fused.shift_mm] if fused is not None else [None] * 4
@@ -89,10 +89,10 @@ def _tick_row(item: Item, tick: m.Tick) -> list[Any]:
     return [item.at_ns, tick.now_s, tick.phase, *rotation, *grip, height_mm, *commanded]
 
 
-def _pictures(items: Iterable[Item], folder: Path) -> list[Path]:
+def _pictures(items: Iterable[RecordedItem], folder: Path) -> list[Path]:
     folders = {source: folder / source for source in m.IMAGE_TOPIC}
     for item in items:
-        if isinstance(item.value, Picture) and item.topic == m.IMAGE_TOPIC[item.value.source]:
+        if isinstance(item.value, StoredImage) and item.topic == m.IMAGE_TOPIC[item.value.source]:
             home = folders[item.value.source]
             home.mkdir(exist_ok=True)
             cv2.imwrite(str(home / f"{item.at_ns}.png"), item.value.pixels())
@@ -115,7 +115,7 @@ def _films(opened: list[Recording], folder: Path) -> list[Path]:
     return written
 
 
-def _film(items: Iterable[Item], finger: str, film: cv2.VideoWriter) -> None:
+def _film(items: Iterable[RecordedItem], finger: str, film: cv2.VideoWriter) -> None:
     image: NDArray[np.uint8] | None = None
     mask: NDArray[np.uint8] | None = None
     estimate: Estimate | None = None
@@ -123,14 +123,14 @@ def _film(items: Iterable[Item], finger: str, film: cv2.VideoWriter) -> None:
     next_ns: int | None = None
     for item in items:
         value = item.value
-        if isinstance(value, Picture) and value.source == finger:
+        if isinstance(value, StoredImage) and value.source == finger:
             if item.topic == m.IMAGE_TOPIC[finger]:
                 image, mask = value.pixels(), None
             else:
                 mask = value.pixels()
-        elif isinstance(value, m.Judged) and item.topic == m.JUDGED_TOPIC[finger]:
+        elif isinstance(value, m.FrameRecord) and item.topic == m.JUDGED_TOPIC[finger]:
             estimate = value.estimate
-        elif isinstance(value, m.Tick) and value.seen.gripper is not None:
+        elif isinstance(value, m.CycleRecord) and value.seen.gripper is not None:
             force_n = value.seen.gripper.force_n
         if image is None:
             continue

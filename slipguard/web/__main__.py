@@ -8,7 +8,7 @@ from __future__ import annotations
 import signal
 import sys
 
-from slipguard.thread_priority import stand_back
+from slipguard.thread_priority import set_batch_priority
 
 NICENESS = 5
 """The loop comes first where there are too few cores."""
@@ -17,7 +17,7 @@ NICENESS = 5
 def main() -> None:
     """Deaf to the terminal's Ctrl-C: the daemon says when to stop."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    stand_back(NICENESS)
+    set_batch_priority(NICENESS)
     from slipguard.web.process import serve_and_exit
 
     serve_and_exit(int(sys.argv[1]))

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from slipguard.cancellation import heed_cancel
+from slipguard.cancellation import raise_if_cancelled
 from slipguard.daemon.api.daemon_api import DaemonApi
 from slipguard.daemon.loop.backoff import Backoff
 from slipguard.errors import ConfigError, SlipguardError
@@ -60,7 +60,7 @@ async def run_api(
                 why = f"exit status {await _until_it_ends(control, unix, tcp)}"
             except Exception as trouble:  # whatever it is, it is no reason to let go of the loop
                 why = " ".join(f"{trouble}".split()) or type(trouble).__name__
-            heed_cancel()
+            raise_if_cancelled()
             if loop.time() - began_s >= WELL_S:
                 backoff.reset()
             warn(f"page and API ended ({why}) and are started again; the guard goes on")

@@ -16,7 +16,7 @@ from slipguard.cli.interrupt import left_to_the_loop
 from slipguard.cli.progress import progress_bar
 from slipguard.daemon import logging as log
 from slipguard.errors import SlipguardError
-from slipguard.thread_priority import go_first
+from slipguard.thread_priority import set_realtime_priority
 from tests.campaigns.api_load import CrowdOptions, measure_crowd
 
 
@@ -37,7 +37,7 @@ def api_load(
     options = CrowdOptions(clients, pairs, block_s, int(fps))
     log.configure(level=logging.CRITICAL)
     if as_service:
-        go_first()
+        set_realtime_priority()
     with progress_bar("API load") as show, left_to_the_loop():
         found = asyncio.run(measure_crowd(options, show))
     told = f"p99 rises by {found.rise_ms:+.2f} ms; {found.allowed_ms:.2f} ms are allowed"

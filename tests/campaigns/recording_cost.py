@@ -15,9 +15,9 @@ import numpy as np
 
 from slipguard.daemon import run as root
 from slipguard.daemon.loop.decision import Decision
-from slipguard.daemon.loop.finger import Judgement
+from slipguard.daemon.loop.finger import ProcessedFrame
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.store.recording import Taker, Watcher, make_recorder, record
+from slipguard.daemon.store.recording import RecordingObserver, RecordingSink, make_recorder, record
 from slipguard.sim.world import World
 from tests.campaigns.soak.settings import Settings, soak_config
 from tests.campaigns.soak.shift import Shift
@@ -109,16 +109,16 @@ async def measure(pairs: int, seed: int, tell: Callable[[str, float], None]) -> 
     )
 
 
-class _TimedWatcher(Watcher):
+class _TimedWatcher(RecordingObserver):
     """The usual one, with the time it takes from the loop's thread."""
 
-    def __init__(self, recorder: Taker, block: Block) -> None:
+    def __init__(self, recorder: RecordingSink, block: Block) -> None:
         super().__init__(recorder)
         self._block = block
 
-    def judged(self, finger: str, judgement: Judgement) -> None:
+    def judged(self, finger: str, processed: ProcessedFrame) -> None:
         began_s, cpu_s = time.perf_counter(), time.thread_time()
-        super().judged(finger, judgement)
+        super().judged(finger, processed)
         self._took(began_s, cpu_s)
 
     def decided(self, decision: Decision) -> None:

@@ -147,7 +147,7 @@ class Cell:
     def where(self) -> str:
         """How things stand, for a failing test."""
         service = self.service
-        return f"{self.phase} at {self.now_s:.2f} s: {service.waiting_for} {service.journal.lines[-6:]} {self.truth}"
+        return f"{self.phase} at {self.now_s:.2f} s: {service.waiting_for} {service.event_log.lines[-6:]} {self.truth}"
 
     # What is done.
 

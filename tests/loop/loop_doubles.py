@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.daemon.loop.worker import StatedLatencyWorker
-from slipguard.daemon.store.calibration import NoContact
+from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.devices import DriverContext, Frame
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.cell import Truth
@@ -182,12 +182,12 @@ class Memory:
 
     def __init__(self, *serials: str) -> None:
         blank = np.zeros(SHAPE, np.uint8)
-        self.kept = {serial: NoContact(blank, (2.0, 2.0, 2.0), 30) for serial in serials}
+        self.kept = {serial: BackgroundImage(blank, (2.0, 2.0, 2.0), 30) for serial in serials}
 
-    def load_no_contact(self, serial: str) -> NoContact | None:
+    def load_background(self, serial: str) -> BackgroundImage | None:
         return self.kept.get(serial)
 
-    def save_no_contact(self, serial: str, taken: NoContact) -> None:
+    def save_background(self, serial: str, taken: BackgroundImage) -> None:
         self.kept[serial] = taken
 
 

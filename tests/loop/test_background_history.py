@@ -14,13 +14,13 @@ from loop_cell import Cell, play
 from loop_doubles import SHAPE
 
 from slipguard.daemon.api.handlers import RequestHandlers
-from slipguard.daemon.store.calibration import NoContact, Version
+from slipguard.daemon.store.calibration import BackgroundImage, BackgroundVersion
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.errors import CommandRefused
 
 
-def taken(level: int) -> NoContact:
-    return NoContact(np.full(SHAPE, level, np.uint8), (2.0, 2.0, 2.0), 30)
+def taken(level: int) -> BackgroundImage:
+    return BackgroundImage(np.full(SHAPE, level, np.uint8), (2.0, 2.0, 2.0), 30)
 
 
 def with_history(tmp_path: Path, scene: Callable[[Cell, RequestHandlers, StateDir], Coroutine[Any, Any, None]]) -> None:
@@ -28,7 +28,7 @@ def with_history(tmp_path: Path, scene: Callable[[Cell, RequestHandlers, StateDi
     store = StateDir(tmp_path)
     for serial in ("SIM-L", "SIM-R"):
         for level in (50, 60):
-            store.save_no_contact(serial, taken(level))
+            store.save_background(serial, taken(level))
 
     async def main(cell: Cell) -> None:
         cell.service.store = store
@@ -58,7 +58,7 @@ def test_all_that_is_stored_is_told(tmp_path: Path) -> None:
 def test_an_older_one_is_put_to_use_again_and_the_pipeline_built_with_it(tmp_path: Path) -> None:
     async def scene(cell: Cell, desk: RequestHandlers, store: StateDir) -> None:
         assert await desk.go_back("left", 1) == "left (SIM-L): no-contact image 1 is in use again"
-        known = store.load_no_contact("SIM-L")
+        known = store.load_background("SIM-L")
         assert known is not None
         assert int(known.image[0, 0, 0]) == 50
         assert {name: len(made) for name, made in cell.perceivers.items()} == {"left": 2, "right": 1}
@@ -75,7 +75,7 @@ def test_not_while_something_is_held(tmp_path: Path) -> None:
         await cell.grasp()
         with pytest.raises(CommandRefused, match="cannot calibrate while holding; release first"):
             await desk.go_back("left", 1)
-        assert len(store.no_contact_history("SIM-L")) == 2
+        assert len(store.background_versions("SIM-L")) == 2
 
     with_history(tmp_path, scene)
 
@@ -84,7 +84,7 @@ def test_not_while_something_is_held(tmp_path: Path) -> None:
 def test_a_calibration_says_whether_the_gel_is_new(tmp_path: Path, new_gel: bool) -> None:
     async def scene(cell: Cell, desk: RequestHandlers, store: StateDir) -> None:
         await desk.calibrate(new_gel=new_gel)
-        newest = store.no_contact_history("SIM-R")[-1]
+        newest = store.background_versions("SIM-R")[-1]
         assert (newest.number, newest.new_gel) == (3, new_gel)
         first = store.first_of_gel("SIM-R")
         assert first is not None
@@ -109,16 +109,16 @@ async def test_what_is_stored_is_read_in_a_thread_of_its_own(tmp_path: Path) -> 
     threads: set[str] = set()
 
     class Noting(StateDir):
-        def no_contact_history(self, serial: str) -> list[Version]:
+        def background_versions(self, serial: str) -> list[BackgroundVersion]:
             threads.add(threading.current_thread().name)
-            return super().no_contact_history(serial)
+            return super().background_versions(serial)
 
-        def load_no_contact(self, serial: str, number: int | None = None) -> NoContact | None:
+        def load_background(self, serial: str, number: int | None = None) -> BackgroundImage | None:
             threads.add(threading.current_thread().name)
-            return super().load_no_contact(serial, number)
+            return super().load_background(serial, number)
 
     store = Noting(tmp_path)
-    store.save_no_contact("SIM-L", taken(50))
+    store.save_background("SIM-L", taken(50))
     threads.clear()
     desk = RequestHandlers(Cell().service)
     desk._service.store = store

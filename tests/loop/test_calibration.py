@@ -11,7 +11,7 @@ from loop_cell import Cell, play
 
 from slipguard.control.messages import Request, RequestKind
 from slipguard.control.state import Phase
-from slipguard.daemon.store.calibration import FRAMES, NoContact, no_contact_of
+from slipguard.daemon.store.calibration import FRAMES, BackgroundImage, average_background
 from slipguard.errors import CommandRefused, ConfigError, InputError
 
 
@@ -21,7 +21,7 @@ def still(seed: int = 0, level: float = 100.0) -> list[np.ndarray]:
 
 
 def test_the_mean_and_the_noise_of_a_still_gel() -> None:
-    taken = no_contact_of(still(), "left")
+    taken = average_background(still(), "left")
     assert taken.image.shape == (320, 240, 3)
     assert abs(float(taken.image.mean()) - 100.0) < 1.0
     assert taken.noise_bgr == pytest.approx((2.0, 2.0, 2.0), abs=0.1)
@@ -31,7 +31,7 @@ def test_the_mean_and_the_noise_of_a_still_gel() -> None:
 def test_a_picture_that_trembles_is_refused() -> None:
     images = [image + np.uint8(20 * (index % 2)) for index, image in enumerate(still())]
     with pytest.raises(CommandRefused, match=r"left: the picture is not still \(noise"):
-        no_contact_of(images, "left")
+        average_background(images, "left")
 
 
 @pytest.mark.parametrize("frames", [range(20, 30), range(12, 18), range(8)])
@@ -40,7 +40,7 @@ def test_a_touch_at_any_time_is_refused(frames: range) -> None:
     for index in frames:
         images[index][150:200, 100:140] -= np.uint8(30)
     with pytest.raises(CommandRefused, match="right: something touched the gel"):
-        no_contact_of(images, "right")
+        average_background(images, "right")
 
 
 def uncalibrated() -> Cell:
@@ -172,12 +172,12 @@ def test_nothing_is_stored_if_something_was_gripped_meanwhile() -> None:
 
 
 def test_a_damaged_image_is_a_reason_not_to_grasp() -> None:
-    def damaged(serial: str) -> NoContact | None:
+    def damaged(serial: str) -> BackgroundImage | None:
         raise InputError("no_contact-0001.png: cannot be read; run `slipguard calibrate`")
 
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        cell.store.load_no_contact = damaged  # type: ignore[method-assign]
+        cell.store.load_background = damaged  # type: ignore[method-assign]
         with pytest.raises(CommandRefused, match="cannot be read; run `slipguard calibrate`"):
             await cell.controls.grasp()
 
@@ -189,17 +189,17 @@ def test_a_damaged_image_is_no_reason_against_a_new_one() -> None:
 
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        known = cell.store.load_no_contact
+        known = cell.store.load_background
 
-        def damaged(serial: str) -> NoContact | None:
+        def damaged(serial: str) -> BackgroundImage | None:
             raise InputError("no_contact-0001.png: cannot be read; run `slipguard calibrate`")
 
-        cell.store.load_no_contact = damaged  # type: ignore[method-assign]
+        cell.store.load_background = damaged  # type: ignore[method-assign]
         for finger in cell.service.fingers.values():
             assert finger.newest is not None
             finger.newest = replace(finger.newest, estimate=replace(finger.newest.estimate, contact=True))
         await cell.controls.calibrate()
-        cell.store.load_no_contact = known  # type: ignore[method-assign]
+        cell.store.load_background = known  # type: ignore[method-assign]
         await cell.grasp()
 
     play(Cell(), scene)
@@ -214,16 +214,16 @@ def test_a_full_disk_is_told_with_what_is_stored_and_that_is_what_is_used(
 ) -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        really_save, asked = cell.store.save_no_contact, list[str]()
+        really_save, asked = cell.store.save_background, list[str]()
 
-        def save(serial: str, taken: NoContact) -> None:
+        def save(serial: str, taken: BackgroundImage) -> None:
             asked.append(serial)
             if len(asked) > room:
                 raise ConfigError("no_contact-0002.png: cannot be written (No space left on device)")
             really_save(serial, taken)
 
         before, made = dict(cell.store.kept), {name: len(one) for name, one in cell.perceivers.items()}
-        cell.store.save_no_contact = save  # type: ignore[method-assign]
+        cell.store.save_background = save  # type: ignore[method-assign]
         with pytest.raises(CommandRefused, match=told):
             await cell.controls.calibrate()
         await asyncio.sleep(0.5)

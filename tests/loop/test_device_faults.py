@@ -73,7 +73,7 @@ def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
         assert fault is not None
         assert fault.code is code
         assert seen in fault.seen
-        assert str(fault) in "\n".join(cell.service.journal.lines)
+        assert str(fault) in "\n".join(cell.service.event_log.lines)
         await asyncio.sleep(0.7)
         told = [what for told_s, what, _ in cell.arm.told if told_s > failed_at_s]
         assert told[:1] == ["stop"] or (devices, kind) == (("arm",), "disconnect")  # nobody is there to be told

@@ -13,11 +13,11 @@ import pytest
 from loop_cell import Cell
 
 from slipguard.daemon.loop import gel_monitor as gel_watch
-from slipguard.daemon.loop.finger import Judgement
+from slipguard.daemon.loop.finger import ProcessedFrame
 from slipguard.daemon.loop.gel_condition import Verdict
-from slipguard.daemon.loop.gel_monitor import GelWatch
+from slipguard.daemon.loop.gel_monitor import GelMonitor
 from slipguard.daemon.loop.virtual_time import run_virtual
-from slipguard.daemon.store.calibration import NoContact
+from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import Frame, GripperState
 from slipguard.perception.estimate import Estimate
@@ -44,7 +44,7 @@ class Bench:
     def __init__(self, store: Any = None) -> None:
         self.cell = Cell()
         self.service = self.cell.service
-        self.known = NoContact(gel(), NOISE_BGR, 30)
+        self.known = BackgroundImage(gel(), NOISE_BGR, 30)
         if store is None:
             self.cell.store.kept["SIM-L"] = self.known
         else:
@@ -53,8 +53,8 @@ class Bench:
         self.finger.serial = "SIM-L"
         self.service.gripper.newest = OPEN
         self.said: list[str] = []
-        self.service.journal.listeners.append(lambda event: self.said.append(event.line))
-        self.watch = GelWatch(self.service)
+        self.service.event_log.listeners.append(lambda event: self.said.append(event.line))
+        self.watch = GelMonitor(self.service)
         self.now_s = 0.0
         self.rng = np.random.default_rng(0)
 
@@ -66,7 +66,7 @@ class Bench:
             await asyncio.sleep(1.0)
             estimate = Estimate(second, self.now_s, self.now_s, contact, 4000 * contact, "oracle")
             frame = Frame(noisy, self.now_s, second)
-            self.watch.judged("left", Judgement(frame, self.now_s, False, renewed and second == 0, estimate))
+            self.watch.judged("left", ProcessedFrame(frame, self.now_s, False, renewed and second == 0, estimate))
         await asyncio.sleep(1.0)
 
 
@@ -120,7 +120,7 @@ def test_light_that_drifts_is_said_with_figures_and_no_more_after_a_calibration(
         await bench.show(warmer, 300.0)
         assert len(bench.said) == 1  # it comes and goes
         assert line.endswith("; jaws open and empty: `slipguard calibrate`")
-        bench.cell.store.kept["SIM-L"] = NoContact(warmer.astype(np.uint8), NOISE_BGR, 30)
+        bench.cell.store.kept["SIM-L"] = BackgroundImage(warmer.astype(np.uint8), NOISE_BGR, 30)
         await bench.show(warmer, 300.0, renewed=True)
         assert bench.finger.gel is not None
         assert bench.finger.gel.verdict is Verdict.FINE
@@ -160,8 +160,8 @@ def test_wear_does_not_hide_behind_the_next_calibration_but_a_new_gel_begins_ane
     tmp_path: Path, new_gel: bool
 ) -> None:
     store = StateDir(tmp_path)
-    store.save_no_contact("SIM-L", NoContact(gel(), NOISE_BGR, 30))
-    store.save_no_contact("SIM-L", NoContact(cut(gel()), NOISE_BGR, 30), new_gel=new_gel)
+    store.save_background("SIM-L", BackgroundImage(gel(), NOISE_BGR, 30))
+    store.save_background("SIM-L", BackgroundImage(cut(gel()), NOISE_BGR, 30), new_gel=new_gel)
 
     async def scene(bench: Bench) -> None:
         await bench.show(cut(gel()), 300.0)

@@ -16,7 +16,7 @@ from slipguard.control.messages import Command, Seen
 from slipguard.control.state import GuardState, Phase, Remembered
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.store.disk_writer import TRY_AGAIN_S
-from slipguard.daemon.store.last_grasp import GraspKeeper, remembered
+from slipguard.daemon.store.last_grasp import LastGraspSaver, remembered
 from slipguard.daemon.store.state_dir import LastGrasp, StateDir
 from slipguard.errors import ConfigError
 
@@ -25,7 +25,7 @@ def test_the_grip_is_noted_down_tightened_and_forgotten(tmp_path: Path) -> None:
     shelf = StateDir(tmp_path)
 
     async def scene(cell: Cell) -> None:
-        cell.service.observers.append(GraspKeeper(shelf, cell.says.append, cell.says.append).decided)
+        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).decided)
         await cell.grasp()
         await asyncio.sleep(0.1)
         first = shelf.load_last_grasp()
@@ -56,7 +56,7 @@ def test_a_grip_that_does_not_change_for_hours_does_not_grow_old(tmp_path: Path)
     shelf = Counting(tmp_path)
 
     async def scene(cell: Cell) -> None:
-        keeper = GraspKeeper(shelf, cell.says.append, cell.says.append)
+        keeper = LastGraspSaver(shelf, cell.says.append, cell.says.append)
         decisions: list[Decision] = []
         cell.service.observers.append(decisions.append)
         await cell.grasp()
@@ -83,7 +83,7 @@ def test_a_disk_that_fails_is_said_and_keeps_nothing_from_going_on() -> None:
     said: list[str] = []
 
     async def scene(cell: Cell) -> None:
-        cell.service.observers.append(GraspKeeper(Full(), said.append, said.append).decided)
+        cell.service.observers.append(LastGraspSaver(Full(), said.append, said.append).decided)
         await cell.grasp()
         await asyncio.sleep(0.2)
 
@@ -105,7 +105,7 @@ def test_a_disk_that_is_mended_gets_the_grip_though_the_force_has_not_changed(tm
     shelf, said = Mended(tmp_path), list[str]()
 
     async def scene(cell: Cell) -> None:
-        cell.service.observers.append(GraspKeeper(shelf, said.append, said.append).decided)
+        cell.service.observers.append(LastGraspSaver(shelf, said.append, said.append).decided)
         await cell.grasp()
         await cell.until(lambda: shelf.writes > 0)
         before, force_n = shelf.writes, cell.service.state.target_n
@@ -129,7 +129,7 @@ def test_a_force_counts_as_taken_once_the_gripper_says_so(tmp_path: Path) -> Non
 
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
-        cell.service.observers.append(GraspKeeper(shelf, cell.says.append, cell.says.append).decided)
+        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).decided)
         await cell.grasp()
         await asyncio.sleep(0.1)
         assert cell.service.state.target_n == pytest.approx(40.0, abs=0.85)
@@ -161,7 +161,7 @@ def test_a_latched_fault_is_noted_until_it_is_cleared(tmp_path: Path) -> None:
 
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
-        cell.service.observers.append(GraspKeeper(shelf, cell.says.append, cell.says.append).decided)
+        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).decided)
         await cell.grasp()
         grip = await noted(shelf)
         cell.world.faults.fail("gripper", "disconnect")
@@ -197,7 +197,7 @@ def test_a_fault_without_a_gripper_is_noted_with_the_grip_of_before_the_restart(
     fault = Fault(FaultCode.GRIPPER_SILENT, "no answer for 2.0 s", "check its cable")
 
     async def scene() -> None:
-        keeper = GraspKeeper(shelf, list[str]().append, list[str]().append)
+        keeper = LastGraspSaver(shelf, list[str]().append, list[str]().append)
         before = Guard(GuardState(remembered=grip, person_near=True))
         rotation = Decision(1.0, Phase.IDLE, Seen(1.0), Command(), before)
         keeper.decided(rotation)
@@ -215,7 +215,7 @@ def test_what_was_to_be_let_go_is_noted_with_its_fault(tmp_path: Path) -> None:
     fault = Fault(FaultCode.GRIPPER_STUCK, "not open 2.0 s after the release", "look at the gripper")
 
     async def scene() -> None:
-        keeper = GraspKeeper(shelf, list[str]().append, list[str]().append)
+        keeper = LastGraspSaver(shelf, list[str]().append, list[str]().append)
         law = GuardState(Phase.FAULT, let_go=True, cut_short=True, fault=fault)
         keeper.decided(Decision(1.0, Phase.FAULT, Seen(1.0), Command(fault=fault), Guard(law)))
         await asyncio.sleep(0.1)
@@ -252,7 +252,7 @@ def test_a_stop_for_a_person_is_remembered_until_the_arm_is_heard(tmp_path: Path
 
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
-        cell.service.observers.append(GraspKeeper(shelf, cell.says.append, cell.says.append).decided)
+        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).decided)
         await cell.grasp()
         cell.world.faults.fail("arm", "protective_stop")
         await asyncio.sleep(0.3)

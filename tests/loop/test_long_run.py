@@ -25,7 +25,7 @@ def test_five_minutes_of_holding_tighten_nothing_and_keep_nothing() -> None:
         await cell.lift()
         await cell.until(cell.steady)
         await asyncio.sleep(5.0 + 0.1 * ROUND_TRIPS)  # until the newest round trips are all there
-        told, size, said = len(cell.gripper.told), weight(cell), len(cell.service.journal.lines)
+        told, size, said = len(cell.gripper.told), weight(cell), len(cell.service.event_log.lines)
         ended_s = cell.now_s + 300.0
         while cell.now_s < ended_s:
             await asyncio.sleep(30.0)
@@ -33,7 +33,7 @@ def test_five_minutes_of_holding_tighten_nothing_and_keep_nothing() -> None:
         assert len(cell.gripper.told) == told
         assert cell.phase is Phase.HOLDING
         assert cell.service.deadlines_missed == 0
-        assert len(cell.service.journal.lines) == said
+        assert len(cell.service.event_log.lines) == said
 
     cell = Cell("wrench", 1, loop={"poll_ms": 100.0}, fps=30.0, watched=False)
     play(cell, scene)
@@ -45,7 +45,7 @@ def weight(cell: Cell) -> int:
     seen: set[int] = set()
     todo: list[object] = [
         cell.service._guard,
-        cell.service.journal.lines,
+        cell.service.event_log.lines,
         cell.service.seen,
         *vars(cell.service).values(),
     ]
@@ -73,7 +73,7 @@ def test_what_was_said_is_kept_up_to_a_limit() -> None:
         await cell.ready()
         for on in [False, True] * 40:
             await cell.controls.guard(on)
-        assert len(cell.service.journal.lines) == KEPT
+        assert len(cell.service.event_log.lines) == KEPT
 
     play(Cell(guard={"mode": "guard"}), scene)
 

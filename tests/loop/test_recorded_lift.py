@@ -19,7 +19,7 @@ from slipguard.config import RecordingSection
 from slipguard.daemon.store import recording
 from slipguard.errors import InputError
 from slipguard.recording import messages as m
-from slipguard.recording.reader import Line, open_recording
+from slipguard.recording.reader import StoredMessage, open_recording
 from slipguard.recording.recorder import Recorder
 from slipguard.recording.writer import open_new
 from slipguard.tools.replay import recordings, replay
@@ -72,8 +72,8 @@ def longest(folder: Path) -> Path:
     return max(folder.iterdir(), key=lambda path: path.stat().st_size)
 
 
-def ticks(path: Path) -> list[m.Tick]:
-    return [item.value for item in open_recording(path).items() if isinstance(item.value, m.Tick)]
+def ticks(path: Path) -> list[m.CycleRecord]:
+    return [item.value for item in open_recording(path).items() if isinstance(item.value, m.CycleRecord)]
 
 
 def test_a_lift_with_slip_is_kept_and_replays_to_the_same_commands(lift: Path) -> None:
@@ -146,7 +146,7 @@ def test_a_fault_is_kept_with_its_words(tmp_path: Path) -> None:
     opened = recordings([tmp_path / "kept"])
     played = replay(opened)
     assert any("arm stopped" in fault for fault in played.faults)
-    lines = [item.value for one in opened for item in one.items() if isinstance(item.value, Line)]
+    lines = [item.value for one in opened for item in one.items() if isinstance(item.value, StoredMessage)]
     assert any(line.error and "arm stopped" in line.text for line in lines)
 
 
@@ -173,7 +173,7 @@ def test_a_disk_that_fills_up_ends_the_recording_and_not_the_guard(tmp_path: Pat
     recorder = recorded(cell, tmp_path, opener=FillingUp)  # type: ignore[arg-type]
     assert recorder.stopped is not None
     assert "No space left on device" in recorder.stopped
-    said = [line for line in cell.service.journal.lines if "recording stopped" in line]
+    said = [line for line in cell.service.event_log.lines if "recording stopped" in line]
     assert len(said) == 1
     assert "the guard goes on without" in said[0]
     assert any("tightening" in line for line in cell.says), "the object slipped and nobody tightened"

@@ -73,7 +73,7 @@ def test_thresholds_are_taken_up_while_an_object_is_held() -> None:
         await cell.grasp()
         assert await reloader(cell, lambda: config(guard={"force_max_n": 115.0, "level_deg": 2.5})).reload()
         assert cell.service.config.guard.force_max_n == 115.0
-        assert cell.service.journal.lines[-1] == (
+        assert cell.service.event_log.lines[-1] == (
             "configuration read again: guard.force_max_n: 130.0 -> 115.0, guard.level_deg: 2.0 -> 2.5"
         )
         await cell.lift()
@@ -94,7 +94,7 @@ def test_a_budget_below_the_present_grip_is_refused_and_nothing_of_the_rest_is_t
         before = cell.service.config
         assert not await reloader(cell, lambda: config(guard=low, recording={"ring_s": 60})).reload()
         assert cell.service.config is before
-        line = cell.service.journal.lines[-1]
+        line = cell.service.event_log.lines[-1]
         assert line == (
             "configuration not taken up, the old one stays in full: guard.force_max_n: 130.0 -> 35.0 "
             f"the object is held with {held_n:.0f} N; release it first"
@@ -113,7 +113,7 @@ def test_during_a_lift_the_old_one_stays() -> None:
         lifting = asyncio.create_task(cell.lift())
         await cell.until(lambda: cell.phase is Phase.LIFTING)
         assert not await reloader(cell, lambda: config(guard={"level_deg": 3.0})).reload()
-        assert "guard.level_deg: 2.0 -> 3.0 not while lifting" in cell.service.journal.lines[-1]
+        assert "guard.level_deg: 2.0 -> 3.0 not while lifting" in cell.service.event_log.lines[-1]
         assert await reloader(cell, lambda: config(recording={"ring_s": 60})).reload()
         await lifting
 
@@ -130,7 +130,7 @@ def test_a_file_that_cannot_be_read_changes_nothing(failure: Exception) -> None:
         before = cell.service.config
         assert not await reloader(cell, read).reload()
         assert cell.service.config is before
-        assert "the old one stays in full: " in cell.service.journal.lines[-1]
+        assert "the old one stays in full: " in cell.service.event_log.lines[-1]
         assert cell.phase is Phase.IDLE
 
     play(Cell(), scene)

@@ -57,7 +57,7 @@ def test_a_refusal_of_the_gripper_is_told() -> None:
         cell.gripper.failures = [CommandRefused("gripper: width_mm is 99; it must be 0 to 85")]
         await cell.controls.gripper(50.0, 20.0)
         await asyncio.sleep(0.1)
-        assert cell.service.journal.lines[-1] == "gripper: gripper: width_mm is 99; it must be 0 to 85"
+        assert cell.service.event_log.lines[-1] == "gripper: gripper: width_mm is 99; it must be 0 to 85"
 
     play(Cell(), scene)
 

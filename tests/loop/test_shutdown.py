@@ -21,7 +21,7 @@ from slipguard.daemon import run as root
 from slipguard.daemon import shutdown as ending_module
 from slipguard.daemon.loop.actuator import Actuator
 from slipguard.daemon.loop.virtual_time import run_virtual
-from slipguard.daemon.shutdown import AGAIN_S, LEAVE_S, Ending
+from slipguard.daemon.shutdown import AGAIN_S, LEAVE_S, Shutdown
 from slipguard.devices import DriverContext, Frame
 from slipguard.errors import DeviceLost, DeviceTimeout
 from slipguard.sim.world import World, WorldSettings
@@ -155,7 +155,7 @@ async def test_what_heeds_nothing_is_left_behind(monkeypatch: pytest.MonkeyPatch
         codes.append(code)
         left.set()
 
-    ending = Ending(leave)
+    ending = Shutdown(leave)
     structlog.reset_defaults()
     with capture_logs() as said:
         ending.begin()
@@ -167,8 +167,8 @@ async def test_what_heeds_nothing_is_left_behind(monkeypatch: pytest.MonkeyPatch
 
 async def test_what_has_ended_is_not_left() -> None:
     codes: list[int] = []
-    Ending(codes.append).over()
-    ending = Ending(codes.append)
+    Shutdown(codes.append).over()
+    ending = Shutdown(codes.append)
     ending.begin()
     ending.over()
     assert ending._last is not None

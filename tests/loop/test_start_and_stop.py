@@ -141,10 +141,10 @@ def test_an_arm_that_does_not_come_does_not_keep_a_found_object_unguarded() -> N
         world.faults.fail("arm", "disconnect")
         async with running(new):
             await new.until(lambda: new.phase is Phase.FAULT)
-            assert any("arm silent" in line for line in new.service.journal.lines)
+            assert any("arm silent" in line for line in new.service.event_log.lines)
             assert new.service.state.guarding
             assert new.truth.in_contact
-            events = new.service.journal.events
+            events = new.service.event_log.events
             world.faults.fail("gripper", "disconnect")
             await new.until(lambda: any("gripper silent" in event.text for event in events))
             assert {event.level for event in events if "gripper silent" in event.text} == {"warning"}, "beside a fault"

@@ -14,7 +14,7 @@ import numpy as np
 from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
 from slipguard.daemon.api.handlers import calibration_answer
 from slipguard.daemon.loop.event_log import Event
-from slipguard.daemon.store.calibration import NoContact
+from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.devices import Frame, GripperState
 from slipguard.perception.contact.patch import ClippedSides
 from slipguard.web.access import Access
@@ -117,7 +117,7 @@ class FakeDaemonApi(DaemonApi):
     async def calibrate(self, force: bool = False, new_gel: bool = False) -> Mapping[str, object]:
         await self._note("calibrate", force, *(["new gel"] if new_gel else []))
         image = np.full((320, 240, 3), 90, np.uint8)
-        return calibration_answer({name: NoContact(image, (2.9, 1.5, 2.4), 30) for name in ("left", "right")})
+        return calibration_answer({name: BackgroundImage(image, (2.9, 1.5, 2.4), 30) for name in ("left", "right")})
 
     async def go_back(self, finger: str, number: int) -> str:
         return await self._note("go back", finger, number)

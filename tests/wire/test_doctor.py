@@ -20,7 +20,7 @@ from cell_rig import Cell, cell
 from ur_scene import own_address
 
 from slipguard.cli.app import run
-from slipguard.daemon.store.calibration import NoContact
+from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.doctor import gripper, sensor
 from slipguard_drivers.ur5 import diagnostics as arm_look
@@ -55,9 +55,9 @@ def there() -> Iterator[Cell]:
         folder = Path(name)
         folder.chmod(0o755)
         with cell(folder, HOST, "--object", "none", "--fps", 30, "--series", "e") as made:
-            gel = NoContact(np.full((320, 240, 3), 90, np.uint8), (2.0, 2.0, 2.0), 30)
+            gel = BackgroundImage(np.full((320, 240, 3), 90, np.uint8), (2.0, 2.0, 2.0), 30)
             for serial in ("SIM-L", "SIM-R"):
-                StateDir(made.folder / "state").save_no_contact(serial, gel)
+                StateDir(made.folder / "state").save_background(serial, gel)
             patient = made.config.read_text().replace("[arm]\n", "timeout_ms = 1000\n[arm]\n", 1)
             made.config.write_text(patient)
             yield made

@@ -8,7 +8,7 @@ from __future__ import annotations
 import signal
 import sys
 
-from slipguard.thread_priority import stand_back
+from slipguard.thread_priority import set_batch_priority
 
 NICENESS = 10
 
@@ -16,7 +16,7 @@ NICENESS = 10
 def main() -> None:
     """Stay out of the loop's way: nice, and deaf to its Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    stand_back(NICENESS)
+    set_batch_priority(NICENESS)
     from slipguard_drivers.digit.render_worker import serve_to_the_end
 
     serve_to_the_end(*(int(text) for text in sys.argv[1:4]))

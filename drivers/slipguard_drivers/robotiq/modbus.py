@@ -22,7 +22,7 @@ from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.register_message import ReadInputRegistersResponse, WriteMultipleRegistersResponse
 
-from slipguard.cancellation import heed_cancel
+from slipguard.cancellation import raise_if_cancelled
 from slipguard.errors import DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq import serial_port
 
@@ -110,7 +110,7 @@ class RegisterLine:
             # Its reader is set up by callbacks of the next two turns of the loop; closing before them trips it.
             await asyncio.sleep(0)
             await asyncio.sleep(0)
-            heed_cancel()
+            raise_if_cancelled()
             fd = _serial(client).fileno()
             serial_port.claim(fd)  # before the look: who opens it from now on is kept out
             serial_port.hurry(fd)

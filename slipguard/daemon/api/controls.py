@@ -10,7 +10,13 @@ from slipguard.control.state import Phase
 from slipguard.daemon.api.snapshot import snapshot, trouble
 from slipguard.daemon.loop.finger import Finger
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.store.calibration import TIMEOUT_S, Archive, NoContact, collect, no_contact_of
+from slipguard.daemon.store.calibration import (
+    TIMEOUT_S,
+    BackgroundArchive,
+    BackgroundImage,
+    average_background,
+    collect,
+)
 from slipguard.devices import Frame
 from slipguard.errors import CommandRefused, InputError, SlipguardError
 
@@ -82,7 +88,7 @@ class Controls:
         """Leave a fault whose cause is gone."""
         return await self._ask(Request(RequestKind.CLEAR))
 
-    async def calibrate(self, *, force: bool = False, new_gel: bool = False) -> dict[str, NoContact]:
+    async def calibrate(self, *, force: bool = False, new_gel: bool = False) -> dict[str, BackgroundImage]:
         """Take and store both fingers' no-contact images. Refused while anything is or may be touched.
 
         force: also where a stored image says that there is contact (its light may have changed). new_gel: the gels have
@@ -105,7 +111,7 @@ class Controls:
         finger, store = self._service.fingers.get(name), self._service.store
         if finger is None:
             raise CommandRefused(f"no finger {name!r}; there are: {', '.join(self._service.fingers)}")
-        if finger.serial is None or not isinstance(store, Archive):
+        if finger.serial is None or not isinstance(store, BackgroundArchive):
             raise CommandRefused(f"no sensor of the {name} finger was seen yet: {finger.health.why}")
         self._check_calibration_is_over()
         async with self._calibrating:
@@ -140,7 +146,7 @@ class Controls:
         """
         if finger.serial is None:
             return False
-        return await asyncio.to_thread(self._service.store.load_no_contact, finger.serial) is not None
+        return await asyncio.to_thread(self._service.store.load_background, finger.serial) is not None
 
     async def _knows_contact(self, finger: Finger) -> bool:
         """Whether its word on contact counts: not without a good no-contact image, or no new one could be had."""
@@ -149,7 +155,7 @@ class Controls:
         except InputError:
             return False
 
-    async def _take(self, new_gel: bool) -> dict[str, NoContact]:
+    async def _take(self, new_gel: bool) -> dict[str, BackgroundImage]:
         """Both fingers at once; stored only if both are good and nothing has moved meanwhile. By finger."""
         fingers = self._service.fingers
         taps: dict[str, asyncio.Queue[Frame]] = {name: asyncio.Queue(maxsize=4) for name in fingers}
@@ -164,13 +170,13 @@ class Controls:
         for name, result in zip(fingers, images, strict=True):
             if isinstance(result, BaseException):
                 raise result
-            taken[name] = await asyncio.to_thread(no_contact_of, result, name)
+            taken[name] = await asyncio.to_thread(average_background, result, name)
         self._check_idle()
         await self._store(taken, new_gel)
         await self._until_seen_anew()
         return taken
 
-    async def _store(self, taken: Mapping[str, NoContact], new_gel: bool) -> None:
+    async def _store(self, taken: Mapping[str, BackgroundImage], new_gel: bool) -> None:
         """All, and then all are used; raises CommandRefused that says which are stored, where a write fails.
 
         A finger whose image is stored uses it in any case: it is a good one, and a restart would.
@@ -181,10 +187,10 @@ class Controls:
         try:
             for name, finger in fingers.items():
                 if finger.serial is not None:
-                    if isinstance(store, Archive):
-                        await asyncio.to_thread(store.save_no_contact, finger.serial, taken[name], new_gel=new_gel)
+                    if isinstance(store, BackgroundArchive):
+                        await asyncio.to_thread(store.save_background, finger.serial, taken[name], new_gel=new_gel)
                     else:
-                        await asyncio.to_thread(store.save_no_contact, finger.serial, taken[name])
+                        await asyncio.to_thread(store.save_background, finger.serial, taken[name])
                     stored.append(name)
         except (SlipguardError, OSError) as error:
             others = f"the new one of {' and '.join(stored)} is stored and in use" if stored else "nothing was stored"

@@ -11,16 +11,16 @@ from pathlib import Path
 from slipguard.daemon.api.controls import Controls
 from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
 from slipguard.daemon.loop.event_log import Event
-from slipguard.daemon.loop.finger import Judgement
-from slipguard.daemon.loop.loop_metrics import Tally
+from slipguard.daemon.loop.finger import ProcessedFrame
+from slipguard.daemon.loop.loop_metrics import LoopMetrics
 from slipguard.daemon.loop.service import Service
 from slipguard.daemon.store.background_history import history, stored_image
-from slipguard.daemon.store.calibration import NoContact
+from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.devices import Frame
 from slipguard.errors import CommandRefused
 from slipguard.perception.rotation.axial_angle import wrap_axial_deg
 from slipguard.recording.recorder import Recorder
-from slipguard.thread_priority import let_the_loop_first
+from slipguard.thread_priority import set_worker_priority
 
 
 class RequestHandlers(DaemonApi):
@@ -30,10 +30,10 @@ class RequestHandlers(DaemonApi):
         self._service = service
         self._controls = Controls(service)
         self._recorder: Recorder | None = None
-        self._tally = Tally(service)
+        self._metrics = LoopMetrics(service)
         # One thread of its own: whoever looks at stored images keeps neither frames nor the gripper waiting.
-        self._reading = ThreadPoolExecutor(1, "slipguard-images", initializer=let_the_loop_first)
-        self._judged: dict[str, Judgement] = {}
+        self._reading = ThreadPoolExecutor(1, "slipguard-images", initializer=set_worker_priority)
+        self._judged: dict[str, ProcessedFrame] = {}
         for name, finger in service.fingers.items():
             finger.observers.append(partial(self._judged.__setitem__, name))
 
@@ -63,7 +63,7 @@ class RequestHandlers(DaemonApi):
 
     async def tallies(self) -> bytes:
         """What was counted and timed since the start."""
-        return json.dumps(self._tally.as_dict()).encode()
+        return json.dumps(self._metrics.as_dict()).encode()
 
     async def frame(self, finger: str) -> FingerFrame:
         """Serial number and newest frame of a finger."""
@@ -77,7 +77,7 @@ class RequestHandlers(DaemonApi):
             raise CommandRefused(f"no frame of the {finger} finger was judged yet; ask again in a second")
         return FingerFrame(serial, judged.frame, self._contact(finger, judged))
 
-    def _contact(self, finger: str, judged: Judgement) -> ContactOverlay | None:
+    def _contact(self, finger: str, judged: ProcessedFrame) -> ContactOverlay | None:
         patch, estimate = judged.patch, judged.estimate
         if patch is None or estimate is None or not estimate.contact:
             return None
@@ -124,14 +124,14 @@ class RequestHandlers(DaemonApi):
 
     def listen(self, hear: Callable[[Event], None]) -> Callable[[], None]:
         """Tell the newest events, and from then on each as it happens."""
-        journal = self._service.journal
-        for event in journal.events:
+        event_log = self._service.event_log
+        for event in event_log.events:
             hear(event)
-        journal.listeners.append(hear)
-        return lambda: journal.listeners.remove(hear)
+        event_log.listeners.append(hear)
+        return lambda: event_log.listeners.remove(hear)
 
 
-def calibration_answer(taken: Mapping[str, NoContact]) -> dict[str, object]:
+def calibration_answer(taken: Mapping[str, BackgroundImage]) -> dict[str, object]:
     """What a calibration says of the images it took, by finger."""
     fingers = {
         name: {

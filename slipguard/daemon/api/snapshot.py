@@ -43,7 +43,7 @@ def snapshot(service: Service) -> dict[str, object]:
             name: {
                 "serial": finger.serial,
                 "estimate": _plain(finger.newest.estimate) if finger.newest is not None else None,
-                "frames_per_s": service.pace.frames_per_s[name],
+                "frames_per_s": service.latency_stats.frames_per_s[name],
                 "age_s": _plain(getattr(seen, name).age_s) if seen is not None else None,
                 "counts": _plain(finger.counts),
                 "remarks": list(finger.sensor.remarks),
@@ -56,10 +56,10 @@ def snapshot(service: Service) -> dict[str, object]:
             "gripper": _trips(service.gripper.round_trips_s),
             "arm": _trips(service.arm.round_trips_s),
         },
-        "latency": _trips(service.pace.latencies_s),
+        "latency": _trips(service.latency_stats.latencies_s),
         "waiting_for": service.waiting_for,
         "deadlines_missed": service.deadlines_missed,
-        "said": service.journal.lines[-10:],
+        "said": service.event_log.lines[-10:],
     }
 
 

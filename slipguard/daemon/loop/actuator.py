@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from typing import Generic, Protocol, TypeGuard, TypeVar
 
-from slipguard.cancellation import heed_cancel
+from slipguard.cancellation import raise_if_cancelled
 from slipguard.daemon.loop.backoff import Backoff
 from slipguard.daemon.loop.health import Health
 from slipguard.daemon.loop.latest import Latest
@@ -82,10 +82,10 @@ class Actuator(Generic[S]):
         """Command and poll until cancelled; the device is left as it is."""
         try:
             while True:
-                heed_cancel()
+                raise_if_cancelled()
                 try:
                     await self._device.open()
-                    heed_cancel()
+                    raise_if_cancelled()
                     self._told = None
                     pending = self._next()
                     if self._is_stop(pending):
@@ -109,7 +109,7 @@ class Actuator(Generic[S]):
         waiting.add_done_callback(lambda _: self._wake.set())
         try:
             while not waiting.done():
-                heed_cancel()
+                raise_if_cancelled()
                 self._wake.clear()
                 action = self._next()
                 if self._is_stop(action):
@@ -155,7 +155,7 @@ class Actuator(Generic[S]):
                 self.health.troubled(str(error))
                 self._on_news()
                 next_poll_s = loop.time() + self._poll_s
-            heed_cancel()
+            raise_if_cancelled()
             timer = loop.call_at(next_poll_s, self._wake.set)
             try:
                 await self._wake.wait()

@@ -74,7 +74,7 @@ class _Told:
     known_well: bool = False
 
 
-class Bulletin:
+class DeviceAlerts:
     """say, warn: take one line; what goes well again is said, all else is warned of. One for each service."""
 
     def __init__(self, say: Callable[[str], None], warn: Callable[[str], None]) -> None:

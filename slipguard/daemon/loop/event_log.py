@@ -33,7 +33,7 @@ class Event:
         return f"fault: {self.text}; {self.what_to_do}" if self.level == "fault" else self.text
 
 
-class Journal:
+class EventLog:
     """listeners: called with each event.
 
     They hear every line; of those that differ in figures only, the log has one a second.

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from slipguard.cancellation import heed_cancel
+from slipguard.cancellation import raise_if_cancelled
 from slipguard.daemon.loop.backoff import Backoff
 from slipguard.daemon.loop.gel_condition import Gel
 from slipguard.daemon.loop.health import Health
@@ -23,7 +23,7 @@ REOPEN_S = 2.0
 """A sensor that is there but has given nothing good for so long is closed and opened again."""
 
 
-class Perceiver(Protocol):
+class PerceptionPipeline(Protocol):
     """What a finger needs of `slipguard.perception.pipeline.Pipeline`."""
 
     def process(self, frame: Frame) -> Estimate: ...
@@ -37,7 +37,7 @@ class Perceiver(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class TimedEstimate:
     """An estimate with the loop times at which its frame came in and the answer was ready."""
 
     estimate: Estimate
@@ -46,7 +46,7 @@ class Seen:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Judgement:
+class ProcessedFrame:
     """One frame that went through the pipeline, for observers.
 
     new_reference, new_pipeline: the pipeline forgot its reference, or was built anew, just before. estimate: None where
@@ -95,7 +95,7 @@ class Finger:
         name: str,
         sensor: TactileSensor,
         worker: Worker,
-        make_pipeline: Callable[[str], Perceiver],
+        make_pipeline: Callable[[str], PerceptionPipeline],
         retry_s: float,
         on_news: Callable[[], None],
     ) -> None:
@@ -104,8 +104,8 @@ class Finger:
         self.health = Health(name)
         self.counts = FingerCounts()
         self.serial: str | None = None
-        self.pipeline: Perceiver | None = None
-        self.newest: Seen | None = None
+        self.pipeline: PerceptionPipeline | None = None
+        self.newest: TimedEstimate | None = None
         """None where the newest answer belongs to an older reference or no-contact image."""
         self.answered = asyncio.Event()
         """Set while there is a `newest`."""
@@ -113,7 +113,7 @@ class Finger:
         """Of the newest frame that was judged."""
         self.newest_frame: Frame | None = None
         """The last good one; None while the sensor is gone."""
-        self.observers: list[Callable[[Judgement], None]] = []
+        self.observers: list[Callable[[ProcessedFrame], None]] = []
         self.gel: Gel | None = None
         """How it is when untouched, after the first minute of that; see `slipguard.daemon.loop.gel_monitor`."""
         self.tap: asyncio.Queue[Frame] | None = None
@@ -165,7 +165,7 @@ class Finger:
                 self.health.lost(str(error))
                 self._on_news()
                 await self.sensor.close()
-                heed_cancel()
+                raise_if_cancelled()
                 await self._backoff.wait()
 
     async def _stream(self) -> None:
@@ -180,7 +180,7 @@ class Finger:
         good_at_s = loop.time()
         sequence: int | None = None
         while True:
-            heed_cancel()
+            raise_if_cancelled()
             try:
                 frame = await self.sensor.next_frame()
             except (FrameCorrupt, FrameFrozen, DeviceTimeout) as error:
@@ -206,7 +206,7 @@ class Finger:
 
     async def _perceive(self) -> None:
         loop = asyncio.get_running_loop()
-        used: Perceiver | None = None
+        used: PerceptionPipeline | None = None
         while True:
             frame, handed_at_s = await self._waiting.next()
             pipeline = self.pipeline
@@ -223,10 +223,10 @@ class Finger:
             except SlipguardError as error:
                 self.counts.corrupt += 1
                 self._trouble(str(error))
-                self._observe(Judgement(frame, loop.time(), new_reference, new_pipeline, refused=str(error)))
+                self._observe(ProcessedFrame(frame, loop.time(), new_reference, new_pipeline, refused=str(error)))
                 continue
             patch = pipeline.last_patch if self.observers else None
-            self._observe(Judgement(frame, loop.time(), new_reference, new_pipeline, estimate, patch=patch))
+            self._observe(ProcessedFrame(frame, loop.time(), new_reference, new_pipeline, estimate, patch=patch))
             if not self._streaming:
                 continue
             self.captured_at_s = frame.captured_at_s
@@ -235,11 +235,11 @@ class Finger:
                 continue
             if estimate.skipped:
                 self.counts.skipped[estimate.skipped] = self.counts.skipped.get(estimate.skipped, 0) + 1
-            self.newest = Seen(estimate, handed_at_s, loop.time())
+            self.newest = TimedEstimate(estimate, handed_at_s, loop.time())
             self.answered.set()
             self._on_news()
 
-    def _spared(self, frame: Frame, pipeline: Perceiver) -> Estimate | None:
+    def _spared(self, frame: Frame, pipeline: PerceptionPipeline) -> Estimate | None:
         """The last answer, where the other finger makes this look needless."""
         own = None if self.newest is None else self.newest.estimate
         seen = None if self.other is None or self.other.newest is None else self.other.newest.estimate
@@ -248,6 +248,6 @@ class Finger:
         pipeline.stands(frame.captured_at_s)
         return again(own, frame.captured_at_s, frame.sequence)
 
-    def _observe(self, judgement: Judgement) -> None:
+    def _observe(self, processed: ProcessedFrame) -> None:
         for observer in self.observers:
-            observer(judgement)
+            observer(processed)

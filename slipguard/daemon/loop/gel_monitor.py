@@ -17,10 +17,10 @@ import structlog
 from numpy.typing import NDArray
 
 from slipguard.control.state import Phase
-from slipguard.daemon.loop.finger import Judgement
+from slipguard.daemon.loop.finger import ProcessedFrame
 from slipguard.daemon.loop.gel_condition import Verdict, judge
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.store.calibration import Archive, NoContact, Store
+from slipguard.daemon.store.calibration import BackgroundArchive, BackgroundImage, Store
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import SlipguardError
 from slipguard.perception.quality.gel_wear import Change, changed
@@ -55,7 +55,7 @@ class _Window:
     """Since the last calibration: light that comes and goes is said once."""
 
 
-class GelWatch:
+class GelMonitor:
     """One service's; what it finds is the fingers' `gel`."""
 
     def __init__(self, service: Service) -> None:
@@ -77,15 +77,15 @@ class GelWatch:
             for finger, observer in watching:
                 finger.observers.remove(observer)
 
-    def judged(self, name: str, judgement: Judgement) -> None:
+    def judged(self, name: str, processed: ProcessedFrame) -> None:
         """One frame: some microseconds, and a tenth of a millisecond for one in `SAMPLE_S`."""
-        window, now_s = self._windows[name], judgement.frame.captured_at_s
-        if judgement.new_pipeline:
+        window, now_s = self._windows[name], processed.frame.captured_at_s
+        if processed.new_pipeline:
             self._windows[name] = window = _Window()
             self._service.fingers[name].gel = None
-        if judgement.estimate is None:
+        if processed.estimate is None:
             return
-        if judgement.estimate.contact:
+        if processed.estimate.contact:
             window.touched_s = now_s
             self._touched(name, window, now_s)
             return
@@ -93,7 +93,7 @@ class GelWatch:
         rests = self._service.phase is Phase.IDLE and now_s - window.touched_s >= RECOVERY_S
         if rests and now_s - window.sampled_s >= SAMPLE_S:
             window.sampled_s = now_s
-            cv2.accumulate(np.ascontiguousarray(judgement.frame.image), window.total)
+            cv2.accumulate(np.ascontiguousarray(processed.frame.image), window.total)
             window.frames += 1
             if window.frames == FRAMES:
                 self._full.put_nowait((name, window.total / np.float32(FRAMES)))
@@ -109,7 +109,7 @@ class GelWatch:
         window.touch_began_s = now_s if window.touch_began_s is None else window.touch_began_s
         if now_s - window.touch_began_s >= TOUCHED_S and not window.touch_told:
             window.touch_told = True
-            self._service.journal.warn(
+            self._service.event_log.warn(
                 f"{name}: contact for {TOUCHED_S / 60:.0f} minutes with the jaws open; look whether something sticks "
                 "to the gel; if not, its light has changed: `slipguard calibrate --force`"
             )
@@ -137,16 +137,16 @@ class GelWatch:
         worse = gel.verdict in (Verdict.DRIFTED, Verdict.WORN)
         if worse and window.agreeing >= CONFIRMED and gel.verdict not in window.told:
             window.told.add(gel.verdict)
-            self._service.journal.warn(f"{name} ({serial}): {gel.seen}; {gel.do}")
+            self._service.event_log.warn(f"{name} ({serial}): {gel.seen}; {gel.do}")
 
 
 def _compared(store: Store, serial: str, mean: NDArray[np.float32], gate_sigma: float) -> tuple[Change, Change] | None:
-    newest = store.load_no_contact(serial)
-    first = store.first_of_gel(serial) if isinstance(store, Archive) else newest
+    newest = store.load_background(serial)
+    first = store.first_of_gel(serial) if isinstance(store, BackgroundArchive) else newest
     if newest is None or first is None:
         return None
 
-    def since(known: NoContact) -> Change:
+    def since(known: BackgroundImage) -> Change:
         return changed(mean, FRAMES, known.image, known.noise_bgr, known.frames, gate_sigma)
 
     light = since(newest)

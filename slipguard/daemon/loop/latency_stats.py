@@ -13,7 +13,7 @@ OVER_S = 2.0
 """A frame rate is told over this time."""
 
 
-class Pace:
+class LatencyStats:
     """An observer of the service.
 
     latencies_s: the newest, from a frame's being handed over until its command went out or none was found needed.

@@ -11,7 +11,7 @@ from functools import partial
 
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.event_log import Event
-from slipguard.daemon.loop.finger import Judgement
+from slipguard.daemon.loop.finger import ProcessedFrame
 from slipguard.daemon.loop.service import Service
 
 EDGES_MS = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, 250.0)
@@ -35,7 +35,7 @@ class Histogram:
         return {"counts": list(self._counts), "sum_ms": self._sum_ms}
 
 
-class Tally:
+class LoopMetrics:
     """Listens to a service from now on."""
 
     def __init__(self, service: Service) -> None:
@@ -48,13 +48,13 @@ class Tally:
             finger.observers.append(partial(self._judged, name))
         service.observers.append(self._decided)
         service.hold_observers.append(lambda since_handed_s: self._hold.add(1e3 * since_handed_s))
-        service.journal.listeners.append(self._told)
+        service.event_log.listeners.append(self._told)
 
-    def _judged(self, finger: str, judgement: Judgement) -> None:
-        if judgement.estimate is None:
+    def _judged(self, finger: str, processed: ProcessedFrame) -> None:
+        if processed.estimate is None:
             return
         stages = self._stages[finger]
-        for stage, time_ms in judgement.estimate.stage_ms.items():
+        for stage, time_ms in processed.estimate.stage_ms.items():
             if stage not in stages:
                 stages[stage] = Histogram()
             stages[stage].add(time_ms)

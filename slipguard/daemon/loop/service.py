@@ -20,11 +20,10 @@ from slipguard.control.params import GuardParams
 from slipguard.control.state import GuardState, Phase, settled
 from slipguard.daemon.loop.actuator import Actuator
 from slipguard.daemon.loop.decision import Decision
-from slipguard.daemon.loop.device_alerts import Bulletin, troubles
-from slipguard.daemon.loop.event_log import Journal
-from slipguard.daemon.loop.finger import Finger, Perceiver
-from slipguard.daemon.loop.finger import Seen as FingerSeen
-from slipguard.daemon.loop.latency_stats import Pace
+from slipguard.daemon.loop.device_alerts import DeviceAlerts, troubles
+from slipguard.daemon.loop.event_log import EventLog
+from slipguard.daemon.loop.finger import Finger, PerceptionPipeline, TimedEstimate
+from slipguard.daemon.loop.latency_stats import LatencyStats
 from slipguard.daemon.loop.ticker import Ticker
 from slipguard.daemon.loop.worker import Worker
 from slipguard.daemon.store.calibration import Store
@@ -59,18 +58,18 @@ class Service:
         gripper: Gripper,
         arm: Arm,
         make_worker: Callable[[str], Worker],
-        make_pipeline: Mapping[str, Callable[[str], Perceiver]],
+        make_pipeline: Mapping[str, Callable[[str], PerceptionPipeline]],
         store: Store,
         law: Law = tick,
         memory: Guard | None = None,
     ) -> None:
         self.config = config
         self.store = store
-        self.pace = Pace(FINGERS)
-        self.observers: list[Callable[[Decision], None]] = [self.pace.decided]
-        self.hold_observers: list[Callable[[float], None]] = [self.pace.held]
+        self.latency_stats = LatencyStats(FINGERS)
+        self.observers: list[Callable[[Decision], None]] = [self.latency_stats.decided]
+        self.hold_observers: list[Callable[[float], None]] = [self.latency_stats.held]
         """Called as a hold goes to the gripper, with the seconds since the frame that caused it was handed over."""
-        self.journal = Journal()
+        self.event_log = EventLog()
         self.deadlines_missed = 0
         self._guard = memory or Guard()
         self.seen: Seen | None = None
@@ -89,13 +88,13 @@ class Service:
             left.other, right.other = right, left
             left.refresh_s = right.refresh_s = config.perception.refresh_s
         self.gripper: Actuator[GripperState] = Actuator(
-            "gripper", gripper, poll_s, retry_s, self._wake.set, self.journal.warn
+            "gripper", gripper, poll_s, retry_s, self._wake.set, self.event_log.warn
         )
-        self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, self._wake.set, self.journal.warn)
+        self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, self._wake.set, self.event_log.warn)
         self._requests: asyncio.Queue[tuple[Request, asyncio.Future[str]]] = asyncio.Queue()
-        self._decided_on: dict[str, FingerSeen | None] = dict.fromkeys(FINGERS)
+        self._decided_on: dict[str, TimedEstimate | None] = dict.fromkeys(FINGERS)
         self._last_fault: Fault | None = None
-        self._bulletin = Bulletin(self.journal.say, self.journal.warn)
+        self._device_alerts = DeviceAlerts(self.event_log.say, self.event_log.warn)
 
     @property
     def state(self) -> GuardState:
@@ -203,7 +202,7 @@ class Service:
             found_needless if command.hold_force_n is None else (),
         )
         self._tell(before.law.phase, command, answer)
-        self._bulletin.look(now_s, troubles(seen, self.devices), self.phase, self.config.guard.loop_late_s)
+        self._device_alerts.look(now_s, troubles(seen, self.devices), self.phase, self.config.guard.loop_late_s)
         for observer in self.observers:
             observer(decision)
 
@@ -241,7 +240,7 @@ class Service:
             gripper_limits_n=self._gripper_device.force_limits_n,
         )
 
-    def _news(self) -> dict[str, FingerSeen]:
+    def _news(self) -> dict[str, TimedEstimate]:
         """Answers that this turn of the loop was the first to use."""
         news = {}
         for name, finger in self.fingers.items():
@@ -281,9 +280,9 @@ class Service:
 
     def _tell(self, before: Phase, command: Command, answer: asyncio.Future[str] | None) -> None:
         if command.say is not None:
-            (self.journal.warn if command.warn else self.journal.say)(command.say)
+            (self.event_log.warn if command.warn else self.event_log.say)(command.say)
         if command.fault is not None and command.fault != self._last_fault:
-            self.journal.fault(command.fault.code.value, command.fault.seen, command.fault.what_to_do)
+            self.event_log.fault(command.fault.code.value, command.fault.seen, command.fault.what_to_do)
         self._last_fault = command.fault
         if self.phase is not before:
             log.info("phase", now=self.phase.value, before=before.value)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol, TypeVar
 
-from slipguard.thread_priority import let_the_loop_first
+from slipguard.thread_priority import set_worker_priority
 
 T = TypeVar("T")
 A = TypeVar("A")
@@ -29,7 +29,7 @@ class ThreadWorker:
     """One thread of its own: the event loop stays free while numpy and onnxruntime work."""
 
     def __init__(self, name: str) -> None:
-        self._pool = ThreadPoolExecutor(1, f"slipguard-{name}", initializer=let_the_loop_first)
+        self._pool = ThreadPoolExecutor(1, f"slipguard-{name}", initializer=set_worker_priority)
 
     async def run(self, work: Callable[[A], T], argument: A) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._pool, work, argument)

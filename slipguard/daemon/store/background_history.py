@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.store.calibration import Archive, Version
+from slipguard.daemon.store.calibration import BackgroundArchive, BackgroundVersion
 from slipguard.errors import CommandRefused, InputError
 
 
@@ -20,14 +20,14 @@ async def history(service: Service, pool: Executor) -> dict[str, object]:
     loop = asyncio.get_running_loop()
     told: dict[str, object] = {}
     for name, finger in service.fingers.items():
-        there: Sequence[Version] = ()
-        if finger.serial is not None and isinstance(service.store, Archive):
-            there = await loop.run_in_executor(pool, service.store.no_contact_history, finger.serial)
+        there: Sequence[BackgroundVersion] = ()
+        if finger.serial is not None and isinstance(service.store, BackgroundArchive):
+            there = await loop.run_in_executor(pool, service.store.background_versions, finger.serial)
         told[name] = {"serial": finger.serial, "versions": [as_dict(version) for version in there]}
     return told
 
 
-def as_dict(version: Version) -> dict[str, object]:
+def as_dict(version: BackgroundVersion) -> dict[str, object]:
     """As JSON knows it; the time as ISO 8601."""
     return asdict(version) | {"created_at": version.created_at.isoformat()}
 
@@ -42,14 +42,14 @@ async def stored_image(
     finger, store = service.fingers.get(name), service.store
     if finger is None:
         raise CommandRefused(f"no finger {name!r}; there are: {', '.join(service.fingers)}")
-    if finger.serial is None or not isinstance(store, Archive):
+    if finger.serial is None or not isinstance(store, BackgroundArchive):
         raise CommandRefused(f"no sensor of the {name} finger was seen yet: {finger.health.why}")
     loop = asyncio.get_running_loop()
-    versions = await loop.run_in_executor(pool, store.no_contact_history, finger.serial)
+    versions = await loop.run_in_executor(pool, store.background_versions, finger.serial)
     chosen = number if number is not None else max((version.number for version in versions), default=None)
     try:
         found = (
-            None if chosen is None else await loop.run_in_executor(pool, store.load_no_contact, finger.serial, chosen)
+            None if chosen is None else await loop.run_in_executor(pool, store.load_background, finger.serial, chosen)
         )
     except InputError as error:
         raise CommandRefused(str(error)) from None

@@ -25,7 +25,7 @@ BLOCK_PX = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NoContact:
+class BackgroundImage:
     """image: (320, 240, 3) uint8 BGR, mean of the frames. noise_bgr: standard deviation over time of one pixel."""
 
     image: NDArray[np.uint8]
@@ -34,7 +34,7 @@ class NoContact:
 
 
 @dataclass(frozen=True, slots=True)
-class Version:
+class BackgroundVersion:
     """One stored no-contact image. created_at: when it was taken. level_bgr: its mean; None in older files.
 
     new_gel: the first one of a gel. copy_of: the number it was fetched back from.
@@ -52,27 +52,27 @@ class Version:
 class Store(Protocol):
     """Where no-contact images are kept, by serial."""
 
-    def load_no_contact(self, serial: str) -> NoContact | None: ...
+    def load_background(self, serial: str) -> BackgroundImage | None: ...
 
-    def save_no_contact(self, serial: str, taken: NoContact) -> None: ...
+    def save_background(self, serial: str, taken: BackgroundImage) -> None: ...
 
 
 @runtime_checkable
-class Archive(Protocol):
+class BackgroundArchive(Protocol):
     """A store that keeps the older ones, too; see `slipguard.daemon.store.state_dir`."""
 
-    def load_no_contact(self, serial: str, number: int | None = None) -> NoContact | None: ...
+    def load_background(self, serial: str, number: int | None = None) -> BackgroundImage | None: ...
 
-    def first_of_gel(self, serial: str) -> NoContact | None: ...
+    def first_of_gel(self, serial: str) -> BackgroundImage | None: ...
 
-    def save_no_contact(self, serial: str, taken: NoContact, *, new_gel: bool = False) -> None: ...
+    def save_background(self, serial: str, taken: BackgroundImage, *, new_gel: bool = False) -> None: ...
 
-    def go_back(self, serial: str, number: int) -> NoContact: ...
+    def go_back(self, serial: str, number: int) -> BackgroundImage: ...
 
-    def no_contact_history(self, serial: str) -> Sequence[Version]: ...
+    def background_versions(self, serial: str) -> Sequence[BackgroundVersion]: ...
 
 
-def no_contact_of(images: Sequence[NDArray[np.uint8]], finger: str) -> NoContact:
+def average_background(images: Sequence[NDArray[np.uint8]], finger: str) -> BackgroundImage:
     """Average frames (each (320, 240, 3) uint8 BGR) of an untouched gel.
 
     Raises CommandRefused where the pictures are not still.
@@ -94,7 +94,7 @@ def no_contact_of(images: Sequence[NDArray[np.uint8]], finger: str) -> NoContact
         )
     image = np.clip(np.rint(mean), 0, 255).astype(np.uint8)
     image.setflags(write=False)
-    return NoContact(image, (float(noise[0]), float(noise[1]), float(noise[2])), len(images))
+    return BackgroundImage(image, (float(noise[0]), float(noise[1]), float(noise[2])), len(images))
 
 
 def _change(stack: NDArray[np.float32]) -> float:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 TRY_AGAIN_S = 5.0
 
 
-class DiskWork:
+class DiskWriter:
     """name: of its task. what: it is that is noted down, as a line begins with it.
 
     warn: told of trouble. say: of its end.

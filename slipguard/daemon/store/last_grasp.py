@@ -16,7 +16,7 @@ from slipguard.control.fault import Fault
 from slipguard.control.guard import Guard
 from slipguard.control.state import AT_STAKE, GuardState, Phase, Remembered, taken
 from slipguard.daemon.loop.decision import Decision
-from slipguard.daemon.store.disk_writer import DiskWork
+from slipguard.daemon.store.disk_writer import DiskWriter
 from slipguard.daemon.store.state_dir import LastGrasp
 from slipguard.errors import SlipguardError
 
@@ -73,12 +73,12 @@ class _Note:
         return self.fault, self.let_go, self.cut_short
 
 
-class GraspKeeper:
+class LastGraspSaver:
     """Watches decisions and keeps the shelf up to date, in a thread: the loop never waits for the disk."""
 
     def __init__(self, shelf: Shelf, say: Callable[[str], None], warn: Callable[[str], None]) -> None:
         self._shelf = shelf
-        self._disk = DiskWork("last grasp", "the grip", say, warn)
+        self._disk = DiskWriter("last grasp", "the grip", say, warn)
         self._kept = _Note()
         self._known = False
         self._noted_at_s = 0.0

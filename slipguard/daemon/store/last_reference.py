@@ -10,8 +10,8 @@ import structlog
 
 from slipguard.control.state import AT_STAKE, Phase
 from slipguard.daemon.loop.decision import Decision
-from slipguard.daemon.loop.finger import Finger, Perceiver
-from slipguard.daemon.store.disk_writer import DiskWork
+from slipguard.daemon.loop.finger import Finger, PerceptionPipeline
+from slipguard.daemon.store.disk_writer import DiskWriter
 from slipguard.errors import InputError
 from slipguard.perception.stored_reference import KnownReference, RecallingPipeline
 
@@ -53,7 +53,7 @@ class _Kept:
     noted_at_s: float
 
 
-class ReferenceKeeper:
+class ReferenceSaver:
     """Watches decisions and keeps the shelf up to date, in a thread: the loop never waits for the disk.
 
     fingers: whose pipelines are looked at; one that is no `RecallingPipeline` has nothing to keep. warn: told of a disk
@@ -70,8 +70,8 @@ class ReferenceKeeper:
         self._shelf, self._fingers, self._say = shelf, fingers, say
         self._kept: dict[str, _Kept] = {}
         self._empty = False
-        self._told: dict[str, Perceiver] = {}
-        self._disk = DiskWork("last reference", "the references", say, warn)
+        self._told: dict[str, PerceptionPipeline] = {}
+        self._disk = DiskWriter("last reference", "the references", say, warn)
 
     def decided(self, decision: Decision) -> None:
         """To be called after every turn of the loop."""

@@ -42,7 +42,7 @@ class _Facts(BaseModel):
     sha256: str
 
 
-class ReferenceShelf:
+class ReferenceStore:
     """One reference a finger, in a folder that is made when first written to. Writing raises OSError."""
 
     def __init__(self, folder: Path) -> None:

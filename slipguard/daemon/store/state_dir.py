@@ -26,7 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from slipguard.atomic_file import write_whole
 from slipguard.config_errors import first_complaint
 from slipguard.control.fault import Fault
-from slipguard.daemon.store.calibration import NoContact, Version
+from slipguard.daemon.store.calibration import BackgroundImage, BackgroundVersion
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import ConfigError, InputError
 
@@ -99,13 +99,13 @@ class StateDir:
 
     # --- no-contact images ---
 
-    def save_no_contact(self, serial: str, taken: NoContact, *, new_gel: bool = False) -> None:
+    def save_background(self, serial: str, taken: BackgroundImage, *, new_gel: bool = False) -> None:
         """Store a new no-contact image of a sensor beside its older ones. new_gel: the gel has been replaced."""
         self._save(serial, taken, datetime.now(UTC), new_gel, None)
 
-    def go_back(self, serial: str, number: int) -> NoContact:
+    def go_back(self, serial: str, number: int) -> BackgroundImage:
         """Make an older image of a sensor the newest again, as a copy. Raises InputError where there is none."""
-        there = {version.number: version for version in self.no_contact_history(serial)}
+        there = {version.number: version for version in self.background_versions(serial)}
         if number not in there:
             known = ", ".join(str(one) for one in there) or "none"
             raise InputError(f"{serial}: no no-contact image {number} is stored; there are: {known}")
@@ -113,7 +113,9 @@ class StateDir:
         self._save(serial, taken, there[number].created_at, False, number)
         return taken
 
-    def _save(self, serial: str, taken: NoContact, created_at: datetime, new_gel: bool, copy_of: int | None) -> None:
+    def _save(
+        self, serial: str, taken: BackgroundImage, created_at: datetime, new_gel: bool, copy_of: int | None
+    ) -> None:
         folder = self._sensor(serial)
         number = max(self._numbers(folder), default=0) + 1
         encoded, png = cv2.imencode(".png", taken.image)
@@ -137,14 +139,14 @@ class StateDir:
 
     def _forget_the_oldest(self, serial: str) -> None:
         numbers = sorted(self._numbers(self._sensor(serial)))
-        first = self._gel_began(self.no_contact_history(serial))
+        first = self._gel_began(self.background_versions(serial))
         for number in numbers[:-KEPT]:
             if number != first:
                 path = self._sensor(serial) / f"no_contact-{number:04d}.json"
                 path.unlink(missing_ok=True)
                 path.with_suffix(".png").unlink(missing_ok=True)
 
-    def no_contact_history(self, serial: str) -> list[Version]:
+    def background_versions(self, serial: str) -> list[BackgroundVersion]:
         """What is stored of a sensor, oldest first; what is damaged is left out."""
         folder = self._sensor(serial)
         found = []
@@ -154,21 +156,21 @@ class StateDir:
             except InputError:
                 continue
             told = (facts.noise_bgr, facts.level_bgr, facts.frames, facts.new_gel, facts.copy_of)
-            found.append(Version(number, facts.created_at, *told))
+            found.append(BackgroundVersion(number, facts.created_at, *told))
         return found
 
     @staticmethod
-    def _gel_began(history: list[Version]) -> int | None:
+    def _gel_began(history: list[BackgroundVersion]) -> int | None:
         """The number of the present gel's first image."""
         fresh = [version.number for version in history if version.new_gel]
         return max(fresh, default=min((version.number for version in history), default=None))
 
-    def first_of_gel(self, serial: str) -> NoContact | None:
+    def first_of_gel(self, serial: str) -> BackgroundImage | None:
         """The first image of the gel that is on a sensor now; None if there is none. Raises InputError if damaged."""
-        number = self._gel_began(self.no_contact_history(serial))
+        number = self._gel_began(self.background_versions(serial))
         return None if number is None else self._load(serial, number)
 
-    def load_no_contact(self, serial: str, number: int | None = None) -> NoContact | None:
+    def load_background(self, serial: str, number: int | None = None) -> BackgroundImage | None:
         """A no-contact image of a sensor, the newest if not told which; None if there is none.
 
         Raises InputError if it is damaged.
@@ -178,7 +180,7 @@ class StateDir:
             number = max(numbers, default=None)
         return None if number is None or number not in numbers else self._load(serial, number)
 
-    def _load(self, serial: str, number: int) -> NoContact:
+    def _load(self, serial: str, number: int) -> BackgroundImage:
         path = self._sensor(serial) / f"no_contact-{number:04d}.json"
         facts = _read(path, _ImageFacts)
         png = path.with_suffix(".png")
@@ -194,9 +196,9 @@ class StateDir:
             raise InputError(f"{png}: is not a picture of 240 x 320; {repair}")
         pixels = np.asarray(image, np.uint8)
         pixels.setflags(write=False)
-        return NoContact(pixels, facts.noise_bgr, facts.frames)
+        return BackgroundImage(pixels, facts.noise_bgr, facts.frames)
 
-    def no_contact_created_at(self, serial: str) -> datetime | None:
+    def background_created_at(self, serial: str) -> datetime | None:
         """When the newest no-contact image of a sensor was taken; None if there is none."""
         folder = self._sensor(serial)
         number = max(self._numbers(folder), default=None)

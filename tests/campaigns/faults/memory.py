@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slipguard.daemon.store.calibration import NoContact
+from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.daemon.store.state_dir import LastGrasp
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 
@@ -15,13 +15,13 @@ class MemoryState:
     def __init__(self) -> None:
         self._last: LastGrasp | None = None
         blank = np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3), np.uint8)
-        self._image = NoContact(blank, (2.0, 2.0, 2.0), 30)
+        self._image = BackgroundImage(blank, (2.0, 2.0, 2.0), 30)
 
-    def load_no_contact(self, serial: str) -> NoContact | None:
+    def load_background(self, serial: str) -> BackgroundImage | None:
         """The same for every sensor."""
         return self._image
 
-    def save_no_contact(self, serial: str, taken: NoContact) -> None:
+    def save_background(self, serial: str, taken: BackgroundImage) -> None:
         """Nothing is calibrated here."""
 
     def save_last_grasp(self, last: LastGrasp) -> None:

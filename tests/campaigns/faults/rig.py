@@ -14,7 +14,7 @@ from slipguard.control.guard import tick
 from slipguard.daemon.api.controls import Controls
 from slipguard.daemon.loop.service import FINGERS, Service
 from slipguard.daemon.loop.worker import StatedLatencyWorker
-from slipguard.daemon.store.last_grasp import GraspKeeper, remembered
+from slipguard.daemon.store.last_grasp import LastGraspSaver, remembered
 from slipguard.devices import Arm, DriverContext, Gripper, TactileSensor
 from slipguard.registry import load_driver
 from slipguard.sim import objects
@@ -134,8 +134,8 @@ class Rig:
             law=tick,
             memory=remembered(self._state),
         )
-        service.observers.append(GraspKeeper(self._state, service.journal.say, service.journal.warn).decided)
-        service.journal.listeners.append(lambda event: self._heard(event.line))
+        service.observers.append(LastGraspSaver(self._state, service.event_log.say, service.event_log.warn).decided)
+        service.event_log.listeners.append(lambda event: self._heard(event.line))
         return service
 
     def _device(self, name: str) -> Any:

@@ -11,7 +11,7 @@ import typer
 from slipguard.cli.interrupt import left_to_the_loop
 from slipguard.cli.progress import progress_bar
 from slipguard.errors import InputError
-from slipguard.thread_priority import go_first
+from slipguard.thread_priority import set_realtime_priority
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -65,7 +65,7 @@ def soak(
 
     log.configure(level=logging.CRITICAL)
     if as_service:
-        go_first()
+        set_realtime_priority()
     length_s = 3600.0 * hours + 60.0 * minutes
     if recording_cost is not None:
         if length_s:

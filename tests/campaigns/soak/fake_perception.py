@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from slipguard.daemon.loop.finger import Perceiver
+from slipguard.daemon.loop.finger import PerceptionPipeline
 from slipguard.devices import Frame
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import Estimate
@@ -28,7 +28,7 @@ class Truthful:
     """
 
     def __init__(
-        self, pipeline: Perceiver, world: World, sign: int, rng: np.random.Generator, now: Callable[[], float]
+        self, pipeline: PerceptionPipeline, world: World, sign: int, rng: np.random.Generator, now: Callable[[], float]
     ) -> None:
         self._pipeline, self._world, self._sign, self._rng, self._now = pipeline, world, sign, rng, now
         self._forget()

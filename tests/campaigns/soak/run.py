@@ -21,7 +21,7 @@ import numpy as np
 from slipguard.config import Config
 from slipguard.daemon import run as root
 from slipguard.daemon.api import paths
-from slipguard.daemon.loop.finger import Perceiver
+from slipguard.daemon.loop.finger import PerceptionPipeline
 from slipguard.daemon.loop.service import Service
 from slipguard.daemon.loop.worker import StatedLatencyWorker
 from slipguard.daemon.store.recording import SEGMENT_S, make_recorder
@@ -119,7 +119,7 @@ class _Run:
         rng = np.random.default_rng(self._settings.seed)
         now = asyncio.get_running_loop().time
 
-        def around(finger: str, pipeline: Pipeline) -> Perceiver:
+        def around(finger: str, pipeline: Pipeline) -> PerceptionPipeline:
             return Truthful(pipeline, self.world, 1 if finger == "left" else -1, rng, now)
 
         return root.build_service(

@@ -172,6 +172,6 @@ class Shift:
 
     async def _until(self, reached: Callable[[], bool], within_s: float, otherwise: str) -> None:
         def how_it_stands() -> str:
-            return f"{otherwise} ({self._service.phase}; {'; '.join(self._service.journal.lines[-3:])})"
+            return f"{otherwise} ({self._service.phase}; {'; '.join(self._service.event_log.lines[-3:])})"
 
         await until(None, reached, within_s, how_it_stands, LOOK_S)

@@ -99,7 +99,7 @@ def test_it_sees_a_drop_that_holding_would_have_prevented(monkeypatch: pytest.Mo
 
 
 def test_it_sees_a_fault_that_is_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bulletin.Bulletin, "look", lambda self, *seen: None)
+    monkeypatch.setattr(bulletin.DeviceAlerts, "look", lambda self, *seen: None)
     outcome = with_plans(monkeypatch, ("left.corrupt", 4.0, np.inf))
     assert outcome.unnamed == ("left.corrupt",)
 

@@ -12,7 +12,7 @@ import pytest
 from command_line import Ran, slipguard
 from fake_daemon_api import FakeDaemonApi, served
 
-from slipguard.daemon.store.calibration import NoContact
+from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 
 CONFIG = Path(__file__).parents[3] / "config.toml"
@@ -90,7 +90,7 @@ def test_what_is_stored_is_shown_without_a_sensor_plugged_in(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
-    StateDir().save_no_contact("D20479", NoContact(np.full((320, 240, 3), 90, np.uint8), (1.0, 2.0, 3.0), 30))
+    StateDir().save_background("D20479", BackgroundImage(np.full((320, 240, 3), 90, np.uint8), (1.0, 2.0, 3.0), 30))
     ran = slipguard(capfd, "calibrate", "--config", CONFIG, "--socket", tmp_path / "s", "--show")
     assert (ran.code, ran.err) == (0, "")
     assert "D20479" in ran.out

@@ -14,7 +14,7 @@ from command_line import slipguard
 from slipguard.config import parse_config
 from slipguard.daemon.loop.finger import Finger
 from slipguard.daemon.run import build_service
-from slipguard.daemon.store.calibration import NoContact
+from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import Frame
 from slipguard.sim.world import World
@@ -45,7 +45,7 @@ def test_the_finger_runs_without_its_damaged_image(
     state = StateDir(tmp_path)
     rng = np.random.default_rng(0)
     image = np.clip(rng.normal(100.0, 2.0, (320, 240, 3)), 0, 255).astype(np.uint8)
-    state.save_no_contact("SIM-L", NoContact(image, (2.0, 2.0, 2.0), 30))
+    state.save_background("SIM-L", BackgroundImage(image, (2.0, 2.0, 2.0), 30))
     (stored,) = tmp_path.rglob(f"*.{ending}")
     damage(stored)
     config = parse_config({"state": {"directory": str(tmp_path)}}, where="test", sim=True)
@@ -63,8 +63,8 @@ def test_the_finger_runs_without_its_damaged_image(
     assert "Traceback" not in said.out + said.err
     if not (damage is removed and ending == "json"):
         assert "no_contact-0001" in said.out + said.err
-    state.save_no_contact("SIM-L", NoContact(image, (2.0, 2.0, 2.0), 30))
-    again = state.load_no_contact("SIM-L")
+    state.save_background("SIM-L", BackgroundImage(image, (2.0, 2.0, 2.0), 30))
+    again = state.load_background("SIM-L")
     assert again is not None
     assert np.array_equal(again.image, image)
 

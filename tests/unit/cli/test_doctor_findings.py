@@ -13,7 +13,7 @@ import pytest
 from pydantic import BaseModel
 
 from slipguard.config import Config, sim_config
-from slipguard.daemon.store.calibration import NoContact
+from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import GripperState
 from slipguard.diagnosis import Diagnosable, Finding, Verdict, fine, from_error, wrong
@@ -121,7 +121,7 @@ def test_the_age_of_a_no_contact_image(tmp_path: Path) -> None:
     store = StateDir(tmp_path)
     now = datetime.now(UTC)
     assert sensor.no_contact("D1", store, now).verdict is Verdict.WRONG
-    store.save_no_contact("D1", NoContact(np.zeros((320, 240, 3), np.uint8), (1.0, 1.0, 1.0), 30))
+    store.save_background("D1", BackgroundImage(np.zeros((320, 240, 3), np.uint8), (1.0, 1.0, 1.0), 30))
     assert sensor.no_contact("D1", store, now).verdict is Verdict.FINE
     old = sensor.no_contact("D1", store, now + timedelta(days=60))
     assert (old.verdict, old.seen) == (Verdict.NOTE, "60 days old")

@@ -9,7 +9,7 @@ from observations import arm, gripper, seen
 
 from slipguard.control.messages import Condition, FingerHealth, Seen
 from slipguard.control.state import Phase
-from slipguard.daemon.loop.device_alerts import Bulletin, troubles
+from slipguard.daemon.loop.device_alerts import DeviceAlerts, troubles
 from slipguard.daemon.loop.health import Health
 
 TICK_S = 0.01
@@ -20,7 +20,7 @@ class Listener:
         self.said: list[tuple[float, str]] = []
         self.now_s = 100.0
         self.warned: list[str] = []
-        self.bulletin = Bulletin(self._say, self._warn)
+        self.bulletin = DeviceAlerts(self._say, self._warn)
 
     def _say(self, line: str) -> None:
         self.said.append((round(self.now_s, 2), line))

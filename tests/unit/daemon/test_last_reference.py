@@ -16,8 +16,8 @@ from drawn_masks import drawn
 
 from slipguard.atomic_file import write_whole as really_write
 from slipguard.control.state import Phase
-from slipguard.daemon.store.last_reference import ReferenceKeeper, recall
-from slipguard.daemon.store.reference_store import GOOD_FOR, ReferenceShelf
+from slipguard.daemon.store.last_reference import ReferenceSaver, recall
+from slipguard.daemon.store.reference_store import GOOD_FOR, ReferenceStore
 from slipguard.errors import InputError
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stored_reference import KnownReference, RecallingPipeline
@@ -48,7 +48,7 @@ def decision(phase: Phase, holding: bool = True, now_s: float = 0.0) -> Any:
     return SimpleNamespace(phase=phase, seen=seen, now_s=now_s)
 
 
-async def settled(keeper: ReferenceKeeper, *decisions: Any) -> None:
+async def settled(keeper: ReferenceSaver, *decisions: Any) -> None:
     """However long the disk takes."""
     for one in decisions:
         keeper.decided(one)
@@ -57,7 +57,7 @@ async def settled(keeper: ReferenceKeeper, *decisions: Any) -> None:
 
 async def test_a_reference_that_is_held_for_hours_does_not_grow_old(tmp_path: Path) -> None:
     finger = Finger(pipeline())
-    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": finger}, [].append, [].append)  # type: ignore[dict-item]
+    keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, [].append, [].append)  # type: ignore[dict-item]
     finger.sees(20.0, frames=12)
     noted = []
     for minutes in range(0, 21, 4):
@@ -69,7 +69,7 @@ async def test_a_reference_that_is_held_for_hours_does_not_grow_old(tmp_path: Pa
 async def test_a_restart_goes_on_with_the_reference_and_says_so(tmp_path: Path) -> None:
     said: list[str] = []
     old = Finger(pipeline())
-    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": old}, said.append, said.append)  # type: ignore[dict-item]
+    keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": old}, said.append, said.append)  # type: ignore[dict-item]
     old.sees(0.0)
     await settled(keeper, decision(Phase.HOLDING))
     old.sees(12.0)
@@ -78,9 +78,9 @@ async def test_a_restart_goes_on_with_the_reference_and_says_so(tmp_path: Path) 
     assert written["rotation_deg"] == pytest.approx(12.0, abs=0.5)
 
     new = Finger(pipeline())
-    recall(new.pipeline, ReferenceShelf(tmp_path), "left", "D1", 0.0)
+    recall(new.pipeline, ReferenceStore(tmp_path), "left", "D1", 0.0)
     assert new.pipeline.recalled == "waiting"
-    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": new}, said.append, said.append)  # type: ignore[dict-item]
+    keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": new}, said.append, said.append)  # type: ignore[dict-item]
     new.sees(15.0)
     await settled(keeper, decision(Phase.REFERENCE), decision(Phase.HOLDING))
     assert new.newest.estimate.angle_deg == pytest.approx(15.0, abs=0.5)  # type: ignore[attr-defined]
@@ -88,15 +88,15 @@ async def test_a_restart_goes_on_with_the_reference_and_says_so(tmp_path: Path) 
     assert json.loads((tmp_path / "left.json").read_text())["rotation_deg"] == pytest.approx(15.0, abs=0.5)
 
     await settled(keeper, decision(Phase.IDLE, holding=False))
-    assert ReferenceShelf(tmp_path).load("left", "D1") is None
+    assert ReferenceStore(tmp_path).load("left", "D1") is None
 
 
 async def test_what_does_not_match_is_said_with_the_turn_it_counts_from(tmp_path: Path) -> None:
     said: list[str] = []
-    ReferenceShelf(tmp_path).save("left", "D1", KnownReference(IMAGE, 12.0))
+    ReferenceStore(tmp_path).save("left", "D1", KnownReference(IMAGE, 12.0))
     finger = Finger(pipeline())
-    recall(finger.pipeline, ReferenceShelf(tmp_path), "left", "D1", 0.0)
-    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
+    recall(finger.pipeline, ReferenceStore(tmp_path), "left", "D1", 0.0)
+    keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
     finger.sees(0.0, 20)
     await settled(keeper, decision(Phase.HOLDING), decision(Phase.HOLDING))
     assert len(said) == 1
@@ -106,13 +106,13 @@ async def test_what_does_not_match_is_said_with_the_turn_it_counts_from(tmp_path
 
 
 async def test_a_full_disk_is_said_once(tmp_path: Path) -> None:
-    class Full(ReferenceShelf):
+    class Full(ReferenceStore):
         def save(self, finger: str, serial: str, known: KnownReference) -> None:
             raise OSError(28, "No space left on device")
 
     said: list[str] = []
     finger = Finger(pipeline())
-    keeper = ReferenceKeeper(Full(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
+    keeper = ReferenceSaver(Full(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
     finger.sees(0.0)
     await settled(keeper, *[decision(Phase.HOLDING)] * 4)
     assert said == ["the references could not be noted down for a restart: No space left on device"]
@@ -133,14 +133,14 @@ async def test_a_disk_that_is_mended_takes_the_references_again(
     monkeypatch.setattr("slipguard.daemon.store.reference_store.write_whole", write_whole)
     said: list[str] = []
     finger = Finger(pipeline())
-    keeper = ReferenceKeeper(ReferenceShelf(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
+    keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
     finger.sees(0.0)
     await settled(keeper, *[decision(Phase.HOLDING)] * 2)
     assert disk["writes"] == 1, "not at once again"
     disk["full"] = False
     keeper._disk._again_at_s = 0.0  # the pause is over
     await settled(keeper, *[decision(Phase.HOLDING)] * 4)
-    known = ReferenceShelf(tmp_path).load("left", "D1")
+    known = ReferenceStore(tmp_path).load("left", "D1")
     assert known is not None
     assert said == [
         "the references could not be noted down for a restart: No space left on device",
@@ -148,24 +148,24 @@ async def test_a_disk_that_is_mended_takes_the_references_again(
     ]
     disk["full"] = True
     await settled(keeper, *[decision(Phase.IDLE, holding=False)] * 2)
-    assert ReferenceShelf(tmp_path).load("left", "D1") is None, "deleting needs no room"
+    assert ReferenceStore(tmp_path).load("left", "D1") is None, "deleting needs no room"
 
 
 def test_a_turn_never_goes_with_the_picture_of_another_reference(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shelf = ReferenceShelf(tmp_path)
+    shelf = ReferenceStore(tmp_path)
     shelf.rotation("left", "D1", KnownReference(IMAGE, 7.0))  # never saved before: as if it were
     new = KnownReference(IMAGE[::-1].copy(), 0.0)
     with monkeypatch.context() as failing:
         failing.setattr("slipguard.daemon.store.reference_store.write_whole", fails)
         with pytest.raises(OSError, match="No space left"):
             shelf.save("left", "D1", new)
-    old = ReferenceShelf(tmp_path).load("left", "D1")
+    old = ReferenceStore(tmp_path).load("left", "D1")
     assert old is not None
     assert (old.rotation_deg, np.array_equal(old.image, IMAGE)) == (7.0, True)
     shelf.rotation("left", "D1", new)
-    known = ReferenceShelf(tmp_path).load("left", "D1")
+    known = ReferenceStore(tmp_path).load("left", "D1")
     assert known is not None
     assert (known.rotation_deg, np.array_equal(known.image, new.image)) == (0.0, True)
 
@@ -175,9 +175,9 @@ def fails(path: Path, content: bytes) -> None:
 
 
 def test_only_the_same_sensor_and_not_for_long(tmp_path: Path) -> None:
-    shelf = ReferenceShelf(tmp_path)
+    shelf = ReferenceStore(tmp_path)
     shelf.save("left", "D1", KnownReference(IMAGE, 7.0, 1.0))
-    known = ReferenceShelf(tmp_path).load("left", "D1")
+    known = ReferenceStore(tmp_path).load("left", "D1")
     assert known is not None
     assert np.array_equal(known.image, IMAGE)
     assert (known.rotation_deg, known.counted_deg) == (7.0, 1.0)
@@ -188,7 +188,7 @@ def test_only_the_same_sensor_and_not_for_long(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("damage", ["no json", "half a picture", "no picture", "another picture"])
 def test_a_damaged_one_counts_as_none(tmp_path: Path, damage: str) -> None:
-    shelf = ReferenceShelf(tmp_path)
+    shelf = ReferenceStore(tmp_path)
     shelf.save("left", "D1", KnownReference(IMAGE, 7.0))
     png = tmp_path / "left.png"
     if damage == "no json":
@@ -198,10 +198,10 @@ def test_a_damaged_one_counts_as_none(tmp_path: Path, damage: str) -> None:
     elif damage == "no picture":
         png.unlink()
     else:
-        ReferenceShelf(tmp_path).save("right", "D1", KnownReference(IMAGE[::-1].copy(), 0.0))
+        ReferenceStore(tmp_path).save("right", "D1", KnownReference(IMAGE[::-1].copy(), 0.0))
         (tmp_path / "right.png").replace(png)
     with pytest.raises(InputError):
-        ReferenceShelf(tmp_path).load("left", "D1")
+        ReferenceStore(tmp_path).load("left", "D1")
     pipe = pipeline()
-    recall(pipe, ReferenceShelf(tmp_path), "left", "D1", 0.0)
+    recall(pipe, ReferenceStore(tmp_path), "left", "D1", 0.0)
     assert pipe.recalled is None

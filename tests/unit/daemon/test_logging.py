@@ -12,7 +12,7 @@ import structlog
 
 from slipguard.daemon.logging import KINDS_MAX, OncePerSecond, configure, set_level
 from slipguard.daemon.loop import event_log as journals
-from slipguard.daemon.loop.event_log import Journal
+from slipguard.daemon.loop.event_log import EventLog
 
 
 @pytest.fixture(autouse=True)
@@ -87,13 +87,13 @@ def test_of_lines_that_differ_in_figures_one_a_second_is_logged_and_all_are_told
     monkeypatch.setattr(sys, "stderr", stream)
     monkeypatch.setattr(journals, "_now_s", lambda: now_s)
     configure()
-    journal = Journal()
-    journal.listeners.append(lambda event: told.append(event.line))
+    event_log = EventLog()
+    event_log.listeners.append(lambda event: told.append(event.line))
     for rotation in range(250):
         now_s = rotation * 0.01
-        journal.warn(f"left: its newest frame is {rotation}.5 ms old")
+        event_log.warn(f"left: its newest frame is {rotation}.5 ms old")
         if rotation == 100:
-            journal.say("something else")
+            event_log.say("something else")
     lines = [json.loads(line) for line in stream.getvalue().splitlines()]
     assert [line["event"] for line in lines] == [
         "left: its newest frame is 0.5 ms old",
@@ -109,9 +109,9 @@ def test_faults_are_never_held_back(monkeypatch: pytest.MonkeyPatch) -> None:
     stream = io.StringIO()
     monkeypatch.setattr(sys, "stderr", stream)
     configure()
-    journal = Journal()
+    event_log = EventLog()
     for _ in range(3):
-        journal.fault("frames_lost", "no frames", "check the cable")
+        event_log.fault("frames_lost", "no frames", "check the cable")
     assert len(stream.getvalue().splitlines()) == 3
 
 

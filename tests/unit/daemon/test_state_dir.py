@@ -12,30 +12,30 @@ import cv2
 import numpy as np
 import pytest
 
-from slipguard.daemon.store.calibration import NoContact
+from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.daemon.store.state_dir import KEPT, LastGrasp, StateDir, default_state_path
 from slipguard.errors import ConfigError, InputError
 
 
-def no_contact(level: int = 90) -> NoContact:
+def no_contact(level: int = 90) -> BackgroundImage:
     rng = np.random.default_rng(level)
     image = rng.integers(level, level + 40, (320, 240, 3), dtype=np.uint8)
-    return NoContact(image, (2.9, 1.5, 2.4), 30)
+    return BackgroundImage(image, (2.9, 1.5, 2.4), 30)
 
 
 def test_gives_back_what_was_stored(tmp_path: Path) -> None:
     state = StateDir(tmp_path / "new" / "state")
-    assert state.load_no_contact("D20479") is None
-    assert state.no_contact_created_at("D20479") is None
+    assert state.load_background("D20479") is None
+    assert state.background_created_at("D20479") is None
     taken = no_contact()
-    state.save_no_contact("D20479", taken)
-    known = state.load_no_contact("D20479")
+    state.save_background("D20479", taken)
+    known = state.load_background("D20479")
     assert known is not None
     np.testing.assert_array_equal(known.image, taken.image)
     assert known.noise_bgr == taken.noise_bgr
     assert known.frames == 30
     assert not known.image.flags.writeable
-    created = state.no_contact_created_at("D20479")
+    created = state.background_created_at("D20479")
     assert created is not None
     assert abs(datetime.now(UTC) - created) < timedelta(minutes=1)
 
@@ -43,22 +43,22 @@ def test_gives_back_what_was_stored(tmp_path: Path) -> None:
 def test_the_newest_counts_and_the_older_ones_stay(tmp_path: Path) -> None:
     state = StateDir(tmp_path)
     for level in (50, 90, 130):
-        state.save_no_contact("D20479", no_contact(level))
-    known = state.load_no_contact("D20479")
+        state.save_background("D20479", no_contact(level))
+    known = state.load_background("D20479")
     assert known is not None
     np.testing.assert_array_equal(known.image, no_contact(130).image)
     names = sorted(entry.name for entry in (tmp_path / "sensors" / "D20479").iterdir())
     assert names == [f"no_contact-{n:04d}.{kind}" for n in (1, 2, 3) for kind in ("json", "png")]
-    assert state.load_no_contact("D20480") is None
+    assert state.load_background("D20480") is None
 
 
 def test_a_picture_without_its_facts_does_not_count(tmp_path: Path) -> None:
     """What a crash between the two files leaves."""
     state = StateDir(tmp_path)
-    state.save_no_contact("D20479", no_contact(50))
+    state.save_background("D20479", no_contact(50))
     folder = tmp_path / "sensors" / "D20479"
     (folder / "no_contact-0002.png").write_bytes(b"half a pict")
-    known = state.load_no_contact("D20479")
+    known = state.load_background("D20479")
     assert known is not None
     np.testing.assert_array_equal(known.image, no_contact(50).image)
 
@@ -66,53 +66,53 @@ def test_a_picture_without_its_facts_does_not_count(tmp_path: Path) -> None:
 @pytest.mark.parametrize("keep", [0, 20, 1000])
 def test_a_damaged_picture_is_named(tmp_path: Path, keep: int) -> None:
     state = StateDir(tmp_path)
-    state.save_no_contact("D20479", no_contact())
+    state.save_background("D20479", no_contact())
     png = tmp_path / "sensors" / "D20479" / "no_contact-0001.png"
     png.write_bytes(png.read_bytes()[:keep])
     with pytest.raises(InputError, match=r"no_contact-0001\.png: .*sha256.*slipguard calibrate") as caught:
-        state.load_no_contact("D20479")
+        state.load_background("D20479")
     assert "\n" not in str(caught.value)
 
 
 def test_a_picture_of_another_size_is_named(tmp_path: Path) -> None:
     state = StateDir(tmp_path)
-    state.save_no_contact("D20479", no_contact())
+    state.save_background("D20479", no_contact())
     facts = tmp_path / "sensors" / "D20479" / "no_contact-0001.json"
     _, png = cv2.imencode(".png", np.zeros((24, 32, 3), np.uint8))
     before = hashlib.sha256(facts.with_suffix(".png").read_bytes()).hexdigest()
     facts.with_suffix(".png").write_bytes(png.tobytes())
     facts.write_text(facts.read_text().replace(before, hashlib.sha256(png.tobytes()).hexdigest()))
     with pytest.raises(InputError, match=r"is not a picture of 240 x 320"):
-        state.load_no_contact("D20479")
+        state.load_background("D20479")
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 2}', '{"format": 1, "serial": "D20479"}'])
 def test_damaged_facts_are_named(tmp_path: Path, text: str) -> None:
     state = StateDir(tmp_path)
-    state.save_no_contact("D20479", no_contact())
+    state.save_background("D20479", no_contact())
     (tmp_path / "sensors" / "D20479" / "no_contact-0001.json").write_text(text)
     with pytest.raises(InputError, match=r"no_contact-0001\.json: damaged") as caught:
-        state.load_no_contact("D20479")
+        state.load_background("D20479")
     assert "\n" not in str(caught.value)
 
 
 def test_a_missing_picture_is_named(tmp_path: Path) -> None:
     state = StateDir(tmp_path)
-    state.save_no_contact("D20479", no_contact())
+    state.save_background("D20479", no_contact())
     (tmp_path / "sensors" / "D20479" / "no_contact-0001.png").unlink()
     with pytest.raises(InputError, match=r"no_contact-0001\.png: cannot be read"):
-        state.load_no_contact("D20479")
+        state.load_background("D20479")
 
 
 @pytest.mark.parametrize("serial", ["", "../up", "a/b", ".hidden", "x" * 65, "D20479\n"])
 def test_a_serial_cannot_lead_out_of_the_directory(tmp_path: Path, serial: str) -> None:
     with pytest.raises(InputError, match="serial number"):
-        StateDir(tmp_path).load_no_contact(serial)
+        StateDir(tmp_path).load_background(serial)
 
 
 def test_an_image_of_another_size_is_not_stored(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="320 x 240"):
-        StateDir(tmp_path).save_no_contact("D1", NoContact(np.zeros((10, 10, 3), np.uint8), (1.0, 1.0, 1.0), 1))
+        StateDir(tmp_path).save_background("D1", BackgroundImage(np.zeros((10, 10, 3), np.uint8), (1.0, 1.0, 1.0), 1))
 
 
 def test_a_failed_write_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -146,7 +146,7 @@ def test_the_last_grasp_can_be_forgotten_and_damage_is_named(tmp_path: Path) -> 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match=r"cannot be written .*\[state\] directory"):
-        StateDir(tmp_path / "file" / "state").save_no_contact("D1", no_contact())
+        StateDir(tmp_path / "file" / "state").save_background("D1", no_contact())
 
 
 def test_where_the_state_is_kept(tmp_path: Path) -> None:
@@ -159,10 +159,10 @@ def test_where_the_state_is_kept(tmp_path: Path) -> None:
 
 def test_each_image_is_a_version_with_its_time_noise_and_light(tmp_path: Path) -> None:
     state = StateDir(tmp_path)
-    assert state.no_contact_history("D20479") == []
+    assert state.background_versions("D20479") == []
     for level in (50, 60):
-        state.save_no_contact("D20479", no_contact(level))
-    first, second = state.no_contact_history("D20479")
+        state.save_background("D20479", no_contact(level))
+    first, second = state.background_versions("D20479")
     assert (first.number, second.number) == (1, 2)
     assert first.created_at <= second.created_at
     assert first.noise_bgr == no_contact(50).noise_bgr
@@ -173,16 +173,16 @@ def test_each_image_is_a_version_with_its_time_noise_and_light(tmp_path: Path) -
 def test_going_back_makes_a_copy_the_newest_and_loses_nothing(tmp_path: Path) -> None:
     state = StateDir(tmp_path)
     for level in (50, 60):
-        state.save_no_contact("D20479", no_contact(level))
+        state.save_background("D20479", no_contact(level))
     back = state.go_back("D20479", 1)
     np.testing.assert_array_equal(back.image, no_contact(50).image)
-    newest = state.load_no_contact("D20479")
+    newest = state.load_background("D20479")
     assert newest is not None
     np.testing.assert_array_equal(newest.image, no_contact(50).image)
-    history = state.no_contact_history("D20479")
+    history = state.background_versions("D20479")
     assert [(one.number, one.copy_of) for one in history] == [(1, None), (2, None), (3, 1)]
     assert history[2].created_at == history[0].created_at
-    other = state.load_no_contact("D20479", 2)
+    other = state.load_background("D20479", 2)
     assert other is not None
     np.testing.assert_array_equal(other.image, no_contact(60).image)
     with pytest.raises(InputError, match=r"D20479: no no-contact image 9 is stored; there are: 1, 2, 3"):
@@ -192,8 +192,8 @@ def test_going_back_makes_a_copy_the_newest_and_loses_nothing(tmp_path: Path) ->
 def test_the_oldest_go_but_not_the_gels_first(tmp_path: Path) -> None:
     state = StateDir(tmp_path)
     for number in range(KEPT + 5):
-        state.save_no_contact("D20479", no_contact(50 + number), new_gel=number == 2)
-    numbers = [one.number for one in state.no_contact_history("D20479")]
+        state.save_background("D20479", no_contact(50 + number), new_gel=number == 2)
+    numbers = [one.number for one in state.background_versions("D20479")]
     assert numbers == [3, *range(6, KEPT + 6)]
     first = state.first_of_gel("D20479")
     assert first is not None
@@ -203,12 +203,12 @@ def test_the_oldest_go_but_not_the_gels_first(tmp_path: Path) -> None:
 
 def test_files_of_before_there_were_versions_are_read(tmp_path: Path) -> None:
     state = StateDir(tmp_path)
-    state.save_no_contact("D20479", no_contact())
+    state.save_background("D20479", no_contact())
     path = tmp_path / "sensors" / "D20479" / "no_contact-0001.json"
     facts = json.loads(path.read_text())
     for key in ("level_bgr", "new_gel", "copy_of"):
         del facts[key]
     path.write_text(json.dumps(facts))
-    (version,) = state.no_contact_history("D20479")
+    (version,) = state.background_versions("D20479")
     assert (version.level_bgr, version.new_gel, version.copy_of) == (None, False, None)
     assert state.first_of_gel("D20479") is not None

@@ -13,7 +13,7 @@ import pytest
 
 from slipguard.cli.app import run
 from slipguard.errors import SlipguardError
-from slipguard.thread_priority import FIRST, SECOND, go_first, let_the_loop_first, stand_back
+from slipguard.thread_priority import FIRST, SECOND, set_batch_priority, set_realtime_priority, set_worker_priority
 from tests.campaigns.command_line import run as run_campaign
 
 UNTIL_IT_STANDS_BACK = """
@@ -34,7 +34,7 @@ def standing() -> tuple[int, int]:
 def test_one_thread_stands_back_and_what_it_starts_with_it() -> None:
     before = standing()
     with ThreadPoolExecutor(1) as back:
-        back.submit(stand_back, 7).result()
+        back.submit(set_batch_priority, 7).result()
         policy, niceness = back.submit(standing).result()
         child = back.submit(subprocess.check_output, ("cat", "/proc/self/stat"), text=True).result()
     assert (policy, niceness) == (os.SCHED_BATCH, min(before[1] + 7, 19))
@@ -53,7 +53,7 @@ def test_a_process_that_stands_back_does_so_before_it_imports_anything_heavy(mod
 def test_what_the_system_forbids_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     before = standing()
     monkeypatch.setattr(os, "sched_setscheduler", forbidden)
-    stand_back(7)
+    set_batch_priority(7)
     assert standing() == before
 
 
@@ -64,7 +64,7 @@ def test_the_guard_goes_first_by_the_least_that_does(monkeypatch: pytest.MonkeyP
         asked.append((pid, policy, how.sched_priority))
 
     monkeypatch.setattr(os, "sched_setscheduler", noted)
-    go_first()
+    set_realtime_priority()
     assert asked == [(0, os.SCHED_RR, FIRST)]
     assert os.sched_get_priority_min(os.SCHED_RR) == SECOND < FIRST
 
@@ -72,14 +72,14 @@ def test_the_guard_goes_first_by_the_least_that_does(monkeypatch: pytest.MonkeyP
 def test_whoever_works_for_the_loop_comes_one_behind_it(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[int, int]] = []
     monkeypatch.setattr(os, "sched_setparam", lambda pid, how: asked.append((pid, how.sched_priority)))
-    let_the_loop_first()
+    set_worker_priority()
     assert asked == [], "nothing of it without real-time priority"
     monkeypatch.setattr(os, "sched_getscheduler", lambda pid: os.SCHED_RR)
-    with ThreadPoolExecutor(1, initializer=let_the_loop_first) as pool:
+    with ThreadPoolExecutor(1, initializer=set_worker_priority) as pool:
         pool.submit(standing).result()
     assert asked == [(0, SECOND)]
     monkeypatch.setattr(os, "sched_setparam", forbidden)
-    let_the_loop_first()
+    set_worker_priority()
 
 
 def test_where_it_is_refused_it_says_what_to_do(
@@ -87,7 +87,7 @@ def test_where_it_is_refused_it_says_what_to_do(
 ) -> None:
     monkeypatch.setattr(os, "sched_setscheduler", forbidden)
     with pytest.raises(SlipguardError, match=r"Operation not permitted.*root"):
-        go_first()
+        set_realtime_priority()
     soak = ["soak", "--minutes", "1", "--as-service"]
     for code in (run(["latency", "--as-service"]), run_campaign(soak)):
         assert code != 0

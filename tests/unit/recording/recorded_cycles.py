@@ -15,18 +15,20 @@ from slipguard.control.guard import Guard
 from slipguard.control.messages import Command, Seen
 from slipguard.perception.estimate import Estimate
 from slipguard.recording import messages as m
-from slipguard.recording.writer import Clock, Header, RecordingFile, open_new
+from slipguard.recording.writer import RecordingClock, RecordingFile, RecordingHeader, open_new
 
-CLOCK = Clock(1_700_000_000_000_000_000, 0.0)
-HEADER = Header({"slipguard": "0"}, {m.CONFIG_ATTACHMENT: b"{}"})
-
-
-def tick_at(now_s: float) -> m.Tick:
-    return m.Tick(now_s, "holding", Seen(now_s=now_s), Command(hold_force_n=now_s), 1, None)
+CLOCK = RecordingClock(1_700_000_000_000_000_000, 0.0)
+HEADER = RecordingHeader({"slipguard": "0"}, {m.CONFIG_ATTACHMENT: b"{}"})
 
 
-def judged_at(now_s: float) -> m.Judged:
-    return m.Judged(7, now_s, estimate=Estimate(7, now_s, now_s, True, 4000, "fused", angle_deg=math.pi, sigma_deg=0.1))
+def tick_at(now_s: float) -> m.CycleRecord:
+    return m.CycleRecord(now_s, "holding", Seen(now_s=now_s), Command(hold_force_n=now_s), 1, None)
+
+
+def judged_at(now_s: float) -> m.FrameRecord:
+    return m.FrameRecord(
+        7, now_s, estimate=Estimate(7, now_s, now_s, True, 4000, "fused", angle_deg=math.pi, sigma_deg=0.1)
+    )
 
 
 def picture(seed: int = 0) -> np.ndarray:

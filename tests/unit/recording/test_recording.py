@@ -19,13 +19,12 @@ from slipguard.control.slip_baselines import Detector
 from slipguard.control.state import GuardState, Phase
 from slipguard.errors import InputError
 from slipguard.recording import messages as m
-from slipguard.recording.reader import Line, Picture, open_recording
-from slipguard.recording.recorder import Recorder, RecorderSettings, Rotation, Said
-from slipguard.recording.recorder import Seen as SeenFrame
-from slipguard.recording.ring import Limits, Ring
-from slipguard.recording.writer import Clock, Header
+from slipguard.recording.reader import StoredImage, StoredMessage, open_recording
+from slipguard.recording.recorder import RecordedCycle, RecordedFrame, RecordedMessage, Recorder, RecorderSettings
+from slipguard.recording.ring import Ring, RingLimits
+from slipguard.recording.writer import RecordingClock, RecordingHeader
 
-LIMITS = Limits(100, 10**9, 10**9)
+LIMITS = RingLimits(100, 10**9, 10**9)
 
 
 def recorder(folder: Path, **settings: object) -> Recorder:
@@ -41,9 +40,9 @@ def recorder(folder: Path, **settings: object) -> Recorder:
 def play(one: Recorder, times: np.ndarray, keep_at: float | None = None) -> None:
     one.start()
     for now_s in times:
-        one.hand(SeenFrame("left", float(now_s), judged_at(float(now_s)), picture(), picture()[..., 0] // 128))
+        one.hand(RecordedFrame("left", float(now_s), judged_at(float(now_s)), picture(), picture()[..., 0] // 128))
         one.hand(
-            Rotation(tick_at(float(now_s)), Guard(), keep=keep_at is not None and bool(np.isclose(now_s, keep_at)))
+            RecordedCycle(tick_at(float(now_s)), Guard(), keep=keep_at is not None and bool(np.isclose(now_s, keep_at)))
         )
     one.stop(20.0)
 
@@ -51,8 +50,8 @@ def play(one: Recorder, times: np.ndarray, keep_at: float | None = None) -> None
 def test_the_laws_memory_survives_to_the_last_bit() -> None:
     memory = Guard(GuardState(Phase.LIFTING, 0.1 + 0.2, detector=Detector(1 / 3, frames=2), commanded_s=-math.inf))
     assert m.MEMORY.decode(m.MEMORY.encode(memory)) == memory
-    tick = m.Tick(1e-17, "idle", Seen(now_s=1 / 7), Command(arm=ArmLift(1 / 3, 2 / 3)))
-    assert m.TICK.decode(m.TICK.encode(tick)) == tick
+    tick = m.CycleRecord(1e-17, "idle", Seen(now_s=1 / 7), Command(arm=ArmLift(1 / 3, 2 / 3)))
+    assert m.CYCLE_RECORD.decode(m.CYCLE_RECORD.encode(tick)) == tick
 
 
 def test_what_was_written_is_read(tmp_path: Path) -> None:
@@ -62,12 +61,12 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
     assert recording.damage is None
     assert recording.attachments == {m.CONFIG_ATTACHMENT: b"{}"}
     assert items[0].value == Guard()
-    ticks = [item.value for item in items if isinstance(item.value, m.Tick)]
+    ticks = [item.value for item in items if isinstance(item.value, m.CycleRecord)]
     assert ticks == [tick_at(number / 60) for number in range(200)]
-    assert [item.value.text for item in items if isinstance(item.value, Line)][-1] == "line 199"
-    shown = next(item for item in items if isinstance(item.value, Picture))
+    assert [item.value.text for item in items if isinstance(item.value, StoredMessage)][-1] == "line 199"
+    shown = next(item for item in items if isinstance(item.value, StoredImage))
     assert shown.at_ns == CLOCK.wall_ns
-    assert isinstance(shown.value, Picture)
+    assert isinstance(shown.value, StoredImage)
     assert shown.value.pixels().shape == (320, 240, 3)
 
 
@@ -78,13 +77,15 @@ def test_an_independent_reader_finds_every_message_and_a_schema_for_each_topic(t
     assert len(seen) == 801
     assert ("foxglove.CompressedImage", "/left/image") in seen
     assert ("foxglove.Log", "/log") in seen
-    assert ("slipguard.Tick", "/tick") in seen
+    assert ("slipguard.CycleRecord", "/tick") in seen
 
 
 def test_a_file_cut_anywhere_is_readable_up_to_there(tmp_path: Path) -> None:
     written(tmp_path / "whole.mcap", 60).close()
     whole = (tmp_path / "whole.mcap").read_bytes()
-    expected = [item for item in open_recording(tmp_path / "whole.mcap").items() if isinstance(item.value, m.Tick)]
+    expected = [
+        item for item in open_recording(tmp_path / "whole.mcap").items() if isinstance(item.value, m.CycleRecord)
+    ]
     cut = tmp_path / "cut.mcap"
     for size in np.random.default_rng(1).integers(0, len(whole), 100):
         cut.write_bytes(whole[:size])
@@ -93,7 +94,7 @@ def test_a_file_cut_anywhere_is_readable_up_to_there(tmp_path: Path) -> None:
         except InputError as error:
             assert size < 3000, error  # noqa: PT017 - only a file cut within its header cannot be opened
             continue
-        ticks = [item for item in recording.items() if isinstance(item.value, m.Tick)]
+        ticks = [item for item in recording.items() if isinstance(item.value, m.CycleRecord)]
         assert recording.damage is not None
         assert ticks == expected[: len(ticks)]
         share = size / len(whole)
@@ -124,13 +125,13 @@ def test_a_killed_recorder_leaves_all_but_the_last_moment(tmp_path: Path) -> Non
     file = written(tmp_path / "a.mcap", 300)
     file.abandon()
     recording = open_recording(tmp_path / "a.mcap")
-    last = [item.value for item in recording.items() if isinstance(item.value, m.Tick)][-1]
+    last = [item.value for item in recording.items() if isinstance(item.value, m.CycleRecord)][-1]
     assert last.now_s > 299 / 60 - 1.0
     assert recording.damage == "is cut off (killed, or the disk was full)"
 
 
 def test_around_an_event_files_are_kept_and_others_leave_the_ring(tmp_path: Path) -> None:
-    limits = Limits(3, 10**9, 10**9)
+    limits = RingLimits(3, 10**9, 10**9)
     one = Recorder(
         Ring(tmp_path, limits),
         RecorderSettings("none", 90, segment_s=1.0, keep_before_s=1.5, keep_after_s=1.5),
@@ -140,7 +141,7 @@ def test_around_an_event_files_are_kept_and_others_leave_the_ring(tmp_path: Path
     )
     play(one, np.arange(0.0, 20.0, 0.25), keep_at=10.25)
     kept = [list(open_recording(path).items()) for path in sorted((tmp_path / "kept").iterdir())]
-    times = [item.value.now_s for items in kept for item in items if isinstance(item.value, m.Tick)]
+    times = [item.value.now_s for items in kept for item in items if isinstance(item.value, m.CycleRecord)]
     assert min(times) <= 10.25 - 1.5
     assert max(times) >= 10.25 + 1.5
     assert min(times) >= 7.0
@@ -149,7 +150,7 @@ def test_around_an_event_files_are_kept_and_others_leave_the_ring(tmp_path: Path
 
 
 def test_kept_files_have_their_limit_too(tmp_path: Path) -> None:
-    ring = Ring(tmp_path, Limits(10, 10**9, 2500))
+    ring = Ring(tmp_path, RingLimits(10, 10**9, 2500))
     for number in range(5):
         path = ring.new(CLOCK.wall_ns + number * 10**9)
         path.write_bytes(bytes(1000))
@@ -169,7 +170,7 @@ def test_kept_files_have_their_limit_too(tmp_path: Path) -> None:
 
 def test_what_an_event_keeps_is_within_the_limit_at_once(tmp_path: Path) -> None:
     one = Recorder(
-        Ring(tmp_path, Limits(100, 10**9, 1)),
+        Ring(tmp_path, RingLimits(100, 10**9, 1)),
         RecorderSettings("none", segment_s=1.0, keep_before_s=5.0),
         lambda: CLOCK,
         header=lambda: HEADER,
@@ -190,7 +191,7 @@ def test_what_a_killed_daemon_left_is_kept(tmp_path: Path) -> None:
 
 def test_files_of_a_future_that_never_was_leave_first(tmp_path: Path) -> None:
     """The clock of a computer that has just started may be years ahead; what is written later must not go for that."""
-    ring = Ring(tmp_path, Limits(3, 10**9, 2500))
+    ring = Ring(tmp_path, RingLimits(3, 10**9, 2500))
     ahead_s = time.time() + 5 * 365 * 86400.0
     for number in range(3):
         path = ring.new(round(1e9 * (ahead_s + number)))
@@ -211,7 +212,7 @@ def test_files_of_a_future_that_never_was_leave_first(tmp_path: Path) -> None:
 
 
 def test_every_file_reads_the_wall_clock_anew(tmp_path: Path) -> None:
-    clocks = iter((Clock(0, 0.0), *[CLOCK] * 9))  # a computer without the time, until it is told
+    clocks = iter((RecordingClock(0, 0.0), *[CLOCK] * 9))  # a computer without the time, until it is told
     one = Recorder(
         Ring(tmp_path, LIMITS),
         RecorderSettings("none", segment_s=1.0),
@@ -232,7 +233,7 @@ def test_any_other_trouble_stops_the_recording_and_not_its_thread(
     said: list[str] = []
     headers = iter((ValueError("a model\nthat is none"), ValueError("still none"), HEADER))
 
-    def header() -> Header:
+    def header() -> RecordingHeader:
         one = next(headers)
         if isinstance(one, Exception):
             raise one
@@ -242,7 +243,7 @@ def test_any_other_trouble_stops_the_recording_and_not_its_thread(
     assert not one.dead
     one.start()
     for number in range(4):
-        one.hand(Rotation(tick_at(number / 10), Guard()))
+        one.hand(RecordedCycle(tick_at(number / 10), Guard()))
     one.stop(20.0)
     assert "recording stopped: ValueError: a model that is none" in said[0]
     assert said[1:] == ["recording again"]
@@ -265,25 +266,25 @@ def test_a_full_disk_stops_the_recording_with_one_line(tmp_path: Path) -> None:
     assert "No space left on device" in said[0]
     assert one.stopped is not None
     (path,) = (tmp_path / "ring").iterdir()
-    assert any(isinstance(item.value, m.Tick) for item in open_recording(path).items())
+    assert any(isinstance(item.value, m.CycleRecord) for item in open_recording(path).items())
 
 
 def test_handing_over_never_waits_and_leaves_pictures_out_first(tmp_path: Path) -> None:
     one = recorder(tmp_path)
     for number in range(2500):  # not started: nobody takes anything
-        one.hand(SeenFrame("left", number / 60, judged_at(number / 60), picture() if number < 600 else None))
+        one.hand(RecordedFrame("left", number / 60, judged_at(number / 60), picture() if number < 600 else None))
     assert one.left_out == 600 - 500 + 2500 - 2000
     one.start()
-    one.hand(Said(1.0, "a line"))
+    one.hand(RecordedMessage(1.0, "a line"))
     one.stop(20.0)
 
 
 def test_png_keeps_every_pixel(tmp_path: Path) -> None:
     one = recorder(tmp_path, image="png")
     one.start()
-    one.hand(Rotation(tick_at(0.0), Guard()))
-    one.hand(SeenFrame("right", 0.0, judged_at(0.0), picture(5)))
+    one.hand(RecordedCycle(tick_at(0.0), Guard()))
+    one.hand(RecordedFrame("right", 0.0, judged_at(0.0), picture(5)))
     one.stop(20.0)
     (path,) = (tmp_path / "ring").iterdir()
-    pixels = [item.value.pixels() for item in open_recording(path).items() if isinstance(item.value, Picture)]
+    pixels = [item.value.pixels() for item in open_recording(path).items() if isinstance(item.value, StoredImage)]
     assert np.array_equal(pixels[0], picture(5))

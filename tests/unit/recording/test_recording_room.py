@@ -18,13 +18,12 @@ from recorded_cycles import CLOCK, HEADER, FullDisk, judged_at, picture, tick_at
 from slipguard.control.guard import Guard
 from slipguard.recording import messages as m
 from slipguard.recording.reader import open_recording
-from slipguard.recording.recorder import Recorder, RecorderSettings, Rotation, Said
-from slipguard.recording.recorder import Seen as SeenFrame
-from slipguard.recording.ring import Limits, Ring
-from slipguard.recording.writer import Clock, open_new
+from slipguard.recording.recorder import RecordedCycle, RecordedFrame, RecordedMessage, Recorder, RecorderSettings
+from slipguard.recording.ring import Ring, RingLimits
+from slipguard.recording.writer import RecordingClock, open_new
 
 MB = 2**20
-LIMITS = Limits(100, 10**9, 10**9)
+LIMITS = RingLimits(100, 10**9, 10**9)
 PICTURES = [picture(seed) for seed in range(8)]
 
 
@@ -48,7 +47,7 @@ class Counted(Recorder):
 
     taken: threading.Semaphore
 
-    def _take(self, value: SeenFrame | Rotation | Said) -> None:
+    def _take(self, value: RecordedFrame | RecordedCycle | RecordedMessage) -> None:
         super()._take(value)
         self.taken.release()
 
@@ -62,9 +61,9 @@ class Playing:
 
     def play(self, from_s: float, to_s: float, keep_at: float | None = None) -> None:
         for now_s in np.arange(from_s, to_s, 0.1).tolist():
-            self.recorder.hand(SeenFrame("left", now_s, judged_at(now_s), PICTURES[round(10 * now_s) % 8]))
+            self.recorder.hand(RecordedFrame("left", now_s, judged_at(now_s), PICTURES[round(10 * now_s) % 8]))
             keep = keep_at is not None and bool(np.isclose(now_s, keep_at))
-            self.recorder.hand(Rotation(tick_at(now_s), Guard(), keep=keep))
+            self.recorder.hand(RecordedCycle(tick_at(now_s), Guard(), keep=keep))
             for _ in range(2):
                 assert self.recorder.taken.acquire(timeout=20.0)
 
@@ -75,7 +74,7 @@ def playing(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Playing]:
     monkeypatch.setattr("slipguard.recording.recorder.TRY_AGAIN_S", 0.0)
 
     def start(
-        ring: Ring, opener: Callable[[Path], object] = open_new, clock: Clock = CLOCK, **settings: float
+        ring: Ring, opener: Callable[[Path], object] = open_new, clock: RecordingClock = CLOCK, **settings: float
     ) -> Playing:
         said: list[str] = []
         asked = RecorderSettings("jpeg", **settings)  # type: ignore[arg-type]
@@ -92,7 +91,7 @@ def names(folder: Path) -> list[str]:
 
 
 def ticks(path: Path) -> list[float]:
-    return [item.value.now_s for item in open_recording(path).items() if isinstance(item.value, m.Tick)]
+    return [item.value.now_s for item in open_recording(path).items() if isinstance(item.value, m.CycleRecord)]
 
 
 def whole(path: Path) -> bool:
@@ -176,7 +175,7 @@ def test_a_disk_without_room_takes_of_the_ring_first_and_goes_on(
 def test_what_could_not_be_begun_leaves_no_file_and_takes_none_with_it(
     tmp_path: Path, playing: Callable[..., Playing], error: int
 ) -> None:
-    ring = Ring(tmp_path, Limits(5, 10**9, 10**9))
+    ring = Ring(tmp_path, RingLimits(5, 10**9, 10**9))
     works = False
 
     def opener(path: Path) -> BinaryIO:
@@ -261,7 +260,7 @@ def test_what_could_not_be_kept_at_once_is_kept_later(
 
 
 def test_the_ring_stays_within_its_megabytes(tmp_path: Path, playing: Callable[..., Playing]) -> None:
-    one = playing(Ring(tmp_path, Limits(4, 8 * MB, 10**9)))
+    one = playing(Ring(tmp_path, RingLimits(4, 8 * MB, 10**9)))
     most = 0
     for second in range(20):  # some 12 MB
         one.play(second, second + 1.0)
@@ -281,7 +280,7 @@ def test_a_slip_soon_after_a_restart_keeps_what_was_before_it(
     for name, ended_s in (("a", now + other_s), ("b", now - 15.0), ("c", now - 5.0)):
         written(tmp_path / "ring" / f"{name}.mcap", 1).close()
         os.utime(tmp_path / "ring" / f"{name}.mcap", (ended_s, ended_s))
-    one = playing(ring, clock=Clock(time.time_ns(), 1000.0))
+    one = playing(ring, clock=RecordingClock(time.time_ns(), 1000.0))
     one.play(1000.0, 1000.5, keep_at=1000.0)
     one.recorder.stop()
     assert names(tmp_path / "kept")[1:] == ["b.mcap", "c.mcap"]
