@@ -13,7 +13,7 @@ import sys
 PACKET_BYTES = 65536
 
 
-class Child:
+class ChildProcess:
     """`python -m MODULE SOCKET_FD ARGUMENTS...`, started at once; `link` is this end of its socket, non-blocking.
 
     keep_fds: further file descriptors that the child inherits, under the same numbers.

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from slipguard.sim.world import World
 
 
-def world_of(context: DriverContext) -> World:
+def require_world(context: DriverContext) -> World:
     """Return the world the fakes share. Raises ConfigError where there is none."""
     if context.world is None:
         raise ConfigError(

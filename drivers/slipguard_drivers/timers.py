@@ -7,7 +7,7 @@ import itertools
 from collections.abc import Callable
 
 
-class Timers:
+class TimerGroup:
     """What waits to be called. Nothing of a call that was made stays, not even for the garbage collector."""
 
     def __init__(self) -> None:
@@ -24,7 +24,7 @@ class Timers:
 
         self._waiting[number] = asyncio.get_running_loop().call_at(when_s, fire)
 
-    def take_back(self) -> None:
+    def cancel_all(self) -> None:
         """Nothing that waits is called any more."""
         for timer in self._waiting.values():
             timer.cancel()

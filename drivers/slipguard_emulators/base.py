@@ -15,7 +15,7 @@ from slipguard.errors import CommandRefused
 LOG_EVENTS = 10_000
 """The newest so many events are kept; whoever wants all of them listens."""
 
-Word = tuple[Callable[[list[str]], str], str]
+EmulatorCommand = tuple[Callable[[list[str]], str], str]
 """What to do with the words behind it, and its line of help."""
 
 
@@ -112,7 +112,7 @@ class ControlledEmulator(Emulator):
         return word[0](rest)
 
     @abstractmethod
-    def words(self) -> dict[str, Word]:
+    def words(self) -> dict[str, EmulatorCommand]:
         """The words that only this emulator knows."""
 
     def set_fault(self, name: str, amount: float | int | None = None) -> None:
@@ -129,7 +129,7 @@ class ControlledEmulator(Emulator):
         """Called after a fault was set or cleared; for those that act at once."""
         return
 
-    def _words(self) -> dict[str, Word]:
+    def _words(self) -> dict[str, EmulatorCommand]:
         return {
             "fault": (self._fault, "fault NAME [probability|count]: " + ", ".join(self.faults.kinds)),
             "clear": (self._clear, "clear [NAME]: end one fault, or all"),

@@ -17,7 +17,7 @@ from slipguard.sim.world import World, WorldSettings
 from slipguard_drivers.robotiq.fake import FakeGripper
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
-from slipguard_emulators.robotiq.jaws import PlainJaws
+from slipguard_emulators.robotiq.jaws import SimpleJaws
 
 
 class Rig(ABC):
@@ -90,7 +90,7 @@ class WireRig(Rig):
         await self.emulator.start()
 
     def put_object(self) -> None:
-        assert isinstance(self.emulator.jaws, PlainJaws)
+        assert isinstance(self.emulator.jaws, SimpleJaws)
         self.emulator.jaws.object_mm = 41.2
 
     def pressed_with_n(self) -> float:

@@ -14,7 +14,7 @@ from slipguard.errors import DeviceLost
 from slipguard.registry import load_driver
 from slipguard.sim.world import World
 from slipguard_drivers.digit.camera import DigitSensor
-from slipguard_drivers.digit.discovery import Found
+from slipguard_drivers.digit.discovery import DigitDevice
 from slipguard_drivers.digit.fake import FakeSensor
 from slipguard_drivers.digit.replay import ReplaySensor
 from slipguard_emulators.cell.frame_server import FrameServer
@@ -95,10 +95,10 @@ class UsbRig(Rig):
         settings = DigitSensor.Settings(serial="D20001", stall_ms=STALL_MS)
         self.sensor = DigitSensor(settings, DriverContext("left"), self._find, UsbCapture)
 
-    def _find(self, serial: str, name: str) -> Found:
+    def _find(self, serial: str, name: str) -> DigitDevice:
         if "1-1" not in listed(self.emulator.address):
             raise DeviceLost(f"{name}: {serial} is not plugged in")
-        return Found(Path(self.emulator.address) / "1-1", serial, 212, "1-1", 480.0)
+        return DigitDevice(Path(self.emulator.address) / "1-1", serial, 212, "1-1", 480.0)
 
     async def begin(self) -> None:
         await self.emulator.start()

@@ -23,7 +23,7 @@ from slipguard.sim.cell import Truth
 from slipguard.sim.world import World
 from slipguard_drivers.digit.fake import FakeSensor
 from slipguard_drivers.digit.frame_stream import SHAPE
-from slipguard_drivers.digit.render_worker import Shot
+from slipguard_drivers.digit.render_worker import RenderRequest
 from slipguard_drivers.robotiq.fake import FakeGripper
 from slipguard_drivers.ur5.fake import FakeArm
 
@@ -47,7 +47,7 @@ class Pictures:
     async def start(self) -> None:
         """Nothing to get ready."""
 
-    def paint(self, shot: Shot, done: Callable[[Image], None]) -> bool:
+    def render(self, shot: RenderRequest, done: Callable[[Image], None]) -> bool:
         self.count += 1
         self.shown[self.count] = self.world.truth(asyncio.get_running_loop().time())
         self.shown.pop(self.count - 100, None)
@@ -69,7 +69,7 @@ class FlatSensor(FakeSensor):
     def __init__(self, context: DriverContext) -> None:
         super().__init__(FakeSensor.Settings(draw="inline"), context)
         self.pictures = Pictures(self._world)
-        self._painter = self.pictures
+        self._renderer = self.pictures
         self.opened = 0
 
     async def open(self) -> None:

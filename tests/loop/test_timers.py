@@ -6,11 +6,11 @@ import asyncio
 import gc
 
 from slipguard.tools.waiting import until
-from slipguard_drivers.timers import Timers
+from slipguard_drivers.timers import TimerGroup
 
 
 async def test_calls_are_made_at_their_time_and_may_ask_for_more() -> None:
-    loop, timers = asyncio.get_running_loop(), Timers()
+    loop, timers = asyncio.get_running_loop(), TimerGroup()
     begun_s = loop.time()
     made: list[tuple[str, float]] = []
 
@@ -26,11 +26,11 @@ async def test_calls_are_made_at_their_time_and_may_ask_for_more() -> None:
 
 
 async def test_what_is_taken_back_is_not_called() -> None:
-    loop, timers = asyncio.get_running_loop(), Timers()
+    loop, timers = asyncio.get_running_loop(), TimerGroup()
     made: list[str] = []
     for name in ("one", "other"):
         timers.at(loop.time() + 0.01, lambda name=name: made.append(name))
-    timers.take_back()
+    timers.cancel_all()
     timers.at(loop.time() + 0.01, lambda: made.append("new"))
     await asyncio.sleep(0.05)
     assert made == ["new"]
@@ -38,7 +38,7 @@ async def test_what_is_taken_back_is_not_called() -> None:
 
 async def test_a_call_that_was_made_leaves_nothing_to_the_garbage_collector() -> None:
     """Every frame of a simulated sensor is held by such a call."""
-    loop, timers = asyncio.get_running_loop(), Timers()
+    loop, timers = asyncio.get_running_loop(), TimerGroup()
     await asyncio.sleep(0)
     gc.collect()
     gc.disable()

@@ -17,10 +17,10 @@ from cell_rig import PATIENT_GUARD
 from container import PROGRAM, UNIT, Container, until
 
 from slipguard.thread_priority import FIRST, SECOND
-from slipguard_emulators.cell.cell_config import CellPlaces, text
+from slipguard_emulators.cell.cell_config import CellPaths, text
 
 pytestmark = pytest.mark.service
-CELL = CellPlaces(Path("/srv/cell"))
+CELL = CellPaths(Path("/srv/cell"))
 OWN = ("var/lib/private/slipguard/", "var/log/journal/", "srv/cell/")
 """Where the service, the journal and the emulator may write; /run and /tmp are not on the disk."""
 BY_SYSTEMD = ("var/lib/systemd/", "etc/systemd/system/multi-user.target.wants/", "var/cache/private", "var/log/wtmp")

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from slipguard_drivers.digit.capture import Delivery, Mode
-from slipguard_drivers.digit.discovery import Found
+from slipguard_drivers.digit.capture import RawFrame, VideoMode
+from slipguard_drivers.digit.discovery import DigitDevice
 
 FRAME_BYTES = 320 * 240 * 2
 DIGIT_MODES = (
-    Mode("YUYV", 640, 480, 30.0),
-    Mode("YUYV", 640, 480, 15.0),
-    Mode("YUYV", 320, 240, 60.0),
-    Mode("YUYV", 320, 240, 30.0),
+    VideoMode("YUYV", 640, 480, 30.0),
+    VideoMode("YUYV", 640, 480, 15.0),
+    VideoMode("YUYV", 320, 240, 60.0),
+    VideoMode("YUYV", 320, 240, 30.0),
 )
 
 
@@ -27,7 +27,7 @@ class PipeCapture:
     """
 
     last: PipeCapture
-    offers: tuple[Mode, ...] = DIGIT_MODES
+    offers: tuple[VideoMode, ...] = DIGIT_MODES
     gives_fps: float | None = None
     zoom_max: int | None = 0xFFF
     refuses: OSError | None = None
@@ -37,9 +37,9 @@ class PipeCapture:
         if self.refuses is not None:
             raise self.refuses
         self.path = Path(path)
-        self.mode: Mode | None = None
+        self.mode: VideoMode | None = None
         self.zoom: int | None = None
-        self.queue: deque[Delivery | OSError | None] = deque()
+        self.queue: deque[RawFrame | OSError | None] = deque()
         self.started = False
         self.closed = False
         self.error_for_ever = False
@@ -50,13 +50,13 @@ class PipeCapture:
     def fileno(self) -> int:
         return self._out
 
-    def modes(self, width_px: int | None = None, height_px: int | None = None) -> list[Mode]:
+    def modes(self, width_px: int | None = None, height_px: int | None = None) -> list[VideoMode]:
         return [
             mode for mode in self.offers if width_px in (None, mode.width_px) and height_px in (None, mode.height_px)
         ]
 
-    def configure(self, mode: Mode) -> Mode:
-        given = Mode(
+    def configure(self, mode: VideoMode) -> VideoMode:
+        given = VideoMode(
             mode.pixels, mode.width_px, mode.height_px, self.gives_fps if self.gives_fps is not None else mode.fps
         )
         self.mode = mode
@@ -73,11 +73,11 @@ class PipeCapture:
             raise self.refuses_to_start
         self.started = True
 
-    def offer(self, *items: Delivery | OSError | None) -> None:
+    def offer(self, *items: RawFrame | OSError | None) -> None:
         self.queue.extend(items)
         os.write(self._in, b"!")
 
-    def take(self) -> Delivery | None:
+    def take(self) -> RawFrame | None:
         if not self.queue:
             if not self.error_for_ever and self._out >= 0:
                 os.read(self._out, 4096)
@@ -94,12 +94,12 @@ class PipeCapture:
             os.close(self._in)
 
 
-def delivery(sequence: int, *, damage: str | None = None, captured_at_s: float | None = None) -> Delivery:
+def delivery(sequence: int, *, damage: str | None = None, captured_at_s: float | None = None) -> RawFrame:
     """A frame of noise."""
     pixels = np.random.default_rng(sequence).integers(0, 256, FRAME_BYTES, np.uint8)
-    return Delivery(pixels.tobytes(), sequence, captured_at_s, damage)
+    return RawFrame(pixels.tobytes(), sequence, captured_at_s, damage)
 
 
-def found(serial: str, name: str, firmware: int = 212) -> Found:
+def found(serial: str, name: str, firmware: int = 212) -> DigitDevice:
     """As `find_digit` would: the sensor asked for is there."""
-    return Found(Path("/dev/video7"), serial, firmware, "1-2", 480.0)
+    return DigitDevice(Path("/dev/video7"), serial, firmware, "1-2", 480.0)

@@ -20,8 +20,8 @@ from slipguard.emulator import Event
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
 from slipguard_emulators.robotiq.emulator import FAULTS, RobotiqEmulator
-from slipguard_emulators.robotiq.jaws import JawsView, PlainJaws
-from slipguard_emulators.robotiq.registers import Stage
+from slipguard_emulators.robotiq.jaws import JawsState, SimpleJaws
+from slipguard_emulators.robotiq.registers import ActivationStage
 
 PROBABILITY = 0.01
 """Of each kind of fault, at each request."""
@@ -44,7 +44,7 @@ class Truth:
     at_s: float
     ready: bool
     going: bool
-    view: JawsView
+    view: JawsState
 
 
 @dataclass
@@ -111,7 +111,7 @@ class Lane:
             view = registers.tick(now_s)
             going = bool(registers.outputs[0] >> 8 & 0x08)
             at_s = asyncio.get_running_loop().time()
-            self.truths.append(Truth(at_s, registers.stage is Stage.READY, going, view))
+            self.truths.append(Truth(at_s, registers.stage is ActivationStage.READY, going, view))
             return read(now_s)
 
         registers.read = watched  # type: ignore[method-assign]
@@ -122,7 +122,7 @@ class Lane:
         if event["event"] == "write":
             self.by_release = self.asked == (True, event["registers"])
         opens = event["event"] in OPENINGS and event.get("held", True)
-        activating = event["event"] == "let go" and self.emulator.registers.stage is not Stage.READY
+        activating = event["event"] == "let go" and self.emulator.registers.stage is not ActivationStage.READY
         if opens and not self.by_release and not activating:
             self.outcome.opened.append("; ".join(str(entry) for entry in list(self.emulator.log)[-8:]))
 
@@ -143,11 +143,11 @@ class Lane:
         await self.emulator.stop()
 
     @property
-    def _jaws(self) -> PlainJaws:
-        assert isinstance(self.emulator.jaws, PlainJaws)
+    def _jaws(self) -> SimpleJaws:
+        assert isinstance(self.emulator.jaws, SimpleJaws)
         return self.emulator.jaws
 
-    def _look(self) -> JawsView:
+    def _look(self) -> JawsState:
         return self.emulator.registers.tick(asyncio.get_running_loop().time())
 
     async def _call(self, ask: Callable[[], Awaitable[object]]) -> object:
@@ -237,7 +237,7 @@ class Lane:
         """The daemon dies and another comes: what is held stays held, as firmly as before."""
         await self.gripper.close()
         before = await self._rest()
-        holding = before.holds and self.emulator.registers.stage in (Stage.READY, Stage.OFF)
+        holding = before.holds and self.emulator.registers.stage in (ActivationStage.READY, ActivationStage.OFF)
         self.outcome.restarts_holding += holding
         self.gripper = self._driver()
         await self._open_again()
@@ -245,7 +245,7 @@ class Lane:
         if holding and self._look().force_n < before.force_n:
             self.outcome.loosened.append(f"{before} became {self._look()}")
 
-    async def _rest(self) -> JawsView:
+    async def _rest(self) -> JawsState:
         """The jaws when they have come to rest; seen from outside, the line is not asked."""
         for _ in range(1000):
             if not (view := self._look()).moving:

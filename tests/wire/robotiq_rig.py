@@ -9,7 +9,7 @@ import pytest
 
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
-from slipguard_emulators.robotiq.jaws import PlainJaws
+from slipguard_emulators.robotiq.jaws import SimpleJaws
 
 OBJECT_MM = 41.2
 
@@ -29,7 +29,7 @@ def settings(emulator: RobotiqEmulator) -> RobotiqGripper.Settings:
 
 
 def put(emulator: RobotiqEmulator, object_mm: float | None) -> None:
-    assert isinstance(emulator.jaws, PlainJaws)
+    assert isinstance(emulator.jaws, SimpleJaws)
     emulator.jaws.object_mm = object_mm
 
 

@@ -17,14 +17,14 @@ from pydantic import ValidationError
 from usb_host import UsbCapture, UsbDevice, connected, exactly, listed
 
 from slipguard.errors import CommandRefused, InputError
-from slipguard_drivers.digit.capture import Delivery, Mode
-from slipguard_drivers.digit.pixel_format import upright_yuyv
+from slipguard_drivers.digit.capture import RawFrame, VideoMode
+from slipguard_drivers.digit.pixel_format import decode_yuyv
 from slipguard_drivers.digit.v4l2 import ZOOM_ABSOLUTE
 from slipguard_emulators.digit.emulator import DigitEmulator
-from slipguard_emulators.digit.usbip import BulkIn
+from slipguard_emulators.digit.usbip import BulkInEndpoint
 
 T = TypeVar("T")
-QVGA = Mode("YUYV", 320, 240, 60.0)
+QVGA = VideoMode("YUYV", 320, 240, 60.0)
 
 
 @pytest.fixture(scope="session")
@@ -54,8 +54,8 @@ async def beside(work: Callable[[], T]) -> T:
     return await asyncio.to_thread(work)
 
 
-async def frames(capture: UsbCapture, count: int) -> list[Delivery]:
-    taken: list[Delivery] = []
+async def frames(capture: UsbCapture, count: int) -> list[RawFrame]:
+    taken: list[RawFrame] = []
     for _ in range(1000):
         while len(taken) < count and (one := capture.take()) is not None:
             taken.append(one)
@@ -90,7 +90,7 @@ async def test_each_sends_its_own_pictures_turned_as_a_digit_does(emulator: Digi
         await beside(lambda capture=capture: capture.configure(QVGA))
         await beside(capture.start)
         (frame, *_) = await frames(capture, 3)
-        portrait = upright_yuyv(frame.data)
+        portrait = decode_yuyv(frame.data)
         assert portrait[5:15, 5:15].min() > 240, "the bright corner is at the top left again"
         assert abs(int(portrait[200, 120, 1]) - level) <= 4
         await beside(capture.close)
@@ -100,7 +100,7 @@ async def test_a_host_that_is_slow_to_ask_again_gets_the_next_picture_all_the_sa
     emulator = DigitEmulator(DigitEmulator.Settings(port=0, pictures=pictures))
     camera = emulator.cameras["1-1"]
     answers = Answers()
-    bulk = BulkIn(answers)
+    bulk = BulkInEndpoint(answers)
     streaming = asyncio.create_task(camera.stream(bulk))
     for number in range(6):
         bulk.ask(number, 1_000_000)  # one read at a time: between two of them the host waits for nothing
@@ -153,7 +153,7 @@ async def test_a_fault_strikes_one_sensor_or_all(emulator: DigitEmulator) -> Non
 async def test_a_stream_can_be_stopped_in_the_middle_of_a_picture_and_started_again(emulator: DigitEmulator) -> None:
     for _ in range(3):
         capture = await beside(lambda: UsbCapture(f"{emulator.address}/1-1"))
-        await beside(lambda capture=capture: capture.configure(Mode("YUYV", 640, 480, 30.0)))
+        await beside(lambda capture=capture: capture.configure(VideoMode("YUYV", 640, 480, 30.0)))
         await beside(capture.start)
         assert {one.damage for one in await frames(capture, 2)} == {None}
         await beside(capture.close)
@@ -171,7 +171,7 @@ class Answers:
 
 async def test_the_rest_of_a_picture_is_not_sent_to_a_host_that_has_stopped_reading_in_between() -> None:
     answers = Answers()
-    bulk = BulkIn(answers)
+    bulk = BulkInEndpoint(answers)
     bulk.ask(1, 100)
     sending = asyncio.create_task(bulk.send(bytes(100) + bytes([1]) * 150, full=False))
     await asyncio.sleep(0)
@@ -186,7 +186,7 @@ async def test_the_rest_of_a_picture_is_not_sent_to_a_host_that_has_stopped_read
 async def test_a_payload_ends_with_a_short_answer_unless_it_has_the_agreed_size() -> None:
     for full, answered in ((True, [100, 100]), (False, [100, 100, 0])):
         answers = Answers()
-        bulk = BulkIn(answers)
+        bulk = BulkInEndpoint(answers)
         for number in range(4):
             bulk.ask(number, 100)
         await bulk.send(bytes(200), full=full)

@@ -16,7 +16,7 @@ from slipguard.devices import DriverContext
 from slipguard.errors import DeviceLost
 from slipguard_drivers.robotiq import serial_port
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
-from slipguard_drivers.robotiq.modbus import RegisterLine
+from slipguard_drivers.robotiq.modbus import ModbusConnection
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 
 
@@ -78,7 +78,7 @@ async def test_a_look_for_others_that_is_cut_short_is_none(
         return set()
 
     monkeypatch.setattr(serial_port, "others", slow)
-    line = RegisterLine("gripper", emulator.address, 9, 0.05, 0x07D0)
+    line = ModbusConnection("gripper", emulator.address, 9, 0.05, 0x07D0)
     opening = asyncio.create_task(line.connect())
     await asyncio.to_thread(looking.wait, 10.0)
     assert not line.connected, "nothing is asked before the look has ended"
@@ -98,7 +98,7 @@ async def test_not_every_try_of_a_busy_port_looks_at_every_process(
     other = await another_master(emulator, exclusive=True)
     looks: list[object] = []
     monkeypatch.setattr(serial_port, "others", lambda port, among=None: looks.append(among) or set())
-    line = RegisterLine("gripper", emulator.address, 9, 0.05, 0x07D0)
+    line = ModbusConnection("gripper", emulator.address, 9, 0.05, 0x07D0)
     for _ in range(5):
         with pytest.raises(DeviceLost, match="another program"):
             await line.connect()

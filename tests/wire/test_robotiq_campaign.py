@@ -12,7 +12,7 @@ from robotiq_campaign import MIX, Truth, agree, campaign
 
 from slipguard.devices import GripperState
 from slipguard_emulators.robotiq.emulator import FAULTS
-from slipguard_emulators.robotiq.jaws import JawsView
+from slipguard_emulators.robotiq.jaws import JawsState
 
 HANG_S = 0.5
 """Of the driver's own time: what the machine kept the whole process from running is taken off, and printed."""
@@ -42,9 +42,9 @@ async def test_no_state_is_wrong_no_grip_opens_and_nothing_hangs(
 
 def test_a_wrong_state_would_be_noticed() -> None:
     state = GripperState(True, False, True, False, 41.0, 40.0, None, 0.0)
-    held = JawsView(41.2, 40.2, False, met_closing=True)
+    held = JawsState(41.2, 40.2, False, met_closing=True)
     assert agree(state, Truth(0.0, True, True, held))
-    for view in (JawsView(45.0, 40.2), JawsView(41.2, 40.2, moving=True), JawsView(41.2), JawsView(41.2, 30.0)):
+    for view in (JawsState(45.0, 40.2), JawsState(41.2, 40.2, moving=True), JawsState(41.2), JawsState(41.2, 30.0)):
         assert not agree(state, Truth(0.0, True, True, view))
     assert not agree(state, Truth(0.0, False, True, held))
 

@@ -15,9 +15,9 @@ import serial
 
 from slipguard.errors import CommandRefused, InputError
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
-from slipguard_emulators.robotiq.jaws import PlainJaws
+from slipguard_emulators.robotiq.jaws import SimpleJaws
 from slipguard_emulators.robotiq.modbus_frames import crc16
-from slipguard_emulators.robotiq.registers import FIGURES, Registers, Stage
+from slipguard_emulators.robotiq.registers import FIGURES, ActivationStage, GripperRegisters
 
 TIOCGEXCL = 0x80045440
 
@@ -26,9 +26,9 @@ class Bench:
     """Registers with plain jaws, and a clock that is set by hand."""
 
     def __init__(self) -> None:
-        self.jaws = PlainJaws()
+        self.jaws = SimpleJaws()
         self.told: list[str] = []
-        self.registers = Registers(self.jaws, FIGURES["2F-85"], lambda event, **details: self.told.append(event))
+        self.registers = GripperRegisters(self.jaws, FIGURES["2F-85"], lambda event, **details: self.told.append(event))
         self.now_s = 100.0
 
     def wait(self, seconds: float) -> None:
@@ -139,7 +139,7 @@ def test_without_power_it_is_reset_and_the_screw_holds(bench: Bench) -> None:
     before_n = bench.force_n
     bench.registers.lose_power(bench.now_s)
     bench.wait(1.0)
-    assert bench.registers.stage is Stage.OFF
+    assert bench.registers.stage is ActivationStage.OFF
     assert bench.force_n == before_n
 
 
@@ -233,7 +233,7 @@ async def test_the_claim_of_a_client_that_dies_ends_with_it(
 
 
 async def test_the_object_and_the_fault_are_put_there_by_words(emulator: RobotiqEmulator) -> None:
-    assert isinstance(emulator.jaws, PlainJaws)
+    assert isinstance(emulator.jaws, SimpleJaws)
     emulator.control("object 40")
     assert emulator.jaws.object_mm == 40.0
     emulator.control("object none")

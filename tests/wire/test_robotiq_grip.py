@@ -11,14 +11,14 @@ from robotiq_rig import put, quick, settings, soon_s, until_it_rests, words_writ
 from slipguard.devices import DriverContext
 from slipguard.errors import CommandRefused, DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
-from slipguard_drivers.robotiq.modbus import RegisterLine
+from slipguard_drivers.robotiq.modbus import ModbusConnection
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 
 
 async def test_the_bytes_on_the_line_are_the_manuals(emulator: RobotiqEmulator) -> None:
     said: list[bytes] = []
     emulator._port._on_bytes = said.append
-    line = RegisterLine("gripper", emulator.address, 9, 0.05, 0x07D0)
+    line = ModbusConnection("gripper", emulator.address, 9, 0.05, 0x07D0)
     await line.connect()
     for ask in (line.write(0x03E8, [0x0900, 0x00FF, 0xFFFF], soon_s()), line.read(0x07D0, 3, soon_s())):
         line._in_doubt = False

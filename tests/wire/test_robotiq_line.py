@@ -13,7 +13,7 @@ from slipguard.devices import DriverContext
 from slipguard.errors import DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq import serial_port
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
-from slipguard_drivers.robotiq.modbus import RegisterLine
+from slipguard_drivers.robotiq.modbus import ModbusConnection
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 from slipguard_emulators.robotiq.modbus_frames import crc16
 
@@ -50,7 +50,7 @@ async def test_nor_is_one_that_is_later_than_the_silence_is_long(tmp_path: Path)
 
 
 async def test_a_new_connection_never_gets_an_answer_to_the_old_ones_question(emulator: RobotiqEmulator) -> None:
-    old, new = (RegisterLine("gripper", emulator.address, 9, 0.3, 0x07D0) for _ in range(2))
+    old, new = (ModbusConnection("gripper", emulator.address, 9, 0.3, 0x07D0) for _ in range(2))
     await old.connect()
     await old.read(0x07D0, 3, soon_s())
     emulator.control("fault late 1")
@@ -132,7 +132,7 @@ async def test_what_is_no_good_answer_to_a_read_is_a_time_out_and_the_next_is_fi
     "fault", ["bad_crc", "half", "noise", "wrong_function", "wrong_echo", "wrong_slave", "silence"]
 )
 async def test_what_is_no_good_answer_to_a_write_is_a_time_out_too(emulator: RobotiqEmulator, fault: str) -> None:
-    line = RegisterLine("gripper", emulator.address, 9, 0.3, 0x07D0)
+    line = ModbusConnection("gripper", emulator.address, 9, 0.3, 0x07D0)
     await line.connect()
     await line.read(0x07D0, 3, soon_s())
     emulator.control(f"fault {fault} 1")

@@ -10,7 +10,7 @@ import pyrobotiqgripper
 import pytest
 
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
-from slipguard_emulators.robotiq.jaws import PlainJaws
+from slipguard_emulators.robotiq.jaws import SimpleJaws
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ async def test_it_activates_moves_grips_and_reads(emulator: RobotiqEmulator) -> 
             client.start()
             client.move(128)
             assert abs(client.position() - 128) <= 1
-            assert isinstance(emulator.jaws, PlainJaws)
+            assert isinstance(emulator.jaws, SimpleJaws)
             emulator.jaws.object_mm = 20.0
             client.close(force=100)
             assert client.status()["gOBJ"] == 2

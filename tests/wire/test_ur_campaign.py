@@ -23,7 +23,7 @@ from ur_scene import own_address, until
 
 from slipguard.daemon.loop.actuator import Actuator
 from slipguard.devices import ArmState
-from slipguard_drivers.ur5.lift_mode import LiftingArm
+from slipguard_drivers.ur5.lift_mode import LiftModeArm
 from slipguard_drivers.ur5.settings import Ur5Settings
 
 HOST = own_address(34)
@@ -107,7 +107,7 @@ def stopped_by(events: list[dict[str, object]]) -> str:
 
 async def one_round(
     controller: Controller,
-    arm: LiftingArm,
+    arm: LiftModeArm,
     actuator: Actuator[ArmState],
     kind: str,
     rng: random.Random,
@@ -129,8 +129,8 @@ async def one_round(
     begun_s = loop.time()
     over_s = begun_s
     if kind in WORKER:
-        assert arm._hands.pid is not None
-        os.kill(arm._hands.pid, WORKER[kind])
+        assert arm._worker.pid is not None
+        os.kill(arm._worker.pid, WORKER[kind])
     else:
         controller.say(f"fault {kind}")
         over_s += 0.0 if kind.endswith("1") else rng.uniform(0.3, 1.5)
@@ -183,7 +183,7 @@ async def test_the_driver_lives_through_every_fault_and_the_arm_stops(
     else:  # a short one begins with those that the other series has last
         kinds = kinds[len(kinds) // 2 :] + kinds[: len(kinds) // 2]
     rng = random.Random(SEED)
-    arm = LiftingArm("arm", Ur5Settings(host=HOST))
+    arm = LiftModeArm("arm", Ur5Settings(host=HOST))
     said: list[str] = []
     actuator: Actuator[ArmState] = Actuator("arm", arm, POLL_S, RETRY_S, lambda: None, said.append)
     running = asyncio.create_task(actuator.run(), name="actuator")

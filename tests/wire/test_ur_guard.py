@@ -15,9 +15,9 @@ from ur_scene import lifting, lost, own_address, put_away, rests, speed_of, unti
 from slipguard.daemon.loop.actuator import Actuator
 from slipguard.devices import ArmState
 from slipguard.errors import CommandRefused, DeviceLost
-from slipguard_drivers.ur5.dashboard import Dashboard
+from slipguard_drivers.ur5.dashboard import DashboardClient
 from slipguard_drivers.ur5.diagnostics import ask
-from slipguard_drivers.ur5.guard_mode import PausingArm
+from slipguard_drivers.ur5.guard_mode import GuardModeArm
 from slipguard_drivers.ur5.settings import Ur5Settings
 from slipguard_emulators.ur5.emulator import UrEmulator
 
@@ -48,8 +48,8 @@ async def ros(controller: UrEmulator) -> AsyncIterator[RosLikeClient]:
     await client.stop()
 
 
-def pausing(**settings: object) -> PausingArm:
-    return PausingArm("arm", Ur5Settings.model_validate({"host": HOST, **settings}))
+def pausing(**settings: object) -> GuardModeArm:
+    return GuardModeArm("arm", Ur5Settings.model_validate({"host": HOST, **settings}))
 
 
 def no_rtde(controller: UrEmulator) -> None:
@@ -292,7 +292,7 @@ async def test_lift_mode_beside_a_running_program_would_not_even_start(controlle
 )
 async def test_the_doctor_says_so_too(controller: UrEmulator, press: str, owned: bool, level: str) -> None:
     controller.control(f"panel {press}")
-    dashboard = Dashboard("arm", HOST)
+    dashboard = DashboardClient("arm", HOST)
     findings = [finding async for finding in ask("arm", dashboard, Ur5Settings(host=HOST), "lift", owned=owned)]
     dashboard.close()
     assert [finding.verdict.name.lower() for finding in findings if finding.what == "program"] == [level]

@@ -13,7 +13,7 @@ import pytest
 from ur_scene import lifting, lost, opened, own_address, put_away, refusal, rests, told, under_way, until
 
 from slipguard.errors import CommandRefused, DeviceLost
-from slipguard_drivers.ur5.lift_mode import LiftingArm
+from slipguard_drivers.ur5.lift_mode import LiftModeArm
 from slipguard_drivers.ur5.rtde import RtdeConnection
 from slipguard_emulators.ur5.emulator import UrEmulator
 
@@ -35,7 +35,7 @@ async def controller() -> AsyncIterator[UrEmulator]:
 
 
 @pytest.fixture
-async def arm(controller: UrEmulator) -> AsyncIterator[LiftingArm]:
+async def arm(controller: UrEmulator) -> AsyncIterator[LiftModeArm]:
     arm = lifting(HOST)
     await arm.open()
     yield arm
@@ -47,19 +47,19 @@ def dashboard_orders(controller: UrEmulator) -> list[object]:
     return [event["asked"] for event in controller.events("dashboard") if event["asked"] in ("stop", "pause", "play")]
 
 
-async def test_the_watchdog_is_armed_before_anything_moves(controller: UrEmulator, arm: LiftingArm) -> None:
+async def test_the_watchdog_is_armed_before_anything_moves(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     assert told(controller)[:2] == ["watchdog at 2 Hz", "movel in a thread"]
 
 
-async def test_a_stop_is_a_straight_one(controller: UrEmulator, arm: LiftingArm) -> None:
+async def test_a_stop_is_a_straight_one(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     await arm.stop()
     assert told(controller)[-1] == "stopl", "a synchronous one would be carried out as stopj, in rad/s2"
     assert await rests(controller)
 
 
-async def test_a_new_motion_waits_until_the_old_one_has_ended(controller: UrEmulator, arm: LiftingArm) -> None:
+async def test_a_new_motion_waits_until_the_old_one_has_ended(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     for height_mm, speed_mm_s in ((50.0, 20.0), (-50.0, 100.0), (50.0, 250.0)):
         await arm.lift(height_mm, speed_mm_s)
@@ -68,7 +68,7 @@ async def test_a_new_motion_waits_until_the_old_one_has_ended(controller: UrEmul
     assert not controller.events("ended"), "two threads that move the arm would end the script"
 
 
-async def test_a_stop_during_the_wait_prevents_the_new_motion(controller: UrEmulator, arm: LiftingArm) -> None:
+async def test_a_stop_during_the_wait_prevents_the_new_motion(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     stopping: list[asyncio.Future[None]] = []
     controller._report = lambda event: stopping or stopping.append(asyncio.ensure_future(arm.stop()))
@@ -80,11 +80,11 @@ async def test_a_stop_during_the_wait_prevents_the_new_motion(controller: UrEmul
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP], ids=["dies", "hangs"])
 async def test_a_worker_that_is_gone_stops_the_arm(
-    controller: UrEmulator, arm: LiftingArm, how: signal.Signals
+    controller: UrEmulator, arm: LiftModeArm, how: signal.Signals
 ) -> None:
     await under_way(arm, controller)
-    assert arm._hands.pid is not None
-    os.kill(arm._hands.pid, how)
+    assert arm._worker.pid is not None
+    os.kill(arm._worker.pid, how)
     assert await rests(controller)
     await lost(arm)
     await arm.open()
@@ -92,24 +92,24 @@ async def test_a_worker_that_is_gone_stops_the_arm(
     assert await arm.lift(5.0, 50.0) == 50.0
 
 
-async def test_a_loop_that_hangs_stops_the_arm(controller: UrEmulator, arm: LiftingArm) -> None:
+async def test_a_loop_that_hangs_stops_the_arm(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
-    before = arm._hands.pid
+    before = arm._worker.pid
     threading.Event().wait(0.6)  # the emulator hangs with the loop: its watchdog acts when it goes on
     assert await rests(controller)
     assert controller.events("ended")[-1]["why"] == "its watchdog heard nothing"
     await lost(arm)
     await arm.open()
-    assert arm._hands.pid != before
+    assert arm._worker.pid != before
 
 
 @pytest.mark.parametrize("how", ["drop 1", "half 1", "garbage 1", "kill"])
-async def test_a_link_that_breaks_stops_the_arm(controller: UrEmulator, arm: LiftingArm, how: str) -> None:
+async def test_a_link_that_breaks_stops_the_arm(controller: UrEmulator, arm: LiftModeArm, how: str) -> None:
     await under_way(arm, controller)
     controller.control(f"fault {how}")
     assert await rests(controller)
     await lost(arm)
-    assert arm._hands.pid is None, "ur-rtde would connect again by itself, and start its script"
+    assert arm._worker.pid is None, "ur-rtde would connect again by itself, and start its script"
     assert len(controller.events("script")) == 1, "nobody but open starts the script anew"
     controller.control("clear")
     await asyncio.sleep(0.05)
@@ -117,7 +117,7 @@ async def test_a_link_that_breaks_stops_the_arm(controller: UrEmulator, arm: Lif
     await arm.state()
 
 
-async def test_a_stop_of_a_lost_arm_goes_to_the_dashboard(controller: UrEmulator, arm: LiftingArm) -> None:
+async def test_a_stop_of_a_lost_arm_goes_to_the_dashboard(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     controller._servers[0].close()
     controller.control("fault drop 1")
@@ -138,11 +138,11 @@ async def test_a_stop_of_an_arm_never_taken_stops_nobody(controller: UrEmulator)
 
 
 async def test_what_starts_after_our_script_has_ended_is_somebody_elses(
-    controller: UrEmulator, arm: LiftingArm
+    controller: UrEmulator, arm: LiftModeArm
 ) -> None:
     await under_way(arm, controller)
-    assert arm._hands.pid is not None
-    os.kill(arm._hands.pid, signal.SIGKILL)
+    assert arm._worker.pid is not None
+    os.kill(arm._worker.pid, signal.SIGKILL)
     await lost(arm)
     assert await until(lambda: controller.state()["runtime"] == "stopped")
     await asyncio.sleep(0.05)  # nobody's hand is quicker
@@ -153,31 +153,31 @@ async def test_what_starts_after_our_script_has_ended_is_somebody_elses(
     assert controller.state()["runtime"] == "playing"
 
 
-async def test_a_controller_that_goes_blind_on_us_is_told_to_stop(controller: UrEmulator, arm: LiftingArm) -> None:
+async def test_a_controller_that_goes_blind_on_us_is_told_to_stop(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     controller.control("fault freeze")
     assert await rests(controller)
     assert "stopl" in told(controller), "blind is not deaf: it is told before it is given up"
     await lost(arm)
-    assert arm._hands.pid is None
+    assert arm._worker.pid is None
 
 
 async def test_what_ur_rtde_tells_is_held_against_what_is_seen(
-    controller: UrEmulator, arm: LiftingArm, monkeypatch: pytest.MonkeyPatch
+    controller: UrEmulator, arm: LiftModeArm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    call = arm._hands.call
+    call = arm._worker.call
 
     async def blind(request: str, *arguments: object, deadline_s: float) -> object:
         answer = await call(request, *arguments, deadline_s=deadline_s)
         return answer | {"travelling": False} if request == "beat" else answer
 
-    monkeypatch.setattr(arm._hands, "call", blind)
+    monkeypatch.setattr(arm._worker, "call", blind)
     await under_way(arm, controller)
     assert "ur-rtde has not seen it" in await lost(arm)
     assert await rests(controller)
 
 
-async def test_late_packets_are_no_loss(controller: UrEmulator, arm: LiftingArm) -> None:
+async def test_late_packets_are_no_loss(controller: UrEmulator, arm: LiftModeArm) -> None:
     controller.control("fault late 0.05")
     await under_way(arm, controller)
     assert (await arm.state()).moving
@@ -185,7 +185,7 @@ async def test_late_packets_are_no_loss(controller: UrEmulator, arm: LiftingArm)
     assert await rests(controller)
 
 
-async def test_a_stop_at_the_panel_gives_the_arm_away(controller: UrEmulator, arm: LiftingArm) -> None:
+async def test_a_stop_at_the_panel_gives_the_arm_away(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     orders = dashboard_orders(controller)
     controller.control("panel stop")
@@ -211,12 +211,12 @@ async def test_a_program_of_somebody_else_is_not_ended(controller: UrEmulator, p
     assert not controller.events("script")
 
 
-async def test_the_script_of_a_killed_daemon_ends_by_its_watchdog(controller: UrEmulator, arm: LiftingArm) -> None:
+async def test_the_script_of_a_killed_daemon_ends_by_its_watchdog(controller: UrEmulator, arm: LiftModeArm) -> None:
     newcomer = lifting(HOST)
     assert "a program is on" in await refusal(newcomer, "a program is on")
     await under_way(arm, controller)
-    assert arm._hands.pid is not None
-    os.kill(arm._hands.pid, signal.SIGKILL)
+    assert arm._worker.pid is not None
+    os.kill(arm._worker.pid, signal.SIGKILL)
     assert await until(lambda: controller.state()["runtime"] == "stopped")
     await opened(newcomer)
     await newcomer.close()
@@ -241,7 +241,7 @@ async def test_what_prevents_it_is_said_before_anything_is_touched(
         said = await refusal(arm, words)
         assert words in said
         assert "\n" not in said
-        assert arm._hands.pid is None
+        assert arm._worker.pid is None
         assert not controller.events("script")
     finally:
         await controller.stop()
@@ -265,7 +265,7 @@ async def test_without_a_controller_open_names_the_port() -> None:
     arm = lifting(HOST)
     with pytest.raises(DeviceLost, match=f"no answer from {HOST}:30004"):
         await arm.open()
-    assert arm._hands.pid is None
+    assert arm._worker.pid is None
 
 
 async def test_a_controller_that_accepts_and_says_nothing_does_not_hold_the_loop(controller: UrEmulator) -> None:
@@ -280,7 +280,7 @@ async def test_a_controller_that_accepts_and_says_nothing_does_not_hold_the_loop
     assert longest_s < 0.3
     with pytest.raises(DeviceLost, match="does not answer"):
         await opening
-    assert arm._hands.pid is None
+    assert arm._worker.pid is None
 
 
 async def test_who_gives_up_opening_leaves_nothing_behind(controller: UrEmulator) -> None:
@@ -290,11 +290,11 @@ async def test_who_gives_up_opening_leaves_nothing_behind(controller: UrEmulator
         await asyncio.wait_for(arm.open(), 0.05)
     controller.control("clear")
     opening = asyncio.ensure_future(arm.open())
-    assert await until(lambda: arm._hands.pid is not None)
+    assert await until(lambda: arm._worker.pid is not None)
     opening.cancel()
     with pytest.raises(asyncio.CancelledError):
         await opening
-    assert arm._hands.pid is None
+    assert arm._worker.pid is None
     await asyncio.sleep(0.05)
     await arm.open()
     await arm.close()

@@ -11,7 +11,7 @@ import pytest
 
 from slipguard.devices import Arm
 from slipguard.errors import DeviceError, DeviceLost
-from slipguard_drivers.ur5.lift_mode import LiftingArm
+from slipguard_drivers.ur5.lift_mode import LiftModeArm
 from slipguard_drivers.ur5.settings import Ur5Settings
 from slipguard_emulators.ur5.emulator import UrEmulator
 
@@ -21,12 +21,12 @@ def own_address(number: int) -> str:
     return f"127.{20 + os.getpid() // 256 % 200}.{os.getpid() % 256}.{number}"
 
 
-BUILT: list[LiftingArm] = []
+BUILT: list[LiftModeArm] = []
 
 
-def lifting(host: str, **settings: object) -> LiftingArm:
+def lifting(host: str, **settings: object) -> LiftModeArm:
     """The driver in lift mode, not yet opened; `put_away` closes it."""
-    arm = LiftingArm("arm", Ur5Settings.model_validate({"host": host, "watchdog_hz": 2.0, **settings}))
+    arm = LiftModeArm("arm", Ur5Settings.model_validate({"host": host, "watchdog_hz": 2.0, **settings}))
     BUILT.append(arm)
     return arm
 

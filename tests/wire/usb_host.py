@@ -15,7 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from slipguard_drivers.digit.capture import Delivery, Mode
+from slipguard_drivers.digit.capture import RawFrame, VideoMode
 
 READ_BYTES = 16384
 READS = 5
@@ -162,9 +162,9 @@ def descriptors(data: bytes) -> list[bytes]:
     return found
 
 
-def modes_of(configuration: bytes) -> dict[Mode, tuple[int, int, int]]:
+def modes_of(configuration: bytes) -> dict[VideoMode, tuple[int, int, int]]:
     """Every mode of a camera with the format index, frame index and interval that ask for it."""
-    found: dict[Mode, tuple[int, int, int]] = {}
+    found: dict[VideoMode, tuple[int, int, int]] = {}
     format_index, pixels = 0, ""
     for one in descriptors(configuration):
         kind = (one[1], one[2]) if len(one) > 2 else (one[1], 0)
@@ -174,12 +174,12 @@ def modes_of(configuration: bytes) -> dict[Mode, tuple[int, int, int]]:
             width, height = struct.unpack_from("<HH", one, 5)
             for interval in struct.unpack_from(f"<{one[25]}I", one, 26):
                 fps = round(1e7 / interval, 2)
-                found[Mode(pixels, width, height, round(fps, 1))] = (format_index, one[3], interval)
+                found[VideoMode(pixels, width, height, round(fps, 1))] = (format_index, one[3], interval)
     return found
 
 
 class UsbCapture:
-    """A camera at "host:port/bus id", used like `slipguard_drivers.digit.capture.Capture`."""
+    """A camera at "host:port/bus id", used like `slipguard_drivers.digit.capture.V4l2Capture`."""
 
     def __init__(self, path: str) -> None:
         self._device = UsbDevice(*path.split("/"))
@@ -189,7 +189,7 @@ class UsbCapture:
         self._payload = b""
         self._begun_s = 0.0
         self._sequence = 0
-        self._queue: deque[Delivery] = deque()
+        self._queue: deque[RawFrame] = deque()
         self._out, self._in = os.pipe()
         os.set_blocking(self._out, False)
         self._device.on_gone = self._ring
@@ -197,10 +197,10 @@ class UsbCapture:
     def fileno(self) -> int:
         return self._out
 
-    def modes(self, width_px: int | None = None, height_px: int | None = None) -> list[Mode]:
+    def modes(self, width_px: int | None = None, height_px: int | None = None) -> list[VideoMode]:
         return [one for one in self._modes if width_px in (None, one.width_px) and height_px in (None, one.height_px)]
 
-    def configure(self, mode: Mode) -> Mode:
+    def configure(self, mode: VideoMode) -> VideoMode:
         asked = self._modes[mode]
         self._device.control(0x21, SET_CUR, 0x0100, 1, PROBE.pack(1, *asked, 0, 0))
         probed = self._device.control(0xA1, GET_CUR, 0x0100, 1, 26)
@@ -219,7 +219,7 @@ class UsbCapture:
         for _ in range(READS):
             self._device.read_stream()
 
-    def take(self) -> Delivery | None:
+    def take(self) -> RawFrame | None:
         if self._queue:
             return self._queue.popleft()
         if self._device.gone:
@@ -253,6 +253,6 @@ class UsbCapture:
         damage = "the payload's error flag" if flags & 0x40 else None
         if self._packed and len(picture) != self._frame_bytes:
             damage = f"{len(picture)} bytes instead of {self._frame_bytes}"
-        self._queue.append(Delivery(picture, self._sequence, self._begun_s, damage))
+        self._queue.append(RawFrame(picture, self._sequence, self._begun_s, damage))
         self._sequence += 1
         self._ring()

@@ -8,13 +8,13 @@ from collections.abc import AsyncIterator, Callable
 from slipguard.devices import DriverContext, Frame, TactileSensor
 from slipguard.diagnosis import Finding
 from slipguard.errors import DeviceLost
-from slipguard_drivers.digit.capture import Capture, Delivery, Mode
+from slipguard_drivers.digit.capture import RawFrame, V4l2Capture, VideoMode
 from slipguard_drivers.digit.decoder import JpegDecoder
-from slipguard_drivers.digit.diagnostics import look
-from slipguard_drivers.digit.discovery import Found, find_digit
+from slipguard_drivers.digit.diagnostics import check_digit
+from slipguard_drivers.digit.discovery import DigitDevice, find_digit
 from slipguard_drivers.digit.frame_stream import FrameStream
-from slipguard_drivers.digit.pixel_format import DamagedPicture, upright_yuyv
-from slipguard_drivers.digit.rate_monitor import RateWatch
+from slipguard_drivers.digit.pixel_format import DamagedFrame, decode_yuyv
+from slipguard_drivers.digit.rate_monitor import FrameRateMonitor
 from slipguard_drivers.digit.settings import DigitSettings
 from slipguard_drivers.digit.stream_setup import Started, reason, start_digit
 
@@ -31,24 +31,24 @@ class DigitSensor(TactileSensor):
         self,
         settings: DigitSettings,
         context: DriverContext,
-        find: Callable[[str, str], Found] = find_digit,
-        capture: Callable[[str], Capture] = Capture,
+        find: Callable[[str, str], DigitDevice] = find_digit,
+        capture: Callable[[str], V4l2Capture] = V4l2Capture,
     ) -> None:
         """find, capture: how a serial becomes a device and a device an open one; for cameras without a kernel."""
         self._name = context.name
         self._settings = settings
         self._find = find
         self._open_capture = capture
-        self._capture: Capture | None = None
+        self._capture: V4l2Capture | None = None
         self._stream: FrameStream | None = None
         self._decoder: JpegDecoder | None = None
-        self.rate: RateWatch | None = None
+        self.rate: FrameRateMonitor | None = None
         """How many frames came and how many were lost since it was opened."""
         self._opening_remarks: tuple[str, ...] = ()
         self._empty_wake_ups = 0
-        self.found: Found | None = None
+        self.found: DigitDevice | None = None
         """The device that was opened last."""
-        self.mode: Mode | None = None
+        self.mode: VideoMode | None = None
         """How it delivers."""
 
     @property
@@ -78,7 +78,7 @@ class DigitSensor(TactileSensor):
         self._capture = capture
         self._stream = FrameStream(self._name, self._settings.stall_ms / 1000.0)
         self._decoder = JpegDecoder(self._stream) if mode.pixels == "MJPG" else None
-        self.rate = RateWatch(mode.fps or self._settings.fps)
+        self.rate = FrameRateMonitor(mode.fps or self._settings.fps)
         self._empty_wake_ups = 0
         loop.add_reader(capture.fileno(), self._on_readable)
 
@@ -90,7 +90,7 @@ class DigitSensor(TactileSensor):
 
     async def diagnose(self, *, owned: bool) -> AsyncIterator[Finding]:
         """For the doctor: what there is to see from outside."""
-        for finding in look(self._name, self._settings):
+        for finding in check_digit(self._name, self._settings):
             yield finding
 
     async def close(self) -> None:
@@ -114,7 +114,7 @@ class DigitSensor(TactileSensor):
         """Drain what waits in the driver and keep the newest."""
         assert self._capture is not None
         assert self.rate is not None
-        newest: Delivery | None = None
+        newest: RawFrame | None = None
         try:
             while (delivery := self._capture.take()) is not None:
                 newest = delivery
@@ -130,7 +130,7 @@ class DigitSensor(TactileSensor):
         if self._empty_wake_ups >= EMPTY_WAKE_UPS:
             self._lose("the camera driver signals an error and delivers nothing")
 
-    def _deliver(self, delivery: Delivery) -> None:
+    def _deliver(self, delivery: RawFrame) -> None:
         assert self._stream is not None
         if delivery.damage is not None:
             self._stream.damaged(delivery.damage)
@@ -138,11 +138,11 @@ class DigitSensor(TactileSensor):
             self._decoder.offer(delivery, self._time_of(delivery))
         else:
             try:
-                self._stream.put(upright_yuyv(delivery.data), self._time_of(delivery), delivery.sequence)
-            except DamagedPicture as damage:
+                self._stream.put(decode_yuyv(delivery.data), self._time_of(delivery), delivery.sequence)
+            except DamagedFrame as damage:
                 self._stream.damaged(str(damage))
 
-    def _time_of(self, delivery: Delivery) -> float:
+    def _time_of(self, delivery: RawFrame) -> float:
         """When it was captured; that it came now is all there is to say where the driver's clock is another."""
         if delivery.captured_at_s is None:
             return asyncio.get_running_loop().time()

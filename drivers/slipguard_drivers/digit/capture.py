@@ -22,7 +22,7 @@ BUFFERS = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Mode:
+class VideoMode:
     """A way to deliver pictures. pixels: "YUYV", "MJPG"; fps: 0 where it is not known."""
 
     pixels: str
@@ -36,7 +36,7 @@ class Mode:
 
 
 @dataclass(frozen=True, slots=True)
-class Delivery:
+class RawFrame:
     """One frame as the driver delivered it. captured_at_s: None where the driver's clock is not monotonic."""
 
     data: bytes
@@ -45,7 +45,7 @@ class Delivery:
     damage: str | None
 
 
-class Capture:
+class V4l2Capture:
     """One open capture device. Every method raises OSError, ENODEV when the device is gone."""
 
     def __init__(self, path: str) -> None:
@@ -57,7 +57,7 @@ class Capture:
         """Readable when a frame waits, and in error for ever when no buffer is queued."""
         return self._fd
 
-    def modes(self, width_px: int | None = None, height_px: int | None = None) -> list[Mode]:
+    def modes(self, width_px: int | None = None, height_px: int | None = None) -> list[VideoMode]:
         """Every mode on offer, or those of one size. Sizes and rates that form a range are left out or named 0."""
         found = []
         for description in self._each(v4l2.ENUM_FMT, v4l2.FORMAT_DESCRIPTION, "index", v4l2.CAPTURE, 0, b"", 0):
@@ -65,11 +65,12 @@ class Capture:
             sizes = [(width_px, height_px)] if width_px and height_px else self._sizes(pixels)
             for width, height in sizes:
                 found += [
-                    Mode(v4l2.fourcc_name(pixels), width, height, fps) for fps in self._rates(pixels, width, height)
+                    VideoMode(v4l2.fourcc_name(pixels), width, height, fps)
+                    for fps in self._rates(pixels, width, height)
                 ]
         return found
 
-    def configure(self, mode: Mode) -> Mode:
+    def configure(self, mode: VideoMode) -> VideoMode:
         """Ask for a mode, map the buffers, and return the mode given: a driver may change the rate.
 
         OSError EINVAL (with the reason) where it gives another size or pixel format.
@@ -86,7 +87,7 @@ class Capture:
         if packed and (stride, size) != (2 * width, 2 * width * height):
             raise OSError(errno.EINVAL, f"its rows have {stride} bytes and its frames {size}, not {2 * width} a row")
         self._frame_bytes = size if packed else None
-        given = Mode(pixels, width, height, self._set_rate(mode.fps))
+        given = VideoMode(pixels, width, height, self._set_rate(mode.fps))
         self._map_buffers()
         return given
 
@@ -110,7 +111,7 @@ class Capture:
             fcntl.ioctl(self._fd, v4l2.QBUF, buffer(index))
         fcntl.ioctl(self._fd, v4l2.STREAMON, struct.pack("=I", v4l2.CAPTURE))
 
-    def take(self) -> Delivery | None:
+    def take(self) -> RawFrame | None:
         """The oldest frame that waits, copied, or None. Its buffer is queued again at once."""
         raw = buffer(0)
         try:
@@ -126,7 +127,7 @@ class Capture:
             damage = f"{used} bytes with the camera driver's error flag"
         elif used != (self._frame_bytes or max(used, 1)):
             damage = f"{used} bytes instead of {self._frame_bytes or 'a picture'}"
-        return Delivery(data, sequence, seconds + micros * 1e-6 if monotonic else None, damage)
+        return RawFrame(data, sequence, seconds + micros * 1e-6 if monotonic else None, damage)
 
     def close(self) -> None:
         """Stop the stream and let go of the device, which may be gone already. Idempotent."""

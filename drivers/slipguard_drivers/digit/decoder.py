@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 
-from slipguard_drivers.digit.capture import Delivery
+from slipguard_drivers.digit.capture import RawFrame
 from slipguard_drivers.digit.frame_stream import FrameStream
-from slipguard_drivers.digit.pixel_format import DamagedPicture, Image, upright_jpeg
+from slipguard_drivers.digit.pixel_format import DamagedFrame, Image, decode_jpeg
 
 
 class JpegDecoder:
@@ -14,10 +14,10 @@ class JpegDecoder:
 
     def __init__(self, stream: FrameStream) -> None:
         self._stream = stream
-        self._waiting: tuple[Delivery, float] | None = None
+        self._waiting: tuple[RawFrame, float] | None = None
         self._busy = False
 
-    def offer(self, delivery: Delivery, captured_at_s: float) -> None:
+    def offer(self, delivery: RawFrame, captured_at_s: float) -> None:
         """Decode it and put it into the stream, unless a newer one comes first."""
         self._waiting = (delivery, captured_at_s)
         if not self._busy:
@@ -31,7 +31,7 @@ class JpegDecoder:
         decoding = asyncio.get_running_loop().run_in_executor(None, _decoded, delivery.data)
         decoding.add_done_callback(lambda done: self._on_done(done, delivery, captured_at_s))
 
-    def _on_done(self, done: asyncio.Future[Image | str], delivery: Delivery, captured_at_s: float) -> None:
+    def _on_done(self, done: asyncio.Future[Image | str], delivery: RawFrame, captured_at_s: float) -> None:
         self._busy = False
         if done.cancelled():
             return
@@ -46,6 +46,6 @@ class JpegDecoder:
 def _decoded(data: bytes) -> Image | str:
     """The image, or what is wrong with it."""
     try:
-        return upright_jpeg(data)
-    except DamagedPicture as damage:
+        return decode_jpeg(data)
+    except DamagedFrame as damage:
         return str(damage)

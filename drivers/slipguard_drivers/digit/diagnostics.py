@@ -9,7 +9,7 @@ from pathlib import Path
 
 from slipguard.diagnosis import Finding, fine, from_error, note, wrong
 from slipguard.errors import DeviceLost
-from slipguard_drivers.digit.discovery import DEV, SYSFS, Found, find_digit, plugged_in
+from slipguard_drivers.digit.discovery import DEV, SYSFS, DigitDevice, find_digit, plugged_in
 from slipguard_drivers.digit.settings import DigitSettings
 
 RULES = "60-slipguard.rules"
@@ -18,7 +18,7 @@ FULL_SPEED_MBIT_S = 480.0
 """USB 2; a slower link carries no 60 fps."""
 
 
-def look(
+def check_digit(
     name: str,
     settings: DigitSettings,
     sysfs: Path = SYSFS,
@@ -40,7 +40,7 @@ def look(
     yield neighbours(found, plugged_in(sysfs, dev), settings.fps)
 
 
-def link(found: Found, firmware: str) -> Finding:
+def link(found: DigitDevice, firmware: str) -> Finding:
     """Where it is plugged in, and how fast that is."""
     seen = f"{found.path}, serial {found.serial}, {firmware}, port {found.port}, {found.usb_mbit_s:g} Mbit/s"
     if 0.0 < found.usb_mbit_s < FULL_SPEED_MBIT_S:
@@ -76,7 +76,7 @@ def rules(folders: tuple[Path, ...]) -> Finding:
     )
 
 
-def neighbours(found: Found, there: list[Found], fps: int) -> Finding:
+def neighbours(found: DigitDevice, there: list[DigitDevice], fps: int) -> Finding:
     """Sensors on one USB bus share its bandwidth."""
     beside = [one.serial for one in there if one.bus == found.bus and one.serial != found.serial]
     if beside and fps > 30:

@@ -15,7 +15,7 @@ FIRST_RGB_FIRMWARE = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class DigitDevice:
     """One DIGIT. port: bus and hub ports, such as `1-4.2`. firmware: None where the number cannot be read."""
 
     path: Path
@@ -35,7 +35,7 @@ class Found:
         return self.firmware is None or self.firmware >= FIRST_RGB_FIRMWARE
 
 
-def plugged_in(sysfs: Path = SYSFS, dev: Path = DEV) -> list[Found]:
+def plugged_in(sysfs: Path = SYSFS, dev: Path = DEV) -> list[DigitDevice]:
     """All DIGITs, by serial. A camera's second node, which carries no pictures, is left out."""
     found = []
     for node in sorted(sysfs.glob("video*")):
@@ -49,7 +49,7 @@ def plugged_in(sysfs: Path = SYSFS, dev: Path = DEV) -> list[Found]:
             continue
         release, speed = _word(usb / "bcdDevice"), _word(usb / "speed")
         found.append(
-            Found(
+            DigitDevice(
                 path=dev / node.name,
                 serial=_word(usb / "serial"),
                 firmware=int(release) if release.isdecimal() else None,
@@ -60,7 +60,7 @@ def plugged_in(sysfs: Path = SYSFS, dev: Path = DEV) -> list[Found]:
     return sorted(found, key=lambda one: one.serial)
 
 
-def find_digit(serial: str, name: str, sysfs: Path = SYSFS, dev: Path = DEV) -> Found:
+def find_digit(serial: str, name: str, sysfs: Path = SYSFS, dev: Path = DEV) -> DigitDevice:
     """The DIGIT with this serial number. Raises DeviceLost naming those there are."""
     there = plugged_in(sysfs, dev)
     for one in there:

@@ -18,17 +18,17 @@ from pydantic import BaseModel, ConfigDict, Field
 from slipguard.devices import DriverContext, Frame, TactileSensor
 from slipguard.errors import DeviceLost
 from slipguard_drivers.digit.fake_renderer import (
+    BackgroundRenderer,
+    EncodingRenderer,
     Image,
-    InlinePainter,
-    Painter,
-    PlainPainter,
-    ProcessPainter,
-    TellingPainter,
+    InlineRenderer,
+    ProcessRenderer,
+    Renderer,
 )
 from slipguard_drivers.digit.frame_stream import FrameStream
-from slipguard_drivers.digit.render_worker import Shot
-from slipguard_drivers.fake_world import world_of
-from slipguard_drivers.timers import Timers
+from slipguard_drivers.digit.render_worker import RenderRequest
+from slipguard_drivers.fake_world import require_world
+from slipguard_drivers.timers import TimerGroup
 
 if TYPE_CHECKING:
     from slipguard.sim.scenario import CameraModel
@@ -57,22 +57,22 @@ class FakeSensor(TactileSensor):
 
     def __init__(self, settings: Settings, context: DriverContext) -> None:
         self._name = context.name
-        self._world = world_of(context)
+        self._world = require_world(context)
         self._settings = settings
         self._model = self._world.camera(self._name)
         self._random = random.Random(self._model.noise_seed)
         self._stream: FrameStream | None = None
-        self._painter = self._make_painter(settings.draw, self._model.unit_seed)
-        self._timers = Timers()
+        self._renderer = self._make_renderer(settings.draw, self._model.unit_seed)
+        self._timers = TimerGroup()
         self._started_at_s = 0.0
         self._last_image: Image | None = None
 
-    def _make_painter(self, draw: str, unit_seed: int) -> Painter:
+    def _make_renderer(self, draw: str, unit_seed: int) -> Renderer:
         if draw == "process":
-            return ProcessPainter(self._name, unit_seed, self._lose)
+            return ProcessRenderer(self._name, unit_seed, self._lose)
         if draw == "told":
-            return TellingPainter()
-        return PlainPainter(unit_seed) if draw == "plain" else InlinePainter(unit_seed)
+            return EncodingRenderer()
+        return BackgroundRenderer(unit_seed) if draw == "plain" else InlineRenderer(unit_seed)
 
     @property
     def serial(self) -> str:
@@ -86,7 +86,7 @@ class FakeSensor(TactileSensor):
         await self.close()
         if "disconnect" in self._faults():
             raise DeviceLost(f"{self._name}: no DIGIT with serial {self.serial}; plug it in")
-        await self._painter.start()
+        await self._renderer.start()
         self._stream = FrameStream(self._name, self._settings.stall_ms / 1000.0)
         self._started_at_s = asyncio.get_running_loop().time()
         self._last_image = None
@@ -103,7 +103,7 @@ class FakeSensor(TactileSensor):
     async def close(self) -> None:
         """Stop the stream and the drawing."""
         self._halt()
-        self._painter.stop()
+        self._renderer.stop()
         self._stream = None
 
     def _faults(self) -> frozenset[str]:
@@ -115,7 +115,7 @@ class FakeSensor(TactileSensor):
             self._stream.lose(why)
 
     def _halt(self) -> None:
-        self._timers.take_back()
+        self._timers.cancel_all()
 
     def _expose_at(self, sequence: int) -> None:
         due_s = self._started_at_s + sequence / self._model.fps
@@ -155,7 +155,7 @@ class FakeSensor(TactileSensor):
             return
         blue, green, red = model.light_drift_bgr
         lamp = LAMP_LEVELS * ("light" in faults)
-        self._painter.paint(Shot(view, (blue + lamp, green + lamp, red + lamp), model.noise_seed), deliver)
+        self._renderer.render(RenderRequest(view, (blue + lamp, green + lamp, red + lamp), model.noise_seed), deliver)
 
     def _present_model(self) -> CameraModel:
         """How the camera delivers now; a new grasp has its own chances, which start anew with it."""

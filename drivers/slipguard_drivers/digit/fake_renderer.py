@@ -17,24 +17,24 @@ from numpy.typing import NDArray
 from slipguard.errors import DeviceLost, DeviceTimeout
 from slipguard.sim.encoded_view import told
 from slipguard.sim.view import GelView
-from slipguard_drivers.child_process import PACKET_BYTES, Child
+from slipguard_drivers.child_process import PACKET_BYTES, ChildProcess
 from slipguard_drivers.digit.frame_stream import SHAPE
-from slipguard_drivers.digit.render_worker import IMAGE_BYTES, SLOTS, Draughtsman, Shot
+from slipguard_drivers.digit.render_worker import IMAGE_BYTES, SLOTS, GelRenderer, RenderRequest
 
 Image = NDArray[np.uint8]
 WORKER = "slipguard_drivers.digit.render_process"
-PLAIN_PICTURES = 16
+BACKGROUND_IMAGES = 16
 START_TIMEOUT_S = 30.0
 """Python, numpy and OpenCV starting on a loaded small machine; 0.5 s on an idle one."""
 
 
-class Painter(Protocol):
+class Renderer(Protocol):
     """Turns a shot into an image, now or a little later."""
 
     async def start(self) -> None:
         """Get ready to draw. Raises DeviceTimeout or DeviceLost."""
 
-    def paint(self, shot: Shot, done: Callable[[Image], None]) -> bool:
+    def render(self, shot: RenderRequest, done: Callable[[Image], None]) -> bool:
         """Draw `shot` and call `done` with the image; False where it is too busy to."""
         ...
 
@@ -42,7 +42,7 @@ class Painter(Protocol):
         """Let go of everything; no `done` is called any more."""
 
 
-class InlinePainter:
+class InlineRenderer:
     """Draws at once, in the calling process: for virtual time, where drawing takes no time."""
 
     def __init__(self, unit_seed: int) -> None:
@@ -50,9 +50,9 @@ class InlinePainter:
 
     async def start(self) -> None:
         """Make the sensor unit."""
-        self._draughtsman = Draughtsman(self._unit_seed)
+        self._draughtsman = GelRenderer(self._unit_seed)
 
-    def paint(self, shot: Shot, done: Callable[[Image], None]) -> bool:
+    def render(self, shot: RenderRequest, done: Callable[[Image], None]) -> bool:
         """Draw before returning."""
         done(self._draughtsman.draw(shot))
         return True
@@ -61,7 +61,7 @@ class InlinePainter:
         """Nothing to let go of."""
 
 
-class PlainPainter:
+class BackgroundRenderer:
     """Draws the untouched gel a few times and hands those pictures out in turn for ever, whatever is touched.
 
     For hours of virtual time, where what is touched is known in another way.
@@ -72,11 +72,11 @@ class PlainPainter:
 
     async def start(self) -> None:
         """Draw the pictures; they differ in their noise."""
-        untouched = Shot(GelView(""), (0.0, 0.0, 0.0), noise_seed=0)
-        draughtsman = Draughtsman(self._unit_seed)
-        self._pictures = cycle([draughtsman.draw(untouched) for _ in range(PLAIN_PICTURES)])
+        untouched = RenderRequest(GelView(""), (0.0, 0.0, 0.0), noise_seed=0)
+        gel_renderer = GelRenderer(self._unit_seed)
+        self._pictures = cycle([gel_renderer.draw(untouched) for _ in range(BACKGROUND_IMAGES)])
 
-    def paint(self, shot: Shot, done: Callable[[Image], None]) -> bool:
+    def render(self, shot: RenderRequest, done: Callable[[Image], None]) -> bool:
         """Hand the next one out before returning."""
         done(next(self._pictures))
         return True
@@ -85,7 +85,7 @@ class PlainPainter:
         """Nothing to let go of."""
 
 
-class TellingPainter:
+class EncodingRenderer:
     """Writes down what would be on the picture instead of drawing it (`slipguard.sim.encoded_view`)."""
 
     def __init__(self) -> None:
@@ -94,7 +94,7 @@ class TellingPainter:
     async def start(self) -> None:
         """Nothing to get ready."""
 
-    def paint(self, shot: Shot, done: Callable[[Image], None]) -> bool:
+    def render(self, shot: RenderRequest, done: Callable[[Image], None]) -> bool:
         """Write before returning."""
         self._count += 1
         done(told(shot.view, shot.light_drift_bgr, self._count))
@@ -104,7 +104,7 @@ class TellingPainter:
         """Nothing to let go of."""
 
 
-class ProcessPainter:
+class ProcessRenderer:
     """Draws in a child process, so that drawing does not take the loop's time.
 
     A few numbers go over a socket, images come back through shared memory.
@@ -116,7 +116,7 @@ class ProcessPainter:
         self._name = name
         self._unit_seed = unit_seed
         self._died = died
-        self._child: Child | None = None
+        self._child: ChildProcess | None = None
         self._memory: mmap.mmap | None = None
         self._waiting: dict[int, Callable[[Image], None]] = {}
         self._free: list[int] = []
@@ -143,17 +143,17 @@ class ProcessPainter:
         self._free = list(range(SLOTS))
         loop.add_reader(child.link, self._on_answer)
 
-    def _launch(self) -> Child:
+    def _launch(self) -> ChildProcess:
         memory_fd = os.memfd_create(f"slipguard-{self._name}")  # without a name in any folder: nothing is left behind
         try:
             os.ftruncate(memory_fd, SLOTS * IMAGE_BYTES)
-            child = Child(WORKER, str(memory_fd), str(self._unit_seed), keep_fds=(memory_fd,))
+            child = ChildProcess(WORKER, str(memory_fd), str(self._unit_seed), keep_fds=(memory_fd,))
             self._memory = mmap.mmap(memory_fd, SLOTS * IMAGE_BYTES)
             return child
         finally:
             os.close(memory_fd)
 
-    def paint(self, shot: Shot, done: Callable[[Image], None]) -> bool:
+    def render(self, shot: RenderRequest, done: Callable[[Image], None]) -> bool:
         """Ask the child for an image; False while it has all the work it can hold."""
         if not self._free or self._child is None:
             return False

@@ -7,7 +7,7 @@ LEAST_MADE = 0.9
 LEAST_TAKEN = 0.9
 
 
-class RateWatch:
+class FrameRateMonitor:
     """Fed with the time stamp and number of every frame taken; `remark` is about the last whole window.
 
     The camera driver counts every picture it makes, also those that nobody took: so what the camera did not make can be

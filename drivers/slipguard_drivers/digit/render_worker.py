@@ -26,7 +26,7 @@ SLOTS = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class RenderRequest:
     """All it takes to draw one image. light_drift_bgr: grey levels since the no-contact image was taken."""
 
     view: GelView
@@ -34,14 +34,14 @@ class Shot:
     noise_seed: int
 
 
-class Draughtsman:
+class GelRenderer:
     """Draws what one sensor unit sees. A new noise seed starts the noise anew, so a grasp can be repeated."""
 
     def __init__(self, unit_seed: int) -> None:
         self._camera = GelCamera(random_unit(np.random.default_rng(unit_seed)))
         self._noise_seed: int | None = None
 
-    def draw(self, shot: Shot) -> NDArray[np.uint8]:
+    def draw(self, shot: RenderRequest) -> NDArray[np.uint8]:
         """One image: (320, 240, 3) uint8 BGR."""
         if shot.noise_seed != self._noise_seed:
             self._camera.reseed(shot.noise_seed)
@@ -52,14 +52,14 @@ class Draughtsman:
         return self._camera.draw(shot.view)
 
 
-def serve(link: socket.socket, memory: mmap.mmap, draughtsman: Draughtsman) -> None:
+def serve(link: socket.socket, memory: mmap.mmap, gel_renderer: GelRenderer) -> None:
     """Answer requests until the other end closes."""
     link.send(b"ready")
     while packet := _receive(link):
         slot, shot = pickle.loads(packet)
         complaint: str | None = None
         try:
-            image = draughtsman.draw(shot)
+            image = gel_renderer.draw(shot)
             memory[slot * IMAGE_BYTES : (slot + 1) * IMAGE_BYTES] = image.tobytes()
         except Exception as error:
             complaint = f"{type(error).__name__}: {error}"
@@ -83,4 +83,4 @@ def serve_to_the_end(link_fd: int, memory_fd: int, unit_seed: int) -> None:
         socket.socket(fileno=link_fd) as link,
         mmap.mmap(memory_fd, SLOTS * IMAGE_BYTES) as memory,
     ):
-        serve(link, memory, Draughtsman(unit_seed))
+        serve(link, memory, GelRenderer(unit_seed))

@@ -6,17 +6,20 @@ import errno
 from collections.abc import Callable
 
 from slipguard.errors import DeviceLost
-from slipguard_drivers.digit.capture import Capture, Mode
-from slipguard_drivers.digit.discovery import Found, plugged_in
+from slipguard_drivers.digit.capture import V4l2Capture, VideoMode
+from slipguard_drivers.digit.discovery import DigitDevice, plugged_in
 from slipguard_drivers.digit.pixel_format import WIRE_HEIGHT_PX, WIRE_WIDTH_PX
 from slipguard_drivers.digit.settings import DigitSettings, Levels
 from slipguard_drivers.digit.v4l2 import ZOOM_ABSOLUTE
 
-Started = tuple[Found, Capture, Mode, tuple[str, ...]]
+Started = tuple[DigitDevice, V4l2Capture, VideoMode, tuple[str, ...]]
 
 
 def start_digit(
-    settings: DigitSettings, name: str, find: Callable[[str, str], Found], open_capture: Callable[[str], Capture]
+    settings: DigitSettings,
+    name: str,
+    find: Callable[[str, str], DigitDevice],
+    open_capture: Callable[[str], V4l2Capture],
 ) -> Started:
     """Find a sensor and make it stream; what is not as asked comes last, in words. Blocks. Raises DeviceLost."""
     found = find(settings.serial, name)
@@ -35,7 +38,7 @@ def start_digit(
     return found, capture, mode, tuple(remarks)
 
 
-def choose(modes: list[Mode], settings: DigitSettings, capture: Capture) -> Mode:
+def choose(modes: list[VideoMode], settings: DigitSettings, capture: V4l2Capture) -> VideoMode:
     """The mode to ask for: the rate first, then YUYV, which costs no decoding. OSError EINVAL where there is none."""
     wanted = ("YUYV", "MJPG") if settings.pixels == "auto" else (settings.pixels,)
     usable = [mode for mode in modes if mode.pixels in wanted]
@@ -46,10 +49,10 @@ def choose(modes: list[Mode], settings: DigitSettings, capture: Capture) -> Mode
             f"{WIRE_WIDTH_PX}x{WIRE_HEIGHT_PX} {' or '.join(wanted)} is needed, it offers {offers}; change pixels",
         )
     best = min(usable, key=lambda mode: (abs(mode.fps - settings.fps), wanted.index(mode.pixels)))
-    return Mode(best.pixels, best.width_px, best.height_px, best.fps or float(settings.fps))
+    return VideoMode(best.pixels, best.width_px, best.height_px, best.fps or float(settings.fps))
 
 
-def set_leds(capture: Capture, found: Found, levels: Levels) -> list[str]:
+def set_leds(capture: V4l2Capture, found: DigitDevice, levels: Levels) -> list[str]:
     """Set the LEDs, the DIGIT's zoom control, and say what could not be had. OSError ENODEV when it is gone."""
     value = led_value(levels, rgb=found.has_rgb)
     remarks = []
@@ -78,13 +81,13 @@ def led_value(levels: Levels, *, rgb: bool) -> int:
     return red << 8 | green << 4 | blue if rgb else 17 * max(levels)
 
 
-def _rate_remark(mode: Mode, fps: int) -> list[str]:
+def _rate_remark(mode: VideoMode, fps: int) -> list[str]:
     if mode.fps == 0.0:
         return [f"the camera does not say its rate; {fps} frames a second were asked for"]
     return [f"the camera gives {mode.fps:g} frames a second where {fps} were asked for"] * (abs(mode.fps - fps) > 0.5)
 
 
-def _no_bandwidth(found: Found, settings: DigitSettings) -> str:
+def _no_bandwidth(found: DigitDevice, settings: DigitSettings) -> str:
     beside = [one.serial for one in plugged_in() if one.bus == found.bus and one.serial != found.serial]
     beside_it = f" beside {' and '.join(beside)}" if beside else ""
     return (

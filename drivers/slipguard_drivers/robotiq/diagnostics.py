@@ -16,7 +16,7 @@ PSEUDO = "/dev/pts/"
 """Emulated grippers are there; the kernel does not list them."""
 
 
-def look(port: str) -> Iterator[Finding]:
+def check_serial_port(port: str) -> Iterator[Finding]:
     """The port; nothing is opened."""
     path = Path(port)
     if not _is_device(path) or not os.access(port, os.R_OK | os.W_OK):

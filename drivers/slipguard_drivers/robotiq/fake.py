@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import DriverContext, Gripper, GripperState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
-from slipguard_drivers.fake_world import world_of
+from slipguard_drivers.fake_world import require_world
 from slipguard_drivers.robotiq.registers import MODEL_2F85, force_to_count, width_to_count
 
 T = TypeVar("T")
@@ -34,7 +34,7 @@ class FakeGripper(Gripper):
 
     def __init__(self, settings: Settings, context: DriverContext) -> None:
         self._name = context.name
-        self._world = world_of(context)
+        self._world = require_world(context)
         self._settings = settings
         self._wire = asyncio.Lock()
         self._open = False

@@ -20,9 +20,9 @@ from slipguard.devices import DriverContext, Gripper, GripperState
 from slipguard.diagnosis import Finding
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq import registers, serial_port
-from slipguard_drivers.robotiq.diagnostics import look
-from slipguard_drivers.robotiq.modbus import RegisterLine
-from slipguard_drivers.robotiq.registers import CLOSED_COUNT, MODELS, Motion, Status
+from slipguard_drivers.robotiq.diagnostics import check_serial_port
+from slipguard_drivers.robotiq.modbus import ModbusConnection
+from slipguard_drivers.robotiq.registers import CLOSED_COUNT, MODELS, FingerMotion, RobotiqStatus
 
 T = TypeVar("T")
 log = structlog.get_logger()
@@ -60,7 +60,7 @@ class RobotiqGripper(Gripper):
         self._port = settings.port
         self._model = MODELS[settings.model]
         self._approach = round(settings.approach_speed * 255)
-        self._line = RegisterLine(
+        self._line = ModbusConnection(
             context.name, settings.port, settings.slave_id, settings.timeout_ms / 1000.0, registers.INPUT_ADDRESS
         )
         self._call_s = CALL_TIMEOUTS * settings.timeout_ms / 1000.0
@@ -96,7 +96,7 @@ class RobotiqGripper(Gripper):
         status = await self._finish(self._status(self._by_s()))
         return GripperState(
             active=status.ready,
-            moving=status.going and status.motion is Motion.MOVING,
+            moving=status.going and status.motion is FingerMotion.MOVING,
             holding=self._holds(status),
             closed_on_nothing=status.closed_on_nothing,
             width_mm=registers.count_to_width(status.position, self._model),
@@ -134,7 +134,7 @@ class RobotiqGripper(Gripper):
 
     async def diagnose(self, *, owned: bool) -> AsyncIterator[Finding]:
         """For the doctor: the port from outside."""
-        for finding in look(self._port):
+        for finding in check_serial_port(self._port):
             yield finding
 
     def _by_s(self) -> float:
@@ -170,12 +170,12 @@ class RobotiqGripper(Gripper):
         async with self._in_turn(by_s):
             status = await self._ready_status(by_s)
             closing = status.going and status.position_echo == CLOSED_COUNT
-            gripping = status.may_hold or (closing and status.motion is Motion.MOVING)
+            gripping = status.may_hold or (closing and status.motion is FingerMotion.MOVING)
             if gripping and self._applied is not None:
                 if force <= self._applied and closing:
                     return registers.count_to_force(self._applied, self._model)
                 force = max(force, self._applied)
-            if not status.may_hold or status.motion is Motion.MOVING:
+            if not status.may_hold or status.motion is FingerMotion.MOVING:
                 self._applied = None  # there was no grip, or it is stopped half-way
             speed = registers.FULL_SPEED if self._gripped_at is not None else self._approach
             if status.may_hold or closing:
@@ -207,7 +207,7 @@ class RobotiqGripper(Gripper):
         """rGTO = 0, the goal as it is: what was closing is told to have been."""
         async with self._in_turn(by_s):
             status = await self._status(by_s)
-            if not (status.ready and status.going and status.motion is Motion.MOVING):
+            if not (status.ready and status.going and status.motion is FingerMotion.MOVING):
                 return
             position, self._applied = status.position_echo, None
             await self._write(by_s, go=False, position=position, speed=self._approach, force=0)
@@ -224,7 +224,7 @@ class RobotiqGripper(Gripper):
             await self._write(by_s, go=True, position=position, speed=registers.FULL_SPEED, force=0)
             await self._expect(by_s, position, going=True)
 
-    async def _activate(self, by_s: float) -> Status:
+    async def _activate(self, by_s: float) -> RobotiqStatus:
         """Reset and activate: the fingers open and close fully. Only an explicit release may ask for that."""
         await self._line.write(registers.OUTPUT_ADDRESS, [0, 0, 0], by_s)
         await self._expect(by_s, 0, going=False, activated=False)
@@ -247,17 +247,17 @@ class RobotiqGripper(Gripper):
             "check what is in the fingers' way"
         )
 
-    async def _status(self, by_s: float) -> Status:
+    async def _status(self, by_s: float) -> RobotiqStatus:
         status = registers.decode(await self._line.read(registers.INPUT_ADDRESS, registers.REGISTERS, by_s))
         if not status.ready:
             self._applied = self._gripped_at = None  # it has been without power, or another program has reset it
-        elif status.motion is Motion.STOPPED_CLOSING:
+        elif status.motion is FingerMotion.STOPPED_CLOSING:
             self._gripped_at = status.position
         elif not self._holds(status):
             self._gripped_at = None
         return status
 
-    async def _ready_status(self, by_s: float) -> Status:
+    async def _ready_status(self, by_s: float) -> RobotiqStatus:
         status = await self._status(by_s)
         if status.fault is not None:
             raise DeviceError(f"{self._name}: the gripper reports a fault: {status.fault}; release clears it")
@@ -272,7 +272,7 @@ class RobotiqGripper(Gripper):
         values = registers.encode(activate=True, go=go, position=position, speed=speed, force=force)
         await self._line.write(registers.OUTPUT_ADDRESS, values, by_s)
 
-    async def _expect(self, by_s: float, position: int, *, going: bool, activated: bool = True) -> Status:
+    async def _expect(self, by_s: float, position: int, *, going: bool, activated: bool = True) -> RobotiqStatus:
         """Wait until the gripper says that it has taken a command over."""
         for _ in range(ECHO_TRIES):
             status = await self._status(by_s)
@@ -283,14 +283,14 @@ class RobotiqGripper(Gripper):
             f"position echo {status.position_echo} instead of {position}; is another program commanding it?"
         )
 
-    def _holds(self, status: Status) -> bool:
+    def _holds(self, status: RobotiqStatus) -> bool:
         """Whether something is held; also while the force on it rises."""
         if status.may_hold or self._gripped_at is None:
             return status.may_hold
         return status.closing and abs(status.position - self._gripped_at) <= GIVE_COUNTS
 
-    def _force_n(self, status: Status) -> float:
+    def _force_n(self, status: RobotiqStatus) -> float:
         """The force applied. A finished grip has at least the lowest force there is, one stopped half-way has not."""
         if self._applied is not None and (self._holds(status) or status.position_echo == CLOSED_COUNT):
             return registers.count_to_force(self._applied, self._model)
-        return self._model.force_min_n if status.motion is Motion.STOPPED_CLOSING and status.ready else 0.0
+        return self._model.force_min_n if status.motion is FingerMotion.STOPPED_CLOSING and status.ready else 0.0

@@ -49,14 +49,14 @@ def _serial(client: AsyncModbusSerialClient) -> Any:
 
 
 @dataclass(frozen=True, slots=True)
-class Awaited:
+class ExpectedResponse:
     """What an answer looks like: its first two bytes and its size, checksum included."""
 
     head: bytes
     size: int
 
 
-class RegisterLine:
+class ModbusConnection:
     """Reads and writes 16-bit registers of one slave. A call that was begun must not be cancelled.
 
     probe_address: two registers that may be read at any time, to find out whether the line is in order. by_s, of every
@@ -76,7 +76,7 @@ class RegisterLine:
         self._in_doubt = False
         self._silent_from_s = 0.0
         """Where the silence after a doubt began: with the doubt, or with the last byte after it."""
-        self._awaited: Awaited | None = None
+        self._awaited: ExpectedResponse | None = None
         self._heard = b""
         """What has come since the present request."""
         self._others: set[int] = set()
@@ -156,7 +156,7 @@ class RegisterLine:
         async with self._rotation:
             await self._make_sure(by_s)
             answer = await self._ask(
-                Awaited(bytes([self._slave_id, WRITE]), 8),
+                ExpectedResponse(bytes([self._slave_id, WRITE]), 8),
                 lambda client: client.write_registers(address, values, device_id=self._slave_id),
             )
             if type(answer) is not WriteMultipleRegistersResponse:
@@ -169,7 +169,7 @@ class RegisterLine:
 
     async def _read(self, address: int, count: int) -> list[int]:
         answer = await self._ask(
-            Awaited(bytes([self._slave_id, READ]), 5 + 2 * count),
+            ExpectedResponse(bytes([self._slave_id, READ]), 5 + 2 * count),
             lambda client: client.read_input_registers(address, count=count, device_id=self._slave_id),
         )
         if type(answer) is not ReadInputRegistersResponse or len(answer.registers) != count:
@@ -215,7 +215,7 @@ class RegisterLine:
             return False
 
     async def _ask(
-        self, awaited: Awaited, request: Callable[[AsyncModbusSerialClient], Awaitable[ModbusPDU]]
+        self, awaited: ExpectedResponse, request: Callable[[AsyncModbusSerialClient], Awaitable[ModbusPDU]]
     ) -> ModbusPDU:
         loop = asyncio.get_running_loop()
         client = self._client

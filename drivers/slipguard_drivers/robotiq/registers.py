@@ -41,7 +41,7 @@ PASSING_FAULTS = frozenset({0x00, 0x05, 0x07, 0x09})
 
 
 @dataclass(frozen=True, slots=True)
-class GripperModel:
+class RobotiqModel:
     """What differs between the 2F models.
 
     open_count, closed_count: where the fingers really stop after activation.
@@ -60,12 +60,12 @@ class GripperModel:
         return self.stroke_mm / (self.closed_count - self.open_count)
 
 
-MODEL_2F85 = GripperModel("2F-85", 85.0, 3, 230, 20.0, 235.0)
-MODEL_2F140 = GripperModel("2F-140", 140.0, 3, 230, 10.0, 125.0)
+MODEL_2F85 = RobotiqModel("2F-85", 85.0, 3, 230, 20.0, 235.0)
+MODEL_2F140 = RobotiqModel("2F-140", 140.0, 3, 230, 10.0, 125.0)
 MODELS = {model.name: model for model in (MODEL_2F85, MODEL_2F140)}
 
 
-class Motion(IntEnum):
+class FingerMotion(IntEnum):
     """gOBJ: what the fingers are doing."""
 
     MOVING = 0
@@ -75,13 +75,13 @@ class Motion(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class RobotiqStatus:
     """The three input registers, taken apart. Counts are 0-255."""
 
     activated: bool
     going: bool
     ready: bool
-    motion: Motion
+    motion: FingerMotion
     fault_code: int
     position_echo: int
     position: int
@@ -90,19 +90,19 @@ class Status:
     @property
     def may_hold(self) -> bool:
         """Stopped on something while closing, or halted on the way to it: it would fall if the fingers opened."""
-        halted = not self.going and self.position_echo == CLOSED_COUNT and self.motion is not Motion.AT_POSITION
-        return self.ready and (self.motion is Motion.STOPPED_CLOSING or halted)
+        halted = not self.going and self.position_echo == CLOSED_COUNT and self.motion is not FingerMotion.AT_POSITION
+        return self.ready and (self.motion is FingerMotion.STOPPED_CLOSING or halted)
 
     @property
     def closing(self) -> bool:
         """On its way inwards, or pressing harder: it may just have met something."""
         inwards = self.position_echo > self.position
-        return self.ready and self.going and self.motion is Motion.MOVING and inwards
+        return self.ready and self.going and self.motion is FingerMotion.MOVING and inwards
 
     @property
     def closed_on_nothing(self) -> bool:
         """Told to close, and arrived at the end without meeting anything."""
-        return self.ready and self.motion is Motion.AT_POSITION and self.position_echo == CLOSED_COUNT
+        return self.ready and self.motion is FingerMotion.AT_POSITION and self.position_echo == CLOSED_COUNT
 
     @property
     def fault(self) -> str | None:
@@ -120,17 +120,17 @@ def encode(*, activate: bool, go: bool, position: int, speed: int, force: int) -
     return [(activate << 0 | go << 3) << 8, position, speed << 8 | force]
 
 
-def decode(registers: Sequence[int]) -> Status:
+def decode(registers: Sequence[int]) -> RobotiqStatus:
     """Take the three input registers apart. Raises DeviceError where they cannot be a 2F's."""
     if len(registers) != REGISTERS or any(not 0 <= word <= 0xFFFF for word in registers):
         raise DeviceError(f"a status of {list(registers)} is not {REGISTERS} registers of 16 bits")
     flags, echo_word, position_word = registers
     status = flags >> 8
-    return Status(
+    return RobotiqStatus(
         activated=bool(status & 0x01),
         going=bool(status & 0x08),
         ready=status >> 4 & 0x03 == 3,
-        motion=Motion(status >> 6 & 0x03),
+        motion=FingerMotion(status >> 6 & 0x03),
         fault_code=echo_word >> 8 & 0x0F,
         position_echo=echo_word & 0xFF,
         position=position_word >> 8,
@@ -138,7 +138,7 @@ def decode(registers: Sequence[int]) -> Status:
     )
 
 
-def force_to_count(force_n: float, model: GripperModel) -> int:
+def force_to_count(force_n: float, model: RobotiqModel) -> int:
     """The lowest count that applies at least `force_n` per finger; beyond the limits, the nearest.
 
     Raises CommandRefused for a force that is negative or not a number.
@@ -149,12 +149,12 @@ def force_to_count(force_n: float, model: GripperModel) -> int:
     return max(0, math.ceil(share * 255 - 1e-9))
 
 
-def count_to_force(count: int, model: GripperModel) -> float:
+def count_to_force(count: int, model: RobotiqModel) -> float:
     """Newtons per finger that a force count stands for: 0.84 N a count on a 2F-85, about linear."""
     return model.force_min_n + (model.force_max_n - model.force_min_n) * count / 255
 
 
-def width_to_count(width_mm: float, model: GripperModel) -> int:
+def width_to_count(width_mm: float, model: RobotiqModel) -> int:
     """The position count nearest to an opening; beyond the stroke, fully open.
 
     Raises CommandRefused for a width that is negative or not a number.
@@ -166,12 +166,12 @@ def width_to_count(width_mm: float, model: GripperModel) -> int:
     return model.open_count + round((model.stroke_mm - min(width_mm, model.stroke_mm)) / model.mm_per_count)
 
 
-def count_to_width(count: int, model: GripperModel) -> float:
+def count_to_width(count: int, model: RobotiqModel) -> float:
     """Opening in mm at a position count; 0 where the fingers touch."""
     width_mm = model.stroke_mm - (count - model.open_count) * model.mm_per_count
     return min(model.stroke_mm, max(0.0, width_mm))
 
 
-def limits(model: GripperModel) -> str:
+def limits(model: RobotiqModel) -> str:
     """What a model can do, for messages."""
     return f"a {model.name} applies {model.force_min_n:g} to {model.force_max_n:g} N per finger"

@@ -6,9 +6,9 @@ from collections.abc import AsyncIterator
 
 from slipguard.devices import Arm, ArmState, DriverContext
 from slipguard.diagnosis import Finding
-from slipguard_drivers.ur5.diagnostics import look
-from slipguard_drivers.ur5.guard_mode import PausingArm
-from slipguard_drivers.ur5.lift_mode import LiftingArm
+from slipguard_drivers.ur5.diagnostics import check_controller
+from slipguard_drivers.ur5.guard_mode import GuardModeArm
+from slipguard_drivers.ur5.lift_mode import LiftModeArm
 from slipguard_drivers.ur5.settings import Ur5Settings
 
 
@@ -19,8 +19,8 @@ class Ur5Arm(Arm):
 
     def __init__(self, settings: Ur5Settings, context: DriverContext) -> None:
         self._name, self._settings, self._mode = context.name, settings, context.mode
-        way = LiftingArm if context.mode == "lift" else PausingArm
-        self._way: LiftingArm | PausingArm = way(context.name, settings)
+        way = LiftModeArm if context.mode == "lift" else GuardModeArm
+        self._way: LiftModeArm | GuardModeArm = way(context.name, settings)
 
     async def open(self) -> None:
         await self._way.open()
@@ -39,5 +39,5 @@ class Ur5Arm(Arm):
 
     async def diagnose(self, *, owned: bool) -> AsyncIterator[Finding]:
         """For the doctor: nothing is taken over, so it may look whoever has the arm."""
-        async for finding in look(self._name, self._settings, self._mode, owned=owned):
+        async for finding in check_controller(self._name, self._settings, self._mode, owned=owned):
             yield finding

@@ -13,7 +13,7 @@ STALE = "reconnect to port"
 """A connection made in local control stays refused when the robot is switched to remote control."""
 
 
-class Dashboard:
+class DashboardClient:
     """One connection, made when it is needed and again when it is gone. Questions and orders are put one at a time."""
 
     def __init__(self, name: str, host: str) -> None:

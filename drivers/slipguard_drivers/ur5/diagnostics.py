@@ -11,10 +11,10 @@ from typing import Literal
 
 from slipguard.diagnosis import Finding, fine, from_error, note, wrong
 from slipguard.errors import DeviceError
-from slipguard_drivers.ur5.dashboard import Dashboard
+from slipguard_drivers.ur5.dashboard import DashboardClient
 from slipguard_drivers.ur5.rtde import check_port
 from slipguard_drivers.ur5.settings import Ur5Settings
-from slipguard_drivers.ur5.state_monitor import MODES, RATE_HZ, RUNNING, Eyes, Sight
+from slipguard_drivers.ur5.state_monitor import MODES, RATE_HZ, RUNNING, RobotState, StateMonitor
 
 LOOK_S = 1.0
 RATE_SHARE = 0.9
@@ -31,30 +31,30 @@ URCAP_S = 0.3
 POWER_UP = "power the robot on and release its brakes at the panel"
 
 
-async def look(
+async def check_controller(
     name: str, settings: Ur5Settings, mode: Literal["lift", "guard"], *, owned: bool
 ) -> AsyncIterator[Finding]:
     """All of it; ends early where nothing answers. owned: a program that runs in lift mode is slipguard's own."""
-    dashboard, eyes = Dashboard(name, settings.host), Eyes(name, settings.host)
+    dashboard, monitor = DashboardClient(name, settings.host), StateMonitor(name, settings.host)
     try:
         try:
-            await eyes.open()
+            await monitor.open()
         except DeviceError as error:
             yield from_error("controller", error, name, "check the robot's power, network cable and address")
             return
-        yield fine("controller", f"{settings.host}, software {'.'.join(map(str, eyes.version))}")
-        begun_s, packets = asyncio.get_running_loop().time(), eyes.packets
+        yield fine("controller", f"{settings.host}, software {'.'.join(map(str, monitor.version))}")
+        begun_s, packets = asyncio.get_running_loop().time(), monitor.packets
         async for finding in ask(name, dashboard, settings, mode, owned=owned):
             yield finding
         await asyncio.sleep(max(0.0, begun_s + LOOK_S - asyncio.get_running_loop().time()))
-        rate_hz = (eyes.packets - packets) / (asyncio.get_running_loop().time() - begun_s)
+        rate_hz = (monitor.packets - packets) / (asyncio.get_running_loop().time() - begun_s)
         try:
-            sight = eyes.fresh()
+            state = monitor.fresh()
         except DeviceError as error:
             yield from_error("RTDE rate", error, name, "check the network cable")
             return
         yield rate(rate_hz)
-        for finding in robot(sight):
+        for finding in robot(state):
             yield finding
         if mode == "lift":
             yield await script_port(name, settings.host)
@@ -62,11 +62,11 @@ async def look(
             yield finding
     finally:
         dashboard.close()
-        await eyes.close()
+        await monitor.close()
 
 
 async def ask(
-    name: str, dashboard: Dashboard, settings: Ur5Settings, mode: Literal["lift", "guard"], *, owned: bool
+    name: str, dashboard: DashboardClient, settings: Ur5Settings, mode: Literal["lift", "guard"], *, owned: bool
 ) -> AsyncIterator[Finding]:
     """Questions only: serial number, remote control, the program."""
     try:
@@ -103,19 +103,19 @@ def rate(rate_hz: float) -> Finding:
     return fine("RTDE rate", seen)
 
 
-def robot(sight: Sight) -> Iterator[Finding]:
+def robot(state: RobotState) -> Iterator[Finding]:
     """Is it on, and does anything stop it."""
-    mode = MODES.get(sight.mode, f"mode {sight.mode}")
-    if sight.emergency:
+    mode = MODES.get(state.mode, f"mode {state.mode}")
+    if state.emergency:
         yield wrong("stops", "emergency stop or safety fault", f"release the button, then {POWER_UP}")
-    elif sight.protective:
+    elif state.protective:
         yield wrong("stops", "protective or safeguard stop", "look why, then unlock it at the panel")
     else:
         yield fine("stops", "none active")
-    if sight.mode != RUNNING and not sight.emergency:
+    if state.mode != RUNNING and not state.emergency:
         yield wrong("robot", mode, POWER_UP)
     else:
-        yield fine("robot", f"{mode}, {'moving' if sight.moving else 'at rest'}")
+        yield fine("robot", f"{mode}, {'moving' if state.moving else 'at rest'}")
 
 
 async def script_port(name: str, host: str) -> Finding:

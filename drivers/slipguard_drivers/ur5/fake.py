@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import Arm, ArmState, DriverContext
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
-from slipguard_drivers.fake_world import world_of
+from slipguard_drivers.fake_world import require_world
 
 
 class FakeArm(Arm):
@@ -32,7 +32,7 @@ class FakeArm(Arm):
 
     def __init__(self, settings: Settings, context: DriverContext) -> None:
         self._name = context.name
-        self._world = world_of(context)
+        self._world = require_world(context)
         self._guarded = context.mode == "guard"
         self._settings = settings
         self._call = asyncio.Lock()

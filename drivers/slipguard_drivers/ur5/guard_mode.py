@@ -12,10 +12,10 @@ import asyncio
 from slipguard.devices import Arm, ArmState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost
 from slipguard_drivers.tasks import ended
-from slipguard_drivers.ur5.dashboard import Dashboard
+from slipguard_drivers.ur5.dashboard import DashboardClient
 from slipguard_drivers.ur5.digital_output import DigitalOutput
 from slipguard_drivers.ur5.settings import Ur5Settings
-from slipguard_drivers.ur5.state_monitor import PAUSED, STOPPED, Eyes
+from slipguard_drivers.ur5.state_monitor import PAUSED, STOPPED, StateMonitor
 
 PAUSE_S = 1.0
 """The dashboard answers a pause when the arm stands: a stop from full speed takes up to 0.5 s."""
@@ -27,13 +27,13 @@ SILENT_LOOKS = 2
 PAUSING = "Pausing program"
 
 
-class PausingArm(Arm):
+class GuardModeArm(Arm):
     """One arm that somebody else moves."""
 
     def __init__(self, name: str, settings: Ur5Settings) -> None:
         self._name, self._host = name, settings.host
-        self._eyes = Eyes(name, settings.host)
-        self._dashboard = Dashboard(name, settings.host)
+        self._monitor = StateMonitor(name, settings.host)
+        self._dashboard = DashboardClient(name, settings.host)
         self._output: DigitalOutput | None = None
         if settings.stop_by == "digital_output" and settings.digital_output is not None:
             self._output = DigitalOutput(name, settings.host, settings.digital_output, settings.pulse_ms / 1000.0)
@@ -46,7 +46,7 @@ class PausingArm(Arm):
             return
         await self._disconnect()
         try:
-            await self._eyes.open()
+            await self._monitor.open()
             await self._check_stop()
         except CommandRefused as error:
             await self._disconnect()
@@ -60,7 +60,7 @@ class PausingArm(Arm):
     async def state(self) -> ArmState:
         """What is seen. Raises DeviceTimeout when it is old, DeviceLost when it must be opened again."""
         self._check_alive()
-        return self._eyes.state()
+        return self._monitor.state()
 
     async def lift(self, height_mm: float, speed_mm_s: float) -> float:
         """Always refused: the arm is somebody else's."""
@@ -93,10 +93,10 @@ class PausingArm(Arm):
 
     async def _pause(self) -> None:
         # Old news is no reason to be idle: only a program that is known to rest now needs no pause.
-        if self._eyes.runtime_now() in (STOPPED, PAUSED):
+        if self._monitor.runtime_now() in (STOPPED, PAUSED):
             return
         # Over a connection of its own: the other one may be waiting for an answer that does not come.
-        dashboard = Dashboard(self._name, self._host)
+        dashboard = DashboardClient(self._name, self._host)
         try:
             answer = await dashboard.ask("pause", deadline_s=PAUSE_S)
             if answer != PAUSING and (await dashboard.ask("programState")).upper().startswith("PLAYING"):
@@ -135,7 +135,7 @@ class PausingArm(Arm):
         try:
             while True:
                 await asyncio.sleep(LOOK_S)
-                if self._eyes.age_s > GIVE_UP_S:
+                if self._monitor.age_s > GIVE_UP_S:
                     raise DeviceLost(f"{self._name}: the controller's clock has stood still; open the arm again")
                 if self._output is not None:
                     self._tell_of(self._output)
@@ -163,5 +163,5 @@ class PausingArm(Arm):
         await ended(watch)
         if self._output is not None:
             await self._output.close()
-        await self._eyes.close()
+        await self._monitor.close()
         self._dashboard.close()

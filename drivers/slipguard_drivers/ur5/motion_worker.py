@@ -33,15 +33,15 @@ lives ends it sooner; this is for one that was killed.
 """
 
 
-class Lost(Exception):
+class ControllerLost(Exception):
     """The controller is gone or runs our script no more: this process is of no use any longer."""
 
 
-class Refused(Exception):
+class MotionRefused(Exception):
     """The robot is in no state to do that."""
 
 
-class Hands:
+class MotionControl:
     """The calls the arm driver needs. upper: use the registers from 24 on, those below belong to somebody else."""
 
     def __init__(self, host: str, watchdog_hz: float, deceleration_m_s2: float, upper: bool) -> None:
@@ -53,16 +53,16 @@ class Hands:
         deadline_s = time.monotonic() + SCRIPT_START_S
         while not self._control.isProgramRunning():
             if time.monotonic() > deadline_s:
-                raise Lost("the control script does not start; see the message on the robot's panel")
+                raise ControllerLost("the control script does not start; see the message on the robot's panel")
             signal.sigtimedwait([], POLL_S)  # a pause; nobody else runs in this process
         if not self._control.setWatchdog(watchdog_hz):
-            raise Lost("the robot's watchdog cannot be armed")
+            raise ControllerLost("the robot's watchdog cannot be armed")
 
     def beat(self) -> dict[str, Any]:
         """Feed the watchdog; tell whether the script runs and a motion is under way."""
         # A connection that dropped must end this process before ur-rtde reconnects and starts the script by itself.
         if not self._control.isConnected():
-            raise Lost("the connection to the controller dropped")
+            raise ControllerLost("the connection to the controller dropped")
         running = bool(self._control.isProgramRunning())
         if running:
             self._control.kickWatchdog()
@@ -72,9 +72,9 @@ class Hands:
     def move(self, pose: list[float], speed_m_s: float, acceleration_m_s2: float) -> bool:
         """Start a straight move to a pose; only while the arm rests."""
         if not self._control.isProgramRunning():
-            raise Lost("the control script is not running")
+            raise ControllerLost("the control script is not running")
         if not self._control.moveL(pose, speed_m_s, acceleration_m_s2, True):
-            raise Refused("the controller did not accept the move")
+            raise MotionRefused("the controller did not accept the move")
         return True
 
     def stop(self) -> bool:
@@ -89,34 +89,34 @@ class Hands:
         return True
 
 
-class Server:
+class WorkerServer:
     """Answers packets, one at a time."""
 
     def __init__(self, host: str) -> None:
         self._host = host
-        self.hands: Hands | None = None
+        self.motion: MotionControl | None = None
 
     def answer(self, packet: bytes) -> dict[str, Any]:
         """Do what one packet asks."""
         name, *arguments = json.loads(packet)
         try:
             return {"ok": self._calls[name](*arguments)}
-        except Refused as error:
+        except MotionRefused as error:
             return {"refused": str(error)}
-        except Lost as error:
+        except ControllerLost as error:
             return {"lost": str(error)}
         except Exception as error:
             return {"lost": f"{type(error).__name__}: {error}"}
 
     @property
     def _calls(self) -> dict[str, Callable[..., Any]]:
-        hands = self.hands
-        if hands is None:
+        motion = self.motion
+        if motion is None:
             return {"connect": self._connect}
-        return {"beat": hands.beat, "move": hands.move, "stop": hands.stop, "leave": hands.leave}
+        return {"beat": motion.beat, "move": motion.move, "stop": motion.stop, "leave": motion.leave}
 
     def _connect(self, watchdog_hz: float, deceleration_m_s2: float, upper: bool) -> bool:
-        self.hands = Hands(self._host, watchdog_hz, deceleration_m_s2, upper)
+        self.motion = MotionControl(self._host, watchdog_hz, deceleration_m_s2, upper)
         return True
 
 
@@ -127,16 +127,16 @@ def main() -> None:
     for stream in (1, 2):  # ur-rtde tells all that happens to it; what matters goes back over the link
         os.dup2(quiet, stream)
     fd, host = sys.argv[1:3]
-    server = Server(host)
+    server = WorkerServer(host)
     with socket.socket(fileno=int(fd)) as link:
         while packet := link.recv(PACKET_BYTES):
             signal.alarm(LONGEST_CALL_S)
             link.send(json.dumps(server.answer(packet)).encode())
             signal.alarm(0)
     signal.alarm(LONGEST_CALL_S)
-    if server.hands is not None:
-        server.hands.stop()
-        server.hands.leave()
+    if server.motion is not None:
+        server.motion.stop()
+        server.motion.leave()
 
 
 if __name__ == "__main__":

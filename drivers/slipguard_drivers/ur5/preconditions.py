@@ -9,29 +9,31 @@ from __future__ import annotations
 import asyncio
 
 from slipguard.errors import CommandRefused, DeviceLost
-from slipguard_drivers.ur5.dashboard import Dashboard
+from slipguard_drivers.ur5.dashboard import DashboardClient
 from slipguard_drivers.ur5.rtde import RtdeConnection, check_port
 from slipguard_drivers.ur5.settings import Ur5Settings
-from slipguard_drivers.ur5.state_monitor import MODES, RUNNING, STOPPED, Eyes
+from slipguard_drivers.ur5.state_monitor import MODES, RUNNING, STOPPED, StateMonitor
 
 SCRIPT_PORT = 30003
 END_S = 0.3
 POLL_S = 0.01
 
 
-async def check_free(name: str, settings: Ur5Settings, eyes: Eyes, dashboard: Dashboard, *, ours: bool) -> None:
-    """Raises DeviceLost with what is in the way and what to do. eyes: open.
+async def check_free(
+    name: str, settings: Ur5Settings, monitor: StateMonitor, dashboard: DashboardClient, *, ours: bool
+) -> None:
+    """Raises DeviceLost with what is in the way and what to do. monitor: open.
 
     ours: a program that runs is a script of our own, left behind: it is ended.
     """
-    mode = eyes.newest.mode
+    mode = monitor.newest.mode
     if mode != RUNNING:
         raise DeviceLost(f"{name}: the robot is not ready ({MODES.get(mode, mode)}); switch the arm on at the panel")
     if not await dashboard.in_remote_control():
         raise DeviceLost(f"{name}: the robot is in local control; switch it to remote control at the panel")
-    if ours and eyes.newest.runtime != STOPPED:
-        await _end(eyes, dashboard)
-    if eyes.newest.runtime != STOPPED:
+    if ours and monitor.newest.runtime != STOPPED:
+        await _end(monitor, dashboard)
+    if monitor.newest.runtime != STOPPED:
         program = await dashboard.ask("programState")
         raise DeviceLost(
             f"{name}: a program is on ({program}), and lift mode would end it; stop it at the panel, "
@@ -41,10 +43,10 @@ async def check_free(name: str, settings: Ur5Settings, eyes: Eyes, dashboard: Da
     await _check_inputs(name, settings)
 
 
-async def _end(eyes: Eyes, dashboard: Dashboard) -> None:
+async def _end(monitor: StateMonitor, dashboard: DashboardClient) -> None:
     await dashboard.ask("stop")
     for _ in range(round(END_S / POLL_S)):
-        if eyes.newest.runtime == STOPPED:
+        if monitor.newest.runtime == STOPPED:
             return
         await asyncio.sleep(POLL_S)
 

@@ -56,7 +56,7 @@ MODES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class RobotState:
     """One packet. timestamp_s: the controller's clock. pose: m and rad; velocity: m/s and rad/s, base frame."""
 
     timestamp_s: float
@@ -84,7 +84,7 @@ class Sight:
         return speed_m_s > MOVING_M_S or rotation_rad_s > ROTATING_RAD_S
 
 
-class Eyes:
+class StateMonitor:
     """From `open` to `close` or `lost`. on_lost: called once, at once, with why nothing is seen any more."""
 
     def __init__(
@@ -94,7 +94,7 @@ class Eyes:
         self._connection: RtdeConnection | None = None
         self._reading: asyncio.Task[None] | None = None
         self._found_at_m = 0.0
-        self._newest: Sight | None = None
+        self._newest: RobotState | None = None
         self.lost: str | None = None
         """Why nothing is seen any more; None while the connection is there."""
         self.packets = 0
@@ -108,7 +108,7 @@ class Eyes:
         return self._connection.version if self._connection is not None else (0, 0, 0, 0)
 
     @property
-    def newest(self) -> Sight:
+    def newest(self) -> RobotState:
         """The newest packet, however old. Raises DeviceLost before `open`, after `close` and when lost."""
         if self.lost is not None:
             raise DeviceLost(self.lost)
@@ -124,7 +124,7 @@ class Eyes:
             await connection.outputs(VARIABLES, self._rate_hz)
             await connection.start()
             async with asyncio.timeout(ANSWER_S):
-                first = self._sight(await connection.data())
+                first = self._decode(await connection.data())
         except TimeoutError:
             connection.close()
             raise DeviceLost(f"{self._name}: {self._host} sends no RTDE data") from None
@@ -133,9 +133,9 @@ class Eyes:
             raise
         self._connection, self._newest, self.lost, self.packets = connection, first, None, 1
         self._found_at_m = first.pose[2]
-        self._reading = asyncio.create_task(self._read(connection), name=f"{self._name}: eyes")
+        self._reading = asyncio.create_task(self._read(connection), name=f"{self._name}: state monitor")
 
-    def fresh(self) -> Sight:
+    def fresh(self) -> RobotState:
         """The newest packet, which is not old. Raises DeviceTimeout if it is, DeviceLost as `newest`."""
         newest = self.newest
         if self.age_s > STALE_S:
@@ -156,14 +156,14 @@ class Eyes:
 
     def state(self, *, travelling: bool = False) -> ArmState:
         """What is seen, for the port; raises as `fresh`. travelling: a motion is known to be under way."""
-        sight = self.fresh()
+        state = self.fresh()
         return ArmState(
-            height_mm=(sight.pose[2] - self._found_at_m) * 1000.0,
-            speed_mm_s=sight.velocity[2] * 1000.0,
-            moving=travelling or sight.moving,
-            protective_stop=sight.protective,
-            emergency_stop=sight.emergency,
-            measured_at_s=sight.received_at_s,
+            height_mm=(state.pose[2] - self._found_at_m) * 1000.0,
+            speed_mm_s=state.velocity[2] * 1000.0,
+            moving=travelling or state.moving,
+            protective_stop=state.protective,
+            emergency_stop=state.emergency,
+            measured_at_s=state.received_at_s,
         )
 
     async def close(self) -> None:
@@ -178,25 +178,25 @@ class Eyes:
     async def _read(self, connection: RtdeConnection) -> None:
         try:
             while True:
-                sight = self._sight(await connection.data())
+                state = self._decode(await connection.data())
                 self.packets += 1
-                if sight.runtime == STOPPED:
-                    self.stopped_at_s = sight.received_at_s
+                if state.runtime == STOPPED:
+                    self.stopped_at_s = state.received_at_s
                 before = self._newest
-                if before is not None and sight.timestamp_s < before.timestamp_s:
+                if before is not None and state.timestamp_s < before.timestamp_s:
                     raise DeviceLost(f"{self._name}: the controller has started anew; open the arm again")
-                if before is None or sight.timestamp_s > before.timestamp_s:
-                    self._newest = sight
+                if before is None or state.timestamp_s > before.timestamp_s:
+                    self._newest = state
         except DeviceLost as error:
             self.lost = str(error)
             connection.close()
             self._on_lost(self.lost)
 
-    def _sight(self, data: bytes) -> Sight:
+    def _decode(self, data: bytes) -> RobotState:
         if len(data) != LAYOUT.size:
             raise DeviceLost(f"{self._name}: {len(data)} bytes of RTDE data in place of {LAYOUT.size}; open it again")
         stamp_s, *numbers, runtime, bits, mode = LAYOUT.unpack(data)
         if not all(map(math.isfinite, (stamp_s, *numbers))):
             raise DeviceLost(f"{self._name}: the controller tells no finite pose; open it again")
         now_s = asyncio.get_running_loop().time()
-        return Sight(stamp_s, tuple(numbers[:6]), tuple(numbers[6:]), runtime, bits, mode, now_s)
+        return RobotState(stamp_s, tuple(numbers[:6]), tuple(numbers[6:]), runtime, bits, mode, now_s)

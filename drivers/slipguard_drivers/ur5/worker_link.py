@@ -10,14 +10,14 @@ import signal
 from typing import Any
 
 from slipguard.errors import CommandRefused, DeviceLost
-from slipguard_drivers.child_process import PACKET_BYTES, Child
+from slipguard_drivers.child_process import PACKET_BYTES, ChildProcess
 
 WORKER = "slipguard_drivers.ur5.motion_worker"
 CONNECT_S = 10.0
 """ur-rtde's constructor, the script's start and the watchdog: 0.1 s with an emulator, seconds with a controller."""
 
 
-class WorkerLink:
+class MotionWorkerClient:
     """One worker process, from `connect` to `kill`, and one that waits to be the next: starting one can take a second.
 
     Calls are made one at a time.
@@ -26,9 +26,9 @@ class WorkerLink:
     def __init__(self, name: str, host: str) -> None:
         self._name = name
         self._host = host
-        self._child: Child | None = None
-        self._spare: Child | None = None
-        self._asking: Child | None = None
+        self._child: ChildProcess | None = None
+        self._spare: ChildProcess | None = None
+        self._asking: ChildProcess | None = None
         self._rotation = asyncio.Lock()
         self.connected = False
         """Whether it has the arm in hand."""
@@ -44,7 +44,7 @@ class WorkerLink:
             self._spare.kill()
             self._spare = None
         if self._spare is None:
-            self._spare = Child(WORKER, self._host)
+            self._spare = ChildProcess(WORKER, self._host)
 
     async def connect(self, watchdog_hz: float, deceleration_m_s2: float, *, upper: bool) -> None:
         """Let ur-rtde take the arm and arm the watchdog. Raises DeviceLost."""
@@ -92,7 +92,7 @@ class WorkerLink:
             self._spare.kill()
             self._spare = None
 
-    async def _exchange(self, child: Child, packet: bytes, deadline_s: float) -> Any:
+    async def _exchange(self, child: ChildProcess, packet: bytes, deadline_s: float) -> Any:
         reply: dict[str, Any] = {}
         why: str | None = None
         if self._child is child:
@@ -112,7 +112,7 @@ class WorkerLink:
             raise CommandRefused(f"{self._name}: {reply['refused']}")
         return reply["ok"]
 
-    async def _ask(self, child: Child, packet: bytes, deadline_s: float) -> tuple[dict[str, Any], str | None]:
+    async def _ask(self, child: ChildProcess, packet: bytes, deadline_s: float) -> tuple[dict[str, Any], str | None]:
         """The answer, and why the worker is of no use any more."""
         loop = asyncio.get_running_loop()
         try:

@@ -14,7 +14,7 @@ SOCKET_PATH_MAX_BYTES = 107
 
 
 @dataclass(frozen=True, slots=True)
-class CellPlaces:
+class CellPaths:
     """Where everything of one cell is. folder: absolute."""
 
     folder: Path
@@ -56,7 +56,7 @@ class CellPlaces:
             raise InputError(f"{self.folder}: cannot be used: {error.strerror}; name another folder") from None
 
 
-def text(places: CellPlaces, *, mode: Literal["lift", "guard"], host: str, height_mm: float, speed_mm_s: float) -> str:
+def text(places: CellPaths, *, mode: Literal["lift", "guard"], host: str, height_mm: float, speed_mm_s: float) -> str:
     """The file's text. Whatever is not said is slipguard's default."""
     cameras = "\n".join(
         f"""[{finger}]

@@ -17,11 +17,11 @@ from slipguard.sim.gripper_plant import GripperModel
 from slipguard.sim.scenario import CameraModel, scenario
 from slipguard.sim.world import World, WorldSettings
 from slipguard_drivers.digit.fake import FakeSensor
-from slipguard_emulators.base import ControlledEmulator, Word
-from slipguard_emulators.cell.cell_config import CellPlaces, text
+from slipguard_emulators.base import ControlledEmulator, EmulatorCommand
+from slipguard_emulators.cell.cell_config import CellPaths, text
 from slipguard_emulators.cell.frame_server import FrameServer
 from slipguard_emulators.cell.lift_program import LiftProgram
-from slipguard_emulators.cell.truth_log import TruthLog, line_of
+from slipguard_emulators.cell.truth_log import CellTruthLog, line_of
 from slipguard_emulators.cell.world_jaws import WorldJaws
 from slipguard_emulators.robotiq.emulator import FAULTS as GRIPPER_FAULTS
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
@@ -91,7 +91,7 @@ class CellEmulator(ControlledEmulator):
     def __init__(self, settings: Settings, report: Report | None = None) -> None:
         super().__init__(_fault_names(), settings.seed, report)
         self.settings = settings
-        self.places = CellPlaces(settings.folder.resolve())
+        self.places = CellPaths(settings.folder.resolve())
         self.world = CellWorld(settings.seed, float(settings.fps))
         self.tool = WorldTool(self.world)
         self.gripper = RobotiqEmulator(
@@ -133,7 +133,7 @@ class CellEmulator(ControlledEmulator):
                 speed_mm_s=settings.speed_mm_s,
             )
         )
-        log = TruthLog(self.world, self.places.truth, lambda why: self.note("dropped", why=why))
+        log = CellTruthLog(self.world, self.places.truth, lambda why: self.note("dropped", why=why))
         self._tasks = [asyncio.create_task(log.run(), name="truth")]
         if settings.mode == "guard":
             self.arm.controller.loaded = self._new_program
@@ -161,7 +161,7 @@ class CellEmulator(ControlledEmulator):
         shown["faults"] = ", ".join(self._active()) or "none"
         return shown
 
-    def words(self) -> dict[str, Word]:
+    def words(self) -> dict[str, EmulatorCommand]:
         """The object, and the parts by name."""
         return {
             "place": (self._place_word, "place NAME [SEED]: put an object between the open jaws"),

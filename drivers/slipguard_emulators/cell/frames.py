@@ -33,11 +33,11 @@ GREETING_MAX_BYTES = 1024
 VERSION = 1
 
 
-class StreamBroken(Exception):
+class FrameStreamError(Exception):
     """What comes is no stream of frames, or not this version of it; str() says what was seen."""
 
 
-class Greeting(BaseModel):
+class FrameGreeting(BaseModel):
     """Who sends. fps: the rate the camera was asked for."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
@@ -48,7 +48,7 @@ class Greeting(BaseModel):
 
 
 @dataclass(frozen=True, slots=True)
-class Header:
+class FrameHeader:
     """What stands before the pixels of one frame."""
 
     width_px: int
@@ -78,17 +78,17 @@ def refuse(why: str) -> bytes:
     return json.dumps({"error": why}).encode() + b"\n"
 
 
-def read_greeting(line: bytes) -> Greeting:
+def read_greeting(line: bytes) -> FrameGreeting:
     """Raises StreamBroken with the sender's refusal, or with what was seen instead of a greeting."""
     try:
         said = json.loads(line)
         if isinstance(said, dict) and "error" in said:
-            raise StreamBroken(str(said["error"]))
-        greeting = Greeting.model_validate(said)
+            raise FrameStreamError(str(said["error"]))
+        greeting = FrameGreeting.model_validate(said)
     except (ValueError, ValidationError):
-        raise StreamBroken(f"no greeting of a frame server but {line[:40]!r}") from None
+        raise FrameStreamError(f"no greeting of a frame server but {line[:40]!r}") from None
     if greeting.frames != VERSION:
-        raise StreamBroken(f"frames of version {greeting.frames}; this driver reads version {VERSION}")
+        raise FrameStreamError(f"frames of version {greeting.frames}; this driver reads version {VERSION}")
     return greeting
 
 
@@ -98,11 +98,11 @@ def pack(image: NDArray[np.uint8], captured_at_s: float, sequence: int) -> bytes
     return HEADER.pack(MAGIC, width, height, image.nbytes, captured_at_s, sequence) + image.tobytes()
 
 
-def read_header(raw: bytes) -> Header:
+def read_header(raw: bytes) -> FrameHeader:
     """Take a header apart. Raises StreamBroken where it is none."""
     magic, width, height, size, captured_at_s, sequence = HEADER.unpack(raw)
     if magic != MAGIC:
-        raise StreamBroken(f"{magic!r} where a frame should begin with {MAGIC!r}")
+        raise FrameStreamError(f"{magic!r} where a frame should begin with {MAGIC!r}")
     if size > PIXEL_BYTES_MAX:
-        raise StreamBroken(f"a frame of {size} bytes; at most {PIXEL_BYTES_MAX} make sense")
-    return Header(width, height, size, captured_at_s, sequence)
+        raise FrameStreamError(f"a frame of {size} bytes; at most {PIXEL_BYTES_MAX} make sense")
+    return FrameHeader(width, height, size, captured_at_s, sequence)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import Enum
 
-from slipguard_emulators.ur5.script import PROGRAM_STOP_M_S2, Program
+from slipguard_emulators.ur5.script import PROGRAM_STOP_M_S2, RobotProgram
 from slipguard_emulators.ur5.tool import ToolPlant
 
 ACCELERATION_M_S2 = 1.0
 
 
-class Stage(Enum):
+class LiftStage(Enum):
     """What it is about."""
 
     WAITING = "waiting"
@@ -21,7 +21,7 @@ class Stage(Enum):
     DONE = "done"
 
 
-class LiftProgram(Program):
+class LiftProgram(RobotProgram):
     """Once something has been held for `patience_s`: up, a while up there, down; and again after a release.
 
     held: whether there is something in the gripper. height_m, speed_m_s: of the lift.
@@ -38,7 +38,7 @@ class LiftProgram(Program):
         stay_s: float = 2.0,
     ) -> None:
         self.name = "pick.urp"
-        self.stage = Stage.WAITING
+        self.stage = LiftStage.WAITING
         self._tool = tool
         self._held = held
         self._height_m, self._speed_m_s = height_m, speed_m_s
@@ -49,19 +49,19 @@ class LiftProgram(Program):
     def cycle(self, now_s: float) -> str | None:
         """One cycle; it never ends by itself."""
         held, at_rest = self._held(), not self._tool.under_way(now_s)
-        if self.stage is Stage.WAITING:
+        if self.stage is LiftStage.WAITING:
             self._since_s = None if not held else self._since_s if self._since_s is not None else now_s
             if self._since_s is not None and now_s - self._since_s >= self._patience_s:
                 self._low = list(self._tool.pose(now_s))
-                self._go(Stage.UP, now_s)
-        elif self.stage is Stage.UP and at_rest:
-            self.stage, self._since_s = Stage.STAYING, now_s
-        elif self.stage is Stage.STAYING and self._since_s is not None and now_s - self._since_s >= self._stay_s:
-            self._go(Stage.DOWN, now_s)
-        elif self.stage is Stage.DOWN and at_rest:
-            self.stage = Stage.DONE
-        elif self.stage is Stage.DONE and not held:
-            self.stage, self._since_s = Stage.WAITING, None
+                self._go(LiftStage.UP, now_s)
+        elif self.stage is LiftStage.UP and at_rest:
+            self.stage, self._since_s = LiftStage.STAYING, now_s
+        elif self.stage is LiftStage.STAYING and self._since_s is not None and now_s - self._since_s >= self._stay_s:
+            self._go(LiftStage.DOWN, now_s)
+        elif self.stage is LiftStage.DOWN and at_rest:
+            self.stage = LiftStage.DONE
+        elif self.stage is LiftStage.DONE and not held:
+            self.stage, self._since_s = LiftStage.WAITING, None
         return None
 
     def pause(self, now_s: float) -> None:
@@ -70,11 +70,11 @@ class LiftProgram(Program):
 
     def resume(self, now_s: float) -> None:
         """Go on to where it was going."""
-        if self.stage in (Stage.UP, Stage.DOWN):
+        if self.stage in (LiftStage.UP, LiftStage.DOWN):
             self._go(self.stage, now_s)
 
-    def _go(self, stage: Stage, now_s: float) -> None:
+    def _go(self, stage: LiftStage, now_s: float) -> None:
         self.stage = stage
         goal = list(self._low)
-        goal[2] += self._height_m if stage is Stage.UP else 0.0
+        goal[2] += self._height_m if stage is LiftStage.UP else 0.0
         self._tool.move(now_s, goal, self._speed_m_s, ACCELERATION_M_S2)

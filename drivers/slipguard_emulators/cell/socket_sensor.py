@@ -22,8 +22,8 @@ from slipguard_emulators.cell.frames import (
     GREETING_MAX_BYTES,
     HEADER,
     PIXEL_BYTES,
-    Greeting,
-    StreamBroken,
+    FrameGreeting,
+    FrameStreamError,
     read_greeting,
     read_header,
 )
@@ -46,7 +46,7 @@ class SocketSensor(TactileSensor):
     def __init__(self, settings: Settings, context: DriverContext) -> None:
         self._name = context.name
         self._settings = settings
-        self._greeting: Greeting | None = None
+        self._greeting: FrameGreeting | None = None
         self._stream: FrameStream | None = None
         self._reading: asyncio.Task[None] | None = None
         self._writer: asyncio.StreamWriter | None = None
@@ -78,7 +78,7 @@ class SocketSensor(TactileSensor):
         except (OSError, ValueError) as error:
             await self.close()
             raise DeviceLost(f"{self._name}: {path}: {_reason(error)}") from None
-        except StreamBroken as error:
+        except FrameStreamError as error:
             await self.close()
             raise DeviceLost(f"{self._name}: {path}: {error}") from None
         self._stream = FrameStream(self._name, self._settings.stall_ms / 1000.0)
@@ -113,7 +113,7 @@ class SocketSensor(TactileSensor):
                 stream.put(image, header.captured_at_s, header.sequence)
         except (asyncio.IncompleteReadError, OSError):
             stream.lose("the frame server has closed the connection")
-        except StreamBroken as error:
+        except FrameStreamError as error:
             stream.lose(f"the stream of frames is broken: {error}")
 
 

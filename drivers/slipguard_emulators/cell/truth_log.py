@@ -31,7 +31,7 @@ def line_of(truth: Truth) -> dict[str, object]:
     }
 
 
-class TruthLog:
+class CellTruthLog:
     """Writes a line whenever something has changed. on_drop: called once for each object lost, with the reason."""
 
     def __init__(self, world: World, path: Path, on_drop: Callable[[str], None]) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from slipguard.sim.world import World
-from slipguard_emulators.robotiq.jaws import Jaws, JawsView
+from slipguard_emulators.robotiq.jaws import JawsPlant, JawsState
 
 CLOSED_MM = 0.2
 """A goal below this is the closed position: half a count."""
 
 
-class WorldJaws(Jaws):
+class WorldJaws(JawsPlant):
     """The world's gripper. It moves at the world's own speed, whatever speed is asked for."""
 
     def __init__(self, world: World) -> None:
@@ -28,10 +28,10 @@ class WorldJaws(Jaws):
         """See `Jaws`."""
         self._world.command_halt(now_s)
 
-    def look(self, now_s: float) -> JawsView:
+    def look(self, now_s: float) -> JawsState:
         """See `Jaws`."""
         state, truth = self._world.gripper_state(now_s), self._world.truth(now_s)
-        return JawsView(
+        return JawsState(
             width_mm=state.width_mm,
             force_n=truth.force_n,
             moving=state.moving,

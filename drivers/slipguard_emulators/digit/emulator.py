@@ -14,11 +14,11 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from slipguard.emulator import Report
 from slipguard.errors import InputError
-from slipguard_emulators.base import ControlledEmulator, Word
+from slipguard_emulators.base import ControlledEmulator, EmulatorCommand
 from slipguard_emulators.digit.frames import drawn, on_the_wire, read
 from slipguard_emulators.digit.usb_descriptors import PRODUCT_ID, VENDOR_ID
-from slipguard_emulators.digit.usbip import BulkIn, UsbDevice, UsbIpServer
-from slipguard_emulators.digit.uvc_device import EmulatedUnit
+from slipguard_emulators.digit.usbip import BulkInEndpoint, UsbDevice, UsbIpServer
+from slipguard_emulators.digit.uvc_device import UvcDevice
 
 Image = NDArray[np.uint8]
 
@@ -77,7 +77,9 @@ class DigitEmulator(ControlledEmulator):
         of_one = {f"{serial}.{name}": text for serial in settings.serial for name, text in FAULTS.items()}
         super().__init__(FAULTS | (of_one if several else {}), settings.seed, report)
         self.settings = settings
-        self.cameras = {f"1-{number}": Camera(self, serial, number) for number, serial in enumerate(settings.serial, 1)}
+        self.cameras = {
+            f"1-{number}": EmulatedCamera(self, serial, number) for number, serial in enumerate(settings.serial, 1)
+        }
         self._usbip = UsbIpServer(self.cameras)
         self._server: asyncio.Server | None = None
         self._address = ""
@@ -120,7 +122,7 @@ class DigitEmulator(ControlledEmulator):
         told: dict[str, object] = {camera.unit.serial: camera.summary for camera in self.cameras.values()}
         return told | {"faults": self.faults.active or "none"}
 
-    def words(self) -> dict[str, Word]:
+    def words(self) -> dict[str, EmulatorCommand]:
         """None of its own."""
         return {}
 
@@ -130,13 +132,13 @@ class DigitEmulator(ControlledEmulator):
             camera.heed_cable()
 
 
-class Camera(UsbDevice):
+class EmulatedCamera(UsbDevice):
     """One sensor of the emulator: paces its pictures and lets the faults strike them."""
 
     def __init__(self, emulator: DigitEmulator, serial: str, number: int) -> None:
         settings = emulator.settings
         formats = ("YUYV", "MJPG") if settings.pixels == "both" else (settings.pixels,)
-        self.unit = EmulatedUnit(serial, formats, settings.firmware, emulator.note)
+        self.unit = UvcDevice(serial, formats, settings.firmware, emulator.note)
         self.sent = 0
         """Pictures that went out."""
         self._emulator = emulator
@@ -192,7 +194,7 @@ class Camera(UsbDevice):
         if not plugged and self._connection is not None:
             self._connection.transport.abort()
 
-    async def stream(self, bulk: BulkIn) -> None:
+    async def stream(self, bulk: BulkInEndpoint) -> None:
         """A picture at every interval while the host reads; what it is too slow for is left out."""
         loop = asyncio.get_running_loop()
         due_s = loop.time()
@@ -204,7 +206,7 @@ class Camera(UsbDevice):
             if bulk.wanted:
                 await self._expose(bulk)
 
-    async def _expose(self, bulk: BulkIn) -> None:
+    async def _expose(self, bulk: BulkInEndpoint) -> None:
         """Send one picture, or what the faults make of it."""
         if self._strikes("unplug"):
             assert self._connection is not None

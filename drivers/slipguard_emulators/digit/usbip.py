@@ -24,13 +24,13 @@ STARTED_BYTES = 48
 OPERATION = struct.Struct(">HHI")
 COMMAND = struct.Struct(">5I")
 SUBMITTED = struct.Struct(">Iiiii8s")
-REROTATED = struct.Struct(">5I5i8x")
+RETURNED = struct.Struct(">5I5i8x")
 UNLINKED = struct.Struct(">5Ii24x")
 DEVICE = struct.Struct(">256s32sIIIHHHBBBBBB")
 REQUEST_MAX_BYTES = 1 << 20
 
 
-class BulkIn:
+class BulkInEndpoint:
     """The host's waiting reads on the device's one streaming endpoint."""
 
     def __init__(self, writer: asyncio.StreamWriter) -> None:
@@ -124,7 +124,7 @@ class UsbDevice(Protocol):
         """Answer a request on endpoint 0; None is a stall."""
 
     @abstractmethod
-    async def stream(self, bulk: BulkIn) -> None:
+    async def stream(self, bulk: BulkInEndpoint) -> None:
         """Feed the streaming endpoint until cancelled."""
 
     @abstractmethod
@@ -134,7 +134,7 @@ class UsbDevice(Protocol):
 
 def returned(number: int, status: int, data: bytes, length: int) -> bytes:
     """The answer to request `number`."""
-    return REROTATED.pack(SUBMIT_REPLY, number, 0, 0, 0, status, length, 0, 0, 0) + data
+    return RETURNED.pack(SUBMIT_REPLY, number, 0, 0, 0, status, length, 0, 0, 0) + data
 
 
 def unlinked(number: int, status: int) -> bytes:
@@ -189,7 +189,7 @@ class UsbIpServer:
             return
         writer.write(OPERATION.pack(VERSION, IMPORT_REPLY, 0) + _described(bus_id, wanted))
         self._taken.add(bus_id)
-        bulk, early = BulkIn(writer), EarlyUnlinks()
+        bulk, early = BulkInEndpoint(writer), EarlyUnlinks()
         streaming = asyncio.create_task(wanted.stream(bulk), name=f"{bus_id}: stream")
         wanted.attached(writer)
         try:
@@ -203,7 +203,11 @@ class UsbIpServer:
 
 
 async def _request(
-    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, device: UsbDevice, bulk: BulkIn, early: EarlyUnlinks
+    reader: asyncio.StreamReader,
+    writer: asyncio.StreamWriter,
+    device: UsbDevice,
+    bulk: BulkInEndpoint,
+    early: EarlyUnlinks,
 ) -> None:
     """One request of the host to the imported device."""
     head = await reader.readexactly(STARTED_BYTES)

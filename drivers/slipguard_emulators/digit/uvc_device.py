@@ -27,7 +27,7 @@ ZOOM, PROBE_CONTROL, COMMIT_CONTROL = 0x0B, 0x01, 0x02
 
 
 @dataclass(frozen=True, slots=True)
-class Agreed:
+class NegotiatedMode:
     """What probe and commit have settled on. interval: in units of 100 ns."""
 
     format_index: int
@@ -45,7 +45,7 @@ class Agreed:
         return self.interval / UNITS_A_SECOND
 
 
-class EmulatedUnit:
+class UvcDevice:
     """One DIGIT behind its USB plug. note: called with what the host does."""
 
     def __init__(self, serial: str, formats: tuple[str, ...], firmware: int, note: Callable[..., None]) -> None:
@@ -53,7 +53,7 @@ class EmulatedUnit:
         self.formats = formats
         self.firmware = firmware
         self.zoom = 0
-        self.agreed = Agreed(1, 1, SIZES[0].intervals[0])
+        self.agreed = NegotiatedMode(1, 1, SIZES[0].intervals[0])
         self._probed = self.agreed
         self._note = note
         self._frame_id = 0
@@ -127,13 +127,13 @@ class EmulatedUnit:
             return PROBE.pack(*told, size_bytes, size_bytes + HEADER_BYTES)[:length]
         return {GET_LEN: struct.pack("<H", PROBE.size), GET_INFO: b"\x03"}.get(request)
 
-    def _nearest(self, format_index: int, size_index: int, interval: int) -> Agreed:
+    def _nearest(self, format_index: int, size_index: int, interval: int) -> NegotiatedMode:
         """What comes closest to what was asked for."""
         format_index = format_index if 1 <= format_index <= len(self.formats) else 1
         size_index = size_index if 1 <= size_index <= len(SIZES) else 1
         size = SIZES[size_index - 1]
         wanted = interval or UNITS_A_SECOND // size.rates_fps[0]
-        return Agreed(format_index, size_index, min(size.intervals, key=lambda one: abs(one - wanted)))
+        return NegotiatedMode(format_index, size_index, min(size.intervals, key=lambda one: abs(one - wanted)))
 
     def _leds(self, request: int, data: bytes, length: int) -> bytes | None:
         if request == SET_CUR:

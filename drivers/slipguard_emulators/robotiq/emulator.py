@@ -13,12 +13,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.emulator import Report
 from slipguard.errors import CommandRefused
-from slipguard_drivers.timers import Timers
-from slipguard_emulators.base import ControlledEmulator, Word
-from slipguard_emulators.robotiq.jaws import Jaws, PlainJaws
-from slipguard_emulators.robotiq.modbus_frames import Request, answer, crc16, frame_bytes, parse
+from slipguard_drivers.timers import TimerGroup
+from slipguard_emulators.base import ControlledEmulator, EmulatorCommand
+from slipguard_emulators.robotiq.jaws import JawsPlant, SimpleJaws
+from slipguard_emulators.robotiq.modbus_frames import ModbusRequest, answer, crc16, frame_bytes, parse
 from slipguard_emulators.robotiq.pseudo_terminal import EmulatedPort
-from slipguard_emulators.robotiq.registers import FIGURES, RACT, Registers, Stage
+from slipguard_emulators.robotiq.registers import FIGURES, RACT, ActivationStage, GripperRegisters
 
 BITS_PER_BYTE = 10
 FORGET_S = 0.02
@@ -78,13 +78,13 @@ class RobotiqEmulator(ControlledEmulator):
         quick: Annotated[float, Field(gt=0.0, le=100.0, description="Jaws so many times faster than real ones.")] = 1.0
         seed: Annotated[int, Field(ge=0, description="Seed of all that is random.")] = 0
 
-    def __init__(self, settings: Settings, report: Report | None = None, jaws: Jaws | None = None) -> None:
+    def __init__(self, settings: Settings, report: Report | None = None, jaws: JawsPlant | None = None) -> None:
         """jaws: the mechanics of a world of one's own; left out: plain jaws with at most one object."""
         super().__init__(FAULTS, settings.seed, report)
         self.settings = settings
         figures = FIGURES[settings.model]
-        self.jaws = jaws if jaws is not None else PlainJaws(figures.stroke_mm, settings.object_width_mm)
-        self.registers = Registers(self.jaws, figures, self.note, settings.quick)
+        self.jaws = jaws if jaws is not None else SimpleJaws(figures.stroke_mm, settings.object_width_mm)
+        self.registers = GripperRegisters(self.jaws, figures, self.note, settings.quick)
         self.requests = 0
         """Requests that were heard."""
         self._rng = random.Random(settings.seed + 1)
@@ -95,7 +95,7 @@ class RobotiqEmulator(ControlledEmulator):
         self._free_s = 0.0
         """When the last answer will have been sent; none overtakes another."""
         self._down_until_s = 0.0
-        self._timers = Timers()
+        self._timers = TimerGroup()
 
     @property
     def address(self) -> str:
@@ -105,13 +105,13 @@ class RobotiqEmulator(ControlledEmulator):
     async def start(self) -> None:
         """Appear. Raises InputError where the link cannot be made."""
         if self.settings.activated:
-            self.registers.outputs, self.registers.stage = [RACT << 8, 0, 0], Stage.READY
+            self.registers.outputs, self.registers.stage = [RACT << 8, 0, 0], ActivationStage.READY
         self._port.plug()
         self._started = True
 
     async def stop(self) -> None:
         """Vanish."""
-        self._timers.take_back()
+        self._timers.cancel_all()
         self._started = False
         self._port.unplug()
 
@@ -132,7 +132,7 @@ class RobotiqEmulator(ControlledEmulator):
             "faults": self.faults.active,
         }
 
-    def words(self) -> dict[str, Word]:
+    def words(self) -> dict[str, EmulatorCommand]:
         """`object`, `gflt`."""
         return {
             "object": (self._object, "object MM|none: what is between the jaws"),
@@ -149,7 +149,7 @@ class RobotiqEmulator(ControlledEmulator):
             self.registers.lose_power(asyncio.get_running_loop().time())
 
     def _object(self, rest: list[str]) -> str:
-        if not isinstance(self.jaws, PlainJaws):
+        if not isinstance(self.jaws, SimpleJaws):
             raise CommandRefused("what is between the jaws is the world's business here")
         if rest != ["none"]:
             try:
@@ -222,7 +222,7 @@ class RobotiqEmulator(ControlledEmulator):
             self._at(self._down_until_s, self._plug_again)
         return True
 
-    def _send(self, request: Request, plain: bytes, now_s: float) -> None:
+    def _send(self, request: ModbusRequest, plain: bytes, now_s: float) -> None:
         """Answer at the pace of the wire, spoilt as the faults say."""
         frame = self._spoilt(request, plain)
         late_s = self.settings.late_ms / 1000.0 if self._strikes("late") else 0.0
@@ -235,7 +235,7 @@ class RobotiqEmulator(ControlledEmulator):
             due_s += 0.004
         self._at(due_s, partial(self._port.send, frame, self._port.plugs))
 
-    def _spoilt(self, request: Request, plain: bytes) -> bytes:
+    def _spoilt(self, request: ModbusRequest, plain: bytes) -> bytes:
         if self._strikes("wrong_function"):
             plain = plain[:1] + bytes([{3: 4, 4: 3, 16: 6}.get(request.function, 16)]) + plain[2:]
         if self._strikes("wrong_slave"):

@@ -17,7 +17,7 @@ DEAD_TIME_S = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class JawsView:
+class JawsState:
     """The jaws at one instant. force_n: what presses on each side of an object; 0 without one.
 
     met_closing, met_opening: an object stopped the motor on its way in, or out.
@@ -35,7 +35,7 @@ class JawsView:
         return self.force_n > 0.0
 
 
-class Jaws(Protocol):
+class JawsPlant(Protocol):
     """What the emulated gripper's motor works on."""
 
     @abstractmethod
@@ -50,11 +50,11 @@ class Jaws(Protocol):
         """Stop the motor where it is; the screw keeps force and width."""
 
     @abstractmethod
-    def look(self, now_s: float) -> JawsView:
+    def look(self, now_s: float) -> JawsState:
         """How the jaws are now."""
 
 
-class PlainJaws(Jaws):
+class SimpleJaws(JawsPlant):
     """Jaws with at most one hard object between them, and nothing else in the world.
 
     object_mm: its thickness; None: nothing. It may be changed at any time: an object taken away no longer presses.
@@ -84,10 +84,10 @@ class PlainJaws(Jaws):
         self._advance(now_s)
         self._goal_mm = None
 
-    def look(self, now_s: float) -> JawsView:
+    def look(self, now_s: float) -> JawsState:
         """See `Jaws`."""
         self._advance(now_s)
-        return JawsView(self._width_mm, self._force_n, self._goal_mm is not None, self._met_closing)
+        return JawsState(self._width_mm, self._force_n, self._goal_mm is not None, self._met_closing)
 
     def _advance(self, now_s: float) -> None:
         if self._force_n > 0.0 and (self.object_mm is None or self.object_mm < self._width_mm):

@@ -13,7 +13,7 @@ FRAME_MAX_BYTES = 256
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class ModbusRequest:
     """What a frame asks for: write `values` from `write_at` on if there are any, then read `count` registers.
 
     echo: how the answer to a plain write begins (without checksum).
@@ -62,25 +62,29 @@ def frame_bytes(data: bytes) -> int | None:
     return None if len(data) <= size_at else size_at + 1 + data[size_at] + 2
 
 
-def parse(frame: bytes) -> Request | None:
+def parse(frame: bytes) -> ModbusRequest | None:
     """A whole request; None where the checksum is wrong or the counts contradict each other."""
     if crc16(frame[:-2]) != frame[-2:]:
         return None
     slave, function = frame[0], frame[1]
     if function in (READ_HOLDING, READ_INPUT):
         at, count = struct.unpack(">HH", frame[2:6])
-        return Request(slave, function, read_at=at, count=count)
+        return ModbusRequest(slave, function, read_at=at, count=count)
     if function == WRITE_ONE:
         at, value = struct.unpack(">HH", frame[2:6])
-        return Request(slave, function, at, (value,), echo=frame[:6])
+        return ModbusRequest(slave, function, at, (value,), echo=frame[:6])
     if function == WRITE_MANY:
         at, count = struct.unpack(">HH", frame[2:6])
-        return None if frame[6] != 2 * count else Request(slave, function, at, _words(frame[7:-2]), echo=frame[:6])
+        return (
+            None if frame[6] != 2 * count else ModbusRequest(slave, function, at, _words(frame[7:-2]), echo=frame[:6])
+        )
     read_at, count, at, written = struct.unpack(">HHHH", frame[2:10])
-    return None if frame[10] != 2 * written else Request(slave, function, at, _words(frame[11:-2]), read_at, count)
+    return (
+        None if frame[10] != 2 * written else ModbusRequest(slave, function, at, _words(frame[11:-2]), read_at, count)
+    )
 
 
-def answer(request: Request, read: Callable[[], Sequence[int]]) -> bytes:
+def answer(request: ModbusRequest, read: Callable[[], Sequence[int]]) -> bytes:
     """The answer without checksum. read: the three input registers, asked for where the request reads."""
     if not request.count:
         return request.echo

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from slipguard_emulators.robotiq.jaws import Jaws, JawsView
+from slipguard_emulators.robotiq.jaws import JawsPlant, JawsState
 
 OUTPUTS = range(0x03E8, 0x03EB)
 INPUTS = range(0x07D0, 0x07D3)
@@ -26,7 +26,7 @@ OPEN_COUNT, CLOSED_COUNT = 3, 230
 
 
 @dataclass(frozen=True, slots=True)
-class Figures:
+class GripperFigures:
     """What differs between the models: stroke, lowest and highest force and speed."""
 
     stroke_mm: float
@@ -35,12 +35,12 @@ class Figures:
 
 
 FIGURES = {
-    "2F-85": Figures(85.0, (20.0, 235.0), (20.0, 150.0)),
-    "2F-140": Figures(140.0, (10.0, 125.0), (30.0, 250.0)),
+    "2F-85": GripperFigures(85.0, (20.0, 235.0), (20.0, 150.0)),
+    "2F-140": GripperFigures(140.0, (10.0, 125.0), (30.0, 250.0)),
 }
 
 
-class Stage(Enum):
+class ActivationStage(Enum):
     """How far an activation has come; gSTA is 0 at OFF, 3 at READY, 1 in between."""
 
     OFF = "off"
@@ -50,18 +50,18 @@ class Stage(Enum):
     READY = "ready"
 
 
-class Registers:
+class GripperRegisters:
     """The controller. note(event, **details): told of everything that really happens.
 
     quick: activation and motion so many times faster than the real ones, for tests.
     """
 
-    def __init__(self, jaws: Jaws, figures: Figures, note: Callable[..., None], quick: float = 1.0) -> None:
+    def __init__(self, jaws: JawsPlant, figures: GripperFigures, note: Callable[..., None], quick: float = 1.0) -> None:
         self.jaws = jaws
         self.figures = figures
         self.fault = 0
         """gFLT to report beyond those that follow from the registers."""
-        self.stage = Stage.OFF
+        self.stage = ActivationStage.OFF
         self.activations = 0
         self.outputs = [0, 0, 0]
         self._note = note
@@ -85,13 +85,13 @@ class Registers:
         view = self.tick(now_s)
         action = self.outputs[0] >> 8
         on = bool(action & RACT)
-        state = {Stage.OFF: 0, Stage.READY: 3}.get(self.stage, 1)
+        state = {ActivationStage.OFF: 0, ActivationStage.READY: 3}.get(self.stage, 1)
         flags = on | bool(action & RGTO) << 3 | state << 4 | self._object(view) << 6
         current = 30 if view.moving else 0
         echo = self.outputs[1] & 0xFF
         return [flags << 8, self._fault_code(now_s) << 8 | echo, self._count(view.width_mm) << 8 | current]
 
-    def tick(self, now_s: float) -> JawsView:
+    def tick(self, now_s: float) -> JawsState:
         """Bring everything to `now_s`."""
         if self._written is not None and now_s >= self._written[0]:
             due_s, values = self._written
@@ -113,7 +113,13 @@ class Registers:
         """Everything but the screw is reset."""
         self._note("power lost", held=self.jaws.look(now_s).holds)
         self.jaws.halt(now_s)
-        self.outputs, self._written, self.stage, self.fault, self._atr_fault = [0, 0, 0], None, Stage.OFF, 0, 0
+        self.outputs, self._written, self.stage, self.fault, self._atr_fault = (
+            [0, 0, 0],
+            None,
+            ActivationStage.OFF,
+            0,
+            0,
+        )
 
     def _take_over(self, now_s: float, values: list[int]) -> None:
         old, self.outputs = self.outputs, values
@@ -121,29 +127,29 @@ class Registers:
         if was & RACT and not action & RACT:
             self._note("rACT cleared", held=self.jaws.look(now_s).holds)
             self.jaws.halt(now_s)
-            self.stage, self.fault, self._atr_fault = Stage.OFF, 0, 0
-        elif action & RACT and self.stage is Stage.OFF:
+            self.stage, self.fault, self._atr_fault = ActivationStage.OFF, 0, 0
+        elif action & RACT and self.stage is ActivationStage.OFF:
             self._activate(now_s)
-        elif self.stage is Stage.READY:
+        elif self.stage is ActivationStage.READY:
             self._act(now_s, old, values)
 
     def _activate(self, now_s: float) -> None:
         self.activations += 1
         self._note("activating", held=self.jaws.look(now_s).holds)
-        self.stage = Stage.OPENING
+        self.stage = ActivationStage.OPENING
         self._drive(now_s, 0, 255, 0)
 
-    def _go_on_activating(self, now_s: float, view: JawsView) -> None:
-        if view.moving or self.stage in (Stage.OFF, Stage.READY):
+    def _go_on_activating(self, now_s: float, view: JawsState) -> None:
+        if view.moving or self.stage in (ActivationStage.OFF, ActivationStage.READY):
             return
-        if self.stage is Stage.OPENING:
-            self.stage = Stage.CLOSING
+        if self.stage is ActivationStage.OPENING:
+            self.stage = ActivationStage.CLOSING
             self._drive(now_s, 255, 255, 0)
-        elif self.stage is Stage.CLOSING:
-            self.stage = Stage.REOPENING
+        elif self.stage is ActivationStage.CLOSING:
+            self.stage = ActivationStage.REOPENING
             self._drive(now_s, 0, 255, 0)
         else:
-            self.stage = Stage.READY
+            self.stage = ActivationStage.READY
             self._note("activated")
 
     def _act(self, now_s: float, old: list[int], new: list[int]) -> None:
@@ -173,9 +179,9 @@ class Registers:
         self._note("drive", width_mm=round(width_mm, 2), force_n=round(force_n, 2))
         self.jaws.drive(now_s, width_mm, speed_mm_s, force_n)
 
-    def _object(self, view: JawsView) -> int:
+    def _object(self, view: JawsState) -> int:
         """gOBJ."""
-        if self.stage is not Stage.READY or view.moving:
+        if self.stage is not ActivationStage.READY or view.moving:
             return 0
         if view.met_closing:
             return 2
@@ -193,7 +199,7 @@ class Registers:
         action = self.outputs[0] >> 8
         if action & RGTO and not action & RACT:
             return 0x07
-        if action & RGTO and self.stage is not Stage.READY:
+        if action & RGTO and self.stage is not ActivationStage.READY:
             return 0x05
         silent = self._heard_s is not None and now_s - self._heard_s > SILENT_S
         return 0x09 if silent else 0

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from slipguard_emulators.ur5.rtde import Value, type_of
-from slipguard_emulators.ur5.script import PROGRAM_STOP_M_S2, ControlScript, Program, Shuttle
+from slipguard_emulators.ur5.script import PROGRAM_STOP_M_S2, ControlScript, RobotProgram, ShuttleProgram
 from slipguard_emulators.ur5.tool import ToolPlant
 
 STOPPED, PLAYING, PAUSED = 1, 2, 4
@@ -16,21 +16,21 @@ RUNNING, POWER_OFF = 7, 3
 """RTDE's `robot_mode`."""
 
 
-class Note(Protocol):
+class EventLogger(Protocol):
     """Logs an event with its details."""
 
     def __call__(self, event: str, **details: object) -> None: ...
 
 
-class Controller:
+class EmulatedController:
     """One robot. All times are seconds on one clock; `client` is whatever stands for one RTDE connection."""
 
-    def __init__(self, tool: ToolPlant, note: Note) -> None:
+    def __init__(self, tool: ToolPlant, note: EventLogger) -> None:
         self.tool = tool
         self.safety = "NORMAL"
         self.remote = True
-        self.loaded: Callable[[], Program] = lambda: Shuttle(tool)
-        self.program: Program | None = None
+        self.loaded: Callable[[], RobotProgram] = lambda: ShuttleProgram(tool)
+        self.program: RobotProgram | None = None
         self.runtime = STOPPED
         self.output_bits = 0
         """Standard digital outputs."""
@@ -152,7 +152,7 @@ class Controller:
             if why is not None:
                 self.end(why, now_s)
 
-    def _start(self, program: Program) -> None:
+    def _start(self, program: RobotProgram) -> None:
         self.program, self.runtime = program, PLAYING
         self._note("started", program=program.name)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from slipguard_emulators.ur5.controller import PAUSED, PLAYING, Controller
+from slipguard_emulators.ur5.controller import PAUSED, PLAYING, EmulatedController
 
 GREETING = "Connected: Universal Robots Dashboard Server"
 NOT_IN_LOCAL = (
@@ -12,10 +12,10 @@ NOT_IN_LOCAL = (
 ORDERS = ("play", "pause", "stop", "unlock protective stop", "close safety popup")
 
 
-class Dashboard:
+class DashboardServer:
     """One connection to it. What a connection may do is settled when it is made: local control refuses all orders."""
 
-    def __init__(self, controller: Controller, version: tuple[int, ...]) -> None:
+    def __init__(self, controller: EmulatedController, version: tuple[int, ...]) -> None:
         self._controller = controller
         self._version = version
         self._may_order = controller.remote

@@ -18,9 +18,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from slipguard.emulator import Report
 from slipguard.errors import InputError
 from slipguard_drivers.tasks import ended
-from slipguard_emulators.base import ControlledEmulator, Word
-from slipguard_emulators.ur5.controller import PAUSED, PLAYING, Controller
-from slipguard_emulators.ur5.dashboard import GREETING, Dashboard
+from slipguard_emulators.base import ControlledEmulator, EmulatorCommand
+from slipguard_emulators.ur5.controller import PAUSED, PLAYING, EmulatedController
+from slipguard_emulators.ur5.dashboard import GREETING, DashboardServer
 from slipguard_emulators.ur5.rtde import message
 from slipguard_emulators.ur5.rtde_session import RtdeSession
 from slipguard_emulators.ur5.tool import StraightTool, ToolPlant
@@ -65,7 +65,7 @@ class UrEmulator(ControlledEmulator):
         super().__init__(FAULTS, report=report)
         self.settings = settings
         self.tool: ToolPlant = tool or StraightTool()
-        self.controller = Controller(self.tool, self.note)
+        self.controller = EmulatedController(self.tool, self.note)
         self._version, self._rate_hz = SERIES[settings.series]
         self._servers: list[asyncio.Server] = []
         self._clients: set[asyncio.StreamWriter] = set()
@@ -109,7 +109,7 @@ class UrEmulator(ControlledEmulator):
             "faults": self.faults.active,
         }
 
-    def words(self) -> dict[str, Word]:
+    def words(self) -> dict[str, EmulatorCommand]:
         """Somebody's program, and the arm's place."""
         orders: dict[str, Callable[[], object]] = {
             "play": lambda: self.controller.play(_now_s()),
@@ -231,7 +231,7 @@ class UrEmulator(ControlledEmulator):
 
     async def _dashboard(self, reader: asyncio.StreamReader, write: Write) -> None:
         write(GREETING.encode() + b"\n")
-        dashboard = Dashboard(self.controller, self._version)
+        dashboard = DashboardServer(self.controller, self._version)
         while line := await reader.readline():
             answer = dashboard.answer(line.decode(), _now_s())
             self.note("dashboard", asked=line.decode().strip(), answered=answer)

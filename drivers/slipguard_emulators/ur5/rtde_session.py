@@ -5,14 +5,14 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 
-from slipguard_emulators.ur5.controller import Controller
+from slipguard_emulators.ur5.controller import EmulatedController
 from slipguard_emulators.ur5.rtde import InputRecipe, OutputRecipe, names_in, type_of
 
 
 class RtdeSession:
     """What a client has asked for, and what it is to be told. rate_hz: the controller's cycles a second."""
 
-    def __init__(self, controller: Controller, version: tuple[int, ...], rate_hz: float) -> None:
+    def __init__(self, controller: EmulatedController, version: tuple[int, ...], rate_hz: float) -> None:
         self._controller = controller
         self._version = version
         self._rate_hz = rate_hz

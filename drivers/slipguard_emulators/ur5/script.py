@@ -19,7 +19,7 @@ PROGRAM_STOP_M_S2 = 2.5
 """How a program that ends, by whatever cause, brakes the arm."""
 
 
-class Program(Protocol):
+class RobotProgram(Protocol):
     """Something that runs on the controller, cycle by cycle. name: how the dashboard calls it."""
 
     name: str
@@ -35,7 +35,7 @@ class Program(Protocol):
     def resume(self, now_s: float) -> None: ...
 
 
-class Shuttle(Program):
+class ShuttleProgram(RobotProgram):
     """Somebody else's program: up and down by `stroke_m`, for ever."""
 
     def __init__(self, tool: ToolPlant, stroke_m: float = 0.1, speed_m_s: float = 0.1) -> None:
@@ -62,7 +62,7 @@ class Shuttle(Program):
             self._tool.move(now_s, self._ends[self.trips % 2], self._speed_m_s, 1.0)
 
 
-class ControlScript(Program):
+class ControlScript(RobotProgram):
     """ur-rtde's script, from its upload on.
 
     number: reads an input register by name. tell: is called with each command carried out.

@@ -19,8 +19,7 @@ from slipguard.devices import GripperState
 from slipguard.diagnosis import Diagnosable, Finding, Verdict, fine, from_error, wrong
 from slipguard.doctor import examine, gripper, machine, sensor, through_daemon
 from slipguard.errors import DeviceLost
-from slipguard_drivers.digit.diagnostics import RULES
-from slipguard_drivers.digit.diagnostics import look as look_at_digit
+from slipguard_drivers.digit.diagnostics import RULES, check_digit
 from slipguard_drivers.digit.settings import DigitSettings
 from slipguard_drivers.robotiq.diagnostics import adapter
 
@@ -55,7 +54,7 @@ def dev(tmp_path: Path) -> Path:
 
 def digit(dev: Path, **settings: Any) -> dict[str, Finding]:
     asked = DigitSettings.model_validate({"serial": "D20001", **settings})
-    found = look_at_digit("left", asked, dev.parent / "sys", dev, (dev.parent / "rules",))
+    found = check_digit("left", asked, dev.parent / "sys", dev, (dev.parent / "rules",))
     return {finding.what: finding for finding in found}
 
 

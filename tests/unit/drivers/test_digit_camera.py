@@ -16,15 +16,15 @@ from slipguard.devices import DriverContext
 from slipguard.errors import DeviceLost, DeviceTimeout, FrameCorrupt
 from slipguard_drivers.digit import decoder
 from slipguard_drivers.digit.camera import DigitSensor
-from slipguard_drivers.digit.capture import Delivery, Mode
+from slipguard_drivers.digit.capture import RawFrame, VideoMode
 
 Camera: type[PipeCapture] = PipeCapture
 
 
-def jpeg(sequence: int, *, cut: int = 0) -> Delivery:
+def jpeg(sequence: int, *, cut: int = 0) -> RawFrame:
     smooth = np.random.default_rng(sequence).integers(0, 256, (15, 20, 3), np.uint8)
     data = cv2.imencode(".jpg", cv2.resize(smooth, (320, 240)))[1].tobytes()
-    return Delivery(data[: len(data) - cut], sequence, 1.0 + sequence / 60.0, None)
+    return RawFrame(data[: len(data) - cut], sequence, 1.0 + sequence / 60.0, None)
 
 
 def digit(**settings: object) -> DigitSensor:
@@ -53,7 +53,7 @@ async def sensor(camera: type[PipeCapture]) -> AsyncIterator[DigitSensor]:
 
 async def test_it_asks_for_the_landscape_stream_and_sets_the_leds(sensor: DigitSensor) -> None:
     assert PipeCapture.last.path.name == "video7"
-    assert PipeCapture.last.mode == sensor.mode == Mode("YUYV", 320, 240, 60.0)
+    assert PipeCapture.last.mode == sensor.mode == VideoMode("YUYV", 320, 240, 60.0)
     assert PipeCapture.last.zoom == 0xF73
     assert PipeCapture.last.started
     assert sensor.remarks == ()
@@ -141,16 +141,16 @@ async def test_a_bus_without_bandwidth_is_told_with_what_to_do(camera: type[Pipe
 async def test_the_rate_is_had_where_it_is_offered(
     camera: type[PipeCapture], offers: list[tuple[str, float]], settings: dict[str, object], chosen: tuple[str, float]
 ) -> None:
-    camera.offers = tuple(Mode(pixels, 320, 240, fps) for pixels, fps in offers)
+    camera.offers = tuple(VideoMode(pixels, 320, 240, fps) for pixels, fps in offers)
     sensor = digit(**settings)
     await sensor.open()
-    assert PipeCapture.last.mode == Mode(chosen[0], 320, 240, float(chosen[1]))
+    assert PipeCapture.last.mode == VideoMode(chosen[0], 320, 240, float(chosen[1]))
     assert sensor.remarks == ()
     await sensor.close()
 
 
 async def test_a_camera_without_the_format_says_what_it_offers(camera: type[PipeCapture]) -> None:
-    camera.offers = (Mode("YUYV", 640, 480, 30.0), Mode("GREY", 320, 240, 60.0))
+    camera.offers = (VideoMode("YUYV", 640, 480, 30.0), VideoMode("GREY", 320, 240, 60.0))
     with pytest.raises(
         DeviceLost, match="320x240 YUYV or MJPG is needed, it offers 640x480 YUYV at 30 frames a second, "
     ):
@@ -204,7 +204,7 @@ async def test_old_firmware_has_one_brightness(
 
 
 async def test_jpeg_pictures_are_decoded_and_a_broken_one_told(camera: type[PipeCapture]) -> None:
-    camera.offers = (Mode("MJPG", 320, 240, 60.0),)
+    camera.offers = (VideoMode("MJPG", 320, 240, 60.0),)
     sensor = digit(stall_ms=2000)
     await sensor.open()
     PipeCapture.last.offer(jpeg(1), jpeg(2))
@@ -222,8 +222,8 @@ async def test_while_a_jpeg_is_decoded_only_the_newest_waits(
     camera: type[PipeCapture], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun: list[bytes] = []
-    monkeypatch.setattr(decoder, "upright_jpeg", lambda data: begun.append(data) or np.full((320, 240, 3), len(begun)))
-    camera.offers = (Mode("MJPG", 320, 240, 60.0),)
+    monkeypatch.setattr(decoder, "decode_jpeg", lambda data: begun.append(data) or np.full((320, 240, 3), len(begun)))
+    camera.offers = (VideoMode("MJPG", 320, 240, 60.0),)
     sensor = digit(stall_ms=2000)
     await sensor.open()
     pictures = [jpeg(number) for number in range(5)]

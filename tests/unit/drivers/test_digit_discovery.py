@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from slipguard.errors import DeviceLost
-from slipguard_drivers.digit.discovery import Found, find_digit, plugged_in
+from slipguard_drivers.digit.discovery import DigitDevice, find_digit, plugged_in
 
 
 class Sysfs:
@@ -46,8 +46,8 @@ def test_a_digit_is_found_by_its_serial(sysfs: Sysfs) -> None:
     sysfs.plug("1-4.2", "D20001", release="0199")
     sysfs.plug("2-1", "WEBCAM", vendor="046d")
     assert plugged_in(sysfs.folder, Path("/dev")) == [
-        Found(Path("/dev/video2"), "D20001", 199, "1-4.2", 480.0),
-        Found(Path("/dev/video0"), "D20002", 212, "1-1", 480.0),
+        DigitDevice(Path("/dev/video2"), "D20001", 199, "1-4.2", 480.0),
+        DigitDevice(Path("/dev/video0"), "D20002", 212, "1-1", 480.0),
     ]
     found = find_digit("D20001", "left", sysfs.folder)
     assert (found.path.name, found.bus, found.has_rgb) == ("video2", "1", False)

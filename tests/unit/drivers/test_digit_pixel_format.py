@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slipguard_drivers.digit.pixel_format import DamagedPicture, check_jpeg, upright_jpeg, upright_yuyv
+from slipguard_drivers.digit.pixel_format import DamagedFrame, check_jpeg, decode_jpeg, decode_yuyv
 
 
 def jpeg(width: int = 320, height: int = 240) -> bytes:
@@ -24,7 +24,7 @@ def test_the_picture_is_turned_counter_clockwise() -> None:
     landscape = np.full((240, 320, 2), 128, np.uint8)
     landscape[:, :, 0] = 16
     landscape[:40, -40:, 0] = 235  # bright at the top right
-    portrait = upright_yuyv(landscape.tobytes())
+    portrait = decode_yuyv(landscape.tobytes())
     assert portrait.shape == (320, 240, 3)
     assert portrait[:40, :40].min() > 250, "top right becomes top left"
     assert portrait[60:].max() < 5
@@ -34,8 +34,8 @@ def test_the_picture_is_turned_counter_clockwise() -> None:
 
 def test_a_jpeg_is_turned_the_same_way() -> None:
     plain = cv2.imdecode(np.frombuffer(JPEG, np.uint8), cv2.IMREAD_COLOR)
-    assert np.array_equal(upright_jpeg(JPEG), np.rot90(plain, 1))
-    assert np.array_equal(upright_jpeg(JPEG + bytes(500)), np.rot90(plain, 1)), "cameras fill up with zeros"
+    assert np.array_equal(decode_jpeg(JPEG), np.rot90(plain, 1))
+    assert np.array_equal(decode_jpeg(JPEG + bytes(500)), np.rot90(plain, 1)), "cameras fill up with zeros"
 
 
 @pytest.mark.parametrize(
@@ -52,24 +52,24 @@ def test_a_jpeg_is_turned_the_same_way() -> None:
     ids=["nothing", "text", "cut off", "something behind", "cut in the header", "another size", "no header"],
 )
 def test_what_is_no_whole_picture_is_told(data: bytes, told: str) -> None:
-    with pytest.raises(DamagedPicture, match=told):
-        upright_jpeg(data)
+    with pytest.raises(DamagedFrame, match=told):
+        decode_jpeg(data)
 
 
 @given(length=st.integers(0, len(JPEG) - 1))
 @settings(max_examples=60, deadline=None)
 def test_no_part_of_a_jpeg_passes_for_the_whole(length: int) -> None:
-    with pytest.raises(DamagedPicture):
+    with pytest.raises(DamagedFrame):
         check_jpeg(JPEG[:length])
 
 
 @given(data=st.binary(max_size=200))
 @settings(max_examples=100, deadline=None)
 def test_no_bytes_upset_the_check(data: bytes) -> None:
-    with pytest.raises(DamagedPicture):
+    with pytest.raises(DamagedFrame):
         check_jpeg(b"\xff\xd8" + data)
 
 
 def test_too_few_bytes_are_no_picture() -> None:
-    with pytest.raises(DamagedPicture, match="100 bytes instead of 153600"):
-        upright_yuyv(bytes(100))
+    with pytest.raises(DamagedFrame, match="100 bytes instead of 153600"):
+        decode_yuyv(bytes(100))

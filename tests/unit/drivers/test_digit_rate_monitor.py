@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from slipguard_drivers.digit.rate_monitor import RateWatch
+from slipguard_drivers.digit.rate_monitor import FrameRateMonitor
 
 
-def watched(asked_fps: float, made_fps: float, taken_share: float = 1.0, frames: int = 400) -> RateWatch:
-    watch = RateWatch(asked_fps)
+def watched(asked_fps: float, made_fps: float, taken_share: float = 1.0, frames: int = 400) -> FrameRateMonitor:
+    watch = FrameRateMonitor(asked_fps)
     for number in range(frames):
         if number * taken_share % 1.0 < taken_share:
             watch.note(5.0 + number / made_fps, number)

@@ -17,7 +17,7 @@ from slipguard.devices import DriverContext
 from slipguard.errors import DeviceError, DeviceLost
 from slipguard.sim.world import World
 from slipguard_drivers.digit.fake import FakeSensor
-from slipguard_drivers.digit.fake_renderer import ProcessPainter
+from slipguard_drivers.digit.fake_renderer import ProcessRenderer
 
 PARENT = """
 import asyncio
@@ -31,7 +31,7 @@ async def main():
     sensor = FakeSensor(FakeSensor.Settings(stall_ms=5000), DriverContext("left", World()))
     try:
         await sensor.open()
-        print(sensor._painter._child.pid, flush=True)
+        print(sensor._renderer._child.pid, flush=True)
         while True:
             await sensor.next_frame()
     finally:
@@ -47,8 +47,8 @@ def new_sensor() -> FakeSensor:
 
 
 def child_of(sensor: FakeSensor) -> int:
-    painter = sensor._painter
-    assert isinstance(painter, ProcessPainter)
+    painter = sensor._renderer
+    assert isinstance(painter, ProcessRenderer)
     assert painter._child is not None
     return painter._child.pid
 

@@ -16,7 +16,7 @@ from slipguard_drivers.robotiq.registers import (
     MODEL_2F85,
     MODEL_2F140,
     OUTPUT_ADDRESS,
-    Motion,
+    FingerMotion,
     count_to_force,
     count_to_width,
     decode,
@@ -50,7 +50,7 @@ def test_the_manuals_status_of_a_grasp() -> None:
     assert status.activated
     assert status.ready
     assert status.going
-    assert status.motion is Motion.STOPPED_CLOSING
+    assert status.motion is FingerMotion.STOPPED_CLOSING
     assert status.may_hold
     assert not status.closed_on_nothing
     assert status.fault is None

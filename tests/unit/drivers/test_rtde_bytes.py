@@ -12,8 +12,8 @@ import pytest
 from slipguard.errors import CommandRefused, DeviceLost
 from slipguard_drivers.ur5.digital_output import DigitalOutput
 from slipguard_drivers.ur5.rtde import RtdeConnection
-from slipguard_drivers.ur5.state_monitor import LAYOUT, VARIABLES, Eyes
-from slipguard_emulators.ur5.controller import Controller
+from slipguard_drivers.ur5.state_monitor import LAYOUT, VARIABLES, StateMonitor
+from slipguard_emulators.ur5.controller import EmulatedController
 from slipguard_emulators.ur5.rtde import message
 from slipguard_emulators.ur5.rtde_session import RtdeSession
 from slipguard_emulators.ur5.tool import StraightTool
@@ -41,7 +41,7 @@ def answered(kind: str, payload: bytes, session: RtdeSession) -> bytes:
 
 
 def session(version: tuple[int, ...] = (5, 17, 3, 0)) -> RtdeSession:
-    return RtdeSession(Controller(StraightTool(), lambda event, **details: None), version, 500.0)
+    return RtdeSession(EmulatedController(StraightTool(), lambda event, **details: None), version, 500.0)
 
 
 def test_the_emulator_answers_as_the_protocol_says() -> None:
@@ -59,7 +59,7 @@ def test_the_emulator_knows_a_wrong_name_and_does_not_start_without_outputs() ->
 
 
 def test_an_input_belongs_to_the_first_who_asks_until_he_goes() -> None:
-    controller = Controller(StraightTool(), lambda event, **details: None)
+    controller = EmulatedController(StraightTool(), lambda event, **details: None)
     first, second = (RtdeSession(controller, (5, 17, 3, 0), 500.0) for _ in range(2))
     names = b"standard_digital_output_mask,input_int_register_0"
     assert answered("I", names, first) == b"\x00\x0fI\x01UINT8,INT32"
@@ -96,15 +96,15 @@ async def served() -> AsyncIterator[tuple[list[bytes], dict[bytes, bytes]]]:
 
 async def test_the_driver_asks_as_the_protocol_says(served: tuple[list[bytes], dict[bytes, bytes]]) -> None:
     heard, _ = served
-    eyes = Eyes("arm", HOST)
-    await eyes.open()
+    monitor = StateMonitor("arm", HOST)
+    await monitor.open()
     assert heard == [VERSION[0], CONTROLLER[0], RECIPE[0], START[0]]
-    assert eyes.version == (5, 17, 3, 0)
-    sight = eyes.newest
-    assert (sight.timestamp_s, sight.pose, sight.velocity) == (12.5, POSE, SPEED)
-    assert (sight.runtime, sight.safety_bits, sight.mode) == (2, 1, 7)
-    assert sight.moving
-    await eyes.close()
+    assert monitor.version == (5, 17, 3, 0)
+    state = monitor.newest
+    assert (state.timestamp_s, state.pose, state.velocity) == (12.5, POSE, SPEED)
+    assert (state.runtime, state.safety_bits, state.mode) == (2, 1, 7)
+    assert state.moving
+    await monitor.close()
 
 
 async def test_inputs_are_taken_and_sent_by_their_recipe(served: tuple[list[bytes], dict[bytes, bytes]]) -> None:
@@ -138,12 +138,12 @@ async def test_what_is_no_good_answer_is_told_in_one_line(
     words: str,
 ) -> None:
     served[1][request_] = answer
-    eyes = Eyes("arm", HOST)
+    monitor = StateMonitor("arm", HOST)
     with pytest.raises(error, match=words) as caught:
-        await eyes.open()
+        await monitor.open()
     assert "\n" not in str(caught.value)
     with pytest.raises(DeviceLost, match="not open"):
-        _ = eyes.newest
+        _ = monitor.newest
 
 
 async def test_an_input_in_use_names_who_may_have_it(served: tuple[list[bytes], dict[bytes, bytes]]) -> None:

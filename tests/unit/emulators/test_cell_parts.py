@@ -12,9 +12,9 @@ from slipguard.errors import CommandRefused, InputError
 from slipguard.sim.gripper_plant import GripperModel
 from slipguard.sim.scenario import Scenario
 from slipguard.sim.world import World, WorldSettings
-from slipguard_emulators.cell.cell_config import MARK, CellPlaces, text
+from slipguard_emulators.cell.cell_config import MARK, CellPaths, text
 from slipguard_emulators.cell.emulator import CellEmulator, CellWorld
-from slipguard_emulators.cell.lift_program import LiftProgram, Stage
+from slipguard_emulators.cell.lift_program import LiftProgram, LiftStage
 from slipguard_emulators.cell.truth_log import line_of
 from slipguard_emulators.cell.world_jaws import WorldJaws
 from slipguard_emulators.ur5.tool import WorldTool
@@ -77,7 +77,7 @@ def test_the_robots_program_lifts_what_is_held_and_goes_on_after_a_pause() -> No
     while now_s < 12.0:
         now_s += 0.008
         held = 1.0 < now_s < 10.0
-        if not paused and program.stage is Stage.UP and tool.pose(now_s)[2] > low + 0.05:
+        if not paused and program.stage is LiftStage.UP and tool.pose(now_s)[2] > low + 0.05:
             program.pause(now_s)
             paused = True
             stopped_at = tool.pose(now_s + 1.0)[2]
@@ -87,13 +87,20 @@ def test_the_robots_program_lifts_what_is_held_and_goes_on_after_a_pause() -> No
         assert program.cycle(now_s) is None
         if not stages or stages[-1] is not program.stage:
             stages.append(program.stage)
-    assert stages == [Stage.WAITING, Stage.UP, Stage.STAYING, Stage.DOWN, Stage.DONE, Stage.WAITING]
+    assert stages == [
+        LiftStage.WAITING,
+        LiftStage.UP,
+        LiftStage.STAYING,
+        LiftStage.DOWN,
+        LiftStage.DONE,
+        LiftStage.WAITING,
+    ]
     assert tool.pose(now_s)[2] == pytest.approx(low, abs=1e-6)
 
 
 @pytest.mark.parametrize("mode", ["lift", "guard"])
 def test_the_configuration_is_one_that_slipguard_reads(tmp_path: Path, mode: str) -> None:
-    places = CellPlaces(tmp_path)
+    places = CellPaths(tmp_path)
     places.config.write_text(text(places, mode=mode, host="127.0.0.9", height_mm=80.0, speed_mm_s=50.0))  # type: ignore[arg-type]
     config = read_config(places.config)
     assert (config.guard.mode, config.guard.lift_height_mm) == (mode, 80.0)
@@ -104,11 +111,11 @@ def test_the_configuration_is_one_that_slipguard_reads(tmp_path: Path, mode: str
 def test_somebody_elses_configuration_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "config.toml").write_text("[left]\n")
     with pytest.raises(InputError, match="another folder"):
-        CellPlaces(tmp_path).make()
+        CellPaths(tmp_path).make()
     (tmp_path / "config.toml").write_text(MARK)
-    CellPlaces(tmp_path).make()
+    CellPaths(tmp_path).make()
     with pytest.raises(InputError, match="longer"):
-        CellPlaces(tmp_path / ("x" * 120)).make()
+        CellPaths(tmp_path / ("x" * 120)).make()
 
 
 def test_a_line_of_truth_is_json_with_plain_names(world: World) -> None:

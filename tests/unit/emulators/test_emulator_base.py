@@ -8,7 +8,7 @@ import pytest
 
 from slipguard.emulator import Event
 from slipguard.errors import CommandRefused
-from slipguard_emulators.base import ControlledEmulator, FaultPlan, Word
+from slipguard_emulators.base import ControlledEmulator, EmulatorCommand, FaultPlan
 
 KINDS = {"late": "an answer comes late", "deaf": "nothing is heard"}
 
@@ -33,7 +33,7 @@ class Lamp(ControlledEmulator):
     def state(self) -> dict[str, object]:
         return {"lit": True, "faults": self.faults.active}
 
-    def words(self) -> dict[str, Word]:
+    def words(self) -> dict[str, EmulatorCommand]:
         return {"blink": (lambda rest: f"blinks {len(rest)}", "blink: blink")}
 
     def fault_changed(self) -> None:

@@ -70,7 +70,7 @@ def test_the_header_is_28_bytes_in_the_stated_order() -> None:
 def test_any_28_bytes_are_a_header_or_none(raw: bytes) -> None:
     try:
         header = frames.read_header(raw)
-    except frames.StreamBroken:
+    except frames.FrameStreamError:
         return
     assert raw[:4] == b"SGF1"
     assert header.pixel_bytes <= frames.PIXEL_BYTES_MAX

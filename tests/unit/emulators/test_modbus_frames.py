@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slipguard_drivers.robotiq.registers import Motion, decode
+from slipguard_drivers.robotiq.registers import FingerMotion, decode
 from slipguard_emulators.robotiq import modbus_frames as frames
 
 CLEAR = "09 10 03E8 0003 06 0000 0000 0000 7330"
@@ -78,9 +78,9 @@ def test_a_read_is_answered_as_in_the_manual(asked: str, told: str) -> None:
 
 def test_what_the_manuals_answers_mean() -> None:
     opening, opened, grasped = (decode(words(text)) for text in (OPENING, OPENED, GRASPED))
-    assert (opening.motion, opening.position, opening.current_a) == (Motion.MOVING, 0xBB, 0.16)
-    assert (opened.motion, opened.position, opened.may_hold) == (Motion.AT_POSITION, 0x0D, False)
-    assert (grasped.motion, grasped.position, grasped.may_hold) == (Motion.STOPPED_CLOSING, 0xBD, True)
+    assert (opening.motion, opening.position, opening.current_a) == (FingerMotion.MOVING, 0xBB, 0.16)
+    assert (opened.motion, opened.position, opened.may_hold) == (FingerMotion.AT_POSITION, 0x0D, False)
+    assert (grasped.motion, grasped.position, grasped.may_hold) == (FingerMotion.STOPPED_CLOSING, 0xBD, True)
     assert not decode([*words(NOT_YET_ACTIVE), 0, 0]).ready
     assert decode([*words(ACTIVE), 0, 0]).ready
 

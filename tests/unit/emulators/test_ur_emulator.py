@@ -10,8 +10,8 @@ import pytest
 
 from slipguard.errors import CommandRefused, InputError
 from slipguard.sim.world import World
-from slipguard_emulators.ur5.controller import Controller
-from slipguard_emulators.ur5.dashboard import Dashboard
+from slipguard_emulators.ur5.controller import EmulatedController
+from slipguard_emulators.ur5.dashboard import DashboardServer
 from slipguard_emulators.ur5.emulator import UrEmulator
 from slipguard_emulators.ur5.tool import START_POSE, StraightTool, WorldTool
 
@@ -28,8 +28,8 @@ class Log(list[str]):
 
 
 def test_the_dashboard_answers_as_a_real_one_does() -> None:
-    controller = Controller(StraightTool(), Log())
-    dashboard = Dashboard(controller, E_SERIES)
+    controller = EmulatedController(StraightTool(), Log())
+    dashboard = DashboardServer(controller, E_SERIES)
     talk = (
         ("PolyscopeVersion", "URSoftware 5.17.3.0 (Nov 01 2024)"),
         ("get serial number", "20225500001"),
@@ -51,24 +51,24 @@ def test_the_dashboard_answers_as_a_real_one_does() -> None:
     )
     for number, (asked, answer) in enumerate(talk):
         assert dashboard.answer(asked, float(number)) == answer
-    assert Dashboard(controller, CB3).answer("is in remote control", 20.0).startswith("could not understand")
+    assert DashboardServer(controller, CB3).answer("is in remote control", 20.0).startswith("could not understand")
 
 
 def test_a_connection_made_in_local_control_stays_refused() -> None:
-    controller = Controller(StraightTool(), Log())
+    controller = EmulatedController(StraightTool(), Log())
     controller.remote = False
-    dashboard = Dashboard(controller, E_SERIES)
+    dashboard = DashboardServer(controller, E_SERIES)
     assert dashboard.answer("is in remote control", 0.0) == "false"
     assert dashboard.answer("play", 0.0).startswith("Command is not allowed")
     controller.remote = True
     assert dashboard.answer("play", 0.0).startswith("Command is not allowed")
-    assert Dashboard(controller, E_SERIES).answer("play", 0.0) == "Starting program"
+    assert DashboardServer(controller, E_SERIES).answer("play", 0.0) == "Starting program"
 
 
 def test_a_protective_stop_pauses_a_program_and_play_waits_for_its_end() -> None:
     log = Log()
-    controller = Controller(StraightTool(), log)
-    dashboard = Dashboard(controller, E_SERIES)
+    controller = EmulatedController(StraightTool(), log)
+    dashboard = DashboardServer(controller, E_SERIES)
     dashboard.answer("play", 0.0)
     controller.set_safety("PROTECTIVE_STOP", 1.0)
     assert dashboard.answer("safetystatus", 1.0) == "Safetystatus: PROTECTIVE_STOP"
@@ -80,7 +80,7 @@ def test_a_protective_stop_pauses_a_program_and_play_waits_for_its_end() -> None
 
 def test_an_uploaded_script_takes_the_place_of_what_runs() -> None:
     log = Log()
-    controller = Controller(StraightTool(), log)
+    controller = EmulatedController(StraightTool(), log)
     controller.play(0.0)
     controller.upload("def rtde_control():\nend\n", 1.0)
     assert log == ["started", "script", "ended", "started"]

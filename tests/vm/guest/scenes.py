@@ -23,8 +23,8 @@ from slipguard.devices import DriverContext, Frame
 from slipguard.errors import DeviceError, DeviceLost
 from slipguard.perception.estimate import Estimate
 from slipguard_drivers.digit.camera import DigitSensor
-from slipguard_drivers.digit.discovery import Found, plugged_in
-from slipguard_emulators.digit.emulator import Camera, DigitEmulator
+from slipguard_drivers.digit.discovery import DigitDevice, plugged_in
+from slipguard_emulators.digit.emulator import DigitEmulator, EmulatedCamera
 
 PATIENCE_S = 20.0
 SERIALS = ("D20001", "D20002")
@@ -38,7 +38,7 @@ async def rates(seconds: float) -> dict[str, object]:
     """vivid, the kernel's test camera, at 320 x 240 and 60 frames a second, through the whole driver."""
     modprobe("vivid", "n_devs=1", "node_types=0x1", "num_inputs=1", "input_types=0x03")
     settle()
-    found = Found(Path("/dev") / names("/sys/class/video4linux")[0], SERIAL, None, "0-0", 0.0)
+    found = DigitDevice(Path("/dev") / names("/sys/class/video4linux")[0], SERIAL, None, "0-0", 0.0)
     sensor = DigitSensor(DigitSensor.Settings(serial=SERIAL), DriverContext("left"), lambda serial, name: found)
     await sensor.open()
     loop = asyncio.get_running_loop()
@@ -101,7 +101,7 @@ def names(folder: str) -> list[str]:
     return sorted(one.name for one in Path(folder).iterdir())
 
 
-def usable() -> list[Found]:
+def usable() -> list[DigitDevice]:
     """The sensors whose nodes udev has dealt with."""
     return [one for one in plugged_in() if one.path.exists() and one.path.stat().st_mode & 0o777 == 0o660]
 
@@ -176,7 +176,7 @@ async def two_sensors() -> dict[str, object]:
         }
 
 
-def likeness(frames: list[Frame], camera: Camera) -> float:
+def likeness(frames: list[Frame], camera: EmulatedCamera) -> float:
     """Largest distance of a frame from the nearest picture that was sent, in mean grey levels."""
     sent = np.stack(camera.pictures).astype(np.int16)
     return max(float(np.abs(sent - frame.image).mean(axis=(1, 2, 3)).min()) for frame in frames[:3])
