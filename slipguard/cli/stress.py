@@ -14,8 +14,8 @@ from slipguard.cli.progress import progress_bar
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
-    from slipguard.stress.family import Family
-    from slipguard.stress.run import Outcome
+    from slipguard.stress.family import TrialFamily
+    from slipguard.stress.run import StressOutcome
     from slipguard.tools.parallel import Workers
 
 PICTURE = "error-against-noise.png"
@@ -55,7 +55,7 @@ def stress(
         _make_folder(out)
     progress = Console(stderr=True)
 
-    def note(outcome: Outcome) -> None:
+    def note(outcome: StressOutcome) -> None:
         if out is not None:
             _write(out / "stress.json", jsonlib.dumps(as_json(outcome), indent=1) + "\n")
 
@@ -78,12 +78,12 @@ def stress(
 
 
 def _whole(
-    families: tuple[Family, ...],
+    families: tuple[TrialFamily, ...],
     seed: int,
     workers: Workers,
     progress: Callable[[float, str], None],
-    note: Callable[[Outcome], None],
-) -> Outcome:
+    note: Callable[[StressOutcome], None],
+) -> StressOutcome:
     """All of the list; what has been found is noted now and then."""
     from slipguard.stress.whole import run_whole
 

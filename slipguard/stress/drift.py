@@ -14,9 +14,9 @@ from slipguard.perception.rotation.rotation_meter import RotationMeter
 from slipguard.perception.rotation.tracker import Rotation
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stage_timer import StageClock
-from slipguard.stress.family import Family, Notes, Trial
-from slipguard.stress.product_functions import FRAME_S, MAP_PX, THRESHOLD, Subject
-from slipguard.stress.shapes import ELONGATED, Pose, roughness, soft
+from slipguard.stress.family import FamilyResults, TrialFamily, TrialFunction
+from slipguard.stress.product_functions import FRAME_S, MAP_PX, THRESHOLD, ProductFunctions
+from slipguard.stress.shapes import ELONGATED, ShapePose, roughness, soft
 
 DRIFT = "drift of the tracked turn"
 DRIFT_DEG = 0.1
@@ -33,11 +33,11 @@ SHAPE = ELONGATED["hook"]
 _NO_PICTURE: NDArray[np.uint8] = np.zeros((1, 1, 3), np.uint8)
 
 
-class _Contacts:
+class _RotatedContacts:
     """The contact turned to whole degrees, with its axes: drawn when first asked for."""
 
-    def __init__(self, subject: Subject) -> None:
-        self._subject = subject
+    def __init__(self, product: ProductFunctions) -> None:
+        self._product = product
         self._known: dict[tuple[int, int], tuple[Patch, dict[str, Orientation]]] = {}
 
     def at(self, angle_deg: int, variant: int) -> tuple[Patch, dict[str, Orientation]]:
@@ -45,19 +45,19 @@ class _Contacts:
         key = (angle_deg % 360, variant)
         if key not in self._known:
             rough = roughness(np.random.default_rng(key), ROUGH_PX if variant else 0.0)
-            shown = soft(SHAPE, Pose(float(key[0])), rough)
-            patch = self._subject.find_patch(shown, THRESHOLD, MIN_AREA_PX, MAP_PX)
+            shown = soft(SHAPE, ShapePose(float(key[0])), rough)
+            patch = self._product.find_patch(shown, THRESHOLD, MIN_AREA_PX, MAP_PX)
             if patch is None:
                 raise ValueError(f"no patch at {angle_deg} degrees")
-            self._known[key] = (patch, {"moments": self._subject.estimate(patch, "moments")})
+            self._known[key] = (patch, {"moments": self._product.estimate(patch, "moments")})
         return self._known[key]
 
 
-def _begin(subject: Subject) -> Trial:
-    contacts = _Contacts(subject)
+def _begin(product: ProductFunctions) -> TrialFunction:
+    contacts = _RotatedContacts(product)
     # Outlines alone: reliefs, keys and left-out frames are those of the family `holding`.
     meter = RotationMeter(PerceptionSettings(reference="first", estimator="registration"), MAP_PX)
-    meter.tracker = subject.tracker()
+    meter.tracker = product.tracker()
     frame = 0
 
     def measured(angle_deg: int, variant: int) -> Rotation:
@@ -68,27 +68,27 @@ def _begin(subject: Subject) -> Trial:
 
         return meter.measure(_NO_PICTURE, patch, axes_of, frame * FRAME_S, StageClock(None))[0]
 
-    def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+    def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
         nonlocal frame
         if frame == 0:
-            notes.attempt("meter", measured, REFERENCE_DEG, 0)
+            results.call("meter", measured, REFERENCE_DEG, 0)
         errors = []
         for variant in rng.integers(1, VARIANTS + 1, STRETCH_FRAMES):
             frame += 1
             truth = round(SWING_DEG * math.sin(2.0 * math.pi * frame / STRETCH_FRAMES))
-            rotation = notes.attempt("meter", measured, REFERENCE_DEG + truth, int(variant))
+            rotation = results.call("meter", measured, REFERENCE_DEG + truth, int(variant))
             if rotation is None:
                 return
-            error = notes.angle("meter", rotation.rotation_deg, rotation.sigma_deg, float(truth), axial=False)
+            error = results.check_angle("meter", rotation.rotation_deg, rotation.sigma_deg, float(truth), axial=False)
             if error is not None and rotation.rotation_deg is not None:
                 errors.append(rotation.rotation_deg - truth)
         if errors:
-            notes.limit(DRIFT, abs(float(np.mean(errors))), DRIFT_DEG)
+            results.check_limit(DRIFT, abs(float(np.mean(errors))), DRIFT_DEG)
 
     return trial
 
 
-TRACKING = Family(
+TRACKING = TrialFamily(
     "drift",
     "a million frames that swing over every seam, through registration and track",
     1000,
@@ -96,5 +96,5 @@ TRACKING = Family(
     _begin,
     STRETCH_FRAMES,
     continuous=True,
-    told=0.95,
+    min_answered_share=0.95,
 )

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.stress.family import Family, Notes, Trial
+from slipguard.stress.family import FamilyResults, TrialFamily, TrialFunction
 from slipguard.stress.map_checks import Map, check_laid_over_itself, compare, patch_of, read
-from slipguard.stress.product_functions import MAP_PX, Finger, Subject
-from slipguard.stress.shapes import ELONGATED, Pose, soft
+from slipguard.stress.product_functions import MAP_PX, ProductFunctions, ScriptedPipeline
+from slipguard.stress.shapes import ELONGATED, ShapePose, soft
 
 PRECISION_DEG = 0.01
 """What single precision may change in an axis."""
@@ -19,36 +19,36 @@ POISONS = (math.nan, math.inf, -math.inf, 3e38, -3e38, 1e-40, -1e-40, -0.0)
 SHARES = (0.0005, 0.01, 0.1, 0.5, 1.0)
 
 
-def _begin(subject: Subject) -> Trial:
+def _begin(product: ProductFunctions) -> TrialFunction:
     names = tuple(ELONGATED)
 
-    def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+    def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
         shape = ELONGATED[names[seed % len(names)]]
-        pose = Pose(rng.uniform(-180, 180), rng.uniform(54, 65), rng.uniform(72, 87), rng.uniform(0.8, 1.1))
+        pose = ShapePose(rng.uniform(-180, 180), rng.uniform(54, 65), rng.uniform(72, 87), rng.uniform(0.8, 1.1))
         clean = soft(shape, pose)
-        _check_precision(clean, subject, notes)
+        _check_precision(clean, product, results)
         poison = POISONS[seed // len(names) % len(POISONS)]
         share = SHARES[seed // (len(names) * len(POISONS)) % len(SHARES)]
         poisoned = clean.copy()
         poisoned[rng.random(clean.shape) < share] = poison
-        _check_poisoned(clean, poisoned, subject, notes)
+        _check_poisoned(clean, poisoned, product, results)
         tiny = clean * np.float32(10.0 ** rng.uniform(-45, -1))
         huge = clean * np.float32(10.0 ** rng.uniform(1, 38))
         for scaled in (tiny, huge):
-            patch = patch_of(scaled, 1.0, MAP_PX, subject, notes)
+            patch = patch_of(scaled, 1.0, MAP_PX, product, results)
             if patch is not None:
-                read(patch, subject, notes)
-                check_laid_over_itself(patch, subject, notes)
+                read(patch, product, results)
+                check_laid_over_itself(patch, product, results)
 
     return trial
 
 
-def _check_precision(probability: Map, subject: Subject, notes: Notes) -> None:
+def _check_precision(probability: Map, product: ProductFunctions, results: FamilyResults) -> None:
     """The same axes in float64, by other means."""
-    patch = patch_of(probability, 100.0, MAP_PX, subject, notes)
+    patch = patch_of(probability, 100.0, MAP_PX, product, results)
     if patch is None or patch.clipped.any:
         return
-    answers = read(patch, subject, notes)
+    answers = read(patch, product, results)
     references = {
         "moments": second_moments_deg(patch.probability),
         "pca": second_moments_deg(patch.mask),
@@ -57,7 +57,9 @@ def _check_precision(probability: Map, subject: Subject, notes: Notes) -> None:
     for name, reference in references.items():
         angle = answers[name].angle_deg if name in answers else None
         if angle is not None:
-            notes.limit(f"{name}, float32 to float64", abs(math.remainder(angle - reference, 180.0)), PRECISION_DEG)
+            results.check_limit(
+                f"{name}, float32 to float64", abs(math.remainder(angle - reference, 180.0)), PRECISION_DEG
+            )
 
 
 def second_moments_deg(weights: NDArray[np.float32] | NDArray[np.uint8]) -> float:
@@ -92,21 +94,26 @@ def fitted_ellipse_deg(mask: NDArray[np.uint8]) -> float:
     return math.degrees(math.atan2(-axes[1, 0], axes[0, 0]))
 
 
-def _check_poisoned(clean: Map, poisoned: Map, subject: Subject, notes: Notes) -> None:
+def _check_poisoned(clean: Map, poisoned: Map, product: ProductFunctions, results: FamilyResults) -> None:
     """Poisoned pixels change nothing, or are noticed: no NaN out, no confident turn."""
-    before = patch_of(clean, 100.0, MAP_PX, subject, notes)
-    now = patch_of(poisoned, 100.0, MAP_PX, subject, notes)
+    before = patch_of(clean, 100.0, MAP_PX, product, results)
+    now = patch_of(poisoned, 100.0, MAP_PX, product, results)
     if before is not None and now is not None:
-        compare(read(before, subject, notes), read(now, subject, notes), 0.0, notes)
-        check_laid_over_itself(now, subject, notes)
-    finger = Finger(subject)
+        compare(read(before, product, results), read(now, product, results), 0.0, results)
+        check_laid_over_itself(now, product, results)
+    finger = ScriptedPipeline(product)
     for shown in (clean, poisoned, clean):
-        answer = notes.attempt("pipeline", finger.see, shown)
+        answer = results.call("pipeline", finger.see, shown)
         if answer is not None:
-            notes.finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
-            notes.angle("pipeline", answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
+            results.check_finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
+            results.check_angle("pipeline", answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
 
 
-FLOATS = Family(
-    "floats", "float32 to float64, denormal, huge, NaN and infinite probabilities", 4_800, 13.0, _begin, told=0.65
+FLOATS = TrialFamily(
+    "floats",
+    "float32 to float64, denormal, huge, NaN and infinite probabilities",
+    4_800,
+    13.0,
+    _begin,
+    min_answered_share=0.65,
 )

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from slipguard.perception.estimate import Estimate
-from slipguard.stress.family import Family, Notes, Trial
-from slipguard.stress.product_functions import Subject
+from slipguard.stress.family import FamilyResults, TrialFamily, TrialFunction
+from slipguard.stress.product_functions import ProductFunctions
 
 ODD = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 0.0, -0.0, 1e-300, 1e18, -1e18)
 
@@ -22,8 +22,8 @@ def _estimate(angle_deg: float | None, sigma_deg: float | None, rate_deg_s: floa
     )  # fmt: skip
 
 
-def _begin(subject: Subject) -> Trial:
-    def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+def _begin(product: ProductFunctions) -> TrialFunction:
+    def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
         rotation = float(rng.uniform(-120, 120))
         rate = float(rng.choice((0.0, 30.0, 300.0))) * float(rng.choice((-1.0, 1.0)))
         now_s = float(10.0 ** rng.uniform(-3, 9))
@@ -35,16 +35,18 @@ def _begin(subject: Subject) -> Trial:
             said = rate + float(rng.normal()) * 5.0
             one = _estimate(sign * seen, sigma, sign * said if rng.random() < 0.8 else None, now_s - late_s)
             pair.append(None if rng.random() < 0.1 else one)
-        fused = notes.attempt("fusion", subject.fuse, *pair)
+        fused = results.call("fusion", product.fuse, *pair)
         if fused is not None and fused.rotation_deg is not None:
             truth = rotation - rate * (now_s - fused.captured_at_s)
-            notes.angle("fusion", fused.rotation_deg, fused.sigma_deg, truth, axial=False)
-        _check_odd(rng, pair, subject, notes)
+            results.check_angle("fusion", fused.rotation_deg, fused.sigma_deg, truth, axial=False)
+        _check_odd(rng, pair, product, results)
 
     return trial
 
 
-def _check_odd(rng: np.random.Generator, pair: list[Estimate | None], subject: Subject, notes: Notes) -> None:
+def _check_odd(
+    rng: np.random.Generator, pair: list[Estimate | None], product: ProductFunctions, results: FamilyResults
+) -> None:
     """One field of one finger is odd: what comes out is finite, and its sigma positive."""
     which = int(rng.integers(2))
     one = pair[which] or _estimate(1.0, 1.0, 0.0, 1.0)
@@ -54,7 +56,7 @@ def _check_odd(rng: np.random.Generator, pair: list[Estimate | None], subject: S
     broken = list(pair)
     broken[which] = replace(one, **{field: value})
     said = f"fusion with {field} {odd:g}"
-    fused = notes.attempt(said, subject.fuse, *broken)
+    fused = results.call(said, product.fuse, *broken)
     if fused is None:
         return
     out = (
@@ -65,10 +67,15 @@ def _check_odd(rng: np.random.Generator, pair: list[Estimate | None], subject: S
         fused.captured_at_s,
         fused.measured_at_s,
     )
-    if notes.finite(said, *out) and fused.sigma_deg is not None and fused.sigma_deg <= 0.0:
-        notes.failed("limit", f"{said}: sigma is {fused.sigma_deg:g}°")
+    if results.check_finite(said, *out) and fused.sigma_deg is not None and fused.sigma_deg <= 0.0:
+        results.add_failure("limit", f"{said}: sigma is {fused.sigma_deg:g}°")
 
 
-FUSION = Family(
-    "fusion", "two fingers with missing, odd, stale and contradicting estimates", 200_000, 0.18, _begin, told=0.9
+FUSION = TrialFamily(
+    "fusion",
+    "two fingers with missing, odd, stale and contradicting estimates",
+    200_000,
+    0.18,
+    _begin,
+    min_answered_share=0.9,
 )

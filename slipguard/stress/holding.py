@@ -15,8 +15,8 @@ from slipguard.sim.objects import get
 from slipguard.sim.unit import Light, random_unit
 from slipguard.sim.view import GelView
 from slipguard.stress.drift import DRIFT_DEG
-from slipguard.stress.family import Family, Notes, Trial
-from slipguard.stress.product_functions import FRAME_S, Subject
+from slipguard.stress.family import FamilyResults, TrialFamily, TrialFunction
+from slipguard.stress.product_functions import FRAME_S, ProductFunctions
 
 HOLDING = "drift of the whole pipeline"
 OBJECTS = ("coin", "key")
@@ -35,7 +35,7 @@ UNIT_SEED = 8100
 
 
 @dataclass(slots=True)
-class _Held:
+class _HeldContact:
     """One contact. rotations_deg: of the cycle under way. first_deg: mean of the first whole cycle."""
 
     name: str
@@ -66,36 +66,36 @@ def _pressed(at: int) -> float:
     return risen if at < half else 1.0 - risen
 
 
-def _begin(subject: Subject) -> Trial:
-    segmenter = subject.segmenter()
+def _begin(product: ProductFunctions) -> TrialFunction:
+    segmenter = product.segmenter()
     held = []
     for number, name in enumerate(OBJECTS):
         camera = GelCamera(random_unit(np.random.default_rng(UNIT_SEED + number)), seed=UNIT_SEED + number)
         unit = camera.unit
-        pipeline = subject.pipeline(
+        pipeline = product.pipeline(
             segmenter, PerceptionSettings(), camera.no_contact(), unit.noise_bgr, unit.px_per_mm
         )
-        held.append(_Held(name, camera, pipeline))
+        held.append(_HeldContact(name, camera, pipeline))
 
-    def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+    def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
         one = held[seed % len(held)]
         for _ in range(TRIAL_FRAMES):
-            answer = notes.attempt("pipeline", one.pipeline.process, one.image())
+            answer = results.call("pipeline", one.pipeline.process, one.image())
             if answer is None:
                 return
-            notes.angle(one.name, answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
+            results.check_angle(one.name, answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
             if answer.angle_deg is not None and math.isfinite(answer.angle_deg):
                 one.rotations_deg.append(answer.angle_deg)
             if one.frame % CYCLE_FRAMES == 0 and one.rotations_deg:
                 mean = float(np.mean(one.rotations_deg))
                 one.rotations_deg.clear()
                 one.first_deg = mean if one.first_deg is None else one.first_deg
-                notes.limit(HOLDING, abs(mean - one.first_deg), DRIFT_DEG)
+                results.check_limit(HOLDING, abs(mean - one.first_deg), DRIFT_DEG)
 
     return trial
 
 
-HOLD = Family(
+HOLD = TrialFamily(
     "holding",
     "a coin and a key drawn and held, ten minutes each, while force, shear and light come and go",
     len(OBJECTS) * HELD_FRAMES // TRIAL_FRAMES,
@@ -103,5 +103,5 @@ HOLD = Family(
     _begin,
     TRIAL_FRAMES,
     continuous=True,
-    told=0.8,
+    min_answered_share=0.8,
 )

@@ -15,9 +15,9 @@ from slipguard.sim.gel import GelCamera
 from slipguard.sim.objects import get, names
 from slipguard.sim.unit import Unit
 from slipguard.sim.view import GelView
-from slipguard.stress.family import Family, Notes, Trial
+from slipguard.stress.family import FamilyResults, TrialFamily, TrialFunction
 from slipguard.stress.light import SPOILS, Image, malformed, nonsense
-from slipguard.stress.product_functions import FRAME_S, PX_PER_MM, Subject
+from slipguard.stress.product_functions import FRAME_S, PX_PER_MM, ProductFunctions
 
 NoiseBgr = tuple[float, float, float]
 
@@ -29,7 +29,7 @@ STRENGTHS = (0.03, 0.06, 0.12, 0.25, 0.5, 0.75, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Grasp:
+class RotatedGrasp:
     """One object held still and then turned by `STEP_DEG` a frame."""
 
     background: Image
@@ -39,7 +39,7 @@ class Grasp:
 
 
 @cache
-def grasp(number: int) -> Grasp:
+def grasp(number: int) -> RotatedGrasp:
     """The same grasp for the same number: an object with an axis, anywhere, pressed lightly or hard."""
     rng = np.random.default_rng(np.random.SeedSequence([number, 77]))
     things = [get(name) for name in names("train")]
@@ -51,27 +51,29 @@ def grasp(number: int) -> Grasp:
     way = float(rng.choice((-1.0, 1.0)))
     rotations = [0.0] * STILL_FRAMES + [way * STEP_DEG * (k + 1) for k in range(ROTATED_FRAMES)]
     frames = [camera.draw(GelView(thing.name, x, y, start + rotation, depth)) for rotation in rotations]
-    return Grasp(camera.no_contact(), camera.unit.noise_bgr, tuple(frames), tuple(rotations))
+    return RotatedGrasp(camera.no_contact(), camera.unit.noise_bgr, tuple(frames), tuple(rotations))
 
 
-def _begin(subject: Subject) -> Trial:
-    segmenter = subject.segmenter()
+def _begin(product: ProductFunctions) -> TrialFunction:
+    segmenter = product.segmenter()
     spoils = list(SPOILS.items())
     settings = PerceptionSettings()
 
-    def pipeline(background: Image | None, noise_bgr: NoiseBgr | None, notes: Notes) -> Any:
+    def pipeline(background: Image | None, noise_bgr: NoiseBgr | None, results: FamilyResults) -> Any:
         """A new pipeline, or None where it refuses a spoiled no-contact image."""
-        return notes.attempt("pipeline", subject.pipeline, segmenter, settings, background, noise_bgr, PX_PER_MM)
+        return results.call("pipeline", product.pipeline, segmenter, settings, background, noise_bgr, PX_PER_MM)
 
-    def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+    def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
         kind, seed = seed % 4, seed // 4
         shown = grasp(int(rng.integers(GRASPS)))
         noise_bgr: NoiseBgr | None = shown.noise_bgr
         if kind == 0:
             level = NOISE_LEVELS[seed % len(NOISE_LEVELS)]
             spoiled = [SPOILS["noise"](image, level / 64.0, rng) for image in shown.frames]
-            error = _watch(pipeline(shown.background, noise_bgr, notes), spoiled, shown.rotations_deg, notes, "noise")
-            notes.point("frame noise/pipeline", level, error)
+            error = _watch(
+                pipeline(shown.background, noise_bgr, results), spoiled, shown.rotations_deg, results, "noise"
+            )
+            results.add_curve_point("frame noise/pipeline", level, error)
             return
         name, spoil = spoils[seed % len(spoils)]
         strength = STRENGTHS[seed // len(spoils) % len(STRENGTHS)]
@@ -87,9 +89,9 @@ def _begin(subject: Subject) -> Trial:
             frames = [spoil(image, strength, rng) for image in shown.frames]
         else:  # not calibrated at all
             background = noise_bgr = None
-        _watch(pipeline(background, noise_bgr, notes), frames, shown.rotations_deg, notes, name)
+        _watch(pipeline(background, noise_bgr, results), frames, shown.rotations_deg, results, name)
         if rng.random() < 0.25:
-            _look_at_nonsense(pipeline(shown.background, noise_bgr, notes), shown, rng, notes)
+            _look_at_nonsense(pipeline(shown.background, noise_bgr, results), shown, rng, results)
 
     return trial
 
@@ -101,7 +103,7 @@ def _measured_noise(still: Sequence[Image]) -> NoiseBgr:
 
 
 def _watch(
-    pipeline: Any, frames: Sequence[Image], rotations_deg: Sequence[float], notes: Notes, label: str
+    pipeline: Any, frames: Sequence[Image], rotations_deg: Sequence[float], results: FamilyResults, label: str
 ) -> float | None:
     """Feed frames and judge every answer against the turn since the reference; the last one's error, None: declined."""
     error = None
@@ -109,30 +111,35 @@ def _watch(
     if pipeline is None:
         return None
     for k, (image, truth) in enumerate(zip(frames, rotations_deg, strict=True)):
-        answer = notes.attempt(f"pipeline, {label}", pipeline.process, Frame(image, k * FRAME_S, k))
+        answer = results.call(f"pipeline, {label}", pipeline.process, Frame(image, k * FRAME_S, k))
         if since_deg is None and pipeline.has_reference:
             since_deg = truth
         error = None
         if answer is not None:
             rotation = truth - (since_deg or 0.0)
-            notes.finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
-            error = notes.angle(f"pipeline, {label}", answer.angle_deg, answer.sigma_deg, rotation, axial=False)
+            results.check_finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
+            error = results.check_angle(f"pipeline, {label}", answer.angle_deg, answer.sigma_deg, rotation, axial=False)
     return error
 
 
-def _look_at_nonsense(pipeline: Any, shown: Grasp, rng: np.random.Generator, notes: Notes) -> None:
+def _look_at_nonsense(pipeline: Any, shown: RotatedGrasp, rng: np.random.Generator, results: FamilyResults) -> None:
     """After a reference: pictures of nothing and things that are no pictures; no turn may be claimed."""
     if pipeline is None:
         return
     for k in range(STILL_FRAMES):
-        notes.attempt("pipeline", pipeline.process, Frame(shown.frames[k], k * FRAME_S, k))
+        results.call("pipeline", pipeline.process, Frame(shown.frames[k], k * FRAME_S, k))
     for k in range(STILL_FRAMES, STILL_FRAMES + 4):
         image = nonsense(rng) if k % 2 else cast(Image, malformed(rng))
-        answer = notes.attempt("pipeline, no picture", pipeline.process, Frame(image, k * FRAME_S, k))
+        answer = results.call("pipeline, no picture", pipeline.process, Frame(image, k * FRAME_S, k))
         if answer is not None:
-            notes.angle("pipeline, no picture", answer.angle_deg, answer.sigma_deg, None, axial=False)
+            results.check_angle("pipeline, no picture", answer.angle_deg, answer.sigma_deg, None, axial=False)
 
 
-PICTURES = Family(
-    "pictures", "extreme light, hot pixels, saturated frames, swapped colours, nonsense", 10_000, 85.0, _begin, told=0.3
+IMAGES = TrialFamily(
+    "pictures",
+    "extreme light, hot pixels, saturated frames, swapped colours, nonsense",
+    10_000,
+    85.0,
+    _begin,
+    min_answered_share=0.3,
 )

@@ -12,59 +12,61 @@ from slipguard.perception.estimate import Orientation
 from slipguard.perception.rotation.axis import ESTIMATORS, FUSED, fuse
 from slipguard.perception.rotation.contour_registration import Pose
 from slipguard.perception.rotation.contour_template import make_template
-from slipguard.stress.family import Notes
+from slipguard.stress.family import FamilyResults
 from slipguard.stress.masks import Mask, opencv_thinned, rotated, rotated_axis_deg
-from slipguard.stress.product_functions import THRESHOLD, Subject
+from slipguard.stress.product_functions import THRESHOLD, ProductFunctions
 
 Map = NDArray[np.float32]
 
 
-def check_thinning(mask: Mask, subject: Subject, notes: Notes) -> None:
+def check_thinning(mask: Mask, product: ProductFunctions, results: FamilyResults) -> None:
     """The thinned mask is OpenCV's, pixel for pixel."""
-    thinned = notes.attempt("thin", subject.thin, mask)
+    thinned = results.call("thin", product.thin, mask)
     if thinned is None:
         return
     wrong = int(np.count_nonzero(thinned != opencv_thinned(mask)))
-    notes.limit("thinning, pixels unlike OpenCV's", float(wrong), 0.0)
+    results.check_limit("thinning, pixels unlike OpenCV's", float(wrong), 0.0)
 
 
-def patch_of(probability: Map, min_area_px: float, frame_px: float, subject: Subject, notes: Notes) -> Patch | None:
+def patch_of(
+    probability: Map, min_area_px: float, frame_px: float, product: ProductFunctions, results: FamilyResults
+) -> Patch | None:
     """The patch in a map, checked; None where there is none."""
-    patch = notes.attempt("regions", subject.find_patch, probability, THRESHOLD, min_area_px, frame_px)
+    patch = results.call("regions", product.find_patch, probability, THRESHOLD, min_area_px, frame_px)
     if patch is None:
         return None
     if not np.isfinite(patch.probability).all():
-        notes.failed("nan", "the patch's probability is not finite")
+        results.add_failure("nan", "the patch's probability is not finite")
     if patch.mask.max() > 1 or patch.mask.shape != patch.probability.shape:
-        notes.failed("limit", f"the patch's mask goes up to {patch.mask.max()}")
+        results.add_failure("limit", f"the patch's mask goes up to {patch.mask.max()}")
     if (patch.full_mask() > (probability > THRESHOLD)).any():
-        notes.failed("limit", "the patch has pixels that are no contact")
+        results.add_failure("limit", "the patch has pixels that are no contact")
     return patch
 
 
-def read(patch: Patch, subject: Subject, notes: Notes) -> dict[str, Orientation]:
+def read(patch: Patch, product: ProductFunctions, results: FamilyResults) -> dict[str, Orientation]:
     """The axis by every estimator, and fused from these; an answer must be in range with a sigma, a refusal say why."""
-    said = {name: notes.attempt(name, subject.estimate, patch, name) for name in ESTIMATORS}
+    said = {name: results.call(name, product.estimate, patch, name) for name in ESTIMATORS}
     parts = [found for name in FUSED if (found := said[name]) is not None]
-    said["fused"] = notes.attempt("fused", fuse, parts) if len(parts) == len(FUSED) else None
+    said["fused"] = results.call("fused", fuse, parts) if len(parts) == len(FUSED) else None
     answers = {}
     for name, found in said.items():
         if found is None:
             continue
         angle = found.angle_deg
-        if not notes.finite(name, angle, found.sigma_deg, *(found.centre_px or ())):
+        if not results.check_finite(name, angle, found.sigma_deg, *(found.centre_px or ())):
             continue
         if (angle is None) == (found.declined is None) or (angle is None) != (found.sigma_deg is None):
-            notes.failed("limit", f"{name}: angle {angle}, sigma {found.sigma_deg}, declined {found.declined}")
+            results.add_failure("limit", f"{name}: angle {angle}, sigma {found.sigma_deg}, declined {found.declined}")
         elif angle is not None and not -90.0 < angle <= 90.0:
-            notes.failed("limit", f"{name}: axis {angle}° is not in (-90, 90]")
+            results.add_failure("limit", f"{name}: axis {angle}° is not in (-90, 90]")
         else:
             answers[name] = found
     return answers
 
 
 def compare(
-    before: dict[str, Orientation], now: dict[str, Orientation], rotation_deg: float | None, notes: Notes
+    before: dict[str, Orientation], now: dict[str, Orientation], rotation_deg: float | None, results: FamilyResults
 ) -> dict[str, float | None]:
     """Judge the turn between two readings, estimator by estimator; the errors without sign, None where declined."""
     errors: dict[str, float | None] = {}
@@ -74,24 +76,24 @@ def compare(
         if None not in (a.angle_deg, b.angle_deg, a.sigma_deg, b.sigma_deg):
             rotation = (b.angle_deg or 0.0) - (a.angle_deg or 0.0)
             sigma = math.hypot(a.sigma_deg or 0.0, b.sigma_deg or 0.0)
-        errors[name] = notes.angle(name, rotation, sigma, rotation_deg, axial=True)
+        errors[name] = results.check_angle(name, rotation, sigma, rotation_deg, axial=True)
     return errors
 
 
 def check_rotated(
-    probability: Map, which: int, min_area_px: float, frame_px: float, subject: Subject, notes: Notes
+    probability: Map, which: int, min_area_px: float, frame_px: float, product: ProductFunctions, results: FamilyResults
 ) -> None:
     """A picture mirrored or turned by quarter turns reads the same axis, mirrored or turned."""
-    patch = patch_of(probability, min_area_px, frame_px, subject, notes)
+    patch = patch_of(probability, min_area_px, frame_px, product, results)
     if patch is None:
         return
-    here = read(patch, subject, notes)
+    here = read(patch, product, results)
     there = np.asarray(rotated(probability, which), np.float32)
-    other = patch_of(there, min_area_px, frame_px, subject, notes)
+    other = patch_of(there, min_area_px, frame_px, product, results)
     if other is None:
-        notes.failed("limit", "a patch is lost when its picture is turned")
+        results.add_failure("limit", "a patch is lost when its picture is turned")
         return
-    now = read(other, subject, notes)
+    now = read(other, product, results)
     for name in here.keys() & now.keys():
         angle, sigma = here[name].angle_deg, here[name].sigma_deg
         if angle is None or sigma is None:
@@ -99,19 +101,21 @@ def check_rotated(
         expected = rotated_axis_deg(angle, which)
         own = now[name].sigma_deg
         both = None if own is None else math.hypot(own, sigma)
-        notes.angle(name, now[name].angle_deg, both, expected, axial=True)
+        results.check_angle(name, now[name].angle_deg, both, expected, axial=True)
 
 
-def check_laid_over_itself(patch: Patch, subject: Subject, notes: Notes) -> None:
+def check_laid_over_itself(patch: Patch, product: ProductFunctions, results: FamilyResults) -> None:
     """A patch laid over itself has not turned, whatever it is."""
 
     def lay() -> tuple[float | None, float | None]:
-        registration = subject.registrar(make_template(patch), patch).fit(Pose())
+        registration = product.registrar(make_template(patch), patch).fit(Pose())
         pose = registration.pose
-        notes.finite("registration", pose.rotation_deg, pose.dx_px, pose.dy_px, *pose.growth, registration.sigma_deg)
+        results.check_finite(
+            "registration", pose.rotation_deg, pose.dx_px, pose.dy_px, *pose.growth, registration.sigma_deg
+        )
         said = registration.declined is None
         return (pose.rotation_deg if said else None, registration.sigma_deg if said else None)
 
-    laid = notes.attempt("registration", lay)
+    laid = results.call("registration", lay)
     if laid is not None:
-        notes.angle("registration", *laid, 0.0, axial=False)
+        results.check_angle("registration", *laid, 0.0, axial=False)

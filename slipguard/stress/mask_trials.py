@@ -5,10 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from slipguard.stress.family import Family, Notes, Trial
+from slipguard.stress.family import FamilyResults, TrialFamily, TrialFunction
 from slipguard.stress.map_checks import Map, check_laid_over_itself, check_rotated, check_thinning, patch_of
 from slipguard.stress.masks import Mask, degenerate, rotated, scattered
-from slipguard.stress.product_functions import MAP_PX, MAP_WIDTH_PX, THRESHOLD, Finger, Subject
+from slipguard.stress.product_functions import MAP_PX, MAP_WIDTH_PX, THRESHOLD, ProductFunctions, ScriptedPipeline
 
 STYLES = 3
 """How a mask becomes a map: 0 and 1; just below and just above the threshold; blurred."""
@@ -25,58 +25,63 @@ def as_map(mask: Mask, style: int) -> Map:
     return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 1.0), np.float32)
 
 
-def _begin_degenerate(subject: Subject) -> Trial:
+def _begin_degenerate(product: ProductFunctions) -> TrialFunction:
     masks = list(degenerate().values())
 
-    def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+    def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
         seed, number = divmod(seed, len(masks))
         style, which = divmod(seed, 8)
         mask = np.asarray(rotated(masks[number], which), np.uint8)
-        check_thinning(mask, subject, notes)
+        check_thinning(mask, product, results)
         probability = as_map(mask, style % STYLES)
         for min_area_px in (1.0, 200.0):
-            check_rotated(probability, int(rng.integers(1, 8)), min_area_px, MAP_PX, subject, notes)
-        patch = patch_of(probability, 1.0, MAP_PX, subject, notes)
+            check_rotated(probability, int(rng.integers(1, 8)), min_area_px, MAP_PX, product, results)
+        patch = patch_of(probability, 1.0, MAP_PX, product, results)
         if patch is not None:
-            check_laid_over_itself(patch, subject, notes)
+            check_laid_over_itself(patch, product, results)
         if max(mask.shape) == 160:
-            _hold(probability if mask.shape[1] == MAP_WIDTH_PX else probability.T, subject, notes)
+            _hold(probability if mask.shape[1] == MAP_WIDTH_PX else probability.T, product, results)
 
     return trial
 
 
-def _hold(probability: Map, subject: Subject, notes: Notes) -> None:
+def _hold(probability: Map, product: ProductFunctions, results: FamilyResults) -> None:
     """Held still, blinded by a full and an empty map, and seen again: it has not turned at any time."""
     probability = np.ascontiguousarray(probability)
-    finger = Finger(subject, "stable")
+    finger = ScriptedPipeline(product, "stable")
     blinded = [np.ones_like(probability), np.zeros_like(probability), probability]
     for shown in [probability] * STEADY_FRAMES + blinded:
-        answer = notes.attempt("pipeline", finger.see, shown)
+        answer = results.call("pipeline", finger.see, shown)
         if answer is None:
             return
-        notes.finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
-        notes.angle("pipeline", answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
+        results.check_finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
+        results.check_angle("pipeline", answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
 
 
-def _begin_random(subject: Subject) -> Trial:
-    def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+def _begin_random(product: ProductFunctions) -> TrialFunction:
+    def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
         mask = scattered(rng)
-        check_thinning(mask, subject, notes)
+        check_thinning(mask, product, results)
         probability = as_map(mask, int(rng.choice((0, 2))))
-        check_rotated(probability, int(rng.integers(1, 8)), float(rng.choice((1, 100))), MAP_PX, subject, notes)
+        check_rotated(probability, int(rng.integers(1, 8)), float(rng.choice((1, 100))), MAP_PX, product, results)
 
     return trial
 
 
 DEGENERATE_MASKS = len(degenerate())
-DEGENERATE = Family(
+DEGENERATE = TrialFamily(
     "degenerate",
     "every mask that is hardly one, turned eight ways",
     DEGENERATE_MASKS * 8 * STYLES,
     30.0,
     _begin_degenerate,
-    told=0.2,
+    min_answered_share=0.2,
 )
-RANDOM = Family(
-    "random", "random masks: thinned as OpenCV does, read alike in mirrors", 1_000_000, 1.8, _begin_random, told=0.8
+RANDOM = TrialFamily(
+    "random",
+    "random masks: thinned as OpenCV does, read alike in mirrors",
+    1_000_000,
+    1.8,
+    _begin_random,
+    min_answered_share=0.8,
 )

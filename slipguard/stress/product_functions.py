@@ -30,7 +30,7 @@ FRAME_S = 1.0 / 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Subject:
+class ProductFunctions:
     """The product's own functions; a test hands in broken ones to see that they are caught."""
 
     find_patch: Callable[[NDArray[np.float32], float, float, float], Patch | None] = find_patch
@@ -43,7 +43,7 @@ class Subject:
     segmenter: Callable[[], SegmentsContact] = Segmenter
 
 
-class Scripted:
+class ScriptedSegmenter:
     """A segmenter that answers with the map it was given last: (160, 120) float32."""
 
     threshold = THRESHOLD
@@ -56,14 +56,14 @@ class Scripted:
         return self.map
 
 
-class Finger:
+class ScriptedPipeline:
     """The whole pipeline behind a scripted network: maps in, estimates out."""
 
-    def __init__(self, subject: Subject, reference: str = "first", estimator: str = "fused") -> None:
-        self._segmenter = Scripted()
+    def __init__(self, product: ProductFunctions, reference: str = "first", estimator: str = "fused") -> None:
+        self._segmenter = ScriptedSegmenter()
         choices = {"reference": reference, "estimator": estimator, "skip_unchanged": False}
         settings = PerceptionSettings.model_validate(choices)
-        self._pipeline = subject.pipeline(self._segmenter, settings, None, None, PX_PER_MM)
+        self._pipeline = product.pipeline(self._segmenter, settings, None, None, PX_PER_MM)
         self._image: NDArray[np.uint8] = np.full((FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3), 96, np.uint8)
         self._frames = 0
 
@@ -76,13 +76,13 @@ class Finger:
         return answer
 
 
-class SeeingFinger:
+class ScriptedImagePipeline:
     """The same with a no-contact image, and pictures in which the relief of the contact can be seen."""
 
-    def __init__(self, subject: Subject, background: NDArray[np.uint8]) -> None:
-        self._segmenter = Scripted()
+    def __init__(self, product: ProductFunctions, background: NDArray[np.uint8]) -> None:
+        self._segmenter = ScriptedSegmenter()
         settings = PerceptionSettings(reference="first", skip_unchanged=False)
-        self._pipeline = subject.pipeline(self._segmenter, settings, background, None, PX_PER_MM)
+        self._pipeline = product.pipeline(self._segmenter, settings, background, None, PX_PER_MM)
         self._frames = 0
         self._now_s = 0.0
 

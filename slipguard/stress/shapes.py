@@ -25,7 +25,7 @@ _ROWS, _COLUMNS = np.mgrid[0:MAP_HEIGHT_PX, 0:MAP_WIDTH_PX].astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
+class ShapePose:
     """Where a shape lies: turned counter-clockwise as seen, centre in map pixels right and down, mirrored first."""
 
     angle_deg: float = 0.0
@@ -35,7 +35,7 @@ class Pose:
     mirrored: bool = False
 
 
-def soft(shape: Distance, pose: Pose, rough: Plane | None = None) -> Plane:
+def soft(shape: Distance, pose: ShapePose, rough: Plane | None = None) -> Plane:
     """Probability (160, 120) float32. rough: (160, 120), how far the outline is off, pixels, outward negative."""
     c = np.float32(math.cos(math.radians(pose.angle_deg)) / pose.scale)
     s = np.float32(math.sin(math.radians(pose.angle_deg)) / pose.scale)

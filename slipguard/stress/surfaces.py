@@ -22,7 +22,7 @@ PRESSED_PX = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Lamps:
+class LedLights:
     """Three lights: strengths and azimuths (degrees counter-clockwise) of blue, green, red; uneven: relative change of
     their strength from the picture's middle to its edge, right and up.
     """
@@ -78,13 +78,13 @@ def heights(surface: Surface, rotation_deg: float, at: tuple[float, float], forc
     return np.asarray(np.float32(force) * surface(c * x + s * y, c * y - s * x), np.float32)
 
 
-def drawn(height: Heights, lamps: Lamps, noise: float, rng: np.random.Generator) -> Image:
+def drawn(height: Heights, lights: LedLights, noise: float, rng: np.random.Generator) -> Image:
     """The frame of a pressed surface: what slopes towards a light is brighter in its colour."""
     down, right = np.gradient(height)
     y, x = np.mgrid[1.0:-1.0:320j, -1.0:1.0:240j]
-    even = 1.0 + lamps.uneven[0] * x + lamps.uneven[1] * y
-    azimuth = np.radians(lamps.azimuths_deg)
-    change = [g * even * (right * np.cos(a) - down * np.sin(a)) for g, a in zip(lamps.gains, azimuth, strict=True)]
+    even = 1.0 + lights.uneven[0] * x + lights.uneven[1] * y
+    azimuth = np.radians(lights.azimuths_deg)
+    change = [g * even * (right * np.cos(a) - down * np.sin(a)) for g, a in zip(lights.gains, azimuth, strict=True)]
     levels = LEVEL - STRENGTH * np.stack(change, axis=-1) + noise * rng.standard_normal((320, 240, 3))
     return np.asarray(np.clip(np.rint(levels), 0, 255), np.uint8)
 

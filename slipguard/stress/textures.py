@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 
 from slipguard.perception.rotation.period import ACCELERATION_DEG_S2
-from slipguard.stress.family import Family, Notes, Trial
+from slipguard.stress.family import FamilyResults, TrialFamily, TrialFunction
 from slipguard.stress.light import SPOILS, nonsense
-from slipguard.stress.product_functions import FRAME_S, SeeingFinger, Subject
+from slipguard.stress.product_functions import FRAME_S, ProductFunctions, ScriptedImagePipeline
 from slipguard.stress.surfaces import (
     LEVEL,
-    Lamps,
+    LedLights,
     Surface,
     ball,
     contact,
@@ -37,30 +37,30 @@ LEFT_MAX_DEG = 80.0
 """Beyond a right angle an axis is another turn's."""
 
 
-def _lamps(rng: np.random.Generator) -> Lamps:
+def _lights(rng: np.random.Generator) -> LedLights:
     """Lights as they differ from unit to unit, some in the other sense of rotation."""
     azimuths = np.array([270.0, 150.0, 30.0]) + rng.normal(0.0, 8.0, 3)
     if rng.random() < 0.25:
         azimuths = 180.0 - azimuths
     b, g, r = rng.uniform(0.6, 1.4, 3)
     right, up = rng.uniform(-0.3, 0.3, 2)
-    return Lamps((b, g, r), (float(azimuths[0]), float(azimuths[1]), float(azimuths[2])), (right, up))
+    return LedLights((b, g, r), (float(azimuths[0]), float(azimuths[1]), float(azimuths[2])), (right, up))
 
 
-def _begin(subject: Subject) -> Trial:
+def _begin(product: ProductFunctions) -> TrialFunction:
     background = np.full((320, 240, 3), round(LEVEL), np.uint8)
 
-    def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+    def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
         seed, kind = divmod(seed, 5)
-        finger = SeeingFinger(subject, background)
-        lamps, noise = _lamps(rng), NOISES[seed % len(NOISES)]
+        finger = ScriptedImagePipeline(product, background)
+        lights, noise = _lights(rng), NOISES[seed % len(NOISES)]
         at = (float(rng.uniform(90, 150)), float(rng.uniform(110, 210)))
         start = float(rng.uniform(-180, 180))
         if kind == 3:
-            _spoiled(finger, lamps, noise, at, start, rng, notes)
+            _spoiled(finger, lights, noise, at, start, rng, results)
             return
         if kind == 4:
-            _left(finger, LEFT[seed % len(LEFT)], lamps, noise, at, start, rng, notes)
+            _left(finger, LEFT[seed % len(LEFT)], lights, noise, at, start, rng, results)
             return
         surface = TELLING[seed % len(TELLING)] if kind < 2 else ROUND[seed % len(ROUND)]
         way = float(rng.choice((-1.0, 1.0)))
@@ -72,38 +72,38 @@ def _begin(subject: Subject) -> Trial:
             part = k / steps
             there = (at[0] + part * shift_x, at[1] + part * shift_y)
             height = heights(surface, start + way * STEP_DEG * k, there, 1.0 + part * (grown - 1.0))
-            answer = notes.attempt("pipeline", finger.see, drawn(height, lamps, noise, rng), contact(height))
+            answer = results.call("pipeline", finger.see, drawn(height, lights, noise, rng), contact(height))
             if answer is None:
                 return
-            notes.finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
+            results.check_finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
             truth = None if kind == 2 else way * STEP_DEG * k
-            error = notes.angle(surface.__name__, answer.angle_deg, answer.sigma_deg, truth, axial=False)
+            error = results.check_angle(surface.__name__, answer.angle_deg, answer.sigma_deg, truth, axial=False)
         if kind < 2:
-            notes.point("relief noise/pipeline", noise, error)
+            results.add_curve_point("relief noise/pipeline", noise, error)
 
     return trial
 
 
 def _spoiled(
-    finger: SeeingFinger, lamps: Lamps, noise: float, at: tuple[float, float], start: float,
-    rng: np.random.Generator, notes: Notes,
+    finger: ScriptedImagePipeline, lights: LedLights, noise: float, at: tuple[float, float], start: float,
+    rng: np.random.Generator, results: FamilyResults,
 ) -> None:  # fmt: skip
     """Held still while the picture goes bad, over the network's head: no confident turn comes of it."""
     height = heights(lettered, start, at, 1.0)
     spoil = list(SPOILS.values())[int(rng.integers(len(SPOILS)))]
     strength = float(rng.uniform(0.0, 1.0))
     for k in range(HELD_FRAMES):
-        image = drawn(height, lamps, noise, rng)
+        image = drawn(height, lights, noise, rng)
         if k >= 2:
             image = nonsense(rng) if k == HELD_FRAMES - 1 else spoil(image, strength, rng)
-        answer = notes.attempt("pipeline, spoiled", finger.see, image, contact(height))
+        answer = results.call("pipeline, spoiled", finger.see, image, contact(height))
         if answer is not None:
-            notes.angle("pipeline, spoiled", answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
+            results.check_angle("pipeline, spoiled", answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
 
 
 def _left(
-    finger: SeeingFinger, surface: Surface, lamps: Lamps, noise: float, at: tuple[float, float], start: float,
-    rng: np.random.Generator, notes: Notes,
+    finger: ScriptedImagePipeline, surface: Surface, lights: LedLights, noise: float, at: tuple[float, float], start: float,
+    rng: np.random.Generator, results: FamilyResults,
 ) -> None:  # fmt: skip
     """Held still, out of sight, and turned meanwhile by up to what can fall: told, or the count is known to be lost."""
     gap_s = float(rng.choice(LEFT_S))
@@ -111,18 +111,18 @@ def _left(
     for k in range(HELD_FRAMES):
         truth = 0.0 if k < 2 else rotation
         height = heights(surface, start + truth, at, 1.0)
-        image = drawn(height, lamps, noise, rng)
-        answer = notes.attempt("pipeline", finger.see, image, contact(height), gap_s if k == 2 else FRAME_S)
+        image = drawn(height, lights, noise, rng)
+        answer = results.call("pipeline", finger.see, image, contact(height), gap_s if k == 2 else FRAME_S)
         if answer is None:
             return
-        notes.angle(f"{surface.__name__}, left", answer.angle_deg, answer.sigma_deg, truth, axial=False)
+        results.check_angle(f"{surface.__name__}, left", answer.angle_deg, answer.sigma_deg, truth, axial=False)
 
 
-TEXTURES = Family(
+TEXTURES = TrialFamily(
     "relief",
     "reliefs turned, grown, shifted, spoiled and left unseen under lights that stay",
     6_000,
     100.0,
     _begin,
-    told=0.45,
+    min_answered_share=0.45,
 )

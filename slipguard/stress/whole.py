@@ -9,9 +9,9 @@ from functools import partial
 
 import numpy as np
 
-from slipguard.stress.family import Family, Notes
-from slipguard.stress.product_functions import Subject
-from slipguard.stress.run import Outcome, try_one
+from slipguard.stress.family import FamilyResults, TrialFamily
+from slipguard.stress.product_functions import ProductFunctions
+from slipguard.stress.run import StressOutcome, try_one
 from slipguard.tools.parallel import Workers, each
 
 PART_MS = 10_000.0
@@ -19,10 +19,10 @@ PART_MS = 10_000.0
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class TrialBatch:
     """Trials `first` to `after - 1` of a family."""
 
-    family: Family
+    family: TrialFamily
     first: int
     after: int
 
@@ -30,44 +30,44 @@ class Part:
         return f"{self.family.name}, trials {self.first} to {self.after - 1}"
 
 
-def parts(families: Sequence[Family]) -> list[Part]:
+def parts(families: Sequence[TrialFamily]) -> list[TrialBatch]:
     """The list cut up; every family gets on by the same share, one whose trials go on from each other is not cut."""
-    cut: list[Part] = []
+    cut: list[TrialBatch] = []
     for family in families:
         size = family.full if family.continuous else max(1, round(PART_MS / family.cost_ms))
-        cut += [Part(family, first, min(first + size, family.full)) for first in range(0, family.full, size)]
+        cut += [TrialBatch(family, first, min(first + size, family.full)) for first in range(0, family.full, size)]
     return sorted(cut, key=lambda part: part.first / part.family.full)
 
 
 def run_whole(
-    families: Sequence[Family],
+    families: Sequence[TrialFamily],
     seed: int,
-    subject: Subject | None = None,
+    product: ProductFunctions | None = None,
     workers: Workers | None = None,
     progress: Callable[[float, str], None] = lambda share, name: None,
     clock: Callable[[], float] = time.perf_counter,
-) -> Iterator[Outcome]:
+) -> Iterator[StressOutcome]:
     """Try all of it; yields all that has been found so far after each part, and so at last everything.
 
     Trial k of a family has the seed `seed + k`, whoever tries it. progress: called with the share done and the name of
     the family of the part that is through.
     """
     started_s = clock()
-    found = {family.name: Notes(family.name) for family in families}
+    found = {family.name: FamilyResults(family.name) for family in families}
     cut = parts(families)
     all_ms = sum(family.full * family.cost_ms for family in families)
     done_ms = 0.0
-    for part, notes in zip(cut, each(partial(_tried, seed, subject), cut, workers), strict=True):
-        found[part.family.name].add(notes)
+    for part, results in zip(cut, each(partial(_tried, seed, product), cut, workers), strict=True):
+        found[part.family.name].merge(results)
         done_ms += (part.after - part.first) * part.family.cost_ms
         progress(done_ms / all_ms, part.family.name)
-        yield Outcome(seed, clock() - started_s, tuple(families), tuple(found.values()))
+        yield StressOutcome(seed, clock() - started_s, tuple(families), tuple(found.values()))
 
 
-def _tried(seed: int, subject: Subject | None, part: Part) -> Notes:
-    notes = Notes(part.family.name)
+def _tried(seed: int, product: ProductFunctions | None, part: TrialBatch) -> FamilyResults:
+    results = FamilyResults(part.family.name)
     with np.errstate(all="ignore"):  # as in `run`
-        trial = part.family.begin(Subject() if subject is None else subject)
+        trial = part.family.begin(ProductFunctions() if product is None else product)
         for number in range(part.first, part.after):
-            try_one(part.family, trial, seed, number, notes)
-    return notes
+            try_one(part.family, trial, seed, number, results)
+    return results

@@ -14,9 +14,9 @@ from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.estimate import Orientation
 from slipguard.perception.rotation.axial_angle import axial_difference_deg
 from slipguard.perception.rotation.axis import ESTIMATORS, LINE_SIGMA_MAX_DEG, estimate, fuse
-from slipguard.stress.family import Notes, generator
+from slipguard.stress.family import FamilyResults, generator
 from slipguard.stress.mask_trials import RANDOM
-from slipguard.stress.product_functions import Subject
+from slipguard.stress.product_functions import ProductFunctions
 
 ALL = (*ESTIMATORS, "fused")
 ELONGATED = ("bar", "rectangle", "ellipse", "key", "wedge")
@@ -103,9 +103,9 @@ def test_any_map_gives_an_answer_in_range_or_a_reason(probability: NDArray[np.fl
 @pytest.mark.parametrize("seed", [471737, 674659])
 def test_a_torn_patch_and_one_of_thin_lines_read_alike_in_a_mirror(seed: int) -> None:
     """One without a middle line; one cut by the frame, of which every other column shows a quarter or nothing."""
-    notes = Notes("random")
-    RANDOM.begin(Subject())(generator("random", seed), seed, notes)
-    assert not notes.failures, notes.failures
+    results = FamilyResults("random")
+    RANDOM.begin(ProductFunctions())(generator("random", seed), seed, results)
+    assert not results.failures, results.failures
 
 
 @pytest.mark.parametrize("shape", [(1, 40), (40, 1), (2, 2), (3, 60), (160, 120)])

@@ -19,9 +19,9 @@ from slipguard.sim.gel import GelCamera
 from slipguard.sim.objects import get, names
 from slipguard.sim.unit import random_unit
 from slipguard.sim.view import GelView
-from slipguard.stress.family import Notes, generator
-from slipguard.stress.images import PICTURES, grasp
-from slipguard.stress.product_functions import Subject
+from slipguard.stress.family import FamilyResults, generator
+from slipguard.stress.images import IMAGES, grasp
+from slipguard.stress.product_functions import ProductFunctions
 
 Image = NDArray[np.uint8]
 QUIET_BGR = (0.3, 0.3, 0.3)
@@ -75,6 +75,6 @@ def test_a_coarsely_compressed_contact_tells_no_turn_and_a_finer_one_does(spoile
 
 @pytest.mark.parametrize("seed", [821, 3063])
 def test_no_confident_turn_is_held_back_by_blocks(seed: int) -> None:
-    notes = Notes("pictures")
-    PICTURES.begin(Subject())(generator("pictures", seed), seed, notes)
-    assert not notes.failures, notes.failures
+    results = FamilyResults("pictures")
+    IMAGES.begin(ProductFunctions())(generator("pictures", seed), seed, results)
+    assert not results.failures, results.failures

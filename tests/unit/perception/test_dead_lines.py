@@ -15,10 +15,10 @@ from slipguard.perception.quality.dead_lines import DeadLines
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel import GelCamera
 from slipguard.sim.unit import random_unit
-from slipguard.stress.family import Notes, generator
-from slipguard.stress.images import PICTURES, Image, grasp
+from slipguard.stress.family import FamilyResults, generator
+from slipguard.stress.images import IMAGES, Image, grasp
 from slipguard.stress.light import SPOILS
-from slipguard.stress.product_functions import Subject
+from slipguard.stress.product_functions import ProductFunctions
 
 ROWS, COLUMNS = {0: 250, 71: 0, 72: 0, 200: 90, 319: 40}, {5: 30, 150: 180, 239: 0}
 
@@ -77,9 +77,9 @@ def test_what_is_no_picture_is_refused_before_lines_are_drawn() -> None:
 
 @pytest.mark.parametrize("seed", [413, 861, 2077])
 def test_stuck_lines_hold_no_turn_back_that_is_called_sure(seed: int) -> None:
-    notes = Notes("pictures")
-    PICTURES.begin(Subject())(generator("pictures", seed), seed, notes)
-    assert not notes.failures, notes.failures
+    results = FamilyResults("pictures")
+    IMAGES.begin(ProductFunctions())(generator("pictures", seed), seed, results)
+    assert not results.failures, results.failures
 
 
 def drawn_over(image: Image) -> NDArray[np.uint8]:

@@ -16,9 +16,9 @@ from slipguard.perception.quality.image_quality import FEW_LEVELS
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel import GelCamera
 from slipguard.sim.unit import random_unit
-from slipguard.stress.family import Notes, generator
-from slipguard.stress.images import PICTURES, grasp
-from slipguard.stress.product_functions import Subject
+from slipguard.stress.family import FamilyResults, generator
+from slipguard.stress.images import IMAGES, grasp
+from slipguard.stress.product_functions import ProductFunctions
 
 Image = NDArray[np.uint8]
 
@@ -59,6 +59,6 @@ def test_a_contact_in_few_levels_tells_no_turn_and_one_in_64_does() -> None:
 
 @pytest.mark.parametrize("seed", [6649, 7545])
 def test_no_confident_turn_is_held_back_by_edges_of_levels(seed: int) -> None:
-    notes = Notes("pictures")
-    PICTURES.begin(Subject())(generator("pictures", seed), seed, notes)
-    assert not notes.failures, notes.failures
+    results = FamilyResults("pictures")
+    IMAGES.begin(ProductFunctions())(generator("pictures", seed), seed, results)
+    assert not results.failures, results.failures

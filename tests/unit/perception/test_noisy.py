@@ -13,10 +13,10 @@ from slipguard.perception.quality.noisy import noisy
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel import GelCamera
 from slipguard.sim.unit import random_unit
-from slipguard.stress.family import Notes, generator
-from slipguard.stress.images import PICTURES, grasp
+from slipguard.stress.family import FamilyResults, generator
+from slipguard.stress.images import IMAGES, grasp
 from slipguard.stress.light import SPOILS
-from slipguard.stress.product_functions import Subject
+from slipguard.stress.product_functions import ProductFunctions
 
 
 @pytest.mark.parametrize("number", range(8))
@@ -48,6 +48,6 @@ def test_a_contact_in_noise_tells_no_turn_and_a_grainy_one_does() -> None:
 
 
 def test_no_confident_turn_is_told_in_noise() -> None:
-    notes = Notes("pictures")
-    PICTURES.begin(Subject())(generator("pictures", 5344), 5344, notes)
-    assert not notes.failures, notes.failures
+    results = FamilyResults("pictures")
+    IMAGES.begin(ProductFunctions())(generator("pictures", 5344), 5344, results)
+    assert not results.failures, results.failures

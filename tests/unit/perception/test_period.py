@@ -24,10 +24,10 @@ from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel import GelCamera
 from slipguard.sim.unit import random_unit
 from slipguard.sim.view import GelView
-from slipguard.stress.product_functions import FRAME_S, Scripted
+from slipguard.stress.product_functions import FRAME_S, ScriptedSegmenter
 from slipguard.stress.surfaces import (
     Heights,
-    Lamps,
+    LedLights,
     Surface,
     contact,
     drawn,
@@ -77,7 +77,7 @@ def oblong_gear(u: Heights, v: Heights) -> Heights:
 )  # fmt: skip
 def test_the_step_of_what_repeats_itself(surface: Surface, repeats_deg: float | None) -> None:
     height = heights(surface, 20.0, AT, 1.0)
-    image = drawn(height, Lamps(), 2.0, np.random.default_rng(1))
+    image = drawn(height, LedLights(), 2.0, np.random.default_rng(1))
     patch = find_patch(contact(height), 0.5, 100, 2.0)
     assert patch is not None
     reader = ReliefReader(BACKGROUND)
@@ -112,7 +112,7 @@ class Held:
     """A drawn surface before the whole pipeline, at times of its own."""
 
     def __init__(self, surface: Surface) -> None:
-        self._segmenter = Scripted()
+        self._segmenter = ScriptedSegmenter()
         settings = PerceptionSettings(reference="first", skip_unchanged=False)
         self.pipe = Pipeline(self._segmenter, settings, BACKGROUND, None, 18.5)
         self._surface = surface
@@ -124,7 +124,7 @@ class Held:
         self.now_s += after_s
         height = heights(self._surface, 15.0 + rotation_deg, AT, 1.0)
         self._segmenter.map = contact(height)
-        image = drawn(height, Lamps(), 2.0, np.random.default_rng(self._frames))
+        image = drawn(height, LedLights(), 2.0, np.random.default_rng(self._frames))
         return self.pipe.process(Frame(image, self.now_s, self._frames))
 
 

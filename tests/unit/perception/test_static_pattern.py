@@ -13,10 +13,10 @@ from slipguard.perception.rotation.static_pattern import HELD_MAX, held_back
 from slipguard.perception.rotation.texture_map import ReliefReader
 from slipguard.perception.rotation.texture_registration import TextureFit, TexturePose, fit, make_texture
 from slipguard.perception.rotation.texture_sigma import sigma_deg
-from slipguard.stress.family import Notes, generator
-from slipguard.stress.images import PICTURES
-from slipguard.stress.product_functions import Subject
-from slipguard.stress.surfaces import Lamps, contact, drawn, heights, lettered
+from slipguard.stress.family import FamilyResults, generator
+from slipguard.stress.images import IMAGES
+from slipguard.stress.product_functions import ProductFunctions
+from slipguard.stress.surfaces import LedLights, contact, drawn, heights, lettered
 
 ROTATIONS_DEG = (2.0, 4.0, 8.0, 12.0)
 
@@ -26,7 +26,7 @@ def seen(rotation_deg: float, levels: float) -> tuple[NDArray[np.uint8], Patch]:
     height = heights(lettered, 15.0 + rotation_deg, (120.0, 160.0), 1.0)
     patch = find_patch(contact(height), 0.5, 100, 2.0)
     assert patch is not None
-    clean = drawn(height, Lamps(), 0.0, np.random.default_rng(0)).astype(np.float64)
+    clean = drawn(height, LedLights(), 0.0, np.random.default_rng(0)).astype(np.float64)
     rng = np.random.default_rng(5)
     dirt = cv2.GaussianBlur(rng.standard_normal((320, 240, 3)), (0, 0), 4.0)
     noise = 2.0 * np.random.default_rng(int(10 * rotation_deg)).standard_normal(clean.shape)
@@ -92,6 +92,6 @@ def test_of_a_share_that_stays_the_fit_lacks_that_share_of_the_turn() -> None:
 
 @pytest.mark.parametrize("seed", [371, 373, 377, 741, 2533, 3817])
 def test_pictures_spoiled_in_their_place_give_no_confident_wrong_turn(seed: int) -> None:
-    notes = Notes("pictures")
-    PICTURES.begin(Subject())(generator("pictures", seed), seed, notes)
-    assert not notes.failures, notes.failures
+    results = FamilyResults("pictures")
+    IMAGES.begin(ProductFunctions())(generator("pictures", seed), seed, results)
+    assert not results.failures, results.failures

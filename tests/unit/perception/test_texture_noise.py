@@ -12,7 +12,7 @@ from slipguard.perception.rotation.texture_registration import TextureFit, Textu
 from slipguard.perception.rotation.texture_sigma import parts_deg, sigma_deg
 from slipguard.sim.noise import Noise
 from slipguard.sim.unit import NOISE_STD_BGR
-from slipguard.stress.surfaces import Heights, Lamps, Surface, contact, drawn, heights, lettered, plate
+from slipguard.stress.surfaces import Heights, LedLights, Surface, contact, drawn, heights, lettered, plate
 
 BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
 NO_STRIPES = (0.0, 0.0, 0.0)
@@ -23,7 +23,7 @@ def seen(surface: Surface, rotation_deg: float, noise: Noise) -> tuple[NDArray[n
     height = heights(surface, 15.0 + rotation_deg, (120.0, 160.0), 1.0)
     patch = find_patch(contact(height), 0.5, 100, 2.0)
     assert patch is not None
-    clean = drawn(height, Lamps(), 0.0, np.random.default_rng(0)).astype(np.float32)
+    clean = drawn(height, LedLights(), 0.0, np.random.default_rng(0)).astype(np.float32)
     return np.clip(np.rint(clean + noise.next()), 0, 255).astype(np.uint8), patch
 
 

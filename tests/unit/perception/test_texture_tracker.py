@@ -11,7 +11,7 @@ from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.rotation.texture_map import ReliefReader
 from slipguard.perception.rotation.texture_registration import make_texture
 from slipguard.perception.rotation.texture_tracker import Followed, ReliefTrack
-from slipguard.stress.surfaces import Heights, Lamps, Surface, contact, drawn, heights, lettered, plate
+from slipguard.stress.surfaces import Heights, LedLights, Surface, contact, drawn, heights, lettered, plate
 
 BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
 NOISE = 2.0
@@ -51,7 +51,7 @@ class Held:
         height = heights(surface, self._way_deg + rotation_deg, at, 1.0)
         patch = find_patch(contact(height), 0.5, 100, 2.0)
         assert patch is not None
-        return drawn(height, Lamps(), NOISE, np.random.default_rng(self._frames)), patch
+        return drawn(height, LedLights(), NOISE, np.random.default_rng(self._frames)), patch
 
 
 def shaft(u: Heights, v: Heights) -> Heights:

@@ -23,13 +23,13 @@ from slipguard.perception.estimate import Estimate, Orientation
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation.axis import estimate
 from slipguard.perception.rotation.tracker import Rotation, Tracker
-from slipguard.stress.family import KEPT_FAILURES, Family, Notes
+from slipguard.stress.family import KEPT_FAILURES, FamilyResults, TrialFamily
 from slipguard.stress.floats import fitted_ellipse_deg, second_moments_deg
 from slipguard.stress.masks import degenerate, rotated, rotated_axis_deg
-from slipguard.stress.product_functions import Subject
+from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.report import as_json, first_failures
-from slipguard.stress.run import FAMILIES, Outcome, chosen, run, schedule
-from slipguard.stress.shapes import ELONGATED, Pose, soft
+from slipguard.stress.run import FAMILIES, StressOutcome, chosen, run, schedule
+from slipguard.stress.shapes import ELONGATED, ShapePose, soft
 from slipguard.stress.whole import parts, run_whole
 from slipguard.tools.parallel import Workers
 
@@ -39,10 +39,10 @@ SEED = {"degenerate": 55, "times": 0}
 KIND = {"biased": "confident wrong", "nan": "nan", "raising": "crash"}
 
 
-def tried(only: str, trials: int, subject: Subject | None = None, seed: int = 0) -> Outcome:
+def tried(only: str, trials: int, product: ProductFunctions | None = None, seed: int = 0) -> StressOutcome:
     """So many trials of one family: the clock ticks once a trial."""
     ticks = itertools.count()
-    return run(chosen([only]), seed, float(trials), subject, clock=lambda: float(next(ticks)))
+    return run(chosen([only]), seed, float(trials), product, clock=lambda: float(next(ticks)))
 
 
 def spoiled(flaw: str, angle_deg: float | None) -> tuple[float | None, float | None]:
@@ -103,10 +103,10 @@ def broken_fuse(flaw: str) -> Callable[[Estimate | None, Estimate | None], Fused
 @pytest.mark.parametrize("family", ["degenerate", "random", "equivariance", "noise", "seams", "round", "floats"])
 def test_a_broken_estimator_is_caught(family: str, flaw: str) -> None:
     trials = {"random": 60, "round": 25, "degenerate": 10}.get(family, 5)
-    outcome = tried(family, trials, Subject(estimate=broken_estimate(flaw)), SEED.get(family, 3))
+    outcome = tried(family, trials, ProductFunctions(estimate=broken_estimate(flaw)), SEED.get(family, 3))
     # Both readings of a clean and a poisoned map are wrong by the same: only the comparison with float64 tells.
     kind = "limit" if (family, flaw) == ("floats", "biased") else KIND[flaw]
-    assert outcome.notes[0].counts[kind] > 0
+    assert outcome.results[0].counts[kind] > 0
     assert outcome.failed
 
 
@@ -116,15 +116,15 @@ def test_a_broken_estimator_is_caught(family: str, flaw: str) -> None:
 )
 def test_a_broken_pipeline_is_caught(family: str, flaw: str) -> None:
     trials = {"round": 25, "degenerate": 10}.get(family, 4)
-    outcome = tried(family, trials, Subject(pipeline=broken_pipeline(flaw)), SEED.get(family, 3))
-    assert outcome.notes[0].counts[KIND[flaw]] > 0
+    outcome = tried(family, trials, ProductFunctions(pipeline=broken_pipeline(flaw)), SEED.get(family, 3))
+    assert outcome.results[0].counts[KIND[flaw]] > 0
 
 
 @pytest.mark.parametrize("flaw", FLAWS)
 def test_a_broken_tracker_is_caught(flaw: str) -> None:
-    subject = Subject(tracker=broken_tracker(flaw))
-    assert tried("times", 3, subject, seed=1).notes[0].counts[KIND[flaw]] > 0
-    assert tried("drift", 2, subject).failed
+    product = ProductFunctions(tracker=broken_tracker(flaw))
+    assert tried("times", 3, product, seed=1).results[0].counts[KIND[flaw]] > 0
+    assert tried("drift", 2, product).failed
 
 
 def test_a_drift_of_a_tenth_of_a_degree_is_caught() -> None:
@@ -136,14 +136,14 @@ def test_a_drift_of_a_tenth_of_a_degree_is_caught() -> None:
             self.off += 1e-4
             return replace(accepted, rotation_deg=(accepted.rotation_deg or 0.0) + self.off)
 
-    outcome = tried("drift", 4, Subject(tracker=Drifting))
-    assert outcome.notes[0].counts["limit"] > 0
+    outcome = tried("drift", 4, ProductFunctions(tracker=Drifting))
+    assert outcome.results[0].counts["limit"] > 0
     assert as_json(outcome)["drift_deg"] > 0.1
 
 
 @pytest.mark.parametrize("flaw", FLAWS)
 def test_a_broken_fusion_is_caught(flaw: str) -> None:
-    assert tried("fusion", 40, Subject(fuse=broken_fuse(flaw))).notes[0].counts[KIND[flaw]] > 0
+    assert tried("fusion", 40, ProductFunctions(fuse=broken_fuse(flaw))).results[0].counts[KIND[flaw]] > 0
 
 
 @pytest.mark.parametrize("family", ["degenerate", "random"])
@@ -151,38 +151,38 @@ def test_one_pixel_too_many_in_a_thinned_mask_is_caught(family: str) -> None:
     def unthinned(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
         return mask
 
-    assert tried(family, 40, Subject(thin=unthinned)).notes[0].counts["limit"] > 0
+    assert tried(family, 40, ProductFunctions(thin=unthinned)).results[0].counts["limit"] > 0
 
 
 def test_a_failure_is_shown_again_by_its_seed() -> None:
-    subject = Subject(estimate=broken_estimate("biased"))
-    first = first_failures(tried("noise", 4, subject, seed=100))[0]
-    assert first_failures(tried("noise", 1, subject, seed=first.seed))[0] == first
+    product = ProductFunctions(estimate=broken_estimate("biased"))
+    first = first_failures(tried("noise", 4, product, seed=100))[0]
+    assert first_failures(tried("noise", 1, product, seed=first.seed))[0] == first
 
 
 @pytest.fixture(scope="module")
-def quick() -> Outcome:
+def quick() -> StressOutcome:
     return run(FAMILIES, 0, 0.2)
 
 
-def test_a_quick_run_tries_every_family_and_finds_nothing_wrong(quick: Outcome) -> None:
-    assert all(notes.tried > 0 for notes in quick.notes)
+def test_a_quick_run_tries_every_family_and_finds_nothing_wrong(quick: StressOutcome) -> None:
+    assert all(results.tried > 0 for results in quick.results)
     assert not quick.failed, [one.what for one in first_failures(quick)]
     found = as_json(quick)
     assert (found["crashes"], found["nan"], found["confident_wrong"], found["broken_promises"]) == (0, 0, 0, 0)
-    assert found["tried"] == sum(notes.tried for notes in quick.notes)
+    assert found["tried"] == sum(results.tried for results in quick.results)
     assert 0.0 < found["share"] < 0.01
     assert set(found["worst"]) == {family.name for family in FAMILIES}
     assert found["drift_deg"] <= 0.1
 
 
 def test_a_ring_cut_by_the_frame_does_not_turn_by_and_by() -> None:
-    notes = tried("round", 1, seed=9028).notes[0]
-    assert not notes.failures, notes.failures
+    results = tried("round", 1, seed=9028).results[0]
+    assert not results.failures, results.failures
 
 
 def test_the_same_seed_finds_the_same() -> None:
-    def without_time(outcome: Outcome) -> dict[str, Any]:
+    def without_time(outcome: StressOutcome) -> dict[str, Any]:
         return {key: value for key, value in as_json(outcome).items() if key != "spent_s"}
 
     for name in ("round", "random", "times"):
@@ -191,8 +191,8 @@ def test_the_same_seed_finds_the_same() -> None:
 
 
 def test_families_take_turns_in_a_fixed_order_and_the_list_ends() -> None:
-    def family(name: str, full: int, cost_ms: float) -> Family:
-        return Family(name, "", full, cost_ms, lambda subject: lambda rng, seed, notes: None)
+    def family(name: str, full: int, cost_ms: float) -> TrialFamily:
+        return TrialFamily(name, "", full, cost_ms, lambda product: lambda rng, seed, results: None)
 
     slow, quick_one = family("slow", 3, 10.0), family("quick", 40, 1.0)
     order = [index for index, _ in schedule((slow, quick_one))]
@@ -200,11 +200,11 @@ def test_families_take_turns_in_a_fixed_order_and_the_list_ends() -> None:
     assert order.count(1) == 40
     assert 8 <= order[: order.index(0) + 1].count(1) <= 10
     *_, outcome = run_whole((slow, quick_one), 0, workers=Workers(1))
-    assert [notes.tried for notes in outcome.notes] == [3, 40]
+    assert [results.tried for results in outcome.results] == [3, 40]
     assert as_json(outcome)["share"] == 1.0
 
 
-def short(*names: str) -> tuple[Family, ...]:
+def short(*names: str) -> tuple[TrialFamily, ...]:
     """Families of six trials that are cut into three parts, where they may be."""
     return tuple(replace(family, full=6, cost_ms=5_000.0) for family in chosen(names))
 
@@ -231,29 +231,29 @@ def test_the_whole_list_in_two_processes_finds_what_one_finds() -> None:
 
 
 def test_failures_of_all_parts_are_kept_as_in_one_run() -> None:
-    def begin(subject: Subject) -> Callable[[np.random.Generator, int, Notes], None]:
-        return lambda rng, seed, notes: notes.failed("nan" if seed == 55 else "crash", f"at {seed}")
+    def begin(product: ProductFunctions) -> Callable[[np.random.Generator, int, FamilyResults], None]:
+        return lambda rng, seed, results: results.add_failure("nan" if seed == 55 else "crash", f"at {seed}")
 
-    family = Family("odd", "", 60, 1_000.0, begin)
-    alone = run((family,), 0, math.inf).notes[0]
+    family = TrialFamily("odd", "", 60, 1_000.0, begin)
+    alone = run((family,), 0, math.inf).results[0]
     *_, outcome = run_whole((family,), 0, workers=Workers(1))
     assert len(parts((family,))) == 6
-    assert outcome.notes[0].counts == alone.counts
-    assert outcome.notes[0].failures == alone.failures
+    assert outcome.results[0].counts == alone.counts
+    assert outcome.results[0].failures == alone.failures
     assert [one.seed for one in alone.failures] == [*range(KEPT_FAILURES), 55]
 
 
 def test_an_interrupted_whole_list_leaves_what_it_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def begin(subject: Subject) -> Callable[[np.random.Generator, int, Notes], None]:
-        def trial(rng: np.random.Generator, seed: int, notes: Notes) -> None:
+    def begin(product: ProductFunctions) -> Callable[[np.random.Generator, int, FamilyResults], None]:
+        def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
             if seed >= 20:
                 raise KeyboardInterrupt
 
         return trial
 
-    monkeypatch.setattr("slipguard.stress.run.FAMILIES", (Family("odd", "", 40, 1_000.0, begin),))
+    monkeypatch.setattr("slipguard.stress.run.FAMILIES", (TrialFamily("odd", "", 40, 1_000.0, begin),))
     assert cli(["stress", "--seconds", "0", "--jobs", "1", "--out", str(tmp_path)]) == 1
     assert "interrupted" in capsys.readouterr().err
     found = json.loads((tmp_path / "stress.json").read_text())
@@ -269,9 +269,9 @@ def test_the_command_tries_the_whole_list(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_what_counts_as_confidently_wrong() -> None:
     def counted(angle: float | None, sigma: float | None, truth: float | None, *, axial: bool = False) -> int:
-        notes = Notes("test")
-        notes.angle("x", angle, sigma, truth, axial=axial)
-        return notes.counts.total()
+        results = FamilyResults("test")
+        results.check_angle("x", angle, sigma, truth, axial=axial)
+        return results.counts.total()
 
     assert counted(10.0, 1.0, 0.0) == 1
     assert counted(10.0, 2.1, 0.0) == 0
@@ -287,14 +287,14 @@ def test_what_counts_as_confidently_wrong() -> None:
 
 def test_the_float64_references_read_the_drawn_axis() -> None:
     for angle in (-80.0, -30.0, 0.0, 25.0, 70.0):
-        drawn = soft(ELONGATED["ellipse"], Pose(angle))
+        drawn = soft(ELONGATED["ellipse"], ShapePose(angle))
         mask = (drawn > 0.5).astype(np.uint8)
         assert abs(math.remainder(second_moments_deg(drawn) - angle, 180.0)) < 0.1
         assert abs(math.remainder(fitted_ellipse_deg(mask) - angle, 180.0)) < 1.0
 
 
 def test_turned_pictures_and_axes_agree() -> None:
-    drawn = soft(ELONGATED["bar"], Pose(20.0, scale=0.8))
+    drawn = soft(ELONGATED["bar"], ShapePose(20.0, scale=0.8))
     for which in range(8):
         seen = second_moments_deg(np.asarray(rotated(drawn, which), np.float32))
         assert abs(math.remainder(seen - rotated_axis_deg(20.0, which), 180.0)) < 0.1
@@ -332,7 +332,7 @@ def test_the_command_prints_a_table_that_fits(capsys: pytest.CaptureFixture[str]
 def test_what_is_found_wrong_is_exit_code_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("slipguard.stress.run.Subject", lambda: Subject(fuse=broken_fuse("nan")))
+    monkeypatch.setattr("slipguard.stress.run.ProductFunctions", lambda: ProductFunctions(fuse=broken_fuse("nan")))
     assert cli(["stress", "--only", "fusion", "--seconds", "0.05"]) == 1
     assert "again: slipguard stress --only fusion --seed" in " ".join(capsys.readouterr().out.split())
 

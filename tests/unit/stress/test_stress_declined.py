@@ -21,9 +21,9 @@ from slipguard.stress import holding
 from slipguard.stress import run as runs
 from slipguard.stress.drift import DRIFT
 from slipguard.stress.holding import HOLDING, OBJECTS
-from slipguard.stress.product_functions import Subject
+from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.report import as_json, first_failures, print_table
-from slipguard.stress.run import FAMILIES, JUDGED_FROM, Outcome, chosen, run
+from slipguard.stress.run import FAMILIES, JUDGED_FROM, StressOutcome, chosen, run
 
 
 class Mute:
@@ -43,16 +43,16 @@ class MuteTracker(Tracker):
         return Rotation(None, None, "mute")
 
 
-def mute() -> Subject:
-    return Subject(
+def mute() -> ProductFunctions:
+    return ProductFunctions(
         pipeline=Mute, tracker=MuteTracker, estimate=lambda patch, name: Orientation(name, None, None, None, "mute"),
         fuse=lambda left, right: None,
     )  # fmt: skip
 
 
-def tried(only: str, trials: int, subject: Subject | None = None, seed: int = 0) -> Outcome:
+def tried(only: str, trials: int, product: ProductFunctions | None = None, seed: int = 0) -> StressOutcome:
     ticks = itertools.count()
-    return run(chosen([only]), seed, float(trials), subject, clock=lambda: float(next(ticks)))
+    return run(chosen([only]), seed, float(trials), product, clock=lambda: float(next(ticks)))
 
 
 def trials_until_judged(name: str) -> int:
@@ -64,7 +64,7 @@ def test_a_family_that_tells_nothing_fails(family: str, monkeypatch: pytest.Monk
     monkeypatch.setattr(runs, "JUDGED_FROM", 8)
     outcome = tried(family, 10, mute()) if family != "drift" else tried(family, 1, mute())
     assert outcome.failed
-    (silent,) = outcome.silent
+    (silent,) = outcome.rarely_answering
     assert (silent.family, silent.kind) == (family, "limit")
     assert silent in first_failures(outcome)
     assert as_json(outcome)["broken_promises"] >= 1
@@ -75,21 +75,24 @@ def test_a_family_that_tells_nothing_fails(family: str, monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize("family", ["equivariance", "noise", "seams", "round", "floats", "times"])
 def test_a_pipeline_that_tells_nothing_fails_though_the_estimators_speak(family: str) -> None:
-    outcome = tried(family, trials_until_judged(family), Subject(pipeline=Mute))
-    assert outcome.silent
+    outcome = tried(family, trials_until_judged(family), ProductFunctions(pipeline=Mute))
+    assert outcome.rarely_answering
 
 
 @pytest.mark.parametrize("family", [family.name for family in FAMILIES if family.cost_ms < 60.0])
 def test_what_there_is_tells_enough(family: str) -> None:
     outcome = tried(family, trials_until_judged(family), seed=4000)
-    assert not outcome.silent, outcome.silent
+    assert not outcome.rarely_answering, outcome.rarely_answering
     assert not outcome.failed, first_failures(outcome)
 
 
 def test_a_family_is_not_judged_before_enough_is_tried() -> None:
     outcome = tried("seams", 5, mute())
-    assert not outcome.silent
-    assert replace(chosen(["seams"])[0], told=0.0).told < chosen(["seams"])[0].told
+    assert not outcome.rarely_answering
+    assert (
+        replace(chosen(["seams"])[0], min_answered_share=0.0).min_answered_share
+        < chosen(["seams"])[0].min_answered_share
+    )
 
 
 def test_a_registration_that_goes_on_from_where_it_was_wrong_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,9 +102,9 @@ def test_a_registration_that_goes_on_from_where_it_was_wrong_is_caught(monkeypat
             drawn = 0.5 * (found.pose.rotation_deg + start.rotation_deg) + 0.15
             return replace(found, pose=replace(found.pose, rotation_deg=drawn))
 
-    assert tried("drift", 2).notes[0].promises[DRIFT] < 0.05
+    assert tried("drift", 2).results[0].promises[DRIFT] < 0.05
     monkeypatch.setattr(rotations, "Registrar", Dragged)
-    assert tried("drift", 2).notes[0].counts["limit"] > 0
+    assert tried("drift", 2).results[0].counts["limit"] > 0
 
 
 def test_a_pipeline_that_drifts_while_it_holds_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,8 +118,8 @@ def test_a_pipeline_that_drifts_while_it_holds_is_caught(monkeypatch: pytest.Mon
             return answer if answer.angle_deg is None else replace(answer, angle_deg=answer.angle_deg + off)
 
     two_cycles = 2 * 60 // holding.TRIAL_FRAMES * len(OBJECTS) + 2
-    assert tried("holding", two_cycles).notes[0].promises[HOLDING] < 0.05
-    assert tried("holding", two_cycles, Subject(pipeline=Drifting)).notes[0].counts["limit"] > 0
+    assert tried("holding", two_cycles).results[0].promises[HOLDING] < 0.05
+    assert tried("holding", two_cycles, ProductFunctions(pipeline=Drifting)).results[0].counts["limit"] > 0
 
 
 def test_what_is_held_has_a_relief_takes_keys_and_leaves_frames_out() -> None:
@@ -135,7 +138,7 @@ def test_what_is_held_has_a_relief_takes_keys_and_leaves_frames_out() -> None:
             )
             return answer
 
-    outcome = tried("holding", 300 // holding.TRIAL_FRAMES * len(OBJECTS), Subject(pipeline=Watched))
+    outcome = tried("holding", 300 // holding.TRIAL_FRAMES * len(OBJECTS), ProductFunctions(pipeline=Watched))
     assert len(seen) == len(OBJECTS)
     assert all(counts["unchanged"] > 100 and counts["relief"] > 250 and counts["key"] > 200 for counts in seen.values())
-    assert outcome.notes[0].worst_deg["coin"] < 1.5
+    assert outcome.results[0].worst_deg["coin"] < 1.5
