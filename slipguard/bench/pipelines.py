@@ -21,7 +21,7 @@ from slipguard.errors import ModelError
 from slipguard.perception.contact.segmenter import Segmenter, default_model_path
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.settings import EVERY_SKIP, EstimatorName, PerceptionSettings, Skips
+from slipguard.perception.settings import ALL_SKIPS, EstimatorName, PerceptionSettings, Skips
 
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
 NO_SKIP = Skips(no_contact=False, unchanged=False, round=False)
@@ -47,7 +47,7 @@ class Subject:
     path: Path | None = None
     sees: Literal["contract", "frame"] = "contract"
     resolution: str | None = None
-    skips: Skips = EVERY_SKIP
+    skips: Skips = ALL_SKIPS
     threads: int = 1
 
     @property
@@ -57,7 +57,7 @@ class Subject:
             cores = "" if self.threads == 1 else f", {self.threads} threads"
             return f"the paper's pipeline: {self.network} {self.resolution} + OpenCV thinning + line{cores}"
         plain = f"{self.network} + {self.estimator}"
-        return plain if self.skips == EVERY_SKIP or self.kind == "subtraction" else f"{plain}, no skipping"
+        return plain if self.skips == ALL_SKIPS or self.kind == "subtraction" else f"{plain}, no skipping"
 
     def forget(self, share: bool = False) -> None:
         """What the network said is forgotten. share: from now on it is kept for all who ask about the same frames."""

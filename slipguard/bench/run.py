@@ -18,7 +18,7 @@ from slipguard.bench.rows import Bench, Row, machine, on_the_front
 from slipguard.bench.skipping import skips
 from slipguard.bench.thinning import thinning
 from slipguard.datasets.rendered_grasps import EXTRA_PLAIN, STILL_FRAMES, Sequence, sequence
-from slipguard.perception.settings import EVERY_SKIP, PerceptionSettings
+from slipguard.perception.settings import ALL_SKIPS, PerceptionSettings
 from slipguard.sim.objects import names
 from slipguard.tools.parallel import Workers, each
 
@@ -71,7 +71,7 @@ def bench(options: Options, on_progress: Callable[[str, float], None] = lambda _
     classical = without_network()
     bigger = [*(large(path) for path in frame), large_stand_in()]
     with_large = [one for group in bigger for one in group if one.kind == "ours" and not options.quick]
-    thrifty = [one for one in [*small, *classical] if one.skips == EVERY_SKIP or one in classical]
+    thrifty = [one for one in [*small, *classical] if one.skips == ALL_SKIPS or one in classical]
     on_progress("errors", 0.0)
     accuracy = _errors(options, thrifty, bigger, lambda share: on_progress("errors", 0.5 * share))
     on_progress("times", 0.5)
@@ -106,7 +106,7 @@ def large_stand_in() -> list[Subject]:
 
 def _default(small: list[Subject]) -> Subject:
     estimator = PerceptionSettings().estimator
-    return next(one for one in small if one.estimator == estimator and one.skips == EVERY_SKIP)
+    return next(one for one in small if one.estimator == estimator and one.skips == ALL_SKIPS)
 
 
 def _errors(
@@ -184,7 +184,7 @@ def _row(
 ) -> Row:
     """like: a pipeline whose shares of skipped frames count where this one was not run over the minute itself."""
     # Skipping changes no turn of these grasps: they never rest.
-    twin = replace(subject, skips=EVERY_SKIP).name
+    twin = replace(subject, skips=ALL_SKIPS).name
     own = accuracy.get(subject.name) or accuracy[twin]
     spent = times.get(subject.name) or times[twin]
     over = held.get(subject.name)

@@ -14,7 +14,7 @@ from slipguard.bench.rows import Skip
 from slipguard.control.finger_fusion import fuse
 from slipguard.control.slip_baselines import Detector
 from slipguard.control.slip_detector import look
-from slipguard.perception.contact.second_finger import adds_nothing, again
+from slipguard.perception.contact.second_finger import repeat_estimate, second_finger_can_skip
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.settings import PerceptionSettings
 
@@ -45,8 +45,8 @@ def second_finger(default: Subject) -> Skip:
         for spare, run in runs.items():
             own, frame = last[spare], beside.frame
             start_s = time.process_time()
-            if spare and own is not None and adds_nothing(own, left, frame.captured_at_s, refresh_s):
-                right = again(own, frame.captured_at_s, frame.sequence)
+            if spare and own is not None and second_finger_can_skip(own, left, frame.captured_at_s, refresh_s):
+                right = repeat_estimate(own, frame.captured_at_s, frame.sequence)
                 run.spared += 1
             else:
                 right = others[spare].process(frame)

@@ -15,7 +15,7 @@ from slipguard.bench.pipelines import Subject
 from slipguard.bench.rows import Skip
 from slipguard.bench.second_finger import second_finger
 from slipguard.datasets.rendered_grasps import ROUND_PLAIN, sequence
-from slipguard.perception.settings import EVERY_SKIP, Skips
+from slipguard.perception.settings import ALL_SKIPS, Skips
 from slipguard.sim.objects import get, names
 from slipguard.tools.parallel import Workers, each
 
@@ -95,7 +95,7 @@ def _no_contact(default: Subject, objects: int, later: list[int | None]) -> Skip
 
 def _unchanged(quick: bool, default: Subject, held: dict[str, Held], later: list[int | None]) -> Skip:
     """A minute of holding with and without, and slips after rest."""
-    without = replace(default, skips=replace(EVERY_SKIP, unchanged=False))
+    without = replace(default, skips=replace(ALL_SKIPS, unchanged=False))
     other = hold([without], Minute(), {without.name: 10} if quick else {without.name: 1})[without.name]
     own = held[default.name]
     left_out = own.skipped.get("unchanged", 0)
@@ -113,8 +113,8 @@ def _later(tried: _Tried) -> _Later:
     def seen(skips: Skips) -> int | None:
         return first_seen(replace(tried.subject, skips=skips).open(grasp).process, frames)
 
-    skipping = seen(EVERY_SKIP)
-    without = [seen(replace(EVERY_SKIP, no_contact=False)), seen(replace(EVERY_SKIP, unchanged=False))]
+    skipping = seen(ALL_SKIPS)
+    without = [seen(replace(ALL_SKIPS, no_contact=False)), seen(replace(ALL_SKIPS, unchanged=False))]
     return _Later(*(later_by(skipping, one, len(frames)) for one in without))
 
 
@@ -135,7 +135,7 @@ def _round(default: Subject, objects: tuple[str, ...]) -> Skip:
         grasp = sequence(name, SEED)
         answers: dict[bool, list[float | None]] = {}
         for kept in (True, False):
-            subject = replace(default, skips=replace(EVERY_SKIP, round=kept))
+            subject = replace(default, skips=replace(ALL_SKIPS, round=kept))
             spent[kept].run(subject.open(grasp), grasp, grasp.shots)
             processor = subject.open(grasp)
             answers[kept] = [processor.process(shot.frame).angle_deg for shot in grasp.shots]

@@ -37,7 +37,7 @@ from slipguard.devices import DriverContext
 from slipguard.errors import DeviceTimeout, InputError
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.stored_reference import RecallingPipeline
+from slipguard.perception.stored_reference import ResumingPipeline
 from slipguard.recording.recorder import Recorder
 from slipguard.registry import load_driver
 from slipguard.thread_priority import set_worker_priority
@@ -85,7 +85,7 @@ def build_service(
 
         def make(serial: str) -> PerceptionPipeline:
             known = _stored_background(state_dir, serial)
-            pipeline = RecallingPipeline(
+            pipeline = ResumingPipeline(
                 segmenter,
                 config.perception,
                 background=None if known is None else known.image,

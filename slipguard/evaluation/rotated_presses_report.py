@@ -11,7 +11,7 @@ import numpy as np
 
 from slipguard.errors import InputError
 from slipguard.evaluation.rotated_presses import Press, Way, presses, rotated
-from slipguard.perception.pipeline import Pipeline, SegmentsContact
+from slipguard.perception.pipeline import ContactSegmenter, Pipeline
 from slipguard.perception.settings import PerceptionSettings
 
 SEED = 1
@@ -58,7 +58,7 @@ def measure(
     folder: Path,
     part: str,
     way: Way,
-    segmenter: SegmentsContact,
+    segmenter: ContactSegmenter,
     progress: Callable[[str, float], None] = lambda _what, _share: None,
 ) -> list[Told]:
     """Turn every press of one part ("tune", "test" or "all") and measure it as the daemon would.
@@ -85,7 +85,7 @@ def figures(found: Iterable[Told], way: Way) -> list[Figures]:
     return [_figures(name, way, told) for name, told in sets.items()]
 
 
-def _told(press: Press, way: Way, segmenter: SegmentsContact) -> Told:
+def _told(press: Press, way: Way, segmenter: ContactSegmenter) -> Told:
     grasp = rotated(press, way, SEED)
     pipeline = Pipeline(segmenter, PerceptionSettings(), grasp.background, grasp.noise_bgr, grasp.px_per_mm)
     errors, frames, confident = [], 0, 0

@@ -9,7 +9,7 @@ from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation.axis import ESTIMATORS, estimate
-from slipguard.perception.rotation.tracker import axis_rotation
+from slipguard.perception.rotation.tracker import rotation_between_axes
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim_lifts.lift_record import PICTURE_SIGN, Measured
 
@@ -41,9 +41,9 @@ class PatchKeeper:
             self._kept.append(SeenPatch(self._finger, frame.captured_at_s, patch))
         return answer
 
-    def stands(self, captured_at_s: float) -> None:
+    def keep_estimate(self, captured_at_s: float) -> None:
         """A frame that is not handed in, the other finger's having shown that nothing turns."""
-        self._pipeline.stands(captured_at_s)
+        self._pipeline.keep_estimate(captured_at_s)
 
     def reset_reference(self) -> None:
         """Forget the reference."""
@@ -82,7 +82,9 @@ def _rotations(seen: list[SeenPatch], name: str, sign: float) -> list[Measured]:
         now = estimate(one.patch, name)
         if now.angle_deg is None or now.sigma_deg is None:
             continue
-        rotation = axis_rotation(now.angle_deg, now.sigma_deg, reference.angle_deg, reference.sigma_deg, near_deg)
+        rotation = rotation_between_axes(
+            now.angle_deg, now.sigma_deg, reference.angle_deg, reference.sigma_deg, near_deg
+        )
         if rotation.rotation_deg is None or rotation.sigma_deg is None or rotation.sigma_deg > SIGMA_MAX_DEG:
             continue
         near_deg = rotation.rotation_deg

@@ -7,19 +7,19 @@ from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
-class Orientation:
+class AxisEstimate:
     """The axis of one contact patch, or why there is none.
 
     angle_deg: axial, in (-90, 90], counter-clockwise as a viewer sees the picture, 0 along +x (right).
     sigma_deg: one standard deviation of `angle_deg`.
-    centre_px: (x right, y down) of the patch in frame pixels (240 x 320).
+    center_px: (x right, y down) of the patch in frame pixels (240 x 320).
     declined: None, or why no angle can be told ("round contact", "clipped by the frame", ...); then angle is None.
     """
 
     method: str
     angle_deg: float | None
     sigma_deg: float | None
-    centre_px: tuple[float, float] | None
+    center_px: tuple[float, float] | None
     declined: str | None = None
 
 

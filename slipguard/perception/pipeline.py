@@ -13,24 +13,24 @@ from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import FrameCorrupt, InputError
-from slipguard.perception.contact.change_detector import Stillness
-from slipguard.perception.contact.gate import Blocks, Gate, block_means, near_patch
+from slipguard.perception.contact.change_detector import ChangeDetector
+from slipguard.perception.contact.gate import Blocks, ContactGate, block_means, near_patch
 from slipguard.perception.contact.patch import Patch, find_patch
-from slipguard.perception.estimate import Estimate, Orientation
+from slipguard.perception.estimate import AxisEstimate, Estimate
 from slipguard.perception.quality.dead_lines import DeadLines
-from slipguard.perception.quality.image_quality import in_other_light, unfit
+from slipguard.perception.quality.image_quality import image_defect, in_other_light
 from slipguard.perception.rotation.axial_angle import wrap_axial_deg
 from slipguard.perception.rotation.axis import estimate, fuse, skeleton_orientation
 from slipguard.perception.rotation.rotation_meter import RotationMeter
 from slipguard.perception.rotation.skeleton import middle_line
-from slipguard.perception.settings import EVERY_SKIP, PerceptionSettings, Skips
-from slipguard.perception.stage_timer import StageClock
+from slipguard.perception.settings import ALL_SKIPS, PerceptionSettings, Skips
+from slipguard.perception.stage_timer import StageTimer
 
 NO_CONTACT = "no contact"
 UNCHANGED = "unchanged"
 
 
-class SegmentsContact(Protocol):
+class ContactSegmenter(Protocol):
     """What the pipeline needs of a segmentation network."""
 
     @property
@@ -54,14 +54,14 @@ class Pipeline:
 
     def __init__(
         self,
-        segmenter: SegmentsContact,
+        segmenter: ContactSegmenter,
         settings: PerceptionSettings,
         background: NDArray[np.uint8] | None,
         noise: Sequence[float] | NDArray[np.floating] | None,
         px_per_mm: float,
         mounting_deg: int = 0,
         timer: Callable[[], float] | None = None,
-        skips: Skips = EVERY_SKIP,
+        skips: Skips = ALL_SKIPS,
     ) -> None:
         if mounting_deg not in (0, 90, 180, 270):
             raise InputError(f"rotation_deg is {mounting_deg}; a sensor is mounted at 0, 90, 180 or 270")
@@ -70,7 +70,7 @@ class Pipeline:
         try:
             self._dead = DeadLines(background)
             background = None if background is None else self._dead.filled(background)
-            self._gate = Gate(background, noise, settings.gate_sigma)
+            self._gate = ContactGate(background, noise, settings.gate_sigma)
         except FrameCorrupt as error:
             raise InputError(f"no-contact image: {error}") from error
         self._segmenter = segmenter
@@ -84,9 +84,9 @@ class Pipeline:
         self._patch: Patch | None = None
         self._skeleton: NDArray[np.uint8] | None = None
         self._skips = skips
-        self._still: Stillness | None = None
+        self._still: ChangeDetector | None = None
         if settings.skip_unchanged and skips.unchanged and self._gate.noise_known:
-            self._still = Stillness(self._gate.per_std, self._gate.background)
+            self._still = ChangeDetector(self._gate.per_std, self._gate.background)
         self._measured: Estimate | None = None
         self.reset_reference()
 
@@ -119,7 +119,7 @@ class Pipeline:
         coarse = self._patch.full_mask()
         near = cv2.dilate(coarse, np.ones((3, 3), np.uint8)) * self._patch.full_probability()  # no speck beside it
         fine = np.asarray(cv2.resize(near, (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)) > self._threshold, np.uint8)
-        return fine if fine.any() else at_frame_size(coarse)
+        return fine if fine.any() else resize_mask_to_frame(coarse)
 
     @property
     def last_skeleton(self) -> NDArray[np.uint8]:
@@ -128,11 +128,11 @@ class Pipeline:
             return np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.uint8)
         if self._skeleton is None:
             self._skeleton = middle_line(self._patch).skeleton
-        return at_frame_size(replace(self._patch, mask=self._skeleton).full_mask())
+        return resize_mask_to_frame(replace(self._patch, mask=self._skeleton).full_mask())
 
     def process(self, frame: Frame) -> Estimate:
         """Measure one frame. Raises `FrameCorrupt` for a frame that is no gel picture."""
-        clock = StageClock(self._timer)
+        clock = StageTimer(self._timer)
         now_s = frame.captured_at_s
         image = self._dead.filled(frame.image)
         blocks = block_means(image)
@@ -159,12 +159,12 @@ class Pipeline:
             self._note(blocks, None, unchanged, answer)
             return answer
         near = near_patch(patch.full_mask())
-        why, unlike = unfit(self._gate, image, blocks, near)
+        why, unlike = image_defect(self._gate, image, blocks, near)
         if why is not None:
             return self._unfit(frame, patch, why, clock)
-        axes: dict[str, Orientation] = {}
+        axes: dict[str, AxisEstimate] = {}
 
-        def axes_of(every: bool) -> dict[str, Orientation]:
+        def axes_of(every: bool) -> dict[str, AxisEstimate]:
             self._add_axes(axes, patch, every, clock)
             return axes
 
@@ -193,9 +193,9 @@ class Pipeline:
         self._note(blocks, near, unchanged, answer)
         return answer
 
-    def stands(self, captured_at_s: float) -> None:
+    def keep_estimate(self, captured_at_s: float) -> None:
         """A frame that is not handed in, the other finger's having shown that nothing turns."""
-        self._meter.stands(captured_at_s)
+        self._meter.keep_estimate(captured_at_s)
 
     def _note(self, blocks: Blocks, near: NDArray[np.bool_] | None, unchanged: bool, answer: Estimate) -> None:
         self._measured = answer
@@ -207,17 +207,17 @@ class Pipeline:
         if self._still is not None:
             self._still.forget()
 
-    def _unfit(self, frame: Frame, patch: Patch, why: str, clock: StageClock) -> Estimate:
+    def _unfit(self, frame: Frame, patch: Patch, why: str, clock: StageTimer) -> Estimate:
         """Contact perhaps, but nothing to measure on, and no reference to take."""
         self._forget()
         return self._unmeasured(frame, patch, why, None, clock)
 
-    def _without_contact(self, frame: Frame, skipped: str | None, clock: StageClock) -> Estimate:
+    def _without_contact(self, frame: Frame, skipped: str | None, clock: StageTimer) -> Estimate:
         self._patch, self._skeleton = None, None
         return self._unmeasured(frame, None, NO_CONTACT, skipped, clock)
 
     def _unmeasured(
-        self, frame: Frame, patch: Patch | None, declined: str, skipped: str | None, clock: StageClock
+        self, frame: Frame, patch: Patch | None, declined: str, skipped: str | None, clock: StageTimer
     ) -> Estimate:
         self._meter.lost()
         return Estimate(
@@ -249,7 +249,7 @@ class Pipeline:
             answer, sequence=frame.sequence, captured_at_s=frame.captured_at_s, rate_deg_s=rate, skipped=UNCHANGED
         )
 
-    def _add_axes(self, axes: dict[str, Orientation], patch: Patch, every: bool, clock: StageClock) -> None:
+    def _add_axes(self, axes: dict[str, AxisEstimate], patch: Patch, every: bool, clock: StageTimer) -> None:
         """The patch's axis by the plainest estimator, or by every one that the setting asks for.
 
         What is there already is not measured again; a patch without an axis is not thinned.
@@ -272,7 +272,7 @@ class Pipeline:
         if readable or not self._skips.round:
             axes["skeleton"] = self._skeleton_axis(patch, clock)
 
-    def _skeleton_axis(self, patch: Patch, clock: StageClock) -> Orientation:
+    def _skeleton_axis(self, patch: Patch, clock: StageTimer) -> AxisEstimate:
         line = middle_line(patch)
         self._skeleton = line.skeleton
         clock.mark("thin")
@@ -287,7 +287,7 @@ class Pipeline:
         return (c * right - s * up, s * right + c * up)
 
 
-def at_frame_size(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def resize_mask_to_frame(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """A mask of the network's resolution as (320, 240) uint8."""
     size = (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
     return np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)

@@ -49,4 +49,4 @@ class Skips:
     round: bool = True
 
 
-EVERY_SKIP = Skips()
+ALL_SKIPS = Skips()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 
-class StageClock:
+class StageTimer:
     """Collects milliseconds per stage; the same stage may be marked more than once."""
 
     def __init__(self, timer: Callable[[], float] | None) -> None:

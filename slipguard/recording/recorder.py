@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.control.guard import Guard
-from slipguard.perception.pipeline import at_frame_size
+from slipguard.perception.pipeline import resize_mask_to_frame
 from slipguard.recording import messages as m
 from slipguard.recording.retention import Retention
 from slipguard.recording.ring import NoRoom, Ring
@@ -282,7 +282,7 @@ def write_frame(file: RecordingFile, frame: RecordedFrame, settings: RecorderSet
     if frame.image is not None and settings.image != "none":
         file.image(frame.finger, frame_s, _encoded(frame.image, settings), settings.image)
     if frame.mask is not None:
-        mask = at_frame_size(frame.mask) * np.uint8(255)
+        mask = resize_mask_to_frame(frame.mask) * np.uint8(255)
         file.mask(frame.finger, frame_s, cv2.imencode(".png", mask)[1].tobytes())
     file.judged(frame.finger, frame.at_s, frame.judged)
 

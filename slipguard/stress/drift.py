@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.estimate import Orientation
+from slipguard.perception.estimate import AxisEstimate
 from slipguard.perception.rotation.rotation_meter import RotationMeter
-from slipguard.perception.rotation.tracker import Rotation
+from slipguard.perception.rotation.tracker import RotationEstimate
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.perception.stage_timer import StageClock
+from slipguard.perception.stage_timer import StageTimer
 from slipguard.stress.family import FamilyResults, TrialFamily, TrialFunction
 from slipguard.stress.product_functions import FRAME_S, MAP_PX, THRESHOLD, ProductFunctions
 from slipguard.stress.shapes import ELONGATED, ShapePose, roughness, soft
@@ -38,9 +38,9 @@ class _RotatedContacts:
 
     def __init__(self, product: ProductFunctions) -> None:
         self._product = product
-        self._known: dict[tuple[int, int], tuple[Patch, dict[str, Orientation]]] = {}
+        self._known: dict[tuple[int, int], tuple[Patch, dict[str, AxisEstimate]]] = {}
 
-    def at(self, angle_deg: int, variant: int) -> tuple[Patch, dict[str, Orientation]]:
+    def at(self, angle_deg: int, variant: int) -> tuple[Patch, dict[str, AxisEstimate]]:
         """variant: 0 for a clean outline. The same for the same numbers."""
         key = (angle_deg % 360, variant)
         if key not in self._known:
@@ -60,13 +60,13 @@ def _begin(product: ProductFunctions) -> TrialFunction:
     meter.tracker = product.tracker()
     frame = 0
 
-    def measured(angle_deg: int, variant: int) -> Rotation:
+    def measured(angle_deg: int, variant: int) -> RotationEstimate:
         patch, axes = contacts.at(angle_deg, variant)
 
-        def axes_of(every: bool) -> Mapping[str, Orientation]:
+        def axes_of(every: bool) -> Mapping[str, AxisEstimate]:
             return axes
 
-        return meter.measure(_NO_PICTURE, patch, axes_of, frame * FRAME_S, StageClock(None))[0]
+        return meter.measure(_NO_PICTURE, patch, axes_of, frame * FRAME_S, StageTimer(None))[0]
 
     def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
         nonlocal frame

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.estimate import Orientation
-from slipguard.perception.rotation.axis import ESTIMATORS, FUSED, fuse
-from slipguard.perception.rotation.contour_registration import Pose
-from slipguard.perception.rotation.contour_template import make_template
+from slipguard.perception.estimate import AxisEstimate
+from slipguard.perception.rotation.axis import ESTIMATORS, FUSED_ESTIMATORS, fuse
+from slipguard.perception.rotation.contour_registration import ContourPose
+from slipguard.perception.rotation.contour_template import make_contour_template
 from slipguard.stress.family import FamilyResults
 from slipguard.stress.masks import Mask, opencv_thinned, rotated, rotated_axis_deg
 from slipguard.stress.product_functions import THRESHOLD, ProductFunctions
@@ -44,17 +44,17 @@ def patch_of(
     return patch
 
 
-def read(patch: Patch, product: ProductFunctions, results: FamilyResults) -> dict[str, Orientation]:
+def read(patch: Patch, product: ProductFunctions, results: FamilyResults) -> dict[str, AxisEstimate]:
     """The axis by every estimator, and fused from these; an answer must be in range with a sigma, a refusal say why."""
     said = {name: results.call(name, product.estimate, patch, name) for name in ESTIMATORS}
-    parts = [found for name in FUSED if (found := said[name]) is not None]
-    said["fused"] = results.call("fused", fuse, parts) if len(parts) == len(FUSED) else None
+    parts = [found for name in FUSED_ESTIMATORS if (found := said[name]) is not None]
+    said["fused"] = results.call("fused", fuse, parts) if len(parts) == len(FUSED_ESTIMATORS) else None
     answers = {}
     for name, found in said.items():
         if found is None:
             continue
         angle = found.angle_deg
-        if not results.check_finite(name, angle, found.sigma_deg, *(found.centre_px or ())):
+        if not results.check_finite(name, angle, found.sigma_deg, *(found.center_px or ())):
             continue
         if (angle is None) == (found.declined is None) or (angle is None) != (found.sigma_deg is None):
             results.add_failure("limit", f"{name}: angle {angle}, sigma {found.sigma_deg}, declined {found.declined}")
@@ -66,7 +66,7 @@ def read(patch: Patch, product: ProductFunctions, results: FamilyResults) -> dic
 
 
 def compare(
-    before: dict[str, Orientation], now: dict[str, Orientation], rotation_deg: float | None, results: FamilyResults
+    before: dict[str, AxisEstimate], now: dict[str, AxisEstimate], rotation_deg: float | None, results: FamilyResults
 ) -> dict[str, float | None]:
     """Judge the turn between two readings, estimator by estimator; the errors without sign, None where declined."""
     errors: dict[str, float | None] = {}
@@ -108,7 +108,7 @@ def check_laid_over_itself(patch: Patch, product: ProductFunctions, results: Fam
     """A patch laid over itself has not turned, whatever it is."""
 
     def lay() -> tuple[float | None, float | None]:
-        registration = product.registrar(make_template(patch), patch).fit(Pose())
+        registration = product.registrar(make_contour_template(patch), patch).fit(ContourPose())
         pose = registration.pose
         results.check_finite(
             "registration", pose.rotation_deg, pose.dx_px, pose.dy_px, *pose.growth, registration.sigma_deg

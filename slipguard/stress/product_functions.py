@@ -13,12 +13,12 @@ from slipguard.control.finger_fusion import Fused, fuse
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.contact.segmenter import Segmenter
-from slipguard.perception.estimate import Estimate, Orientation
-from slipguard.perception.pipeline import Pipeline, SegmentsContact
+from slipguard.perception.estimate import AxisEstimate, Estimate
+from slipguard.perception.pipeline import ContactSegmenter, Pipeline
 from slipguard.perception.rotation.axis import estimate
-from slipguard.perception.rotation.contour_registration import Registrar
+from slipguard.perception.rotation.contour_registration import ContourRegistrar
 from slipguard.perception.rotation.thinning import thin
-from slipguard.perception.rotation.tracker import Tracker
+from slipguard.perception.rotation.tracker import RotationTracker
 from slipguard.perception.settings import PerceptionSettings
 
 MAP_WIDTH_PX, MAP_HEIGHT_PX = 120, 160
@@ -34,13 +34,13 @@ class ProductFunctions:
     """The product's own functions; a test hands in broken ones to see that they are caught."""
 
     find_patch: Callable[[NDArray[np.float32], float, float, float], Patch | None] = find_patch
-    estimate: Callable[[Patch, str], Orientation] = estimate
+    estimate: Callable[[Patch, str], AxisEstimate] = estimate
     thin: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] = thin
-    registrar: Callable[..., Registrar] = Registrar
-    tracker: Callable[[], Tracker] = Tracker
+    registrar: Callable[..., ContourRegistrar] = ContourRegistrar
+    tracker: Callable[[], RotationTracker] = RotationTracker
     fuse: Callable[[Estimate | None, Estimate | None], Fused | None] = fuse
     pipeline: Callable[..., Any] = Pipeline
-    segmenter: Callable[[], SegmentsContact] = Segmenter
+    segmenter: Callable[[], ContactSegmenter] = Segmenter
 
 
 class ScriptedSegmenter:

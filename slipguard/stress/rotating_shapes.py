@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from slipguard.perception.estimate import Orientation
+from slipguard.perception.estimate import AxisEstimate
 from slipguard.stress.family import FamilyResults
 from slipguard.stress.map_checks import Map, patch_of, read
 from slipguard.stress.product_functions import MAP_PX, ProductFunctions, ScriptedPipeline
@@ -16,7 +16,7 @@ STEP_DEG = 5.0
 
 def readings_of(
     maps: tuple[Map, Map], product: ProductFunctions, results: FamilyResults
-) -> list[dict[str, Orientation]] | None:
+) -> list[dict[str, AxisEstimate]] | None:
     patches = [patch_of(one, 100.0, MAP_PX, product, results) for one in maps]
     return [read(one, product, results) for one in patches if one is not None] if None not in patches else None
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from slipguard.perception.rotation.tracker import Rotation
+from slipguard.perception.rotation.tracker import RotationEstimate
 from slipguard.stress.family import FamilyResults, TrialFamily, TrialFunction
 from slipguard.stress.product_functions import FRAME_S, ProductFunctions, ScriptedPipeline
 from slipguard.stress.shapes import ShapePose, box, soft
@@ -52,7 +52,7 @@ def _track(rng: np.random.Generator, product: ProductFunctions, results: FamilyR
     tracker.start(now_s)
     for _ in range(20):
         now_s += float(rng.choice(STEPS_S))
-        seen = Rotation(float(rng.normal()) * NOISE_DEG, NOISE_DEG)
+        seen = RotationEstimate(float(rng.normal()) * NOISE_DEG, NOISE_DEG)
         predicted = results.call("prediction", tracker.predicted_deg, now_s)
         accepted = results.call("tracker", tracker.accept, now_s, seen)
         rate = results.call("rate", tracker.rate_deg_s, now_s)
@@ -66,7 +66,7 @@ def _track(rng: np.random.Generator, product: ProductFunctions, results: FamilyR
     rate = None
     for k in range(REGULAR_FRAMES):
         now_s += FRAME_S
-        seen = Rotation(RATE_DEG_S * FRAME_S * k + float(rng.normal()) * NOISE_DEG, NOISE_DEG)
+        seen = RotationEstimate(RATE_DEG_S * FRAME_S * k + float(rng.normal()) * NOISE_DEG, NOISE_DEG)
         results.call("tracker", tracker.accept, now_s, seen)
         rate = results.call("rate", tracker.rate_deg_s, now_s)
     wrong = math.inf if rate is None else abs(rate - RATE_DEG_S)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.quality.gel_wear import Change, changed
+from slipguard.perception.quality.gel_wear import GelChange, compare_gel
 from slipguard.tools.plotting import figure, save
 
 GAIN = 8
@@ -41,7 +41,7 @@ def draw(pictures: Mapping[str, bytes], stored: Mapping[str, Any], path: Path) -
         facts = told["versions"][-1]
         now_axes.imshow(newest[..., ::-1])
         now_axes.set_title(f"{name} {told['serial']}: image {numbers[-1]}\n{facts['created_at'][:16]}", fontsize=9)
-        change = changed(
+        change = compare_gel(
             newest.astype(np.float32), facts["frames"], first, facts["noise_bgr"], facts["frames"], GATE_SIGMA
         )
         difference = np.clip(128.0 + GAIN * (newest.astype(np.float32) - first), 0, 255).astype(np.uint8)
@@ -56,6 +56,6 @@ def _decoded(png: bytes) -> NDArray[np.uint8]:
     return np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR), np.uint8)
 
 
-def _change(change: Change, since: int) -> str:
+def _change(change: GelChange, since: int) -> str:
     levels = " ".join(f"{level:+.1f}" for level in change.level_bgr)
     return f"change since image {since}, {GAIN}-fold\nB G R {levels}; marks: {len(change.marks)}"

@@ -24,7 +24,7 @@ from slipguard.control.messages import Command
 from slipguard.control.params import GuardParams
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt, InputError
-from slipguard.perception.contact.second_finger import OTHER_FINGER, again
+from slipguard.perception.contact.second_finger import OTHER_FINGER, repeat_estimate
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
@@ -177,8 +177,8 @@ class _Player:
         spared = judged.estimate is not None and judged.estimate.skipped == OTHER_FINGER
         last = next(reversed(self._now[finger].values()), None)
         if spared and last is not None:
-            self._pipeline(finger).stands(judged.captured_at_s)
-            return again(last, judged.captured_at_s, judged.sequence)
+            self._pipeline(finger).keep_estimate(judged.captured_at_s)
+            return repeat_estimate(last, judged.captured_at_s, judged.sequence)
         try:
             frame = Frame(picture.pixels(), judged.captured_at_s, judged.sequence)
             return self._pipeline(finger).process(frame)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from slipguard.datasets.background_patterns import drift, patterns, resized, structure
 from slipguard.perception.contact.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
-from slipguard.perception.quality.background import guess_background
+from slipguard.perception.quality.background import estimate_background
 
 STRUCTURE_LEVELS = 28.0
 DRIFT_LEVELS = 16.0
@@ -90,7 +90,7 @@ class Augment:
         reference = unit.round().clamp(0, 255).byte()
         known = (torch.rand(count, generator=self._rng) >= self._unknown).float()
         for index in torch.nonzero(known == 0).flatten().tolist():
-            reference[index] = torch.from_numpy(guess_background(shown[index].numpy()))
+            reference[index] = torch.from_numpy(estimate_background(shown[index].numpy()))
         return Batch(shown, reference, known, label[:, None].float() / 255.0)
 
     def _zoomed(self, frame: Tensor, background: Tensor, label: Tensor) -> tuple[Tensor, Tensor, Tensor]:

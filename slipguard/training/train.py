@@ -20,7 +20,7 @@ from slipguard.datasets.frame_cache import RenderedFrames
 from slipguard.datasets.mask_scores import RealFrame, dice, iou
 from slipguard.errors import InputError
 from slipguard.perception.contact.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
-from slipguard.perception.quality.background import guess_background
+from slipguard.perception.quality.background import estimate_background
 from slipguard.training.augment import Augment
 from slipguard.training.small_network import SmallNet
 
@@ -241,7 +241,7 @@ def real_scores(
         small = cv2.resize(real.image, size, interpolation=cv2.INTER_AREA)
         known = real.background is not None
         if real.background is None:
-            background = guess_background(np.asarray(small, np.uint8))
+            background = estimate_background(np.asarray(small, np.uint8))
         else:
             background = np.asarray(cv2.resize(real.background, size, interpolation=cv2.INTER_AREA), np.uint8)
         answer = probabilities(net, np.asarray(small, np.uint8)[None], background[None], known)[0].numpy()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.pipeline import at_frame_size
+from slipguard.perception.pipeline import resize_mask_to_frame
 from slipguard.perception.rotation.skeleton import middle_line
 from slipguard.web.ttl_cache import TtlCache
 
@@ -102,7 +102,7 @@ def draw(image: NDArray[np.uint8], contact: ContactOverlay) -> NDArray[np.uint8]
     """A copy of a frame with what was found in it. image: (320, 240, 3) uint8 BGR."""
     picture = image.copy()
     patch = _patch(contact)
-    mask = at_frame_size(patch.full_mask())
+    mask = resize_mask_to_frame(patch.full_mask())
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(picture, outlines, -1, OUTLINE_BGR, 1)
     rows, columns = np.nonzero(middle_line(patch).skeleton)
@@ -132,8 +132,8 @@ def _patch(contact: ContactOverlay) -> Patch:
         probability=contact.mask.astype(np.float32),
         left_px=contact.left_px,
         top_px=contact.top_px,
-        picture_size=contact.picture_size,
-        frame_px=FRAME_WIDTH_PX / contact.picture_size[0],
+        image_size=contact.image_size,
+        frame_px=FRAME_WIDTH_PX / contact.image_size[0],
         clipped=contact.clipped,
         regions=1,
     )

@@ -69,7 +69,7 @@ def encode_finger_frame(view: FingerFrame) -> tuple[dict[str, Any], list[memoryv
         "shape": contact.mask.shape,
         "left_px": contact.left_px,
         "top_px": contact.top_px,
-        "picture_size": contact.picture_size,
+        "image_size": contact.image_size,
         "clipped": [sides.left, sides.top, sides.right, sides.bottom],
         "axis_deg": contact.axis_deg,
     }
@@ -88,7 +88,7 @@ def decode_finger_frame(told: Mapping[str, Any], pixels: bytes) -> FingerFrame:
     if contact is None:
         return FingerFrame(told["serial"], frame)
     mask = np.frombuffer(pixels, np.uint8, offset=IMAGE_BYTES).reshape(contact["shape"])
-    width, height = contact["picture_size"]
+    width, height = contact["image_size"]
     sides = ClippedSides(*contact["clipped"])
     found = ContactOverlay(mask, contact["left_px"], contact["top_px"], (width, height), sides, contact["axis_deg"])
     return FingerFrame(told["serial"], frame, found)

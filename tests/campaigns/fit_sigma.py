@@ -24,8 +24,13 @@ from slipguard.devices import Frame
 from slipguard.evaluation.rotated_presses import PX_PER_MM, presses, rotated
 from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.contact.segmenter import Segmenter
-from slipguard.perception.rotation.texture_map import ReliefReader
-from slipguard.perception.rotation.texture_registration import TextureFit, TexturePose, fit, make_texture
+from slipguard.perception.rotation.texture_map import TextureMapReader
+from slipguard.perception.rotation.texture_registration import (
+    TextureFit,
+    TexturePose,
+    fit_texture,
+    make_texture_template,
+)
 from slipguard.perception.rotation.texture_sigma import FLOOR_DEG, parts_deg, shares, sigma_deg
 from slipguard.sim.objects import names
 from slipguard.tools.image_files import read_gel
@@ -61,20 +66,20 @@ def samples(grasps: Iterable[sequences.Sequence], segmenter: Segmenter, kind: st
     """Every turn by relief since the last still frame, frame after frame, of some grasps."""
     for number, grasp in enumerate(grasps):
         start = next((k for k, shot in enumerate(grasp.shots) if shot.compared), 0) - 1
-        reader = ReliefReader(grasp.background, grasp.noise_bgr)
+        reader = TextureMapReader(grasp.background, grasp.noise_bgr)
         patch = _patch(segmenter, grasp, start)
         if start < 0 or patch is None:
             continue
         image = grasp.shots[start].frame.image
         reader.learn(image, patch)
-        reference = make_texture(reader.read(image, patch), patch)
+        reference = make_texture_template(reader.read(image, patch), patch)
         pose, rate = TexturePose(), 0.0
         for k in range(start + 1, len(grasp.shots)):
             patch = _patch(segmenter, grasp, k)
             if reference is None or patch is None or not grasp.shots[k].compared:
                 continue
             relief = reader.read(grasp.shots[k].frame.image, patch)
-            answer = fit(reference, relief, replace(pose, rotation_deg=pose.rotation_deg + rate))
+            answer = fit_texture(reference, relief, replace(pose, rotation_deg=pose.rotation_deg + rate))
             if answer.declined is not None:
                 continue
             rate, pose = answer.pose.rotation_deg - pose.rotation_deg, answer.pose

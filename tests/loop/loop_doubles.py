@@ -91,7 +91,7 @@ class Oracle:
         self.sequence = 0
         self.reset_reference()
 
-    def stands(self, captured_at_s: float) -> None:
+    def keep_estimate(self, captured_at_s: float) -> None:
         return
 
     def reset_reference(self) -> None:

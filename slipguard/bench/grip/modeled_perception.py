@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipguard.perception.estimate import Estimate
-from slipguard.perception.rotation.tracker import Rotation, Tracker
+from slipguard.perception.rotation.tracker import RotationEstimate, RotationTracker
 from slipguard.sim.view import GelView
 
 REFERENCE_FRAMES = 5
@@ -67,7 +67,7 @@ class ModelSight:
         self._bias_per_deg = float(rng.normal(0.0, error.bias_per_deg))
         self._bias_deg = float(rng.normal(0.0, error.bias_deg))
         self._areas: deque[float] = deque(maxlen=REFERENCE_FRAMES)
-        self._tracker = Tracker()
+        self._tracker = RotationTracker()
         self._reference: tuple[float, float, float] | None = None
 
     def reset(self) -> None:
@@ -104,7 +104,7 @@ class ModelSight:
             )
         moved = math.tanh(true_deg)
         rotation_deg = seen_deg - start_deg - start_error_deg + self._bias_per_deg * true_deg + self._bias_deg * moved
-        rotation = self._tracker.accept(captured_at_s, Rotation(rotation_deg, self._error.sigma_deg))
+        rotation = self._tracker.accept(captured_at_s, RotationEstimate(rotation_deg, self._error.sigma_deg))
         return Estimate(
             sequence,
             captured_at_s,

@@ -23,14 +23,14 @@ class ContactOverlay:
     """The contact found in a picture: the part of `slipguard.perception.contact.patch.Patch` that can be drawn.
 
     mask: (h, w) uint8, 0 or 1, a crop of the network's picture. left_px, top_px: its first column and row there.
-    picture_size: (width, height) of the network's picture. axis_deg: in the picture, axial, counter-clockwise as a
+    image_size: (width, height) of the network's picture. axis_deg: in the picture, axial, counter-clockwise as a
     viewer sees it; None where it has none.
     """
 
     mask: NDArray[np.uint8]
     left_px: int
     top_px: int
-    picture_size: tuple[int, int]
+    image_size: tuple[int, int]
     clipped: ClippedSides
     axis_deg: float | None = None
 

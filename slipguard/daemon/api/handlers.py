@@ -83,7 +83,7 @@ class RequestHandlers(DaemonApi):
             return None
         told_deg, mounted_deg = estimate.orientation_deg, getattr(self._service.config, finger).mounting_deg
         axis_deg = None if told_deg is None else wrap_axial_deg(told_deg - mounted_deg)
-        return ContactOverlay(patch.mask, patch.left_px, patch.top_px, patch.picture_size, patch.clipped, axis_deg)
+        return ContactOverlay(patch.mask, patch.left_px, patch.top_px, patch.image_size, patch.clipped, axis_deg)
 
     async def grasp(self, force_n: float | None = None) -> str:
         return await self._controls.grasp(force_n)

@@ -16,7 +16,7 @@ from slipguard.daemon.loop.worker import Worker
 from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen, SlipguardError
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.contact.second_finger import adds_nothing, again
+from slipguard.perception.contact.second_finger import repeat_estimate, second_finger_can_skip
 from slipguard.perception.estimate import Estimate
 
 REOPEN_S = 2.0
@@ -28,7 +28,7 @@ class PerceptionPipeline(Protocol):
 
     def process(self, frame: Frame) -> Estimate: ...
 
-    def stands(self, captured_at_s: float) -> None: ...
+    def keep_estimate(self, captured_at_s: float) -> None: ...
 
     def reset_reference(self) -> None: ...
 
@@ -243,10 +243,10 @@ class Finger:
         """The last answer, where the other finger makes this look needless."""
         own = None if self.newest is None else self.newest.estimate
         seen = None if self.other is None or self.other.newest is None else self.other.newest.estimate
-        if own is None or not adds_nothing(own, seen, frame.captured_at_s, self.refresh_s):
+        if own is None or not second_finger_can_skip(own, seen, frame.captured_at_s, self.refresh_s):
             return None
-        pipeline.stands(frame.captured_at_s)
-        return again(own, frame.captured_at_s, frame.sequence)
+        pipeline.keep_estimate(frame.captured_at_s)
+        return repeat_estimate(own, frame.captured_at_s, frame.sequence)
 
     def _observe(self, processed: ProcessedFrame) -> None:
         for observer in self.observers:

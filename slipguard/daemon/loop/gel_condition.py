@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from slipguard.perception.quality.gel_wear import Change
+from slipguard.perception.quality.gel_wear import GelChange
 
 LEVEL_MAX = 15.0
 """Grey levels, as `UNEVEN_MAX` is: each half of what makes a picture unlike the no-contact image (see
@@ -29,14 +29,14 @@ class Gel:
     """light: since the newest no-contact image. wear: since the first one of this gel. do: empty where it is fine."""
 
     verdict: Verdict
-    light: Change
-    wear: Change
+    light: GelChange
+    wear: GelChange
     marked_mm2: float
     seen: str
     do: str
 
 
-def judge(light: Change, wear: Change, px_per_mm: float) -> Gel:
+def judge(light: GelChange, wear: GelChange, px_per_mm: float) -> Gel:
     """What two comparisons come to, in words; wear before drift."""
     marked_mm2 = wear.marked_px / px_per_mm**2
     if marked_mm2 >= WORN_MM2:

@@ -23,7 +23,7 @@ from slipguard.daemon.loop.service import Service
 from slipguard.daemon.store.calibration import BackgroundArchive, BackgroundImage, Store
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import SlipguardError
-from slipguard.perception.quality.gel_wear import Change, changed
+from slipguard.perception.quality.gel_wear import GelChange, compare_gel
 
 SAMPLE_S = 2.0
 FRAMES = 30
@@ -140,14 +140,16 @@ class GelMonitor:
             self._service.event_log.warn(f"{name} ({serial}): {gel.seen}; {gel.do}")
 
 
-def _compared(store: Store, serial: str, mean: NDArray[np.float32], gate_sigma: float) -> tuple[Change, Change] | None:
+def _compared(
+    store: Store, serial: str, mean: NDArray[np.float32], gate_sigma: float
+) -> tuple[GelChange, GelChange] | None:
     newest = store.load_background(serial)
     first = store.first_of_gel(serial) if isinstance(store, BackgroundArchive) else newest
     if newest is None or first is None:
         return None
 
-    def since(known: BackgroundImage) -> Change:
-        return changed(mean, FRAMES, known.image, known.noise_bgr, known.frames, gate_sigma)
+    def since(known: BackgroundImage) -> GelChange:
+        return compare_gel(mean, FRAMES, known.image, known.noise_bgr, known.frames, gate_sigma)
 
     light = since(newest)
     return light, light if np.array_equal(first.image, newest.image) else since(first)

@@ -13,7 +13,7 @@ from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.finger import Finger, PerceptionPipeline
 from slipguard.daemon.store.disk_writer import DiskWriter
 from slipguard.errors import InputError
-from slipguard.perception.stored_reference import KnownReference, RecallingPipeline
+from slipguard.perception.stored_reference import ResumingPipeline, StoredReference
 
 ROTATION_DEG = 1.0
 """A turn that has grown by less is not worth a write,"""
@@ -25,16 +25,16 @@ log = structlog.get_logger()
 class Shelf(Protocol):
     """Where references are kept, as `ReferenceShelf`; writing may raise OSError, `load` InputError."""
 
-    def save(self, finger: str, serial: str, known: KnownReference) -> None: ...
+    def save(self, finger: str, serial: str, known: StoredReference) -> None: ...
 
-    def rotation(self, finger: str, serial: str, known: KnownReference) -> None: ...
+    def rotation(self, finger: str, serial: str, known: StoredReference) -> None: ...
 
-    def load(self, finger: str, serial: str) -> KnownReference | None: ...
+    def load(self, finger: str, serial: str) -> StoredReference | None: ...
 
     def forget(self) -> None: ...
 
 
-def recall(pipeline: RecallingPipeline, shelf: Shelf, finger: str, serial: str, now_s: float) -> None:
+def recall(pipeline: ResumingPipeline, shelf: Shelf, finger: str, serial: str, now_s: float) -> None:
     """Let a new pipeline go on with the finger's old reference, if there is a good one; a damaged one is said."""
     try:
         known = shelf.load(finger, serial)
@@ -49,14 +49,14 @@ class _Kept:
     """What the shelf holds of a finger."""
 
     serial: str
-    known: KnownReference
+    known: StoredReference
     noted_at_s: float
 
 
 class ReferenceSaver:
     """Watches decisions and keeps the shelf up to date, in a thread: the loop never waits for the disk.
 
-    fingers: whose pipelines are looked at; one that is no `RecallingPipeline` has nothing to keep. warn: told of a disk
+    fingers: whose pipelines are looked at; one that is no `ResumingPipeline` has nothing to keep. warn: told of a disk
     that fails; say: of all else.
     """
 
@@ -99,27 +99,27 @@ class ReferenceSaver:
 
     def _tell(self, name: str, finger: Finger) -> None:
         pipeline = finger.pipeline
-        if not isinstance(pipeline, RecallingPipeline) or self._told.get(name) is pipeline:
+        if not isinstance(pipeline, ResumingPipeline) or self._told.get(name) is pipeline:
             return
-        if pipeline.recalled == "matches":
+        if pipeline.stored_reference_state == "matches":
             self._say(f"{name} finger: goes on with the reference of before the restart")
-        elif pipeline.recalled == "differs":
+        elif pipeline.stored_reference_state == "differs":
             self._say(
                 f"{name} finger: does not see what it saw before the restart: a new reference, counted from "
-                f"{pipeline.counted_deg:.0f}°"
+                f"{pipeline.earlier_rotation_deg:.0f}°"
             )
-        if pipeline.recalled in ("matches", "differs"):
+        if pipeline.stored_reference_state in ("matches", "differs"):
             self._told[name] = pipeline
 
     def _news(self, name: str, finger: Finger, now_s: float) -> _Kept | None:
         """What is worth writing of a finger."""
         pipeline, newest = finger.pipeline, finger.newest
-        if not isinstance(pipeline, RecallingPipeline) or newest is None or finger.serial is None:
+        if not isinstance(pipeline, ResumingPipeline) or newest is None or finger.serial is None:
             return None
         image, rotation_deg = pipeline.reference_image, newest.estimate.angle_deg
         if image is None or rotation_deg is None:
             return None
-        known = KnownReference(image, rotation_deg - pipeline.counted_deg, pipeline.counted_deg)
+        known = StoredReference(image, rotation_deg - pipeline.earlier_rotation_deg, pipeline.earlier_rotation_deg)
         before = self._kept.get(name)
         if (
             before is not None

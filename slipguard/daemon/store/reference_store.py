@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from slipguard.atomic_file import write_whole
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
-from slipguard.perception.stored_reference import KnownReference
+from slipguard.perception.stored_reference import StoredReference
 
 REFERENCES = "references"
 """Where it is, in the state directory."""
@@ -38,7 +38,7 @@ class _Facts(BaseModel):
     serial: str
     saved_at: datetime
     rotation_deg: Rotation
-    counted_deg: Rotation
+    earlier_rotation_deg: Rotation
     sha256: str
 
 
@@ -49,7 +49,7 @@ class ReferenceStore:
         self._folder = folder
         self._sha256: dict[str, str] = {}
 
-    def save(self, finger: str, serial: str, known: KnownReference) -> None:
+    def save(self, finger: str, serial: str, known: StoredReference) -> None:
         """A new reference. Where that fails, the shelf knows of none of that finger any more."""
         self._sha256.pop(finger, None)
         _, png = cv2.imencode(".png", known.image)
@@ -58,7 +58,7 @@ class ReferenceStore:
         self._sha256[finger] = hashlib.sha256(picture).hexdigest()
         self.rotation(finger, serial, known)
 
-    def rotation(self, finger: str, serial: str, known: KnownReference) -> None:
+    def rotation(self, finger: str, serial: str, known: StoredReference) -> None:
         """How far the object has turned, of the reference saved or loaded last; without one it is saved."""
         if finger not in self._sha256:
             self.save(finger, serial, known)
@@ -67,12 +67,12 @@ class ReferenceStore:
             serial=serial,
             saved_at=datetime.now(UTC),
             rotation_deg=known.rotation_deg,
-            counted_deg=known.counted_deg,
+            earlier_rotation_deg=known.earlier_rotation_deg,
             sha256=self._sha256[finger],
         )
         write_whole(self._folder / f"{finger}.json", facts.model_dump_json(indent=2).encode())
 
-    def load(self, finger: str, serial: str, now: datetime | None = None) -> KnownReference | None:
+    def load(self, finger: str, serial: str, now: datetime | None = None) -> StoredReference | None:
         """The reference of a finger with that sensor; None where there is none, or one too old.
 
         Raises InputError where it is damaged.
@@ -94,7 +94,7 @@ class ReferenceStore:
         pixels = np.asarray(image, np.uint8)
         pixels.setflags(write=False)
         self._sha256[finger] = facts.sha256
-        return KnownReference(pixels, facts.rotation_deg, facts.counted_deg)
+        return StoredReference(pixels, facts.rotation_deg, facts.earlier_rotation_deg)
 
     def forget(self) -> None:
         """Nothing is held any more."""

@@ -63,7 +63,7 @@ class _Kept:
     strengths: NDArray[np.float64] | None = None
 
 
-class Stillness:
+class ChangeDetector:
     """Remembers one finger's picture since it last changed.
 
     per_std: (3,) one over the noise of a block's mean, per channel. background: (1200, 3) no-contact block means, which

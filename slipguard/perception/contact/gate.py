@@ -93,7 +93,7 @@ def block_means(image: NDArray[np.uint8]) -> Blocks:
     return small.reshape(-1, 3).astype(np.float32)
 
 
-class Gate:
+class ContactGate:
     """Knows one unit's no-contact picture and noise. Holds no other state.
 
     background: (320, 240, 3) uint8 or None; without one every frame may be contact.

@@ -47,7 +47,7 @@ class Patch:
     mask: (h, w) uint8, 0 or 1; a crop of the network's picture around the patch.
     probability: (h, w) float32, the network's probability in the crop, 0 away from the patch.
     left_px, top_px: network pixel of the crop's first column and row.
-    picture_size: (width, height) of the network's picture.
+    image_size: (width, height) of the network's picture.
     frame_px: frame pixels per network pixel.
     clipped: the sides of the frame that the patch touches.
     regions: how many separate regions it is made of.
@@ -58,7 +58,7 @@ class Patch:
     probability: NDArray[np.float32]
     left_px: int
     top_px: int
-    picture_size: tuple[int, int]
+    image_size: tuple[int, int]
     frame_px: float
     clipped: ClippedSides
     regions: int
@@ -83,7 +83,7 @@ class Patch:
         return self._whole(self.probability)
 
     def _whole(self, part: NDArray[_Value]) -> NDArray[_Value]:
-        width, height = self.picture_size
+        width, height = self.image_size
         full = np.zeros((height, width), part.dtype)
         rows, columns = part.shape
         full[self.top_px : self.top_px + rows, self.left_px : self.left_px + columns] = part
@@ -161,7 +161,7 @@ def _cut(mask: NDArray[np.uint8], probability: NDArray[np.float32], frame_px: fl
         probability=soft,
         left_px=left,
         top_px=top,
-        picture_size=(width, height),
+        image_size=(width, height),
         frame_px=frame_px,
         clipped=ClippedSides(x == 0, y == 0, x + w == width, y + h == height),
         regions=regions,

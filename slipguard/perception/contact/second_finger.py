@@ -22,7 +22,9 @@ APART_SIGMAS, APART_DEG = 3.0, 1.0
 """Two fingers tell another turn where they are further apart than so many combined standard deviations, and this."""
 
 
-def adds_nothing(own: Estimate | None, other: Estimate | None, captured_at_s: float, refresh_s: float) -> bool:
+def second_finger_can_skip(
+    own: Estimate | None, other: Estimate | None, captured_at_s: float, refresh_s: float
+) -> bool:
     """Whether a finger's frame of `captured_at_s` need not be looked at.
 
     own: its last answer. other: the other finger's. Never where own knows no reference, is surer than the other, tells
@@ -50,6 +52,6 @@ def _apart(own: Estimate, other: Estimate) -> bool:
     return apart_deg > max(APART_DEG, APART_SIGMAS * math.hypot(own.sigma_deg, other.sigma_deg))
 
 
-def again(own: Estimate, captured_at_s: float, sequence: int) -> Estimate:
+def repeat_estimate(own: Estimate, captured_at_s: float, sequence: int) -> Estimate:
     """The last answer for a frame that was not looked at; `measured_at_s` stays."""
     return replace(own, sequence=sequence, captured_at_s=captured_at_s, skipped=OTHER_FINGER, stage_ms={})

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError, ModelError
-from slipguard.perception.quality.background import guess_background
+from slipguard.perception.quality.background import estimate_background
 
 INPUT_WIDTH_PX = FRAME_WIDTH_PX // 2
 INPUT_HEIGHT_PX = FRAME_HEIGHT_PX // 2
@@ -92,7 +92,7 @@ class Segmenter:
         if not self._takes_background:
             return self._run(small, small, known=False)
         if background is None:
-            return self._run(small, guess_background(small), known=False)
+            return self._run(small, estimate_background(small), known=False)
         if background is not self._background:
             self._background_small = _shrunk(background, self._size, "no-contact image")
             self._background = background

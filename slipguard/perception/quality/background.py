@@ -32,7 +32,7 @@ def _bases(width_px: int, height_px: int) -> tuple[NDArray[np.float32], NDArray[
     return basis.astype(np.float32), full.astype(np.float32)
 
 
-def guess_background(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def estimate_background(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """A smooth picture that follows the gel's own glow and passes under the imprint.
 
     image: (H, W, 3) uint8 BGR; the result has its shape and type. A quartic is fitted to each channel by least squares

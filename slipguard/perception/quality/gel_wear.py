@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.contact.gate import BLOCKS_HIGH, BLOCKS_WIDE, Gate, block_means
+from slipguard.perception.contact.gate import BLOCKS_HIGH, BLOCKS_WIDE, ContactGate, block_means
 
 SMOOTH_PX = 4.0
 """Changes wider than this (one standard deviation) are light; marks are narrower, or have edges that are."""
@@ -42,7 +42,7 @@ Mean = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class GelMark:
     """x_px, y_px: its middle, right and down. levels: how far it stands out at its strongest, grey levels.
 
     area_px: what it changes, on both sides of its edges; for a spot about one and a half times the spot.
@@ -55,7 +55,7 @@ class Mark:
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class GelChange:
     """Since the known picture. level_bgr: brighter by so many grey levels. uneven_levels: what the light's pattern has
     changed beyond that, root mean square. gate_share: how far of the way it is to where the gate takes light for
     touch, 1 there. marks: the strongest first, at most `KEPT_MARKS`. marked_px: of all of them.
@@ -64,13 +64,13 @@ class Change:
     level_bgr: tuple[float, float, float]
     uneven_levels: float
     gate_share: float
-    marks: tuple[Mark, ...]
+    marks: tuple[GelMark, ...]
     marked_px: int
 
 
-def changed(
+def compare_gel(
     now: Mean, now_frames: int, known: Image, noise_bgr: Sequence[float], known_frames: int, gate_sigma: float
-) -> Change:
+) -> GelChange:
     """Compare an averaged picture with the known one.
 
     now: (320, 240, 3) float32 BGR, mean of `now_frames` untouched frames. known: uint8, mean of `known_frames`.
@@ -82,7 +82,7 @@ def changed(
     uneven = float(np.sqrt(np.square(smooth - level).mean()))
     left_std = np.sqrt(np.square(np.asarray(noise_bgr)) * (1.0 / now_frames + 1.0 / known_frames) + 1.0 / 12.0)
     marks, marked_px = _marks(now, known, float(np.linalg.norm(left_std)))
-    return Change(
+    return GelChange(
         (float(level[0]), float(level[1]), float(level[2])),
         uneven,
         _gate_share(now, known, noise_bgr, gate_sigma),
@@ -91,7 +91,7 @@ def changed(
     )
 
 
-def _marks(now: Mean, known: Image, left_std: float) -> tuple[tuple[Mark, ...], int]:
+def _marks(now: Mean, known: Image, left_std: float) -> tuple[tuple[GelMark, ...], int]:
     """What is sharp, and neither in the known picture nor next to where it is."""
     seen, then = _sharp(now), _sharp(known.astype(np.float32))
     then *= _gain(seen, then)
@@ -110,7 +110,7 @@ def _marks(now: Mean, known: Image, left_std: float) -> tuple[tuple[Mark, ...], 
         levels = height[labels == one]
         strongest = float(levels.max())
         area_px = int(np.count_nonzero(levels >= MARK_SHARE * strongest))  # without the ring that smoothing draws
-        marks.append(Mark(float(middles[one][0]), float(middles[one][1]), area_px, strongest))
+        marks.append(GelMark(float(middles[one][0]), float(middles[one][1]), area_px, strongest))
     marks.sort(key=lambda mark: mark.levels, reverse=True)
     return tuple(marks[:KEPT_MARKS]), sum(mark.area_px for mark in marks)
 
@@ -131,7 +131,7 @@ def _sharp(picture: Mean) -> Mean:
 
 def _gate_share(now: Mean, known: Image, noise_bgr: Sequence[float], gate_sigma: float) -> float:
     """The worst block of the gate's own comparison, over the gate's limit."""
-    gate = Gate(known, noise_bgr, gate_sigma)
+    gate = ContactGate(known, noise_bgr, gate_sigma)
     blocks = block_means(np.clip(np.rint(now), 0, 255).astype(np.uint8))
     assert gate.background is not None
     difference = blocks - gate.background

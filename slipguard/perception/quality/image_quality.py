@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.contact.gate import Blocks, Gate
+from slipguard.perception.contact.gate import Blocks, ContactGate
 from slipguard.perception.quality.compressed import coarsely_compressed
 from slipguard.perception.quality.few_levels import few_levels
 from slipguard.perception.quality.noisy import noisy
-from slipguard.perception.rotation.tracker import Rotation
+from slipguard.perception.rotation.tracker import RotationEstimate
 
 UNLIKE = "picture unlike the no-contact image"
 BLURRED = "picture out of focus"
@@ -28,10 +28,10 @@ LIGHT_DEG = 0.6
 mean difference from the no-contact image, from the first on. A slope of 6 levels over the picture gives 2."""
 
 
-def unfit(
-    gate: Gate, image: NDArray[np.uint8], blocks: Blocks, near_patch: NDArray[np.bool_]
+def image_defect(
+    gate: ContactGate, image: NDArray[np.uint8], blocks: Blocks, near_patch: NDArray[np.bool_]
 ) -> tuple[str | None, float]:
-    """Why a picture is not fit to be measured, None where it is; and its `Gate.unlike_levels`.
+    """Why a picture is not fit to be measured, None where it is; and its `ContactGate.unlike_levels`.
 
     image: (320, 240, 3) uint8 BGR. blocks: its `block_means`. near_patch: (1200,) bool, in and near the contact.
     """
@@ -49,8 +49,10 @@ def unfit(
     return (NOISY if noisy(image) else None), unlike
 
 
-def in_other_light(rotation: Rotation, levels: float) -> Rotation:
+def in_other_light(rotation: RotationEstimate, levels: float) -> RotationEstimate:
     """A turn whose picture is further from the no-contact image than the reference's was: the network errs apart."""
     if rotation.rotation_deg is None or rotation.sigma_deg is None or levels <= LIGHT_FREE_LEVELS:
         return rotation
-    return Rotation(rotation.rotation_deg, math.hypot(rotation.sigma_deg, LIGHT_DEG * (levels - LIGHT_FREE_LEVELS)))
+    return RotationEstimate(
+        rotation.rotation_deg, math.hypot(rotation.sigma_deg, LIGHT_DEG * (levels - LIGHT_FREE_LEVELS))
+    )

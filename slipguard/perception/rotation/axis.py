@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.estimate import Orientation
+from slipguard.perception.estimate import AxisEstimate
 from slipguard.perception.rotation.axial_angle import axial_difference_deg, axial_mean_deg, wrap_axial_deg
-from slipguard.perception.rotation.skeleton import Line, middle_line
+from slipguard.perception.rotation.skeleton import MiddleLine, middle_line
 
 ESTIMATORS = ("moments", "ellipse", "pca", "skeleton")
-FUSED = ("moments", "ellipse", "skeleton")
+FUSED_ESTIMATORS = ("moments", "ellipse", "skeleton")
 """Those whose mean `fused` is."""
 ROUND_ASPECT = 1.15
 LINE_SHARE_MIN = 0.3
@@ -46,7 +46,7 @@ _DISAGREE = "estimators disagree"
 
 
 @dataclass(frozen=True, slots=True)
-class Axis:
+class PatchAxis:
     """An axis in crop coordinates. long_px, short_px: semi-axes of the ellipse with the same second moments.
 
     rough_px: how far what was fitted is from what it was fitted to, where that says how far to trust it.
@@ -73,26 +73,26 @@ class Axis:
         return math.degrees(outline_px / max(lever_px, 1e-3))
 
 
-def estimate(patch: Patch, name: str, round_aspect: float = ROUND_ASPECT) -> Orientation:
+def estimate(patch: Patch, name: str, round_aspect: float = ROUND_ASPECT) -> AxisEstimate:
     """The axis of a patch by the estimator `name`, one of `ESTIMATORS` or `fused`; never raises on any patch."""
     if name == "fused":
-        return fuse([estimate(patch, each, round_aspect) for each in FUSED])
+        return fuse([estimate(patch, each, round_aspect) for each in FUSED_ESTIMATORS])
     if name == "skeleton":
         return skeleton_orientation(patch, middle_line(patch), round_aspect)
     axis, reason = _AXES[name](patch)
     return _orientation(patch, name, axis, reason, round_aspect)
 
 
-def skeleton_orientation(patch: Patch, line: Line, round_aspect: float = ROUND_ASPECT) -> Orientation:
+def skeleton_orientation(patch: Patch, line: MiddleLine, round_aspect: float = ROUND_ASPECT) -> AxisEstimate:
     """The axis by a line that is already thinned (the pipeline times thinning apart)."""
     axis, reason = _skeleton_axis(patch, line)
     told = _orientation(patch, "skeleton", axis, reason, round_aspect)
     if told.sigma_deg is None or told.sigma_deg <= LINE_SIGMA_MAX_DEG:
         return told
-    return Orientation("skeleton", None, None, told.centre_px, _NO_LINE)
+    return AxisEstimate("skeleton", None, None, told.center_px, _NO_LINE)
 
 
-def fuse(answers: list[Orientation]) -> Orientation:
+def fuse(answers: list[AxisEstimate]) -> AxisEstimate:
     """One orientation from several of the same patch: the axial mean weighted by 1 / sigma^2.
 
     The errors are those of one mask, so sigma is that of the best, widened by how far the others are from the mean;
@@ -101,19 +101,21 @@ def fuse(answers: list[Orientation]) -> Orientation:
     said = [(a, a.angle_deg, a.sigma_deg) for a in answers if a.angle_deg is not None and a.sigma_deg is not None]
     first = answers[0]
     if not said:
-        return Orientation("fused", None, None, first.centre_px, first.declined)
+        return AxisEstimate("fused", None, None, first.center_px, first.declined)
     weights = [1.0 / sigma**2 for _, _, sigma in said]
     mean = axial_mean_deg([angle for _, angle, _ in said], weights)
     spread = sum(w * axial_difference_deg(angle, mean) ** 2 for w, (_, angle, _) in zip(weights, said, strict=True))
     sigma = math.sqrt(min(s for _, _, s in said) ** 2 + 0.25 * spread / sum(weights))
     if spread > 25.0 * len(said):
-        return Orientation("fused", None, None, said[0][0].centre_px, _DISAGREE)
-    return Orientation("fused", mean, sigma, said[0][0].centre_px)
+        return AxisEstimate("fused", None, None, said[0][0].center_px, _DISAGREE)
+    return AxisEstimate("fused", mean, sigma, said[0][0].center_px)
 
 
-def _orientation(patch: Patch, name: str, axis: Axis | None, reason: str | None, round_aspect: float) -> Orientation:
+def _orientation(
+    patch: Patch, name: str, axis: PatchAxis | None, reason: str | None, round_aspect: float
+) -> AxisEstimate:
     if axis is None:
-        return Orientation(name, None, None, None, reason)
+        return AxisEstimate(name, None, None, None, reason)
     centre = patch.to_frame(axis.x_px, axis.y_px)
     cut_share = _cut_share(patch) if patch.clipped.any else 0.0
     if reason is None and cut_share > CUT_SHARE_MAX:
@@ -121,10 +123,10 @@ def _orientation(patch: Patch, name: str, axis: Axis | None, reason: str | None,
     if reason is None and not axis.aspect >= round_aspect + CUT_ASPECT * cut_share:
         reason = _CLIPPED if axis.aspect >= round_aspect else _ROUND
     if reason is not None:
-        return Orientation(name, None, None, centre, reason)
+        return AxisEstimate(name, None, None, centre, reason)
     outline_px = math.hypot(_OUTLINE_PX[name], axis.rough_px, patch.ragged_px)
     sigma = axis.sigma_deg(outline_px * (1.0 + CUT_SIGMA * cut_share))
-    return Orientation(name, axis.angle_deg, sigma, centre)
+    return AxisEstimate(name, axis.angle_deg, sigma, centre)
 
 
 def _cut_share(patch: Patch) -> float:
@@ -147,16 +149,16 @@ def _sides(patch: Patch) -> tuple[NDArray[np.uint8] | None, ...]:
     )
 
 
-def _axis_of(mean_x: float, mean_y: float, xx: float, yy: float, xy: float) -> Axis:
+def _axis_of(mean_x: float, mean_y: float, xx: float, yy: float, xy: float) -> PatchAxis:
     """The axis with these second central moments, y downwards."""
     middle, half = (xx + yy) / 2.0, math.hypot((xx - yy) / 2.0, xy)
     angle = wrap_axial_deg(-math.degrees(math.atan2(2.0 * xy, xx - yy)) / 2.0)
-    return Axis(
+    return PatchAxis(
         angle, mean_x, mean_y, 2.0 * math.sqrt(max(middle + half, 0.0)), 2.0 * math.sqrt(max(middle - half, 0.0))
     )
 
 
-def _axis_of_picture(weights: NDArray[np.float32] | NDArray[np.uint8], binary: bool) -> Axis | None:
+def _axis_of_picture(weights: NDArray[np.float32] | NDArray[np.uint8], binary: bool) -> PatchAxis | None:
     m = cv2.moments(weights, binary)
     mass = m["m00"]
     if mass < SMALLEST_PX:
@@ -164,17 +166,17 @@ def _axis_of_picture(weights: NDArray[np.float32] | NDArray[np.uint8], binary: b
     return _axis_of(m["m10"] / mass, m["m01"] / mass, m["mu20"] / mass, m["mu02"] / mass, m["mu11"] / mass)
 
 
-def _moments_axis(patch: Patch) -> tuple[Axis | None, str | None]:
+def _moments_axis(patch: Patch) -> tuple[PatchAxis | None, str | None]:
     return _square_cut(patch, patch.probability, binary=False)
 
 
-def _pca_axis(patch: Patch) -> tuple[Axis | None, str | None]:
+def _pca_axis(patch: Patch) -> tuple[PatchAxis | None, str | None]:
     return _square_cut(patch, patch.mask, binary=True)
 
 
 def _square_cut(
     patch: Patch, weights: NDArray[np.float32] | NDArray[np.uint8], binary: bool
-) -> tuple[Axis | None, str | None]:
+) -> tuple[PatchAxis | None, str | None]:
     """Second moments; an end cut askew by the frame is first cut square to the axis, so that a bar stays unbiased."""
     axis = _axis_of_picture(weights, binary)
     if axis is None:
@@ -201,7 +203,7 @@ def _square_cut(
         if cut is None or abs(axial_difference_deg(cut.angle_deg, whole.angle_deg)) > 30.0:
             return whole, _CLIPPED
         settled = abs(axial_difference_deg(cut.angle_deg, axis.angle_deg)) < 0.1
-        axis = Axis(cut.angle_deg, step * cut.x_px, step * cut.y_px, step * cut.long_px, step * cut.short_px)
+        axis = PatchAxis(cut.angle_deg, step * cut.x_px, step * cut.y_px, step * cut.long_px, step * cut.short_px)
         if settled:
             break
     return axis, None
@@ -230,7 +232,7 @@ def _edge_points(patch: Patch) -> tuple[NDArray[np.float32], NDArray[np.float32]
     return np.concatenate(x).astype(np.float32), np.concatenate(y).astype(np.float32)
 
 
-def _ellipse_axis(patch: Patch) -> tuple[Axis | None, str | None]:
+def _ellipse_axis(patch: Patch) -> tuple[PatchAxis | None, str | None]:
     """An ellipse through the outline, without the points that the frame's edge drew."""
     contours, _ = cv2.findContours(patch.mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not contours or np.count_nonzero(patch.mask) < SMALLEST_PX:
@@ -259,10 +261,10 @@ def _ellipse_axis(patch: Patch) -> tuple[Axis | None, str | None]:
     if not all(math.isfinite(v) for v in values) or max(first, second) > 4.0 * max(patch.mask.shape):
         return None, _CLIPPED if sides.any else _ROUND
     angle = wrap_axial_deg(-rotated if first >= second else -rotated - 90.0)
-    return Axis(angle, x, y, max(first, second) / 2.0, min(first, second) / 2.0), None
+    return PatchAxis(angle, x, y, max(first, second) / 2.0, min(first, second) / 2.0), None
 
 
-def _skeleton_axis(patch: Patch, line: Line) -> tuple[Axis | None, str | None]:
+def _skeleton_axis(patch: Patch, line: MiddleLine) -> tuple[PatchAxis | None, str | None]:
     """A straight line through the thinned patch, each pixel weighted by its distance to the outline."""
     mass = float(line.weight.sum())
     if line.weight.size < 4 or mass <= 0.0:
@@ -276,7 +278,7 @@ def _skeleton_axis(patch: Patch, line: Line) -> tuple[Axis | None, str | None]:
     if length < 1.6 * half_width or axis.aspect < 2.2 or line.share < LINE_SHARE_MIN:
         return axis, _NO_LINE
     # The line's own width is nil: its semi-axes are those of the bar that it is the middle of.
-    return Axis(axis.angle_deg, x, y, length, half_width, axis.short_px / 4.0), None
+    return PatchAxis(axis.angle_deg, x, y, length, half_width, axis.short_px / 4.0), None
 
 
 _AXES = {"moments": _moments_axis, "pca": _pca_axis, "ellipse": _ellipse_axis}

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.rotation.contour_template import BLUR_PX, RIM_PX, Template, blurred, sampled
+from slipguard.perception.rotation.contour_template import BLUR_PX, RIM_PX, ContourTemplate, blurred, sampled
 
 MAX_ROUNDS = 8
 OUTLINE_PX = 0.10
@@ -47,7 +47,7 @@ _CLIPPED = "clipped by the frame"
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
+class ContourPose:
     """Where the reference has moved to: turn counter-clockwise, shift of its centre in network pixels, y down.
 
     growth: how far the outline has grown (network pixels) and the patch stretched along and across (shares).
@@ -60,30 +60,30 @@ class Pose:
 
 
 @dataclass(frozen=True, slots=True)
-class Registration:
+class ContourFit:
     """The best pose and its sigma.
 
     misfit_deg: the turn that would move the outline by as much as is left between the two outlines.
     residual: what is left, r.m.s. difference of probability. declined: None, or why there is no turn.
     """
 
-    pose: Pose
+    pose: ContourPose
     sigma_deg: float
     misfit_deg: float
     residual: float
     declined: str | None
 
 
-class Registrar:
+class ContourRegistrar:
     """Lays patches over one template. `blurred` is shared between several starts on one patch."""
 
-    def __init__(self, template: Template, patch: Patch) -> None:
+    def __init__(self, template: ContourTemplate, patch: Patch) -> None:
         self._template = template
         self._patch = patch
         self._soft = blurred(patch)
         self._cut = patch.clipped.any
 
-    def fit(self, start: Pose) -> Registration:
+    def fit(self, start: ContourPose) -> ContourFit:
         """Refine a start; converges from within about ten degrees and a few pixels.
 
         The shift is held near its start where the outline hardly tells it, and at 0 along a template's rail.
@@ -91,7 +91,7 @@ class Registrar:
         t = self._template
         rotation, dx, dy = math.radians(start.rotation_deg), start.dx_px, start.dy_px
         if t.value.size < 30:
-            return Registration(start, 180.0, 180.0, 1.0, _CLIPPED)
+            return ContourFit(start, 180.0, 180.0, 1.0, _CLIPPED)
         nuisance = np.array(start.growth, np.float32)
         last_step = 0.0
         for _ in range(MAX_ROUNDS):
@@ -131,7 +131,7 @@ class Registrar:
             dy -= -s * move_x + c * move_y
             if small:
                 break
-        pose = Pose(math.degrees(rotation), dx, dy, (float(nuisance[0]), float(nuisance[1]), float(nuisance[2])))
+        pose = ContourPose(math.degrees(rotation), dx, dy, (float(nuisance[0]), float(nuisance[1]), float(nuisance[2])))
         return self._judged(pose, normal, noise2, weight)
 
     def _difference(
@@ -141,12 +141,12 @@ class Registrar:
         t, patch = self._template, self._patch
         c, s = np.float32(math.cos(rotation)), np.float32(math.sin(rotation))
         grown_x, grown_y = t.x_px + t.growth_x @ nuisance, t.y_px + t.growth_y @ nuisance
-        x = grown_x * c + grown_y * s + np.float32(t.centre_px[0] + dx - patch.left_px)
-        y = grown_y * c - grown_x * s + np.float32(t.centre_px[1] + dy - patch.top_px)
+        x = grown_x * c + grown_y * s + np.float32(t.center_px[0] + dx - patch.left_px)
+        y = grown_y * c - grown_x * s + np.float32(t.center_px[1] + dy - patch.top_px)
         difference = (
             sampled(self._soft, np.asarray(x, np.float32), np.asarray(y, np.float32), cv2.BORDER_CONSTANT) - t.value
         )
-        width, height = patch.picture_size
+        width, height = patch.image_size
         weight = 1.0 / (1.0 + (difference * np.float32(1.0 / 0.25)) ** 2)
         left, top = np.float32(RIM_PX - patch.left_px), np.float32(RIM_PX - patch.top_px)
         right = np.float32(width - 1 - RIM_PX - patch.left_px)
@@ -156,8 +156,8 @@ class Registrar:
         return difference, weight
 
     def _judged(
-        self, pose: Pose, normal: NDArray[np.float64], noise2: float, weight: NDArray[np.float32]
-    ) -> Registration:
+        self, pose: ContourPose, normal: NDArray[np.float64], noise2: float, weight: NDArray[np.float32]
+    ) -> ContourFit:
         t = self._template
         residual = math.sqrt(noise2)
         covariance = np.linalg.inv(normal + np.diag(1e-4 / _PRIOR_STD**2))
@@ -178,4 +178,4 @@ class Registrar:
             declined = _ROUND
         elif misfit_px > MISFIT_MAX_PX or t.contrast < CONTRAST_RATIO_MIN * residual:
             declined = NOT_SAME
-        return Registration(pose, min(sigma, 180.0), min(misfit_deg, 180.0), residual, declined)
+        return ContourFit(pose, min(sigma, 180.0), min(misfit_deg, 180.0), residual, declined)

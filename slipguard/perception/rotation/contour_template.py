@@ -27,13 +27,13 @@ RAIL_CONTRAST = 0.10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Template:
+class ContourTemplate:
     """The reference's outline: pixels around its centre, their values, and how each moves them.
 
     x_px, y_px: (N,) float32 from the centre, network pixels, y down. value: (N,) float32.
     motion: (N, 6) float32, change of value per turn, shift x, shift y, growth, stretch along, stretch across.
     growth_x, growth_y: (N, 3) float32, how far growth and the two stretches move each pixel.
-    centre_px: in the network's picture. slope: (N,) gradient magnitude. contrast: how much the picture differs
+    center_px: in the network's picture. slope: (N,) gradient magnitude. contrast: how much the picture differs
     (r.m.s.) from itself turned by `TELLING_DEG`.
     repeats: whether the outline comes to look like itself after a small turn. rail: the direction (x, y) in which a
     shift cannot be seen, as along a bar that the frame cuts twice; None where every shift can.
@@ -46,7 +46,7 @@ class Template:
     growth_x: NDArray[np.float32]
     growth_y: NDArray[np.float32]
     slope: NDArray[np.float32]
-    centre_px: tuple[float, float]
+    center_px: tuple[float, float]
     contrast: float
     repeats: bool
     rail: tuple[float, float] | None
@@ -56,7 +56,7 @@ def blurred(patch: Patch) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(patch.probability, (0, 0), BLUR_PX, borderType=cv2.BORDER_REPLICATE), np.float32)
 
 
-def make_template(patch: Patch) -> Template:
+def make_contour_template(patch: Patch) -> ContourTemplate:
     """Remember a patch as the reference. It stretches along and across the long axis of its second moments."""
     soft = blurred(patch)
     gx = cv2.Sobel(soft, cv2.CV_32F, 1, 0, scale=0.125, borderType=cv2.BORDER_REPLICATE)
@@ -94,7 +94,7 @@ def make_template(patch: Patch) -> Template:
     ).T
     growth_x = np.stack([-slope_x / slope, along * c, -across * s], axis=1)
     growth_y = np.stack([-slope_y / slope, along * s, across * c], axis=1)
-    return Template(
+    return ContourTemplate(
         dx,
         dy,
         value,

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from slipguard.perception.rotation.contour_template import sampled
-from slipguard.perception.rotation.texture_registration import Texture
+from slipguard.perception.rotation.texture_registration import TextureTemplate
 
 FURTHEST_DEG = 124.0
 """A triangle repeats at 120 degrees. What repeats at 180 is taken for unturned, as axes are."""
@@ -31,7 +31,7 @@ WHOLE_SHARE = 0.9
 share is sure."""
 
 
-def pitch_deg(texture: Texture) -> float | None:
+def period_deg(texture: TextureTemplate) -> float | None:
     """The smallest turn after which the relief looks like itself again, degrees, to a degree or two.
 
     That is, where it differs least from itself after it has differed more. None: there is none up to `FURTHEST_DEG`.
@@ -52,12 +52,12 @@ def pitch_deg(texture: Texture) -> float | None:
     return None if found is None else found[1]
 
 
-def may_be_next(by_deg: float, unseen_deg: float, step_deg: float) -> bool:
+def may_be_next(by_deg: float, possible_rotation_deg: float, step_deg: float) -> bool:
     """Whether what was found so far from where it was expected, and may have turned so far unseen, is a step on."""
-    return abs(by_deg) >= min(LEAP_SHARE * step_deg, WHOLE_SHARE * step_deg - unseen_deg)
+    return abs(by_deg) >= min(LEAP_SHARE * step_deg, WHOLE_SHARE * step_deg - possible_rotation_deg)
 
 
-def unseen_deg(since_s: float, rate_deg_s: float) -> float:
+def possible_rotation_deg(since_s: float, rate_deg_s: float) -> float:
     """How far from where it was expected a contact may be that has not been seen for so long, degrees.
 
     rate_deg_s: what it turned at when it was last seen: it may have stopped at once, or be turning ever faster.

@@ -12,26 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.estimate import Orientation
-from slipguard.perception.rotation.contour_registration import NOT_SAME, Pose, Registrar, Registration
-from slipguard.perception.rotation.contour_template import Template, make_template
-from slipguard.perception.rotation.period import unseen_deg
-from slipguard.perception.rotation.texture_map import Relief, ReliefReader
-from slipguard.perception.rotation.texture_registration import make_texture
-from slipguard.perception.rotation.texture_tracker import LOST_COUNT, Followed, ReliefTrack
+from slipguard.perception.estimate import AxisEstimate
+from slipguard.perception.rotation.contour_registration import NOT_SAME, ContourFit, ContourPose, ContourRegistrar
+from slipguard.perception.rotation.contour_template import ContourTemplate, make_contour_template
+from slipguard.perception.rotation.period import possible_rotation_deg
+from slipguard.perception.rotation.texture_map import TextureMap, TextureMapReader
+from slipguard.perception.rotation.texture_registration import make_texture_template
+from slipguard.perception.rotation.texture_tracker import AMBIGUOUS_PERIOD, TextureTracker, TrackedTexture
 from slipguard.perception.rotation.tracker import (
     AGREE_SIGMA,
-    Rotation,
-    Tracker,
+    RotationEstimate,
+    RotationTracker,
     agree,
-    axis_rotation,
     checked,
     combined,
     less_sure,
     pooled,
+    rotation_between_axes,
 )
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.perception.stage_timer import StageClock
+from slipguard.perception.stage_timer import StageTimer
 
 STABLE_FRAMES = 5
 STABLE_SHARE = 0.05
@@ -56,10 +56,10 @@ class Reference:
     """
 
     image: NDArray[np.uint8]
-    axes: Mapping[str, Orientation]
+    axes: Mapping[str, AxisEstimate]
     patch: Patch
-    relief: ReliefTrack | None
-    centre_px: tuple[float, float]
+    relief: TextureTracker | None
+    center_px: tuple[float, float]
     area_px: int
 
 
@@ -79,11 +79,11 @@ class RotationMeter:
     ) -> None:
         self._settings = settings
         self._frame_px = frame_px
-        self._reader = None if background is None else ReliefReader(background, noise_bgr)
+        self._reader = None if background is None else TextureMapReader(background, noise_bgr)
         self.reference: Reference | None = None
-        self.tracker = Tracker()
-        self._template: Template | None = None
-        self._pose = Pose()
+        self.tracker = RotationTracker()
+        self._template: ContourTemplate | None = None
+        self._pose = ContourPose()
         self._lost_count = False
         self._unseen_deg = 0.0
         self._stands_at_s = -math.inf
@@ -93,7 +93,7 @@ class RotationMeter:
         """There is no contact: a reference not yet taken needs a new run of stable frames."""
         self._areas.clear()
 
-    def stands(self, now_s: float) -> None:
+    def keep_estimate(self, now_s: float) -> None:
         """The frame of `now_s` is not measured, and the turn is known to be as it was: a count goes on."""
         self._keep_count(now_s)
         self._stands_at_s = now_s
@@ -102,10 +102,10 @@ class RotationMeter:
         self,
         image: NDArray[np.uint8],
         patch: Patch,
-        axes_of: Callable[[bool], Mapping[str, Orientation]],
+        axes_of: Callable[[bool], Mapping[str, AxisEstimate]],
         now_s: float,
-        clock: StageClock,
-    ) -> tuple[Rotation, tuple[float, float] | None]:
+        clock: StageTimer,
+    ) -> tuple[RotationEstimate, tuple[float, float] | None]:
         """Turn and shift (frame pixels right and down) since the reference, which this patch may become.
 
         image: the frame, (320, 240, 3) uint8 BGR. axes_of: the patch's axes; called with False for the plainest one
@@ -114,18 +114,18 @@ class RotationMeter:
         self._take_reference(image, patch, axes_of, now_s, clock)
         reference = self.reference
         if reference is None:
-            return Rotation(None, None, NO_REFERENCE), None
+            return RotationEstimate(None, None, NO_REFERENCE), None
         predicted = self.tracker.predicted_deg(now_s)
         rotation = self._axial(reference, axes_of(False), predicted)
         self._keep_count(now_s)
-        followed = Followed(None, None, None, 1.0, NO_RELIEF)
-        relief: Relief | None = None
+        followed = TrackedTexture(None, None, None, 1.0, NO_RELIEF)
+        relief: TextureMap | None = None
         if self._settings.estimator in ("fused", "registration"):
             relief = self._read(reference, image, patch)
             followed = self._by_relief(reference, relief, patch, predicted, rotation)
             clock.mark("relief")
-        by_relief = Rotation(followed.rotation_deg, followed.sigma_deg, followed.declined)
-        shift_px = followed.shift(lambda: _difference(_centre_px(patch), reference.centre_px))
+        by_relief = RotationEstimate(followed.rotation_deg, followed.sigma_deg, followed.declined)
+        shift_px = followed.shift(lambda: _difference(_centre_px(patch), reference.center_px))
         sure = by_relief.sigma_deg is not None and by_relief.sigma_deg <= SURE_DEG
         if sure and agree(by_relief, rotation):
             rotation = combined(by_relief, rotation) if self._settings.estimator == "fused" else by_relief
@@ -138,21 +138,21 @@ class RotationMeter:
                 by_outline, laid, outline_shift_px = self._by_outline(reference, patch, rotation, near, only_near=sure)
                 clock.mark("register")
                 followed = self._again(reference, relief, patch, predicted, followed, laid, outline_shift_px)
-                by_relief = Rotation(followed.rotation_deg, followed.sigma_deg, followed.declined)
+                by_relief = RotationEstimate(followed.rotation_deg, followed.sigma_deg, followed.declined)
                 clock.mark("relief")
                 shift_px = followed.shift(lambda: outline_shift_px)
             rotation = combined(by_relief, less_sure(by_outline, followed.unlike))
         if rotation.sigma_deg is not None and rotation.sigma_deg > self._settings.sigma_max_deg:
-            rotation = Rotation(None, None, UNSURE)
+            rotation = RotationEstimate(None, None, UNSURE)
         return self.tracker.accept(now_s, rotation), shift_px
 
     def _take_reference(
         self,
         image: NDArray[np.uint8],
         patch: Patch,
-        axes_of: Callable[[bool], Mapping[str, Orientation]],
+        axes_of: Callable[[bool], Mapping[str, AxisEstimate]],
         now_s: float,
-        clock: StageClock,
+        clock: StageTimer,
     ) -> None:
         if self.reference is not None:
             return
@@ -167,9 +167,9 @@ class RotationMeter:
         self,
         image: NDArray[np.uint8],
         patch: Patch,
-        axes_of: Callable[[bool], Mapping[str, Orientation]],
+        axes_of: Callable[[bool], Mapping[str, AxisEstimate]],
         now_s: float,
-        clock: StageClock,
+        clock: StageTimer,
         rotation_deg: float | None = None,
     ) -> None:
         """This patch is the reference from now on.
@@ -179,19 +179,19 @@ class RotationMeter:
         relief = None
         if self._reader is not None:
             self._reader.learn(image, patch)
-            texture = make_texture(self._reader.read(image, patch), patch)
-            relief = None if texture is None else ReliefTrack(texture)
+            texture = make_texture_template(self._reader.read(image, patch), patch)
+            relief = None if texture is None else TextureTracker(texture)
         clock.mark("reference")
         axes = dict(axes_of(True))
         self.reference = Reference(image, axes, patch, relief, _centre_px(patch), patch.area_px)
         clock.mark("reference")
         self.tracker.start(now_s, rotation_deg or 0.0)
         self._template = None
-        self._pose = Pose(rotation_deg or 0.0)
-        self._lost_count = rotation_deg is not None and relief is not None and relief.pitch_deg is not None
+        self._pose = ContourPose(rotation_deg or 0.0)
+        self._lost_count = rotation_deg is not None and relief is not None and relief.period_deg is not None
         self._stands_at_s = -math.inf
 
-    def _axial(self, reference: Reference, axes: Mapping[str, Orientation], predicted_deg: float) -> Rotation:
+    def _axial(self, reference: Reference, axes: Mapping[str, AxisEstimate], predicted_deg: float) -> RotationEstimate:
         known = reference.axes
         return pooled([_between(known[name], axis, predicted_deg) for name, axis in axes.items() if name in known])
 
@@ -204,33 +204,38 @@ class RotationMeter:
         known_at_s = tracker.known_at_s
         if known_at_s < self._stands_at_s <= now_s:
             known_at_s = self._stands_at_s
-        self._unseen_deg = unseen_deg(now_s - known_at_s, tracker.rate_deg_s(tracker.known_at_s) or 0.0)
+        self._unseen_deg = possible_rotation_deg(now_s - known_at_s, tracker.rate_deg_s(tracker.known_at_s) or 0.0)
         self._lost_count = relief.leaps(0.0, self._unseen_deg)
 
-    def _read(self, reference: Reference, image: NDArray[np.uint8], patch: Patch) -> Relief | None:
+    def _read(self, reference: Reference, image: NDArray[np.uint8], patch: Patch) -> TextureMap | None:
         """The relief in the contact, None where the reference has none."""
         return None if self._reader is None or reference.relief is None else self._reader.read(image, patch)
 
     def _by_relief(
-        self, reference: Reference, relief: Relief | None, patch: Patch, predicted_deg: float, axial: Rotation
-    ) -> Followed:
+        self,
+        reference: Reference,
+        relief: TextureMap | None,
+        patch: Patch,
+        predicted_deg: float,
+        axial: RotationEstimate,
+    ) -> TrackedTexture:
         """The turn by the relief in the contact, from where the track leads, or the axis where a count is lost."""
         track = reference.relief
         if relief is None or track is None:
-            return Followed(None, None, None, 1.0, NO_RELIEF)
+            return TrackedTexture(None, None, None, 1.0, NO_RELIEF)
         if not self._lost_count:
-            return track.follow(relief, patch, predicted_deg, unseen_deg=self._unseen_deg)
-        step_deg = track.pitch_deg or 0.0
+            return track.follow(relief, patch, predicted_deg, possible_rotation_deg=self._unseen_deg)
+        step_deg = track.period_deg or 0.0
         if axial.rotation_deg is None or axial.sigma_deg is None or AGREE_SIGMA * axial.sigma_deg >= 0.5 * step_deg:
-            return Followed(None, None, None, 1.0, LOST_COUNT)
+            return TrackedTexture(None, None, None, 1.0, AMBIGUOUS_PERIOD)
         found = track.follow(relief, patch, axial.rotation_deg)
         self._lost_count = found.rotation_deg is None
         return found
 
     def _again(
-        self, reference: Reference, relief: Relief | None, patch: Patch, predicted_deg: float, found: Followed,
-        outline: Rotation, shift_px: tuple[float, float],
-    ) -> Followed:  # fmt: skip
+        self, reference: Reference, relief: TextureMap | None, patch: Patch, predicted_deg: float, found: TrackedTexture,
+        outline: RotationEstimate, shift_px: tuple[float, float],
+    ) -> TrackedTexture:  # fmt: skip
         """The relief looked for once more where the outline is, where that is far from where it was looked for."""
         track = reference.relief
         before_deg = predicted_deg if found.rotation_deg is None else found.rotation_deg
@@ -239,56 +244,58 @@ class RotationMeter:
         if abs(outline.rotation_deg - before_deg) <= AGAIN_DEG:
             return found
         again = track.follow(
-            relief, patch, predicted_deg, (outline.rotation_deg, shift_px), unseen_deg=self._unseen_deg
+            relief, patch, predicted_deg, (outline.rotation_deg, shift_px), possible_rotation_deg=self._unseen_deg
         )
         if again.sigma_deg is None or again.sigma_deg >= (found.sigma_deg or 180.0):
             return found
         return again
 
     def _by_outline(
-        self, reference: Reference, patch: Patch, rotation: Rotation, near_deg: float, only_near: bool
-    ) -> tuple[Rotation, Rotation, tuple[float, float]]:
+        self, reference: Reference, patch: Patch, rotation: RotationEstimate, near_deg: float, only_near: bool
+    ) -> tuple[RotationEstimate, RotationEstimate, tuple[float, float]]:
         """The turn by the outline, checked by the one that the axes show; unchecked, or the axes' alone; the shift.
 
         near_deg: where to look for it first. only_near: and not from where the axes point.
         """
-        shift_px = _difference(_centre_px(patch), reference.centre_px)
-        laid = self._laid_over(reference, patch, Rotation(None, None) if only_near else rotation, near_deg)
-        registered = Rotation(None, None, laid.declined)
+        shift_px = _difference(_centre_px(patch), reference.center_px)
+        laid = self._laid_over(reference, patch, RotationEstimate(None, None) if only_near else rotation, near_deg)
+        registered = RotationEstimate(None, None, laid.declined)
         if laid.declined == NOT_SAME and rotation.rotation_deg is not None and rotation.sigma_deg is not None:
             # An outline that has become another one has moved its axis too.
-            rotation = Rotation(rotation.rotation_deg, math.hypot(rotation.sigma_deg, MISFIT_SIGMAS * laid.misfit_deg))
+            rotation = RotationEstimate(
+                rotation.rotation_deg, math.hypot(rotation.sigma_deg, MISFIT_SIGMAS * laid.misfit_deg)
+            )
         if laid.declined is None:
             self._pose = laid.pose
-            registered = Rotation(laid.pose.rotation_deg, laid.sigma_deg)
+            registered = RotationEstimate(laid.pose.rotation_deg, laid.sigma_deg)
             shift_px = (laid.pose.dx_px * self._frame_px, laid.pose.dy_px * self._frame_px)
         if self._lost_count and rotation.rotation_deg is None:
-            registered = Rotation(None, None, LOST_COUNT)  # a nut's outline repeats with its relief
+            registered = RotationEstimate(None, None, AMBIGUOUS_PERIOD)  # a nut's outline repeats with its relief
         only = self._settings.estimator == "registration"
         laid_rotation = rotation if registered.rotation_deg is None else registered
         return registered if only else checked(registered, rotation), laid_rotation, shift_px
 
-    def _laid_over(self, reference: Reference, patch: Patch, rotation: Rotation, near_deg: float) -> Registration:
+    def _laid_over(self, reference: Reference, patch: Patch, rotation: RotationEstimate, near_deg: float) -> ContourFit:
         """The patch laid over the reference, from a turn that is likely or from where its axis points."""
         if self._template is None:  # made when it is first needed: many grasps never ask for the outline
-            self._template = make_template(reference.patch)
-        registrar = Registrar(self._template, patch)
+            self._template = make_contour_template(reference.patch)
+        registrar = ContourRegistrar(self._template, patch)
         best = registrar.fit(replace(self._pose, rotation_deg=near_deg))
         if rotation.rotation_deg is None or abs(rotation.rotation_deg - best.pose.rotation_deg) < 4.0:
             return best
-        dx, dy = _difference(_centre_px(patch), reference.centre_px)
-        other = registrar.fit(Pose(rotation.rotation_deg, dx / self._frame_px, dy / self._frame_px))
+        dx, dy = _difference(_centre_px(patch), reference.center_px)
+        other = registrar.fit(ContourPose(rotation.rotation_deg, dx / self._frame_px, dy / self._frame_px))
         better = other.declined is None and (best.declined is not None or other.residual < best.residual)
         return other if better else best
 
 
-def _between(reference: Orientation, now: Orientation, near_deg: float) -> Rotation:
+def _between(reference: AxisEstimate, now: AxisEstimate, near_deg: float) -> RotationEstimate:
     """The turn between two answers of one estimator."""
     if reference.angle_deg is None or reference.sigma_deg is None:
-        return Rotation(None, None, reference.declined)
+        return RotationEstimate(None, None, reference.declined)
     if now.angle_deg is None or now.sigma_deg is None:
-        return Rotation(None, None, now.declined)
-    return axis_rotation(now.angle_deg, now.sigma_deg, reference.angle_deg, reference.sigma_deg, near_deg)
+        return RotationEstimate(None, None, now.declined)
+    return rotation_between_axes(now.angle_deg, now.sigma_deg, reference.angle_deg, reference.sigma_deg, near_deg)
 
 
 def _centre_px(patch: Patch) -> tuple[float, float]:

@@ -19,7 +19,7 @@ BEYOND_PX = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Line:
+class MiddleLine:
     """The pixels of the thinned patch that tell its axis.
 
     x_px, y_px: crop coordinates, right and down. weight: distance to the outline, network pixels.
@@ -33,7 +33,7 @@ class Line:
     skeleton: NDArray[np.uint8]
 
 
-def middle_line(patch: Patch) -> Line:
+def middle_line(patch: Patch) -> MiddleLine:
     """Thin the patch and keep what is no corner branch and not within a half width of a side cut by the frame."""
     sides = patch.clipped
     top, bottom = BEYOND_PX * sides.top, BEYOND_PX * sides.bottom
@@ -58,7 +58,7 @@ def middle_line(patch: Patch) -> Line:
         keep &= columns - 1 - x > weight
     if sides.bottom:
         keep &= rows - 1 - y > weight
-    return Line(
+    return MiddleLine(
         x[keep].astype(np.float64),
         y[keep].astype(np.float64),
         weight[keep].astype(np.float64),

@@ -13,7 +13,7 @@ TELLING = 1e-3
 Field = NDArray[np.float32]
 
 
-def held_back(motion: Field, weight: Field, difference: Field, unmoved: Field) -> float:
+def static_pattern_bias(motion: Field, weight: Field, difference: Field, unmoved: Field) -> float:
     """The turn that a fit lacks, as a share of the turn it has found, by what has stayed in its place; 0 to `HELD_MAX`.
 
     Of a picture with a share a of a pattern that stays and 1 - a of one that turns, a fit of small turns finds 1 - a

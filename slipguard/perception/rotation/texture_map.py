@@ -37,7 +37,7 @@ Field = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class ImageWindow:
     """A part of the relief's picture of 120 x 160: its first column and row, and those after its last."""
 
     left_px: int
@@ -46,7 +46,7 @@ class Window:
     bottom_px: int
 
     @classmethod
-    def around(cls, patch: Patch) -> Window:
+    def around(cls, patch: Patch) -> ImageWindow:
         """The window of a patch's crop and what lies around it."""
         scale = patch.frame_px / REDUCTION
         rows, columns = patch.mask.shape
@@ -59,18 +59,18 @@ class Window:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Relief:
+class TextureMap:
     """Curvature in one window: (h, w) float32, grey levels a pixel.
 
     noise: what the camera's noise makes of an untouched gel, one standard deviation; 0 where it is not known.
     """
 
-    window: Window
+    window: ImageWindow
     curvature: Field
     noise: float = 0.0
 
 
-class ReliefReader:
+class TextureMapReader:
     """Reads the relief of one finger's frames. Pure but for the mix of colours, which `learn` finds at the reference.
 
     background: the unit's no-contact image, (320, 240, 3) uint8 BGR. noise_bgr: standard deviation of a pixel, grey
@@ -95,7 +95,7 @@ class ReliefReader:
         (d/dx - i d/dy) s is real wherever the gel is a surface, but for one factor by which all azimuths are off; in
         the wrong sense its phase varies. Then strengths and cross-talk: slopes of a surface have no curl.
         """
-        steep = self._steepness(image, Window.around(patch), patch)
+        steep = self._steepness(image, ImageWindow.around(patch), patch)
         found = []
         for mirrored in (False, True):
             x, y = _to_slopes(0.0, mirrored).astype(np.float64)
@@ -106,21 +106,21 @@ class ReliefReader:
         mirrored = found[1][0] > found[0][0] + MIRRORED_MARGIN
         self._take(_without_curl(steep, _to_slopes(found[int(mirrored)][1], mirrored)))
 
-    def _steepness(self, image: NDArray[np.uint8], window: Window, patch: Patch) -> NDArray[np.float64]:
+    def _steepness(self, image: NDArray[np.uint8], window: ImageWindow, patch: Patch) -> NDArray[np.float64]:
         """(6, 6): products of the three colours' change to the right and upwards, summed over the patch."""
         level = np.asarray(cv2.GaussianBlur(self._difference(image, window), (0, 0), BLUR_PX), np.float32)
         mask = _mask_in(patch, window)
         change = np.concatenate([_dx(level)[mask], _dy(level)[mask]], axis=1).astype(np.float64)
         return np.asarray(change.T @ change)
 
-    def read(self, image: NDArray[np.uint8], patch: Patch) -> Relief:
+    def read(self, image: NDArray[np.uint8], patch: Patch) -> TextureMap:
         """The relief in and around a patch. image: (320, 240, 3) uint8 BGR."""
-        window = Window.around(patch)
+        window = ImageWindow.around(patch)
         slopes = cv2.GaussianBlur(cv2.transform(self._difference(image, window), self._colours), (0, 0), BLUR_PX)
         right, up = cv2.split(slopes)
-        return Relief(window, _dx(np.asarray(right, np.float32)) + _dy(np.asarray(up, np.float32)), self._noise)
+        return TextureMap(window, _dx(np.asarray(right, np.float32)) + _dy(np.asarray(up, np.float32)), self._noise)
 
-    def _difference(self, image: NDArray[np.uint8], window: Window) -> Field:
+    def _difference(self, image: NDArray[np.uint8], window: ImageWindow) -> Field:
         """Picture less no-contact image in a window, (h, w, 3) float32 grey levels."""
         left, top, right, bottom = window.left_px, window.top_px, window.right_px, window.bottom_px
         crop = image[REDUCTION * top : REDUCTION * bottom, REDUCTION * left : REDUCTION * right]
@@ -147,12 +147,12 @@ def _to_slopes(off_rad: float, mirrored: bool) -> NDArray[np.float32]:
     return np.asarray(np.stack([c * x + s * y, c * y - s * x]) * (2.0 / 3.0), np.float32)
 
 
-def _mask_in(patch: Patch, window: Window) -> NDArray[np.bool_]:
+def _mask_in(patch: Patch, window: ImageWindow) -> NDArray[np.bool_]:
     """The patch's mask and two pixels around it, in a window of the relief."""
     return np.asarray(cv2.dilate(placed(patch, window), np.ones((5, 5), np.uint8)) > 0, np.bool_)
 
 
-def placed(patch: Patch, window: Window) -> NDArray[np.uint8]:
+def placed(patch: Patch, window: ImageWindow) -> NDArray[np.uint8]:
     """A patch's mask in a window of the relief, (h, w) uint8, 0 or 1."""
     scale = patch.frame_px / REDUCTION
     rows, columns = patch.mask.shape

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.rotation.contour_template import sampled
-from slipguard.perception.rotation.static_pattern import held_back
-from slipguard.perception.rotation.texture_map import HEIGHT_PX, WIDTH_PX, Relief, Window, placed
+from slipguard.perception.rotation.static_pattern import static_pattern_bias
+from slipguard.perception.rotation.texture_map import HEIGHT_PX, WIDTH_PX, ImageWindow, TextureMap, placed
 
 SKIRT_PX = 5
 """The slopes around the contact count as far out as this, relief pixels."""
@@ -105,7 +105,7 @@ class TextureFit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Texture:
+class TextureTemplate:
     """The reference's relief: points around its centre, their values and how each motion changes them.
 
     x_px, y_px, value: (N,) float32. motion: (N, 5) float32, change per turn, shift x, shift y, scale, gain.
@@ -121,7 +121,7 @@ class Texture:
     motion: Field
     block: NDArray[np.intp]
     smooth: tuple[float, float] | None
-    centre_px: tuple[float, float]
+    center_px: tuple[float, float]
     coarse_lever: float
     strength: float
     noise: float
@@ -134,7 +134,7 @@ class Texture:
         return self.coarse_lever < ROUND_LEVER * (1.0 + ROUND_FAINT * (FAINT_LEVELS / max(self.strength, 1e-3)) ** 2)
 
 
-def make_texture(relief: Relief, patch: Patch) -> Texture | None:
+def make_texture_template(relief: TextureMap, patch: Patch) -> TextureTemplate | None:
     """Remember the relief in and around a patch; None where too little of it lies within the picture."""
     window = relief.window
     mask = placed(patch, window)
@@ -162,7 +162,7 @@ def make_texture(relief: Relief, patch: Patch) -> Texture | None:
     if smooth is not None:  # shift by noise would wander, frame after frame
         motion[:, 1:3] -= np.outer(motion[:, 1:3] @ smooth, smooth)
     block = np.floor(dx / BLOCK_PX).astype(np.intp) * 64 + np.floor(dy / BLOCK_PX).astype(np.intp)
-    return Texture(
+    return TextureTemplate(
         dx,
         dy,
         relief.curvature[y, x],
@@ -178,7 +178,7 @@ def make_texture(relief: Relief, patch: Patch) -> Texture | None:
     )
 
 
-def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:
+def fit_texture(texture: TextureTemplate, relief: TextureMap, start: TexturePose) -> TextureFit:
     """Lay the reference's relief over another, from a start within some degrees and pixels."""
     if texture.round:
         return TextureFit(start, 180.0, 180.0, 180.0, 0.0, 0.0, 1.0, 0.0, ROUND)
@@ -215,14 +215,14 @@ def fit(texture: Texture, relief: Relief, start: TexturePose) -> TextureFit:
         if abs(rotation_step) < 8e-4 and abs(move_x) + abs(move_y) < 0.04:
             break
     pose = TexturePose(math.degrees(rotation), dx, dy, scale, gain)
-    left, top = (round(at - inside) for at, inside in zip(texture.centre_px, texture.origin_px, strict=True))
-    unmoved, seen = _laid(texture, Relief(Window(left, top, 0, 0), texture.picture), rotation, dx, dy, scale)
-    back = held_back(motion, weight * seen, difference, unmoved)
+    left, top = (round(at - inside) for at, inside in zip(texture.center_px, texture.origin_px, strict=True))
+    unmoved, seen = _laid(texture, TextureMap(ImageWindow(left, top, 0, 0), texture.picture), rotation, dx, dy, scale)
+    back = static_pattern_bias(motion, weight * seen, difference, unmoved)
     return _judged(texture, relief.noise, pose, held, difference, value, weight, back)
 
 
 def _judged(
-    texture: Texture,
+    texture: TextureTemplate,
     noise: float,
     pose: TexturePose,
     held: NDArray[np.float64],
@@ -260,12 +260,14 @@ def _judged(
     )
 
 
-def _laid(texture: Texture, relief: Relief, rotation: float, dx: float, dy: float, scale: float) -> tuple[Field, Field]:
+def _laid(
+    texture: TextureTemplate, relief: TextureMap, rotation: float, dx: float, dy: float, scale: float
+) -> tuple[Field, Field]:
     """What now lies where the reference's points have moved to, and 1 where that is in the picture, else 0."""
     window = relief.window
     c, s = np.float32(scale * math.cos(rotation)), np.float32(scale * math.sin(rotation))
-    x = texture.x_px * c + texture.y_px * s + np.float32(texture.centre_px[0] + dx - window.left_px)
-    y = texture.y_px * c - texture.x_px * s + np.float32(texture.centre_px[1] + dy - window.top_px)
+    x = texture.x_px * c + texture.y_px * s + np.float32(texture.center_px[0] + dx - window.left_px)
+    y = texture.y_px * c - texture.x_px * s + np.float32(texture.center_px[1] + dy - window.top_px)
     rows, columns = relief.curvature.shape
     value = sampled(relief.curvature, x, y, cv2.BORDER_REPLICATE)
     inside = (x >= EDGE_PX) & (x <= columns - 1 - EDGE_PX) & (y >= EDGE_PX) & (y <= rows - 1 - EDGE_PX)

@@ -12,9 +12,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.rotation.period import LOOK_DEG, may_be_next, pitch_deg
-from slipguard.perception.rotation.texture_map import REDUCTION, Relief
-from slipguard.perception.rotation.texture_registration import Texture, TextureFit, TexturePose, fit, make_texture
+from slipguard.perception.rotation.period import LOOK_DEG, may_be_next, period_deg
+from slipguard.perception.rotation.texture_map import REDUCTION, TextureMap
+from slipguard.perception.rotation.texture_registration import (
+    TextureFit,
+    TexturePose,
+    TextureTemplate,
+    fit_texture,
+    make_texture_template,
+)
 from slipguard.perception.rotation.texture_sigma import sigma_deg
 
 SURE_DEG = 1.5
@@ -26,11 +32,11 @@ KEY_ALIKE = 0.93
 """... and only where the relief has become this unlike the reference's."""
 KEY_STEP = 1.2
 """... and less certain than the last key by this."""
-LOST_COUNT = "lost count of a relief that repeats itself"
+AMBIGUOUS_PERIOD = "lost count of a relief that repeats itself"
 
 
 @dataclass(frozen=True, slots=True)
-class Followed:
+class TrackedTexture:
     """Turn since the reference, shift of the reference's centre (frame pixels right and down); declined: why not.
 
     unlike: 1 where the contact is as it was, more the more it has deformed. smooth: the direction (right, down; of
@@ -59,17 +65,17 @@ class Followed:
 class _Key:
     """A relief and where the reference was when it was taken. at_px: the reference's centre from the key's."""
 
-    texture: Texture
+    texture: TextureTemplate
     rotation_deg: float
     sigma_deg: float
     shift_px: tuple[float, float]
     at_px: tuple[float, float]
 
 
-class ReliefTrack:
+class TextureTracker:
     """Follows one reference. texture: its relief."""
 
-    def __init__(self, texture: Texture) -> None:
+    def __init__(self, texture: TextureTemplate) -> None:
         self._first = texture
         self._pitch: tuple[float | None] | None = None
         self._pose = TexturePose()
@@ -77,30 +83,30 @@ class ReliefTrack:
         self._key_pose = TexturePose()
 
     @property
-    def pitch_deg(self) -> float | None:
+    def period_deg(self) -> float | None:
         """The turn after which the relief looks like itself, None for no such turn; found when it is first asked."""
         if self._pitch is None:
-            self._pitch = (pitch_deg(self._first),)
+            self._pitch = (period_deg(self._first),)
         return self._pitch[0]
 
     def follow(
         self,
-        relief: Relief,
+        relief: TextureMap,
         patch: Patch,
         predicted_deg: float,
         start: tuple[float, tuple[float, float]] | None = None,
         *,
-        unseen_deg: float = 0.0,
-    ) -> Followed:
+        possible_rotation_deg: float = 0.0,
+    ) -> TrackedTexture:
         """The turn since the reference, from where the track leads.
 
         start: another turn and shift (frame pixels right and down) to look from; None: from where the track leads.
-        unseen_deg: how far from there the contact may have come since it was last seen.
+        possible_rotation_deg: how far from there the contact may have come since it was last seen.
         """
         pose = replace(self._pose, rotation_deg=predicted_deg)
         if start is not None:
             pose = TexturePose(start[0], start[1][0] / REDUCTION, start[1][1] / REDUCTION)
-        answer = fit(self._first, relief, pose)
+        answer = fit_texture(self._first, relief, pose)
         found = self._followed(
             self._first, answer, (answer.pose.dx_px, answer.pose.dy_px), answer.pose.rotation_deg, 0.0
         )
@@ -111,8 +117,8 @@ class ReliefTrack:
                 found, laid = by_key
         if found.rotation_deg is None or found.sigma_deg is None or found.shift_px is None:
             return found
-        if self.leaps(found.rotation_deg - predicted_deg, unseen_deg):
-            return Followed(None, None, None, 1.0, LOST_COUNT)
+        if self.leaps(found.rotation_deg - predicted_deg, possible_rotation_deg):
+            return TrackedTexture(None, None, None, 1.0, AMBIGUOUS_PERIOD)
         shift = (found.shift_px[0] / REDUCTION, found.shift_px[1] / REDUCTION)
         if laid is not answer:
             self._pose = TexturePose(found.rotation_deg, shift[0], shift[1])
@@ -123,17 +129,17 @@ class ReliefTrack:
             self._take_key(relief, patch, found.rotation_deg, found.sigma_deg, shift)
         return found
 
-    def leaps(self, by_deg: float, unseen_deg: float) -> bool:
+    def leaps(self, by_deg: float, possible_rotation_deg: float) -> bool:
         """Whether what repeats, found so far from where the track led, may be a step on."""
-        if not may_be_next(by_deg, unseen_deg, LOOK_DEG):  # not even of the finest
+        if not may_be_next(by_deg, possible_rotation_deg, LOOK_DEG):  # not even of the finest
             return False
-        return self.pitch_deg is not None and may_be_next(by_deg, unseen_deg, self.pitch_deg)
+        return self.period_deg is not None and may_be_next(by_deg, possible_rotation_deg, self.period_deg)
 
-    def _by_key(self, relief: Relief, predicted_deg: float) -> tuple[Followed, TextureFit] | None:
+    def _by_key(self, relief: TextureMap, predicted_deg: float) -> tuple[TrackedTexture, TextureFit] | None:
         key = self._key
         if key is None:
             return None
-        laid = fit(key.texture, relief, replace(self._key_pose, rotation_deg=predicted_deg - key.rotation_deg))
+        laid = fit_texture(key.texture, relief, replace(self._key_pose, rotation_deg=predicted_deg - key.rotation_deg))
         if laid.declined is not None:
             return None
         self._key_pose = laid.pose
@@ -147,31 +153,33 @@ class ReliefTrack:
         return self._followed(key.texture, laid, shift, key.rotation_deg + laid.pose.rotation_deg, key.sigma_deg), laid
 
     def _take_key(
-        self, relief: Relief, patch: Patch, rotation_deg: float, sigma: float, shift_px: tuple[float, float]
+        self, relief: TextureMap, patch: Patch, rotation_deg: float, sigma: float, shift_px: tuple[float, float]
     ) -> None:
-        texture = make_texture(relief, patch)
+        texture = make_texture_template(relief, patch)
         if texture is None:
             return
-        first = self._first.centre_px
-        at = (first[0] + shift_px[0] - texture.centre_px[0], first[1] + shift_px[1] - texture.centre_px[1])
+        first = self._first.center_px
+        at = (first[0] + shift_px[0] - texture.center_px[0], first[1] + shift_px[1] - texture.center_px[1])
         self._key = _Key(texture, rotation_deg, sigma, shift_px, at)
         self._key_pose = TexturePose()
 
     def _followed(
         self,
-        texture: Texture,
+        texture: TextureTemplate,
         laid: TextureFit,
         shift_px: tuple[float, float],
         rotation_deg: float,
         key_sigma_deg: float,
-    ) -> Followed:
+    ) -> TrackedTexture:
         if laid.declined is not None:
-            return Followed(None, None, None, laid.unlike, laid.declined)
+            return TrackedTexture(None, None, None, laid.unlike, laid.declined)
         shift = (REDUCTION * shift_px[0], REDUCTION * shift_px[1])
         smooth = None if texture.smooth is None else _rotated(texture.smooth, laid.pose.rotation_deg)
         if self._first.smooth is not None:  # what it has not told at the start no key knows, either
             smooth = _rotated(self._first.smooth, rotation_deg)
-        return Followed(rotation_deg, math.hypot(key_sigma_deg, sigma_deg(laid)), shift, laid.unlike, smooth=smooth)
+        return TrackedTexture(
+            rotation_deg, math.hypot(key_sigma_deg, sigma_deg(laid)), shift, laid.unlike, smooth=smooth
+        )
 
 
 def _rotated(way: tuple[float, float], rotation_deg: float) -> tuple[float, float]:

@@ -32,7 +32,7 @@ DISAGREE = "estimators disagree"
 
 
 @dataclass(frozen=True, slots=True)
-class Rotation:
+class RotationEstimate:
     """A turn since the reference, degrees counter-clockwise, one standard deviation; declined: why there is none."""
 
     rotation_deg: float | None
@@ -40,18 +40,18 @@ class Rotation:
     declined: str | None = None
 
 
-def axis_rotation(
+def rotation_between_axes(
     now_deg: float, now_sigma_deg: float, reference_deg: float, reference_sigma_deg: float, near_deg: float
-) -> Rotation:
+) -> RotationEstimate:
     """The turn between two axes, of all that differ by half turns the one nearest `near_deg`.
 
     From -6 to +6 it is +12, from 80 to 100 (the axis -80) it is +20.
     """
     rotation = nearest_rotation_deg(now_deg - reference_deg, near_deg)
-    return Rotation(rotation, math.hypot(now_sigma_deg, reference_sigma_deg))
+    return RotationEstimate(rotation, math.hypot(now_sigma_deg, reference_sigma_deg))
 
 
-def checked(laid: Rotation, axial: Rotation) -> Rotation:
+def checked(laid: RotationEstimate, axial: RotationEstimate) -> RotationEstimate:
     """The turn by registration, checked by the one that the axes show.
 
     Both come from one mask and err together, so their mean would be no better than the surer: that is registration's
@@ -62,17 +62,17 @@ def checked(laid: Rotation, axial: Rotation) -> Rotation:
     if laid.rotation_deg is None or laid.sigma_deg is None:
         return axial if axial.rotation_deg is not None else laid
     if axial.rotation_deg is None or axial.sigma_deg is None:
-        return laid if laid.sigma_deg <= ALONE_DEG else Rotation(None, None, UNSURE_ALONE)
+        return laid if laid.sigma_deg <= ALONE_DEG else RotationEstimate(None, None, UNSURE_ALONE)
     apart = abs(laid.rotation_deg - axial.rotation_deg)
     surer = laid if laid.sigma_deg <= 1.5 * axial.sigma_deg else axial
     if apart <= AGREE_SIGMA * math.hypot(laid.sigma_deg, axial.sigma_deg):
         return surer
     if apart > DISAGREE_DEG:
-        return Rotation(None, None, DISAGREE)
-    return Rotation(surer.rotation_deg, max(surer.sigma_deg or 0.0, 0.5 * apart))
+        return RotationEstimate(None, None, DISAGREE)
+    return RotationEstimate(surer.rotation_deg, max(surer.sigma_deg or 0.0, 0.5 * apart))
 
 
-def combined(relief: Rotation, outline: Rotation) -> Rotation:
+def combined(relief: RotationEstimate, outline: RotationEstimate) -> RotationEstimate:
     """One turn from the relief inside a contact and from its outline, which err apart: the mean by 1 / sigma^2.
 
     One alone is taken as it is; where both are declined, the relief's reason counts. Where they differ by more than
@@ -85,15 +85,15 @@ def combined(relief: Rotation, outline: Rotation) -> Rotation:
     apart = abs(relief.rotation_deg - outline.rotation_deg)
     if apart > AGREE_SIGMA * math.hypot(relief.sigma_deg, outline.sigma_deg):
         if apart > DISAGREE_DEG:
-            return Rotation(None, None, DISAGREE)
+            return RotationEstimate(None, None, DISAGREE)
         surer = relief if relief.sigma_deg <= outline.sigma_deg else outline
-        return Rotation(surer.rotation_deg, max(surer.sigma_deg or 0.0, 0.5 * apart))
+        return RotationEstimate(surer.rotation_deg, max(surer.sigma_deg or 0.0, 0.5 * apart))
     trust, other = relief.sigma_deg**-2, outline.sigma_deg**-2
     mean = (trust * relief.rotation_deg + other * outline.rotation_deg) / (trust + other)
-    return Rotation(mean, (trust + other) ** -0.5)
+    return RotationEstimate(mean, (trust + other) ** -0.5)
 
 
-def pooled(rotations: Sequence[Rotation]) -> Rotation:
+def pooled(rotations: Sequence[RotationEstimate]) -> RotationEstimate:
     """One turn from those of several estimators of axes: the surest, averaged with all that agree with it.
 
     One that does not agree is left out but widens sigma. Declined, for the first one's reason, where all are.
@@ -111,17 +111,17 @@ def pooled(rotations: Sequence[Rotation]) -> Rotation:
             weights += 1.0 / own**2
         else:
             widened = max(widened, apart / 4.0)
-    return Rotation(total / weights, widened)
+    return RotationEstimate(total / weights, widened)
 
 
-def less_sure(by_outline: Rotation, unlike: float) -> Rotation:
+def less_sure(by_outline: RotationEstimate, unlike: float) -> RotationEstimate:
     """The outline of a contact that has deformed is off by more than it shows."""
     if by_outline.sigma_deg is None:
         return by_outline
-    return Rotation(by_outline.rotation_deg, unlike * by_outline.sigma_deg)
+    return RotationEstimate(by_outline.rotation_deg, unlike * by_outline.sigma_deg)
 
 
-def agree(by_relief: Rotation, axial: Rotation) -> bool:
+def agree(by_relief: RotationEstimate, axial: RotationEstimate) -> bool:
     """Whether the patch's axis, where it has one, does not contradict the relief."""
     if (
         by_relief.rotation_deg is None
@@ -135,7 +135,7 @@ def agree(by_relief: Rotation, axial: Rotation) -> bool:
     )
 
 
-class Tracker:
+class RotationTracker:
     """Remembers the turns of one finger since its reference."""
 
     def __init__(self) -> None:
@@ -166,17 +166,17 @@ class Tracker:
             return rotation
         return rotation + min(max(rate * max(now_s - last_s, 0.0), -15.0), 15.0)
 
-    def accept(self, now_s: float, rotation: Rotation) -> Rotation:
+    def accept(self, now_s: float, rotation: RotationEstimate) -> RotationEstimate:
         """Take a turn measured at `now_s` into the history, or decline it as implausible."""
         if rotation.rotation_deg is None or rotation.sigma_deg is None:
             return rotation
         if not (math.isfinite(rotation.rotation_deg) and math.isfinite(rotation.sigma_deg)):
-            return Rotation(None, None, NO_NUMBER)
+            return RotationEstimate(None, None, NO_NUMBER)
         last_s, last = self._last
         since_s = max(now_s - last_s, 0.0) if math.isfinite(last_s) else 0.0
         allowed = min(JUMP_DEG + JUMP_RATE_DEG_S * since_s, JUMP_MAX_DEG)
         if abs(rotation.rotation_deg - last) > allowed:
-            return Rotation(None, None, IMPLAUSIBLE)
+            return RotationEstimate(None, None, IMPLAUSIBLE)
         self._last = (now_s, rotation.rotation_deg)
         self._remember(now_s, rotation.rotation_deg)
         return rotation

@@ -24,7 +24,7 @@ class ToldSight:
         self.last_patch = None
         self._sight = ModelSight(error, rng)
 
-    def stands(self, captured_at_s: float) -> None:
+    def keep_estimate(self, captured_at_s: float) -> None:
         """A frame that is not handed in: nothing here counts frames."""
 
     def reset_reference(self) -> None:

@@ -38,9 +38,9 @@ class Truthful:
         """None with contact: nobody has looked for its outline."""
         return self._pipeline.last_patch
 
-    def stands(self, captured_at_s: float) -> None:
+    def keep_estimate(self, captured_at_s: float) -> None:
         """A frame that is not handed in, the other finger's having shown that nothing turns."""
-        self._pipeline.stands(captured_at_s)
+        self._pipeline.keep_estimate(captured_at_s)
 
     def reset_reference(self) -> None:
         """Take a new one from the next stable contact."""

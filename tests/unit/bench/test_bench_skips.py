@@ -22,7 +22,7 @@ from slipguard.datasets.mask_scores import dice
 from slipguard.datasets.rendered_grasps import sequence
 from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
-from slipguard.perception.settings import EVERY_SKIP, Skips
+from slipguard.perception.settings import ALL_SKIPS, Skips
 
 
 def default() -> Subject:
@@ -48,7 +48,7 @@ def test_how_much_later_a_slip_is_seen_is_measured_for_the_gate_too(monkeypatch:
     monkeypatch.setattr(skipping, "first_seen", first_seen)
     tried = skipping._Tried(Onset("key", 7000, 60.0), default())
     assert skipping._later(tried) == skipping._Later(no_contact=2, unchanged=0)
-    assert asked == [EVERY_SKIP, Skips(no_contact=False), Skips(unchanged=False)]
+    assert asked == [ALL_SKIPS, Skips(no_contact=False), Skips(unchanged=False)]
     later = skipping._later(tried)
     assert later.no_contact is None
     assert later.unchanged is not None

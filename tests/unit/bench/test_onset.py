@@ -12,7 +12,7 @@ from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.settings import EVERY_SKIP, PerceptionSettings, Skips
+from slipguard.perception.settings import ALL_SKIPS, PerceptionSettings, Skips
 
 
 @cache
@@ -47,7 +47,7 @@ def test_a_slip_after_rest_is_seen_no_more_than_one_frame_later(onset: Onset) ->
         reused += answer.skipped == "unchanged"
         return answer
 
-    skipping = pipeline(grasp, EVERY_SKIP)
+    skipping = pipeline(grasp, ALL_SKIPS)
     measuring = pipeline(grasp, Skips(unchanged=False))
     later = later_by(first_seen(counted, frames), first_seen(measuring.process, frames), len(frames))
     assert later is not None

@@ -16,7 +16,7 @@ from slipguard.control.guard import Guard, tick
 from slipguard.control.messages import Command
 from slipguard.control.params import GuardParams
 from slipguard.control.state import GuardState, Phase
-from slipguard.perception.contact.second_finger import adds_nothing, again
+from slipguard.perception.contact.second_finger import repeat_estimate, second_finger_can_skip
 from slipguard.perception.estimate import Estimate
 
 PARAMS = GuardParams()
@@ -58,8 +58,8 @@ class Pair:
         self.left_measured_s = self.left_measured_s if skips else now_s
         left = estimate(0.0, 0.1, at_s=now_s, rate_deg_s=0.0, shift_mm=(0.0, 0.0), measured_s=self.left_measured_s)
         left = replace(left, skipped="unchanged" if skips else None)
-        if self.spare and self.right is not None and adds_nothing(self.right, left, now_s, NOTICED_S):
-            self.right = again(self.right, now_s, 1)
+        if self.spare and self.right is not None and second_finger_can_skip(self.right, left, now_s, NOTICED_S):
+            self.right = repeat_estimate(self.right, now_s, 1)
         else:
             self.right = self.look(now_s)
         both = fuse(left, self.right)

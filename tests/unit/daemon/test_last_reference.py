@@ -20,20 +20,20 @@ from slipguard.daemon.store.last_reference import ReferenceSaver, recall
 from slipguard.daemon.store.reference_store import GOOD_FOR, ReferenceStore
 from slipguard.errors import InputError
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.perception.stored_reference import KnownReference, RecallingPipeline
+from slipguard.perception.stored_reference import ResumingPipeline, StoredReference
 from slipguard.tools.waiting import until
 
 IMAGE = np.random.default_rng(1).integers(0, 255, (320, 240, 3), np.uint8)
 
 
-def pipeline() -> RecallingPipeline:
-    return RecallingPipeline(ReadsBlue(), PerceptionSettings(), BACKGROUND, (1.0, 1.0, 1.0), 18.5)
+def pipeline() -> ResumingPipeline:
+    return ResumingPipeline(ReadsBlue(), PerceptionSettings(), BACKGROUND, (1.0, 1.0, 1.0), 18.5)
 
 
 class Finger:
     """What the keeper looks at of a finger: its pipeline and its newest answer."""
 
-    def __init__(self, pipe: RecallingPipeline) -> None:
+    def __init__(self, pipe: ResumingPipeline) -> None:
         self.pipeline, self.serial, self.newest, self.count = pipe, "D1", None, 0
 
     def sees(self, angle_deg: float, frames: int = 6) -> None:
@@ -79,7 +79,7 @@ async def test_a_restart_goes_on_with_the_reference_and_says_so(tmp_path: Path) 
 
     new = Finger(pipeline())
     recall(new.pipeline, ReferenceStore(tmp_path), "left", "D1", 0.0)
-    assert new.pipeline.recalled == "waiting"
+    assert new.pipeline.stored_reference_state == "waiting"
     keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": new}, said.append, said.append)  # type: ignore[dict-item]
     new.sees(15.0)
     await settled(keeper, decision(Phase.REFERENCE), decision(Phase.HOLDING))
@@ -93,7 +93,7 @@ async def test_a_restart_goes_on_with_the_reference_and_says_so(tmp_path: Path) 
 
 async def test_what_does_not_match_is_said_with_the_turn_it_counts_from(tmp_path: Path) -> None:
     said: list[str] = []
-    ReferenceStore(tmp_path).save("left", "D1", KnownReference(IMAGE, 12.0))
+    ReferenceStore(tmp_path).save("left", "D1", StoredReference(IMAGE, 12.0))
     finger = Finger(pipeline())
     recall(finger.pipeline, ReferenceStore(tmp_path), "left", "D1", 0.0)
     keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
@@ -102,12 +102,12 @@ async def test_what_does_not_match_is_said_with_the_turn_it_counts_from(tmp_path
     assert len(said) == 1
     assert "a new reference, counted from 12°" in said[0]
     written = json.loads((tmp_path / "left.json").read_text())
-    assert (written["rotation_deg"], written["counted_deg"]) == (pytest.approx(0.0, abs=0.5), 12.0)
+    assert (written["rotation_deg"], written["earlier_rotation_deg"]) == (pytest.approx(0.0, abs=0.5), 12.0)
 
 
 async def test_a_full_disk_is_said_once(tmp_path: Path) -> None:
     class Full(ReferenceStore):
-        def save(self, finger: str, serial: str, known: KnownReference) -> None:
+        def save(self, finger: str, serial: str, known: StoredReference) -> None:
             raise OSError(28, "No space left on device")
 
     said: list[str] = []
@@ -155,8 +155,8 @@ def test_a_turn_never_goes_with_the_picture_of_another_reference(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shelf = ReferenceStore(tmp_path)
-    shelf.rotation("left", "D1", KnownReference(IMAGE, 7.0))  # never saved before: as if it were
-    new = KnownReference(IMAGE[::-1].copy(), 0.0)
+    shelf.rotation("left", "D1", StoredReference(IMAGE, 7.0))  # never saved before: as if it were
+    new = StoredReference(IMAGE[::-1].copy(), 0.0)
     with monkeypatch.context() as failing:
         failing.setattr("slipguard.daemon.store.reference_store.write_whole", fails)
         with pytest.raises(OSError, match="No space left"):
@@ -176,11 +176,11 @@ def fails(path: Path, content: bytes) -> None:
 
 def test_only_the_same_sensor_and_not_for_long(tmp_path: Path) -> None:
     shelf = ReferenceStore(tmp_path)
-    shelf.save("left", "D1", KnownReference(IMAGE, 7.0, 1.0))
+    shelf.save("left", "D1", StoredReference(IMAGE, 7.0, 1.0))
     known = ReferenceStore(tmp_path).load("left", "D1")
     assert known is not None
     assert np.array_equal(known.image, IMAGE)
-    assert (known.rotation_deg, known.counted_deg) == (7.0, 1.0)
+    assert (known.rotation_deg, known.earlier_rotation_deg) == (7.0, 1.0)
     assert shelf.load("left", "D2") is None
     assert shelf.load("right", "D1") is None
     assert shelf.load("left", "D1", datetime.now(UTC) + GOOD_FOR + timedelta(seconds=1)) is None
@@ -189,7 +189,7 @@ def test_only_the_same_sensor_and_not_for_long(tmp_path: Path) -> None:
 @pytest.mark.parametrize("damage", ["no json", "half a picture", "no picture", "another picture"])
 def test_a_damaged_one_counts_as_none(tmp_path: Path, damage: str) -> None:
     shelf = ReferenceStore(tmp_path)
-    shelf.save("left", "D1", KnownReference(IMAGE, 7.0))
+    shelf.save("left", "D1", StoredReference(IMAGE, 7.0))
     png = tmp_path / "left.png"
     if damage == "no json":
         (tmp_path / "left.json").write_text("{")
@@ -198,10 +198,10 @@ def test_a_damaged_one_counts_as_none(tmp_path: Path, damage: str) -> None:
     elif damage == "no picture":
         png.unlink()
     else:
-        ReferenceStore(tmp_path).save("right", "D1", KnownReference(IMAGE[::-1].copy(), 0.0))
+        ReferenceStore(tmp_path).save("right", "D1", StoredReference(IMAGE[::-1].copy(), 0.0))
         (tmp_path / "right.png").replace(png)
     with pytest.raises(InputError):
         ReferenceStore(tmp_path).load("left", "D1")
     pipe = pipeline()
     recall(pipe, ReferenceStore(tmp_path), "left", "D1", 0.0)
-    assert pipe.recalled is None
+    assert pipe.stored_reference_state is None

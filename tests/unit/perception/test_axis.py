@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch, find_patch
-from slipguard.perception.estimate import Orientation
+from slipguard.perception.estimate import AxisEstimate
 from slipguard.perception.rotation.axial_angle import axial_difference_deg
 from slipguard.perception.rotation.axis import ESTIMATORS, LINE_SIGMA_MAX_DEG, estimate, fuse
 from slipguard.stress.family import FamilyResults, generator
@@ -37,7 +37,7 @@ def test_angles_are_counter_clockwise_with_zero_to_the_right(name: str, shape: s
         assert -90.0 < found.angle_deg <= 90.0
         assert abs(axial_difference_deg(found.angle_deg, angle)) < 0.8
         if shape == "bar":
-            assert found.centre_px == pytest.approx((120.5, 160.5), abs=1.0)
+            assert found.center_px == pytest.approx((120.5, 160.5), abs=1.0)
 
 
 @given(st.sampled_from(ELONGATED), st.floats(-90, 90), st.floats(-90, 90), st.integers(0, 99))
@@ -126,9 +126,9 @@ def test_sigma_grows_as_the_patch_gets_rounder() -> None:
 
 
 def test_fusing_contradictions_declines() -> None:
-    said = [Orientation("a", 10.0, 1.0, (0, 0)), Orientation("b", 80.0, 1.0, (0, 0))]
+    said = [AxisEstimate("a", 10.0, 1.0, (0, 0)), AxisEstimate("b", 80.0, 1.0, (0, 0))]
     assert fuse(said).declined
-    agreed = fuse([Orientation("a", 89.0, 1.0, (0, 0)), Orientation("b", -89.0, 1.0, (0, 0))])
+    agreed = fuse([AxisEstimate("a", 89.0, 1.0, (0, 0)), AxisEstimate("b", -89.0, 1.0, (0, 0))])
     assert agreed.angle_deg is not None
     assert abs(agreed.angle_deg) == pytest.approx(90.0)
 

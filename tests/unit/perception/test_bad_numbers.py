@@ -13,46 +13,52 @@ from observations import estimate as said
 from slipguard.control.finger_fusion import fuse
 from slipguard.devices import Frame
 from slipguard.perception.contact.contour import ragged_px
-from slipguard.perception.contact.gate import DEFAULT_NOISE_BGR, Gate, block_means, near_patch
+from slipguard.perception.contact.gate import DEFAULT_NOISE_BGR, ContactGate, block_means, near_patch
 from slipguard.perception.contact.patch import find_patch
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.quality.image_quality import UNLIKE
 from slipguard.perception.rotation.axis import estimate
-from slipguard.perception.rotation.tracker import RATE_STALE_S, Rotation, Tracker
+from slipguard.perception.rotation.tracker import RATE_STALE_S, RotationEstimate, RotationTracker
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.stress.images import grasp
 from slipguard.stress.light import SPOILS
 
 
-def rotating(tracker: Tracker, from_s: float, rate_deg_s: float, frames: int) -> float | None:
+def rotating(tracker: RotationTracker, from_s: float, rate_deg_s: float, frames: int) -> float | None:
     """The rate after so many regular frames of a steady turn."""
     for k in range(frames):
-        tracker.accept(from_s + k / 60, Rotation(rate_deg_s * k / 60, 0.3))
+        tracker.accept(from_s + k / 60, RotationEstimate(rate_deg_s * k / 60, 0.3))
     return tracker.rate_deg_s(from_s + (frames - 1) / 60)
 
 
 @pytest.mark.parametrize("back_s", [1e-9, 0.01, 0.1, 50.0, 1e6])
 def test_the_rate_is_right_again_after_the_clock_went_back(back_s: float) -> None:
-    tracker = Tracker()
+    tracker = RotationTracker()
     tracker.start(1e6)
     rotating(tracker, 1e6, 0.0, 20)
     assert rotating(tracker, 1e6 + 19 / 60 - back_s, 60.0, 12) == pytest.approx(60.0, abs=1.0)
 
 
 def test_frames_a_nanosecond_apart_tell_no_rate() -> None:
-    tracker = Tracker()
+    tracker = RotationTracker()
     tracker.start(5.0)
     for k in range(10):
-        tracker.accept(5.0 + k * 1e-9, Rotation(0.1 * (-1) ** k, 0.1))
+        tracker.accept(5.0 + k * 1e-9, RotationEstimate(0.1 * (-1) ** k, 0.1))
     assert tracker.rate_deg_s(5.0 + RATE_STALE_S / 2) is None
 
 
 @pytest.mark.parametrize(
-    "bad", [Rotation(math.nan, 1.0), Rotation(1.0, math.nan), Rotation(math.inf, 1.0), Rotation(1.0, math.inf)]
+    "bad",
+    [
+        RotationEstimate(math.nan, 1.0),
+        RotationEstimate(1.0, math.nan),
+        RotationEstimate(math.inf, 1.0),
+        RotationEstimate(1.0, math.inf),
+    ],
 )
-def test_the_tracker_takes_no_turn_that_is_no_number(bad: Rotation) -> None:
-    tracker = Tracker()
+def test_the_tracker_takes_no_turn_that_is_no_number(bad: RotationEstimate) -> None:
+    tracker = RotationTracker()
     tracker.start(0.0)
     assert tracker.accept(0.1, bad).declined == "not a number"
     assert tracker.last_rotation_deg == 0.0
@@ -111,7 +117,7 @@ def test_probabilities_beyond_0_and_1_weigh_no_more_than_these(beyond: float) ->
     assert estimate(patch, "moments").angle_deg == pytest.approx(30.0, abs=2.0)
 
 
-def fits(gate: Gate, blocks: NDArray[np.float32], near: NDArray[np.bool_]) -> bool:
+def fits(gate: ContactGate, blocks: NDArray[np.float32], near: NDArray[np.bool_]) -> bool:
     return math.isfinite(gate.unlike_levels(blocks, near))
 
 
@@ -120,7 +126,7 @@ def whole_frame() -> NDArray[np.uint8]:
 
 
 def test_a_contact_that_fills_the_picture_shows_no_outline() -> None:
-    gate = Gate(None)
+    gate = ContactGate(None)
     blocks = block_means(whole_frame())
     mask = np.ones((160, 120), np.uint8)
     assert not fits(gate, blocks, near_patch(mask))
@@ -130,7 +136,7 @@ def test_a_contact_that_fills_the_picture_shows_no_outline() -> None:
 
 def test_light_may_drift_but_the_picture_must_be_the_units_own() -> None:
     background = whole_frame()
-    gate = Gate(background)
+    gate = ContactGate(background)
     near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
     brighter = background + np.uint8(20)
     assert fits(gate, block_means(brighter), near)
@@ -145,7 +151,7 @@ def test_light_may_drift_but_the_picture_must_be_the_units_own() -> None:
 @pytest.mark.parametrize("order", [(2, 1, 0), (1, 0, 2), (0, 2, 1), (1, 2, 0), (2, 0, 1)])
 def test_swapped_colours_are_seen_even_under_a_large_contact(order: tuple[int, int, int]) -> None:
     shown = grasp(2)
-    gate = Gate(shown.background)
+    gate = ContactGate(shown.background)
     near = near_patch(np.pad(np.ones((120, 100), np.uint8), ((20, 20), (10, 10))))
     for image in shown.frames:
         assert fits(gate, block_means(image), near)
@@ -158,7 +164,7 @@ def test_a_contact_under_a_glare_or_a_dead_spot_shows_no_outline(level: int) -> 
     spotted[150:200, 110:160] = level
     near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
     away = near_patch(np.pad(np.ones((40, 40), np.uint8), ((10, 110), (10, 70))))
-    gate = Gate(spotted)
+    gate = ContactGate(spotted)
     assert not fits(gate, block_means(spotted), near)
     assert fits(gate, block_means(spotted), away)
 
@@ -196,7 +202,7 @@ def test_a_camera_that_has_become_far_too_noisy_is_unlike(noise: float) -> None:
     rng = np.random.default_rng(0)
     noisy = np.clip(background + noise * rng.standard_normal(background.shape), 0, 255).astype(np.uint8)
     near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
-    assert fits(Gate(background), block_means(noisy), near) == (noise < 10.0)
+    assert fits(ContactGate(background), block_means(noisy), near) == (noise < 10.0)
 
 
 @pytest.mark.parametrize(("levels", "fit"), [(6, True), (20, True), (45, False)])
@@ -205,7 +211,7 @@ def test_light_may_change_evenly_only_so_far(levels: int, fit: bool) -> None:
     lamp = background.copy()
     lamp[..., 1] += np.uint8(levels)
     near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
-    assert fits(Gate(background), block_means(lamp), near) == fit
+    assert fits(ContactGate(background), block_means(lamp), near) == fit
 
 
 @pytest.mark.parametrize(("what", "strength"), [("swapped colours", 1.0), ("negative", 0.5), ("crushed", 0.5)])

@@ -11,17 +11,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from test_gate import camera, glow, press
 
-from slipguard.perception.contact.change_detector import AVERAGED, QUIET_MAX_S, QUIET_MIN_S, Stillness
-from slipguard.perception.contact.gate import DEFAULT_NOISE_BGR, Gate, block_means, near_patch
+from slipguard.perception.contact.change_detector import AVERAGED, QUIET_MAX_S, QUIET_MIN_S, ChangeDetector
+from slipguard.perception.contact.gate import DEFAULT_NOISE_BGR, ContactGate, block_means, near_patch
 
 NEAR = near_patch(np.pad(np.ones((120, 100), np.uint8), ((100, 100), (70, 70))))
 DENT = press(press(glow(), 60, 40, (120, 130)), 50, 15, (120, 200))
 FRAME_S = 1 / 60
 
 
-def still_on(scene: NDArray[np.float64], rng: np.random.Generator, frames: int = AVERAGED) -> Stillness:
-    gate = Gate(glow().astype(np.uint8), DEFAULT_NOISE_BGR)
-    still = Stillness(gate.per_std, gate.background)
+def still_on(scene: NDArray[np.float64], rng: np.random.Generator, frames: int = AVERAGED) -> ChangeDetector:
+    gate = ContactGate(glow().astype(np.uint8), DEFAULT_NOISE_BGR)
+    still = ChangeDetector(gate.per_std, gate.background)
     for k in range(frames):
         still.note(block_means(camera(scene, rng)), NEAR, k * FRAME_S, k > 0)
     return still
@@ -127,8 +127,8 @@ def test_a_camera_that_grows_noisy_shows_another_picture() -> None:
 
 def test_the_whole_picture_counts_where_there_is_no_contact() -> None:
     rng = np.random.default_rng(10)
-    gate = Gate(None, DEFAULT_NOISE_BGR)
-    still = Stillness(gate.per_std, gate.background)
+    gate = ContactGate(None, DEFAULT_NOISE_BGR)
+    still = ChangeDetector(gate.per_std, gate.background)
     for k in range(AVERAGED):
         still.note(block_means(camera(glow(), rng)), None, k * FRAME_S, k > 0)
     assert sum(still.unchanged(block_means(camera(glow(), rng))) for _ in range(20)) >= 19

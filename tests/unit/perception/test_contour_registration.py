@@ -11,8 +11,8 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch, find_patch
-from slipguard.perception.rotation.contour_registration import Pose, Registrar, Registration
-from slipguard.perception.rotation.contour_template import make_template
+from slipguard.perception.rotation.contour_registration import ContourFit, ContourPose, ContourRegistrar
+from slipguard.perception.rotation.contour_template import make_contour_template
 
 
 def patch_of(probability: NDArray[np.float32]) -> Patch:
@@ -27,14 +27,14 @@ def followed(
     centre: tuple[float, float] = (60, 80),
     growth: float = 0.0,
     ragged_px: float = 0.3,
-) -> list[Registration]:
+) -> list[ContourFit]:
     """Register a turning shape frame by frame, each from the last pose."""
-    template = make_template(patch_of(drawn(shape, 17.0, centre, ragged_px=ragged_px)))
-    pose, answers = Pose(), []
+    template = make_contour_template(patch_of(drawn(shape, 17.0, centre, ragged_px=ragged_px)))
+    pose, answers = ContourPose(), []
     for k, rotation in enumerate(rotations, start=1):
         there = (centre[0] + 0.2 * k, centre[1] - 0.1 * k)
         picture = drawn(shape, 17.0 + rotation, there, 1.0 + growth * k / len(rotations), ragged_px, seed=k)
-        answers.append(Registrar(template, patch_of(picture)).fit(pose))
+        answers.append(ContourRegistrar(template, patch_of(picture)).fit(pose))
         pose = answers[-1].pose
     return answers
 
@@ -76,15 +76,15 @@ def test_an_outline_that_repeats_declines() -> None:
     y, x = np.mgrid[0:160, 0:120]
     radius, azimuth = np.hypot(x - 60, y - 80), np.arctan2(y - 80, x - 60)
     gear = (1 / (1 + np.exp(np.clip((radius - 36 - 5 * np.cos(14 * azimuth)) / 0.6, -30, 30)))).astype(np.float32)
-    template = make_template(patch_of(gear))
+    template = make_contour_template(patch_of(gear))
     assert template.repeats
-    assert Registrar(template, patch_of(gear)).fit(Pose()).declined == "outline repeats itself"
-    assert not make_template(patch_of(drawn("square"))).repeats
+    assert ContourRegistrar(template, patch_of(gear)).fit(ContourPose()).declined == "outline repeats itself"
+    assert not make_contour_template(patch_of(drawn("square"))).repeats
 
 
 def test_another_contact_is_not_taken_for_the_reference() -> None:
-    template = make_template(patch_of(drawn("bar", 0)))
-    answer = Registrar(template, patch_of(drawn("disc"))).fit(Pose())
+    template = make_contour_template(patch_of(drawn("bar", 0)))
+    answer = ContourRegistrar(template, patch_of(drawn("disc"))).fit(ContourPose())
     assert answer.declined or answer.sigma_deg > 3.0
 
 
@@ -97,6 +97,6 @@ def test_any_two_maps_give_finite_numbers(before: NDArray[np.float32], now: NDAr
     reference, patch = find_patch(before, 0.5, 20, 2.0), find_patch(now, 0.5, 20, 2.0)
     if reference is None or patch is None:
         return
-    answer = Registrar(make_template(reference), patch).fit(Pose(start))
+    answer = ContourRegistrar(make_contour_template(reference), patch).fit(ContourPose(start))
     assert np.isfinite([answer.pose.rotation_deg, answer.sigma_deg, answer.residual]).all()
     assert answer.sigma_deg > 0.0

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from slipguard.errors import FrameCorrupt
-from slipguard.perception.contact.gate import DEFAULT_NOISE_BGR, Gate, block_means, check_frame
+from slipguard.perception.contact.gate import DEFAULT_NOISE_BGR, ContactGate, block_means, check_frame
 
 Image = NDArray[np.uint8]
 
@@ -45,7 +45,7 @@ def test_drift_of_the_light_is_no_contact(seed: int, level: float, right: float,
     scene = glow(seed % 7)
     y, x = np.mgrid[-1:1:320j, -1:1:240j]
     drifted = scene + level * rng.uniform(0.5, 1.0, 3) + (right * x + down * y)[..., None]
-    gate = Gate(scene.astype(np.uint8))
+    gate = ContactGate(scene.astype(np.uint8))
     assert not gate.may_be_contact(block_means(camera(drifted, rng)))
 
 
@@ -54,12 +54,12 @@ def test_a_press_is_let_through(seed: int, levels: float, radius_px: float) -> N
     rng = np.random.default_rng(seed)
     scene = glow(seed % 7)
     at = (rng.uniform(20, 220), rng.uniform(20, 300))
-    gate = Gate(scene.astype(np.uint8))
+    gate = ContactGate(scene.astype(np.uint8))
     assert gate.may_be_contact(block_means(camera(press(scene + 3.0, levels, radius_px, at), rng)))
 
 
 def test_without_a_background_every_frame_may_be_contact() -> None:
-    assert Gate(None).may_be_contact(block_means(glow().astype(np.uint8)))
+    assert ContactGate(None).may_be_contact(block_means(glow().astype(np.uint8)))
 
 
 @pytest.mark.parametrize(
@@ -91,6 +91,6 @@ def test_a_good_frame_passes() -> None:
 def test_senseless_noise_figures_do_not_silence_the_gate() -> None:
     scene = glow()
     for noise in ((float("nan"),) * 3, (1e9, 1e9, 1e9), (0.0, 0.0, 0.0)):
-        gate = Gate(scene.astype(np.uint8), noise)
+        gate = ContactGate(scene.astype(np.uint8), noise)
         pressed = press(scene, 120, 40, (120, 160))
         assert gate.may_be_contact(block_means(np.clip(pressed, 0, 255).astype(np.uint8)))

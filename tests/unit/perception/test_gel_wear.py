@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slipguard.datasets.background_patterns import drift
-from slipguard.perception.quality.gel_wear import Change, changed
+from slipguard.perception.quality.gel_wear import GelChange, compare_gel
 from slipguard.sim.background import backdrop
 from slipguard.sim.unit import random_unit
 
@@ -62,8 +62,8 @@ def scratched(picture: np.ndarray, levels: float, end: tuple[int, int] = (160, 2
     return np.clip(picture + levels * cv2.GaussianBlur(line, (0, 0), 0.8)[..., None], 0, 255)
 
 
-def compared(now: np.ndarray, known: np.ndarray, frames: int = FRAMES) -> Change:
-    return changed(now.astype(np.float32), frames, known, NOISE_BGR, 30, 7.0)
+def compared(now: np.ndarray, known: np.ndarray, frames: int = FRAMES) -> GelChange:
+    return compare_gel(now.astype(np.float32), frames, known, NOISE_BGR, 30, 7.0)
 
 
 @pytest.mark.parametrize("seed", UNITS)

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from slipguard.devices import Frame
-from slipguard.perception.contact.gate import BLOCKS_HIGH, BLOCKS_WIDE, Gate, block_means, near_patch
+from slipguard.perception.contact.gate import BLOCKS_HIGH, BLOCKS_WIDE, ContactGate, block_means, near_patch
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.quality.image_quality import BLURRED
@@ -43,7 +43,7 @@ def test_a_blurred_faint_contact_tells_no_turn_and_makes_no_reference(number: in
 def test_noise_does_not_hide_that_the_gel_is_out_of_focus(sigma_px: float) -> None:
     background = grasp(0).background
     image = noisy(blurred(background, sigma_px) if sigma_px else background)
-    assert Gate(background).out_of_focus(block_means(image), NEAR) == (sigma_px > 5.0)
+    assert ContactGate(background).out_of_focus(block_means(image), NEAR) == (sigma_px > 5.0)
 
 
 @pytest.mark.parametrize("gain", [0.7, 0.85, 1.3])
@@ -51,7 +51,7 @@ def test_noise_does_not_hide_that_the_gel_is_out_of_focus(sigma_px: float) -> No
 def test_another_light_is_not_out_of_focus(gain: float, offset: float) -> None:
     background = grasp(0).background
     lit = np.clip(np.rint(background * gain + offset), 0, 255).astype(np.uint8)
-    assert not Gate(background).out_of_focus(block_means(noisy(lit)), NEAR)
+    assert not ContactGate(background).out_of_focus(block_means(noisy(lit)), NEAR)
 
 
 @pytest.mark.parametrize("quality", [90, 50, 20])
@@ -59,19 +59,19 @@ def test_a_compressed_picture_is_not_out_of_focus(quality: int) -> None:
     shown = grasp(0)
     packed = cv2.imencode(".jpg", shown.frames[0], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     image = np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), np.uint8)
-    assert not Gate(shown.background).out_of_focus(block_means(image), NEAR)
+    assert not ContactGate(shown.background).out_of_focus(block_means(image), NEAR)
 
 
 def test_where_the_gel_is_hardly_seen_nothing_is_said_of_the_focus() -> None:
     background = grasp(0).background
     blocks = block_means(blurred(background, 12.0))
-    assert Gate(background).out_of_focus(blocks, NEAR)
-    assert not Gate(None).out_of_focus(blocks, NEAR)
+    assert ContactGate(background).out_of_focus(blocks, NEAR)
+    assert not ContactGate(None).out_of_focus(blocks, NEAR)
     covered = np.ones((BLOCKS_HIGH, BLOCKS_WIDE), np.bool_)
     covered[:, 0] = False
-    assert not Gate(background).out_of_focus(blocks, covered.ravel())
+    assert not ContactGate(background).out_of_focus(blocks, covered.ravel())
 
 
 def test_a_gel_without_any_pattern_is_never_out_of_focus() -> None:
     background = np.full((320, 240, 3), 100, np.uint8)
-    assert not Gate(background).out_of_focus(block_means(background), NEAR)
+    assert not ContactGate(background).out_of_focus(block_means(background), NEAR)

@@ -16,10 +16,10 @@ from slipguard.perception.contact.patch import find_patch
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import UNCHANGED, Pipeline
-from slipguard.perception.rotation.period import ACCELERATION_DEG_S2, pitch_deg, unseen_deg
-from slipguard.perception.rotation.texture_map import ReliefReader
-from slipguard.perception.rotation.texture_registration import make_texture
-from slipguard.perception.rotation.texture_tracker import LOST_COUNT
+from slipguard.perception.rotation.period import ACCELERATION_DEG_S2, period_deg, possible_rotation_deg
+from slipguard.perception.rotation.texture_map import TextureMapReader
+from slipguard.perception.rotation.texture_registration import make_texture_template
+from slipguard.perception.rotation.texture_tracker import AMBIGUOUS_PERIOD
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel import GelCamera
 from slipguard.sim.unit import random_unit
@@ -80,11 +80,11 @@ def test_the_step_of_what_repeats_itself(surface: Surface, repeats_deg: float | 
     image = drawn(height, LedLights(), 2.0, np.random.default_rng(1))
     patch = find_patch(contact(height), 0.5, 100, 2.0)
     assert patch is not None
-    reader = ReliefReader(BACKGROUND)
+    reader = TextureMapReader(BACKGROUND)
     reader.learn(image, patch)
-    texture = make_texture(reader.read(image, patch), patch)
+    texture = make_texture_template(reader.read(image, patch), patch)
     assert texture is not None
-    found = pitch_deg(texture)
+    found = period_deg(texture)
     assert found == (None if repeats_deg is None else pytest.approx(repeats_deg, abs=2.0))
 
 
@@ -98,14 +98,14 @@ def test_of_the_test_objects_only_the_ribbed_ones_repeat(name: str, repeats: boo
     reference = pipe._meter.reference
     assert reference is not None
     assert reference.relief is not None
-    assert (reference.relief.pitch_deg is not None) == repeats
+    assert (reference.relief.period_deg is not None) == repeats
 
 
 def test_what_may_have_turned_unseen() -> None:
-    assert unseen_deg(0.0, 300.0) == 0.0
-    assert unseen_deg(-1.0, 300.0) == 0.0
-    assert unseen_deg(0.01, -300.0) == pytest.approx(3.0)
-    assert unseen_deg(0.1, 0.0) == pytest.approx(0.5 * ACCELERATION_DEG_S2 * 0.01)
+    assert possible_rotation_deg(0.0, 300.0) == 0.0
+    assert possible_rotation_deg(-1.0, 300.0) == 0.0
+    assert possible_rotation_deg(0.01, -300.0) == pytest.approx(3.0)
+    assert possible_rotation_deg(0.1, 0.0) == pytest.approx(0.5 * ACCELERATION_DEG_S2 * 0.01)
 
 
 class Held:
@@ -137,7 +137,7 @@ def test_a_gap_long_enough_for_a_step_loses_the_count(surface: Surface, gap_s: f
     for _ in range(3):
         assert held.see(0.0).angle_deg == pytest.approx(0.0, abs=0.5)
     after = [held.see(rotation_deg, gap_s), *(held.see(rotation_deg) for _ in range(10))]
-    assert {one.declined for one in after} == {LOST_COUNT}
+    assert {one.declined for one in after} == {AMBIGUOUS_PERIOD}
     assert {one.angle_deg for one in after} == {None}
 
 
@@ -174,16 +174,16 @@ def test_one_frame_of_thirty_a_second_that_is_lost_loses_no_count_of_fine_teeth(
         assert held.see(0.0, 1.0 / 30.0).angle_deg == pytest.approx(0.0, abs=0.5)
     assert held.see(0.0, 2.0 / 30.0).angle_deg == pytest.approx(0.0, abs=0.5)
     assert held.see(1.0, 2.0 / 30.0).angle_deg == pytest.approx(1.0, abs=0.5)
-    assert held.see(1.0, 3.0 / 30.0).declined == LOST_COUNT
+    assert held.see(1.0, 3.0 / 30.0).declined == AMBIGUOUS_PERIOD
 
 
 def test_a_leap_to_the_edge_of_a_step_is_none_and_the_count_goes_on_with_the_next_frame() -> None:
     held = Held(gear)
     for _ in range(3):
         held.see(0.0)
-    assert held.see(13.0).declined == LOST_COUNT
+    assert held.see(13.0).declined == AMBIGUOUS_PERIOD
     assert held.see(0.0).angle_deg == pytest.approx(0.0, abs=0.5)
-    assert [held.see(13.0).declined for _ in range(6)] == [LOST_COUNT] * 6
+    assert [held.see(13.0).declined for _ in range(6)] == [AMBIGUOUS_PERIOD] * 6
 
 
 def test_another_finger_that_sees_no_change_keeps_the_count() -> None:
@@ -194,10 +194,10 @@ def test_another_finger_that_sees_no_change_keeps_the_count() -> None:
             held.see(0.0)
         for k in range(1, 13):
             if kept:
-                held.pipe.stands(held.now_s + k * FRAME_S)
+                held.pipe.keep_estimate(held.now_s + k * FRAME_S)
         told[kept] = held.see(0.5, 13.0 * FRAME_S)
     assert told[True].angle_deg == pytest.approx(0.5, abs=0.3)
-    assert told[False].declined == LOST_COUNT
+    assert told[False].declined == AMBIGUOUS_PERIOD
 
 
 def test_a_finger_that_the_daemon_spares_keeps_its_count() -> None:
@@ -221,8 +221,8 @@ def test_a_frame_left_out_does_not_mend_a_count_that_a_gap_has_lost() -> None:
     held = Held(gear)
     for _ in range(3):
         held.see(0.0)
-    held.pipe.stands(held.now_s + 1.0)
-    assert held.see(0.0, 1.0 + FRAME_S).declined == LOST_COUNT
+    held.pipe.keep_estimate(held.now_s + 1.0)
+    assert held.see(0.0, 1.0 + FRAME_S).declined == AMBIGUOUS_PERIOD
 
 
 def test_an_axis_tells_which_step_it_is() -> None:
@@ -232,7 +232,7 @@ def test_an_axis_tells_which_step_it_is() -> None:
     reference = held.pipe._meter.reference
     assert reference is not None
     assert reference.relief is not None
-    assert reference.relief.pitch_deg == pytest.approx(30.0, abs=2.0)
+    assert reference.relief.period_deg == pytest.approx(30.0, abs=2.0)
     after = [held.see(40.0, 2.0), held.see(42.0), held.see(44.0)]
     assert [one.angle_deg for one in after] == pytest.approx([40.0, 42.0, 44.0], abs=0.5)
 

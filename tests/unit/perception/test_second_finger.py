@@ -13,7 +13,7 @@ from slipguard.control.finger_fusion import fuse
 from slipguard.control.params import GuardParams
 from slipguard.control.slip_baselines import Detector
 from slipguard.control.slip_detector import look
-from slipguard.perception.contact.second_finger import OTHER_FINGER, adds_nothing, again
+from slipguard.perception.contact.second_finger import OTHER_FINGER, repeat_estimate, second_finger_can_skip
 from slipguard.perception.estimate import Estimate
 
 REFRESH_S = 0.25
@@ -43,9 +43,9 @@ SURE_LATER = replace(SURE, captured_at_s=1.24)
 
 def test_a_less_sure_or_blind_finger_is_spared() -> None:
     for own in (answer(0.5), answer(0.3), answer(None), answer(0.5, angle_deg=1.5), answer(0.3, angle_deg=1.0)):
-        assert adds_nothing(own, SURE, 1.02, REFRESH_S)
-    assert adds_nothing(answer(0.3, angle_deg=8.0), replace(SURE, angle_deg=-8.0), 1.02, REFRESH_S)
-    assert adds_nothing(answer(0.5, captured_at_s=1.235), SURE_LATER, 1.24, REFRESH_S)
+        assert second_finger_can_skip(own, SURE, 1.02, REFRESH_S)
+    assert second_finger_can_skip(answer(0.3, angle_deg=8.0), replace(SURE, angle_deg=-8.0), 1.02, REFRESH_S)
+    assert second_finger_can_skip(answer(0.5, captured_at_s=1.235), SURE_LATER, 1.24, REFRESH_S)
 
 
 @pytest.mark.parametrize(
@@ -72,18 +72,18 @@ def test_a_less_sure_or_blind_finger_is_spared() -> None:
 def test_a_finger_is_looked_at_wherever_it_may_add_something(
     own: Estimate | None, other: Estimate | None, at_s: float
 ) -> None:
-    assert not adds_nothing(own, other, at_s, REFRESH_S)
+    assert not second_finger_can_skip(own, other, at_s, REFRESH_S)
 
 
 @given(st.floats(0.1, 5.0), st.floats(0.1, 5.0))
 def test_two_fingers_never_spare_each_other(left_deg: float, right_deg: float) -> None:
     left, right = answer(left_deg, 1.0, "unchanged"), answer(right_deg, 1.0, "unchanged")
-    spared = adds_nothing(left, right, 1.016, REFRESH_S)
+    spared = second_finger_can_skip(left, right, 1.016, REFRESH_S)
     if spared:
-        left = again(left, 1.016, 61)
+        left = repeat_estimate(left, 1.016, 61)
         assert left.skipped == OTHER_FINGER
         assert left.measured_at_s == 1.0
-    assert not (spared and adds_nothing(right, left, 1.016, REFRESH_S))
+    assert not (spared and second_finger_can_skip(right, left, 1.016, REFRESH_S))
 
 
 def first_slip(rate_deg_s: float, spare: bool, phase_s: float) -> int:
@@ -104,8 +104,8 @@ def first_slip(rate_deg_s: float, spare: bool, phase_s: float) -> int:
             left = replace(left, captured_at_s=at_s, skipped="unchanged")
         else:
             left = answer(0.1, at_s, angle_deg=moved + 0.1 * noise[0], rate_deg_s=rate)
-        if spare and adds_nothing(right, left, at_s, REFRESH_S) and right is not None:
-            right = again(right, at_s, k)
+        if spare and second_finger_can_skip(right, left, at_s, REFRESH_S) and right is not None:
+            right = repeat_estimate(right, at_s, k)
         else:
             right = answer(0.2, at_s, angle_deg=-moved + 0.2 * noise[1], rate_deg_s=-rate)
         fused = fuse(left, right)

@@ -7,7 +7,7 @@ import pytest
 
 from slipguard.errors import InputError, ModelError
 from slipguard.perception.contact.segmenter import Segmenter, default_model_path
-from slipguard.perception.quality.background import guess_background
+from slipguard.perception.quality.background import estimate_background
 from slipguard.sim.gel import GelCamera
 from slipguard.sim.unit import Unit
 from slipguard.sim.view import GelView
@@ -82,12 +82,12 @@ def test_without_a_background_a_clear_press_is_still_found(segmenter: Segmenter)
 
 def test_guessed_background_follows_the_glow_and_passes_under_a_press() -> None:
     glow, pressed = gel(1), with_ball(1)
-    guess = guess_background(pressed).astype(int)
+    guess = estimate_background(pressed).astype(int)
     assert guess.shape == pressed.shape
     patch = np.s_[2 * CENTRE[0] - 30 : 2 * CENTRE[0] + 30, 2 * CENTRE[1] - 30 : 2 * CENTRE[1] + 30]
     assert np.abs(guess - pressed)[patch].mean() > 1.5 * np.abs(guess - glow)[patch].mean()
     smooth = np.full((320, 240, 3), (90, 60, 140), np.uint8)
-    np.testing.assert_allclose(guess_background(smooth), smooth, atol=1)
+    np.testing.assert_allclose(estimate_background(smooth), smooth, atol=1)
 
 
 @pytest.mark.parametrize(

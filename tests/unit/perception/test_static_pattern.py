@@ -9,9 +9,14 @@ from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.rotation import texture_sigma
-from slipguard.perception.rotation.static_pattern import HELD_MAX, held_back
-from slipguard.perception.rotation.texture_map import ReliefReader
-from slipguard.perception.rotation.texture_registration import TextureFit, TexturePose, fit, make_texture
+from slipguard.perception.rotation.static_pattern import HELD_MAX, static_pattern_bias
+from slipguard.perception.rotation.texture_map import TextureMapReader
+from slipguard.perception.rotation.texture_registration import (
+    TextureFit,
+    TexturePose,
+    fit_texture,
+    make_texture_template,
+)
 from slipguard.perception.rotation.texture_sigma import sigma_deg
 from slipguard.stress.family import FamilyResults, generator
 from slipguard.stress.images import IMAGES
@@ -34,15 +39,15 @@ def seen(rotation_deg: float, levels: float) -> tuple[NDArray[np.uint8], Patch]:
 
 
 def rotated(levels: float) -> list[TextureFit]:
-    reader = ReliefReader(np.full((320, 240, 3), 100, np.uint8), (2.0, 2.0, 2.0))
+    reader = TextureMapReader(np.full((320, 240, 3), 100, np.uint8), (2.0, 2.0, 2.0))
     image, patch = seen(0.0, levels)
     reader.learn(image, patch)
-    reference = make_texture(reader.read(image, patch), patch)
+    reference = make_texture_template(reader.read(image, patch), patch)
     assert reference is not None
     pose, found = TexturePose(), []
     for rotation in ROTATIONS_DEG:
         image, patch = seen(rotation, levels)
-        found.append(fit(reference, reader.read(image, patch), pose))
+        found.append(fit_texture(reference, reader.read(image, patch), pose))
         pose = found[-1].pose
     return found
 
@@ -82,11 +87,11 @@ def test_of_a_share_that_stays_the_fit_lacks_that_share_of_the_turn() -> None:
     mixed = share * at(-told) + (1 - share) * at(true - told)
     motions = np.stack([motion, value], axis=1)
     left = mixed - motions @ np.linalg.lstsq(motions, mixed, rcond=None)[0]
-    back = held_back(*(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), left, at(-told))))
+    back = static_pattern_bias(*(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), left, at(-told))))
     assert back * told == pytest.approx(true - told, rel=0.2)
-    none = held_back(*(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), 0 * left, at(-told))))
+    none = static_pattern_bias(*(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), 0 * left, at(-told))))
     assert none == 0.0
-    most = held_back(*(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), 1e3 * left, at(-told))))
+    most = static_pattern_bias(*(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), 1e3 * left, at(-told))))
     assert most == HELD_MAX
 
 

@@ -11,30 +11,30 @@ from slipguard.errors import FrameCorrupt
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stored_reference import (
+    CHECKING_STORED_REFERENCE,
     DIFFERS_AFTER,
     MATCHES_AFTER,
-    RECALLING,
-    KnownReference,
-    RecallingPipeline,
+    ResumingPipeline,
+    StoredReference,
 )
 
 
-def pipeline() -> RecallingPipeline:
-    return RecallingPipeline(ReadsBlue(), PerceptionSettings(), BACKGROUND, (1.0, 1.0, 1.0), 18.5)
+def pipeline() -> ResumingPipeline:
+    return ResumingPipeline(ReadsBlue(), PerceptionSettings(), BACKGROUND, (1.0, 1.0, 1.0), 18.5)
 
 
-def run(pipe: RecallingPipeline, shape: str, angles: list[float], start: int = 0) -> list[Estimate]:
+def run(pipe: ResumingPipeline, shape: str, angles: list[float], start: int = 0) -> list[Estimate]:
     return [pipe.process(frame(drawn(shape, a, ragged_px=0.2, seed=k), k)) for k, a in enumerate(angles, start)]
 
 
-def before(shape: str, rotation_deg: float) -> KnownReference:
+def before(shape: str, rotation_deg: float) -> StoredReference:
     """What a pipeline that is gone now has left behind."""
     pipe = pipeline()
     steps = list(np.linspace(0.0, rotation_deg, 12))
     last = run(pipe, shape, [0.0] * 6 + steps)[-1]
     assert pipe.reference_image is not None
     assert last.angle_deg is not None
-    return KnownReference(pipe.reference_image, last.angle_deg)
+    return StoredReference(pipe.reference_image, last.angle_deg)
 
 
 @pytest.mark.parametrize("rotation_deg", [0.0, 14.0, -38.0, 70.0])
@@ -42,11 +42,13 @@ def test_the_turn_goes_on_being_counted(rotation_deg: float) -> None:
     pipe = pipeline()
     known = before("key", rotation_deg)
     pipe.recall(known, 10.0)
-    assert pipe.recalled == "waiting"
+    assert pipe.stored_reference_state == "waiting"
     assert pipe.reference_image is None
     answers = run(pipe, "key", [rotation_deg + 3.0] * 6, start=600)
-    assert [answer.declined for answer in answers[: MATCHES_AFTER - 1]] == [RECALLING] * (MATCHES_AFTER - 1)
-    assert pipe.recalled == "matches"
+    assert [answer.declined for answer in answers[: MATCHES_AFTER - 1]] == [CHECKING_STORED_REFERENCE] * (
+        MATCHES_AFTER - 1
+    )
+    assert pipe.stored_reference_state == "matches"
     assert answers[-1].angle_deg == pytest.approx(rotation_deg + 3.0, abs=1.0)
     assert pipe.reference_image is known.image
     on = run(pipe, "key", list(np.linspace(rotation_deg + 3.0, rotation_deg + 15.0, 6)), start=606)[-1]
@@ -57,33 +59,33 @@ def test_another_object_is_a_new_reference_counted_from_the_last_turn() -> None:
     pipe = pipeline()
     pipe.recall(before("key", 14.0), 10.0)
     answers = run(pipe, "disc", [0.0] * DIFFERS_AFTER, start=600)
-    assert {answer.declined for answer in answers[:-1]} == {RECALLING}
+    assert {answer.declined for answer in answers[:-1]} == {CHECKING_STORED_REFERENCE}
     assert answers[-1].angle_deg is None
-    assert pipe.recalled == "differs"
+    assert pipe.stored_reference_state == "differs"
     run(pipe, "bar", [40.0] * 6, start=600 + DIFFERS_AFTER)
     rotated = run(pipe, "bar", list(np.linspace(40.0, 47.0, 6)), start=620)[-1]
     assert rotated.angle_deg == pytest.approx(14.0 + 7.0, abs=1.0)
-    assert pipe.counted_deg == pytest.approx(14.0, abs=1.0)
+    assert pipe.earlier_rotation_deg == pytest.approx(14.0, abs=1.0)
     assert pipe.reference_image is not None
 
 
 def test_what_was_counted_before_the_old_reference_is_counted_on() -> None:
     known = before("key", 14.0)
     pipe = pipeline()
-    pipe.recall(KnownReference(known.image, known.rotation_deg, 5.0), 10.0)
+    pipe.recall(StoredReference(known.image, known.rotation_deg, 5.0), 10.0)
     answers = run(pipe, "key", [16.0] * 6, start=600)
     assert answers[-1].angle_deg == pytest.approx(5.0 + 16.0, abs=1.0)
-    assert pipe.counted_deg == 5.0
-    pipe.recall(KnownReference(known.image, known.rotation_deg, 5.0), 10.0)
+    assert pipe.earlier_rotation_deg == 5.0
+    pipe.recall(StoredReference(known.image, known.rotation_deg, 5.0), 10.0)
     run(pipe, "disc", [0.0] * DIFFERS_AFTER, start=700)
-    assert pipe.counted_deg == pytest.approx(5.0 + 14.0, abs=1.0)
+    assert pipe.earlier_rotation_deg == pytest.approx(5.0 + 14.0, abs=1.0)
 
 
 def test_a_new_reference_that_was_asked_for_counts_from_nothing() -> None:
     pipe = pipeline()
     pipe.recall(before("key", 14.0), 10.0)
     pipe.reset_reference()
-    assert pipe.recalled is None
+    assert pipe.stored_reference_state is None
     last = run(pipe, "key", [30.0] * 8, start=600)[-1]
     assert last.angle_deg == pytest.approx(0.0, abs=0.5)
 
@@ -93,17 +95,17 @@ def test_without_contact_nothing_is_decided() -> None:
     pipe.recall(before("key", 14.0), 10.0)
     for k in range(2 * DIFFERS_AFTER):
         assert pipe.process(frame(None, 600 + k)).declined == "no contact"
-    assert pipe.recalled == "waiting"
+    assert pipe.stored_reference_state == "waiting"
 
 
 def test_a_reference_without_contact_is_none() -> None:
     pipe = pipeline()
-    pipe.recall(KnownReference(frame(None, 1).image, 14.0), 10.0)
-    assert pipe.recalled == "differs"
+    pipe.recall(StoredReference(frame(None, 1).image, 14.0), 10.0)
+    assert pipe.stored_reference_state == "differs"
     last = run(pipe, "key", [30.0] * 8, start=600)[-1]
     assert last.angle_deg == pytest.approx(14.0, abs=0.5)
 
 
 def test_what_is_no_picture_is_refused() -> None:
     with pytest.raises(FrameCorrupt):
-        pipeline().recall(KnownReference(np.zeros((10, 10, 3), np.uint8), 0.0), 10.0)
+        pipeline().recall(StoredReference(np.zeros((10, 10, 3), np.uint8), 0.0), 10.0)

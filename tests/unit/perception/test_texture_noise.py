@@ -7,8 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch, find_patch
-from slipguard.perception.rotation.texture_map import ReliefReader, Window
-from slipguard.perception.rotation.texture_registration import TextureFit, TexturePose, fit, make_texture
+from slipguard.perception.rotation.texture_map import ImageWindow, TextureMapReader
+from slipguard.perception.rotation.texture_registration import (
+    TextureFit,
+    TexturePose,
+    fit_texture,
+    make_texture_template,
+)
 from slipguard.perception.rotation.texture_sigma import parts_deg, sigma_deg
 from slipguard.sim.noise import Noise
 from slipguard.sim.unit import NOISE_STD_BGR
@@ -30,15 +35,15 @@ def seen(surface: Surface, rotation_deg: float, noise: Noise) -> tuple[NDArray[n
 def rotated(surface: Surface, known: bool) -> list[TextureFit]:
     """Letters that have turned by 6 degrees and become another surface, seen ten times."""
     noise = Noise(NOISE_STD_BGR, NO_STRIPES, 3)
-    reader = ReliefReader(BACKGROUND, NOISE_STD_BGR if known else None)
+    reader = TextureMapReader(BACKGROUND, NOISE_STD_BGR if known else None)
     image, patch = seen(lettered, 0.0, noise)
     reader.learn(image, patch)
-    reference = make_texture(reader.read(image, patch), patch)
+    reference = make_texture_template(reader.read(image, patch), patch)
     assert reference is not None
     found = []
     for _ in range(10):
         image, patch = seen(surface, 6.0, noise)
-        found.append(fit(reference, reader.read(image, patch), TexturePose(rotation_deg=5.0)))
+        found.append(fit_texture(reference, reader.read(image, patch), TexturePose(rotation_deg=5.0)))
     return found
 
 
@@ -53,12 +58,12 @@ def sigma(found: list[TextureFit]) -> float:
 @pytest.mark.parametrize("std", [NOISE_STD_BGR, (0.9, 0.5, 0.7), (4.6, 2.4, 3.8)])
 def test_the_noise_of_the_relief_is_that_of_untouched_frames(std: tuple[float, float, float]) -> None:
     noise = Noise(std, NO_STRIPES, 5)
-    reader = ReliefReader(BACKGROUND, std)
+    reader = TextureMapReader(BACKGROUND, std)
     patch = find_patch(np.pad(np.ones((80, 60), np.float32), ((40, 40), (30, 30))), 0.5, 100, 2.0)
     assert patch is not None
     reliefs = [reader.read(np.clip(np.rint(100.0 + noise.next()), 0, 255).astype(np.uint8), patch) for _ in range(12)]
     measured = float(np.std([one.curvature for one in reliefs]))
-    assert reliefs[0].window == Window.around(patch)
+    assert reliefs[0].window == ImageWindow.around(patch)
     assert reliefs[0].noise == pytest.approx(measured, rel=0.12)
 
 

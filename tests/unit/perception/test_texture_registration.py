@@ -11,8 +11,14 @@ from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.rotation import texture_map as relief
-from slipguard.perception.rotation.texture_map import ReliefReader
-from slipguard.perception.rotation.texture_registration import Texture, TextureFit, TexturePose, fit, make_texture
+from slipguard.perception.rotation.texture_map import TextureMapReader
+from slipguard.perception.rotation.texture_registration import (
+    TextureFit,
+    TexturePose,
+    TextureTemplate,
+    fit_texture,
+    make_texture_template,
+)
 from slipguard.perception.rotation.texture_sigma import sigma_deg
 
 Height = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
@@ -68,11 +74,11 @@ def background() -> NDArray[np.uint8]:
     return np.full((320, 240, 3), 100, np.uint8)
 
 
-def referenced(height: Height, **how: object) -> tuple[ReliefReader, Texture]:
-    reader = ReliefReader(background())
+def referenced(height: Height, **how: object) -> tuple[TextureMapReader, TextureTemplate]:
+    reader = TextureMapReader(background())
     image, patch = pressed(height, 20.0, **how)  # type: ignore[arg-type]
     reader.learn(image, patch)
-    texture = make_texture(reader.read(image, patch), patch)
+    texture = make_texture_template(reader.read(image, patch), patch)
     assert texture is not None
     return reader, texture
 
@@ -84,7 +90,7 @@ def followed(height: Height, rotations: list[float], growth: float = 0.0, **how:
         force = 1.0 + growth * k / len(rotations)
         at = (120.0 + 0.6 * k, 160.0 - 0.4 * k)
         image, patch = pressed(height, 20.0 + rotation, at=at, force=force, seed=k, **how)  # type: ignore[arg-type]
-        answers.append(fit(texture, reader.read(image, patch), pose))
+        answers.append(fit_texture(texture, reader.read(image, patch), pose))
         pose = answers[-1].pose
     return answers
 
@@ -136,20 +142,20 @@ def test_a_plain_ball_declines_under_any_light(gains: tuple[float, float, float]
 def test_relief_of_another_object_declines() -> None:
     reader, texture = referenced(lettered)
     image, patch = pressed(gear, 0.0)
-    answer = fit(texture, reader.read(image, patch), TexturePose())
+    answer = fit_texture(texture, reader.read(image, patch), TexturePose())
     assert answer.declined is not None or sigma_deg(answer) > 1.0
 
 
 def test_a_contact_that_left_the_picture_declines() -> None:
     reader, texture = referenced(lettered)
     image, patch = pressed(lettered, 20.0, at=(236.0, 160.0))
-    answer = fit(texture, reader.read(image, patch), TexturePose(dx_px=58.0))
+    answer = fit_texture(texture, reader.read(image, patch), TexturePose(dx_px=58.0))
     assert answer.declined == "clipped by the frame"
 
 
 def test_a_picture_without_any_relief_gives_finite_numbers() -> None:
     reader, texture = referenced(lettered)
     _, patch = pressed(lettered, 20.0)
-    answer = fit(texture, reader.read(background(), patch), TexturePose())
+    answer = fit_texture(texture, reader.read(background(), patch), TexturePose())
     assert answer.declined is not None
     assert np.isfinite([answer.pose.rotation_deg, sigma_deg(answer), answer.alike]).all()

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from slipguard.perception.contact.patch import Patch, find_patch
-from slipguard.perception.rotation.texture_map import ReliefReader
-from slipguard.perception.rotation.texture_registration import make_texture
-from slipguard.perception.rotation.texture_tracker import Followed, ReliefTrack
+from slipguard.perception.rotation.texture_map import TextureMapReader
+from slipguard.perception.rotation.texture_registration import make_texture_template
+from slipguard.perception.rotation.texture_tracker import TextureTracker, TrackedTexture
 from slipguard.stress.surfaces import Heights, LedLights, Surface, contact, drawn, heights, lettered, plate
 
 BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
@@ -31,16 +31,16 @@ class Held:
 
     def __init__(self, surface: Surface = lettered, way_deg: float = 15.0) -> None:
         self._way_deg = way_deg
-        self._reader = ReliefReader(BACKGROUND, (NOISE, NOISE, NOISE))
+        self._reader = TextureMapReader(BACKGROUND, (NOISE, NOISE, NOISE))
         self._frames = 0
         image, patch = self._shown(surface, 0.0, (120.0, 160.0))
         self._reader.learn(image, patch)
-        texture = make_texture(self._reader.read(image, patch), patch)
+        texture = make_texture_template(self._reader.read(image, patch), patch)
         assert texture is not None
-        self._track = ReliefTrack(texture)
+        self._track = TextureTracker(texture)
         self._last_deg = 0.0
 
-    def see(self, surface: Surface, rotation_deg: float, at: tuple[float, float] = (120.0, 160.0)) -> Followed:
+    def see(self, surface: Surface, rotation_deg: float, at: tuple[float, float] = (120.0, 160.0)) -> TrackedTexture:
         image, patch = self._shown(surface, rotation_deg, at)
         found = self._track.follow(self._reader.read(image, patch), patch, self._last_deg)
         self._last_deg = self._last_deg if found.rotation_deg is None else found.rotation_deg
@@ -64,12 +64,12 @@ SHARES = [0.05 * k for k in range(19)]
 
 
 def test_a_contact_that_changes_is_followed_further_by_a_key(monkeypatch: pytest.MonkeyPatch) -> None:
-    def told() -> list[Followed]:
+    def told() -> list[TrackedTexture]:
         held = Held()
         return [held.see(becoming(share), 15.0 * share, (120.0 + 6 * share, 160.0)) for share in SHARES]
 
     with_key = told()
-    monkeypatch.setattr(ReliefTrack, "_take_key", lambda *_: None)
+    monkeypatch.setattr(TextureTracker, "_take_key", lambda *_: None)
     without = told()
     assert sum(one.rotation_deg is not None for one in with_key) > sum(one.rotation_deg is not None for one in without)
     for share, one in zip(SHARES, with_key, strict=True):
@@ -123,4 +123,4 @@ def test_what_has_a_face_tells_all_of_its_shift() -> None:
     found = Held().see(lettered, 1.0, (121.0, 160.0))
     assert found.smooth is None
     assert found.shift(lambda: (50.0, 50.0)) == found.shift_px
-    assert Followed(None, None, None, 1.0).shift(lambda: (2.0, 3.0)) == (2.0, 3.0)
+    assert TrackedTexture(None, None, None, 1.0).shift(lambda: (2.0, 3.0)) == (2.0, 3.0)

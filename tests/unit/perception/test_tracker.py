@@ -14,24 +14,30 @@ from slipguard.perception.rotation.axial_angle import (
     nearest_rotation_deg,
     wrap_axial_deg,
 )
-from slipguard.perception.rotation.tracker import Rotation, Tracker, axis_rotation, checked, pooled
+from slipguard.perception.rotation.tracker import (
+    RotationEstimate,
+    RotationTracker,
+    checked,
+    pooled,
+    rotation_between_axes,
+)
 
 ANY_DEG = st.floats(-1e4, 1e4)
 
 
 @pytest.mark.parametrize(("before", "now", "rotation"), [(-6, 6, 12), (80, -80, 20), (6, -6, -12), (-85, 85, -10)])
 def test_published_cases_are_signed_and_cross_the_seam(before: float, now: float, rotation: float) -> None:
-    assert axis_rotation(now, 0.5, before, 0.5, 0.0).rotation_deg == pytest.approx(rotation)
+    assert rotation_between_axes(now, 0.5, before, 0.5, 0.0).rotation_deg == pytest.approx(rotation)
 
 
 def test_sigma_is_that_of_both_axes() -> None:
-    assert axis_rotation(10, 0.3, 0, 0.4, 0.0).sigma_deg == pytest.approx(0.5)
+    assert rotation_between_axes(10, 0.3, 0, 0.4, 0.0).sigma_deg == pytest.approx(0.5)
 
 
 def test_turns_unwrap_past_a_right_angle() -> None:
     near = 0.0
     for true in range(0, 400, 7):
-        rotation = axis_rotation(wrap_axial_deg(true + 33.0), 0.1, 33.0, 0.1, near).rotation_deg
+        rotation = rotation_between_axes(wrap_axial_deg(true + 33.0), 0.1, 33.0, 0.1, near).rotation_deg
         assert rotation == pytest.approx(true)
         assert rotation is not None
         near = rotation
@@ -54,11 +60,11 @@ def test_axes_average_across_the_seam() -> None:
     assert axial_difference_deg(-80, 80) == pytest.approx(20)
 
 
-def tracked(rotations: list[tuple[float, float]]) -> Tracker:
-    tracker = Tracker()
+def tracked(rotations: list[tuple[float, float]]) -> RotationTracker:
+    tracker = RotationTracker()
     tracker.start(0.0)
     for now_s, rotation in rotations:
-        tracker.accept(now_s, Rotation(rotation, 0.3))
+        tracker.accept(now_s, RotationEstimate(rotation, 0.3))
     return tracker
 
 
@@ -85,13 +91,13 @@ def test_an_unchanged_picture_brings_the_rate_to_nothing() -> None:
 def test_a_flip_by_a_right_angle_never_becomes_a_turn() -> None:
     tracker = tracked([(0.02, 0.5)])
     for k in range(2, 200):
-        assert tracker.accept(0.02 * k, Rotation(85.0, 1.0)).declined is not None
-    assert tracker.accept(5.0, Rotation(3.0, 1.0)).rotation_deg == 3.0
+        assert tracker.accept(0.02 * k, RotationEstimate(85.0, 1.0)).declined is not None
+    assert tracker.accept(5.0, RotationEstimate(3.0, 1.0)).rotation_deg == 3.0
 
 
 def test_a_fast_turn_with_lost_frames_is_believed() -> None:
     tracker = tracked([(k / 60, 5.0 * k) for k in range(1, 5)])
-    assert tracker.accept(8 / 60, Rotation(40.0, 0.5)).rotation_deg == 40.0
+    assert tracker.accept(8 / 60, RotationEstimate(40.0, 0.5)).rotation_deg == 40.0
 
 
 def test_time_that_stands_still_or_goes_back_breaks_nothing() -> None:
@@ -101,27 +107,29 @@ def test_time_that_stands_still_or_goes_back_breaks_nothing() -> None:
 
 
 def test_registration_counts_where_the_axes_agree_with_it() -> None:
-    assert checked(Rotation(10.0, 0.5), Rotation(11.0, 0.5)) == Rotation(10.0, 0.5)
-    assert checked(Rotation(10.0, 2.0), Rotation(11.0, 0.5)) == Rotation(11.0, 0.5)
+    assert checked(RotationEstimate(10.0, 0.5), RotationEstimate(11.0, 0.5)) == RotationEstimate(10.0, 0.5)
+    assert checked(RotationEstimate(10.0, 2.0), RotationEstimate(11.0, 0.5)) == RotationEstimate(11.0, 0.5)
 
 
 def test_two_turns_that_contradict_each_other_are_none() -> None:
-    assert checked(Rotation(10.0, 0.5), Rotation(30.0, 0.5)).declined is not None
-    near = checked(Rotation(10.0, 0.5), Rotation(14.0, 0.6))
+    assert checked(RotationEstimate(10.0, 0.5), RotationEstimate(30.0, 0.5)).declined is not None
+    near = checked(RotationEstimate(10.0, 0.5), RotationEstimate(14.0, 0.6))
     assert near.rotation_deg == 10.0
     assert near.sigma_deg == pytest.approx(2.0)
 
 
 def test_one_turn_is_enough_and_none_keeps_its_reason() -> None:
-    assert checked(Rotation(None, None, "round contact"), Rotation(3.0, 1.0)).rotation_deg == 3.0
-    assert checked(Rotation(3.0, 1.0), Rotation(None, None, "round contact")).rotation_deg == 3.0
-    assert checked(Rotation(None, None, "a"), Rotation(None, None, "b")).declined == "a"
-    assert checked(Rotation(24.7, 4.1), Rotation(None, None, "clipped by the frame")).rotation_deg is None
-    assert checked(Rotation(24.7, 4.1), Rotation(24.0, 4.1)).rotation_deg == 24.7
-    assert pooled([Rotation(None, None, "a"), Rotation(None, None, "b")]).declined == "a"
+    assert checked(RotationEstimate(None, None, "round contact"), RotationEstimate(3.0, 1.0)).rotation_deg == 3.0
+    assert checked(RotationEstimate(3.0, 1.0), RotationEstimate(None, None, "round contact")).rotation_deg == 3.0
+    assert checked(RotationEstimate(None, None, "a"), RotationEstimate(None, None, "b")).declined == "a"
+    assert (
+        checked(RotationEstimate(24.7, 4.1), RotationEstimate(None, None, "clipped by the frame")).rotation_deg is None
+    )
+    assert checked(RotationEstimate(24.7, 4.1), RotationEstimate(24.0, 4.1)).rotation_deg == 24.7
+    assert pooled([RotationEstimate(None, None, "a"), RotationEstimate(None, None, "b")]).declined == "a"
 
 
 def test_an_estimator_that_disagrees_widens_sigma() -> None:
-    rotation = pooled([Rotation(10.0, 0.5), Rotation(10.4, 0.6), Rotation(22.0, 1.0)])
+    rotation = pooled([RotationEstimate(10.0, 0.5), RotationEstimate(10.4, 0.6), RotationEstimate(22.0, 1.0)])
     assert rotation.rotation_deg == pytest.approx(10.16, abs=0.02)
     assert rotation.sigma_deg == pytest.approx(3.0)

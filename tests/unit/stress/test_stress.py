@@ -19,10 +19,10 @@ from slipguard.control.finger_fusion import Fused, fuse
 from slipguard.devices import Frame
 from slipguard.errors import InputError
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.estimate import Estimate, Orientation
+from slipguard.perception.estimate import AxisEstimate, Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation.axis import estimate
-from slipguard.perception.rotation.tracker import Rotation, Tracker
+from slipguard.perception.rotation.tracker import RotationEstimate, RotationTracker
 from slipguard.stress.family import KEPT_FAILURES, FamilyResults, TrialFamily
 from slipguard.stress.floats import fitted_ellipse_deg, second_moments_deg
 from slipguard.stress.masks import degenerate, rotated, rotated_axis_deg
@@ -54,8 +54,8 @@ def spoiled(flaw: str, angle_deg: float | None) -> tuple[float | None, float | N
     return (math.nan, 1.0) if flaw == "nan" else (0.5 * angle_deg + 20.0, 0.05)
 
 
-def broken_estimate(flaw: str) -> Callable[[Patch, str], Orientation]:
-    def broken(patch: Patch, name: str) -> Orientation:
+def broken_estimate(flaw: str) -> Callable[[Patch, str], AxisEstimate]:
+    def broken(patch: Patch, name: str) -> AxisEstimate:
         found = estimate(patch, name)
         angle, sigma = spoiled(flaw, found.angle_deg)
         return replace(found, angle_deg=angle, sigma_deg=sigma)
@@ -76,15 +76,15 @@ def broken_pipeline(flaw: str) -> type[Pipeline]:
     return type("Broken", (BrokenPipeline,), {"flaw": flaw})
 
 
-class BrokenTracker(Tracker):
+class BrokenTracker(RotationTracker):
     flaw = "biased"
 
-    def accept(self, now_s: float, rotation: Rotation) -> Rotation:
+    def accept(self, now_s: float, rotation: RotationEstimate) -> RotationEstimate:
         accepted = super().accept(now_s, rotation)
-        return Rotation(*spoiled(self.flaw, accepted.rotation_deg))
+        return RotationEstimate(*spoiled(self.flaw, accepted.rotation_deg))
 
 
-def broken_tracker(flaw: str) -> type[Tracker]:
+def broken_tracker(flaw: str) -> type[RotationTracker]:
     return type("Broken", (BrokenTracker,), {"flaw": flaw})
 
 
@@ -128,10 +128,10 @@ def test_a_broken_tracker_is_caught(flaw: str) -> None:
 
 
 def test_a_drift_of_a_tenth_of_a_degree_is_caught() -> None:
-    class Drifting(Tracker):
+    class Drifting(RotationTracker):
         off = 0.0
 
-        def accept(self, now_s: float, rotation: Rotation) -> Rotation:
+        def accept(self, now_s: float, rotation: RotationEstimate) -> RotationEstimate:
             accepted = super().accept(now_s, rotation)
             self.off += 1e-4
             return replace(accepted, rotation_deg=(accepted.rotation_deg or 0.0) + self.off)

@@ -12,11 +12,11 @@ import pytest
 from rich.console import Console
 
 from slipguard.devices import Frame
-from slipguard.perception.estimate import Estimate, Orientation
+from slipguard.perception.estimate import AxisEstimate, Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation import rotation_meter as rotations
-from slipguard.perception.rotation.contour_registration import Pose, Registrar, Registration
-from slipguard.perception.rotation.tracker import Rotation, Tracker
+from slipguard.perception.rotation.contour_registration import ContourFit, ContourPose, ContourRegistrar
+from slipguard.perception.rotation.tracker import RotationEstimate, RotationTracker
 from slipguard.stress import holding
 from slipguard.stress import run as runs
 from slipguard.stress.drift import DRIFT
@@ -38,14 +38,14 @@ class Mute:
         return Estimate(frame.sequence, frame.captured_at_s, frame.captured_at_s, True, 4000, "fused", declined="mute")
 
 
-class MuteTracker(Tracker):
-    def accept(self, now_s: float, rotation: Rotation) -> Rotation:
-        return Rotation(None, None, "mute")
+class MuteTracker(RotationTracker):
+    def accept(self, now_s: float, rotation: RotationEstimate) -> RotationEstimate:
+        return RotationEstimate(None, None, "mute")
 
 
 def mute() -> ProductFunctions:
     return ProductFunctions(
-        pipeline=Mute, tracker=MuteTracker, estimate=lambda patch, name: Orientation(name, None, None, None, "mute"),
+        pipeline=Mute, tracker=MuteTracker, estimate=lambda patch, name: AxisEstimate(name, None, None, None, "mute"),
         fuse=lambda left, right: None,
     )  # fmt: skip
 
@@ -96,8 +96,8 @@ def test_a_family_is_not_judged_before_enough_is_tried() -> None:
 
 
 def test_a_registration_that_goes_on_from_where_it_was_wrong_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Dragged(Registrar):
-        def fit(self, start: Pose) -> Registration:
+    class Dragged(ContourRegistrar):
+        def fit(self, start: ContourPose) -> ContourFit:
             found = super().fit(start)
             drawn = 0.5 * (found.pose.rotation_deg + start.rotation_deg) + 0.15
             return replace(found, pose=replace(found.pose, rotation_deg=drawn))

@@ -166,7 +166,7 @@ def test_a_view_arrives_as_it_was(axis_deg: float | None) -> None:
     assert (found.serial, found.frame.sequence, found.frame.captured_at_s) == ("D20001", 99, 12.25)
     assert found.contact is not None
     assert np.array_equal(found.contact.mask, mask)
-    assert (found.contact.left_px, found.contact.top_px, found.contact.picture_size) == (5, 7, (160, 213))
+    assert (found.contact.left_px, found.contact.top_px, found.contact.image_size) == (5, 7, (160, 213))
     assert (found.contact.clipped, found.contact.axis_deg) == (contact.clipped, axis_deg)
     told, pixels = encode_finger_frame(FingerFrame("D20001", view.frame))
     assert decode_finger_frame(told, b"".join(pixels)).contact is None
