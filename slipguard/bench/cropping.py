@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from slipguard.bench.error_tally import Tally
 from slipguard.bench.pipelines import Subject
 from slipguard.bench.rows import Skip, mean
-from slipguard.datasets.rendered_grasps import Sequence, sequence
+from slipguard.datasets.rendered_grasps import RenderedGrasp, render_grasp
 from slipguard.errors import ModelError
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
@@ -91,7 +91,7 @@ def known_patch(default: Subject) -> Skip | None:
         return None
     tallies = {"whole": Tally(), "cropped": Tally()}
     for name in (name for name in names("test") if get(name).axial):
-        grasp = sequence(name, SEED, with_masks=True, mask_every=4)
+        grasp = render_grasp(name, SEED, with_masks=True, mask_every=4)
         opened = {
             "whole": _pipeline(whole, grasp, default.estimator),
             "cropped": _pipeline(cropped, grasp, default.estimator),
@@ -111,7 +111,7 @@ def known_patch(default: Subject) -> Skip | None:
     return Skip("known patch: only its crop", False, spent["whole"] - spent["cropped"], None, error_added, None, how)
 
 
-def _pipeline(segmenter: Segmenter | CroppedSegmenter, grasp: Sequence, estimator: str) -> Pipeline:
+def _pipeline(segmenter: Segmenter | CroppedSegmenter, grasp: RenderedGrasp, estimator: str) -> Pipeline:
     settings = PerceptionSettings.model_validate({"estimator": estimator})
     return Pipeline(segmenter, settings, grasp.background, grasp.noise_bgr, grasp.px_per_mm)
 

@@ -13,7 +13,7 @@ from slipguard.bench.clock import CLOCK
 from slipguard.bench.pipelines import Processor, Subject
 from slipguard.bench.rows import Row, mean, quantile
 from slipguard.datasets.mask_scores import dice, iou
-from slipguard.datasets.rendered_grasps import EXTRA_PLAIN, ROUND_PLAIN, ROUND_TEXTURED, Sequence, Shot
+from slipguard.datasets.rendered_grasps import EXTRA_PLAIN, ROUND_PLAIN, ROUND_TEXTURED, GraspFrame, RenderedGrasp
 from slipguard.perception.estimate import Estimate
 
 CONFIDENT_SIGMAS = 3.0
@@ -47,13 +47,13 @@ class Tally:
     overlaps: list[tuple[float, float]] = field(default_factory=list)
     grasps: list[Errors] = field(default_factory=list)
 
-    def begin(self, grasp: Sequence) -> Errors:
+    def begin(self, grasp: RenderedGrasp) -> Errors:
         """A new grasp; its errors go into what is returned."""
         errors = Errors(grasp.object_name, grasp.readable, difficulty(grasp))
         self.grasps.append(errors)
         return errors
 
-    def take(self, processor: Processor, shot: Shot, errors: Errors) -> Estimate:
+    def take(self, processor: Processor, shot: GraspFrame, errors: Errors) -> Estimate:
         """Run a processor over the next shot of a grasp. A contact that was skipped as none overlaps nothing."""
         start_s = CLOCK()
         seen = processor.process(shot.frame)
@@ -71,7 +71,7 @@ class Tally:
                 errors.found.append((abs(seen.angle_deg - shot.rotation_deg), seen.angle_deg, seen.sigma_deg))
         return seen
 
-    def run(self, processor: Processor, grasp: Sequence, shots: Iterable[Shot]) -> None:
+    def run(self, processor: Processor, grasp: RenderedGrasp, shots: Iterable[GraspFrame]) -> None:
         """All shots of a grasp."""
         errors = self.begin(grasp)
         for shot in shots:
@@ -192,7 +192,7 @@ def quarters(grasps: list[Errors]) -> tuple[float | None, ...]:
     return tuple(mean(error for index in part for error, _, _ in ordered[index].found) for part in parts)
 
 
-def difficulty(grasp: Sequence) -> float:
+def difficulty(grasp: RenderedGrasp) -> float:
     """How hard a grasp is by its truth alone, whatever the pipeline: 0 easy, about 1 hard.
 
     A quarter each: how round the contact is, how much of its outline the frame cuts, how fast it turns, how much it

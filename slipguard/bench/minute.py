@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slipguard.datasets.rendered_grasps import FRAME_S, Sequence, Shot
+from slipguard.datasets.rendered_grasps import FRAME_S, GraspFrame, RenderedGrasp
 from slipguard.devices import Frame
 from slipguard.sim.gel import GelCamera
 from slipguard.sim.objects import get
-from slipguard.sim.unit import Light, random_unit
+from slipguard.sim.unit import LightChange, random_unit
 from slipguard.sim.view import GelView
 
 MINUTE_S = 60.0
@@ -38,13 +38,13 @@ class Minute:
     press: float = 0.6
     sign: float = 1.0
 
-    def scene(self) -> Sequence:
+    def scene(self) -> RenderedGrasp:
         """What a pipeline must know of the sensor; without shots."""
         unit = random_unit(np.random.default_rng(self.seed))
         background = GelCamera(unit, seed=self.seed).no_contact()
-        return Sequence(self.object_name, True, background, unit.noise_bgr, unit.px_per_mm, ())
+        return RenderedGrasp(self.object_name, True, background, unit.noise_bgr, unit.px_per_mm, ())
 
-    def shots(self) -> Iterator[Shot]:
+    def shots(self) -> Iterator[GraspFrame]:
         """All 3600 frames with their truth."""
         rng = np.random.default_rng(self.seed)
         camera = GelCamera(random_unit(rng), seed=self.seed)
@@ -56,7 +56,7 @@ class Minute:
             now_s = index * FRAME_S
             if index % 60 == 0:
                 b, g, r = offset + drift * now_s
-                camera.set_light(Light(1.0, (float(b), float(g), float(r))))
+                camera.set_light(LightChange(1.0, (float(b), float(g), float(r))))
             rotation_deg, rate_deg_s, grown = _motion(now_s)
             rotation_deg, rate_deg_s = self.sign * rotation_deg, self.sign * rate_deg_s
             view = GelView(
@@ -71,7 +71,7 @@ class Minute:
                 view = replace(view, depth_mm=0.0)
             in_contact = view.depth_mm > 0.0
             compared = in_contact and now_s > STILL_S
-            yield Shot(Frame(camera.draw(view), now_s, index), in_contact, rotation_deg, compared, None)
+            yield GraspFrame(Frame(camera.draw(view), now_s, index), in_contact, rotation_deg, compared, None)
 
 
 def _motion(now_s: float) -> tuple[float, float, float]:

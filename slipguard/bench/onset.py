@@ -14,7 +14,7 @@ from slipguard.control.finger_fusion import fuse
 from slipguard.control.params import GuardParams
 from slipguard.control.slip_baselines import Detector
 from slipguard.control.slip_detector import look
-from slipguard.datasets.rendered_grasps import FRAME_S, Sequence, Shot
+from slipguard.datasets.rendered_grasps import FRAME_S, GraspFrame, RenderedGrasp
 from slipguard.devices import Frame
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.gel import GelCamera
@@ -42,7 +42,7 @@ class Onset:
     rate: float
     slides: bool = False
 
-    def grasp(self) -> Sequence:
+    def grasp(self) -> RenderedGrasp:
         """Rest, then motion at a constant rate until nobody could overlook it."""
         rng = np.random.default_rng([self.seed, round(100 * self.rate), self.slides])
         unit, thing = random_unit(rng), get(self.object_name)
@@ -64,9 +64,9 @@ class Onset:
                 view = GelView(self.object_name, x_mm, y_mm, start_deg + rotated, press_mm, rate_deg_s=side * speed)
             rotation_deg = 0.0 if self.slides else side * moved
             shots.append(
-                Shot(Frame(camera.draw(view), index * FRAME_S, index), True, rotation_deg, since_s > 0.0, None)
+                GraspFrame(Frame(camera.draw(view), index * FRAME_S, index), True, rotation_deg, since_s > 0.0, None)
             )
-        return Sequence(
+        return RenderedGrasp(
             self.object_name, thing.axial, background, unit.noise_bgr, unit.px_per_mm, tuple(shots), self.rate
         )
 

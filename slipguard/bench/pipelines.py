@@ -15,7 +15,7 @@ from slipguard.bench.classical import BackgroundSubtraction
 from slipguard.bench.clock import CLOCK
 from slipguard.bench.paper import FrameNetwork, PaperPipeline
 from slipguard.bench.peer import PEER_MODEL
-from slipguard.datasets.rendered_grasps import Sequence
+from slipguard.datasets.rendered_grasps import RenderedGrasp
 from slipguard.devices import Frame
 from slipguard.errors import ModelError
 from slipguard.perception.contact.segmenter import Segmenter, default_model_path
@@ -78,7 +78,7 @@ class Subject:
         """The network's weights mean nothing: only times can be told."""
         return self.sees == "frame" and _frame_network(self.path, self.threads).made_up
 
-    def open(self, grasp: Sequence, masks: dict[int, NDArray[np.uint8]] | None = None) -> Processor:
+    def open(self, grasp: RenderedGrasp, masks: dict[int, NDArray[np.uint8]] | None = None) -> Processor:
         """Ready for the frames of a grasp. masks: what takes the place of a made-up network's answer."""
         if self.kind == "subtraction":
             return BackgroundSubtraction(grasp.background, "ellipse" if self.estimator == "ellipse" else "pca")

@@ -17,7 +17,7 @@ from slipguard.bench.pipelines import NO_SKIP, Subject, large, network_files, ou
 from slipguard.bench.rows import Bench, Row, machine, on_the_front
 from slipguard.bench.skipping import skips
 from slipguard.bench.thinning import thinning
-from slipguard.datasets.rendered_grasps import EXTRA_PLAIN, STILL_FRAMES, Sequence, sequence
+from slipguard.datasets.rendered_grasps import EXTRA_PLAIN, STILL_FRAMES, RenderedGrasp, render_grasp
 from slipguard.perception.settings import ALL_SKIPS, PerceptionSettings
 from slipguard.sim.objects import names
 from slipguard.tools.parallel import Workers, each
@@ -140,7 +140,7 @@ def _named(item: _Item) -> str:
 
 def _measure(item: _Item) -> dict[str, Tally]:
     """One grasp through all pipelines of an item, one after the other."""
-    grasp = sequence(item.object_name, item.seed, with_masks=True, mask_every=item.mask_every)
+    grasp = render_grasp(item.object_name, item.seed, with_masks=True, mask_every=item.mask_every)
     if item.warm:
         _warm(item.subjects, grasp)
     # Without skipping or a reference of its own, a plain pipeline begins at the last still frame.
@@ -159,7 +159,7 @@ def _measure(item: _Item) -> dict[str, Tally]:
     return found
 
 
-def _warm(subjects: tuple[Subject, ...], grasp: Sequence) -> None:
+def _warm(subjects: tuple[Subject, ...], grasp: RenderedGrasp) -> None:
     for subject in subjects:
         processor = subject.open(grasp)
         for shot in grasp.shots[: 2 if subject.large else WARM_UP_FRAMES]:
@@ -203,7 +203,7 @@ def _peer_rows(
     classical: list[Subject],
     accuracy: dict[str, Tally],
     times: dict[str, Tally],
-    samples: list[Sequence],
+    samples: list[RenderedGrasp],
 ) -> list[Row]:
     """The paper's pipeline with each network, on one core and on its best number of threads; then the plain ones."""
     rows = []
@@ -227,13 +227,13 @@ def _peer_rows(
     return rows
 
 
-def _samples(quick: bool) -> list[Sequence]:
+def _samples(quick: bool) -> list[RenderedGrasp]:
     """Some thirty frames for large networks: of each test object the last still frame and some turned ones."""
     objects = names("test")
     each_object = -(-LARGE_FRAMES_QUICK // len(objects)) + (0 if quick else 2)
     found = []
     for name in objects:
-        grasp = sequence(name, SEED, with_masks=True, mask_every=QUICK_MASK_EVERY)
+        grasp = render_grasp(name, SEED, with_masks=True, mask_every=QUICK_MASK_EVERY)
         chosen = [shot for shot in grasp.shots if shot.contact and shot.mask is not None and shot.mask.any()]
         rotated = [shot for shot in chosen if shot.compared]
         picks = np.linspace(0, len(rotated) - 1, each_object).astype(int)
@@ -242,7 +242,7 @@ def _samples(quick: bool) -> list[Sequence]:
     return found
 
 
-def _few(subject: Subject, samples: list[Sequence]) -> Tally:
+def _few(subject: Subject, samples: list[RenderedGrasp]) -> Tally:
     """The paper's pipeline over the sample frames."""
     tally = Tally()
     for index, grasp in enumerate(samples):

@@ -14,7 +14,7 @@ from slipguard.bench.onset import ROTATION_RATES_DEG_S, SLIDE_RATES_MM_S, Onset,
 from slipguard.bench.pipelines import Subject
 from slipguard.bench.rows import Skip
 from slipguard.bench.second_finger import second_finger
-from slipguard.datasets.rendered_grasps import ROUND_PLAIN, sequence
+from slipguard.datasets.rendered_grasps import ROUND_PLAIN, render_grasp
 from slipguard.perception.settings import ALL_SKIPS, Skips
 from slipguard.sim.objects import get, names
 from slipguard.tools.parallel import Workers, each
@@ -73,7 +73,7 @@ def _no_contact(default: Subject, objects: int, later: list[int | None]) -> Skip
     gated, plain = Tally(), Tally()
     missed = frames = 0
     for name in names("test")[:objects]:
-        grasp = sequence(name, SEED)
+        grasp = render_grasp(name, SEED)
         empty = [shot for shot in grasp.shots if not shot.contact]
         asked = replace(default, skips=Skips(no_contact=False, unchanged=False))
         for subject, tally in ((default, gated), (asked, plain)):
@@ -132,7 +132,7 @@ def _round(default: Subject, objects: tuple[str, ...]) -> Skip:
     spent: dict[bool, Tally] = {True: Tally(), False: Tally()}
     differ = 0
     for name in objects:
-        grasp = sequence(name, SEED)
+        grasp = render_grasp(name, SEED)
         answers: dict[bool, list[float | None]] = {}
         for kept in (True, False):
             subject = replace(default, skips=replace(ALL_SKIPS, round=kept))

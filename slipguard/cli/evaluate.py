@@ -13,7 +13,7 @@ from slipguard.cli.progress import count_bar
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
-    from slipguard.evaluation.protocol import Protocol
+    from slipguard.evaluation.protocol import LiftProtocol
 
 app = typer.Typer(
     help="The paper's experiment: lifts against two markers that an external camera sees.\n\n"
@@ -52,9 +52,9 @@ def calibrate_camera(
     Example: `slipguard evaluate calibrate-camera board.mp4 --out camera.json`
     """
     from slipguard.evaluation.calibrate import calibrate
-    from slipguard.evaluation.video_files import shots
+    from slipguard.evaluation.video_files import timed_frames
 
-    found = calibrate(picture for _, picture in shots(source))
+    found = calibrate(picture for _, picture in timed_frames(source))
     try:
         out.write_text(found.model_dump_json(indent=1) + "\n")
     except OSError as error:
@@ -80,10 +80,10 @@ def rotation(
     from slipguard.evaluation.intrinsics import read_intrinsics
     from slipguard.evaluation.marker_rotation import rotations
     from slipguard.evaluation.plots import draw_trace
-    from slipguard.evaluation.video_files import sightings
+    from slipguard.evaluation.video_files import markers_in
 
     lens = read_intrinsics(intrinsics)
-    seen = list(sightings(source, lens))
+    seen = list(markers_in(source, lens))
     try:
         trace = rotations(seen, lens, side_mm)
     except InputError as error:
@@ -201,7 +201,7 @@ def _show(figures: dict[str, Any]) -> None:
     )
 
 
-def _check_simulated(plan: Protocol) -> None:
+def _check_simulated(plan: LiftProtocol) -> None:
     from slipguard.sim.objects import names
 
     known = {*names("test"), *names("train")}
@@ -211,7 +211,7 @@ def _check_simulated(plan: Protocol) -> None:
 
 
 def _on_cell(
-    out: Path, plan: Protocol | None, config: Path | None, camera: str | None, intrinsics: Path | None
+    out: Path, plan: LiftProtocol | None, config: Path | None, camera: str | None, intrinsics: Path | None
 ) -> None:
     import asyncio
 
@@ -222,7 +222,7 @@ def _on_cell(
     from slipguard.daemon.run import build_service
     from slipguard.daemon.store.last_grasp import LastGraspSaver
     from slipguard.daemon.store.state_dir import StateDir
-    from slipguard.evaluation.external_camera import Camera
+    from slipguard.evaluation.external_camera import ExternalCamera
     from slipguard.evaluation.intrinsics import read_intrinsics
     from slipguard.evaluation.on_cell import in_the_daemons_place, run_on_cell
 
@@ -234,6 +234,6 @@ def _on_cell(
         LastGraspSaver(StateDir(settings.state.directory), service.event_log.say, service.event_log.warn).decided
     )
     with in_the_daemons_place(socket_path(settings)):
-        external = nullcontext() if camera is None else Camera(camera, lens)
+        external = nullcontext() if camera is None else ExternalCamera(camera, lens)
         with external as eye, left_to_the_loop():
             asyncio.run(run_on_cell(out, plan, service, eye, lens, ask))

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from slipguard.config import Config
     from slipguard.daemon.api.client import Client
-    from slipguard.datasets.recorder import Shot
+    from slipguard.datasets.recorder import SensorImage
 
 
 def record(
@@ -72,7 +72,7 @@ def record(
     print(f"{count} frames in {out}, {touched} with contact; look at the labels before you train on them")
 
 
-def _daemons(client: Client, serial: str | None, every_s: float) -> tuple[AsyncIterator[Shot], list[str]]:
+def _daemons(client: Client, serial: str | None, every_s: float) -> tuple[AsyncIterator[SensorImage], list[str]]:
     """What a daemon sees; raises InputError where it has no such sensor."""
     from slipguard.datasets.recorder import from_daemon
     from slipguard.errors import InputError
@@ -87,7 +87,7 @@ def _daemons(client: Client, serial: str | None, every_s: float) -> tuple[AsyncI
     return from_daemon(client, fingers, every_s), [serials[name] for name in fingers]
 
 
-def _own(settings: Config | None, serial: str | None, every_s: float) -> tuple[AsyncIterator[Shot], list[str]]:
+def _own(settings: Config | None, serial: str | None, every_s: float) -> tuple[AsyncIterator[SensorImage], list[str]]:
     """The configured sensors, or one DIGIT."""
     from pydantic import ValidationError
 

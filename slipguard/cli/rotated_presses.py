@@ -28,20 +28,20 @@ def rotated(
     from rich.table import Table
 
     from slipguard.evaluation import rotated_presses_report as rotated_report
-    from slipguard.evaluation.rotated_presses import WAYS
+    from slipguard.evaluation.rotated_presses import ROTATION_METHODS
     from slipguard.perception.contact.segmenter import Segmenter
 
     segmenter = Segmenter(model)
-    rows: list[rotated_report.Figures] = []
-    for way in WAYS:
+    rows: list[rotated_report.PressStatistics] = []
+    for way in ROTATION_METHODS:
         with progress_bar(way) as show:
-            rows += rotated_report.figures(rotated_report.measure(folder, part, way, segmenter, show), way)
+            rows += rotated_report.press_statistics(rotated_report.measure(folder, part, way, segmenter, show), way)
     if json:
         for row in rows:
             print(jsonlib.dumps(asdict(row)))
         return
     table = Table(title=f"Semi-synthetic turns, part {part}", title_justify="left")
-    for field in fields(rotated_report.Figures):
+    for field in fields(rotated_report.PressStatistics):
         table.add_column(field.name.replace("_", " "))
     for row in rows:
         table.add_row(*("" if value is None else str(value) for value in asdict(row).values()))

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.datasets.samples import UNIT_FRAMES, Sample, sample
+from slipguard.datasets.samples import UNIT_FRAMES, RenderedSample, render_sample
 from slipguard.errors import InputError
 from slipguard.sim.label import LABEL_NAME, label
 from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
@@ -181,7 +181,7 @@ def _drawn(
 ) -> list[tuple[dict[str, Any], Files]]:
     out = []
     for seed in block:
-        drawn = sample(seed, backgrounds, split)
+        drawn = render_sample(seed, backgrounds, split)
         mask = label(drawn.truth)
         files = {IMAGES: png(drawn.image), BACKGROUNDS: png(drawn.background), MASKS: png(mask * np.uint8(255))}
         out.append((_line(f"{seed - first_seed:06d}.png", seed, split, drawn, mask), files))
@@ -192,7 +192,7 @@ def _named(block: range) -> str:
     return f"seeds {block.start} to {block.stop - 1}"
 
 
-def _line(name: str, seed: int, split: str, drawn: Sample, mask: Image) -> dict[str, Any]:
+def _line(name: str, seed: int, split: str, drawn: RenderedSample, mask: Image) -> dict[str, Any]:
     pose = asdict(drawn.view)
     return {
         "file": name,

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.datasets.samples import sample
+from slipguard.datasets.samples import render_sample
 from slipguard.perception.contact.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
 from slipguard.sim.label import LABEL_NAME, label
 
@@ -57,7 +57,7 @@ def rendered_frames(
     while ready < count:
         upto = min(ready + CHUNK, count)
         for index in range(ready, upto):
-            drawn = sample(first_seed + index)
+            drawn = render_sample(first_seed + index)
             frame[index] = _halved(drawn.image)
             background[index] = _halved(drawn.background)
             labels[index] = _halved(label(drawn.truth) * np.uint8(255))

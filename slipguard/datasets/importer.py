@@ -37,7 +37,7 @@ _SIZE = (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class ImagePair:
     """An image and its mask. name: to tell them by, the image's path below the folder."""
 
     name: str
@@ -46,7 +46,7 @@ class Pair:
 
 
 @dataclass(frozen=True, slots=True)
-class Imported:
+class ImportResult:
     """What came of it. turned: lay on their side; stretched: of another shape than 3 to 4; left_out: why, per name."""
 
     frames: int
@@ -55,7 +55,7 @@ class Imported:
     left_out: tuple[str, ...]
 
 
-def found_pairs(source: Path) -> tuple[list[Pair], list[str]]:
+def found_pairs(source: Path) -> tuple[list[ImagePair], list[str]]:
     """The pairs under a folder, by name, and a complaint for each image or mask that has no partner.
 
     Two layouts, also nested (train/, val/): folders side by side of which one is named masks, labels, gt or the like,
@@ -75,7 +75,9 @@ def found_pairs(source: Path) -> tuple[list[Pair], list[str]]:
         if key in side:
             raise InputError(f"{path} and {side[key]} would be one frame; keep one of them")
         side[key] = path
-    pairs = [Pair(_named(source, images[key]), images[key], masks[key]) for key in sorted(images.keys() & masks.keys())]
+    pairs = [
+        ImagePair(_named(source, images[key]), images[key], masks[key]) for key in sorted(images.keys() & masks.keys())
+    ]
     if not pairs:
         raise InputError(
             f"{source}: {len(images)} images and {len(masks)} masks, no two of one name; wanted are images/ and masks/ "
@@ -93,7 +95,7 @@ def import_dataset(
     skip: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
     workers: Workers | None = None,
-) -> Imported:
+) -> ImportResult:
     """Write the pairs under `source` as a data set into a new or empty folder.
 
     Pictures become 240 wide x 320 high: shrunk or enlarged, turned upright as digit-interface does where they lie on
@@ -125,7 +127,7 @@ def import_dataset(
             stretched += result.stretched
     if writer.written == 0:
         raise InputError(f"{source}: none of {len(pairs)} pairs can be used; the first: {left_out[0]}")
-    return Imported(writer.written, rotated, stretched, tuple(left_out))
+    return ImportResult(writer.written, rotated, stretched, tuple(left_out))
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +138,7 @@ class _Read:
     stretched: bool
 
 
-def _read(pair: Pair) -> _Read | str:
+def _read(pair: ImagePair) -> _Read | str:
     """What is to be written, or why it cannot be."""
     try:
         return _frame(pair)
@@ -144,7 +146,7 @@ def _read(pair: Pair) -> _Read | str:
         return str(error)
 
 
-def _frame(pair: Pair) -> _Read:
+def _frame(pair: ImagePair) -> _Read:
     image, mask = read_image(pair.image), _read_mask(pair.mask)
     if abs(mask.shape[0] * image.shape[1] / (mask.shape[1] * image.shape[0]) - 1.0) > SHAPE_TOLERANCE:
         seen = f"{mask.shape[1]}x{mask.shape[0]}, its image {image.shape[1]}x{image.shape[0]}"

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from slipguard.sim import shapes as s
-from slipguard.sim.height_map import FLOOR_MM, Relief
+from slipguard.sim.height_map import FLOOR_MM, HeightRaster
 from slipguard.sim.raster import Field, f32, warped
 
 HALF_MM = 11.0
@@ -17,7 +17,7 @@ PX_PER_MM = 12.0
 _Body = Callable[[Field, Field, np.random.Generator], Field]
 
 
-def composition(rng: np.random.Generator) -> Relief:
+def composition(rng: np.random.Generator) -> HeightRaster:
     """Two to four bodies at random places and angles, sometimes with a texture. Highest point near 0."""
 
     def height_mm(u: Field, v: Field) -> Field:
@@ -32,10 +32,10 @@ def composition(rng: np.random.Generator) -> Relief:
             height = height - _texture(u, v, rng)
         return f32(height - height.max())
 
-    return Relief.of(height_mm, HALF_MM, PX_PER_MM)
+    return HeightRaster.of(height_mm, HALF_MM, PX_PER_MM)
 
 
-def broad(rng: np.random.Generator) -> Relief:
+def broad(rng: np.random.Generator) -> HeightRaster:
     """A bottle, can or handle lying in the gel: gently curved across, hardly along, with soft or cut ends."""
     across_mm, along_mm = float(rng.uniform(4.0, 25.0)), math.exp(rng.uniform(math.log(15.0), math.log(200.0)))
     half_mm, fall = float(rng.uniform(3.0, 11.0)), float(rng.uniform(0.15, 1.5))
@@ -44,23 +44,23 @@ def broad(rng: np.random.Generator) -> Relief:
         curved = v * v / np.float32(2.0 * across_mm) + u * u / np.float32(2.0 * along_mm)
         return f32(-curved - np.float32(fall) * np.maximum(np.abs(u) - np.float32(half_mm), 0.0))
 
-    return Relief.of(height_mm, HALF_MM, PX_PER_MM)
+    return HeightRaster.of(height_mm, HALF_MM, PX_PER_MM)
 
 
-def resized(relief: Relief, factor: float) -> Relief:
+def resized(relief: HeightRaster, factor: float) -> HeightRaster:
     """The same surface, `factor` times as long and wide."""
-    return Relief(relief.fine, relief.coarse, relief.px_per_mm / factor)
+    return HeightRaster(relief.fine, relief.coarse, relief.px_per_mm / factor)
 
 
-def roughened(relief: Relief, rng: np.random.Generator, std_mm: float) -> Relief:
+def roughened(relief: HeightRaster, rng: np.random.Generator, std_mm: float) -> HeightRaster:
     """The surface with smooth random heights on it, correlated over about a millimetre."""
     n = relief.fine.shape[0]
     cells = max(int(n / relief.px_per_mm / rng.uniform(0.4, 1.6)), 4)
     bumps = rng.standard_normal((cells, cells), dtype=np.float32) * np.float32(std_mm)
-    return Relief.from_raster(relief.fine + f32(cv2.resize(bumps, (n, n))), relief.px_per_mm)
+    return HeightRaster.from_raster(relief.fine + f32(cv2.resize(bumps, (n, n))), relief.px_per_mm)
 
 
-def beside(relief: Relief, other: Relief, rng: np.random.Generator) -> Relief:
+def beside(relief: HeightRaster, other: HeightRaster, rng: np.random.Generator) -> HeightRaster:
     """Both surfaces as one body, the other turned and 4-9 mm away, up to 0.3 mm lower."""
     n = relief.fine.shape[0]
     middle, angle = (n - 1) / 2, float(rng.uniform(0.0, 2 * math.pi))
@@ -69,7 +69,7 @@ def beside(relief: Relief, other: Relief, rng: np.random.Generator) -> Relief:
     to_other = cv2.getRotationMatrix2D(place, float(rng.uniform(0.0, 360.0)), other.px_per_mm / relief.px_per_mm)
     to_other[:, 2] += (other.fine.shape[0] - 1) / 2 - np.array(place)
     second = warped(other.fine, np.asarray(to_other, np.float64), (n, n)) - np.float32(rng.uniform(0.0, 0.3))
-    return Relief.from_raster(f32(np.maximum(relief.fine, np.maximum(second, FLOOR_MM))), relief.px_per_mm)
+    return HeightRaster.from_raster(f32(np.maximum(relief.fine, np.maximum(second, FLOOR_MM))), relief.px_per_mm)
 
 
 def _block(u: Field, v: Field, rng: np.random.Generator) -> Field:

@@ -24,7 +24,7 @@ PATIENCE_S = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class SensorImage:
     """One picture of one sensor. image: (320, 240, 3) uint8 BGR."""
 
     serial: str
@@ -53,7 +53,7 @@ class DaemonFrame(Protocol):
 
 async def record_dataset(
     out_dir: Path,
-    shots: AsyncIterator[Shot],
+    shots: AsyncIterator[SensorImage],
     count: int,
     backgrounds: Mapping[str, Image],
     progress: Callable[[int], None] = lambda done: None,
@@ -92,7 +92,7 @@ async def record_dataset(
     return touched
 
 
-async def from_daemon(source: FrameSource, fingers: list[str], every_s: float) -> AsyncIterator[Shot]:
+async def from_daemon(source: FrameSource, fingers: list[str], every_s: float) -> AsyncIterator[SensorImage]:
     """What a running daemon sees, finger after finger; a frame it has had before is waited out.
 
     Raises CommandRefused when a finger has had no frame for a while.
@@ -114,12 +114,12 @@ async def from_daemon(source: FrameSource, fingers: list[str], every_s: float) -
             image = cv2.imdecode(np.frombuffer(seen.png, np.uint8), cv2.IMREAD_COLOR)
             if image is None:
                 raise InputError("the daemon sent no picture; is it another version of slipguard?")
-            yield Shot(seen.serial, np.asarray(image, np.uint8), seen.sequence)
+            yield SensorImage(seen.serial, np.asarray(image, np.uint8), seen.sequence)
         due_s = max(due_s + every_s, loop.time())
         await asyncio.sleep(due_s - loop.time())
 
 
-async def from_sensors(sensors: list[TactileSensor], every_s: float) -> AsyncIterator[Shot]:
+async def from_sensors(sensors: list[TactileSensor], every_s: float) -> AsyncIterator[SensorImage]:
     """Open the sensors and take what they see; the devices are let go when the iterator is closed.
 
     Raises DeviceLost where one is not there, and any DeviceError that lasts.
@@ -132,7 +132,7 @@ async def from_sensors(sensors: list[TactileSensor], every_s: float) -> AsyncIte
         while True:
             for sensor in sensors:
                 frame = await good_frame(sensor)
-                yield Shot(sensor.serial, frame.image, frame.sequence)
+                yield SensorImage(sensor.serial, frame.image, frame.sequence)
             due_s = max(due_s + every_s, loop.time())
             await asyncio.sleep(due_s - loop.time())
     finally:

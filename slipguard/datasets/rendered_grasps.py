@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from slipguard.devices import Frame
 from slipguard.sim import shapes
 from slipguard.sim.gel import GelCamera
-from slipguard.sim.height_map import Relief
+from slipguard.sim.height_map import HeightRaster
 from slipguard.sim.label import label
 from slipguard.sim.objects import HeightMap, SimObject, get
-from slipguard.sim.unit import Light, Unit, random_unit
+from slipguard.sim.unit import LightChange, SensorUnit, random_unit
 from slipguard.sim.view import GelView
 
 FRAME_S = 1.0 / 60.0
@@ -44,7 +44,7 @@ EXTRA_PLAIN = ("plain_disc", "plain_ball")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class GraspFrame:
     """One frame and its truth. rotation_deg: since the object was held still; mask: (320, 240) uint8, the labelled contact.
 
     mask is None where it was not asked for; compared: part of the turn's error (after the reference, in contact).
@@ -58,7 +58,7 @@ class Shot:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sequence:
+class RenderedGrasp:
     """One grasp of one object by one sensor unit. background: its no-contact image, noise_bgr: as calibrated.
 
     peak_deg_s: highest rate. growth: largest over smallest depth of the press while it turns.
@@ -69,7 +69,7 @@ class Sequence:
     background: NDArray[np.uint8]
     noise_bgr: tuple[float, float, float]
     px_per_mm: float
-    shots: tuple[Shot, ...]
+    shots: tuple[GraspFrame, ...]
     peak_deg_s: float = 0.0
     growth: float = 1.0
 
@@ -85,17 +85,17 @@ class _Stretch:
     depth_mm: float
 
 
-def sequence(object_name: str, seed: int, with_masks: bool = False, mask_every: int = 1) -> Sequence:
+def render_grasp(object_name: str, seed: int, with_masks: bool = False, mask_every: int = 1) -> RenderedGrasp:
     """Render one grasp; the same for the same name and seed. Raises InputError for an unknown object.
 
     mask_every: of the shots, every so many-th gets its mask.
     """
     rng = np.random.default_rng(np.random.SeedSequence([seed, *object_name.encode()]))
     thing, relief = bench_object(object_name)
-    unit = Unit.default() if seed % 2 == 0 else random_unit(rng)
+    unit = SensorUnit.default() if seed % 2 == 0 else random_unit(rng)
     camera = GelCamera(unit, seed=int(rng.integers(2**31)))
     background = camera.no_contact()
-    camera.set_light(Light(1.0, tuple(rng.uniform(-5.0, 5.0, 3)), tuple(rng.uniform(-1.5, 1.5, 3))))
+    camera.set_light(LightChange(1.0, tuple(rng.uniform(-5.0, 5.0, 3)), tuple(rng.uniform(-1.5, 1.5, 3))))
     shots = []
     peak_deg_s, depths_mm = 0.0, []
     for index, (view, rotation, compared) in enumerate(_views(thing, rng)):
@@ -105,10 +105,10 @@ def sequence(object_name: str, seed: int, with_masks: bool = False, mask_every: 
             image, mask = truth.image, label(truth)
         else:
             image = camera.draw(view, relief=relief)
-        shots.append(Shot(Frame(image, index * FRAME_S, index), view.depth_mm > 0.0, rotation, compared, mask))
+        shots.append(GraspFrame(Frame(image, index * FRAME_S, index), view.depth_mm > 0.0, rotation, compared, mask))
         peak_deg_s = max(peak_deg_s, abs(view.rate_deg_s))
         depths_mm += [view.depth_mm] * compared
-    return Sequence(
+    return RenderedGrasp(
         object_name,
         thing.axial,
         background,
@@ -121,7 +121,7 @@ def sequence(object_name: str, seed: int, with_masks: bool = False, mask_every: 
 
 
 @cache
-def bench_object(name: str) -> tuple[SimObject, Relief | None]:
+def bench_object(name: str) -> tuple[SimObject, HeightRaster | None]:
     """A catalogue object, or one of the plain round ones with its surface. Raises InputError for another name."""
     surfaces: dict[str, tuple[HeightMap, float]] = {
         "plain_disc": (lambda u, v: shapes.plateau(shapes.disc(u, v, 4.0), 0.7), 0.8),
@@ -130,7 +130,7 @@ def bench_object(name: str) -> tuple[SimObject, Relief | None]:
     if name not in surfaces:
         return get(name), None
     height_mm, press_mm = surfaces[name]
-    return SimObject(name, "test", height_mm, 0.5, 100.0, 0.003, 0.7, press_mm, axial=False), Relief.of(height_mm)
+    return SimObject(name, "test", height_mm, 0.5, 100.0, 0.003, 0.7, press_mm, axial=False), HeightRaster.of(height_mm)
 
 
 def _views(thing: SimObject, rng: np.random.Generator) -> Iterator[tuple[GelView, float, bool]]:

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from slipguard.datasets.random_shapes import beside, broad, composition, resized, roughened
 from slipguard.sim import objects
 from slipguard.sim.gel import GelCamera, GelTruth
-from slipguard.sim.height_map import Relief, relief_of
+from slipguard.sim.height_map import HeightRaster, height_raster_of
 from slipguard.sim.label import VISIBLE_MM
 from slipguard.sim.raster import Field, blurred
-from slipguard.sim.unit import Light, random_unit
+from slipguard.sim.unit import LightChange, random_unit
 from slipguard.sim.view import GelView
 
 Image = NDArray[np.uint8]
@@ -37,7 +37,7 @@ USUAL_DEPTH_MM = (0.12, 1.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sample:
+class RenderedSample:
     """One frame. image, background: (320, 240, 3) uint8 BGR, the frame and the unit's no-contact image.
 
     truth.image is the frame before contrast, compression and wear. has_contact: there is something to outline.
@@ -50,7 +50,7 @@ class Sample:
     has_contact: bool
 
 
-def sample(seed: int, backgrounds: Sequence[Image] | None = None, split: str = "train") -> Sample:
+def render_sample(seed: int, backgrounds: Sequence[Image] | None = None, split: str = "train") -> RenderedSample:
     """Draw the frame of that seed (>= 0). About 15 % show no contact.
 
     backgrounds: real no-contact images, (320, 240, 3) uint8, on which half of the units are drawn. split "test": the
@@ -70,7 +70,7 @@ def sample(seed: int, backgrounds: Sequence[Image] | None = None, split: str = "
     return _finished(rng, truth, background, view)
 
 
-def press_of(name: str, seed: int) -> Sample:
+def press_of(name: str, seed: int) -> RenderedSample:
     """Draw the frame of that seed (>= 0) that shows that training object, always touching the gel in the picture.
 
     Sizes, textures, poses, light and wear vary as in `sample`. Raises InputError for an unknown object.
@@ -79,7 +79,7 @@ def press_of(name: str, seed: int) -> Sample:
     camera = _camera(seed // UNIT_FRAMES, _Pool(None))
     camera.reseed(int(rng.integers(2**31)))
     camera.set_light(_light(rng))
-    relief = resized(relief_of(name), float(rng.uniform(0.75, 1.3)))
+    relief = resized(height_raster_of(name), float(rng.uniform(0.75, 1.3)))
     if rng.random() < 0.5:
         relief = roughened(relief, rng, float(rng.uniform(0.010, 0.080)))
     while True:
@@ -108,17 +108,17 @@ def _camera(block: int, pool: _Pool) -> GelCamera:
     return GelCamera(random_unit(rng, pool.images), seed=block)
 
 
-def _light(rng: np.random.Generator) -> Light:
+def _light(rng: np.random.Generator) -> LightChange:
     """How the light differs from that of the no-contact image: up to 6 grey levels each way, uneven."""
     if rng.random() < 0.2:
-        return Light()
+        return LightChange()
     common = rng.uniform(-4.0, 4.0)
     offset, right, up = (
         np.clip(common + rng.normal(0.0, 2.0, 3), -6.0, 6.0),
         rng.normal(0, 1.5, 3),
         rng.normal(0, 1.5, 3),
     )
-    return Light(
+    return LightChange(
         float(rng.uniform(0.95, 1.05)),
         (float(offset[0]), float(offset[1]), float(offset[2])),
         (float(right[0]), float(right[1]), float(right[2])),
@@ -126,18 +126,18 @@ def _light(rng: np.random.Generator) -> Light:
     )
 
 
-def _surface(rng: np.random.Generator, split: str) -> tuple[str, Relief]:
+def _surface(rng: np.random.Generator, split: str) -> tuple[str, HeightRaster]:
     if split == "train" and rng.random() < BROAD_SHARE:
         body = broad(rng)
         return BROAD_NAME, roughened(body, rng, float(rng.uniform(0.010, 0.080))) if rng.random() < 0.5 else body
     names = objects.names(split)
     name = names[int(rng.integers(len(names)))]
     composed = split == "train" and rng.random() < COMPOSITION_SHARE
-    relief = composition(rng) if composed else relief_of(name)
+    relief = composition(rng) if composed else height_raster_of(name)
     if split == "train":
         relief = resized(relief, float(rng.uniform(0.75, 1.3)))
         if rng.random() < 0.12:
-            relief = beside(relief, relief_of(names[int(rng.integers(len(names)))]), rng)
+            relief = beside(relief, height_raster_of(names[int(rng.integers(len(names)))]), rng)
     if rng.random() < 0.5:
         relief = roughened(relief, rng, float(rng.uniform(0.010, 0.080)))
     return (COMPOSITION_NAME if composed else name), relief
@@ -168,7 +168,7 @@ def _press(rng: np.random.Generator, name: str) -> GelView:
     )
 
 
-def _finished(rng: np.random.Generator, truth: GelTruth, background: Image, view: GelView) -> Sample:
+def _finished(rng: np.random.Generator, truth: GelTruth, background: Image, view: GelView) -> RenderedSample:
     """What happens between gel and disk: wear, contrast, compression."""
     image = truth.image
     if rng.random() < 0.25:
@@ -184,7 +184,7 @@ def _finished(rng: np.random.Generator, truth: GelTruth, background: Image, view
         image = _compressed(image, quality)
         if rng.random() < 0.5:
             background = _compressed(background, quality)
-    return Sample(image, background, truth, view, float(truth.displacement_mm.max()) > VISIBLE_MM)
+    return RenderedSample(image, background, truth, view, float(truth.displacement_mm.max()) > VISIBLE_MM)
 
 
 def _shifted(image: Image, rng: np.random.Generator) -> Image:

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from slipguard.datasets.mask_scores import dice, iou
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt, InputError
-from slipguard.evaluation.clock_alignment import LAG_MAX_S, Lag, find_lag, seen_at
-from slipguard.evaluation.lift_data import LiftData, TimedPicture
-from slipguard.evaluation.marker_detector import Detector
+from slipguard.evaluation.clock_alignment import LAG_MAX_S, ClockLag, between_frames, find_lag
+from slipguard.evaluation.lift_data import LiftData, TimedImage
+from slipguard.evaluation.marker_detector import MarkerDetector
 from slipguard.evaluation.marker_rotation import RotationTrace, rotations
-from slipguard.evaluation.single_estimators import PatchKeeper, SeenPatch, rotations_by_estimator
-from slipguard.evaluation.video_files import FILMS, sightings
+from slipguard.evaluation.single_estimators import PatchRecorder, TimedPatch, rotations_by_estimator
+from slipguard.evaluation.video_files import FILMS, markers_in
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
 from slipguard.sim_lifts.lift_record import PICTURE_SIGN, Measured
@@ -35,7 +35,7 @@ FILM_LAG_MAX_S = 60.0
 
 
 @dataclass(slots=True)
-class Errors:
+class RotationErrors:
     """Of one source against the markers. n: frames compared. The rest is None where n is 0."""
 
     n: int = 0
@@ -69,7 +69,7 @@ class LiftResult:
     marker_error_mean_deg: float | None = None
     marker_error_worst_deg: float | None = None
     declined_share: float = 0.0
-    errors: dict[str, Errors] = field(default_factory=dict)
+    errors: dict[str, RotationErrors] = field(default_factory=dict)
     unaligned_mean_deg: float | None = None
     """The fused error with the lag left in."""
     within_1_sigma: float | None = None
@@ -88,7 +88,7 @@ class LiftResult:
 
 def result_from_json(raw: dict[str, Any]) -> LiftResult:
     """The way back; raises TypeError on what is none."""
-    return LiftResult(**raw | {"errors": {name: Errors(**one) for name, one in raw["errors"].items()}})
+    return LiftResult(**raw | {"errors": {name: RotationErrors(**one) for name, one in raw["errors"].items()}})
 
 
 def analyse(data: LiftData) -> LiftResult:
@@ -126,13 +126,13 @@ def analyse(data: LiftData) -> LiftResult:
         rotation_deg = np.array([one.rotation_deg for one in stated])
         if name != "fused":  # they count from just before the lift
             rotation_deg = rotation_deg + float(np.interp(began_s - STILL_S, camera_s, marker_deg))
-        compared = seen_at(time_s, camera_s) & (time_s >= began_s)
+        compared = between_frames(time_s, camera_s) & (time_s >= began_s)
         error = rotation_deg[compared] - np.interp(time_s[compared], camera_s, marker_deg)
         result.errors[name] = _summed(error)
         _curve(result, name, time_s - began_s, rotation_deg)
         if name == "fused" and error.size:
             _judge_sigma(result, error, np.array([one.sigma_deg for one in stated])[compared])
-            late = seen_at(time_s, trace.time_s) & (time_s >= began_s)
+            late = between_frames(time_s, trace.time_s) & (time_s >= began_s)
             if late.any():
                 left_in = rotation_deg[late] - np.interp(time_s[late], trace.time_s, marker_deg)
                 result.unaligned_mean_deg = float(np.abs(left_in).mean())
@@ -149,7 +149,7 @@ def _level(camera_s: Array, rotation_deg: Array, zero_s: float, began_s: float) 
 
 def _check_sense(fused: Array, camera_s: Array, marker_deg: Array) -> None:
     """Raises InputError where the markers turn the other way than the fingers, and by much."""
-    inside = seen_at(fused[:, 0], camera_s)
+    inside = between_frames(fused[:, 0], camera_s)
     if inside.sum() < 5 or np.ptp(marker_deg) < SENSE_DEG or np.ptp(fused[inside, 1]) < SENSE_DEG:
         return
     beside = np.interp(fused[inside, 0], camera_s, marker_deg)
@@ -163,7 +163,7 @@ def _check_sense(fused: Array, camera_s: Array, marker_deg: Array) -> None:
 def _marker_rotations(data: LiftData, began_s: float) -> RotationTrace:
     """The markers' turn in the left picture's sign, from when the object lay still."""
     if data.camera:
-        detector = Detector()
+        detector = MarkerDetector()
         from_s = (data.fused[0][0] if data.fused else began_s) - 2.0 * STILL_S
         shown = [one for one in data.camera if one.time_s >= from_s]
         if not shown:
@@ -176,7 +176,7 @@ def _marker_rotations(data: LiftData, began_s: float) -> RotationTrace:
         if not films:
             raise InputError(f"no external camera in the recording, and no film {data.path.stem}.mp4 beside it")
         # A film has a clock of its own; its zero is put where the lift begins, and the lag tells the rest.
-        seen = list(sightings(films[0], data.intrinsics, start_s=began_s))
+        seen = list(markers_in(films[0], data.intrinsics, start_s=began_s))
     try:
         trace = rotations(seen, data.intrinsics, data.about.marker_side_mm)
     except np.linalg.LinAlgError:
@@ -185,7 +185,7 @@ def _marker_rotations(data: LiftData, began_s: float) -> RotationTrace:
     return RotationTrace(trace.time_s, sign * trace.rotation_deg, trace.sigma_deg, trace.gaps, trace.rms_px)
 
 
-def _tell_lag(data: LiftData, result: LiftResult, lag: Lag, trace: RotationTrace) -> None:
+def _tell_lag(data: LiftData, result: LiftResult, lag: ClockLag, trace: RotationTrace) -> None:
     """Note the lag down. Raises InputError where without it there is no common clock."""
     result.lag_s, result.lag_sigma_s, result.lag_unknown = lag.lag_s, lag.sigma_s, lag.why
     if lag.why is not None and (not data.camera or not data.fused):
@@ -208,11 +208,11 @@ def _compare_truth(data: LiftData, result: LiftResult, trace: RotationTrace) -> 
     _curve(result, "truth", time_s - began_s, true_deg - float(np.interp(began_s, time_s, true_deg)))
 
 
-def _summed(error: Array) -> Errors:
+def _summed(error: Array) -> RotationErrors:
     if not error.size:
-        return Errors()
+        return RotationErrors()
     size = np.abs(error)
-    return Errors(
+    return RotationErrors(
         error.size, float(size.mean()), float(np.sqrt((error**2).mean())), float(size.max()), float(error[-1])
     )
 
@@ -224,7 +224,7 @@ def _judge_sigma(result: LiftResult, error: Array, sigma_deg: Array) -> None:
 
 def _estimators(data: LiftData, began_s: float) -> dict[str, list[Measured]]:
     """What each plain estimator says of the recorded frames: the mean of both fingers, frame by frame of the left."""
-    kept: list[SeenPatch] = []
+    kept: list[TimedPatch] = []
     settings = settings_of(data.recording)
     segmenter = Segmenter()
     for finger, frames in data.fingers.items():
@@ -236,7 +236,7 @@ def _estimators(data: LiftData, began_s: float) -> dict[str, list[Measured]]:
             settings.px_per_mm[finger],
             settings.mounting_deg[finger],
         )
-        keeper = PatchKeeper(finger, pipeline, kept)
+        keeper = PatchRecorder(finger, pipeline, kept)
         for one in frames:
             if one.judged.new_reference:
                 keeper.reset_reference()
@@ -285,7 +285,7 @@ def _score_masks(data: LiftData, result: LiftResult) -> None:
                 result.iou.append(iou(ours, theirs))
 
 
-def mask_of(one: TimedPicture) -> NDArray[np.bool_]:
+def mask_of(one: TimedImage) -> NDArray[np.bool_]:
     """(320, 240) bool."""
     return np.asarray(one.picture.pixels()[..., 0] > 127)
 

@@ -21,7 +21,7 @@ GAP_FRAMES = 2.5
 
 
 @dataclass(frozen=True, slots=True)
-class Lag:
+class ClockLag:
     """lag_s: by how much the camera's times are late against the tactile ones. sigma_s: how well that is known.
 
     why: where it cannot be told, then lag_s is 0 and sigma_s the whole range.
@@ -34,34 +34,34 @@ class Lag:
 
 def find_lag(
     camera_s: Array, camera_deg: Array, tactile_s: Array, tactile_deg: Array, lag_max_s: float = LAG_MAX_S
-) -> Lag:
+) -> ClockLag:
     """The lag at which both turns differ least, up to a constant: the two zeros are not the same moment's.
 
     Times (n,) and (m,) in seconds, increasing; turns in degrees, of the same sign.
     """
     if min(len(camera_s), len(tactile_s)) < 5:
-        return Lag(0.0, lag_max_s, "too few frames")
+        return ClockLag(0.0, lag_max_s, "too few frames")
     if np.ptp(camera_deg) < MOTION_MIN_DEG or np.ptp(tactile_deg) < MOTION_MIN_DEG:
-        return Lag(0.0, lag_max_s, "hardly any turn")
+        return ClockLag(0.0, lag_max_s, "hardly any turn")
     around_s, reach_s = 0.0, lag_max_s
     while reach_s > FINE_S:  # a film that somebody else started: coarsely first
         lags = around_s + np.arange(-reach_s, reach_s + COARSE_S / 2, COARSE_S)
         cost = np.array([_spread(camera_s - lag, camera_deg, tactile_s, tactile_deg) for lag in lags])
         if not np.isfinite(cost).any():
-            return Lag(0.0, lag_max_s, "the two streams do not overlap")
+            return ClockLag(0.0, lag_max_s, "the two streams do not overlap")
         around_s, reach_s = float(lags[int(np.nanargmin(cost))]), 0.2
     lags = around_s + np.arange(-reach_s, reach_s + STEP_S / 2, STEP_S)
     cost = np.array([_spread(camera_s - lag, camera_deg, tactile_s, tactile_deg) for lag in lags])
     if not np.isfinite(cost).any():
-        return Lag(0.0, lag_max_s, "the two streams do not overlap")
+        return ClockLag(0.0, lag_max_s, "the two streams do not overlap")
     best = int(np.nanargmin(cost))
     if best in (0, len(lags) - 1):
-        return Lag(0.0, lag_max_s, f"more than {lag_max_s:g} s apart")
+        return ClockLag(0.0, lag_max_s, f"more than {lag_max_s:g} s apart")
     lag = float(lags[best]) + _vertex(cost[best - 1 : best + 2]) * STEP_S
-    return Lag(lag, _sigma(camera_s - lag, camera_deg, tactile_s, tactile_deg, float(cost[best])))
+    return ClockLag(lag, _sigma(camera_s - lag, camera_deg, tactile_s, tactile_deg, float(cost[best])))
 
 
-def seen_at(time_s: Array, camera_s: Array) -> NDArray[np.bool_]:
+def between_frames(time_s: Array, camera_s: Array) -> NDArray[np.bool_]:
     """Where the camera saw both markers just before and just after: what lies in a gap is not known."""
     if len(camera_s) < 2:
         return np.zeros(len(time_s), bool)
@@ -73,7 +73,7 @@ def seen_at(time_s: Array, camera_s: Array) -> NDArray[np.bool_]:
 
 def _spread(camera_s: Array, camera_deg: Array, tactile_s: Array, tactile_deg: Array) -> float:
     """Variance of the difference where both streams have something to say; NaN where that is too little."""
-    inside = seen_at(tactile_s, camera_s)
+    inside = between_frames(tactile_s, camera_s)
     if inside.mean() < OVERLAP_MIN:
         return float("nan")
     return float(np.var(tactile_deg[inside] - np.interp(tactile_s[inside], camera_s, camera_deg)))
@@ -87,7 +87,7 @@ def _vertex(three: Array) -> float:
 
 def _sigma(camera_s: Array, camera_deg: Array, tactile_s: Array, tactile_deg: Array, variance: float) -> float:
     """Noise over slope: the more the turn changes, the better a shift is known."""
-    inside = seen_at(tactile_s, camera_s)
+    inside = between_frames(tactile_s, camera_s)
     rate = np.gradient(np.interp(tactile_s[inside], camera_s, camera_deg), tactile_s[inside])
     power = float(((rate - rate.mean()) ** 2).sum())
     return float(np.sqrt(variance / power)) if power > 0.0 else float("inf")

@@ -15,7 +15,7 @@ from slipguard.errors import InputError
 from slipguard.evaluation.intrinsics import Intrinsics
 
 
-class Camera:
+class ExternalCamera:
     """Any camera OpenCV opens, read in a thread of its own; the newest picture wins. Raises InputError."""
 
     def __init__(self, source: str, intrinsics: Intrinsics) -> None:

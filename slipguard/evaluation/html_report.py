@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from slipguard import __version__
-from slipguard.evaluation.protocol import Protocol
+from slipguard.evaluation.protocol import LiftProtocol
 from slipguard.evaluation.summary import ESTIMATORS, PAPER, PAPER_DICE, PAPER_IOU
 
 STYLE = """
@@ -33,7 +33,7 @@ details { margin: 1rem 0; } summary { cursor: pointer; }
 """
 
 
-def write_page(path: Path, report: dict[str, Any], protocol: Protocol | None, pictures: dict[str, Path]) -> None:
+def write_page(path: Path, report: dict[str, Any], protocol: LiftProtocol | None, pictures: dict[str, Path]) -> None:
     """Write the page. pictures: "errors", "curves", "masks" -> PNG file; those not there are left out."""
     parts = [
         f"<h1>{escape(protocol.name if protocol else 'Grasp and lift')}: rotation error against markers</h1>",
@@ -64,7 +64,7 @@ def write_page(path: Path, report: dict[str, Any], protocol: Protocol | None, pi
     )
 
 
-def _lead(report: dict[str, Any], protocol: Protocol | None) -> str:
+def _lead(report: dict[str, Any], protocol: LiftProtocol | None) -> str:
     guard = (
         "with the guard" if protocol is not None and protocol.guard else "guard off: the turn is measured, not stopped"
     )
@@ -200,7 +200,7 @@ def _problems(report: dict[str, Any]) -> str:
     return f"<details open><summary>{count} lifts could not be compared</summary><ul>{items}</ul></details>"
 
 
-def _method(protocol: Protocol | None) -> str:
+def _method(protocol: LiftProtocol | None) -> str:
     lifted = ""
     if protocol is not None:
         low, high = protocol.rotation_deg

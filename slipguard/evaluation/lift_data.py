@@ -20,7 +20,7 @@ from slipguard.recording import messages as m
 from slipguard.recording.reader import Recording, StoredImage, open_recording
 
 
-class About(BaseModel):
+class LiftDescription(BaseModel):
     """What was lifted and how; see `Protocol`."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
@@ -38,7 +38,7 @@ class About(BaseModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TimedPicture:
+class TimedImage:
     """A compressed picture and its time stamp."""
 
     time_s: float
@@ -46,7 +46,7 @@ class TimedPicture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JudgedPicture:
+class FingerFrame:
     """A frame of a finger with what was made of it; the picture is None where none was recorded."""
 
     judged: m.FrameRecord
@@ -58,13 +58,13 @@ class LiftData:
     """One lift. fused: (time of capture, turn, sigma), each frame once. phases: (time, name)."""
 
     path: Path
-    about: About
+    about: LiftDescription
     intrinsics: Intrinsics
     recording: Recording
-    camera: list[TimedPicture] = field(default_factory=list)
-    fingers: dict[str, list[JudgedPicture]] = field(default_factory=lambda: {name: [] for name in m.FINGERS})
-    masks: dict[str, list[TimedPicture]] = field(default_factory=lambda: {name: [] for name in m.FINGERS})
-    true_masks: dict[str, list[TimedPicture]] = field(default_factory=lambda: {name: [] for name in m.FINGERS})
+    camera: list[TimedImage] = field(default_factory=list)
+    fingers: dict[str, list[FingerFrame]] = field(default_factory=lambda: {name: [] for name in m.FINGERS})
+    masks: dict[str, list[TimedImage]] = field(default_factory=lambda: {name: [] for name in m.FINGERS})
+    true_masks: dict[str, list[TimedImage]] = field(default_factory=lambda: {name: [] for name in m.FINGERS})
     fused: list[tuple[float, float, float]] = field(default_factory=list)
     declined: int = 0
     """Turns of the loop while the object was held that had no turn to go by."""
@@ -91,7 +91,7 @@ def read_lift(path: Path) -> LiftData:
     data = LiftData(path, _about(recording), _intrinsics(recording), recording)
     offset_s: float | None = None
     pending: dict[str, StoredImage] = {}
-    timed: list[tuple[list[TimedPicture], int, StoredImage]] = []
+    timed: list[tuple[list[TimedImage], int, StoredImage]] = []
     for item in recording.items():
         value = item.value
         if isinstance(value, m.CycleRecord):
@@ -101,7 +101,7 @@ def read_lift(path: Path) -> LiftData:
             data.truth.append(value)
         elif isinstance(value, m.FrameRecord):
             finger = item.topic.split("/")[1]
-            data.fingers[finger].append(JudgedPicture(value, pending.pop(finger, None)))
+            data.fingers[finger].append(FingerFrame(value, pending.pop(finger, None)))
         elif isinstance(value, StoredImage):
             home = _home(data, item.topic)
             if home is None:
@@ -115,11 +115,11 @@ def read_lift(path: Path) -> LiftData:
     if recording.damage is not None and data.phases[-1][1] == "lifting":
         raise InputError(f"{path}: {recording.damage}, in the middle of the lift; do that lift again")
     for home, at_ns, picture in timed:
-        home.append(TimedPicture(1e-9 * at_ns - offset_s, picture))
+        home.append(TimedImage(1e-9 * at_ns - offset_s, picture))
     return data
 
 
-def _home(data: LiftData, topic: str) -> list[TimedPicture] | None:
+def _home(data: LiftData, topic: str) -> list[TimedImage] | None:
     """Where a picture belongs; None for a finger's image, which goes with the judgement that follows it."""
     if topic == m.IMAGE_TOPIC[m.CAMERA]:
         return data.camera
@@ -143,8 +143,8 @@ def _take_tick(data: LiftData, tick: m.CycleRecord) -> None:
         data.fused.append((fused.captured_at_s, fused.rotation_deg, fused.sigma_deg))
 
 
-def _about(recording: Recording) -> About:
-    return _attached(recording, LIFT_ATTACHMENT, About)
+def _about(recording: Recording) -> LiftDescription:
+    return _attached(recording, LIFT_ATTACHMENT, LiftDescription)
 
 
 def _intrinsics(recording: Recording) -> Intrinsics:

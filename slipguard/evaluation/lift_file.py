@@ -19,7 +19,7 @@ from slipguard.daemon.loop.service import Service
 from slipguard.daemon.store.recording import RecordingObserver, header
 from slipguard.errors import SlipguardError
 from slipguard.evaluation.intrinsics import Intrinsics
-from slipguard.evaluation.protocol import Lift, Protocol
+from slipguard.evaluation.protocol import LiftProtocol, PlannedLift
 from slipguard.recording import messages as m
 from slipguard.recording.recorder import RecordedCycle, RecordedFrame, RecordedMessage, RecorderSettings, write_frame
 from slipguard.recording.writer import RecordingClock, RecordingFile, RecordingHeader
@@ -31,7 +31,7 @@ LIFT_ATTACHMENT = "lift.json"
 INTRINSICS_ATTACHMENT = "intrinsics.json"
 
 
-class LiftFile:
+class LiftRecorder:
     """Records a service into `path` while it is entered; the file has its name only once it is whole.
 
     What it is handed is written on the spot: an experiment may cost some milliseconds more than the daemon. A disk that
@@ -43,8 +43,8 @@ class LiftFile:
         self,
         path: Path,
         service: Service,
-        protocol: Protocol,
-        lift: Lift,
+        protocol: LiftProtocol,
+        lift: PlannedLift,
         intrinsics: Intrinsics,
         true_lag_s: float | None,
     ) -> None:

@@ -22,7 +22,7 @@ RISE_MIN = 25.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class MarkerCorners:
     """Corners (4, 2) in pixels, clockwise from the marker's upper left; None where the marker was not seen."""
 
     time_s: float
@@ -30,14 +30,14 @@ class Sighting:
     object_px: NDArray[np.float32] | None
 
 
-class Detector:
+class MarkerDetector:
     """Finds both markers, where they were last if they are still there; not thread-safe."""
 
     def __init__(self) -> None:
         self._detector = cv2.aruco.ArucoDetector(dictionary(), cv2.aruco.DetectorParameters())
         self._last: list[NDArray[np.float32]] = []
 
-    def look(self, image: NDArray[np.uint8], time_s: float) -> Sighting:
+    def look(self, image: NDArray[np.uint8], time_s: float) -> MarkerCorners:
         """image: (h, w, 3) or (h, w) uint8. A marker seen twice is not seen: nobody can tell which it is."""
         grey = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
         found = self._find(grey, _around(self._last, grey.shape)) if self._last else {}
@@ -45,7 +45,7 @@ class Detector:
             found = self._find(grey, (0, 0, grey.shape[1], grey.shape[0]))
         self._last = list(found.values()) if len(found) == 2 else []
         refined = {marker_id: refined_corners(grey, corners) for marker_id, corners in found.items()}
-        return Sighting(time_s, refined.get(GRIPPER_ID), refined.get(OBJECT_ID))
+        return MarkerCorners(time_s, refined.get(GRIPPER_ID), refined.get(OBJECT_ID))
 
     def _find(self, grey: NDArray[np.uint8], window: tuple[int, int, int, int]) -> dict[int, NDArray[np.float32]]:
         left, top, right, bottom = window

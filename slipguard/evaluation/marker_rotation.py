@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from slipguard.errors import InputError
 from slipguard.evaluation.intrinsics import Intrinsics
-from slipguard.evaluation.marker_detector import Sighting
+from slipguard.evaluation.marker_detector import MarkerCorners
 
 Array = NDArray[np.float64]
 FRAMES_MIN = 5
@@ -49,7 +49,7 @@ class RotationTrace:
     rms_px: float
 
 
-def rotations(sightings: list[Sighting], intrinsics: Intrinsics, side_mm: float) -> RotationTrace:
+def rotations(sightings: list[MarkerCorners], intrinsics: Intrinsics, side_mm: float) -> RotationTrace:
     """The turn in every frame that shows both markers; side_mm: of their black squares.
 
     Raises InputError where too few frames do, or where no rigid motion about one axis explains the corners.
@@ -85,7 +85,7 @@ def rotations(sightings: list[Sighting], intrinsics: Intrinsics, side_mm: float)
     )
 
 
-def _check_seen(sightings: list[Sighting], both: int) -> None:
+def _check_seen(sightings: list[MarkerCorners], both: int) -> None:
     if both >= FRAMES_MIN:
         return
     total = len(sightings)

@@ -24,7 +24,7 @@ MM_PER_INCH = 25.4
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class PrintSheet:
     """A page: grey pictures with their lower left corner and width in millimetres, and a title."""
 
     title: str
@@ -49,7 +49,7 @@ def charuco() -> cv2.aruco.CharucoBoard:
     return cv2.aruco.CharucoBoard(CHARUCO_SQUARES, CHARUCO_SQUARE_MM, CHARUCO_MARKER_MM, dictionary(), ids)
 
 
-def marker_sheet() -> Sheet:
+def marker_sheet() -> PrintSheet:
     """Both markers twice, so that one may be spoilt, with a ruler to check the printer by."""
     pictures = []
     words = []
@@ -63,20 +63,20 @@ def marker_sheet() -> Sheet:
         f"slipguard evaluate: markers, black squares {SIDE_MM:g} mm. Print at 100 %, cut with a white margin of 7 mm, "
         "glue flat."
     )
-    return Sheet(title, tuple(pictures), tuple(words))
+    return PrintSheet(title, tuple(pictures), tuple(words))
 
 
-def charuco_sheet() -> Sheet:
+def charuco_sheet() -> PrintSheet:
     """The calibration board."""
     across, up = CHARUCO_SQUARES
     image = charuco().generateImage((across * 200, up * 200))
     title = (
         f"slipguard evaluate calibrate-camera: squares {CHARUCO_SQUARE_MM:g} mm. Print at 100 %, glue to a flat board."
     )
-    return Sheet(title, ((np.asarray(image, np.uint8), 26.0, 18.0, across * CHARUCO_SQUARE_MM),), ())
+    return PrintSheet(title, ((np.asarray(image, np.uint8), 26.0, 18.0, across * CHARUCO_SQUARE_MM),), ())
 
 
-def write_sheet(sheet: Sheet, path: Path) -> None:
+def write_sheet(sheet: PrintSheet, path: Path) -> None:
     """A4 landscape at true scale, PDF or PNG (300 dpi) by the ending. Raises InputError."""
     if path.suffix.lower() not in (".pdf", ".png"):
         raise InputError(f"{path}: sheets are written as .pdf or .png")

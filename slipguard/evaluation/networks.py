@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from slipguard.datasets.mask_scores import dice, iou
 from slipguard.errors import InputError, ModelError
 from slipguard.evaluation.analyse import MASK_GAP_S, mask_of
-from slipguard.evaluation.lift_data import JudgedPicture, LiftData
-from slipguard.evaluation.summary import spread
+from slipguard.evaluation.lift_data import FingerFrame, LiftData
+from slipguard.evaluation.summary import lift_statistics
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.tools.replay import settings_of
 
 EVERY = 10
 
 
-class NetworkRow:
+class NetworkScore:
     """Gathers one network's figures over lifts."""
 
     def __init__(self, path: Path | None) -> None:
@@ -52,7 +52,7 @@ class NetworkRow:
                     self._dice.append(dice(found, mask_of(true)))
                     self._iou.append(iou(found, mask_of(true)))
 
-    def _segment(self, one: JudgedPicture, background: NDArray[np.uint8] | None) -> NDArray[np.bool_]:
+    def _segment(self, one: FingerFrame, background: NDArray[np.uint8] | None) -> NDArray[np.bool_]:
         """The mask at frame size; the time it took is noted."""
         assert one.picture is not None
         image = one.picture.pixels()
@@ -66,22 +66,22 @@ class NetworkRow:
         return {
             "network": self.name,
             "n": len(self._ms),
-            "dice": spread(self._dice).as_json(),
-            "iou": spread(self._iou).as_json(),
+            "dice": lift_statistics(self._dice).as_json(),
+            "iou": lift_statistics(self._iou).as_json(),
             "ms_median": round(float(np.median(self._ms)), 2) if self._ms else None,
         }
 
 
-def network_rows(folder: Path) -> list[NetworkRow]:
+def network_scores(folder: Path) -> list[NetworkScore]:
     """The shipped network and every usable one of a folder. Raises InputError where there is none."""
     files = sorted(folder.glob("*.onnx")) if folder.is_dir() else []
     if not files:
         raise InputError(f"{folder}: no .onnx networks in this folder")
-    rows = [NetworkRow(None)]
+    rows = [NetworkScore(None)]
     refused = []
     for file in files:
         try:
-            rows.append(NetworkRow(file))
+            rows.append(NetworkScore(file))
         except ModelError as error:
             refused.append(str(error))
     if len(rows) == 1:

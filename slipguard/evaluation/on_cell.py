@@ -18,10 +18,10 @@ from slipguard.control.state import AT_STAKE, MOVING, Phase
 from slipguard.daemon.api.controls import Controls
 from slipguard.daemon.loop.service import Service
 from slipguard.errors import CommandRefused, ConfigError, DeviceLost, SlipguardError
-from slipguard.evaluation.external_camera import Camera
+from slipguard.evaluation.external_camera import ExternalCamera
 from slipguard.evaluation.intrinsics import Intrinsics
-from slipguard.evaluation.lift_file import LiftFile, encoded
-from slipguard.evaluation.protocol import Lift, Protocol
+from slipguard.evaluation.lift_file import LiftRecorder, encoded
+from slipguard.evaluation.protocol import LiftProtocol, PlannedLift
 from slipguard.evaluation.runner import prepare, recording_path, result_of
 from slipguard.tools.waiting import Stuck, until
 from slipguard.web.sockets import bind
@@ -46,7 +46,7 @@ def in_the_daemons_place(socket_path: Path) -> Iterator[None]:
 
 
 async def run_on_cell(
-    out: Path, protocol: Protocol, service: Service, camera: Camera | None, intrinsics: Intrinsics, ask: Ask
+    out: Path, protocol: LiftProtocol, service: Service, camera: ExternalCamera | None, intrinsics: Intrinsics, ask: Ask
 ) -> None:
     """Do what is still missing with a service that is not yet running.
 
@@ -81,15 +81,15 @@ class _DoesNotCountError(SlipguardError):
 @dataclass(frozen=True, slots=True)
 class _Cell:
     out: Path
-    protocol: Protocol
+    protocol: LiftProtocol
     service: Service
     controls: Controls
-    camera: Camera | None
+    camera: ExternalCamera | None
     intrinsics: Intrinsics
     running: asyncio.Task[None]
     ask: Ask
 
-    async def do(self, todo: list[Lift]) -> None:
+    async def do(self, todo: list[PlannedLift]) -> None:
         service = self.service
         await until(self.running, lambda: not service.waiting_for, READY_S, lambda: "; ".join(service.waiting_for))
         if not self.protocol.guard:
@@ -100,7 +100,7 @@ class _Cell:
                 return
             await self._lift(lift)
 
-    async def _lift(self, lift: Lift) -> None:
+    async def _lift(self, lift: PlannedLift) -> None:
         """From the grip to the open jaws. An object in the air is lowered before anything else."""
         trouble: SlipguardError | None = None
         try:
@@ -119,10 +119,10 @@ class _Cell:
         if trouble is not None and not isinstance(trouble, _DoesNotCountError | CommandRefused):
             raise trouble
 
-    async def _record(self, lift: Lift) -> None:
+    async def _record(self, lift: PlannedLift) -> None:
         service, protocol = self.service, self.protocol
         loop = asyncio.get_running_loop()
-        with LiftFile(recording_path(self.out, lift), service, protocol, lift, self.intrinsics, None) as file:
+        with LiftRecorder(recording_path(self.out, lift), service, protocol, lift, self.intrinsics, None) as file:
 
             def take(picture: NDArray[np.uint8]) -> None:
                 at_s = loop.time()
@@ -159,7 +159,7 @@ class _Cell:
                 if self.camera is not None:
                     self.camera.give_to(None)
 
-    def _check(self, lift: Lift) -> None:
+    def _check(self, lift: PlannedLift) -> None:
         if self.service.state.fault is not None:
             raise _DoesNotCountError(str(self.service.state.fault))
         if self.service.phase is Phase.IDLE:
@@ -169,7 +169,7 @@ class _Cell:
                 "the external camera is gone; plug it in and start again, the experiment goes on where it was"
             )
 
-    async def _lower(self, lift: Lift) -> str:
+    async def _lower(self, lift: PlannedLift) -> str:
         """Back to where the lift began; why it is not there, "" if it is."""
         service, guard = self.service, self.service.config.guard
         up_mm = _up_mm(service)
@@ -194,7 +194,7 @@ class _Cell:
         )
         return str(service.state.fault or "")
 
-    async def _analysed(self, lift: Lift) -> str:
+    async def _analysed(self, lift: PlannedLift) -> str:
         try:
             result = await asyncio.to_thread(result_of, recording_path(self.out, lift))
         except (SlipguardError, OSError) as error:
@@ -202,7 +202,7 @@ class _Cell:
         error_deg = result.errors["fused"].mean_deg if "fused" in result.errors else None
         return result.problem or ("no turn told" if error_deg is None else f"error {error_deg:.2f}°")
 
-    async def _release(self, lift: Lift, told: str) -> None:
+    async def _release(self, lift: PlannedLift, told: str) -> None:
         service, up_mm = self.service, _up_mm(self.service)
         where = f". It hangs {up_mm:.0f} mm up" if up_mm >= LOW_MM else ""
         if not await self.ask(f"{lift.stem}: {told}{where}. Hold the object; the jaws open", RELEASE):

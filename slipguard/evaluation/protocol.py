@@ -18,7 +18,7 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Thing(_Part):
+class ProtocolObject(_Part):
     """One object. seen: images of it were used in training. hard: why it stands apart, such as "heavy"."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,40}$")]
@@ -28,7 +28,7 @@ class Thing(_Part):
     """First grip; None: the protocol's."""
 
 
-class Protocol(_Part):
+class LiftProtocol(_Part):
     """Every object is lifted `repeats` times. As in the paper the guard is off: the turn is measured, not stopped.
 
     rotation_deg: the lifts are planned so that turns spread evenly from the first to the second. On a cell that is up to
@@ -38,7 +38,7 @@ class Protocol(_Part):
     """
 
     name: str = "grasp and lift"
-    objects: Annotated[tuple[Thing, ...], Field(min_length=1, max_length=200)]
+    objects: Annotated[tuple[ProtocolObject, ...], Field(min_length=1, max_length=200)]
     repeats: Annotated[int, Field(ge=1, le=100)] = 5
     guard: bool = False
     seed: Annotated[int, Field(ge=0)] = 0
@@ -60,24 +60,24 @@ class Protocol(_Part):
             raise ValueError("an object is named twice; give `repeats` instead")
         return self
 
-    def lifts(self) -> list[Lift]:
+    def lifts(self) -> list[PlannedLift]:
         """All lifts in order: every object once, then again; the repeats of an object spread over the turns."""
         low, high = self.rotation_deg
         rng = np.random.default_rng(self.seed)
-        planned: list[Lift] = []
+        planned: list[PlannedLift] = []
         for repeat in range(self.repeats):
             for index, thing in enumerate(self.objects):
                 share = ((index + repeat) % self.repeats + rng.uniform()) / self.repeats
-                planned.append(Lift(len(planned), thing, repeat, low + share * (high - low)))
+                planned.append(PlannedLift(len(planned), thing, repeat, low + share * (high - low)))
         return planned
 
 
 @dataclass(frozen=True, slots=True)
-class Lift:
+class PlannedLift:
     """One lift to be done. target_deg: the turn it is planned for."""
 
     number: int
-    thing: Thing
+    thing: ProtocolObject
     repeat: int
     target_deg: float
 
@@ -87,31 +87,31 @@ class Lift:
         return f"{self.number + 1:03d}-{self.thing.name}-{self.repeat + 1}"
 
 
-SIMULATED = Protocol(
+SIMULATED = LiftProtocol(
     name="45 lifts of 9 objects, simulated",
     objects=(
-        Thing(name="bar", hard="heavy"),
-        Thing(name="wedge"),
-        Thing(name="wrench"),
-        Thing(name="knife_edge"),
-        Thing(name="screwdriver"),
-        Thing(name="hook"),
-        Thing(name="ball", hard="saturating"),
-        Thing(name="hammer", seen=True),
-        Thing(name="pen", seen=True),
+        ProtocolObject(name="bar", hard="heavy"),
+        ProtocolObject(name="wedge"),
+        ProtocolObject(name="wrench"),
+        ProtocolObject(name="knife_edge"),
+        ProtocolObject(name="screwdriver"),
+        ProtocolObject(name="hook"),
+        ProtocolObject(name="ball", hard="saturating"),
+        ProtocolObject(name="hammer", seen=True),
+        ProtocolObject(name="pen", seen=True),
     ),
 )
 """Seven objects no training image shows and two that some do, five lifts each, as in the paper's Table III."""
 
 
-def read_protocol(path: Path) -> Protocol:
+def read_protocol(path: Path) -> LiftProtocol:
     """Raises InputError in one line."""
     try:
         raw: dict[str, Any] = tomllib.loads(path.read_text())
-        return Protocol.model_validate(raw)
+        return LiftProtocol.model_validate(raw)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not valid TOML: {error}") from None
     except ValidationError as error:
-        raise InputError(f"{path}: {first_complaint(error, Protocol)}") from None
+        raise InputError(f"{path}: {first_complaint(error, LiftProtocol)}") from None

@@ -10,9 +10,9 @@ from typing import Any
 from slipguard.errors import InputError
 from slipguard.evaluation.html_report import write_page
 from slipguard.evaluation.lift_data import lift_paths, read_lift
-from slipguard.evaluation.networks import network_rows
+from slipguard.evaluation.networks import network_scores
 from slipguard.evaluation.plots import draw_curves, draw_errors, draw_masks
-from slipguard.evaluation.protocol import Protocol
+from slipguard.evaluation.protocol import LiftProtocol
 from slipguard.evaluation.runner import LIFTS, PROTOCOL, results
 from slipguard.evaluation.summary import report_json
 from slipguard.tools.parallel import Workers
@@ -45,7 +45,7 @@ def write_report(
 
 
 def _networks(out: Path, folder: Path, compared: Callable[[str], None]) -> list[dict[str, Any]]:
-    rows = network_rows(folder)
+    rows = network_scores(folder)
     for path in lift_paths(out):
         compared(path.stem)
         data = read_lift(path)
@@ -54,9 +54,9 @@ def _networks(out: Path, folder: Path, compared: Callable[[str], None]) -> list[
     return [row.as_json() for row in rows]
 
 
-def _protocol(out: Path) -> Protocol | None:
+def _protocol(out: Path) -> LiftProtocol | None:
     """What was asked for, where the folder still says so."""
     try:
-        return Protocol.model_validate(json.loads((out / PROTOCOL).read_text())["protocol"])
+        return LiftProtocol.model_validate(json.loads((out / PROTOCOL).read_text())["protocol"])
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -24,18 +24,18 @@ from slipguard.datasets.rendered_grasps import (
     END_FRAMES,
     FRAME_S,
     STILL_FRAMES,
-    Sequence,
-    Shot,
+    GraspFrame,
+    RenderedGrasp,
 )
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import InputError
-from slipguard.sim.noise import Noise
+from slipguard.sim.noise import CameraNoise
 from slipguard.sim.raster import Field, f32
 from slipguard.sim.unit import NOISE_STD_BGR, STRIPE_STD_BGR
 from slipguard.tools.image_files import read_gel
 
-Way = Literal["relit", "rigid"]
-WAYS: tuple[Way, ...] = ("relit", "rigid")
+RotationMethod = Literal["relit", "rigid"]
+ROTATION_METHODS: tuple[RotationMethod, ...] = ("relit", "rigid")
 Image = NDArray[np.uint8]
 LIGHTS_DEG = (270.0, 150.0, 30.0)
 """Azimuths of the blue, green and red light, counter-clockwise from the picture's right."""
@@ -54,7 +54,7 @@ PX_PER_MM = 18.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Press:
+class PressImage:
     """One real press. difference: (320, 240, 3) float32 BGR, frame less no-contact image, 0 away from the contact.
 
     contact: (320, 240) uint8, 0 or 1. part: "tune" or "test". readable: whether the contact has an axis.
@@ -69,7 +69,7 @@ class Press:
     centre_px: tuple[float, float]
 
 
-def presses(folder: Path) -> Iterator[Press]:
+def press_images(folder: Path) -> Iterator[PressImage]:
     """The presses under FOLDER whose contact lies wholly in the frame: `taxim_sphere`, then `anytouch2_force2`.
 
     Raises `InputError` where neither is there or a file cannot be read.
@@ -96,21 +96,21 @@ def presses(folder: Path) -> Iterator[Press]:
             )
 
 
-def rotated(press: Press, way: Way, seed: int) -> Sequence:
+def rotated_grasp(press: PressImage, way: RotationMethod, seed: int) -> RenderedGrasp:
     """A grasp that turns a press about its patch's centre, frame by frame, with fresh noise; the same for one seed."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, *press.name.encode()]))
-    noise = Noise(NOISE_STD_BGR, STRIPE_STD_BGR, int(rng.integers(2**31)))
+    noise = CameraNoise(NOISE_STD_BGR, STRIPE_STD_BGR, int(rng.integers(2**31)))
     base = f32(press.background + rng.uniform(-DRIFT_LEVELS, DRIFT_LEVELS, 3))
     shots = []
     for index, (share, rotation) in enumerate(_course(rng)):
         image = base if share == 0.0 else base + np.float32(share) * rotated_difference(press, rotation, way)
         noisy = np.clip(np.rint(image + noise.next()), 0, 255).astype(np.uint8)
         compared = index >= EMPTY_FRAMES + CLOSING_FRAMES + STILL_FRAMES and share > 0.0
-        shots.append(Shot(Frame(noisy, index * FRAME_S, index), share > 0.0, rotation, compared, None))
-    return Sequence(press.name, press.readable, press.background, NOISE_STD_BGR, PX_PER_MM, tuple(shots))
+        shots.append(GraspFrame(Frame(noisy, index * FRAME_S, index), share > 0.0, rotation, compared, None))
+    return RenderedGrasp(press.name, press.readable, press.background, NOISE_STD_BGR, PX_PER_MM, tuple(shots))
 
 
-def rotated_difference(press: Press, rotation_deg: float, way: Way) -> Field:
+def rotated_difference(press: PressImage, rotation_deg: float, way: RotationMethod) -> Field:
     """What the press, turned counter-clockwise as seen, changes in the picture: (320, 240, 3) float32 grey levels."""
     affine = cv2.getRotationMatrix2D(press.centre_px, rotation_deg, 1.0)
     size = (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
@@ -143,7 +143,7 @@ def _course(rng: np.random.Generator) -> Iterator[tuple[float, float]]:
 
 def _press(
     name: str, part: str, readable: bool, image: Image, background: Image, contact: NDArray[np.uint8]
-) -> Iterator[Press]:
+) -> Iterator[PressImage]:
     x, y, w, h = cv2.boundingRect(contact)
     if x < INSIDE_PX or y < INSIDE_PX or x + w > FRAME_WIDTH_PX - INSIDE_PX or y + h > FRAME_HEIGHT_PX - INSIDE_PX:
         return
@@ -155,7 +155,7 @@ def _press(
     soft = cv2.GaussianBlur(difference, (0, 0), SOFT_PX)
     m = cv2.moments(contact, True)
     centre = (m["m10"] / m["m00"], m["m01"] / m["m00"])
-    yield Press(name, part, readable, background, f32(soft * feather), contact, centre)
+    yield PressImage(name, part, readable, background, f32(soft * feather), contact, centre)
 
 
 def _without_drift(difference: Field, near: NDArray[np.bool_]) -> Field:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from slipguard.errors import InputError
-from slipguard.evaluation.rotated_presses import Press, Way, presses, rotated
+from slipguard.evaluation.rotated_presses import PressImage, RotationMethod, press_images, rotated_grasp
 from slipguard.perception.pipeline import ContactSegmenter, Pipeline
 from slipguard.perception.settings import PerceptionSettings
 
@@ -19,7 +19,7 @@ CONFIDENT_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class PressResult:
     """One turned press. errors_deg: (error, sigma) of every frame with an angle; frames: compared in all.
 
     confident: answers of a turn of more than three sigmas where there is none to tell (a ball).
@@ -38,11 +38,11 @@ class Told:
 
 
 @dataclass(frozen=True, slots=True)
-class Figures:
+class PressStatistics:
     """What comes of one data set. Degrees; None where nothing was told."""
 
     data: str
-    way: Way
+    way: RotationMethod
     sequences: int
     frames: int
     mean_deg: float | None
@@ -57,17 +57,17 @@ class Figures:
 def measure(
     folder: Path,
     part: str,
-    way: Way,
+    way: RotationMethod,
     segmenter: ContactSegmenter,
     progress: Callable[[str, float], None] = lambda _what, _share: None,
-) -> list[Told]:
+) -> list[PressResult]:
     """Turn every press of one part ("tune", "test" or "all") and measure it as the daemon would.
 
     Raises `InputError` for another part, and where the folder holds no press of it.
     """
     if part not in ("tune", "test", "all"):
         raise InputError(f"part {part!r}: there are tune, test, all")
-    chosen = [press for press in presses(folder) if part in (press.part, "all")]
+    chosen = [press for press in press_images(folder) if part in (press.part, "all")]
     if not chosen:
         raise InputError(f"{folder}: no press of the part {part!r} lies wholly in its frame")
     out = []
@@ -77,16 +77,16 @@ def measure(
     return out
 
 
-def figures(found: Iterable[Told], way: Way) -> list[Figures]:
+def press_statistics(found: Iterable[PressResult], way: RotationMethod) -> list[PressStatistics]:
     """One row a data set."""
-    sets: dict[str, list[Told]] = {}
+    sets: dict[str, list[PressResult]] = {}
     for one in found:
         sets.setdefault(one.name.split("/")[0], []).append(one)
     return [_figures(name, way, told) for name, told in sets.items()]
 
 
-def _told(press: Press, way: Way, segmenter: ContactSegmenter) -> Told:
-    grasp = rotated(press, way, SEED)
+def _told(press: PressImage, way: RotationMethod, segmenter: ContactSegmenter) -> PressResult:
+    grasp = rotated_grasp(press, way, SEED)
     pipeline = Pipeline(segmenter, PerceptionSettings(), grasp.background, grasp.noise_bgr, grasp.px_per_mm)
     errors, frames, confident = [], 0, 0
     for shot in grasp.shots:
@@ -97,16 +97,16 @@ def _told(press: Press, way: Way, segmenter: ContactSegmenter) -> Told:
         if seen.angle_deg is not None and seen.sigma_deg is not None:
             errors.append((seen.angle_deg - shot.rotation_deg, seen.sigma_deg))
             confident += not press.readable and abs(seen.angle_deg) > CONFIDENT_SIGMAS * seen.sigma_deg
-    return Told(press.name, press.readable, tuple(errors), frames, confident)
+    return PressResult(press.name, press.readable, tuple(errors), frames, confident)
 
 
-def _figures(data: str, way: Way, told: list[Told]) -> Figures:
+def _figures(data: str, way: RotationMethod, told: list[PressResult]) -> PressStatistics:
     pairs = np.array([pair for one in told for pair in one.errors_deg], np.float64).reshape(-1, 2)
     errors, sigmas = np.abs(pairs[:, 0]), pairs[:, 1]
     frames = sum(one.frames for one in told)
     means = [one.mean_deg for one in told if one.mean_deg is not None]
     some = len(errors) > 0
-    return Figures(
+    return PressStatistics(
         data=data,
         way=way,
         sequences=len(told),

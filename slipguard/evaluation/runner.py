@@ -14,7 +14,7 @@ from pathlib import Path
 from slipguard.errors import InputError
 from slipguard.evaluation.analyse import LiftResult, analyse, result_from_json
 from slipguard.evaluation.lift_data import lift_paths, read_lift
-from slipguard.evaluation.protocol import Lift, Protocol
+from slipguard.evaluation.protocol import LiftProtocol, PlannedLift
 from slipguard.evaluation.simulated import SimulatedLift, record
 from slipguard.tools.parallel import Workers, each
 
@@ -24,7 +24,7 @@ ANALYSIS = 2
 """Counts up when the same recording would come to other figures."""
 
 
-def prepare(out: Path, protocol: Protocol, *, simulated: bool = False) -> list[Lift]:
+def prepare(out: Path, protocol: LiftProtocol, *, simulated: bool = False) -> list[PlannedLift]:
     """Make the folder, or check that it holds this very experiment; returns the lifts that are still to be done.
 
     Raises InputError.
@@ -42,13 +42,13 @@ def prepare(out: Path, protocol: Protocol, *, simulated: bool = False) -> list[L
     return [lift for lift in protocol.lifts() if not recording_path(out, lift).exists()]
 
 
-def recording_path(out: Path, lift: Lift) -> Path:
+def recording_path(out: Path, lift: PlannedLift) -> Path:
     """Where a lift's recording lies."""
     return out / LIFTS / f"{lift.stem}.mcap"
 
 
 def run_simulated(
-    out: Path, protocol: Protocol, workers: Workers, progress: Callable[[int], None] = lambda done: None
+    out: Path, protocol: LiftProtocol, workers: Workers, progress: Callable[[int], None] = lambda done: None
 ) -> int:
     """Do all lifts that are still missing, on all cores; returns how many that were."""
     tasks = [

@@ -21,12 +21,18 @@ from slipguard.daemon.loop.worker import StatedLatencyWorker
 from slipguard.daemon.run import build_service
 from slipguard.errors import CommandRefused, SlipguardError
 from slipguard.evaluation.intrinsics import Intrinsics
-from slipguard.evaluation.lift_file import LiftFile, encoded
+from slipguard.evaluation.lift_file import LiftRecorder, encoded
 from slipguard.evaluation.markers import GRIPPER_ID, OBJECT_ID, cells
-from slipguard.evaluation.protocol import Lift, Protocol
+from slipguard.evaluation.protocol import LiftProtocol, PlannedLift
 from slipguard.recording import messages as m
 from slipguard.sim import objects
-from slipguard.sim.external_camera import Lens, Onlooker, Plate, Scene, Studio
+from slipguard.sim.external_camera import (
+    ExternalCameraModel,
+    ExternalCameraRenderer,
+    LensModel,
+    MarkerPlate,
+    MarkerScene,
+)
 from slipguard.sim.gel import GelCamera
 from slipguard.sim.label import label
 from slipguard.sim.scenario import scenario
@@ -55,19 +61,19 @@ SUPPORT_MM = 3.0
 class SimulatedLift:
     """All that one lift needs, for a worker process. path: its recording."""
 
-    protocol: Protocol
-    lift: Lift
+    protocol: LiftProtocol
+    lift: PlannedLift
     path: Path
 
 
-def onlooker(seed: int, rise_mm: float = 100.0) -> tuple[Onlooker, float]:
+def onlooker(seed: int, rise_mm: float = 100.0) -> tuple[ExternalCameraModel, float]:
     """A camera somewhere before the cell, far enough to see a lift by `rise_mm`; and the lag of its stamps, seconds."""
     rng = np.random.default_rng([seed, 77])
     side_mm = 40.0
-    look = Onlooker(
-        gripper=Plate(cells(GRIPPER_ID), side_mm, (0.0, 95.0, 3.0), roll_deg=float(rng.uniform(-8, 8))),
-        thing=Plate(cells(OBJECT_ID), side_mm, (70.0, 0.0, 6.0), roll_deg=float(rng.uniform(-20, 20))),
-        lens=Lens(),
+    look = ExternalCameraModel(
+        gripper=MarkerPlate(cells(GRIPPER_ID), side_mm, (0.0, 95.0, 3.0), roll_deg=float(rng.uniform(-8, 8))),
+        thing=MarkerPlate(cells(OBJECT_ID), side_mm, (70.0, 0.0, 6.0), roll_deg=float(rng.uniform(-20, 20))),
+        lens=LensModel(),
         distance_mm=max(float(rng.uniform(450.0, 850.0)), SIGHT * (rise_mm + BOTH_MARKERS_MM)),
         tilt_deg=float(rng.uniform(0.0, 25.0)),
         azimuth_deg=float(rng.uniform(0.0, 360.0)),
@@ -80,7 +86,7 @@ def onlooker(seed: int, rise_mm: float = 100.0) -> tuple[Onlooker, float]:
     return look, float(rng.uniform(*CAMERA_LAG_S))
 
 
-def intrinsics_of(lens: Lens) -> Intrinsics:
+def intrinsics_of(lens: LensModel) -> Intrinsics:
     """What a perfect calibration of the rendered camera would find."""
     u, v = lens.centre_px
     return Intrinsics(
@@ -136,11 +142,11 @@ async def _lift(
 ) -> None:
     look, lag_s = onlooker(task.protocol.seed + task.lift.number, height_mm)
     sign = PICTURE_SIGN[task.protocol.camera_side]
-    with LiftFile(task.path, service, task.protocol, task.lift, intrinsics_of(look.lens), lag_s) as file:
+    with LiftRecorder(task.path, service, task.protocol, task.lift, intrinsics_of(look.lens), lag_s) as file:
         if not task.protocol.guard:
             await controls.guard(False)
         watchers = [
-            asyncio.create_task(_film(file, world, Studio(look, task.lift.number), lag_s, sign)),
+            asyncio.create_task(_film(file, world, ExternalCameraRenderer(look, task.lift.number), lag_s, sign)),
             asyncio.create_task(_masks(file, world)),
         ]
         try:
@@ -160,20 +166,20 @@ async def _lift(
             await asyncio.gather(*watchers, return_exceptions=True)
 
 
-async def _film(file: LiftFile, world: World, studio: Studio, lag_s: float, sign: float) -> None:
+async def _film(file: LiftRecorder, world: World, studio: ExternalCameraRenderer, lag_s: float, sign: float) -> None:
     """Picture after picture, stamped late, with the truth beside them; sign: -1 from behind the right finger."""
     loop = asyncio.get_running_loop()
     at_s = loop.time()
     while True:
         truth = world.truth(at_s)
         file.truth(m.TruthRecord(at_s, truth.rotation_deg, truth.height_mm))
-        scene = Scene(sign * truth.rotation_deg, truth.height_mm, truth.slide_mm)
+        scene = MarkerScene(sign * truth.rotation_deg, truth.height_mm, truth.slip_mm)
         file.camera(at_s + lag_s, encoded(studio.draw(scene)))
         at_s += 1.0 / CAMERA_FPS
         await asyncio.sleep(at_s - loop.time())
 
 
-async def _masks(file: LiftFile, world: World) -> None:
+async def _masks(file: LiftRecorder, world: World) -> None:
     """What a person would outline, several times a second."""
     loop = asyncio.get_running_loop()
     cameras = {name: GelCamera(random_unit(np.random.default_rng(world.camera(name).unit_seed))) for name in m.FINGERS}

@@ -17,7 +17,7 @@ SIGMA_MAX_DEG = PerceptionSettings().sigma_max_deg
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenPatch:
+class TimedPatch:
     """A contact patch and when its frame was captured."""
 
     finger: str
@@ -25,10 +25,10 @@ class SeenPatch:
     patch: Patch
 
 
-class PatchKeeper:
+class PatchRecorder:
     """A pipeline that hands every patch it measured on to a list."""
 
-    def __init__(self, finger: str, pipeline: Pipeline, kept: list[SeenPatch]) -> None:
+    def __init__(self, finger: str, pipeline: Pipeline, kept: list[TimedPatch]) -> None:
         self._finger = finger
         self._pipeline = pipeline
         self._kept = kept
@@ -38,7 +38,7 @@ class PatchKeeper:
         answer = self._pipeline.process(frame)
         patch = self._pipeline.last_patch
         if patch is not None and answer.skipped is None and self._pipeline.has_reference:
-            self._kept.append(SeenPatch(self._finger, frame.captured_at_s, patch))
+            self._kept.append(TimedPatch(self._finger, frame.captured_at_s, patch))
         return answer
 
     def keep_estimate(self, captured_at_s: float) -> None:
@@ -55,7 +55,7 @@ class PatchKeeper:
         return self._pipeline.last_patch
 
 
-def rotations_by_estimator(seen: list[SeenPatch], from_s: float, to_s: float) -> dict[str, list[list[Measured]]]:
+def rotations_by_estimator(seen: list[TimedPatch], from_s: float, to_s: float) -> dict[str, list[list[Measured]]]:
     """Per estimator and finger, the turn since its first patch in the span, in the left picture's sign, unwrapped.
 
     As in the pipeline: where an estimator declines, or is less certain than `sigma_max_deg`, there is no entry, and one
@@ -70,7 +70,7 @@ def rotations_by_estimator(seen: list[SeenPatch], from_s: float, to_s: float) ->
     }
 
 
-def _rotations(seen: list[SeenPatch], name: str, sign: float) -> list[Measured]:
+def _rotations(seen: list[TimedPatch], name: str, sign: float) -> list[Measured]:
     if not seen:
         return []
     reference = estimate(seen[0].patch, name)

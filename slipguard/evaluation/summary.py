@@ -18,7 +18,7 @@ RESAMPLES = 2000
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class LiftStatistics:
     """Over lifts: mean, standard deviation, worst, and the 95 % bootstrap interval of the mean. None where n is 0."""
 
     n: int
@@ -42,21 +42,21 @@ class ObjectFigures:
     seen: bool
     hard: str
     lifts: int
-    errors: dict[str, Spread]
+    errors: dict[str, LiftStatistics]
     declined_share: float
     rotations_deg: tuple[float, ...]
 
 
-def spread(values: Sequence[float], seed: int = 0) -> Spread:
+def lift_statistics(values: Sequence[float], seed: int = 0) -> LiftStatistics:
     """Figures of a few values; the interval resamples them."""
     if not values:
-        return Spread(0)
+        return LiftStatistics(0)
     data = np.asarray(values, np.float64)
     rng = np.random.default_rng(seed)
     means = rng.choice(data, (RESAMPLES, len(data))).mean(1)
     low, high = np.percentile(means, (2.5, 97.5))
     sd = float(data.std(ddof=1)) if len(data) > 1 else 0.0
-    return Spread(len(data), float(data.mean()), sd, float(data.max()), float(low), float(high))
+    return LiftStatistics(len(data), float(data.mean()), sd, float(data.max()), float(low), float(high))
 
 
 def errors_of(lifts: list[LiftResult], estimator: str) -> list[float]:
@@ -77,7 +77,7 @@ def by_object(lifts: list[LiftResult]) -> list[ObjectFigures]:
                 own[0].seen,
                 own[0].hard,
                 len(own),
-                {estimator: spread(errors_of(own, estimator)) for estimator in ESTIMATORS},
+                {estimator: lift_statistics(errors_of(own, estimator)) for estimator in ESTIMATORS},
                 float(np.mean([lift.declined_share for lift in own])),
                 rotations,
             )
@@ -88,7 +88,7 @@ def by_object(lifts: list[LiftResult]) -> list[ObjectFigures]:
 def report_json(lifts: list[LiftResult], networks: list[dict[str, Any]] | None = None) -> dict[str, Any]:
     """What `report.json` holds; numbers rounded, null where there is nothing to tell."""
     objects = by_object(lifts)
-    fused = spread(errors_of(lifts, "fused"))
+    fused = lift_statistics(errors_of(lifts, "fused"))
     worst = max((one.errors["fused"].mean for one in objects if one.errors["fused"].mean is not None), default=None)
     lags = [lift.lag_error_frames for lift in lifts if lift.lag_error_frames is not None]
     markers = [lift.marker_error_mean_deg for lift in lifts if lift.marker_error_mean_deg is not None]
@@ -109,11 +109,11 @@ def report_json(lifts: list[LiftResult], networks: list[dict[str, Any]] | None =
         "declined_share": _mean([lift.declined_share for lift in lifts]),
         "within_1_sigma": _mean([pair[0] for pair in told if pair[0] is not None]),
         "within_2_sigma": _mean([pair[1] for pair in told if pair[1] is not None]),
-        "per_estimator": {name: spread(errors_of(lifts, name)).as_json() for name in ESTIMATORS},
-        "seen": spread(errors_of([lift for lift in lifts if lift.seen], "fused")).as_json(),
-        "unseen": spread(errors_of([lift for lift in lifts if not lift.seen], "fused")).as_json(),
-        "hard": spread(errors_of([lift for lift in lifts if lift.hard], "fused")).as_json(),
-        "without_hard": spread(errors_of([lift for lift in lifts if not lift.hard], "fused")).as_json(),
+        "per_estimator": {name: lift_statistics(errors_of(lifts, name)).as_json() for name in ESTIMATORS},
+        "seen": lift_statistics(errors_of([lift for lift in lifts if lift.seen], "fused")).as_json(),
+        "unseen": lift_statistics(errors_of([lift for lift in lifts if not lift.seen], "fused")).as_json(),
+        "hard": lift_statistics(errors_of([lift for lift in lifts if lift.hard], "fused")).as_json(),
+        "without_hard": lift_statistics(errors_of([lift for lift in lifts if not lift.hard], "fused")).as_json(),
         "per_object": {
             one.name: {
                 "lifts": one.lifts,
@@ -133,8 +133,8 @@ def report_json(lifts: list[LiftResult], networks: list[dict[str, Any]] | None =
             max((lift.marker_error_worst_deg or 0.0 for lift in lifts), default=0.0) if markers else None
         ),
         "camera_gaps": sum(lift.camera_gaps for lift in lifts),
-        "dice": spread(dices).as_json() if dices else None,
-        "iou": spread(ious).as_json() if ious else None,
+        "dice": lift_statistics(dices).as_json() if dices else None,
+        "iou": lift_statistics(ious).as_json() if ious else None,
         "networks": networks,
         "problems": {lift.stem: lift.problem for lift in lifts if lift.problem is not None},
         "paper_real_cell_as_published": PAPER | {"dice": PAPER_DICE[0], "iou": PAPER_IOU[0]},

@@ -14,17 +14,17 @@ from slipguard.datasets.mask_scores import read_bgr
 from slipguard.errors import InputError
 from slipguard.evaluation.intrinsics import Intrinsics
 from slipguard.evaluation.lift_data import read_lift
-from slipguard.evaluation.marker_detector import Detector, Sighting
+from slipguard.evaluation.marker_detector import MarkerCorners, MarkerDetector
 from slipguard.recording.ring import SUFFIX
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 FILMS = (".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm")
 IMAGE_FPS = 30.0
 """Images of a folder count as taken at this rate: they carry no time."""
-Shot = tuple[float, NDArray[np.uint8]]
+TimedFrame = tuple[float, NDArray[np.uint8]]
 
 
-def shots(path: Path) -> Iterator[Shot]:
+def timed_frames(path: Path) -> Iterator[TimedFrame]:
     """Time in seconds and picture (h, w, 3) uint8 BGR, in order. Raises InputError in one line."""
     if path.is_dir():
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGES)
@@ -41,7 +41,7 @@ def shots(path: Path) -> Iterator[Shot]:
         yield from _film(path)
 
 
-def _film(path: Path) -> Iterator[Shot]:
+def _film(path: Path) -> Iterator[TimedFrame]:
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # what is wrong with a film is said here, in one line
@@ -71,12 +71,12 @@ def _film(path: Path) -> Iterator[Shot]:
         film.release()
 
 
-def sightings(path: Path, intrinsics: Intrinsics, start_s: float = 0.0) -> Iterator[Sighting]:
+def markers_in(path: Path, intrinsics: Intrinsics, start_s: float = 0.0) -> Iterator[MarkerCorners]:
     """Both markers in every picture, times counted from `start_s`.
 
     Raises InputError also where pictures and intrinsics differ in size.
     """
-    detector = Detector()
-    for time_s, picture in shots(path):
+    detector = MarkerDetector()
+    for time_s, picture in timed_frames(path):
         intrinsics.check_size(picture.shape[1], picture.shape[0], str(path))
         yield detector.look(picture, start_s + time_s)

@@ -28,7 +28,7 @@ class ArmModel:
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
+class MotionSegment:
     """From `start_s` on, until the next leg: constant acceleration."""
 
     start_s: float
@@ -41,7 +41,7 @@ class Leg:
 class ArmPlant:
     """The arm's plan. legs: in order of time, the last one at rest for ever."""
 
-    legs: tuple[Leg, ...] = (Leg(-math.inf, 0.0, 0.0, 0.0),)
+    legs: tuple[MotionSegment, ...] = (MotionSegment(-math.inf, 0.0, 0.0, 0.0),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +80,8 @@ def order_lift(
     here = pose(plant, now_s)
     goal_mm = min(max(here.height_mm + height_mm, model.height_min_mm), model.height_max_mm)
     a = model.acceleration_mm_s2
-    start = Leg(now_s, here.height_mm, here.speed_mm_s, 0.0)
-    legs: list[Leg] = []
+    start = MotionSegment(now_s, here.height_mm, here.speed_mm_s, 0.0)
+    legs: list[MotionSegment] = []
     way_mm = goal_mm - here.height_mm
     braking_mm = here.speed_mm_s * abs(here.speed_mm_s) / (2 * a)
     # Running away from the goal, or past it whatever is done: brake first, then start from rest.
@@ -97,7 +97,7 @@ def order_lift(
         cruise_mm = abs(goal_mm - start.height_mm) - top * top / (2 * a)
         start = _leg(legs, start, 0.0, max(cruise_mm, 0.0) / top, end_speed=sign * top)
         start = _leg(legs, start, -sign * a, top / a, end_speed=0.0)
-    legs.append(Leg(start.start_s, goal_mm, 0.0, 0.0))
+    legs.append(MotionSegment(start.start_s, goal_mm, 0.0, 0.0))
     return ArmPlant(tuple(legs)), speed_mm_s
 
 
@@ -106,20 +106,22 @@ def order_stop(plant: ArmPlant, model: ArmModel, now_s: float) -> ArmPlant:
     here = pose(plant, now_s)
     if not here.moving:
         return plant
-    legs: list[Leg] = []
-    start = Leg(now_s, here.height_mm, here.speed_mm_s, 0.0)
+    legs: list[MotionSegment] = []
+    start = MotionSegment(now_s, here.height_mm, here.speed_mm_s, 0.0)
     decel = model.stop_mm_s2
     end = _leg(legs, start, -math.copysign(decel, here.speed_mm_s), abs(here.speed_mm_s) / decel, end_speed=0.0)
     return ArmPlant((*legs, end))
 
 
-def _leg(legs: list[Leg], start: Leg, acceleration: float, seconds: float, end_speed: float) -> Leg:
+def _leg(
+    legs: list[MotionSegment], start: MotionSegment, acceleration: float, seconds: float, end_speed: float
+) -> MotionSegment:
     """Append a leg that lasts `seconds` (none if 0) and return the state at its end, as the start of the next."""
     if seconds <= 0.0:
         return start
-    legs.append(Leg(start.start_s, start.height_mm, start.speed_mm_s, acceleration))
+    legs.append(MotionSegment(start.start_s, start.height_mm, start.speed_mm_s, acceleration))
     height_mm = start.height_mm + seconds * (start.speed_mm_s + 0.5 * acceleration * seconds)
-    return Leg(start.start_s + seconds, height_mm, end_speed, 0.0)
+    return MotionSegment(start.start_s + seconds, height_mm, end_speed, 0.0)
 
 
 def report(plant: ArmPlant, now_s: float, protective_stop: bool = False, emergency_stop: bool = False) -> ArmState:

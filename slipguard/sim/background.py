@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.sim.raster import Field, blurred, f32
-from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Unit
+from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
 
 _BLEED = ((0.80, 0.20, 0.12), (0.16, 0.80, 0.12), (0.12, 0.16, 0.80))
 """How the three colours mix: no light is pure, no filter is sharp."""
 
 
-def backdrop(unit: Unit) -> NDArray[np.uint8]:
+def background_image(unit: SensorUnit) -> NDArray[np.uint8]:
     """The no-contact image of a unit: its own real one, or one made up from its lights and seed; (320, 240, 3) BGR."""
     if unit.background is not None:
         return unit.background

@@ -14,54 +14,54 @@ from slipguard.sim import arm_plant, gripper_plant
 from slipguard.sim import object_motion as rotation
 from slipguard.sim.arm_plant import ArmPlant, ArmPose
 from slipguard.sim.friction import NO_CONTACT_N
-from slipguard.sim.gripper_plant import Drive, GripperModel, GripperPlant
-from slipguard.sim.object_motion import Body, Load, Motion
+from slipguard.sim.gripper_plant import Drive, GripperDynamics, GripperPlant
+from slipguard.sim.object_motion import ExternalLoad, GraspedBody, ObjectMotion
 from slipguard.sim.objects import SimObject
 from slipguard.sim.scenario import Scenario
 from slipguard.sim.view import GelView
 
 MAX_ROTATION_DEG = 60.0
 """An object turned further than this counts as dropped."""
-MAX_SLIDE_MM = 12.0
+MAX_SLIP_MM = 12.0
 """An object that slid this far is out of the fingers: the gel is 25.5 mm high, a grasp is near its middle."""
 REFERENCE_PRESS_N = 40.0
 """The force at which an object's `press_mm` holds; the depth goes with the square root of the force."""
 
 
 @dataclass(frozen=True, slots=True)
-class Thing:
+class PlacedObject:
     """The object that was placed: its scenario and its mechanics, friction scaled."""
 
     scenario: Scenario
     item: SimObject
-    body: Body
+    body: GraspedBody
     needed_n: float
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class CellState:
     """Everything that moves. held: force is on the object. table_mm: finger height at which it lies flat.
 
     shaken_m_s2: what the fingers' own motion does not explain (vibration, a touch), up, by time; None for nothing.
     """
 
     gripper: GripperPlant
-    gripper_model: GripperModel
+    gripper_model: GripperDynamics
     arm: ArmPlant = field(default_factory=ArmPlant)
-    thing: Thing | None = None
-    motion: Motion = field(default_factory=Motion)
+    thing: PlacedObject | None = None
+    motion: ObjectMotion = field(default_factory=ObjectMotion)
     table_mm: float = 0.0
     held: bool = False
     dropped: str | None = None
     shaken_m_s2: Callable[[float], float] | None = None
 
     @property
-    def present(self) -> Thing | None:
+    def present(self) -> PlacedObject | None:
         """What is between the jaws."""
         return self.thing if self.dropped is None else None
 
 
-def step(cell: Cell, now_s: float, step_s: float, *, gripper_works: bool = True) -> Cell:
+def step(cell: CellState, now_s: float, step_s: float, *, gripper_works: bool = True) -> CellState:
     """The cell one step later, at `now_s`."""
     here = arm_plant.pose(cell.arm, now_s)
     thing = cell.present
@@ -74,8 +74,8 @@ def step(cell: Cell, now_s: float, step_s: float, *, gripper_works: bool = True)
     pressed = gripper.force_n > NO_CONTACT_N
     if not pressed and not cell.held:
         return replace(cell, gripper=gripper, table_mm=here.height_mm)
-    motion = cell.motion if cell.held else Motion()
-    load = Load(
+    motion = cell.motion if cell.held else ObjectMotion()
+    load = ExternalLoad(
         force_n=gripper.force_n,
         acceleration_m_s2=1e-3 * here.acceleration_mm_s2 + (cell.shaken_m_s2(now_s) if cell.shaken_m_s2 else 0.0),
         rise_m=1e-3 * (here.height_mm - cell.table_mm),
@@ -85,22 +85,22 @@ def step(cell: Cell, now_s: float, step_s: float, *, gripper_works: bool = True)
     dropped = _why_dropped(motion, thing.body, gripper)
     held = pressed and dropped is None
     if not pressed and dropped is None:  # set down: it lies still again
-        motion = Motion(rotation_rad=motion.rotation_rad, slide_m=motion.slide_m, on_table=True)
+        motion = ObjectMotion(rotation_rad=motion.rotation_rad, slip_m=motion.slip_m, on_table=True)
     return replace(cell, gripper=gripper, motion=motion, held=held, dropped=dropped)
 
 
-def _why_dropped(motion: Motion, body: Body, gripper: GripperPlant) -> str | None:
+def _why_dropped(motion: ObjectMotion, body: GraspedBody, gripper: GripperPlant) -> str | None:
     """The reason, in words, why the object is lost in this state; None while it is not."""
     if abs(motion.rotation_rad) > math.radians(MAX_ROTATION_DEG):
         return f"turned more than {MAX_ROTATION_DEG:.0f} deg"
-    if abs(motion.slide_m) > 1e-3 * MAX_SLIDE_MM:
+    if abs(motion.slip_m) > 1e-3 * MAX_SLIP_MM:
         return "contact lost"
     if motion.on_table or motion.load_n < body.n_fingers * body.friction * gripper.force_n:
         return None
     return "contact lost" if gripper.drive is Drive.OPENING or gripper.force_n <= NO_CONTACT_N else "f_t >= mu N"
 
 
-def is_still(before: Cell, after: Cell, now_s: float) -> bool:
+def is_still(before: CellState, after: CellState, now_s: float) -> bool:
     """True if nothing will move until somebody gives a command."""
     if not after.gripper.at_rest or now_s < after.arm.legs[-1].start_s or before.held != after.held:
         return False
@@ -111,11 +111,11 @@ def is_still(before: Cell, after: Cell, now_s: float) -> bool:
     if after.shaken_m_s2 is not None:
         return False
     old, new = before.motion, after.motion
-    at_rest = abs(new.rate_rad_s) < 1e-8 and abs(new.slide_m_s) < 1e-10
-    return at_rest and abs(new.rate_rad_s - old.rate_rad_s) < 1e-9 and abs(new.slide_m_s - old.slide_m_s) < 1e-11
+    at_rest = abs(new.rate_rad_s) < 1e-8 and abs(new.slip_m_s) < 1e-10
+    return at_rest and abs(new.rate_rad_s - old.rate_rad_s) < 1e-9 and abs(new.slip_m_s - old.slip_m_s) < 1e-11
 
 
-def view(cell: Cell, finger_sign: int) -> GelView:
+def view(cell: CellState, finger_sign: int) -> GelView:
     """What a finger's camera has before it; left +1, right -1 (the mirrored picture). World down is picture down."""
     thing = cell.present
     if thing is None:
@@ -125,10 +125,10 @@ def view(cell: Cell, finger_sign: int) -> GelView:
     return GelView(
         object_name=thing.item.name,
         x_mm=finger_sign * scenario.x_mm,
-        y_mm=scenario.y_mm - 1e3 * motion.slide_m,
+        y_mm=scenario.y_mm - 1e3 * motion.slip_m,
         angle_deg=finger_sign * scenario.angle_deg + rotation_sign * math.degrees(motion.rotation_rad),
         depth_mm=depth_mm(thing.item, cell.gripper),
-        vy_mm_s=-1e3 * motion.slide_m_s,
+        vy_mm_s=-1e3 * motion.slip_m_s,
         rate_deg_s=rotation_sign * math.degrees(motion.rate_rad_s),
     )
 
@@ -141,7 +141,7 @@ def depth_mm(item: SimObject, gripper: GripperPlant) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class WorldTruth:
     """What really happens; for evaluation only, never for the loop. After a drop, how it was at that moment.
 
     Angles are degrees in the left picture, counter-clockwise positive; turns count from the present grasp on the table:
@@ -158,8 +158,8 @@ class Truth:
     angle_deg: float
     right_rotation_deg: float
     right_angle_deg: float
-    slide_mm: float
-    slide_rate_mm_s: float
+    slip_mm: float
+    slip_rate_mm_s: float
     force_n: float
     applied_n: float
     needed_force_n: float
@@ -171,14 +171,14 @@ class Truth:
     dropped: str | None
 
 
-def truth(cell: Cell, here: ArmPose, now_s: float) -> Truth:
+def truth(cell: CellState, here: ArmPose, now_s: float) -> WorldTruth:
     """Read off the cell what an evaluation needs."""
     motion, thing = cell.motion, cell.thing
     sign = thing.scenario.lever_sign if thing is not None else 1
     start_deg = thing.scenario.angle_deg if thing is not None else 0.0
     rotation_deg = sign * math.degrees(motion.rotation_rad)
     elastic_deg = sign * math.degrees(motion.twist_rad)
-    return Truth(
+    return WorldTruth(
         time_s=now_s,
         object_name=thing.item.name if thing is not None else None,
         rotation_deg=rotation_deg,
@@ -188,8 +188,8 @@ def truth(cell: Cell, here: ArmPose, now_s: float) -> Truth:
         angle_deg=start_deg + rotation_deg,
         right_rotation_deg=-rotation_deg,
         right_angle_deg=-start_deg - rotation_deg,
-        slide_mm=1e3 * motion.slide_m,
-        slide_rate_mm_s=1e3 * motion.slide_m_s,
+        slip_mm=1e3 * motion.slip_m,
+        slip_rate_mm_s=1e3 * motion.slip_m_s,
         force_n=cell.gripper.force_n,
         applied_n=cell.gripper.applied_n,
         needed_force_n=thing.needed_n if thing is not None else 0.0,

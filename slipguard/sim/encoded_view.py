@@ -18,7 +18,7 @@ SOMETHING = "something"
 """How an object is called whose name is not carried."""
 
 
-def told(view: GelView, light_bgr: tuple[float, float, float], number: int) -> NDArray[np.uint8]:
+def encode_view(view: GelView, light_bgr: tuple[float, float, float], number: int) -> NDArray[np.uint8]:
     """The picture, (320, 240, 3) uint8; number: of the picture, so that it differs from the last."""
     numbers = [getattr(view, name) for name in NUMBERS]
     values = np.array([number, view.object_name != "", *light_bgr, *numbers], np.float64)
@@ -27,7 +27,7 @@ def told(view: GelView, light_bgr: tuple[float, float, float], number: int) -> N
     return np.broadcast_to(row.reshape(FRAME_WIDTH_PX, 3), (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3))
 
 
-def read(image: NDArray[np.uint8]) -> tuple[GelView, tuple[float, float, float]]:
+def decode_view(image: NDArray[np.uint8]) -> tuple[GelView, tuple[float, float, float]]:
     """What a picture by `told` carries: view and light."""
     values = np.frombuffer(image[0].tobytes()[: 8 * (len(NUMBERS) + 5)], np.float64)
     _, there, blue, green, red, *numbers = (float(value) for value in values)

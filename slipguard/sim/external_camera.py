@@ -20,7 +20,7 @@ BODY_BGR, FINGER_BGR, OBJECT_BGR = (70, 66, 62), (48, 46, 44), (96, 132, 176)
 
 
 @dataclass(frozen=True, slots=True)
-class Lens:
+class LensModel:
     """A camera's inside. Focal length and centre in pixels; k1, k2: radial distortion as OpenCV counts it."""
 
     width_px: int = 1280
@@ -41,7 +41,7 @@ class Lens:
 
 
 @dataclass(frozen=True, slots=True)
-class Plate:
+class MarkerPlate:
     """One square marker. side_mm: its black square; cells: (n, n) of 0 and 1, black border included."""
 
     cells: NDArray[np.uint8]
@@ -51,16 +51,16 @@ class Plate:
 
 
 @dataclass(frozen=True, slots=True)
-class Onlooker:
+class ExternalCameraModel:
     """Where the camera stands and what it does to the picture.
 
     distance_mm: from the grasp point. tilt_deg: of the line of sight against the grasp axis; azimuth_deg: towards which
     side, 0 right, 90 up. roll_deg: of the camera about its line of sight. aim_mm: the point looked at.
     """
 
-    gripper: Plate
-    thing: Plate
-    lens: Lens = field(default_factory=Lens)
+    gripper: MarkerPlate
+    thing: MarkerPlate
+    lens: LensModel = field(default_factory=LensModel)
     distance_mm: float = 600.0
     tilt_deg: float = 10.0
     azimuth_deg: float = 40.0
@@ -72,19 +72,19 @@ class Onlooker:
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class MarkerScene:
     """What there is to see. height_mm: of the gripper; covered: markers that something hides, "gripper", "object"."""
 
     rotation_deg: float = 0.0
     height_mm: float = 0.0
-    slide_mm: float = 0.0
+    slip_mm: float = 0.0
     covered: frozenset[str] = frozenset()
 
 
-class Studio:
+class ExternalCameraRenderer:
     """Draws scenes for one onlooker; deterministic for a seed and the order of calls."""
 
-    def __init__(self, onlooker: Onlooker, seed: int = 0) -> None:
+    def __init__(self, onlooker: ExternalCameraModel, seed: int = 0) -> None:
         self.onlooker = onlooker
         self._rng = np.random.default_rng(seed)
         lens = onlooker.lens
@@ -98,11 +98,11 @@ class Studio:
         )
         self._empty = self._exposed(self._backdrop, 0, 0)
 
-    def draw(self, scene: Scene) -> NDArray[np.uint8]:
+    def draw(self, scene: MarkerScene) -> NDArray[np.uint8]:
         """(height, width, 3) uint8 BGR. Away from gripper and object the noise stands still, to save time."""
         look = self.onlooker
         up = np.array([0.0, scene.height_mm, 0.0])
-        down = np.array([0.0, scene.slide_mm, 0.0])
+        down = np.array([0.0, scene.slip_mm, 0.0])
         rotation = _rotated(math.radians(scene.rotation_deg))
         body = np.array([[-55, 38, 0], [55, 38, 0], [48, 150, 0], [-48, 150, 0]], np.float64) + up
         palm = np.array([[-14, -14, 2], [14, -14, 2], [14, 40, 2], [-14, 40, 2]], np.float64) + up
@@ -157,7 +157,7 @@ class Studio:
         fixed = np.round(self.project(corners_mm) * 16).astype(np.int32)
         cv2.fillConvexPoly(picture, fixed, colour, cv2.LINE_AA, 4)
 
-    def _stick(self, picture: NDArray[np.float32], plate: Plate, rotation: Points, offset_mm: Points) -> None:
+    def _stick(self, picture: NDArray[np.float32], plate: MarkerPlate, rotation: Points, offset_mm: Points) -> None:
         """A marker with its white margin of one cell, foreshortened and averaged over pixels."""
         count = len(plate.cells)
         cell_mm = plate.side_mm / count
@@ -193,7 +193,7 @@ def _rotated(angle_rad: float) -> Points:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _looking(look: Onlooker) -> tuple[Points, Points]:
+def _looking(look: ExternalCameraModel) -> tuple[Points, Points]:
     """Rows of the camera's axes (right, down, forward), and where it stands."""
     tilt, azimuth = math.radians(look.tilt_deg), math.radians(look.azimuth_deg)
     away = np.array([math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)])
@@ -207,7 +207,7 @@ def _looking(look: Onlooker) -> tuple[Points, Points]:
     return np.stack([*rotated, forward]), centre
 
 
-def _backdrop(lens: Lens) -> NDArray[np.float32]:
+def _backdrop(lens: LensModel) -> NDArray[np.float32]:
     """A grey wall above a table."""
     rows = np.linspace(0.0, 1.0, lens.height_px, dtype=np.float32)[:, None, None]
     columns = np.linspace(-1.0, 1.0, lens.width_px, dtype=np.float32)[None, :, None]

@@ -14,7 +14,7 @@ KINDS = {
 """Device -> the ways it can fail."""
 
 
-class FaultBoard:
+class InjectedFaults:
     """Faults on demand. A fault stays until it is mended; setting or mending twice does no harm."""
 
     def __init__(self) -> None:
@@ -24,7 +24,7 @@ class FaultBoard:
         """Let `device` fail; raises InputError for a device or kind that does not exist."""
         self._active[device] = self.active(device) | {_known(device, kind)}
 
-    def mend(self, device: str, kind: str | None = None) -> None:
+    def repair(self, device: str, kind: str | None = None) -> None:
         """End one fault of `device`, or all of them; raises InputError like `fail`."""
         gone = {_known(device, kind)} if kind is not None else KINDS[_device(device)]
         self._active[device] = self.active(device) - gone

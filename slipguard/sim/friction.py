@@ -25,7 +25,7 @@ __all__ = [
     "GRAVITY_M_S2",
     "NO_CONTACT_N",
     "STIFFNESS_RADIUS_M",
-    "Gel",
+    "SoftPad",
     "needed_force_n",
     "pressure_shape",
     "return_to_surface",
@@ -37,7 +37,7 @@ STIFFNESS_RADIUS_M = 6e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Gel(Pad):
+class SoftPad(Pad):
     """The soft fingertip: contact size (as of a `Pad`), elasticity and damping, per finger.
 
     torsion_n_m_rad: torque per elastic turn. Silicone 0.1-0.5 at 6 mm radius; 50 is a stiff pad.
@@ -65,7 +65,7 @@ class Gel(Pad):
         return torsion, torsion / (STIFFNESS_RADIUS_M * ratio) ** 2
 
 
-def needed_force_n(item: SimObject, gel: Gel, n_fingers: int = 2, acceleration_m_s2: float = 0.0) -> float:
+def needed_force_n(item: SimObject, gel: SoftPad, n_fingers: int = 2, acceleration_m_s2: float = 0.0) -> float:
     """Force per finger at which a level object just does not turn nor slide.
 
     acceleration_m_s2: of the lift, upward positive; the load is taken as 0 in free fall.

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.errors import InputError
-from slipguard.sim.background import backdrop
-from slipguard.sim.height_map import Relief
+from slipguard.sim.background import background_image
+from slipguard.sim.height_map import HeightRaster
 from slipguard.sim.imprint import Imprint, Imprinter
-from slipguard.sim.noise import Noise
+from slipguard.sim.noise import CameraNoise
 from slipguard.sim.raster import Field, f32
-from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Light, Unit
+from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, LightChange, SensorUnit
 from slipguard.sim.view import GelView
 
 Image = NDArray[np.uint8]
@@ -41,9 +41,9 @@ class GelCamera:
     background: no-contact image (320, 240, 3) uint8 BGR in place of the unit's own; raises InputError on another shape.
     """
 
-    def __init__(self, unit: Unit, background: Image | None = None, seed: int = 0) -> None:
+    def __init__(self, unit: SensorUnit, background: Image | None = None, seed: int = 0) -> None:
         self.unit = unit
-        self._background = backdrop(unit) if background is None else background
+        self._background = background_image(unit) if background is None else background
         shape = (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3)
         if self._background.shape != shape or self._background.dtype != np.uint8:
             raise InputError(
@@ -51,9 +51,9 @@ class GelCamera:
                 f"give one of shape {shape}, uint8 (240 wide, 320 high, BGR)"
             )
         self._imprinter = Imprinter(unit, self._background)
-        self._noise = Noise(unit.noise_bgr, unit.stripe_bgr, seed)
-        self._last: tuple[GelView, float, Relief | None, Imprint | None] | None = None
-        self._light = Light()
+        self._noise = CameraNoise(unit.noise_bgr, unit.stripe_bgr, seed)
+        self._last: tuple[GelView, float, HeightRaster | None, Imprint | None] | None = None
+        self._light = LightChange()
         self._lit_background = self._background.astype(np.float32)
 
     def no_contact(self) -> Image:
@@ -64,7 +64,7 @@ class GelCamera:
         """Start the noise anew, as in a camera made with this seed of the same canvas."""
         self._noise.reseed(seed)
 
-    def set_light(self, light: Light) -> None:
+    def set_light(self, light: LightChange) -> None:
         """Change the light from the next frame on; `no_contact` stays as it was taken."""
         if light == self._light:
             return
@@ -75,7 +75,7 @@ class GelCamera:
         self._lit_background += y * f32(light.tilt_up_bgr)
         self._light = light
 
-    def draw(self, view: GelView, exposure_s: float = 0.008, relief: Relief | None = None) -> Image:
+    def draw(self, view: GelView, exposure_s: float = 0.008, relief: HeightRaster | None = None) -> Image:
         """One frame, (320, 240, 3) uint8 BGR. Raises InputError for an unknown object or a pose that is not finite.
 
         view: the pose in the middle of the exposure. relief: a surface to draw in place of the named object's.
@@ -86,7 +86,7 @@ class GelCamera:
             last = self._last = (view, exposure_s, relief, self._imprinter.imprint(view, exposure_s, relief))
         return self._finish(last[3])
 
-    def draw_with_truth(self, view: GelView, exposure_s: float = 0.008, relief: Relief | None = None) -> GelTruth:
+    def draw_with_truth(self, view: GelView, exposure_s: float = 0.008, relief: HeightRaster | None = None) -> GelTruth:
         """The frame `draw` would give, and what was there in the middle of its exposure."""
         imprint = self._imprinter.imprint(view, exposure_s, relief)
         contact = np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.bool_)

@@ -20,7 +20,7 @@ COUNTS = 255
 
 
 @dataclass(frozen=True, slots=True)
-class GripperModel:
+class GripperDynamics:
     """One gripper's figures. gain: true force over commanded force, which only the world knows."""
 
     transaction_s: float = 0.016
@@ -58,7 +58,7 @@ class Drive(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class QueuedCommand:
     """A command on its way through the line. target_n is the commanded force; None keeps the present one."""
 
     due_s: float
@@ -82,7 +82,7 @@ class GripperPlant:
     """True force at which the motor stops on an object."""
     holding: bool = False
     closed_on_nothing: bool = False
-    orders: tuple[Order, ...] = ()
+    orders: tuple[QueuedCommand, ...] = ()
 
     @property
     def at_rest(self) -> bool:
@@ -96,7 +96,7 @@ class GripperPlant:
         return self.holding or closes or any(order.goal_mm == 0.0 and not order.opens for order in self.orders)
 
 
-def order_hold(plant: GripperPlant, model: GripperModel, now_s: float, force_n: float) -> tuple[GripperPlant, float]:
+def order_hold(plant: GripperPlant, model: GripperDynamics, now_s: float, force_n: float) -> tuple[GripperPlant, float]:
     """Close, or tighten, to `force_n`; returns the plant and the force applied by command.
 
     A force that is not above the one already gripped or being gripped with changes nothing.
@@ -104,12 +104,12 @@ def order_hold(plant: GripperPlant, model: GripperModel, now_s: float, force_n: 
     wanted_n = model.quantised_force_n(force_n)
     if plant.grips and plant.applied_n >= wanted_n:
         return plant, plant.applied_n
-    order = Order(_due_s(plant, model, now_s), 0.0, wanted_n)
+    order = QueuedCommand(_due_s(plant, model, now_s), 0.0, wanted_n)
     return replace(plant, applied_n=wanted_n, orders=(*plant.orders, order)), wanted_n
 
 
 def order_move(
-    plant: GripperPlant, model: GripperModel, now_s: float, width_mm: float, force_n: float
+    plant: GripperPlant, model: GripperDynamics, now_s: float, width_mm: float, force_n: float
 ) -> tuple[GripperPlant, float]:
     """Move the fingers to a width with at most `force_n`; returns the plant and the width commanded.
 
@@ -118,15 +118,15 @@ def order_move(
     goal_mm = model.quantised_width_mm(width_mm)
     opens = goal_mm > plant.width_mm
     target_n = model.quantised_force_n(force_n)
-    order = Order(_due_s(plant, model, now_s), goal_mm, target_n, opens)
+    order = QueuedCommand(_due_s(plant, model, now_s), goal_mm, target_n, opens)
     applied_n = target_n if opens else max(target_n, plant.applied_n)
     return replace(plant, applied_n=applied_n, orders=(*plant.orders, order)), goal_mm
 
 
-def order_release(plant: GripperPlant, model: GripperModel, now_s: float, width_mm: float) -> GripperPlant:
+def order_release(plant: GripperPlant, model: GripperDynamics, now_s: float, width_mm: float) -> GripperPlant:
     """Open to `width_mm` and forget the force applied; a width below the present one only unloads the fingers."""
     goal_mm = max(model.quantised_width_mm(width_mm), plant.width_mm)
-    order = Order(_due_s(plant, model, now_s), goal_mm, None, opens=True)
+    order = QueuedCommand(_due_s(plant, model, now_s), goal_mm, None, opens=True)
     return replace(plant, applied_n=0.0, orders=(*plant.orders, order))
 
 
@@ -140,7 +140,7 @@ def order_halt(plant: GripperPlant) -> GripperPlant:
     return replace(plant, drive=Drive.REST, orders=(), holding=plant.force_n > 0.0, applied_n=0.0)
 
 
-def _due_s(plant: GripperPlant, model: GripperModel, now_s: float) -> float:
+def _due_s(plant: GripperPlant, model: GripperDynamics, now_s: float) -> float:
     """When an order given now reaches the motor: one transaction, or two (stop, go) if the motor rests on an object."""
     busy_until_s = max(now_s, plant.orders[-1].due_s) if plant.orders else now_s
     stop_and_go = plant.holding and plant.drive is Drive.REST
@@ -148,7 +148,7 @@ def _due_s(plant: GripperPlant, model: GripperModel, now_s: float) -> float:
 
 
 def advance(
-    plant: GripperPlant, model: GripperModel, now_s: float, step_s: float, object_mm: float | None
+    plant: GripperPlant, model: GripperDynamics, now_s: float, step_s: float, object_mm: float | None
 ) -> GripperPlant:
     """The fingers one step later, at `now_s`; object_mm: thickness of what is between them, None for nothing."""
     while plant.orders and plant.orders[0].due_s <= now_s:
@@ -168,7 +168,7 @@ def advance(
     return replace(plant, width_mm=width_mm, drive=Drive.REST, closed_on_nothing=width_mm == 0.0)
 
 
-def _begin(plant: GripperPlant, model: GripperModel, order: Order) -> GripperPlant:
+def _begin(plant: GripperPlant, model: GripperDynamics, order: QueuedCommand) -> GripperPlant:
     """The motor takes up an order. A motor already closing takes a new force limit without stopping."""
     drive = Drive.OPENING if order.opens else Drive.CLOSING
     goal_n = 0.0 if order.opens or order.target_n is None else max(order.target_n * model.gain, plant.force_n)
@@ -185,7 +185,7 @@ def _begin(plant: GripperPlant, model: GripperModel, order: Order) -> GripperPla
     )
 
 
-def _lose(plant: GripperPlant, model: GripperModel, now_s: float) -> GripperPlant:
+def _lose(plant: GripperPlant, model: GripperDynamics, now_s: float) -> GripperPlant:
     """What was held is gone: the pads relax, and fingers that held it go on closing."""
     if plant.drive is Drive.OPENING:
         return replace(plant, force_n=0.0, holding=False)
@@ -193,7 +193,7 @@ def _lose(plant: GripperPlant, model: GripperModel, now_s: float) -> GripperPlan
     return replace(plant, force_n=0.0, holding=False, drive=Drive.CLOSING, starts_s=starts_s)
 
 
-def _open(plant: GripperPlant, model: GripperModel, step_s: float) -> GripperPlant:
+def _open(plant: GripperPlant, model: GripperDynamics, step_s: float) -> GripperPlant:
     """Unload first, then open."""
     if plant.force_n > 0.0:
         return replace(plant, force_n=max(plant.force_n - UNLOAD_N_S * step_s, 0.0))
@@ -201,7 +201,7 @@ def _open(plant: GripperPlant, model: GripperModel, step_s: float) -> GripperPla
     return replace(plant, width_mm=width_mm, drive=Drive.REST if width_mm >= plant.goal_mm else plant.drive)
 
 
-def _squeeze(plant: GripperPlant, model: GripperModel, step_s: float) -> GripperPlant:
+def _squeeze(plant: GripperPlant, model: GripperDynamics, step_s: float) -> GripperPlant:
     """The object stops the fingers; force rises to its limit, then the motor stops."""
     force_n = min(plant.force_n + model.ramp_n_s * step_s, plant.goal_n)
     if force_n < plant.goal_n:

@@ -19,7 +19,7 @@ COARSE = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Relief:
+class HeightRaster:
     """Heights (mm, 0 at the top, >= -1.5) about an object's origin; beyond the raster its border goes on.
 
     fine: (n, n) float32, row 0 is up, `px_per_mm` pixels a mm, origin at the middle. coarse: fine, averaged 4 x 4.
@@ -30,7 +30,7 @@ class Relief:
     px_per_mm: float
 
     @classmethod
-    def of(cls, height_mm: objects.HeightMap, half_mm: float = 16.0, px_per_mm: float = 20.0) -> Relief:
+    def of(cls, height_mm: objects.HeightMap, half_mm: float = 16.0, px_per_mm: float = 20.0) -> HeightRaster:
         """Sample a height map on a square of 2 * half_mm."""
         n = COARSE * math.ceil(2.0 * half_mm * px_per_mm / COARSE)
         axis = (np.arange(n, dtype=np.float32) - (n - 1) / 2) / np.float32(px_per_mm)
@@ -39,7 +39,7 @@ class Relief:
         return cls.from_raster(fine, px_per_mm)
 
     @classmethod
-    def from_raster(cls, fine: NDArray[np.float32], px_per_mm: float) -> Relief:
+    def from_raster(cls, fine: NDArray[np.float32], px_per_mm: float) -> HeightRaster:
         """Take a square raster whose side is a multiple of 4."""
         n = fine.shape[0] // COARSE
         coarse = reduced(fine, (n, n))
@@ -63,6 +63,6 @@ class Relief:
 
 
 @lru_cache(maxsize=64)
-def relief_of(name: str) -> Relief:
+def height_raster_of(name: str) -> HeightRaster:
     """The raster of a catalogue object, made once. Raises InputError for an unknown name."""
-    return Relief.of(objects.get(name).height_mm)
+    return HeightRaster.of(objects.get(name).height_mm)

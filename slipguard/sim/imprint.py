@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.errors import InputError
-from slipguard.sim.height_map import Relief, relief_of
+from slipguard.sim.height_map import HeightRaster, height_raster_of
 from slipguard.sim.membrane import STEP_PX, lit, settle
 from slipguard.sim.raster import Field, blurred, enlarged, f32
 from slipguard.sim.shading import Shading
-from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Unit
+from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
 from slipguard.sim.view import GelView
 
 _PAD_CELLS = 8
@@ -56,12 +56,12 @@ class Imprint:
 class Imprinter:
     """Computes imprints on one unit's gel."""
 
-    def __init__(self, unit: Unit, background: NDArray[np.uint8]) -> None:
+    def __init__(self, unit: SensorUnit, background: NDArray[np.uint8]) -> None:
         self._unit = unit
         self._shading = Shading(unit, background, _RING_PX)
 
     def imprint(
-        self, view: GelView, exposure_s: float, relief: Relief | None = None, *, whole: bool = False
+        self, view: GelView, exposure_s: float, relief: HeightRaster | None = None, *, whole: bool = False
     ) -> Imprint | None:
         """The change an object makes, smeared by its motion; None where there is none.
 
@@ -73,7 +73,7 @@ class Imprinter:
             raise InputError(f"a view with a value that is not finite cannot be drawn: {view}")
         if view.depth_mm <= 0.0:
             return None
-        relief = relief_of(view.object_name) if relief is None else relief
+        relief = height_raster_of(view.object_name) if relief is None else relief
         overlap_mm = self._overlap(relief, view, STEP_PX, (-_PAD_CELLS, -_PAD_CELLS), _GRID)
         if float(overlap_mm.max()) <= 0.0:
             return None
@@ -89,7 +89,7 @@ class Imprinter:
 
     def _full_size(
         self,
-        relief: Relief,
+        relief: HeightRaster,
         view: GelView,
         exposure_s: float,
         cells: tuple[int, int, int, int],
@@ -117,7 +117,7 @@ class Imprinter:
         return Imprint(window, change[inner], contact[inner], gel_mm[inner])
 
     def _overlap(
-        self, relief: Relief, view: GelView, step: int, corner: tuple[int, int], size: tuple[int, int]
+        self, relief: HeightRaster, view: GelView, step: int, corner: tuple[int, int], size: tuple[int, int]
     ) -> Field:
         """Overlap of the rigid object with the undeformed gel, mm, on a grid of `step` frame pixels from `corner`."""
         scale = self._unit.px_per_mm

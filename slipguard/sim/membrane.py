@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from slipguard.sim.raster import Field, blurred, f32
-from slipguard.sim.unit import Unit
+from slipguard.sim.unit import SensorUnit
 
 STEP_PX = 4
 """Frame pixels per cell of the grid, on each axis."""
@@ -19,7 +19,7 @@ _SHADOW_REACH = 26
 """Shadows are sought this many cells towards the light: 5.6 mm."""
 
 
-def settle(overlap_mm: Field, unit: Unit) -> Field:
+def settle(overlap_mm: Field, unit: SensorUnit) -> Field:
     """Where the gel comes to rest, mm towards the camera, >= 0, same grid as `overlap_mm`.
 
     overlap_mm: > 0 where the rigid object would overlap the undeformed gel. The gel is pushed out of the object and
@@ -35,7 +35,7 @@ def settle(overlap_mm: Field, unit: Unit) -> Field:
     return gel
 
 
-def lit(gel_mm: Field, unit: Unit) -> list[Field]:
+def lit(gel_mm: Field, unit: SensorUnit) -> list[Field]:
     """Share of each light (B, G, R) that reaches each cell past the gel's own hills: 1 free, 1 - unit.shadow dark."""
     cell_mm = STEP_PX / unit.px_per_mm
     height, width = gel_mm.shape

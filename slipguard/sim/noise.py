@@ -16,7 +16,7 @@ _STRIPE_PX = 1.5
 _CANVASES = 4
 
 
-class Noise:
+class CameraNoise:
     """Noise of one camera; frames follow from the seed alone, one after the other."""
 
     def __init__(self, std_bgr: Triple, stripe_bgr: Triple, seed: int) -> None:

@@ -18,7 +18,7 @@ from slipguard.errors import InputError
 from slipguard.sim.friction import (
     GRAVITY_M_S2,
     NO_CONTACT_N,
-    Gel,
+    SoftPad,
     pressure_shape,
     return_to_surface,
 )
@@ -33,7 +33,7 @@ TABLE_DAMPING = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class GraspedBody:
     """What the motion needs of an object and its grip, in SI units.
 
     slides: False pins the object to the grasp axis (a hinge), for studying the turn alone.
@@ -45,23 +45,23 @@ class Body:
     """About the grasp axis: I0 + m b^2."""
     friction: float
     n_fingers: int = 2
-    slides: bool = True
+    translates: bool = True
 
     @classmethod
-    def of(cls, item: SimObject, n_fingers: int = 2, slides: bool = True) -> Body:
+    def of(cls, item: SimObject, n_fingers: int = 2, translates: bool = True) -> GraspedBody:
         """Take the mechanics of an object; raises InputError on a mass or friction that is not positive."""
         lever_m = item.com_offset_mm * 1e-3
         if item.mass_kg <= 0 or item.inertia_kg_m2 <= 0 or item.friction <= 0:
             raise InputError(f"{item.name}: mass, inertia and friction must be above 0")
         inertia = item.inertia_kg_m2 + item.mass_kg * lever_m**2
-        return cls(item.mass_kg, lever_m, inertia, item.friction, n_fingers, slides)
+        return cls(item.mass_kg, lever_m, inertia, item.friction, n_fingers, translates)
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class ObjectMotion:
     """Where the object is in the fingers and how it moves; all 0 at the moment it is grasped.
 
-    rotation_rad = what has slipped + twist_rad, and likewise slide_m with shear_m; twist and shear are the gel's and come
+    rotation_rad = what has slipped + twist_rad, and likewise slip_m with shear_m; twist and shear are the gel's and come
     back.
     """
 
@@ -70,8 +70,8 @@ class Motion:
     twist_rad: float = 0.0
     twist_n_m: float = 0.0
     """Torque stored in the gel, all fingers."""
-    slide_m: float = 0.0
-    slide_m_s: float = 0.0
+    slip_m: float = 0.0
+    slip_m_s: float = 0.0
     shear_m: float = 0.0
     shear_n: float = 0.0
     """Force stored in the gel, all fingers."""
@@ -83,7 +83,7 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class Load:
+class ExternalLoad:
     """What acts on the object from outside during one step.
 
     force_n: each finger's grip.
@@ -99,7 +99,7 @@ class Load:
     torque_n_m: float | None = None
 
 
-def table_reaction_n(motion: Motion, body: Body, load: Load) -> tuple[float, float, bool]:
+def table_reaction_n(motion: ObjectMotion, body: GraspedBody, load: ExternalLoad) -> tuple[float, float, bool]:
     """Upward force of the table at the object's near end (on the grasp axis) and at its far end (two levers away).
 
     Third: whether an end is within `LANDING_M` of it.
@@ -109,13 +109,13 @@ def table_reaction_n(motion: Motion, body: Body, load: Load) -> tuple[float, flo
     """
     if load.rise_m is None:
         return 0.0, 0.0, False
-    near_m = load.rise_m - motion.slide_m
+    near_m = load.rise_m - motion.slip_m
     if near_m - 2.0 * body.lever_m > LANDING_M:
         return 0.0, 0.0, False
     half_n = 0.5 * body.mass_kg * GRAVITY_M_S2
     stiffness = half_n / SUPPORT_M
     damping = 2.0 * TABLE_DAMPING * math.sqrt(stiffness * 0.5 * body.mass_kg)
-    near_m_s = load.rise_m_s - motion.slide_m_s
+    near_m_s = load.rise_m_s - motion.slip_m_s
     far_m = near_m - 2.0 * body.lever_m * math.sin(motion.rotation_rad)
     far_m_s = near_m_s - 2.0 * body.lever_m * math.cos(motion.rotation_rad) * motion.rate_rad_s
     near_n = half_n - stiffness * near_m - damping * near_m_s if near_m < SUPPORT_M else 0.0
@@ -123,7 +123,7 @@ def table_reaction_n(motion: Motion, body: Body, load: Load) -> tuple[float, flo
     return max(near_n, 0.0), max(far_n, 0.0), min(near_m, far_m) < LANDING_M
 
 
-def advance(motion: Motion, body: Body, gel: Gel, load: Load, step_s: float) -> Motion:
+def advance(motion: ObjectMotion, body: GraspedBody, gel: SoftPad, load: ExternalLoad, step_s: float) -> ObjectMotion:
     """The motion one step later; first order, implicit in gel and friction, stable for any step and force.
 
     step_s: 1 ms suffices (angles to 1 %).
@@ -136,12 +136,12 @@ def advance(motion: Motion, body: Body, gel: Gel, load: Load, step_s: float) -> 
     load_n = weight_n - near_n - far_n
     if load.force_n <= NO_CONTACT_N:
         rate = motion.rate_rad_s + dt * torque_n_m / body.inertia_kg_m2
-        fall = motion.slide_m_s + dt * load_n / body.mass_kg if body.slides else 0.0
-        return Motion(
+        fall = motion.slip_m_s + dt * load_n / body.mass_kg if body.translates else 0.0
+        return ObjectMotion(
             rotation_rad=motion.rotation_rad + dt * rate,
             rate_rad_s=rate,
-            slide_m=motion.slide_m + dt * fall,
-            slide_m_s=fall,
+            slip_m=motion.slip_m + dt * fall,
+            slip_m_s=fall,
             load_n=load_n,
             on_table=on_table,
             slipping=True,
@@ -160,8 +160,8 @@ def advance(motion: Motion, body: Body, gel: Gel, load: Load, step_s: float) -> 
     inertia, mass = body.inertia_kg_m2, body.mass_kg
     stick_rate = (inertia * motion.rate_rad_s + dt * (torque_n_m - motion.twist_n_m)) / (inertia + dt * twist_gain)
     stick_torque = motion.twist_n_m + twist_gain * stick_rate
-    if body.slides:
-        stick_speed = (mass * motion.slide_m_s + dt * (load_n - motion.shear_n)) / (mass + dt * shear_gain)
+    if body.translates:
+        stick_speed = (mass * motion.slip_m_s + dt * (load_n - motion.shear_n)) / (mass + dt * shear_gain)
         stick_force = motion.shear_n + shear_gain * stick_speed
     else:
         stick_force = 0.0
@@ -169,35 +169,35 @@ def advance(motion: Motion, body: Body, gel: Gel, load: Load, step_s: float) -> 
     force_max = n * body.friction * load.force_n
     torque_max = 2.0 * pressure_shape(gel.pressure_k) * gel.contact_radius_m(load.force_n) * force_max
     # Slip rate per missing friction: the object gains speed, the gel takes less of it, drag takes some back.
-    rotation_give = dt / inertia + 1.0 / twist_gain
-    slide_give = dt / mass + 1.0 / shear_gain
-    rotation_give /= 1.0 + rotation_give * drag
-    slide_give /= 1.0 + slide_give * shear_drag
+    rotation_compliance = dt / inertia + 1.0 / twist_gain
+    slip_compliance = dt / mass + 1.0 / shear_gain
+    rotation_compliance /= 1.0 + rotation_compliance * drag
+    slip_compliance /= 1.0 + slip_compliance * shear_drag
     dry_force, dry_torque = return_to_surface(
-        (stick_force, stick_torque), (force_max, torque_max), (slide_give, rotation_give)
+        (stick_force, stick_torque), (force_max, torque_max), (slip_compliance, rotation_compliance)
     )
-    rotation_slip = rotation_give * (stick_torque - dry_torque)
-    slide_slip = slide_give * (stick_force - dry_force)
-    torque = dry_torque + drag * rotation_slip
-    force = dry_force + shear_drag * slide_slip
+    rotational_slip = rotation_compliance * (stick_torque - dry_torque)
+    translational_slip = slip_compliance * (stick_force - dry_force)
+    torque = dry_torque + drag * rotational_slip
+    force = dry_force + shear_drag * translational_slip
 
     rate = motion.rate_rad_s + dt * (torque_n_m - torque) / inertia
     twist_rate = (torque - motion.twist_n_m) / twist_gain
-    if body.slides:
-        speed = motion.slide_m_s + dt * (load_n - force) / mass
+    if body.translates:
+        speed = motion.slip_m_s + dt * (load_n - force) / mass
         shear_rate = (force - motion.shear_n) / shear_gain
     else:
         speed = shear_rate = 0.0
-    return Motion(
+    return ObjectMotion(
         rotation_rad=motion.rotation_rad + dt * rate,
         rate_rad_s=rate,
         twist_rad=motion.twist_rad + dt * twist_rate,
         twist_n_m=motion.twist_n_m + n * torsion * dt * twist_rate,
-        slide_m=motion.slide_m + dt * speed,
-        slide_m_s=speed,
+        slip_m=motion.slip_m + dt * speed,
+        slip_m_s=speed,
         shear_m=motion.shear_m + dt * shear_rate,
         shear_n=motion.shear_n + n * shear * dt * shear_rate,
         load_n=load_n,
         on_table=on_table,
-        slipping=rotation_slip != 0.0 or slide_slip != 0.0,
+        slipping=rotational_slip != 0.0 or translational_slip != 0.0,
     )

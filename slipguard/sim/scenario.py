@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slipguard.sim.friction import Gel
-from slipguard.sim.gripper_plant import GripperModel
+from slipguard.sim.friction import SoftPad
+from slipguard.sim.gripper_plant import GripperDynamics
 
 
 @dataclass(frozen=True, slots=True)
-class Delivery:
+class FrameDelivery:
     """How a camera delivers during one grasp.
 
     latency_s: from exposure to hand-over. jitter_s: standard deviation of the capture time stamps.
@@ -29,7 +29,7 @@ class Delivery:
 
 
 @dataclass(frozen=True, slots=True)
-class CameraModel(Delivery):
+class CameraModel(FrameDelivery):
     """One fingertip camera: who it is, and how it delivers at present."""
 
     serial: str = ""
@@ -51,10 +51,10 @@ class Scenario:
     angle_deg: float = 0.0
     lever_sign: int = 1
     friction_scale: float = 1.0
-    gel: Gel = field(default_factory=Gel)
-    gripper: GripperModel = field(default_factory=GripperModel)
-    left: Delivery = field(default_factory=Delivery)
-    right: Delivery = field(default_factory=Delivery)
+    gel: SoftPad = field(default_factory=SoftPad)
+    gripper: GripperDynamics = field(default_factory=GripperDynamics)
+    left: FrameDelivery = field(default_factory=FrameDelivery)
+    right: FrameDelivery = field(default_factory=FrameDelivery)
 
 
 def scenario(object_name: str, seed: int) -> Scenario:
@@ -75,7 +75,7 @@ def scenario(object_name: str, seed: int) -> Scenario:
         lever_sign=int(rng.choice((-1, 1))),
         friction_scale=float(rng.uniform(0.85, 1.15)),
         gel=_gel(rng),
-        gripper=GripperModel(
+        gripper=GripperDynamics(
             dead_time_s=float(rng.uniform(0.02, 0.06)),
             ramp_n_s=float(np.exp(rng.uniform(np.log(64.0), np.log(480.0)))),
             speed_mm_s=float(rng.uniform(50.0, 150.0)),
@@ -86,26 +86,26 @@ def scenario(object_name: str, seed: int) -> Scenario:
     )
 
 
-def delivery(seed: int, finger: str) -> Delivery:
+def initial_delivery(seed: int, finger: str) -> FrameDelivery:
     """How a finger's camera delivers before the first grasp."""
     return _delivery(np.random.default_rng([seed, 1 if finger == "left" else 2]))
 
 
-def _gel(rng: np.random.Generator) -> Gel:
+def _gel(rng: np.random.Generator) -> SoftPad:
     """A gel: mostly soft silicone that stiffens with its contact, sometimes a stiff pad."""
     stiff = bool(rng.random() < 0.2)
     soft_n_m_rad = float(np.exp(rng.uniform(np.log(0.1), np.log(0.5))))
     relaxation_s = float(rng.uniform(0.01, 0.03))
     viscous_n_m_s = float(rng.uniform(0.005, 0.02))
     if stiff:
-        return Gel(torsion_n_m_rad=50.0, relaxation_s=0.005, viscous_n_m_s=viscous_n_m_s)
-    return Gel(torsion_n_m_rad=soft_n_m_rad, stiffening=3.0, relaxation_s=relaxation_s, viscous_n_m_s=viscous_n_m_s)
+        return SoftPad(torsion_n_m_rad=50.0, relaxation_s=0.005, viscous_n_m_s=viscous_n_m_s)
+    return SoftPad(torsion_n_m_rad=soft_n_m_rad, stiffening=3.0, relaxation_s=relaxation_s, viscous_n_m_s=viscous_n_m_s)
 
 
-def _delivery(rng: np.random.Generator) -> Delivery:
+def _delivery(rng: np.random.Generator) -> FrameDelivery:
     """How one camera delivers; both run at the same nominal rate."""
     drift = rng.uniform(-5.0, 5.0, 3)
-    return Delivery(
+    return FrameDelivery(
         fps=60.0,
         latency_s=float(rng.uniform(0.03, 0.05)),
         jitter_s=float(rng.uniform(0.001, 0.003)),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.sim.raster import Field, blurred, f32
-from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Unit
+from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
 
 _GLOW_BLUR_PX = 6.0
 Window = tuple[slice, slice]
@@ -18,7 +18,7 @@ Window = tuple[slice, slice]
 class Shading:
     """Light fields of one unit on the frame and `margin_px` around it; windows count from the margin's corner."""
 
-    def __init__(self, unit: Unit, background: NDArray[np.uint8], margin_px: int) -> None:
+    def __init__(self, unit: SensorUnit, background: NDArray[np.uint8], margin_px: int) -> None:
         rows, columns = np.mgrid[-margin_px : FRAME_HEIGHT_PX + margin_px, -margin_px : FRAME_WIDTH_PX + margin_px]
         right = ((columns - (FRAME_WIDTH_PX - 1) / 2) / unit.px_per_mm).astype(np.float32)
         down = ((rows - (FRAME_HEIGHT_PX - 1) / 2) / unit.px_per_mm).astype(np.float32)
@@ -35,7 +35,9 @@ class Shading:
             for x, y, z in self._leds
         ]
 
-    def _led(self, unit: Unit, channel: int, right: Field, down: Field, glow: Field) -> tuple[Field, Field, Field]:
+    def _led(
+        self, unit: SensorUnit, channel: int, right: Field, down: Field, glow: Field
+    ) -> tuple[Field, Field, Field]:
         """Direction to one light at every pixel (right, down, towards the camera), scaled with its strength there."""
         azimuth = math.radians(unit.led_azimuth_deg[channel])
         x = unit.led_radius_mm * math.cos(azimuth) - right

@@ -19,7 +19,7 @@ Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class SensorUnit:
     """Optics and gel of one sensor. Picklable; three-fold values are in the order blue, green, red.
 
     px_per_mm: 18.15-18.63 on four units with a caliper, 15.9-19.6 across sources.
@@ -62,7 +62,7 @@ class Unit:
     background: NDArray[np.uint8] | None = field(default=None, compare=False, repr=False)
 
     @classmethod
-    def default(cls) -> Unit:
+    def default(cls) -> SensorUnit:
         """The unit whose optics were fitted to real presses of a ball (`tests.campaigns.fit_renderer`).
 
         These are the field defaults: difference images correlate 0.89 with 15 presses that were not fitted.
@@ -71,7 +71,7 @@ class Unit:
 
 
 @dataclass(frozen=True, slots=True)
-class Light:
+class LightChange:
     """How the light has changed since the no-contact image was taken.
 
     image -> gain * image + offset_bgr + tilt_bgr * x + tilt_up_bgr * y, with x from -1 (left) to 1 (right) and y
@@ -84,7 +84,7 @@ class Light:
     tilt_up_bgr: Triple = (0.0, 0.0, 0.0)
 
 
-def random_unit(rng: np.random.Generator, backgrounds: Sequence[NDArray[np.uint8]] | None = None) -> Unit:
+def random_unit(rng: np.random.Generator, backgrounds: Sequence[NDArray[np.uint8]] | None = None) -> SensorUnit:
     """Draw one sensor unit, within what is known to vary between units and some way beyond.
 
     backgrounds: real no-contact images; half of the units then carry one of them, the others a procedural one.
@@ -100,7 +100,7 @@ def random_unit(rng: np.random.Generator, backgrounds: Sequence[NDArray[np.uint8
     background = None
     if backgrounds and rng.random() < 0.5:
         background = backgrounds[int(rng.integers(len(backgrounds)))]
-    return Unit(
+    return SensorUnit(
         px_per_mm=float(rng.uniform(15.5, 20.0)),
         dome_radius_mm=float(rng.uniform(25.0, 90.0)),
         dome_share=float(rng.uniform(0.0, 0.3)),

@@ -15,16 +15,16 @@ from slipguard.devices import ArmState, GripperState
 from slipguard.errors import CommandRefused, InputError
 from slipguard.sim import arm_plant, cell, gripper_plant, objects
 from slipguard.sim.arm_plant import ArmModel
-from slipguard.sim.cell import Cell, Thing, Truth
-from slipguard.sim.faults import FaultBoard
+from slipguard.sim.cell import CellState, PlacedObject, WorldTruth
+from slipguard.sim.faults import InjectedFaults
 from slipguard.sim.friction import needed_force_n
-from slipguard.sim.gripper_plant import GripperModel, GripperPlant
-from slipguard.sim.object_motion import Body, Motion
+from slipguard.sim.gripper_plant import GripperDynamics, GripperPlant
+from slipguard.sim.object_motion import GraspedBody, ObjectMotion
 from slipguard.sim.objects import SimObject
-from slipguard.sim.scenario import CameraModel, Scenario, delivery
+from slipguard.sim.scenario import CameraModel, Scenario, initial_delivery
 from slipguard.sim.view import GelView
 
-__all__ = ["Truth", "World", "WorldSettings"]
+__all__ = ["World", "WorldSettings", "WorldTruth"]
 
 _SIGNS = {"left": 1, "right": -1}
 
@@ -36,7 +36,7 @@ class WorldSettings:
     step_s: float = 1e-3
     start_width_mm: float = 85.0
     arm: ArmModel = field(default_factory=ArmModel)
-    gripper: GripperModel = field(default_factory=GripperModel)
+    gripper: GripperDynamics = field(default_factory=GripperDynamics)
 
 
 class World:
@@ -51,11 +51,11 @@ class World:
     ) -> None:
         self.settings = settings or WorldSettings()
         self.seed = seed
-        self.faults = FaultBoard()
+        self.faults = InjectedFaults()
         self._lookup = lookup or objects.get
-        self._deliveries = {finger: delivery(seed, finger) for finger in _SIGNS}
+        self._deliveries = {finger: initial_delivery(seed, finger) for finger in _SIGNS}
         width_mm = self.settings.start_width_mm
-        self._cell = Cell(GripperPlant(width_mm=width_mm, goal_mm=width_mm), self.settings.gripper)
+        self._cell = CellState(GripperPlant(width_mm=width_mm, goal_mm=width_mm), self.settings.gripper)
         self._origin_s: float | None = None
         self._now_s = -math.inf
         self._steps = 0
@@ -78,14 +78,14 @@ class World:
                 "thick; release the gripper first"
             )
         item = replace(item, friction=item.friction * scenario.friction_scale)
-        thing = Thing(scenario, item, Body.of(item), needed_force_n(item, scenario.gel))
+        thing = PlacedObject(scenario, item, GraspedBody.of(item), needed_force_n(item, scenario.gel))
         self._deliveries = {"left": scenario.left, "right": scenario.right}
         self._put(
             replace(
                 self._cell,
                 gripper_model=scenario.gripper,
                 thing=thing,
-                motion=Motion(),
+                motion=ObjectMotion(),
                 table_mm=arm_plant.pose(self._cell.arm, now_s).height_mm,
                 held=False,
                 dropped=None,
@@ -105,7 +105,7 @@ class World:
     def clear(self, now_s: float) -> None:
         """Take the object away, wherever it is; the jaws stay as they are. Nothing there: nothing happens."""
         self._advance(now_s)
-        self._put(replace(self._cell, thing=None, motion=Motion(), held=False, dropped=None))
+        self._put(replace(self._cell, thing=None, motion=ObjectMotion(), held=False, dropped=None))
 
     # The gripper.
 
@@ -202,7 +202,7 @@ class World:
         self._advance(now_s)
         return cell.view(self._cell, _sign(finger))
 
-    def truth(self, now_s: float) -> Truth:
+    def truth(self, now_s: float) -> WorldTruth:
         """What really happens; for evaluation only."""
         now_s = self._advance(now_s)
         return cell.truth(self._cell, arm_plant.pose(self._cell.arm, now_s), now_s)
@@ -232,7 +232,7 @@ class World:
         self._steps = max(self._steps, goal)
         return now_s
 
-    def _put(self, changed: Cell) -> None:
+    def _put(self, changed: CellState) -> None:
         self._cell = changed
         self._still = False
 

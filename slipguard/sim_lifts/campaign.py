@@ -18,7 +18,7 @@ from slipguard.daemon.loop.service import Service
 from slipguard.daemon.loop.worker import StatedLatencyWorker, ThreadWorker, Worker
 from slipguard.daemon.run import build_service
 from slipguard.errors import CommandRefused
-from slipguard.evaluation.single_estimators import PatchKeeper, SeenPatch, rotations_by_estimator
+from slipguard.evaluation.single_estimators import PatchRecorder, TimedPatch, rotations_by_estimator
 from slipguard.sim.objects import names
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World
@@ -95,13 +95,13 @@ async def run_campaign(settings: CampaignSettings, show: Callable[[Live], None])
             return ThreadWorker(name) if settings.realtime else StatedLatencyWorker(STATED_LATENCY_S)
 
         law = tick if settings.guarded else unguarded_tick
-        patches: list[SeenPatch] = []
+        patches: list[TimedPatch] = []
         service = build_service(
             config,
             world=world,
             make_worker=make_worker,
             law=law,
-            around=lambda finger, pipeline: PatchKeeper(finger, pipeline, patches),
+            around=lambda finger, pipeline: PatchRecorder(finger, pipeline, patches),
         )
         running = asyncio.create_task(service.run(), name="service")
         try:

@@ -12,7 +12,7 @@ from slipguard.devices import Frame
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel import GelCamera
 from slipguard.sim.objects import get
-from slipguard.sim.unit import Light, random_unit
+from slipguard.sim.unit import LightChange, random_unit
 from slipguard.sim.view import GelView
 from slipguard.stress.drift import DRIFT_DEG
 from slipguard.stress.family import FamilyResults, TrialFamily, TrialFunction
@@ -50,7 +50,7 @@ class _HeldContact:
         now_s = self.frame * FRAME_S
         if self.frame % 60 == 0:
             level = LIGHT_LEVELS * math.sin(2.0 * math.pi * now_s / LIGHT_PERIOD_S)
-            self.camera.set_light(Light(1.0, (level, -0.5 * level, 0.7 * level)))
+            self.camera.set_light(LightChange(1.0, (level, -0.5 * level, 0.7 * level)))
         part = _pressed(self.frame % CYCLE_FRAMES)
         depth_mm = get(self.name).press_mm * (SHARES[0] + part * (SHARES[1] - SHARES[0]))
         view = GelView(self.name, 0.4, -0.3 - SHEAR_MM * part, 25.0, depth_mm)

@@ -13,7 +13,7 @@ from slipguard.devices import Frame
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel import GelCamera
 from slipguard.sim.objects import get, names
-from slipguard.sim.unit import Unit
+from slipguard.sim.unit import SensorUnit
 from slipguard.sim.view import GelView
 from slipguard.stress.family import FamilyResults, TrialFamily, TrialFunction
 from slipguard.stress.light import SPOILS, Image, malformed, nonsense
@@ -45,7 +45,7 @@ def grasp(number: int) -> RotatedGrasp:
     things = [get(name) for name in names("train")]
     readable = [thing for thing in things if thing.axial]
     thing = readable[number % len(readable)]
-    camera = GelCamera(Unit.default(), seed=number)
+    camera = GelCamera(SensorUnit.default(), seed=number)
     x, y, start = rng.uniform(-2, 2), rng.uniform(-3, 3), rng.uniform(-180, 180)
     depth = thing.press_mm * rng.uniform(0.5, 1.0)
     way = float(rng.choice((-1.0, 1.0)))

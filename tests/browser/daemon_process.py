@@ -54,7 +54,7 @@ class Stage:
                 self.world.faults.fail(device, kind)
             case ["mend"]:
                 for device in KINDS:
-                    self.world.faults.mend(device)
+                    self.world.faults.repair(device)
             case ["fresh"]:
                 self.place()
             case ["again"]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.datasets.frame_cache import VALIDATION_SEED, RenderedFrames
-from slipguard.datasets.samples import Sample, press_of, sample
+from slipguard.datasets.samples import RenderedSample, press_of, render_sample
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.sim.gel import GelTruth
 from slipguard.sim.label import label, outlined
@@ -61,7 +61,7 @@ class Drawn:
 
 def training_frames(work: Path, count: int, progress: Callable[[int], None]) -> Drawn:
     """`count` frames of the training distribution without the `HELD_OUT` objects, kept in `work`."""
-    every = (sample(seed) for seed in itertools.count())
+    every = (render_sample(seed) for seed in itertools.count())
     return _kept(work / f"drawn-{count}", (s for s in every if s.view.object_name not in HELD_OUT), count, progress)
 
 
@@ -71,7 +71,7 @@ def held_out_frames(work: Path, count: int, progress: Callable[[int], None]) -> 
     return _kept(work / f"held-out-{count}", presses, count, progress)
 
 
-def _kept(folder: Path, samples: Iterator[Sample], count: int, progress: Callable[[int], None]) -> Drawn:
+def _kept(folder: Path, samples: Iterator[RenderedSample], count: int, progress: Callable[[int], None]) -> Drawn:
     folder.mkdir(parents=True, exist_ok=True)
     note = folder / "done.json"
     done = note.is_file()

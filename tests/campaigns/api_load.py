@@ -35,7 +35,7 @@ ROTATED_AWAY_PER = 20
 
 
 @dataclass(frozen=True, slots=True)
-class CrowdOptions:
+class ApiLoadOptions:
     """clients: half hear the live stream, half poll. pairs: blocks without and with them. block_s: length of one."""
 
     clients: int = 50
@@ -46,14 +46,14 @@ class CrowdOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Crowd:
+class ApiLoadResult:
     """alone, crowded: latencies of the loop, frame handed over to decision: the median of the blocks' p50 and p99, so
     that what the machine does once falls out, and the largest of all. got: what the clients received.
 
     missed: beats of the loop missed meanwhile, alone and crowded. allowed_ms: how much p99 may rise.
     """
 
-    options: CrowdOptions
+    options: ApiLoadOptions
     decisions: int
     alone: Spread
     crowded: Spread
@@ -85,7 +85,7 @@ class Crowd:
         )
 
 
-async def measure_crowd(options: CrowdOptions, tell: Callable[[str, float], None]) -> Crowd:
+async def measure_api_load(options: ApiLoadOptions, tell: Callable[[str, float], None]) -> ApiLoadResult:
     """Hold an object while clients come and go. tell(what, share done). Raises SlipguardError where it cannot."""
     with tempfile.TemporaryDirectory(prefix="slipguard-crowd-") as name:
         folder = Path(name)
@@ -126,8 +126,8 @@ class _Times:
 
 
 async def _blocks(
-    options: CrowdOptions, port: int, times: _Times, missed: Callable[[], int], tell: Callable[[str, float], None]
-) -> Crowd:
+    options: ApiLoadOptions, port: int, times: _Times, missed: Callable[[], int], tell: Callable[[str, float], None]
+) -> ApiLoadResult:
     found: tuple[list[list[float]], list[list[float]]] = ([], [])
     lost = [0, 0]
     got: Counter[str] = Counter()
@@ -159,7 +159,7 @@ async def _blocks(
         await end(clients, GONE_S)
     alone, crowded = (spread_of_blocks(one) for one in found)
     decisions = sum(len(block) for one in found for block in one)
-    return Crowd(options, decisions, alone, crowded, (lost[0], lost[1]), dict(got))
+    return ApiLoadResult(options, decisions, alone, crowded, (lost[0], lost[1]), dict(got))
 
 
 def spread_of_blocks(blocks_s: list[list[float]]) -> Spread:

@@ -17,7 +17,7 @@ from slipguard.cli.progress import progress_bar
 from slipguard.daemon import logging as log
 from slipguard.errors import SlipguardError
 from slipguard.thread_priority import set_realtime_priority
-from tests.campaigns.api_load import CrowdOptions, measure_crowd
+from tests.campaigns.api_load import ApiLoadOptions, measure_api_load
 
 
 def api_load(
@@ -34,12 +34,12 @@ def api_load(
 
     Example: `python -m tests.campaigns api-load --clients 50`
     """
-    options = CrowdOptions(clients, pairs, block_s, int(fps))
+    options = ApiLoadOptions(clients, pairs, block_s, int(fps))
     log.configure(level=logging.CRITICAL)
     if as_service:
         set_realtime_priority()
     with progress_bar("API load") as show, left_to_the_loop():
-        found = asyncio.run(measure_crowd(options, show))
+        found = asyncio.run(measure_api_load(options, show))
     told = f"p99 rises by {found.rise_ms:+.2f} ms; {found.allowed_ms:.2f} ms are allowed"
     if json:
         print(jsonlib.dumps(asdict(found) | {"rise_ms": found.rise_ms, "allowed_ms": found.allowed_ms}))

@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.sim.height_map import Relief
+from slipguard.sim.height_map import HeightRaster
 from slipguard.sim.imprint import Imprinter
 from slipguard.sim.raster import Field, f32
 from slipguard.sim.shapes import sphere
-from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Unit
+from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
 from slipguard.sim.view import GelView
 from tests.campaigns.real_presses import RealPress, read_presses, write_sheet
 
@@ -65,7 +65,7 @@ KNOBS = (
 class Fit:
     """Fitted optics, ball radius, and (x_mm, y_mm, depth_mm) of each press."""
 
-    unit: Unit
+    unit: SensorUnit
     radius_mm: float
     poses: tuple[Vector, ...]
 
@@ -92,7 +92,7 @@ def fit(presses: Sequence[RealPress], start: Fit, rounds: int, progress: Callabl
     return best
 
 
-def refined_pose(unit: Unit, radius_mm: float, press: RealPress, rounds: int = 8) -> Vector:
+def refined_pose(unit: SensorUnit, radius_mm: float, press: RealPress, rounds: int = 8) -> Vector:
     """Place and depth (x_mm, y_mm, depth_mm) at which the unit's drawing comes nearest to a press."""
     imprinter, relief = Imprinter(unit, press.background), _ball(radius_mm)
     pose = start_pose(unit, press)
@@ -118,14 +118,14 @@ def refined_pose(unit: Unit, radius_mm: float, press: RealPress, rounds: int = 8
     return pose
 
 
-def start_pose(unit: Unit, press: RealPress) -> Vector:
+def start_pose(unit: SensorUnit, press: RealPress) -> Vector:
     """A first guess from the labelled circle."""
     x = (press.centre_px[0] - (FRAME_WIDTH_PX - 1) / 2) / unit.px_per_mm
     y = -(press.centre_px[1] - (FRAME_HEIGHT_PX - 1) / 2) / unit.px_per_mm
     return np.array([x, y, 1.3])
 
 
-def drawn_difference(unit: Unit, radius_mm: float, press: RealPress, pose: Vector) -> Field:
+def drawn_difference(unit: SensorUnit, radius_mm: float, press: RealPress, pose: Vector) -> Field:
     """The change against no contact that the renderer draws for a ball, (320, 240, 3) float32 grey levels."""
     return _drawn(Imprinter(unit, press.background), _ball(radius_mm), pose)
 
@@ -136,11 +136,11 @@ def correlation(press: RealPress, drawn: Field) -> float:
     return float(np.corrcoef(real.ravel(), drawn[press.near].ravel())[0, 1])
 
 
-def _ball(radius_mm: float) -> Relief:
-    return Relief.of(lambda u, v: sphere(u, v, radius_mm), 4.0, 24.0)
+def _ball(radius_mm: float) -> HeightRaster:
+    return HeightRaster.of(lambda u, v: sphere(u, v, radius_mm), 4.0, 24.0)
 
 
-def _drawn(imprinter: Imprinter, relief: Relief, pose: Vector) -> Field:
+def _drawn(imprinter: Imprinter, relief: HeightRaster, pose: Vector) -> Field:
     view = GelView("ball", x_mm=float(pose[0]), y_mm=float(pose[1]), depth_mm=float(pose[2]))
     imprint = imprinter.imprint(view, 0.0, relief)
     image = np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3), np.float32)
@@ -239,14 +239,14 @@ def main() -> None:
     cv2.setNumThreads(1)
     presses = read_presses(arguments.folder)
     half = len(presses) // 2
-    unit = Unit.default()
+    unit = SensorUnit.default()
     poses = tuple(refined_pose(unit, BALL_RADIUS_MM, press) for press in presses[:half])
     fitted = fit(presses[:half], Fit(unit, BALL_RADIUS_MM, poses), arguments.rounds, print)
     print(fitted.unit, f"ball radius {fitted.radius_mm:.3f} mm", sep="\n")
     report(presses, fitted.unit, fitted.radius_mm, arguments.sheet)
 
 
-def report(presses: Sequence[RealPress], unit: Unit, radius_mm: float, sheet: Path | None) -> None:
+def report(presses: Sequence[RealPress], unit: SensorUnit, radius_mm: float, sheet: Path | None) -> None:
     """Print correlations of both halves, poses refitted; write the sheet of the second half."""
     half = len(presses) // 2
     drawn = [drawn_difference(unit, radius_mm, press, refined_pose(unit, radius_mm, press)) for press in presses]

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.datasets import rendered_grasps as sequences
-from slipguard.datasets.rendered_grasps import FRAME_S, Shot
+from slipguard.datasets.rendered_grasps import FRAME_S, GraspFrame
 from slipguard.devices import Frame
-from slipguard.evaluation.rotated_presses import PX_PER_MM, presses, rotated
+from slipguard.evaluation.rotated_presses import PX_PER_MM, press_images, rotated_grasp
 from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.rotation.texture_map import TextureMapReader
@@ -53,7 +53,7 @@ SHEARED_FRAMES, SHEARED_STEP = 14, 3
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class RotationSample:
     """One measured turn: its error, and the fit that told it. kind: one of `KINDS`."""
 
     grasp: str
@@ -62,7 +62,9 @@ class Sample:
     kind: str = "rendered"
 
 
-def samples(grasps: Iterable[sequences.Sequence], segmenter: Segmenter, kind: str = "rendered") -> Iterator[Sample]:
+def samples(
+    grasps: Iterable[sequences.RenderedGrasp], segmenter: Segmenter, kind: str = "rendered"
+) -> Iterator[RotationSample]:
     """Every turn by relief since the last still frame, frame after frame, of some grasps."""
     for number, grasp in enumerate(grasps):
         start = next((k for k, shot in enumerate(grasp.shots) if shot.compared), 0) - 1
@@ -84,23 +86,23 @@ def samples(grasps: Iterable[sequences.Sequence], segmenter: Segmenter, kind: st
                 continue
             rate, pose = answer.pose.rotation_deg - pose.rotation_deg, answer.pose
             error = answer.pose.rotation_deg - grasp.shots[k].rotation_deg
-            yield Sample(f"{kind} {grasp.object_name} {number}", error, answer, kind)
+            yield RotationSample(f"{kind} {grasp.object_name} {number}", error, answer, kind)
 
 
-def sheared(folder: Path) -> Iterator[sequences.Sequence]:
+def sheared(folder: Path) -> Iterator[sequences.RenderedGrasp]:
     """Stretches of real frames in which a contact is sheared and not turned, tuning part of `anytouch2_force2`."""
     background = read_gel(folder / "anytouch2_force2" / "background.png")
     paths = sorted((folder / "anytouch2_force2" / "frames").glob("*.png"))
     images = [read_gel(path) for path in paths if path.stem <= SHEARED_LAST]
     for begin in range(0, len(images) - 2, SHEARED_STEP):
         shots = [
-            Shot(Frame(image, k * FRAME_S, k), True, 0.0, k > 0, None)
+            GraspFrame(Frame(image, k * FRAME_S, k), True, 0.0, k > 0, None)
             for k, image in enumerate(images[begin : begin + SHEARED_FRAMES])
         ]
-        yield sequences.Sequence(f"from {begin}", True, background, SHEARED_NOISE_BGR, PX_PER_MM, tuple(shots))
+        yield sequences.RenderedGrasp(f"from {begin}", True, background, SHEARED_NOISE_BGR, PX_PER_MM, tuple(shots))
 
 
-def fitted(found: Sequence[Sample]) -> tuple[float, ...]:
+def fitted(found: Sequence[RotationSample]) -> tuple[float, ...]:
     """The shares of sigma's parts under which the errors are likeliest, every grasp of a kind alike."""
     error, parts, weight = _table(found)
     best = np.log(np.array(shares()))
@@ -119,20 +121,20 @@ def fitted(found: Sequence[Sample]) -> tuple[float, ...]:
     return tuple((np.array(HEADROOM) * np.exp(best)).tolist())
 
 
-def within(found: Sequence[Sample], sigmas: float) -> float:
+def within(found: Sequence[RotationSample], sigmas: float) -> float:
     """Share of the errors, every grasp alike, within so many sigmas as they are in use."""
     _, _, weight = _table(found)
     inside = np.array([abs(one.error_deg) <= sigmas * sigma_deg(one.answer) for one in found])
     return float(weight @ inside)
 
 
-def _patch(segmenter: Segmenter, grasp: sequences.Sequence, index: int) -> Patch | None:
+def _patch(segmenter: Segmenter, grasp: sequences.RenderedGrasp, index: int) -> Patch | None:
     probability = segmenter.segment(grasp.shots[index].frame.image, grasp.background)
     frame_px = FRAME_PX * 120.0 / probability.shape[1]
     return find_patch(probability, segmenter.threshold, MIN_AREA_PX, frame_px)
 
 
-def _table(found: Sequence[Sample]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _table(found: Sequence[RotationSample]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Errors, the (n, 4) parts of sigma before their shares, and weights that add up to 1."""
     error = np.array([one.error_deg for one in found])
     parts = np.array([parts_deg(one.answer) for one in found])
@@ -161,12 +163,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--model", type=Path, default=None, help="segmentation network; the shipped one if left out")
     chosen = parser.parse_args(arguments)
     segmenter = Segmenter(chosen.model)
-    grasps = (sequences.sequence(name, SEED + number) for number in range(chosen.grasps) for name in names("train"))
+    grasps = (sequences.render_grasp(name, SEED + number) for number in range(chosen.grasps) for name in names("train"))
     found = list(samples(grasps, segmenter))
     print(f"{len(found)} turns of {len({one.grasp for one in found})} grasps, training objects, seeds from {SEED}")
     if chosen.real is not None:
-        tuning = [press for press in presses(chosen.real) if press.part == "tune" and press.readable]
-        found += samples((rotated(press, "relit", SEED) for press in tuning), segmenter, "relit")
+        tuning = [press for press in press_images(chosen.real) if press.part == "tune" and press.readable]
+        found += samples((rotated_grasp(press, "relit", SEED) for press in tuning), segmenter, "relit")
         found += samples(sheared(chosen.real), segmenter, "sheared")
     for word, constants in (("in use", shares()), ("fitted", fitted(found))):
         print(

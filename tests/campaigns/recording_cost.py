@@ -19,14 +19,14 @@ from slipguard.daemon.loop.finger import ProcessedFrame
 from slipguard.daemon.loop.service import Service
 from slipguard.daemon.store.recording import RecordingObserver, RecordingSink, make_recorder, record
 from slipguard.sim.world import World
-from tests.campaigns.soak.settings import Settings, soak_config
-from tests.campaigns.soak.shift import Shift
+from tests.campaigns.soak.settings import SoakSettings, soak_config
+from tests.campaigns.soak.shift import WorkShift
 
 LOOP_SHARE_MAX = 0.05
 
 
 @dataclass(slots=True)
-class Block:
+class LiftCost:
     """One lift. loop_s, process_s: processor time of the loop's thread and of the whole process."""
 
     recorded: bool
@@ -42,7 +42,7 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True)
-class Side:
+class LiftCostSummary:
     """All lifts with, or all without. Times in ms, shares of one core."""
 
     lifts: int
@@ -55,14 +55,14 @@ class Side:
 
 
 @dataclass(frozen=True, slots=True)
-class Cost:
+class RecordingCost:
     """handing_share: of the loop thread's processor time that goes into handing values to the recorder.
 
     longest_hand_ms: the longest single hand-over, preemption included. left_out: values it had no room for.
     """
 
-    without: Side
-    recorded: Side
+    without: LiftCostSummary
+    recorded: LiftCostSummary
     handing_share: float
     handed: int
     longest_hand_ms: float
@@ -74,22 +74,22 @@ class Cost:
         return self.handing_share <= LOOP_SHARE_MAX and self.left_out == 0
 
 
-async def measure(pairs: int, seed: int, tell: Callable[[str, float], None]) -> Cost:
+async def measure(pairs: int, seed: int, tell: Callable[[str, float], None]) -> RecordingCost:
     """Lift `pairs` objects, each once with and once without recordings; the order changes from pair to pair."""
-    blocks: list[Block] = []
+    blocks: list[LiftCost] = []
     with tempfile.TemporaryDirectory(prefix="slipguard-recording-") as folder:
-        settings = Settings(0.0, virtual=False, seed=seed)
+        settings = SoakSettings(0.0, virtual=False, seed=seed)
         config = soak_config(settings, Path(folder))
         world = World(seed=seed)
         service = root.build_service(config, world=world)
         running = asyncio.create_task(service.run(), name="service")
         try:
-            shift = Shift(service, world, seed, settings.fps, calm=True)
+            shift = WorkShift(service, world, seed, settings.fps, calm=True)
             await shift.start()
             await shift.cycle(0)  # what happens once only: imports, first pages
             for number in range(2 * pairs):
                 pair, second = divmod(number, 2)
-                block = Block(recorded=bool(second) != bool(pair % 2))
+                block = LiftCost(recorded=bool(second) != bool(pair % 2))
                 tell(f"lift {number + 1} of {2 * pairs}", number / (2 * pairs))
                 async with _recorded(service, Path(folder) / "recordings", block):
                     with _measured(service, block):
@@ -99,7 +99,7 @@ async def measure(pairs: int, seed: int, tell: Callable[[str, float], None]) -> 
             running.cancel()
             await asyncio.gather(running, return_exceptions=True)
     recorded = [one for one in blocks if one.recorded]
-    return Cost(
+    return RecordingCost(
         without=_side([one for one in blocks if not one.recorded], config.loop.period_ms / 1e3),
         recorded=_side(recorded, config.loop.period_ms / 1e3),
         handing_share=sum(one.handing_s for one in recorded) / sum(one.loop_s for one in recorded),
@@ -112,7 +112,7 @@ async def measure(pairs: int, seed: int, tell: Callable[[str, float], None]) -> 
 class _TimedWatcher(RecordingObserver):
     """The usual one, with the time it takes from the loop's thread."""
 
-    def __init__(self, recorder: RecordingSink, block: Block) -> None:
+    def __init__(self, recorder: RecordingSink, block: LiftCost) -> None:
         super().__init__(recorder)
         self._block = block
 
@@ -133,7 +133,7 @@ class _TimedWatcher(RecordingObserver):
 
 
 @asynccontextmanager
-async def _recorded(service: Service, folder: Path, block: Block) -> AsyncIterator[None]:
+async def _recorded(service: Service, folder: Path, block: LiftCost) -> AsyncIterator[None]:
     """Recordings run meanwhile, if this lift is one of those."""
     if not block.recorded:
         yield
@@ -149,7 +149,7 @@ async def _recorded(service: Service, folder: Path, block: Block) -> AsyncIterat
 
 
 @contextmanager
-def _measured(service: Service, block: Block) -> Iterator[None]:
+def _measured(service: Service, block: LiftCost) -> Iterator[None]:
     """Times, latencies and deadlines of what happens meanwhile."""
 
     def decided(decision: Decision) -> None:
@@ -174,11 +174,11 @@ def _process_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def _side(blocks: Sequence[Block], period_s: float) -> Side:
+def _side(blocks: Sequence[LiftCost], period_s: float) -> LiftCostSummary:
     latencies_ms = 1e3 * np.array([one for block in blocks for one in block.latencies_s])
     p50_ms, p99_ms = np.percentile(latencies_ms, (50, 99)).tolist()
     wall_s = sum(block.wall_s for block in blocks)
-    return Side(
+    return LiftCostSummary(
         lifts=len(blocks),
         latencies=len(latencies_ms),
         latency_p50_ms=p50_ms,

@@ -35,7 +35,7 @@ class Rig(ABC):
         """disconnect, timeout, protective_stop or emergency_stop."""
 
     @abstractmethod
-    def mend(self, kind: str) -> None: ...
+    def repair(self, kind: str) -> None: ...
 
     @abstractmethod
     def somebody_moves_it(self) -> None:
@@ -56,8 +56,8 @@ class FakeRig(Rig):
     def fail(self, kind: str) -> None:
         self.world.faults.fail("arm", kind)
 
-    def mend(self, kind: str) -> None:
-        self.world.faults.mend("arm", kind)
+    def repair(self, kind: str) -> None:
+        self.world.faults.repair("arm", kind)
 
     def somebody_moves_it(self) -> None:
         self.world.command_lift(asyncio.get_running_loop().time(), self.far_mm, 100.0)
@@ -77,7 +77,7 @@ class WireRig(Rig):
     def fail(self, kind: str) -> None:
         self.controller.control(f"fault {FAULTS.get(kind, kind)}")
 
-    def mend(self, kind: str) -> None:
+    def repair(self, kind: str) -> None:
         self.controller.control(f"clear {FAULTS.get(kind, kind)}")
 
     def somebody_moves_it(self) -> None:
@@ -98,7 +98,7 @@ class RealRig(Rig):
     def fail(self, kind: str) -> None:
         pytest.skip(f"{kind} needs a hand at the robot")
 
-    def mend(self, kind: str) -> None:
+    def repair(self, kind: str) -> None:
         pytest.skip(f"{kind} needs a hand at the robot")
 
     def somebody_moves_it(self) -> None:

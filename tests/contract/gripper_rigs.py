@@ -10,7 +10,7 @@ import pytest
 from timeouts import eventually
 
 from slipguard.devices import DriverContext, Gripper
-from slipguard.sim.gripper_plant import GripperModel
+from slipguard.sim.gripper_plant import GripperDynamics
 from slipguard.sim.objects import SimObject
 from slipguard.sim.scenario import Scenario
 from slipguard.sim.world import World, WorldSettings
@@ -40,7 +40,7 @@ class Rig(ABC):
     def fail(self, kind: str) -> None: ...
 
     @abstractmethod
-    def mend(self, kind: str) -> None: ...
+    def repair(self, kind: str) -> None: ...
 
     @abstractmethod
     def again(self) -> Gripper:
@@ -58,7 +58,7 @@ class FakeRig(Rig):
         def lookup(name: str) -> SimObject:
             return SimObject(name, "test", lambda u, v: 0 * u, 0.05, 10.0, 1e-4, 0.9, 0.8, width_mm=70.0)
 
-        self.model = GripperModel(transaction_s=0.004, dead_time_s=0.01, ramp_n_s=2000.0, speed_mm_s=300.0)
+        self.model = GripperDynamics(transaction_s=0.004, dead_time_s=0.01, ramp_n_s=2000.0, speed_mm_s=300.0)
         self.world = World(WorldSettings(gripper=self.model), lookup=lookup)
         self.gripper = self.again()
 
@@ -71,8 +71,8 @@ class FakeRig(Rig):
     def fail(self, kind: str) -> None:
         self.world.faults.fail("gripper", kind)
 
-    def mend(self, kind: str) -> None:
-        self.world.faults.mend("gripper", kind)
+    def repair(self, kind: str) -> None:
+        self.world.faults.repair("gripper", kind)
 
     def again(self) -> Gripper:
         return FakeGripper(FakeGripper.Settings(), DriverContext("gripper", self.world))
@@ -100,7 +100,7 @@ class WireRig(Rig):
     def fail(self, kind: str) -> None:
         self.emulator.control({"disconnect": "fault unplug", "timeout": "fault silence"}.get(kind, "gflt 0x0E"))
 
-    def mend(self, kind: str) -> None:
+    def repair(self, kind: str) -> None:
         self.emulator.control({"disconnect": "clear unplug", "timeout": "clear silence"}.get(kind, "gflt 0"))
 
     def again(self) -> Gripper:
@@ -142,7 +142,7 @@ class HardwareRig(Rig):
     def fail(self, kind: str) -> None:
         pytest.skip("needs a hand on the cable")
 
-    def mend(self, kind: str) -> None:
+    def repair(self, kind: str) -> None:
         return
 
     def again(self) -> Gripper:

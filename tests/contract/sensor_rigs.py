@@ -41,7 +41,7 @@ class Rig:
     def fail(self, kind: str) -> None:
         pytest.skip(f"{kind} cannot be had of it")
 
-    def mend(self, kind: str) -> None:
+    def repair(self, kind: str) -> None:
         pytest.skip(f"{kind} cannot be had of it")
 
     async def end(self) -> None:
@@ -60,8 +60,8 @@ class FakeRig(Rig):
     def fail(self, kind: str) -> None:
         self.world.faults.fail("left", kind)
 
-    def mend(self, kind: str) -> None:
-        self.world.faults.mend("left", kind)
+    def repair(self, kind: str) -> None:
+        self.world.faults.repair("left", kind)
 
 
 class SocketRig(FakeRig):
@@ -79,8 +79,8 @@ class SocketRig(FakeRig):
         if kind == "disconnect":
             self.server.unplug()
 
-    def mend(self, kind: str) -> None:
-        super().mend(kind)
+    def repair(self, kind: str) -> None:
+        super().repair(kind)
         self.server.plug()
 
     async def end(self) -> None:
@@ -106,7 +106,7 @@ class UsbRig(Rig):
     def fail(self, kind: str) -> None:
         self.emulator.control(f"fault {FAULTS[kind]}")
 
-    def mend(self, kind: str) -> None:
+    def repair(self, kind: str) -> None:
         self.emulator.control("clear")
 
     async def end(self) -> None:

@@ -138,7 +138,7 @@ async def test_a_safety_stop_is_seen_and_refuses_motion(rig: Rig, arm: Arm, kind
     with pytest.raises(CommandRefused, match="stop is active"):
         await arm.lift(10.0, 100.0)
     await arm.stop()
-    rig.mend(kind)
+    rig.repair(kind)
     await eventually(lambda: _lift_opening_again(arm), bool)
 
 
@@ -150,7 +150,7 @@ async def test_a_safety_stop_is_seen_by_who_comes_later(rig: Rig, kind: str) -> 
     with pytest.raises(CommandRefused, match="stop is active"):
         await rig.arm.lift(10.0, 100.0)
     await rig.arm.stop()
-    rig.mend(kind)
+    rig.repair(kind)
     await eventually(lambda: _lift_opening_again(rig.arm), bool)
 
 
@@ -159,7 +159,7 @@ async def test_an_arm_that_falls_silent_times_out(rig: Rig, arm: Arm) -> None:
     assert isinstance(await asyncio.wait_for(_failure(arm), 1.0), DeviceTimeout)
     with pytest.raises(DeviceError):
         await asyncio.wait_for(arm.state(), 1.0)
-    rig.mend("timeout")
+    rig.repair("timeout")
     await eventually(lambda: _state_opening_again(arm), bool)
 
 
@@ -168,7 +168,7 @@ async def test_a_lost_arm_comes_back_with_open(rig: Rig, arm: Arm) -> None:
     assert isinstance(await asyncio.wait_for(_failure(arm), 3.0), DeviceLost)
     with pytest.raises(DeviceLost):
         await arm.open()
-    rig.mend("disconnect")
+    rig.repair("disconnect")
     with pytest.raises(DeviceLost):
         await arm.lift(10.0, 50.0)
     await eventually(lambda: _state_opening_again(arm), bool)
@@ -229,7 +229,7 @@ async def test_in_guard_mode_a_safety_stop_is_seen(guard_rig: Rig) -> None:
     await guard_rig.arm.open()
     guard_rig.fail("protective_stop")
     await eventually(guard_rig.arm.state, lambda state: state.protective_stop)
-    guard_rig.mend("protective_stop")
+    guard_rig.repair("protective_stop")
     await eventually(guard_rig.arm.state, lambda state: not state.protective_stop)
 
 

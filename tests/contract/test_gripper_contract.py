@@ -251,7 +251,7 @@ async def test_a_lost_gripper_keeps_its_grip_and_comes_back_with_open(rig: Rig, 
         await asyncio.wait_for(_ask_until_it_fails(held), 2.0)
     with pytest.raises(DeviceLost):
         await held.open()
-    rig.mend("disconnect")
+    rig.repair("disconnect")
     with pytest.raises(DeviceLost):
         await held.state()
     await held.open()
@@ -265,7 +265,7 @@ async def test_a_silent_gripper_times_out_and_may_be_asked_again(rig: Rig, held:
             await asyncio.wait_for(held.state(), 1.0)
     with pytest.raises(DeviceTimeout):
         await held.hold(60.0)
-    rig.mend("timeout")
+    rig.repair("timeout")
     assert (await held.state()).holding
     assert await held.hold(60.0) >= 60.0
 
@@ -277,7 +277,7 @@ async def test_a_fault_is_told_in_words_and_stops_commands(rig: Rig, held: Gripp
     assert len(fault) > 5
     with pytest.raises(DeviceError, match=fault):
         await held.hold(60.0)
-    rig.mend("fault")
+    rig.repair("fault")
     assert (await held.state()).fault is None
     assert await held.hold(60.0) >= 60.0
 

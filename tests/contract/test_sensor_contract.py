@@ -128,7 +128,7 @@ async def test_a_stalled_stream_times_out_and_goes_on_when_mended(fake: Rig) -> 
     fake.fail("stall")
     assert isinstance(await failure(fake.sensor), DeviceTimeout)
     assert isinstance(await failure(fake.sensor), DeviceTimeout)
-    fake.mend("stall")
+    fake.repair("stall")
     await good_frame(fake.sensor)
 
 
@@ -146,7 +146,7 @@ async def test_a_frozen_camera_is_told_and_its_picture_never_handed_out_again(fa
         await asyncio.wait_for(collect(), PATIENCE_S)
     for before, after in pairwise(handed_out):
         assert not np.array_equal(before.image, after.image)
-    fake.mend("frozen")
+    fake.repair("frozen")
     await good_frame(fake.sensor)
 
 
@@ -154,7 +154,7 @@ async def test_a_damaged_frame_is_told_and_the_next_may_be_fine(fake: Rig) -> No
     await fake.sensor.open()
     fake.fail("corrupt")
     assert isinstance(await failure(fake.sensor), FrameCorrupt)
-    fake.mend("corrupt")
+    fake.repair("corrupt")
     await good_frame(fake.sensor)
 
 
@@ -166,7 +166,7 @@ async def test_an_unplugged_sensor_is_lost_until_it_is_opened_again(fake: Rig) -
     assert isinstance(await waiting, DeviceLost)
     with pytest.raises(DeviceLost):
         await fake.sensor.open()
-    fake.mend("disconnect")
+    fake.repair("disconnect")
     with pytest.raises(DeviceLost):
         await good_frame(fake.sensor)
     await fake.sensor.open()

@@ -24,7 +24,7 @@ from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.daemon.loop.worker import ThreadWorker, Worker
 from slipguard.devices import DriverContext
 from slipguard.sim import objects
-from slipguard.sim.cell import Truth
+from slipguard.sim.cell import WorldTruth
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World, WorldSettings
 
@@ -126,7 +126,7 @@ class Cell:
         return asyncio.get_running_loop().time()
 
     @property
-    def truth(self) -> Truth:
+    def truth(self) -> WorldTruth:
         assert self.world is not None
         return self.world.truth(self.now_s)
 

@@ -19,7 +19,7 @@ from slipguard.daemon.loop.worker import StatedLatencyWorker
 from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.devices import DriverContext, Frame
 from slipguard.perception.estimate import Estimate
-from slipguard.sim.cell import Truth
+from slipguard.sim.cell import WorldTruth
 from slipguard.sim.world import World
 from slipguard_drivers.digit.fake import FakeSensor
 from slipguard_drivers.digit.frame_stream import SHAPE
@@ -41,7 +41,7 @@ class Pictures:
 
     world: World
     count: int = 0
-    shown: dict[int, Truth] = field(default_factory=dict)
+    shown: dict[int, WorldTruth] = field(default_factory=dict)
     flickers: bool = False
 
     async def start(self) -> None:
@@ -56,7 +56,7 @@ class Pictures:
         done(np.broadcast_to(row, SHAPE))
         return True
 
-    def truth(self, image: Image) -> Truth:
+    def truth(self, image: Image) -> WorldTruth:
         return self.shown[int.from_bytes(image[0, 0].tobytes(), "little")]
 
     def stop(self) -> None:
@@ -111,7 +111,7 @@ class Oracle:
         rotation_deg = self.sign * truth.rotation_deg + self.rng.normal(0.0, SIGMA_DEG)
         if self.swings_since_s is not None:
             rotation_deg += self.sign * SWING_DEG_S * (now_s - self.swings_since_s)
-        slide_mm = truth.slide_mm + self.rng.normal(0.0, NOISE_MM)
+        slide_mm = truth.slip_mm + self.rng.normal(0.0, NOISE_MM)
         self.stable += 1
         if self.reference is None:
             if self.stable < STABLE_FRAMES:

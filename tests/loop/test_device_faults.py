@@ -88,7 +88,7 @@ def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
         with pytest.raises(CommandRefused, match=r"still there|not there|stop"):
             await cell.controls.clear()
         for device in devices:
-            cell.world.faults.mend(device, kind)
+            cell.world.faults.repair(device, kind)
         await asyncio.sleep(0.1)
         await cell.until(lambda: not cell.service.waiting_for and not cell.service.gripper.newest.moving)  # type: ignore[union-attr]
         await cell.controls.clear()
@@ -112,7 +112,7 @@ def test_a_gripper_still_closing_is_not_declared_empty() -> None:
         await closing(cell)
         cell.world.faults.fail("gripper", "fault")
         await cell.until(lambda: cell.phase is Phase.FAULT)
-        cell.world.faults.mend("gripper")
+        cell.world.faults.repair("gripper")
         await asyncio.sleep(0.1)
         with pytest.raises(CommandRefused, match="the gripper is moving"):
             await cell.controls.clear()
@@ -136,7 +136,7 @@ def test_one_finger_gone_is_said_and_the_other_guards_on(finger: str, kind: str)
         assert cell.truth.dropped is None
         assert abs(cell.truth.rotation_deg) < 20.0
         rotated_deg = cell.truth.rotation_deg
-        cell.world.faults.mend(finger, kind)
+        cell.world.faults.repair(finger, kind)
         await cell.until(lambda: not cell.service.waiting_for)
         await asyncio.sleep(0.5)
         fused = cell.service.seen.fused if cell.service.seen is not None else None
@@ -195,7 +195,7 @@ def test_a_sensor_that_gives_nothing_good_for_long_is_opened_again(kind: str) ->
         assert cell.sensors["left"].opened == 1
         await asyncio.sleep(2.0)
         assert cell.sensors["left"].opened == 2
-        cell.world.faults.mend("left")
+        cell.world.faults.repair("left")
         await cell.until(lambda: not cell.service.waiting_for, 1.0)
         assert cell.sensors["right"].opened == 1
 
@@ -253,7 +253,7 @@ def test_the_height_of_an_arm_that_was_away_is_not_taken_for_the_old_one() -> No
         await asyncio.sleep(0.3)
         cell.world.faults.fail("arm", "disconnect")
         await asyncio.sleep(0.05)
-        cell.world.faults.mend("arm")
+        cell.world.faults.repair("arm")
         await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
         await cell.until(lambda: not cell.service.waiting_for)
         await asyncio.sleep(1.0)

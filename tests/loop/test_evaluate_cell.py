@@ -24,19 +24,19 @@ from slipguard.daemon.loop.worker import StatedLatencyWorker
 from slipguard.daemon.run import build_service
 from slipguard.errors import SlipguardError
 from slipguard.evaluation import on_cell
-from slipguard.evaluation.external_camera import Camera
+from slipguard.evaluation.external_camera import ExternalCamera
 from slipguard.evaluation.on_cell import in_the_daemons_place, run_on_cell
-from slipguard.evaluation.protocol import Protocol
+from slipguard.evaluation.protocol import LiftProtocol
 from slipguard.evaluation.report import write_report
 from slipguard.evaluation.simulated import intrinsics_of, onlooker
 from slipguard.recording.writer import RecordingFile
-from slipguard.sim.external_camera import Lens, Scene, Studio
+from slipguard.sim.external_camera import ExternalCameraRenderer, LensModel, MarkerScene
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World
 from slipguard.tools.parallel import Workers
 
 SEED = 3
-LENS = Lens(640, 480, 560.0, (322.0, 238.0))
+LENS = LensModel(640, 480, 560.0, (322.0, 238.0))
 RECORDING = "001-spanner-1.mcap"
 
 
@@ -58,10 +58,10 @@ class Eye:
             self.task = asyncio.get_running_loop().create_task(self.film(taker))
 
     async def film(self, taker: Callable[[NDArray[np.uint8]], None]) -> None:
-        studio = Studio(self.look, 1)
+        studio = ExternalCameraRenderer(self.look, 1)
         while True:
             truth = self.world.truth(asyncio.get_running_loop().time())
-            taker(studio.draw(Scene(truth.rotation_deg, truth.height_mm, truth.slide_mm)))
+            taker(studio.draw(MarkerScene(truth.rotation_deg, truth.height_mm, truth.slip_mm)))
             await asyncio.sleep(1 / 30)
 
 
@@ -90,7 +90,7 @@ class Bench:
         return self.lets_go
 
     async def run(self, camera: Eye | None = None, height_mm: float = 12.0) -> None:
-        plan = Protocol.model_validate(
+        plan = LiftProtocol.model_validate(
             {
                 "objects": [{"name": "spanner"}],
                 "repeats": 1,
@@ -297,4 +297,4 @@ def test_the_command_refuses_guard_mode_and_a_running_daemon_in_one_line(
 
 def test_no_camera_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SlipguardError, match="gives no picture"):
-        Camera(str(tmp_path / "none.avi"), intrinsics_of(LENS))
+        ExternalCamera(str(tmp_path / "none.avi"), intrinsics_of(LENS))

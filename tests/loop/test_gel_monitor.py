@@ -21,7 +21,7 @@ from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import Frame, GripperState
 from slipguard.perception.estimate import Estimate
-from slipguard.sim.background import backdrop
+from slipguard.sim.background import background_image
 from slipguard.sim.unit import random_unit
 
 NOISE_BGR = (2.0, 2.0, 2.0)
@@ -29,7 +29,7 @@ OPEN = GripperState(True, False, False, False, 80.0, 0.0, None, 0.0)
 
 
 def gel() -> np.ndarray:
-    return np.clip(backdrop(random_unit(np.random.default_rng(3))), 20, 220)
+    return np.clip(background_image(random_unit(np.random.default_rng(3))), 20, 220)
 
 
 def cut(picture: np.ndarray) -> np.ndarray:

@@ -140,7 +140,7 @@ def test_a_force_counts_as_taken_once_the_gripper_says_so(tmp_path: Path) -> Non
         untaken = await noted(shelf)
         assert untaken.force_n == pytest.approx(120.0, abs=0.85)
         assert not untaken.taken
-        cell.world.faults.mend("gripper")
+        cell.world.faults.repair("gripper")
         await cell.until(lambda: cell.truth.force_n > 115.0)
         await asyncio.sleep(0.3)
         assert (await noted(shelf)).taken
@@ -172,7 +172,7 @@ def test_a_latched_fault_is_noted_until_it_is_cleared(tmp_path: Path) -> None:
         assert law.remembered == grip, "as it was when the gripper was last heard"
         old = remembered(shelf, datetime.now(UTC) + timedelta(days=3)).law
         assert (old.phase, old.fault, old.remembered) == (Phase.FAULT, law.fault, None)
-        cell.world.faults.mend("gripper")
+        cell.world.faults.repair("gripper")
         await cell.ready()
         await cell.controls.clear()
         await cell.until(cell.steady)
@@ -257,7 +257,7 @@ def test_a_stop_for_a_person_is_remembered_until_the_arm_is_heard(tmp_path: Path
         cell.world.faults.fail("arm", "protective_stop")
         await asyncio.sleep(0.3)
         assert remembered(shelf).law.person_near
-        cell.world.faults.mend("arm")
+        cell.world.faults.repair("arm")
         await asyncio.sleep(0.3)
         assert not remembered(shelf).law.person_near
 

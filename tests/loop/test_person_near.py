@@ -30,7 +30,7 @@ def test_jaws_on_their_way_stand_and_close_only_when_asked_again(stop: str, lost
         await asyncio.sleep(3.0)
         assert cell.width_mm == width_mm
         assert [what for _, what, _ in cell.gripper.told] == ["hold", *["halt"] * (1 + lost)]
-        cell.world.faults.mend("arm", stop)
+        cell.world.faults.repair("arm", stop)
         await asyncio.sleep(0.3)
         await cell.controls.clear()
         await asyncio.sleep(0.5)
@@ -55,7 +55,7 @@ def test_a_force_that_rises_stays_where_it_is_until_the_stop_is_over(stop: str) 
         assert halted_n < 110.0
         await asyncio.sleep(2.0)
         assert cell.truth.force_n == halted_n
-        cell.world.faults.mend("arm", stop)
+        cell.world.faults.repair("arm", stop)
         await cell.until(lambda: cell.truth.force_n > 110.0)
         await cell.until(lambda: cell.service.gripper.newest is not None and not cell.service.gripper.newest.moving)
         await cell.controls.clear()
@@ -113,7 +113,7 @@ def test_a_release_that_is_stuck_is_not_followed_by_a_tightening() -> None:
         cell.world.faults.fail("gripper", "timeout")
         await cell.controls.release()
         await asyncio.sleep(2.2)
-        cell.world.faults.mend("gripper")
+        cell.world.faults.repair("gripper")
         await asyncio.sleep(0.3)
         assert cell.phase is Phase.FAULT
         cell.watched = False  # it may fall: nobody holds it any more

@@ -121,7 +121,7 @@ def test_a_command_given_while_the_arm_is_away_is_not_obeyed_when_it_returns() -
         await cell.controls.lift()  # the arm is there, and does not answer
         cell.world.faults.fail("arm", "disconnect")
         await asyncio.sleep(3.0)
-        cell.world.faults.mend("arm")
+        cell.world.faults.repair("arm")
         await cell.until(lambda: not cell.service.waiting_for)
         await asyncio.sleep(2.0)
         assert cell.truth.height_mm == 0.0

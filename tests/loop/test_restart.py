@@ -11,7 +11,7 @@ from slipguard.control.fault import FaultCode
 from slipguard.control.state import Phase
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.errors import CommandRefused
-from tests.campaigns.faults.rig import Rig
+from tests.campaigns.faults.rig import CampaignCell
 
 DEAD_S = 0.5
 ASKED_N = 130.0
@@ -24,12 +24,12 @@ async def until(reached: Callable[[], bool], within_s: float = 10.0) -> None:
         await asyncio.sleep(0.01)
 
 
-def play(scene: Callable[[Rig], Awaitable[None]], guard: dict[str, object] | None = None) -> list[str]:
+def play(scene: Callable[[CampaignCell], Awaitable[None]], guard: dict[str, object] | None = None) -> list[str]:
     """A scene that begins with an object gripped; returns the log."""
     lines: list[str] = []
 
     async def main() -> None:
-        rig = Rig("wrench", 3, guard or {}, lines.append)
+        rig = CampaignCell("wrench", 3, guard or {}, lines.append)
         rig.place()
         rig.start()
         await until(lambda: not rig.service.waiting_for)
@@ -47,7 +47,7 @@ def play(scene: Callable[[Rig], Awaitable[None]], guard: dict[str, object] | Non
 
 @pytest.mark.parametrize("arrived", [False, True])
 def test_a_force_on_its_way_when_the_daemon_was_killed_is_applied_after_all(arrived: bool) -> None:
-    async def scene(rig: Rig) -> None:
+    async def scene(rig: CampaignCell) -> None:
         if not arrived:
             rig.world.faults.fail("gripper", "timeout")
         await rig.controls.gripper(None, ASKED_N)
@@ -55,7 +55,7 @@ def test_a_force_on_its_way_when_the_daemon_was_killed_is_applied_after_all(arri
         await rig.kill()
         await asyncio.sleep(DEAD_S)
         assert (rig.truth.force_n > 100.0) is arrived
-        rig.world.faults.mend("gripper")
+        rig.world.faults.repair("gripper")
         rig.start()
         await until(lambda: rig.service.firm)
         await asyncio.sleep(0.5)
@@ -69,13 +69,13 @@ def test_a_force_on_its_way_when_the_daemon_was_killed_is_applied_after_all(arri
 
 
 def test_a_latched_fault_outlives_the_daemon() -> None:
-    async def scene(rig: Rig) -> None:
+    async def scene(rig: CampaignCell) -> None:
         rig.world.faults.fail("gripper", "fault")
         await until(lambda: rig.service.phase is Phase.FAULT)
         fault = rig.service.state.fault
         await asyncio.sleep(0.2)
         await rig.kill()
-        rig.world.faults.mend("gripper")
+        rig.world.faults.repair("gripper")
         await asyncio.sleep(DEAD_S)
         rig.start()
         await until(lambda: rig.service.state.gripped)
@@ -99,7 +99,7 @@ def test_a_latched_fault_outlives_the_daemon() -> None:
     [(("left", "right"), FaultCode.FRAMES_LOST), (("gripper",), FaultCode.GRIPPER_SILENT)],
 )
 def test_what_does_not_come_back_with_the_daemon_stops_the_arm(gone: tuple[str, ...], code: FaultCode) -> None:
-    async def scene(rig: Rig) -> None:
+    async def scene(rig: CampaignCell) -> None:
         await rig.kill()
         await asyncio.sleep(DEAD_S)
         for device in gone:
@@ -114,7 +114,7 @@ def test_what_does_not_come_back_with_the_daemon_stops_the_arm(gone: tuple[str, 
         await asyncio.sleep(0.3)
         assert not rig.world.arm_state(rig.now_s).moving
         for device in gone:
-            rig.world.faults.mend(device)
+            rig.world.faults.repair(device)
         await until(lambda: not rig.service.waiting_for)
         await asyncio.sleep(0.5)
         assert rig.service.phase is Phase.FAULT

@@ -27,7 +27,7 @@ def test_a_device_missing_at_the_start_is_waited_for_by_name(device: str) -> Non
         assert line.startswith(f"{device}: no ")
         with pytest.raises(CommandRefused, match=f"cannot grasp: not ready: {device}: (?!{device}: )"):
             await cell.controls.grasp()
-        cell.world.faults.mend(device)
+        cell.world.faults.repair(device)
         await cell.until(lambda: not cell.service.waiting_for, 5.1)  # ten times the first pause is the longest
         await cell.grasp()
         assert cell.phase is Phase.HOLDING
@@ -113,7 +113,7 @@ def test_a_restart_takes_over_what_is_held_and_guards_on(first: str) -> None:
         async with running(new):
             await asyncio.sleep(1.0)
             for device in DEVICES:
-                world.faults.mend(device)
+                world.faults.repair(device)
                 await asyncio.sleep(0.3)
             await new.until(new.steady)
             assert new.service.state.referenced

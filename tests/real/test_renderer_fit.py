@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slipguard.sim.unit import Unit
+from slipguard.sim.unit import SensorUnit
 from tests.campaigns.fit_renderer import BALL_RADIUS_MM, correlation, drawn_difference, refined_pose
 from tests.campaigns.real_presses import read_presses
 
@@ -18,7 +18,7 @@ FITTED_PRESSES = 15
 def test_drawn_presses_look_like_held_out_real_ones(real_data: Path) -> None:
     presses = read_presses(real_data / "taxim_sphere")[FITTED_PRESSES:]
     assert len(presses) == 15
-    unit = Unit.default()
+    unit = SensorUnit.default()
     values = []
     for press in presses:
         pose = refined_pose(unit, BALL_RADIUS_MM, press, rounds=6)
@@ -30,7 +30,7 @@ def test_drawn_presses_look_like_held_out_real_ones(real_data: Path) -> None:
 @pytest.mark.real
 def test_exchanging_red_and_blue_is_seen_in_the_figure(real_data: Path) -> None:
     presses = read_presses(real_data / "taxim_sphere")[FITTED_PRESSES::5]
-    unit = Unit.default()
+    unit = SensorUnit.default()
     for press in presses:
         pose = refined_pose(unit, BALL_RADIUS_MM, press, rounds=6)
         drawn = drawn_difference(unit, BALL_RADIUS_MM, press, pose)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.errors import DeviceLost, DeviceTimeout
-from slipguard.sim.encoded_view import told
+from slipguard.sim.encoded_view import encode_view
 from slipguard.sim.view import GelView
 from slipguard_drivers.child_process import PACKET_BYTES, ChildProcess
 from slipguard_drivers.digit.frame_stream import SHAPE
@@ -97,7 +97,7 @@ class EncodingRenderer:
     def render(self, shot: RenderRequest, done: Callable[[Image], None]) -> bool:
         """Write before returning."""
         self._count += 1
-        done(told(shot.view, shot.light_drift_bgr, self._count))
+        done(encode_view(shot.view, shot.light_drift_bgr, self._count))
         return True
 
     def stop(self) -> None:

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.sim.gel import GelCamera
-from slipguard.sim.height_map import relief_of
-from slipguard.sim.unit import Light, random_unit
+from slipguard.sim.height_map import height_raster_of
+from slipguard.sim.unit import LightChange, random_unit
 from slipguard.sim.view import GelView
 from slipguard_drivers.child_process import PACKET_BYTES
 
@@ -47,8 +47,8 @@ class GelRenderer:
             self._camera.reseed(shot.noise_seed)
             self._noise_seed = shot.noise_seed
         if shot.view.object_name:
-            relief_of(shot.view.object_name)  # 20-90 ms for a new object: better before it touches the gel
-        self._camera.set_light(Light(offset_bgr=shot.light_drift_bgr))
+            height_raster_of(shot.view.object_name)  # 20-90 ms for a new object: better before it touches the gel
+        self._camera.set_light(LightChange(offset_bgr=shot.light_drift_bgr))
         return self._camera.draw(shot.view)
 
 

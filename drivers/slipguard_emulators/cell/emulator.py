@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from slipguard.devices import DriverContext
 from slipguard.emulator import Event, Report
 from slipguard.errors import CommandRefused, InputError, SlipguardError
-from slipguard.sim.gripper_plant import GripperModel
+from slipguard.sim.gripper_plant import GripperDynamics
 from slipguard.sim.scenario import CameraModel, scenario
 from slipguard.sim.world import World, WorldSettings
 from slipguard_drivers.digit.fake import FakeSensor
@@ -48,7 +48,7 @@ class CellWorld(World):
     """A world whose cameras run at a given rate and whose gripper hears at once: the serial line has its own delays."""
 
     def __init__(self, seed: int, fps: float) -> None:
-        super().__init__(WorldSettings(gripper=GripperModel(transaction_s=0.0)), seed)
+        super().__init__(WorldSettings(gripper=GripperDynamics(transaction_s=0.0)), seed)
         self._fps = fps
 
     def camera(self, finger: str) -> CameraModel:
@@ -190,7 +190,7 @@ class CellEmulator(ControlledEmulator):
         """End one fault, or all. Raises CommandRefused."""
         if name is None:
             for part in FINGERS:
-                self.world.faults.mend(part)
+                self.world.faults.repair(part)
                 self.cameras[part].plug()
             self.gripper.clear_fault()
             self.arm.clear_fault()
@@ -200,7 +200,7 @@ class CellEmulator(ControlledEmulator):
         if part not in FINGERS:
             (self.gripper if part == "gripper" else self.arm).clear_fault(kind)
             return
-        self.world.faults.mend(part, kind)
+        self.world.faults.repair(part, kind)
         if kind == "disconnect":
             self.cameras[part].plug()
 

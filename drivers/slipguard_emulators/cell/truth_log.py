@@ -7,21 +7,21 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from slipguard.sim.world import Truth, World
+from slipguard.sim.world import World, WorldTruth
 
 STEP_S = 0.01
 QUIET_S = 1.0
 """While nothing changes, a line comes this often."""
 
 
-def line_of(truth: Truth) -> dict[str, object]:
+def line_of(truth: WorldTruth) -> dict[str, object]:
     """One line. Angles are degrees in the left picture, forces newtons per finger; t is CLOCK_MONOTONIC."""
     return {
         "t": round(truth.time_s, 4),
         "object": truth.object_name,
         "rotation": round(truth.rotation_deg, 3),
         "slip": round(truth.slip_deg, 3),
-        "slide_mm": round(truth.slide_mm, 3),
+        "slide_mm": round(truth.slip_mm, 3),
         "force": round(truth.force_n, 2),
         "needed": round(truth.needed_force_n, 2),
         "height": round(truth.height_mm, 2),

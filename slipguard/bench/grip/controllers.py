@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from slipguard.control.guard import Guard, tick
 from slipguard.control.messages import ArmLift, Command, RequestKind, Seen
 from slipguard.control.params import GuardParams
-from slipguard.sim.world import Truth
+from slipguard.sim.world import WorldTruth
 
 STEP = 1.10
 STEP_ABOVE_DEG = 5.0
@@ -27,7 +27,7 @@ class Law:
     params: GuardParams
     guard: Guard = field(default_factory=Guard)
 
-    def exposed(self, truth: Truth) -> None:
+    def exposed(self, truth: WorldTruth) -> None:
         """Does not look."""
 
     def decide(self, seen: Seen) -> Command:
@@ -48,7 +48,7 @@ class Nobody:
     still_deg: float = 0.0
     still_s: float = 0.0
 
-    def exposed(self, truth: Truth) -> None:
+    def exposed(self, truth: WorldTruth) -> None:
         """Does not look."""
 
     def decide(self, seen: Seen) -> Command:
@@ -111,7 +111,7 @@ class Oracle(Nobody):
     known_s: float | None = None
     wanted_n: float = 0.0
 
-    def exposed(self, truth: Truth) -> None:
+    def exposed(self, truth: WorldTruth) -> None:
         if self.known_s is None and abs(truth.slip_deg) > ORACLE_ABOVE_DEG:
             self.known_s = truth.time_s + self.latency_s
             self.wanted_n = min(ORACLE_TIMES * truth.needed_force_n / self.gain, self.force_max_n)

@@ -11,7 +11,7 @@ from slipguard.bench.grip.modeled_perception import SightError
 from slipguard.bench.grip.rendered_perception import segmenter
 from slipguard.bench.grip.trials import TEST_OBJECTS
 from slipguard.bench.run import FULL_GRASPS, SEED
-from slipguard.datasets.rendered_grasps import sequence
+from slipguard.datasets.rendered_grasps import render_grasp
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
 
@@ -29,7 +29,7 @@ def fitted(object_name: str, grasps: int = FULL_GRASPS) -> SightError:
     slopes, offsets, noises, sigmas = [], [], [], []
     asked = declined = 0
     for k in range(grasps):
-        grasp = sequence(object_name, SEED + k)
+        grasp = render_grasp(object_name, SEED + k)
         pipeline = Pipeline(segmenter(), PerceptionSettings(), grasp.background, grasp.noise_bgr, grasp.px_per_mm)
         found = [(shot, pipeline.process(shot.frame)) for shot in grasp.shots]
         compared = [(shot, estimate) for shot, estimate in found if shot.compared]

@@ -19,7 +19,7 @@ from slipguard.control.messages import ArmLift, Command, Condition, FingerHealth
 from slipguard.daemon.loop.service import STALE_S
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.view import GelView
-from slipguard.sim.world import Truth, World
+from slipguard.sim.world import World, WorldTruth
 
 TICK_S = 0.01
 FINGERS = ("left", "right")
@@ -39,7 +39,7 @@ class Sight(Protocol):
 class Controller(Protocol):
     """Decides from what is seen. `exposed` is for those that know the truth: called at each exposure."""
 
-    def exposed(self, truth: Truth) -> None: ...
+    def exposed(self, truth: WorldTruth) -> None: ...
 
     def decide(self, seen: Seen) -> Command: ...
 
@@ -55,11 +55,11 @@ class Trace:
     force_n: list[float] = field(default_factory=list)
     target_n: list[float] = field(default_factory=list)
 
-    def add(self, truth: Truth) -> None:
+    def add(self, truth: WorldTruth) -> None:
         self.time_s.append(truth.time_s)
         self.rotation_deg.append(truth.rotation_deg)
         self.slip_deg.append(truth.slip_deg)
-        self.sliding.append(truth.slipping and abs(truth.slide_rate_mm_s) > SLIDES_MM_S)
+        self.sliding.append(truth.slipping and abs(truth.slip_rate_mm_s) > SLIDES_MM_S)
         self.force_n.append(truth.force_n)
         self.target_n.append(truth.applied_n)
 
@@ -123,7 +123,7 @@ class Loop:
         self._order += 1
         heapq.heappush(self._events, (max(when_s, self.now_s), self._order, action))
 
-    def truth(self) -> Truth:
+    def truth(self) -> WorldTruth:
         """What really happens now."""
         return self.world.truth(self.now_s)
 

@@ -12,8 +12,8 @@ from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel import GelCamera
-from slipguard.sim.scenario import Delivery
-from slipguard.sim.unit import Light, random_unit
+from slipguard.sim.scenario import FrameDelivery
+from slipguard.sim.unit import LightChange, random_unit
 from slipguard.sim.view import GelView
 
 LIGHT_LEVELS_S = 0.3
@@ -26,7 +26,7 @@ class RenderedSight:
     unit_seed: which sensor unit. The drawing takes place at the moment of exposure, the answer is the pipeline's own.
     """
 
-    def __init__(self, unit_seed: int, delivery: Delivery) -> None:
+    def __init__(self, unit_seed: int, delivery: FrameDelivery) -> None:
         unit = random_unit(np.random.default_rng(unit_seed))
         self._camera = GelCamera(unit, seed=delivery.noise_seed)
         self._delivery = delivery
@@ -45,7 +45,7 @@ class RenderedSight:
             self._began_s = captured_at_s
         levels = LIGHT_LEVELS_S * (captured_at_s - self._began_s)
         b, g, r = self._delivery.light_drift_bgr
-        self._camera.set_light(Light(offset_bgr=(b + levels, g + levels, r + levels)))
+        self._camera.set_light(LightChange(offset_bgr=(b + levels, g + levels, r + levels)))
         return self._pipeline.process(Frame(self._camera.draw(view), captured_at_s, sequence))
 
 

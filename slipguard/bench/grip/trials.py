@@ -14,10 +14,10 @@ import numpy as np
 
 from slipguard.control.force_limits import budget
 from slipguard.control.params import GuardParams
-from slipguard.sim.friction import Gel, needed_force_n
-from slipguard.sim.gripper_plant import GripperModel
+from slipguard.sim.friction import SoftPad, needed_force_n
+from slipguard.sim.gripper_plant import GripperDynamics
 from slipguard.sim.objects import SimObject, get
-from slipguard.sim.scenario import Delivery, Scenario
+from slipguard.sim.scenario import FrameDelivery, Scenario
 
 TEST_OBJECTS = ("bar", "wedge", "wrench", "knife_edge", "key", "screwdriver", "cap", "ball", "hook")
 """All test objects whose turn can be seen; the ring has neither axis nor texture and is gripped blindly."""
@@ -89,7 +89,7 @@ def needed_range_n(block: Block, gain: float) -> tuple[float, float]:
     """Between which true forces per finger a trial's need lies, with a gripper of this gain."""
     if block == "matrix":
         return NEEDED_MIN_N, NEEDED_MAX_SHARE * budget_n(block)
-    model = GripperModel()
+    model = GripperDynamics()
     within = budget(budget_n(block), (model.force_min_n, model.force_max_n))
     assert within is not None, "a budget below the gripper's weakest grip"
     low, high = TIGHT_SHARES
@@ -142,10 +142,10 @@ def draw(
     friction = float(rng.uniform(*FRICTION))
     viscous = float(rng.uniform(0.005, 0.02))
     torsion = float(np.exp(rng.uniform(np.log(0.1), np.log(0.5))))
-    gel = Gel(torsion_n_m_rad=50.0, relaxation_s=0.005, viscous_n_m_s=viscous)
+    gel = SoftPad(torsion_n_m_rad=50.0, relaxation_s=0.005, viscous_n_m_s=viscous)
     if soft:
         relaxation_s = float(rng.uniform(0.01, 0.03))
-        gel = Gel(torsion_n_m_rad=torsion, stiffening=3.0, relaxation_s=relaxation_s, viscous_n_m_s=viscous)
+        gel = SoftPad(torsion_n_m_rad=torsion, stiffening=3.0, relaxation_s=relaxation_s, viscous_n_m_s=viscous)
     gripper = _gripper(rng, latency_s)
     lowest_n, highest_n = needed_range_n(block, gripper.gain)
     wanted_n = float(rng.uniform(lowest_n, highest_n))
@@ -173,7 +173,7 @@ def draw(
     )
 
 
-def scaled(item: SimObject, needed_n: float, friction: float, gel: Gel) -> SimObject:
+def scaled(item: SimObject, needed_n: float, friction: float, gel: SoftPad) -> SimObject:
     """The object with another friction and a mass (and inertia) that makes it need this force; to 1e-9.
 
     A lever so short that the load alone needs the force would only slide: it is kept, the mass decides.
@@ -192,11 +192,11 @@ def scaled(item: SimObject, needed_n: float, friction: float, gel: Gel) -> SimOb
     return of(high)
 
 
-def _gripper(rng: np.random.Generator, latency_s: float) -> GripperModel:
+def _gripper(rng: np.random.Generator, latency_s: float) -> GripperDynamics:
     """A gripper that takes its share of the latency: two transactions, then the motor's dead time."""
     rest_s = (1.0 - CAMERA_SHARE) * (latency_s - PERCEIVING_S)
     transaction_s = min(TRANSACTION_MAX_S, rest_s / 4.0)
-    return GripperModel(
+    return GripperDynamics(
         transaction_s=transaction_s,
         dead_time_s=rest_s - 2.0 * transaction_s,
         ramp_n_s=float(np.exp(rng.uniform(np.log(64.0), np.log(480.0)))),
@@ -204,10 +204,10 @@ def _gripper(rng: np.random.Generator, latency_s: float) -> GripperModel:
     )
 
 
-def _delivery(rng: np.random.Generator, fps: float, latency_s: float) -> Delivery:
+def _delivery(rng: np.random.Generator, fps: float, latency_s: float) -> FrameDelivery:
     """A camera that takes its share of the latency, in a light that is not quite that of the no-contact image."""
     drift = rng.uniform(-5.0, 5.0, 3)
-    return Delivery(
+    return FrameDelivery(
         fps=fps,
         latency_s=CAMERA_SHARE * (latency_s - PERCEIVING_S),
         jitter_s=float(rng.uniform(0.001, 0.003)),

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.datasets.mask_scores import dice, iou
-from slipguard.datasets.rendered_grasps import sequence
+from slipguard.datasets.rendered_grasps import render_grasp
 from slipguard.errors import SlipguardError
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.sim import objects
@@ -110,7 +110,7 @@ class _Tally:
 
 
 def _grasp(which: tuple[str, int]) -> list[Known]:
-    shown = sequence(*which, with_masks=True)
+    shown = render_grasp(*which, with_masks=True)
     return [
         Known(shot.frame.image, shown.background, np.asarray(shot.mask > 0))
         for shot in shown.shots[::EVERY]

@@ -10,7 +10,7 @@ import structlog
 
 from slipguard.tools.parallel import Workers, each
 from tests.campaigns.faults.kinds import KINDS
-from tests.campaigns.faults.trial import Outcome, trial
+from tests.campaigns.faults.trial import TrialResult, trial
 
 
 @dataclass(slots=True)
@@ -47,9 +47,9 @@ class Campaign:
     crashes: int = 0
     leaked_tasks: int = 0
     kinds: dict[str, KindTally] = field(default_factory=lambda: {name: KindTally() for name in KINDS})
-    failures: list[Outcome] = field(default_factory=list)
+    failures: list[TrialResult] = field(default_factory=list)
 
-    def count(self, outcome: Outcome) -> None:
+    def count(self, outcome: TrialResult) -> None:
         """One run more."""
         self.runs += 1
         self.drops += outcome.dropped is not None
@@ -96,7 +96,7 @@ def campaign(
     return found
 
 
-def quiet_trial(seed: int) -> Outcome:
+def quiet_trial(seed: int) -> TrialResult:
     """One run whose log is looked at, not printed."""
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
     try:

@@ -10,13 +10,13 @@ from slipguard.bench.grip.modeled_perception import ModelSight, SightError
 from slipguard.devices import Frame
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.quality.image_quality import UNLIKE
-from slipguard.sim.encoded_view import read
+from slipguard.sim.encoded_view import decode_view
 
 BRIGHT_LEVELS = 30.0
 """Beyond this change of light the pipeline calls a picture unlike the no-contact image."""
 
 
-class ToldSight:
+class EncodedImagePerception:
     """error: how the object is seen. mirrored: a turn is told the wrong way round, as by swapped pictures."""
 
     def __init__(self, error: SightError, rng: np.random.Generator) -> None:
@@ -33,7 +33,7 @@ class ToldSight:
 
     def process(self, frame: Frame) -> Estimate:
         """What the pipeline might say of a frame."""
-        view, light = read(frame.image)
+        view, light = decode_view(frame.image)
         answer = self._sight.look(view, frame.captured_at_s, frame.sequence)
         if max(abs(level) for level in light) > BRIGHT_LEVELS:
             plain = replace(answer, angle_deg=None, sigma_deg=None, rate_deg_s=None, shift_mm=None)

@@ -46,7 +46,7 @@ _ARM_WORDS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class FaultKind:
     """One way to fail. device: of the simulated world's fault board, or `loop`, `daemon`, `object`."""
 
     device: str
@@ -64,17 +64,17 @@ class Kind:
         return bool(self.words.pattern)
 
 
-def _kinds() -> dict[str, Kind]:
+def _kinds() -> dict[str, FaultKind]:
     found = []
     for finger in ("left", "right"):
         for fault, words in _CAMERA_WORDS.items():
             both = fault == "mirrored"
-            found.append(Kind(finger, fault, re.compile(words if both or not words else f"{finger}.*({words})")))
-    found += [Kind("gripper", fault, re.compile(f"gripper.*({words})")) for fault, words in _GRIPPER_WORDS.items()]
-    found += [Kind("arm", fault, re.compile(f"arm.*({words})")) for fault, words in _ARM_WORDS.items()]
-    found.append(Kind("loop", "late", re.compile("nothing was decided for")))
-    found.append(Kind("daemon", "killed", re.compile("is held with|taken over")))
-    found.append(Kind("object", "taken", re.compile("object lost|closed on nothing")))
+            found.append(FaultKind(finger, fault, re.compile(words if both or not words else f"{finger}.*({words})")))
+    found += [FaultKind("gripper", fault, re.compile(f"gripper.*({words})")) for fault, words in _GRIPPER_WORDS.items()]
+    found += [FaultKind("arm", fault, re.compile(f"arm.*({words})")) for fault, words in _ARM_WORDS.items()]
+    found.append(FaultKind("loop", "late", re.compile("nothing was decided for")))
+    found.append(FaultKind("daemon", "killed", re.compile("is held with|taken over")))
+    found.append(FaultKind("object", "taken", re.compile("object lost|closed on nothing")))
     return {kind.name: kind for kind in found}
 
 
@@ -84,13 +84,13 @@ MOMENTS = frozenset({"loop.late", "daemon.killed", "object.taken"})
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class PlannedFault:
     """One fault of one run. at_s: from the run's start; for_s: infinite if it is never mended.
 
     Of a late loop and a killed daemon for_s is how long nothing runs.
     """
 
-    kind: Kind
+    kind: FaultKind
     at_s: float
     for_s: float
 
@@ -104,7 +104,7 @@ class Plan:
         return f"{self.kind.name} at {self.at_s:.2f} s{ends}"
 
 
-def draw(rng: np.random.Generator, seed: int) -> tuple[Plan, ...]:
+def draw(rng: np.random.Generator, seed: int) -> tuple[PlannedFault, ...]:
     """One to three different faults, at random times; the first goes through all kinds as the seed does."""
     names = list(KINDS)
     count = int(rng.integers(1, 4))
@@ -113,11 +113,11 @@ def draw(rng: np.random.Generator, seed: int) -> tuple[Plan, ...]:
     return tuple(_plan(KINDS[name], rng) for name in chosen)
 
 
-def _plan(kind: Kind, rng: np.random.Generator) -> Plan:
+def _plan(kind: FaultKind, rng: np.random.Generator) -> PlannedFault:
     at_s = float(rng.uniform(0.2, LAST_S))
     if kind.device == "loop":
-        return Plan(kind, at_s, float(rng.uniform(0.55, 1.5)))
+        return PlannedFault(kind, at_s, float(rng.uniform(0.55, 1.5)))
     if kind.device == "daemon":
-        return Plan(kind, at_s, float(rng.uniform(0.2, 2.0)))
+        return PlannedFault(kind, at_s, float(rng.uniform(0.2, 2.0)))
     ever = rng.random() < FOR_EVER or kind.name in MOMENTS
-    return Plan(kind, at_s, float("inf") if ever else float(rng.uniform(0.3, 3.0)))
+    return PlannedFault(kind, at_s, float("inf") if ever else float(rng.uniform(0.3, 3.0)))

@@ -16,8 +16,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from slipguard.control.state import AT_STAKE, MOVING, Phase
-from tests.campaigns.faults.kinds import RANKS, Plan
-from tests.campaigns.faults.rig import Rig
+from tests.campaigns.faults.kinds import RANKS, PlannedFault
+from tests.campaigns.faults.rig import CampaignCell
 
 WITHIN_S = 0.5
 TELLING_DEG = 2.0
@@ -36,10 +36,10 @@ class Standing:
 
 
 @dataclass(slots=True)
-class Watched:
+class WatchedFault:
     """One fault from its beginning on. seen_s: how long it could be seen so far."""
 
-    plan: Plan
+    plan: PlannedFault
     began_s: float
     seen_s: float = 0.0
     named_after_s: float | None = None
@@ -65,13 +65,13 @@ class Watched:
         if kind.needs_a_name and self.named_after_s is None and kind.words.search(line):
             self.named_after_s = self.seen_s
 
-    def look(self, rig: Rig, passed_s: float) -> None:
+    def look(self, rig: CampaignCell, passed_s: float) -> None:
         """`passed_s` more have passed."""
         if self.active and self.named_after_s is None and rig.alive and can_be_seen(self, rig):
             self.seen_s += passed_s
 
 
-def can_be_seen(watched: Watched, rig: Rig) -> bool:
+def can_be_seen(watched: WatchedFault, rig: CampaignCell) -> bool:
     """Whether a daemon that looks well could see it now."""
     kind, service = watched.plan.kind, rig.service
     if kind.device in ("left", "right"):
@@ -88,7 +88,7 @@ def can_be_seen(watched: Watched, rig: Rig) -> bool:
     return True
 
 
-def _camera(finger: str, fault: str, rig: Rig) -> bool:
+def _camera(finger: str, fault: str, rig: CampaignCell) -> bool:
     if fault == "duplicate" or _hidden(finger, fault, rig):
         return False
     if fault != "disconnect" and rig.service.fingers[finger].health.state == "waiting":
@@ -101,7 +101,7 @@ def _camera(finger: str, fault: str, rig: Rig) -> bool:
     return True
 
 
-def _hidden(device: str, fault: str, rig: Rig) -> bool:
+def _hidden(device: str, fault: str, rig: CampaignCell) -> bool:
     active = set(rig.world.faults.active(device))
     if {"stamps_ahead", "stamps_behind"} <= active and fault.startswith("stamps"):
         return True  # they cancel
@@ -109,7 +109,7 @@ def _hidden(device: str, fault: str, rig: Rig) -> bool:
     return fault in rank and any(graver in active for graver in rank[: rank.index(fault)])
 
 
-def _both_rotated(rig: Rig) -> bool:
+def _both_rotated(rig: CampaignCell) -> bool:
     newest = [finger.newest for finger in rig.service.fingers.values()]
     rotations = [abs(one.estimate.angle_deg or 0.0) for one in newest if one is not None]
     seen = rig.service.seen
@@ -117,7 +117,7 @@ def _both_rotated(rig: Rig) -> bool:
     return both and len(rotations) == 2 and min(rotations) > TELLING_DEG
 
 
-def _stuck(standing: Standing, rig: Rig) -> bool:
+def _stuck(standing: Standing, rig: CampaignCell) -> bool:
     """Told to move, and at one height for `stuck_s`."""
     service = rig.service
     moves = service.phase in MOVING and service.state.slip is None and service.arm.newest is not None
@@ -127,7 +127,7 @@ def _stuck(standing: Standing, rig: Rig) -> bool:
     return rig.now_s - standing.since_s >= rig.params.guard.stuck_s
 
 
-def _camera_shows_nothing(rig: Rig) -> bool:
+def _camera_shows_nothing(rig: CampaignCell) -> bool:
     """One camera at least is well, and none claims a contact that is not there."""
     clear = 0
     for finger in ("left", "right"):
@@ -138,12 +138,12 @@ def _camera_shows_nothing(rig: Rig) -> bool:
     return clear > 0
 
 
-def _jaws_closed(rig: Rig) -> bool:
+def _jaws_closed(rig: CampaignCell) -> bool:
     gripper = rig.service.gripper.newest
     return gripper is not None and rig.service.gripper.health.ready and gripper.closed_on_nothing
 
 
-def holding(rig: Rig) -> bool:
+def holding(rig: CampaignCell) -> bool:
     """The guard holds something, or believes so."""
     phase, state = rig.service.phase, rig.service.state
     return rig.alive and (

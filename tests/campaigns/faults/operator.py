@@ -7,17 +7,17 @@ from collections.abc import Awaitable, Callable
 
 from slipguard.control.state import Phase
 from slipguard.errors import CommandRefused
-from tests.campaigns.faults.rig import Rig
+from tests.campaigns.faults.rig import CampaignCell
 
 LOOKS_S = 0.1
 CLEARS_S = 0.6
 PUTS_DOWN_AFTER_S = 10.5
 
 
-class Person:
+class Operator:
     """asked: the jaws have been asked to open."""
 
-    def __init__(self, rig: Rig, began_s: float) -> None:
+    def __init__(self, rig: CampaignCell, began_s: float) -> None:
         self.asked = False
         self._rig, self._began_s = rig, began_s
         self._grasped = self._lifted = self._lowered = False

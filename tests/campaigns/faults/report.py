@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tests.campaigns.faults.campaign import Campaign, KindTally
-from tests.campaigns.faults.trial import Outcome
+from tests.campaigns.faults.trial import TrialResult
 
 SHOWN = 10
 """Failed runs that are told of; the others by seed."""
@@ -42,7 +42,7 @@ def show(console: Console, found: Campaign) -> None:
         console.print(f"play one again: python -m tests.campaigns faults --runs 1 --seed {found.failures[0].seed}")
 
 
-def why(outcome: Outcome) -> str:
+def why(outcome: TrialResult) -> str:
     """One failed run in one line."""
     what = [
         f"dropped ({outcome.dropped})" if outcome.avoidable else "",
@@ -56,7 +56,7 @@ def why(outcome: Outcome) -> str:
     return f"seed {outcome.seed} ({outcome.object_name}; {plans}): {'; '.join(part for part in what if part)}"
 
 
-def show_run(console: Console, outcome: Outcome) -> None:
+def show_run(console: Console, outcome: TrialResult) -> None:
     """One run, line by line."""
     console.print(f"seed {outcome.seed}: {outcome.object_name}; " + "; ".join(str(plan) for plan in outcome.plans))
     for line in outcome.lines:

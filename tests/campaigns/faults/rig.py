@@ -18,12 +18,12 @@ from slipguard.daemon.store.last_grasp import LastGraspSaver, remembered
 from slipguard.devices import Arm, DriverContext, Gripper, TactileSensor
 from slipguard.registry import load_driver
 from slipguard.sim import objects
-from slipguard.sim.cell import Truth
+from slipguard.sim.cell import WorldTruth
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World, WorldSettings
-from tests.campaigns.faults.fake_perception import ToldSight
+from tests.campaigns.faults.fake_perception import EncodedImagePerception
 from tests.campaigns.faults.memory import MemoryState
-from tests.campaigns.faults.wire import Wire, Wired
+from tests.campaigns.faults.wire import CuttableLink, LinkedDevice
 
 LATENCY_S = 0.006
 """From a frame to its estimate."""
@@ -34,7 +34,7 @@ ROOM_MM = 20.0
 LIFT: dict[str, object] = {"lift_height_mm": 50.0, "lift_speed_mm_s": 80.0, "lower_speed_mm_s": 150.0}
 
 
-class Rig:
+class CampaignCell:
     """One cell and its daemon. heard: called with every line of the log."""
 
     def __init__(self, object_name: str, seed: int, guard: dict[str, object], heard: Callable[[str], None]) -> None:
@@ -48,9 +48,9 @@ class Rig:
         self._config = _config({**LIFT, **guard})
         self._state = MemoryState()
         self._rng = np.random.default_rng([seed, 11])
-        self.sights: dict[str, ToldSight] = {}
+        self.sights: dict[str, EncodedImagePerception] = {}
         self.mirrored: set[str] = set()
-        self._wire = Wire()
+        self._wire = CuttableLink()
         self._task: asyncio.Task[None] | None = None
 
     @property
@@ -69,7 +69,7 @@ class Rig:
         return asyncio.get_running_loop().time()
 
     @property
-    def truth(self) -> Truth:
+    def truth(self) -> WorldTruth:
         """What really happens."""
         return self.world.truth(self.now_s)
 
@@ -79,7 +79,7 @@ class Rig:
 
     def start(self) -> None:
         """Start a daemon that knows what the last one left behind."""
-        self._wire = Wire()
+        self._wire = CuttableLink()
         self.service = self._build(self._wire)
         self.controls = Controls(self.service)
         self._task = asyncio.create_task(self._run(self.service), name="service")
@@ -107,7 +107,7 @@ class Rig:
         except* Exception as group:
             self.crashes += [f"{type(error).__name__}: {error}" for error in group.exceptions]
 
-    def _build(self, wire: Wire) -> Service:
+    def _build(self, wire: CuttableLink) -> Service:
         devices = {name: self._device(name) for name in GROUP_OF}
         self._sensors = {name: devices[name] for name in FINGERS}
         self.sights = {}
@@ -115,9 +115,9 @@ class Rig:
         def told(name: str) -> None:
             self.releases += name == "release"
 
-        def maker(name: str) -> Callable[[str], ToldSight]:
-            def make(serial: str) -> ToldSight:
-                self.sights[name] = ToldSight(self._error, self._rng)
+        def maker(name: str) -> Callable[[str], EncodedImagePerception]:
+            def make(serial: str) -> EncodedImagePerception:
+                self.sights[name] = EncodedImagePerception(self._error, self._rng)
                 self.sights[name].mirrored = name in self.mirrored
                 return self.sights[name]
 
@@ -125,9 +125,9 @@ class Rig:
 
         service = Service(
             self._config,
-            sensors={name: cast(TactileSensor, Wired(devices[name], wire)) for name in FINGERS},
-            gripper=cast(Gripper, Wired(devices["gripper"], wire, told)),
-            arm=cast(Arm, Wired(devices["arm"], wire)),
+            sensors={name: cast(TactileSensor, LinkedDevice(devices[name], wire)) for name in FINGERS},
+            gripper=cast(Gripper, LinkedDevice(devices["gripper"], wire, told)),
+            arm=cast(Arm, LinkedDevice(devices["arm"], wire)),
             make_worker=lambda name: StatedLatencyWorker(LATENCY_S),
             make_pipeline={name: maker(name) for name in FINGERS},
             store=self._state,

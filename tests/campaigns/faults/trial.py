@@ -12,10 +12,10 @@ from slipguard.control.state import Phase
 from slipguard.daemon.loop.virtual_time import VirtualTimeLoop, run_virtual
 from slipguard.sim import objects
 from slipguard.sim.world import World
-from tests.campaigns.faults.kinds import MOMENTS, Plan, draw
-from tests.campaigns.faults.naming import Watched, holding
-from tests.campaigns.faults.operator import Person
-from tests.campaigns.faults.rig import Rig
+from tests.campaigns.faults.kinds import MOMENTS, PlannedFault, draw
+from tests.campaigns.faults.naming import WatchedFault, holding
+from tests.campaigns.faults.operator import Operator
+from tests.campaigns.faults.rig import CampaignCell
 
 TICK_S = 0.01
 RUN_S = 16.0
@@ -34,7 +34,7 @@ HARMLESS = frozenset({"duplicate", "late", "stuck"})
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class TrialResult:
     """What came of one run. named: kind and how long it took to be named; unnamed: which were not, in time.
 
     avoidable: dropped, though holding still would have kept it, or the guard could have. openings: how often the jaws
@@ -44,7 +44,7 @@ class Outcome:
 
     seed: int
     object_name: str
-    plans: tuple[Plan, ...]
+    plans: tuple[PlannedFault, ...]
     dropped: str | None = None
     avoidable: bool = False
     openings: int = 0
@@ -64,11 +64,11 @@ class Outcome:
 
 @dataclass
 class _Trial:
-    rig: Rig
-    person: Person
-    plans: tuple[Plan, ...]
+    rig: CampaignCell
+    person: Operator
+    plans: tuple[PlannedFault, ...]
     began_s: float
-    watched: list[Watched] = field(default_factory=list)
+    watched: list[WatchedFault] = field(default_factory=list)
     before: list[World] = field(default_factory=list)
     """The world as it was when a fault began."""
     openings: int = 0
@@ -91,11 +91,11 @@ class _Trial:
         lasting = any(one.active and one.plan.lasts for one in self.watched)
         return begun and not lasting and self.person.asked and self.rig.alive and self.rig.service.phase is Phase.IDLE
 
-    async def go_wrong(self, plan: Plan) -> None:
+    async def go_wrong(self, plan: PlannedFault) -> None:
         """One fault from beginning to end."""
         rig, kind = self.rig, plan.kind
         await asyncio.sleep(self.began_s + plan.at_s - rig.now_s)
-        watched = Watched(plan, rig.now_s, held=holding(rig))
+        watched = WatchedFault(plan, rig.now_s, held=holding(rig))
         self.watched.append(watched)
         self.before.append(copy.deepcopy(rig.world))
         self._hinder(plan)
@@ -119,7 +119,7 @@ class _Trial:
             self._hinder(plan)
             watched.active = False
 
-    def _switch(self, plan: Plan, *, on: bool) -> None:
+    def _switch(self, plan: PlannedFault, *, on: bool) -> None:
         device, fault = plan.kind.device, plan.kind.fault
         if fault == "mirrored":
             (self.rig.mirrored.add if on else self.rig.mirrored.discard)(device)
@@ -128,9 +128,9 @@ class _Trial:
         elif on:
             self.rig.world.faults.fail(device, fault)
         else:
-            self.rig.world.faults.mend(device, fault)
+            self.rig.world.faults.repair(device, fault)
 
-    def _hinder(self, plan: Plan) -> None:
+    def _hinder(self, plan: PlannedFault) -> None:
         if plan.kind.fault not in HARMLESS or plan.kind.name == "loop.late":
             self.hindered_s = self.rig.now_s
 
@@ -184,13 +184,13 @@ class _Trial:
 def _stays(world: World, until_s: float) -> bool:
     """Whether the object would still be there had the arm been stopped and the grip kept from then on."""
     for device in ("left", "right", "gripper", "arm"):
-        world.faults.mend(device)
+        world.faults.repair(device)
     begun_s = world.truth(0.0).time_s
     world.command_stop(begun_s)
     return world.truth(until_s + AFTER_S).dropped is None
 
 
-def trial(seed: int) -> Outcome:
+def trial(seed: int) -> TrialResult:
     """The run of that seed, always the same."""
     rng = np.random.default_rng([seed, 5])
     names = objects.names("test")
@@ -199,7 +199,7 @@ def trial(seed: int) -> Outcome:
     return run_virtual(_run(seed, object_name, guard, draw(rng, seed)))
 
 
-async def _run(seed: int, object_name: str, guard: dict[str, object], plans: tuple[Plan, ...]) -> Outcome:
+async def _run(seed: int, object_name: str, guard: dict[str, object], plans: tuple[PlannedFault, ...]) -> TrialResult:
     loop, lines = asyncio.get_running_loop(), list[str]()
     began_s = loop.time()
     before = asyncio.all_tasks()
@@ -209,9 +209,9 @@ async def _run(seed: int, object_name: str, guard: dict[str, object], plans: tup
         for watched in run.watched:
             watched.hear(line)
 
-    rig = Rig(object_name, seed, guard, heard)
+    rig = CampaignCell(object_name, seed, guard, heard)
     loop.set_exception_handler(lambda _, context: rig.crashes.append(str(context.get("exception", context["message"]))))
-    run = _Trial(rig, Person(rig, began_s), plans, began_s)
+    run = _Trial(rig, Operator(rig, began_s), plans, began_s)
     rig.place()
     rig.start()
     tasks = [asyncio.create_task(run.person.work(), name="person")]
@@ -229,7 +229,7 @@ async def _run(seed: int, object_name: str, guard: dict[str, object], plans: tup
     await asyncio.sleep(0)
     left = [one.get_name() for one in asyncio.all_tasks() - before if not one.done()]
     asked = 1 if run.person.asked else 0
-    return Outcome(
+    return TrialResult(
         seed,
         object_name,
         plans,

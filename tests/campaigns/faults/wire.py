@@ -9,7 +9,7 @@ from functools import wraps
 from typing import Any
 
 
-class Wire:
+class CuttableLink:
     """cut: the daemon at this end is dead; whatever it still awaits never comes."""
 
     def __init__(self) -> None:
@@ -21,13 +21,13 @@ class Wire:
             await asyncio.Event().wait()
 
 
-class Wired:
+class LinkedDevice:
     """A device at the other end of a wire; has all that the device has.
 
     `close` does nothing once the wire is cut. told: called with the name of each method before it reaches the device.
     """
 
-    def __init__(self, device: Any, wire: Wire, told: Callable[[str], None] = lambda name: None) -> None:
+    def __init__(self, device: Any, wire: CuttableLink, told: Callable[[str], None] = lambda name: None) -> None:
         self._device, self._wire, self._told = device, wire, told
         self._calls: dict[str, Any] = {}
 

@@ -8,7 +8,7 @@ from statistics import median
 
 from slipguard.daemon.loop.service import FINGERS
 from slipguard.daemon.store.state_dir import KEPT
-from tests.campaigns.soak.resources import Pulse
+from tests.campaigns.soak.resources import ResourceSample
 
 WARM_UP_SHARE, END_SHARE = 0.15, 0.2
 """Left out at the beginning; compared: the first and the last fifth of what remains."""
@@ -19,7 +19,7 @@ OTHER_STATE_FILES = 1 + 2 * len(FINGERS) + 1
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class SoakCheck:
     """One figure beside what is allowed: the most, or with at_least the least."""
 
     what: str
@@ -34,7 +34,7 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class StorageLimits:
     """Of the recordings, as configured. One file more than `ring_files` is being written."""
 
     ring_files: int
@@ -43,7 +43,7 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class Work:
+class WorkDone:
     """What was done while it ran. calibrations: the first one, too.
 
     recording_stops, left_out: how often the recorder stopped, for good included, and values it had no room for; None
@@ -74,9 +74,15 @@ def growth(values: Sequence[float]) -> float:
     return after / before - 1.0 if before else 0.0
 
 
-def judge(
-    pulses: Sequence[Pulse], before: Pulse, after: Pulse, limits: Limits, work: Work, missed: int, beats: int
-) -> list[Finding]:
+def check_soak(
+    pulses: Sequence[ResourceSample],
+    before: ResourceSample,
+    after: ResourceSample,
+    limits: StorageLimits,
+    work: WorkDone,
+    missed: int,
+    beats: int,
+) -> list[SoakCheck]:
     """pulses: while the daemon ran. before, after: without the daemon.
 
     missed, beats: deadlines of the loop missed, and how many there were.
@@ -92,34 +98,34 @@ def judge(
     def most(name: str) -> float:
         return max((float(getattr(one, name)) for one in pulses), default=float("nan"))
 
-    done = [Finding("lifts", work.lifts, 1, at_least=True), Finding("dropped", work.dropped, 0)]
+    done = [SoakCheck("lifts", work.lifts, 1, at_least=True), SoakCheck("dropped", work.dropped, 0)]
     if work.recording_stops is not None and work.left_out is not None:
         done += [
-            Finding("megabytes recorded", most("ring_mb") + most("kept_mb"), 0.1, at_least=True),
-            Finding("times the recording stopped", work.recording_stops, 0),
-            Finding("values left out of the recordings", work.left_out, 0),
+            SoakCheck("megabytes recorded", most("ring_mb") + most("kept_mb"), 0.1, at_least=True),
+            SoakCheck("times the recording stopped", work.recording_stops, 0),
+            SoakCheck("values left out of the recordings", work.left_out, 0),
         ]
     if work.pictures is not None and work.connections_lost is not None:
         done += [
-            Finding("pictures on the page", work.pictures, 1, at_least=True),
-            Finding("connections the page lost", work.connections_lost, 0),
+            SoakCheck("pictures on the page", work.pictures, 1, at_least=True),
+            SoakCheck("connections the page lost", work.connections_lost, 0),
         ]
     return [
         *done,
-        Finding("memory growth", growth([one.rss_mb for one in pulses]), GROWTH_MAX),
-        Finding("growth of what Python has allocated, blocks", growth([one.blocks for one in pulses]), GROWTH_MAX),
-        Finding("memory growth of the child processes", growth([one.children_mb for one in pulses]), GROWTH_MAX),
-        Finding("tasks more at the end than after the warm-up", more("tasks"), 0),
-        Finding("threads more", more("threads"), 0),
-        Finding("open files more", more("files"), 0),
-        Finding("child processes more", more("children"), 0),
-        Finding("tasks left when the daemon has ended", after.tasks - before.tasks, 0),
-        Finding("threads left", after.threads - before.threads, 0),
-        Finding("open files left", after.files - before.files, 0),
-        Finding("child processes left", after.children - before.children, 0),
-        Finding("files in the state directory", most("state_files"), work.state_files),
-        Finding("files in the ring", most("ring_files"), limits.ring_files + 1),
-        Finding("megabytes in the ring", most("ring_mb"), limits.ring_mb),
-        Finding("megabytes kept", most("kept_mb"), limits.kept_mb),
-        Finding("deadlines missed, share", missed / max(beats, 1), MISSED_MAX),
+        SoakCheck("memory growth", growth([one.rss_mb for one in pulses]), GROWTH_MAX),
+        SoakCheck("growth of what Python has allocated, blocks", growth([one.blocks for one in pulses]), GROWTH_MAX),
+        SoakCheck("memory growth of the child processes", growth([one.children_mb for one in pulses]), GROWTH_MAX),
+        SoakCheck("tasks more at the end than after the warm-up", more("tasks"), 0),
+        SoakCheck("threads more", more("threads"), 0),
+        SoakCheck("open files more", more("files"), 0),
+        SoakCheck("child processes more", more("children"), 0),
+        SoakCheck("tasks left when the daemon has ended", after.tasks - before.tasks, 0),
+        SoakCheck("threads left", after.threads - before.threads, 0),
+        SoakCheck("open files left", after.files - before.files, 0),
+        SoakCheck("child processes left", after.children - before.children, 0),
+        SoakCheck("files in the state directory", most("state_files"), work.state_files),
+        SoakCheck("files in the ring", most("ring_files"), limits.ring_files + 1),
+        SoakCheck("megabytes in the ring", most("ring_mb"), limits.ring_mb),
+        SoakCheck("megabytes kept", most("kept_mb"), limits.kept_mb),
+        SoakCheck("deadlines missed, share", missed / max(beats, 1), MISSED_MAX),
     ]

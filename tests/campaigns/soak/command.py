@@ -90,17 +90,17 @@ def _endure(
     from rich.console import Console
 
     from slipguard.daemon.loop.virtual_time import run_virtual
-    from tests.campaigns.soak.resources import Pulse
+    from tests.campaigns.soak.resources import ResourceSample
     from tests.campaigns.soak.run import soak as run_soak
-    from tests.campaigns.soak.settings import Settings
+    from tests.campaigns.soak.settings import SoakSettings
 
-    settings = Settings(length_s, virtual, seed=seed, page=page, recording=recording)
+    settings = SoakSettings(length_s, virtual, seed=seed, page=page, recording=recording)
     with ExitStack() as open_things:
         file = open_things.enter_context(pulses.open("w")) if pulses is not None else None
         open_things.enter_context(left_to_the_loop())
         show = open_things.enter_context(progress_bar("soak"))
 
-        def felt(pulse: Pulse, done: str) -> None:
+        def felt(pulse: ResourceSample, done: str) -> None:
             show(done, pulse.at_s / length_s)
             if file is not None:
                 file.write(jsonlib.dumps(asdict(pulse)) + "\n")

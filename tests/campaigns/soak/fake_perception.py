@@ -21,7 +21,7 @@ ALPHA, BETA = 0.5, 0.15
 """Turn and rate gain of the tracker's filter."""
 
 
-class Truthful:
+class WorldTruthPerception:
     """Asks `pipeline` of frames without contact; of others it knows what the world does, within `SIGMA_DEG`.
 
     sign: +1 for the left finger, -1 for the right one, which sees every turn mirrored. now: the loop's time, s.
@@ -61,12 +61,12 @@ class Truthful:
         at_s = frame.captured_at_s
         plain = Estimate(frame.sequence, at_s, at_s, True, AREA_PX, "truth")
         rotation_deg = self._sign * truth.rotation_deg + self._rng.normal(0.0, SIGMA_DEG)
-        slide_mm = truth.slide_mm + self._rng.normal(0.0, NOISE_MM)
+        slip_mm = truth.slip_mm + self._rng.normal(0.0, NOISE_MM)
         self._stable += 1
         if self._reference is None:
             if self._stable < STABLE_FRAMES:
                 return replace(plain, declined="no reference yet")
-            self._reference, self._tracked_s = (rotation_deg, slide_mm), at_s
+            self._reference, self._tracked_s = (rotation_deg, slip_mm), at_s
         self._track(rotation_deg - self._reference[0], at_s)
         return replace(
             plain,
@@ -74,7 +74,7 @@ class Truthful:
             sigma_deg=SIGMA_DEG,
             orientation_deg=0.0,
             rate_deg_s=self._rate_deg_s,
-            shift_mm=(0.0, self._reference[1] - slide_mm),
+            shift_mm=(0.0, self._reference[1] - slip_mm),
         )
 
     def _track(self, rotation_deg: float, at_s: float) -> None:

@@ -17,7 +17,7 @@ MB = 2**20
 
 
 @dataclass(frozen=True, slots=True)
-class Pulse:
+class ResourceSample:
     """rss_mb: of this process; children_mb: of its children together. blocks: memory blocks that Python has allocated.
 
     files: open descriptors. state_files: files in the state directory outside the recordings. ring_*, kept_*: of the
@@ -38,7 +38,7 @@ class Pulse:
     kept_mb: float
 
 
-def give_back() -> None:
+def return_freed_memory() -> None:
     """Give freed memory back to the system: what is resident afterwards is held. Nothing where there is no glibc."""
     with contextlib.suppress(OSError, AttributeError):
         _libc().malloc_trim(0)
@@ -50,11 +50,11 @@ def _libc() -> ctypes.CDLL:
     return ctypes.CDLL("libc.so.6")
 
 
-def feel(at_s: float, state: Path, recordings: Path) -> Pulse:
+def feel(at_s: float, state: Path, recordings: Path) -> ResourceSample:
     """Take the pulse of this process; call it in the event loop's thread."""
     children = child_processes()
     ring, kept = _sizes(recordings / "ring"), _sizes(recordings / "kept")
-    return Pulse(
+    return ResourceSample(
         at_s=at_s,
         rss_mb=_resident_mb("self"),
         children_mb=sum(_resident_mb(str(child)) for child in children),

@@ -32,11 +32,11 @@ from slipguard.recording.recorder import Recorder
 from slipguard.sim.world import World, WorldSettings
 from slipguard.sim_lifts.campaign import CampaignSettings, run_campaign
 from tests.campaigns.soak import checks as verdict
-from tests.campaigns.soak.fake_perception import Truthful
+from tests.campaigns.soak.fake_perception import WorldTruthPerception
 from tests.campaigns.soak.page import PageProcess, look
-from tests.campaigns.soak.resources import Pulse, feel, give_back
-from tests.campaigns.soak.settings import KEPT_MAX_MB, RING_MAX_MB, RING_S, Settings, soak_config
-from tests.campaigns.soak.shift import Shift, place
+from tests.campaigns.soak.resources import ResourceSample, feel, return_freed_memory
+from tests.campaigns.soak.settings import KEPT_MAX_MB, RING_MAX_MB, RING_S, SoakSettings, soak_config
+from tests.campaigns.soak.shift import WorkShift, place_object
 
 STATED_LATENCY_S = 0.006
 WORLD_STEP_S = 2e-3
@@ -58,10 +58,10 @@ class Soak:
     left_out: values that the recorder had no room for.
     """
 
-    settings: Settings
-    findings: list[verdict.Finding] = field(default_factory=list)
+    settings: SoakSettings
+    findings: list[verdict.SoakCheck] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
-    pulses: list[Pulse] = field(default_factory=list)
+    pulses: list[ResourceSample] = field(default_factory=list)
     grown: dict[str, int] = field(default_factory=dict)
     traced_s: float = 0.0
     left_out: int = 0
@@ -73,7 +73,7 @@ class Soak:
         return bool(self.findings) and all(one.good for one in self.findings)
 
 
-async def soak(settings: Settings, tell: Callable[[Pulse, str], None]) -> Soak:
+async def soak(settings: SoakSettings, tell: Callable[[ResourceSample, str], None]) -> Soak:
     """Run it; tell: each look, and what was done so far.
 
     Raises Stuck where the daemon does not get on any more, SlipguardError where it is ended from outside.
@@ -81,24 +81,26 @@ async def soak(settings: Settings, tell: Callable[[Pulse, str], None]) -> Soak:
     found = Soak(settings)
     began_s = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="slipguard-soak-") as folder:
-        run = _Run(settings, soak_config(settings, Path(folder)), found, tell)
+        run = _SoakRun(settings, soak_config(settings, Path(folder)), found, tell)
         before = run.pulse()
         await root.run(run.config, world=run.world, beside=run.day, build=run.build, recorder=run.record)
         if not run.over:
             raise SlipguardError("the soak was ended before its time")
         await asyncio.get_running_loop().shutdown_default_executor()  # idle threads end with the loop, not the daemon
         after = run.pulse()
-    limits = verdict.Limits(round(RING_S / SEGMENT_S), RING_MAX_MB, KEPT_MAX_MB)
+    limits = verdict.StorageLimits(round(RING_S / SEGMENT_S), RING_MAX_MB, KEPT_MAX_MB)
     beats = round(settings.length_s * 1e3 / run.config.loop.period_ms)
-    found.findings = verdict.judge(found.pulses, before, after, limits, run.work(), run.missed, beats)
+    found.findings = verdict.check_soak(found.pulses, before, after, limits, run.work(), run.missed, beats)
     found.took_s = time.monotonic() - began_s
     return found
 
 
-class _Run:
+class _SoakRun:
     """One soak on its way."""
 
-    def __init__(self, settings: Settings, config: Config, found: Soak, tell: Callable[[Pulse, str], None]) -> None:
+    def __init__(
+        self, settings: SoakSettings, config: Config, found: Soak, tell: Callable[[ResourceSample, str], None]
+    ) -> None:
         self.config = config
         self.world = World(WorldSettings(step_s=WORLD_STEP_S), seed=settings.seed)
         self.missed = 0
@@ -107,7 +109,9 @@ class _Run:
         self._settings, self._found, self._tell = settings, found, tell
         self._recorder: Recorder | None = None
         self._began_s = asyncio.get_running_loop().time()
-        place(self.world, "bar", settings.seed, settings.fps, self._began_s)  # the cameras' rate, before they run
+        place_object(
+            self.world, "bar", settings.seed, settings.fps, self._began_s
+        )  # the cameras' rate, before they run
         self.world.clear(self._began_s)
         self._traced: tracemalloc.Snapshot | None = None
         self._page: Counter[str] = Counter()
@@ -120,7 +124,7 @@ class _Run:
         now = asyncio.get_running_loop().time
 
         def around(finger: str, pipeline: Pipeline) -> PerceptionPipeline:
-            return Truthful(pipeline, self.world, 1 if finger == "left" else -1, rng, now)
+            return WorldTruthPerception(pipeline, self.world, 1 if finger == "left" else -1, rng, now)
 
         return root.build_service(
             config, world=world, make_worker=lambda name: StatedLatencyWorker(STATED_LATENCY_S), around=around
@@ -131,17 +135,17 @@ class _Run:
         self._recorder = make_recorder(service, folder)
         return self._recorder
 
-    def pulse(self) -> Pulse:
+    def pulse(self) -> ResourceSample:
         """Now. On the virtual clock garbage is collected before: on the real one the loop would wait for that."""
         if self._settings.virtual:
             gc.collect()
         at_s = asyncio.get_running_loop().time() - self._began_s
         return feel(at_s, StateDir(self.config.state.directory).path, root.recordings_path(self.config))
 
-    def work(self) -> verdict.Work:
+    def work(self) -> verdict.WorkDone:
         """What was done."""
         counts, recorded, pages = self._found.counts, self._settings.recording, self._settings.page
-        return verdict.Work(
+        return verdict.WorkDone(
             lifts=counts.get("lifts", 0),
             dropped=counts.get("dropped", 0),
             calibrations=1 + counts.get("calibrations", 0),
@@ -154,7 +158,7 @@ class _Run:
     async def day(self, service: Service) -> None:
         """Shift work until the time is over; then the daemon is ended as systemd ends it."""
         loop = asyncio.get_running_loop()
-        shift = Shift(service, self.world, self._settings.seed, self._settings.fps)
+        shift = WorkShift(service, self.world, self._settings.seed, self._settings.fps)
         tasks = [asyncio.create_task(one) for one in self._beside(shift)]
         page = PageProcess() if self._settings.page and not self._settings.virtual else None
         try:
@@ -170,7 +174,7 @@ class _Run:
                 number += 1
                 self._trace(at_s)
                 if self._settings.virtual and at_s >= pulse_at_s:
-                    give_back()
+                    return_freed_memory()
                     self._look(shift)
                     pulse_at_s = at_s + self._settings.length_s / PULSES
         finally:
@@ -188,20 +192,20 @@ class _Run:
         os.kill(os.getpid(), signal.SIGTERM)
         await loop.create_future()
 
-    def _look(self, shift: Shift) -> None:
+    def _look(self, shift: WorkShift) -> None:
         self._found.pulses.append(self.pulse())
         self._tell(self._found.pulses[-1], f"{shift.counts['cycles']} cycles")
 
-    async def _look_again(self, shift: Shift) -> None:
+    async def _look_again(self, shift: WorkShift) -> None:
         """On the real clock, whatever is held: a cycle takes most of a minute. Freed memory is given back in a thread,
         for the loop does not wait.
         """
         while True:
-            await asyncio.to_thread(give_back)
+            await asyncio.to_thread(return_freed_memory)
             self._look(shift)
             await asyncio.sleep(self._settings.length_s / PULSES)
 
-    def _beside(self, shift: Shift) -> Iterator[Coroutine[None, None, None]]:
+    def _beside(self, shift: WorkShift) -> Iterator[Coroutine[None, None, None]]:
         """What else goes on in this process."""
         if not self._settings.virtual:
             yield self._look_again(shift)
@@ -211,7 +215,7 @@ class _Run:
             if self._settings.page:
                 yield look(paths.socket_path(self.config), self._page, VIRTUAL_PICTURE_EVERY_S)
 
-    async def _drawn_lifts(self, shift: Shift) -> None:
+    async def _drawn_lifts(self, shift: WorkShift) -> None:
         """Now and then a second daemon in this process: pictures drawn, looked at by the network, one lift, the end."""
         number = 0
         await asyncio.sleep(DRAWN_LIFT_FIRST_S)

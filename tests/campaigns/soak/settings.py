@@ -15,7 +15,7 @@ RING_S, RING_MAX_MB, KEPT_MAX_MB = 600.0, 100, 50
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class SoakSettings:
     """length_s: on the daemon's clock. virtual: that is the virtual one. page: one is open all the time."""
 
     length_s: float
@@ -30,7 +30,7 @@ class Settings:
         return 15.0 if self.virtual else 60.0
 
 
-def soak_config(settings: Settings, folder: Path) -> Config:
+def soak_config(settings: SoakSettings, folder: Path) -> Config:
     """The fakes and every default; the recordings' limits are small enough to be reached."""
     draw = "plain" if settings.virtual else "process"
     raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": draw}} for name in FINGERS}

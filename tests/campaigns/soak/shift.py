@@ -48,14 +48,14 @@ HELD_TROUBLE, IDLE_TROUBLE, CALIBRATION = 0.4, 0.15, 0.05
 """Share of the cycles with a fault while something is held, with a cable out and in later, with a calibration."""
 
 
-def place(world: World, name: str, seed: int, fps: float, now_s: float) -> None:
+def place_object(world: World, name: str, seed: int, fps: float, now_s: float) -> None:
     """Put an object between the jaws; the cameras deliver `fps` frames a second from then on."""
     drawn = scenario(name, seed)
     left, right = (replace(one, fps=fps) for one in (drawn.left, drawn.right))
     world.place(replace(drawn, left=left, right=right), now_s)
 
 
-class Shift:
+class WorkShift:
     """Drives one service on one world. counts: what happened, and how often. calm: no device fails, no long rests."""
 
     def __init__(self, service: Service, world: World, seed: int, fps: float, *, calm: bool = False) -> None:
@@ -84,7 +84,7 @@ class Shift:
         """One object. Raises Stuck where something does not come to its end."""
         service, now = self._service, asyncio.get_running_loop().time
         name = self._objects[number % len(self._objects)]
-        place(self._world, name, self._seed + number, self._fps, now())
+        place_object(self._world, name, self._seed + number, self._fps, now())
         try:
             await self._carry(name)
         except CommandRefused:
@@ -132,7 +132,7 @@ class Shift:
             self._world.faults.fail(device, kind)
         await asyncio.sleep(self._random.uniform(*TROUBLE_S))
         for device in devices:
-            self._world.faults.mend(device, kind)
+            self._world.faults.repair(device, kind)
         await self._until(lambda: not self._service.waiting_for, BACK_S, f"{devices}: not back after {kind}")
         await self._end_fault()
 

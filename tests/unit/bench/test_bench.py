@@ -27,7 +27,7 @@ from slipguard.bench.plot import picture
 from slipguard.bench.rows import Bench, Row, Skip, Thinning, on_the_front
 from slipguard.bench.thinning import thinning
 from slipguard.datasets.mask_scores import dice
-from slipguard.datasets.rendered_grasps import EMPTY_FRAMES, ROTATION_DEG, Sequence, sequence
+from slipguard.datasets.rendered_grasps import EMPTY_FRAMES, ROTATION_DEG, RenderedGrasp, render_grasp
 from slipguard.devices import Frame
 from slipguard.errors import InputError, ModelError
 from slipguard.perception.contact.segmenter import default_model_path
@@ -131,13 +131,13 @@ def test_quarters_go_from_easy_to_hard() -> None:
     assert quarters(grasps[::-1]) == (0.5, 2.5, 4.5, 6.5)
 
 
-def short(grasp: Sequence, count: int = 12) -> Sequence:
+def short(grasp: RenderedGrasp, count: int = 12) -> RenderedGrasp:
     start = next(index for index, shot in enumerate(grasp.shots) if shot.compared) - 8
     return replace(grasp, shots=grasp.shots[:2] + grasp.shots[start : start + count])
 
 
 def test_a_tally_of_one_grasp_fills_a_row() -> None:
-    grasp = short(sequence("key", 2, with_masks=True))
+    grasp = short(render_grasp("key", 2, with_masks=True))
     subject = next(one for one in ours(None, every=False) if one.estimator == "fused")
     tally = Tally()
     tally.run(subject.open(grasp), grasp, grasp.shots)
@@ -157,7 +157,7 @@ def test_a_tally_of_one_grasp_fills_a_row() -> None:
 
 
 def test_background_subtraction_turns_the_right_way() -> None:
-    grasp = sequence("bar", 2)
+    grasp = render_grasp("bar", 2)
     compared = [shot for shot in grasp.shots if shot.compared]
     for axis in ("pca", "ellipse"):
         pipeline = BackgroundSubtraction(grasp.background, "ellipse" if axis == "ellipse" else "pca")
@@ -195,7 +195,7 @@ def test_a_minute_is_a_minute() -> None:
 
 
 def test_a_sequence_is_repeatable_and_its_truth_begins_at_nothing() -> None:
-    one, again = sequence("battery", 3, with_masks=True), sequence("battery", 3)
+    one, again = render_grasp("battery", 3, with_masks=True), render_grasp("battery", 3)
     assert [s.rotation_deg for s in one.shots] == [s.rotation_deg for s in again.shots]
     np.testing.assert_array_equal(one.shots[20].frame.image, again.shots[20].frame.image)
     assert not any(s.contact for s in one.shots[:EMPTY_FRAMES])
@@ -210,11 +210,11 @@ def test_a_sequence_is_repeatable_and_its_truth_begins_at_nothing() -> None:
     assert all(s.mask is not None for s in one.shots)
     assert one.shots[20].mask is not None
     assert one.shots[20].mask.any()
-    assert not np.array_equal(one.shots[20].frame.image, sequence("battery", 4).shots[20].frame.image)
+    assert not np.array_equal(one.shots[20].frame.image, render_grasp("battery", 4).shots[20].frame.image)
 
 
 def test_the_paper_pipeline_runs_on_dense_weights() -> None:
-    grasp = short(sequence("bar", 2, with_masks=True), 10)
+    grasp = short(render_grasp("bar", 2, with_masks=True), 10)
     masks = {shot.frame.sequence: shot.mask for shot in grasp.shots if shot.mask is not None}
     network = FrameNetwork(PEER_PATH)
     assert network.made_up
@@ -229,7 +229,7 @@ def test_the_paper_pipeline_runs_on_dense_weights() -> None:
 
 
 def test_the_paper_pipeline_thins_at_the_size_of_its_network(monkeypatch: pytest.MonkeyPatch) -> None:
-    grasp = short(sequence("bar", 2, with_masks=True), 10)
+    grasp = short(render_grasp("bar", 2, with_masks=True), 10)
     thinned: list[tuple[int, ...]] = []
     whole = cv2.ximgproc.thinning
 

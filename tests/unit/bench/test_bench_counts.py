@@ -13,7 +13,7 @@ from slipguard.bench.error_tally import Errors, Tally
 from slipguard.bench.holding import Held
 from slipguard.bench.pipelines import Subject, ours
 from slipguard.bench.run import _row
-from slipguard.datasets.rendered_grasps import Shot
+from slipguard.datasets.rendered_grasps import GraspFrame
 from slipguard.devices import Frame
 from slipguard.perception.estimate import Estimate
 
@@ -35,7 +35,7 @@ class Answering:
 def test_a_contact_that_is_skipped_as_none_overlaps_nothing() -> None:
     mask = np.zeros((320, 240), np.uint8)
     mask[100:200, 50:150] = 1
-    shot = Shot(Frame(np.zeros((320, 240, 3), np.uint8), 0.0, 0), True, 0.0, True, mask)
+    shot = GraspFrame(Frame(np.zeros((320, 240, 3), np.uint8), 0.0, 0), True, 0.0, True, mask)
     for skipped, label, overlaps in (
         (None, mask, [(1.0, 1.0)]),
         ("no contact", mask, [(0.0, 0.0)]),

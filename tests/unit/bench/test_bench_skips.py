@@ -19,7 +19,7 @@ from slipguard.bench.onset import Onset
 from slipguard.bench.pipelines import NO_SKIP, Subject, ours
 from slipguard.control.slip_baselines import Detector
 from slipguard.datasets.mask_scores import dice
-from slipguard.datasets.rendered_grasps import sequence
+from slipguard.datasets.rendered_grasps import render_grasp
 from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.settings import ALL_SKIPS, Skips
@@ -63,7 +63,7 @@ def test_a_crop_shows_what_the_whole_shows() -> None:
     pytest.importorskip("onnx")
     whole = Segmenter()
     cropped = CroppedSegmenter(whole)
-    grasp = sequence("ball", 4100)
+    grasp = render_grasp("ball", 4100)
     assert cropped.segment(grasp.shots[0].frame.image, grasp.background).shape == (160, 120)
     cut = 0
     for shot in [shot for shot in grasp.shots if shot.compared][:10]:
@@ -100,7 +100,7 @@ def test_a_minute_is_held_with_most_frames_left_out(monkeypatch: pytest.MonkeyPa
 
 def test_remembered_answers_cost_what_they_cost() -> None:
     network = Remembering(Segmenter())
-    image = sequence("bar", 2).shots[20].frame.image
+    image = render_grasp("bar", 2).shots[20].frame.image
     network.memory.forget(on=True)
     began_s = CLOCK()
     first = network.segment(image, None)

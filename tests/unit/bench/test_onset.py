@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 
 from slipguard.bench.onset import Onset, first_seen, later_by
-from slipguard.datasets.rendered_grasps import Sequence
+from slipguard.datasets.rendered_grasps import RenderedGrasp
 from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
@@ -20,7 +20,7 @@ def segmenter() -> Segmenter:
     return Segmenter()
 
 
-def pipeline(grasp: Sequence, skips: Skips) -> Pipeline:
+def pipeline(grasp: RenderedGrasp, skips: Skips) -> Pipeline:
     return Pipeline(segmenter(), PerceptionSettings(), grasp.background, grasp.noise_bgr, grasp.px_per_mm, skips=skips)
 
 

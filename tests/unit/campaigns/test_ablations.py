@@ -52,14 +52,14 @@ def test_held_out_objects_are_in_no_training_frame(tmp_path: Path, monkeypatch: 
 
     assert set(ablation_frames.HELD_OUT) <= set(objects.names("train"))
     seen: list[str] = []
-    original = ablation_frames.sample
+    original = ablation_frames.render_sample
 
     def noted(seed: int) -> object:
         drawn = original(seed)
         seen.append(drawn.view.object_name)
         return drawn
 
-    monkeypatch.setattr(ablation_frames, "sample", noted)
+    monkeypatch.setattr(ablation_frames, "render_sample", noted)
     drawn = ablation_frames.training_frames(tmp_path, 12, lambda _done: None)
     assert len(drawn) == 12
     assert len([name for name in seen if name not in ablation_frames.HELD_OUT]) >= 12

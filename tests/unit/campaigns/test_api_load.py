@@ -12,7 +12,7 @@ from fake_daemon_api import FakeDaemonApi, served_on_tcp
 from slipguard.errors import SlipguardError
 from slipguard.tools.waiting import until
 from tests.campaigns import api_load_clients as crowd_clients
-from tests.campaigns.api_load import Crowd, CrowdOptions, spread_of_blocks
+from tests.campaigns.api_load import ApiLoadOptions, ApiLoadResult, spread_of_blocks
 from tests.campaigns.command_line import run
 
 
@@ -22,10 +22,10 @@ def test_one_bad_block_does_not_count_and_a_rise_does() -> None:
     assert (alone.p50_ms, alone.p99_ms) == (pytest.approx(50.5), pytest.approx(99.01))
     assert alone.largest_ms == 5000.0
     slower = spread_of_blocks([[2 * one for one in calm]])
-    found = Crowd(CrowdOptions(), 302, alone, slower, (0, 0))
+    found = ApiLoadResult(ApiLoadOptions(), 302, alone, slower, (0, 0))
     assert found.rise_ms == pytest.approx(99.01)
     assert found.allowed_ms == pytest.approx(9.901)
-    assert Crowd(CrowdOptions(), 2, spread_of_blocks([[0.002]]), slower, (0, 0)).allowed_ms == 1.0
+    assert ApiLoadResult(ApiLoadOptions(), 2, spread_of_blocks([[0.002]]), slower, (0, 0)).allowed_ms == 1.0
     with pytest.raises(SlipguardError, match="nothing was decided"):
         spread_of_blocks([calm, []])
 
@@ -49,10 +49,10 @@ def test_clients_that_got_nothing_measure_nothing(
 ) -> None:
     calm = spread_of_blocks([[0.002, 0.003]])
 
-    async def measured(options: CrowdOptions, tell: object) -> Crowd:
-        return Crowd(options, 4, calm, calm, (0, 0), got)
+    async def measured(options: ApiLoadOptions, tell: object) -> ApiLoadResult:
+        return ApiLoadResult(options, 4, calm, calm, (0, 0), got)
 
-    monkeypatch.setattr("tests.campaigns.api_load_command.measure_crowd", measured)
+    monkeypatch.setattr("tests.campaigns.api_load_command.measure_api_load", measured)
     assert run(["api-load", "--clients", str(clients), "--pairs", "2", "--json"]) == (0 if served else 1)
     assert ("were not served" in capsys.readouterr().err) is not served
 

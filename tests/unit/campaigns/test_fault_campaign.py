@@ -18,16 +18,16 @@ from slipguard.sim.faults import KINDS as ON_THE_BOARD
 from tests.campaigns.command_line import run
 from tests.campaigns.faults import rig, trial
 from tests.campaigns.faults.campaign import Campaign, campaign
-from tests.campaigns.faults.kinds import KINDS, Plan, draw
+from tests.campaigns.faults.kinds import KINDS, PlannedFault, draw
 from tests.campaigns.faults.report import why
-from tests.campaigns.faults.trial import Outcome
+from tests.campaigns.faults.trial import TrialResult
 
 
-def planned(*plans: tuple[str, float, float]) -> tuple[Plan, ...]:
-    return tuple(Plan(KINDS[name], at_s, for_s) for name, at_s, for_s in plans)
+def planned(*plans: tuple[str, float, float]) -> tuple[PlannedFault, ...]:
+    return tuple(PlannedFault(KINDS[name], at_s, for_s) for name, at_s, for_s in plans)
 
 
-def with_plans(monkeypatch: pytest.MonkeyPatch, *plans: tuple[str, float, float], seed: int = 3) -> Outcome:
+def with_plans(monkeypatch: pytest.MonkeyPatch, *plans: tuple[str, float, float], seed: int = 3) -> TrialResult:
     monkeypatch.setattr(trial, "draw", lambda rng, seed: planned(*plans))
     return trial.trial(seed)
 
@@ -131,8 +131,10 @@ def test_it_sees_a_task_that_is_left_over(monkeypatch: pytest.MonkeyPatch) -> No
 def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     from tests.campaigns.faults import campaign as campaigns
 
-    failing = Outcome(7, "cap", planned(("arm.stuck", 1.0, 2.0)), unnamed=("arm.stuck",), due=("arm.stuck",))
-    fine = Outcome(8, "cap", planned(("left.stall", 1.0, np.inf)), named=(("left.stall", 0.2),), due=("left.stall",))
+    failing = TrialResult(7, "cap", planned(("arm.stuck", 1.0, 2.0)), unnamed=("arm.stuck",), due=("arm.stuck",))
+    fine = TrialResult(
+        8, "cap", planned(("left.stall", 1.0, np.inf)), named=(("left.stall", 0.2),), due=("left.stall",)
+    )
     monkeypatch.setattr(campaigns, "trial", lambda seed: failing if seed == 7 else fine)
     assert run(["faults", "--runs", "2", "--seed", "7", "--jobs", "1", "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
@@ -155,7 +157,7 @@ def test_each_kind_is_told_with_how_long_it_took() -> None:
     found = Campaign()
     for seed, named_s in ((1, 0.1), (2, 0.3), (3, 0.4)):
         plans = planned(("arm.timeout", 1.0, np.inf))
-        found.count(Outcome(seed, "cap", plans, named=(("arm.timeout", named_s),), due=("arm.timeout",)))
+        found.count(TrialResult(seed, "cap", plans, named=(("arm.timeout", named_s),), due=("arm.timeout",)))
     kinds = found.as_json()["kinds"]
     assert isinstance(kinds, dict)
     assert kinds["arm.timeout"] == {

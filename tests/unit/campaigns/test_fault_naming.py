@@ -10,10 +10,10 @@ import pytest
 
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
-from slipguard.sim.faults import FaultBoard
+from slipguard.sim.faults import InjectedFaults
 from tests.campaigns.faults import naming
-from tests.campaigns.faults.kinds import KINDS, RANKS, Plan
-from tests.campaigns.faults.naming import TELLING_DEG, WITHIN_S, Watched, can_be_seen
+from tests.campaigns.faults.kinds import KINDS, RANKS, PlannedFault
+from tests.campaigns.faults.naming import TELLING_DEG, WITHIN_S, WatchedFault, can_be_seen
 
 
 def told(rotation_deg: float | None) -> SimpleNamespace:
@@ -38,7 +38,7 @@ def rig(phase: Phase = Phase.HOLDING, rotations_deg: tuple[float, float] = (5.0,
         seen=SimpleNamespace(fused=SimpleNamespace(fingers=("left", "right"))),
     )
     return SimpleNamespace(
-        world=SimpleNamespace(faults=FaultBoard()),
+        world=SimpleNamespace(faults=InjectedFaults()),
         service=service,
         params=SimpleNamespace(guard=GuardParams()),
         mirrored=set(),
@@ -48,14 +48,14 @@ def rig(phase: Phase = Phase.HOLDING, rotations_deg: tuple[float, float] = (5.0,
     )
 
 
-def watched(name: str, cell: Any, *, held: bool = True) -> Watched:
+def watched(name: str, cell: Any, *, held: bool = True) -> WatchedFault:
     """The fault begins on this cell."""
     kind = KINDS[name]
     if kind.fault == "mirrored":
         cell.mirrored.add(kind.device)
     elif kind.device in RANKS:
         cell.world.faults.fail(kind.device, kind.fault)
-    return Watched(Plan(kind, 0.0, np.inf), cell.now_s, held=held)
+    return WatchedFault(PlannedFault(kind, 0.0, np.inf), cell.now_s, held=held)
 
 
 def seen(name: str, cell: Any) -> bool:
@@ -100,7 +100,7 @@ def test_stamps_ahead_and_behind_undo_each_other() -> None:
     ahead, behind = watched("left.stamps_ahead", cell), watched("left.stamps_behind", cell)
     assert not can_be_seen(ahead, cell)
     assert not can_be_seen(behind, cell)
-    cell.world.faults.mend("left", "stamps_ahead")
+    cell.world.faults.repair("left", "stamps_ahead")
     assert can_be_seen(behind, cell)
 
 

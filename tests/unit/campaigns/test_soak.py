@@ -14,18 +14,20 @@ import pytest
 
 from tests.campaigns.command_line import run
 from tests.campaigns.soak import command as soak
-from tests.campaigns.soak.checks import Finding, Limits, Work, growth, judge
+from tests.campaigns.soak.checks import SoakCheck, StorageLimits, WorkDone, check_soak, growth
 from tests.campaigns.soak.page import PageProcess
-from tests.campaigns.soak.resources import Pulse, feel
+from tests.campaigns.soak.resources import ResourceSample, feel
 
-STILL = Pulse(0.0, 100.0, 10.0, 50_000, 20, 3, 12, 2, 4, 5, 8.0, 2.0)
+STILL = ResourceSample(0.0, 100.0, 10.0, 50_000, 20, 3, 12, 2, 4, 5, 8.0, 2.0)
 EMPTY = replace(STILL, tasks=1, threads=1, files=5, children=0)
-LIMITS = Limits(30, 100.0, 50.0)
-WORK = Work(lifts=1, dropped=0, calibrations=1, recording_stops=0, left_out=0, pictures=1, connections_lost=0)
+LIMITS = StorageLimits(30, 100.0, 50.0)
+WORK = WorkDone(lifts=1, dropped=0, calibrations=1, recording_stops=0, left_out=0, pictures=1, connections_lost=0)
 
 
-def too_much(pulses: list[Pulse], after: Pulse = EMPTY, missed: int = 0, work: Work = WORK) -> list[str]:
-    return [one.what for one in judge(pulses, EMPTY, after, LIMITS, work, missed, 1000) if not one.good]
+def too_much(
+    pulses: list[ResourceSample], after: ResourceSample = EMPTY, missed: int = 0, work: WorkDone = WORK
+) -> list[str]:
+    return [one.what for one in check_soak(pulses, EMPTY, after, LIMITS, work, missed, 1000) if not one.good]
 
 
 def test_what_stays_the_same_is_good() -> None:
@@ -87,7 +89,7 @@ def test_a_daemon_that_does_not_do_its_work_does_not_pass(name: str, value: int,
 
 
 def test_without_recordings_and_page_nothing_is_asked_of_them() -> None:
-    without = Work(lifts=1, dropped=0, calibrations=1)
+    without = WorkDone(lifts=1, dropped=0, calibrations=1)
     unrecorded = replace(STILL, ring_files=0, ring_mb=0.0, kept_mb=0.0)
     assert too_much([unrecorded] * 50, work=without) == []
     assert too_much([unrecorded] * 50) == ["megabytes recorded"]
@@ -106,7 +108,7 @@ def test_growth_leaves_the_warm_up_out() -> None:
 
 
 async def test_a_pulse_sees_a_task_a_thread_a_file_and_a_child(tmp_path: Path) -> None:
-    def look() -> Pulse:
+    def look() -> ResourceSample:
         return feel(0.0, tmp_path, tmp_path / "recordings")
 
     before, held = look(), threading.Event()
@@ -135,7 +137,7 @@ def test_a_short_one_with_the_page_open(tmp_path: Path, capfd: pytest.CaptureFix
     pulses = tmp_path / "pulses.jsonl"
     code = run(["soak", "--minutes", "0.6", "--page", "--pulses", str(pulses), "--json"])
     found = json.loads(capfd.readouterr().out)
-    assert [one["what"] for one in found["findings"] if not Finding(**one).good] == []
+    assert [one["what"] for one in found["findings"] if not SoakCheck(**one).good] == []
     assert (code, found["good"]) == (0, True)
     assert found["counts"]["cycles"] >= 1
     assert found["counts"]["dropped"] == 0

@@ -19,7 +19,7 @@ from slipguard.cli.app import run
 from slipguard.control.messages import Command
 from slipguard.errors import SlipguardError
 from slipguard.sim.gel import GelCamera
-from slipguard.sim.unit import Unit
+from slipguard.sim.unit import SensorUnit
 from slipguard.sim.view import GelView
 from slipguard.tools import replay as lab
 
@@ -47,7 +47,7 @@ def test_emulate(emulator: str, tmp_path: Path) -> None:
 
 
 def test_measure_draws_what_it_measured(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    camera = GelCamera(Unit.default(), seed=7)
+    camera = GelCamera(SensorUnit.default(), seed=7)
     for name, view in (("bg", GelView("", depth_mm=-1.0)), ("bar", GelView("bar", angle_deg=20.0, depth_mm=0.8))):
         cv2.imwrite(str(tmp_path / f"{name}.png"), camera.draw(view))
     plot, masks = tmp_path / "turn.png", tmp_path / "masks"

@@ -15,7 +15,7 @@ from slipguard.control.guard import Guard
 from slipguard.control.messages import Command, Request, RequestKind
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
-from slipguard.sim.friction import Gel
+from slipguard.sim.friction import SoftPad
 from slipguard.sim.objects import SimObject
 from slipguard.sim.scenario import Scenario
 from slipguard.sim.world import World
@@ -24,7 +24,7 @@ GRIPPER_TRIP_S = 0.004
 SEEN, UNSEEN = SightError(noise_deg=0.1, sigma_deg=0.1), SightError(declined=1.0)
 
 
-def bar(needed_n: float, gel: Gel, offset_mm: float = 100.0, friction: float = 0.8) -> SimObject:
+def bar(needed_n: float, gel: SoftPad, offset_mm: float = 100.0, friction: float = 0.8) -> SimObject:
     """A bar held at one end whose mass makes it need this force."""
     plain = SimObject(
         name="bar", split="test", height_mm=lambda u, v: np.zeros_like(u), mass_kg=1.0, com_offset_mm=offset_mm,

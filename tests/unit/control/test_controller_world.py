@@ -12,15 +12,15 @@ from slipguard.control.guard import Guard
 from slipguard.control.messages import Request, RequestKind
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
-from slipguard.sim.friction import Gel
-from slipguard.sim.gripper_plant import GripperModel
-from slipguard.sim.scenario import Delivery, Scenario, scenario
+from slipguard.sim.friction import SoftPad
+from slipguard.sim.gripper_plant import GripperDynamics
+from slipguard.sim.scenario import FrameDelivery, Scenario, scenario
 
 PARAMS = GuardParams()
-STIFF = Gel(torsion_n_m_rad=50.0)
-SOFT = Gel(torsion_n_m_rad=0.15, stiffening=3.0, relaxation_s=0.02)
+STIFF = SoftPad(torsion_n_m_rad=50.0)
+SOFT = SoftPad(torsion_n_m_rad=0.15, stiffening=3.0, relaxation_s=0.02)
 HASTY = GuardParams(probe_height_mm=0.0, lift_speed_mm_s=250.0)
-WEAKEST = GripperModel(dead_time_s=0.06, ramp_n_s=64.0, gain=0.9)
+WEAKEST = GripperDynamics(dead_time_s=0.06, ramp_n_s=64.0, gain=0.9)
 """A tenth less force than it says, late and slow."""
 
 
@@ -32,9 +32,9 @@ def drawn(seed: int, params: GuardParams = PARAMS, **kwargs: object) -> tuple[Ru
     return placed(bar(needed_n, cell.gel, offset_mm, friction), cell, params, seed, **kwargs), needed_n
 
 
-def worst(params: GuardParams, gel: Gel, offset_mm: float = 70.0) -> Run:
+def worst(params: GuardParams, gel: SoftPad, offset_mm: float = 70.0) -> Run:
     """Needs 75 N, gets 36 N first, from the slowest gripper of the design and cameras of 40 ms."""
-    late = Delivery(latency_s=0.04)
+    late = FrameDelivery(latency_s=0.04)
     cell = Scenario("bar", gel=gel, gripper=WEAKEST, left=late, right=late)
     return placed(bar(75.0, gel, offset_mm), cell, params)
 
@@ -67,7 +67,7 @@ def test_unguarded_the_same_objects_turn_or_fall() -> None:
 
 
 @pytest.mark.parametrize("gel", [STIFF, SOFT], ids=["stiff", "soft"])
-def test_the_worst_cell_of_the_design(gel: Gel) -> None:
+def test_the_worst_cell_of_the_design(gel: SoftPad) -> None:
     run = grasp_and_lift(worst(PARAMS, gel))
     assert run.phase is Phase.HOLDING
     assert run.peak_deg < 20.0
@@ -75,7 +75,7 @@ def test_the_worst_cell_of_the_design(gel: Gel) -> None:
 
 
 @pytest.mark.parametrize("gel", [STIFF, SOFT], ids=["stiff", "soft"])
-def test_the_worst_cell_in_a_hurry(gel: Gel) -> None:
+def test_the_worst_cell_in_a_hurry(gel: SoftPad) -> None:
     """250 mm/s at once, as another program might: stopping the arm is what saves it."""
     run = grasp_and_lift(worst(HASTY, gel))
     assert run.peak_deg < 40.0
@@ -133,7 +133,7 @@ FRAGILE = GuardParams(force_max_n=57.0, blind_force_n=57.0)
 
 @pytest.mark.parametrize("gel", [STIFF, SOFT], ids=["stiff", "soft"])
 @pytest.mark.parametrize("needed_n", [44.0, 50.0])
-def test_a_firm_grip_that_is_not_enough_is_tightened_while_it_lifts_off(gel: Gel, needed_n: float) -> None:
+def test_a_firm_grip_that_is_not_enough_is_tightened_while_it_lifts_off(gel: SoftPad, needed_n: float) -> None:
     """40 N of the 57 allowed: most of the budget from the start."""
     run = grasp_and_lift(placed(bar(needed_n, gel, 70.0), Scenario("bar", gel=gel), FRAGILE))
     truth = run.world.truth(run.now_s)
@@ -144,7 +144,7 @@ def test_a_firm_grip_that_is_not_enough_is_tightened_while_it_lifts_off(gel: Gel
 
 def test_a_soft_gel_wound_up_by_all_of_the_budget_stops_the_lift_a_few_times_at_most() -> None:
     spent = FRAGILE.model_copy(update={"first_force_n": 57.0})
-    gel = Gel(torsion_n_m_rad=0.1, stiffening=3.0, relaxation_s=0.02)
+    gel = SoftPad(torsion_n_m_rad=0.1, stiffening=3.0, relaxation_s=0.02)
     run = grasp_and_lift(placed(bar(50.0, gel, 70.0), Scenario("bar", gel=gel), spent))
     assert run.phase is Phase.HOLDING
     assert run.peak_deg > 8.0

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from slipguard.control import force_limits as limits
 from slipguard.control.force_limits import Budget
 from slipguard.control.params import GuardParams
-from slipguard.sim.gripper_plant import GripperModel
+from slipguard.sim.gripper_plant import GripperDynamics
 
 ROBOTIQ_85 = (20.0, 235.0)
 STEP_N = 215.0 / 255
@@ -74,7 +74,7 @@ def test_raising_gains_at_least_one_step_until_the_budget_is_spent(
 
 @given(st.floats(20.0, 235.0), st.floats(0.0, 300.0))
 def test_a_gripper_that_rounds_up_stays_within_the_budget(force_max_n: float, wanted: float) -> None:
-    model = GripperModel()
+    model = GripperDynamics()
     within = limits.budget(force_max_n, (model.force_min_n, model.force_max_n))
     assert within is not None
     assert model.quantised_force_n(limits.allowed(wanted, 0.0, within)) <= force_max_n + 1e-6

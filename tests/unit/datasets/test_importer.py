@@ -12,7 +12,7 @@ from command_line import slipguard
 from numpy.typing import NDArray
 
 from slipguard.datasets.files import data_set_pairs
-from slipguard.datasets.importer import Imported, found_pairs, import_dataset
+from slipguard.datasets.importer import ImportResult, found_pairs, import_dataset
 from slipguard.errors import InputError
 
 Image = NDArray[np.uint8]
@@ -36,7 +36,7 @@ def put(path: Path, image: Image) -> None:
     assert cv2.imwrite(str(path), image)
 
 
-def imported(tmp_path: Path, **options: bool) -> tuple[Imported, list[tuple[Image, Image]]]:
+def imported(tmp_path: Path, **options: bool) -> tuple[ImportResult, list[tuple[Image, Image]]]:
     out = tmp_path / "out"
     done = import_dataset(tmp_path / "in", out, **options)  # type: ignore[arg-type]
     pairs = []
@@ -67,7 +67,7 @@ def test_the_usual_layouts_are_understood(tmp_path: Path, image: str, mask: str)
     put(tmp_path / "in" / image, picture())
     put(tmp_path / "in" / mask, disc())
     done, pairs = imported(tmp_path)
-    assert done == Imported(1, 0, 0, ())
+    assert done == ImportResult(1, 0, 0, ())
     assert np.array_equal(pairs[0][1], disc())
     line = json.loads((tmp_path / "out" / "manifest.jsonl").read_text())
     assert line["source"] == image
@@ -101,7 +101,7 @@ def test_other_sizes_are_fitted(tmp_path: Path) -> None:
     put(tmp_path / "in" / "square.png", picture(256, 256))
     put(tmp_path / "in" / "square_mask.png", disc(256, 256))
     done, pairs = imported(tmp_path)
-    assert done == Imported(3, 1, 1, ())
+    assert done == ImportResult(3, 1, 1, ())
     wanted = disc() > 0
     for image, mask in pairs[:2]:
         assert np.abs(image.astype(int) - picture()).max() <= 2

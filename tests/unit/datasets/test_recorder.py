@@ -18,12 +18,12 @@ from pipe_capture import PipeCapture, delivery, found
 from slipguard.daemon.api.client import Client
 from slipguard.datasets import recorder as dataset_record
 from slipguard.datasets.label_proposal import propose
-from slipguard.datasets.recorder import Shot, from_daemon, from_sensors, record_dataset
+from slipguard.datasets.recorder import SensorImage, from_daemon, from_sensors, record_dataset
 from slipguard.devices import DriverContext
 from slipguard.errors import CommandRefused, DeviceLost
 from slipguard.sim.gel import GelCamera
 from slipguard.sim.label import label
-from slipguard.sim.unit import Light, random_unit
+from slipguard.sim.unit import LightChange, random_unit
 from slipguard.sim.view import GelView
 from slipguard.tools.waiting import until
 from slipguard_drivers.digit.camera import DigitSensor
@@ -40,17 +40,17 @@ def test_the_proposal_is_what_a_person_would_begin_with(name: str) -> None:
     assert overlap(propose(truth.image, camera.no_contact()), label(truth)) > 0.5
 
 
-@pytest.mark.parametrize("light", [Light(), Light(offset_bgr=(6.0, -5.0, 4.0), tilt_bgr=(5.0, -4.0, 6.0))])
-def test_an_untouched_gel_has_no_proposal_whatever_the_light_does(light: Light) -> None:
+@pytest.mark.parametrize("light", [LightChange(), LightChange(offset_bgr=(6.0, -5.0, 4.0), tilt_bgr=(5.0, -4.0, 6.0))])
+def test_an_untouched_gel_has_no_proposal_whatever_the_light_does(light: LightChange) -> None:
     camera = GelCamera(random_unit(np.random.default_rng(3)), seed=1)
     camera.set_light(light)
     assert not propose(camera.draw(GelView("bar")), camera.no_contact()).any()
 
 
-async def two_shots() -> AsyncIterator[Shot]:
+async def two_shots() -> AsyncIterator[SensorImage]:
     camera = GelCamera(random_unit(np.random.default_rng(3)), seed=1)
-    yield Shot("D20001", camera.draw(GelView("bar")), 7)
-    yield Shot("D20001", camera.draw(GelView("bar", depth_mm=0.6)), 19)
+    yield SensorImage("D20001", camera.draw(GelView("bar")), 7)
+    yield SensorImage("D20001", camera.draw(GelView("bar", depth_mm=0.6)), 19)
 
 
 async def test_a_recording_is_a_data_set(tmp_path: Path) -> None:

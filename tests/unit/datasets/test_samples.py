@@ -14,15 +14,15 @@ from slipguard.cli.app import run
 from slipguard.datasets.contact_sheet import contact_sheet
 from slipguard.datasets.files import DataSetWriter, read_backgrounds, render_dataset
 from slipguard.datasets.random_shapes import beside, composition, resized, roughened
-from slipguard.datasets.samples import BROAD_NAME, COMPOSITION_NAME, UNIT_FRAMES, Sample, sample
+from slipguard.datasets.samples import BROAD_NAME, COMPOSITION_NAME, UNIT_FRAMES, RenderedSample, render_sample
 from slipguard.errors import InputError
 from slipguard.sim import objects
-from slipguard.sim.height_map import FLOOR_MM, relief_of
+from slipguard.sim.height_map import FLOOR_MM, height_raster_of
 from slipguard.sim.label import label
 from slipguard.tools.parallel import Workers
 
 
-def equal(a: Sample, b: Sample) -> bool:
+def equal(a: RenderedSample, b: RenderedSample) -> bool:
     return (
         np.array_equal(a.image, b.image)
         and np.array_equal(a.background, b.background)
@@ -36,25 +36,25 @@ def real_ones() -> list[NDArray[np.uint8]]:
 
 
 @pytest.fixture(scope="module")
-def many() -> list[Sample]:
-    return [sample(seed) for seed in range(0, 400, 2)]
+def many() -> list[RenderedSample]:
+    return [render_sample(seed) for seed in range(0, 400, 2)]
 
 
 def test_a_seed_gives_the_same_frame_whatever_was_drawn_before() -> None:
-    first = sample(12)
-    sample(13)  # of the same unit
-    assert equal(first, sample(12))
+    first = render_sample(12)
+    render_sample(13)  # of the same unit
+    assert equal(first, render_sample(12))
     for other in (13, 12 + 5 * UNIT_FRAMES, 900, 1300, 1700):
-        sample(other)
-    assert equal(first, sample(12))
-    assert not equal(first, sample(13))
+        render_sample(other)
+    assert equal(first, render_sample(12))
+    assert not equal(first, render_sample(13))
 
 
 def test_equal_lists_of_backgrounds_give_equal_frames() -> None:
-    assert equal(sample(70, real_ones()), sample(70, real_ones()))
+    assert equal(render_sample(70, real_ones()), render_sample(70, real_ones()))
 
 
-def test_frames_are_what_they_say(many: list[Sample]) -> None:
+def test_frames_are_what_they_say(many: list[RenderedSample]) -> None:
     for drawn in many:
         for picture in (drawn.image, drawn.background):
             assert picture.shape == (320, 240, 3)
@@ -64,7 +64,7 @@ def test_frames_are_what_they_say(many: list[Sample]) -> None:
             assert not drawn.has_contact
 
 
-def test_frames_are_varied(many: list[Sample]) -> None:
+def test_frames_are_varied(many: list[RenderedSample]) -> None:
     names = {drawn.view.object_name for drawn in many if drawn.has_contact}
     assert COMPOSITION_NAME in names
     assert len(names) > 20
@@ -79,17 +79,17 @@ def test_frames_are_varied(many: list[Sample]) -> None:
     assert max(depths) > 1.2
 
 
-def test_without_contact_a_frame_is_its_background_but_for_light_and_wear(many: list[Sample]) -> None:
+def test_without_contact_a_frame_is_its_background_but_for_light_and_wear(many: list[RenderedSample]) -> None:
     for drawn in many:
         if not drawn.has_contact and drawn.view.depth_mm <= 0:
             off = cv2.blur(drawn.image.astype(np.float32) - drawn.background, (15, 15))
             assert float(np.abs(np.median(off, axis=(0, 1))).max()) < 20
 
 
-def test_training_frames_never_show_a_test_object(many: list[Sample]) -> None:
+def test_training_frames_never_show_a_test_object(many: list[RenderedSample]) -> None:
     shown = {drawn.view.object_name for drawn in many} - {COMPOSITION_NAME, BROAD_NAME, ""}
     assert shown <= set(objects.names("train"))
-    tested = {sample(seed, None, "test").view.object_name for seed in range(60)} - {""}
+    tested = {render_sample(seed, None, "test").view.object_name for seed in range(60)} - {""}
     assert tested <= set(objects.names("test"))
 
 
@@ -102,7 +102,7 @@ def test_compositions_are_surfaces() -> None:
 
 
 def test_a_resized_surface_is_larger_and_a_rough_one_rough() -> None:
-    ring = relief_of("nut")
+    ring = height_raster_of("nut")
     to_object = np.array([[0.1, 0.0, -12.0], [0.0, -0.1, 12.0]])
     area = (ring.posed(to_object, (240, 240)) > -0.1).sum()
     larger = (resized(ring, 1.5).posed(to_object, (240, 240)) > -0.1).sum()
@@ -112,7 +112,7 @@ def test_a_resized_surface_is_larger_and_a_rough_one_rough() -> None:
 
 
 def test_two_bodies_side_by_side_are_both_there() -> None:
-    bead = relief_of("bead")
+    bead = height_raster_of("bead")
     pair = beside(bead, bead, np.random.default_rng(3))
     count, _ = cv2.connectedComponents((pair.fine > -0.8).astype(np.uint8))
     assert count == 3  # two and the ground
@@ -133,7 +133,7 @@ def test_the_command_writes_a_data_set(tmp_path: Path, capsys: pytest.CaptureFix
         assert image is not None
         assert set(np.unique(mask)) <= {0, 255}
         assert bool(mask.any()) == line["has_contact"]
-        assert np.array_equal(image, sample(index, None, "test").image)
+        assert np.array_equal(image, render_sample(index, None, "test").image)
     picture = cv2.imread(str(sheet))
     assert picture is not None
     assert picture.shape == (480, 720, 3)

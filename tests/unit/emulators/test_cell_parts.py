@@ -9,7 +9,7 @@ import pytest
 
 from slipguard.config import read_config
 from slipguard.errors import CommandRefused, InputError
-from slipguard.sim.gripper_plant import GripperModel
+from slipguard.sim.gripper_plant import GripperDynamics
 from slipguard.sim.scenario import Scenario
 from slipguard.sim.world import World, WorldSettings
 from slipguard_emulators.cell.cell_config import MARK, CellPaths, text
@@ -19,7 +19,7 @@ from slipguard_emulators.cell.truth_log import line_of
 from slipguard_emulators.cell.world_jaws import WorldJaws
 from slipguard_emulators.ur5.tool import WorldTool
 
-QUICK = GripperModel(transaction_s=0.0, dead_time_s=0.02, ramp_n_s=200.0, speed_mm_s=150.0)
+QUICK = GripperDynamics(transaction_s=0.0, dead_time_s=0.02, ramp_n_s=200.0, speed_mm_s=150.0)
 
 
 @pytest.fixture

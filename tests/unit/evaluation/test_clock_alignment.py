@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slipguard.evaluation.clock_alignment import find_lag, seen_at
+from slipguard.evaluation.clock_alignment import between_frames, find_lag
 
 FRAME_S = 1 / 30
 
@@ -61,7 +61,7 @@ def test_a_lag_at_the_edge_of_what_was_looked_at_is_none() -> None:
 def test_nothing_is_known_in_a_gap() -> None:
     camera_s = np.concatenate([np.arange(0.0, 1.0, FRAME_S), np.arange(1.5, 2.5, FRAME_S)])
     times = np.array([-0.1, 0.5, 1.0, 1.2, 1.45, 1.6, 2.4, 2.7])
-    assert seen_at(times, camera_s).tolist() == [False, True, False, False, False, True, True, False]
+    assert between_frames(times, camera_s).tolist() == [False, True, False, False, False, True, True, False]
 
 
 def test_the_lag_is_found_with_a_gap_in_the_middle_of_the_turn() -> None:

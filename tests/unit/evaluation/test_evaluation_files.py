@@ -16,16 +16,22 @@ from slipguard.cli.app import run
 from slipguard.errors import InputError
 from slipguard.evaluation.calibrate import calibrate
 from slipguard.evaluation.intrinsics import read_intrinsics
-from slipguard.evaluation.marker_detector import Detector
+from slipguard.evaluation.marker_detector import MarkerDetector
 from slipguard.evaluation.markers import cells, charuco
-from slipguard.evaluation.protocol import SIMULATED, Protocol, read_protocol
+from slipguard.evaluation.protocol import SIMULATED, LiftProtocol, read_protocol
 from slipguard.evaluation.simulated import intrinsics_of
-from slipguard.sim.external_camera import Lens, Onlooker, Plate, Scene, Studio
+from slipguard.sim.external_camera import (
+    ExternalCameraModel,
+    ExternalCameraRenderer,
+    LensModel,
+    MarkerPlate,
+    MarkerScene,
+)
 
-LENS = Lens(640, 480, 560.0, (322.0, 238.0))
-LOOK = Onlooker(
-    gripper=Plate(cells(0), 40.0, (0.0, 95.0, 3.0)),
-    thing=Plate(cells(1), 40.0, (70.0, 0.0, 6.0)),
+LENS = LensModel(640, 480, 560.0, (322.0, 238.0))
+LOOK = ExternalCameraModel(
+    gripper=MarkerPlate(cells(0), 40.0, (0.0, 95.0, 3.0)),
+    thing=MarkerPlate(cells(1), 40.0, (70.0, 0.0, 6.0)),
     lens=LENS,
     distance_mm=450.0,
     aim_mm=(30.0, 70.0, 0.0),
@@ -33,11 +39,11 @@ LOOK = Onlooker(
 
 
 def film(path: Path, covered: frozenset[str] = frozenset(), count: int = 24) -> Path:
-    studio = Studio(LOOK, 1)
+    studio = ExternalCameraRenderer(LOOK, 1)
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (LENS.width_px, LENS.height_px))
     for number in range(count):
         rotation_deg = float(np.clip((number - 11) * 2.0, 0.0, 20.0))
-        writer.write(studio.draw(Scene(rotation_deg, covered=covered)))
+        writer.write(studio.draw(MarkerScene(rotation_deg, covered=covered)))
     writer.release()
     return path
 
@@ -62,9 +68,9 @@ def test_a_film_tells_the_turn(tmp_path: Path, camera: Path, capsys: pytest.Capt
 
 
 def test_a_folder_of_images_will_do(tmp_path: Path, camera: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    studio = Studio(LOOK, 1)
+    studio = ExternalCameraRenderer(LOOK, 1)
     for number in range(12):
-        cv2.imwrite(str(tmp_path / f"{number:03d}.png"), studio.draw(Scene(0.5 * number)))
+        cv2.imwrite(str(tmp_path / f"{number:03d}.png"), studio.draw(MarkerScene(0.5 * number)))
     assert rotation(tmp_path, camera) == 0
     assert "12 of 12 pictures show both markers" in capsys.readouterr().out
 
@@ -131,7 +137,7 @@ def test_sheets_are_at_true_scale(tmp_path: Path, name: str) -> None:
     assert page.shape[1] == pytest.approx(297 / 25.4 * 300, abs=2)
     if name == "sheet.png":
         page[: page.shape[0] // 2] = 255  # of each marker there are two
-        sighting = Detector().look(page, 0.0)
+        sighting = MarkerDetector().look(page, 0.0)
         assert sighting.object_px is not None
         side_px = np.linalg.norm(sighting.object_px[0] - sighting.object_px[1])
         assert side_px == pytest.approx(40.0 / 25.4 * 300, rel=0.005)
@@ -192,6 +198,6 @@ def test_the_protocol_spreads_its_turns_and_refuses_nonsense(tmp_path: Path) -> 
     with pytest.raises(InputError, match="colour"):
         read_protocol(path)
     path.write_text('objects = [{name = "mug", hard = "heavy"}]\nguard = true\n')
-    assert read_protocol(path) == Protocol.model_validate(
+    assert read_protocol(path) == LiftProtocol.model_validate(
         {"objects": [{"name": "mug", "hard": "heavy"}], "guard": True}
     )

@@ -10,15 +10,15 @@ import pytest
 
 from slipguard.errors import InputError
 from slipguard.evaluation.intrinsics import Intrinsics
-from slipguard.evaluation.marker_detector import Detector, Sighting
+from slipguard.evaluation.marker_detector import MarkerCorners, MarkerDetector
 from slipguard.evaluation.marker_rotation import RotationTrace, rotations
 from slipguard.evaluation.markers import cells
 from slipguard.evaluation.simulated import intrinsics_of
-from slipguard.sim.external_camera import Onlooker, Plate, Scene, Studio
+from slipguard.sim.external_camera import ExternalCameraModel, ExternalCameraRenderer, MarkerPlate, MarkerScene
 
-LOOK = Onlooker(
-    gripper=Plate(cells(0), 40.0, (0.0, 95.0, 3.0), roll_deg=4.0),
-    thing=Plate(cells(1), 40.0, (70.0, 0.0, 6.0), roll_deg=-15.0),
+LOOK = ExternalCameraModel(
+    gripper=MarkerPlate(cells(0), 40.0, (0.0, 95.0, 3.0), roll_deg=4.0),
+    thing=MarkerPlate(cells(1), 40.0, (70.0, 0.0, 6.0), roll_deg=-15.0),
     aim_mm=(30.0, 70.0, 0.0),
 )
 FRAMES = 24
@@ -31,12 +31,14 @@ def motion(sign: float = 1.0, largest_deg: float = 35.0) -> tuple[np.ndarray, np
     return time_s, rotation_deg, np.maximum(time_s - 0.7, 0.0) * 25.0
 
 
-def seen(look: Onlooker, sign: float = 1.0, covered: range = range(0), what: str = "object") -> list[Sighting]:
-    studio, detector = Studio(look, 3), Detector()
+def seen(
+    look: ExternalCameraModel, sign: float = 1.0, covered: range = range(0), what: str = "object"
+) -> list[MarkerCorners]:
+    studio, detector = ExternalCameraRenderer(look, 3), MarkerDetector()
     sightings = []
     for number, (time_s, rotation_deg, height_mm) in enumerate(zip(*motion(sign), strict=True)):
         hidden = frozenset({what}) if number in covered else frozenset()
-        image = studio.draw(Scene(float(rotation_deg), float(height_mm), covered=hidden))
+        image = studio.draw(MarkerScene(float(rotation_deg), float(height_mm), covered=hidden))
         sightings.append(detector.look(image, float(time_s)))
     return sightings
 
@@ -89,7 +91,7 @@ def test_a_marker_that_is_never_seen_is_named() -> None:
     with pytest.raises(InputError, match=r"marker of the gripper \(id 0\) was never seen"):
         rotations(seen(LOOK, covered=range(FRAMES), what="gripper"), lens, 40.0)
     with pytest.raises(InputError, match="no marker was seen in 3 pictures"):
-        rotations([Sighting(0.1 * k, None, None) for k in range(3)], lens, 40.0)
+        rotations([MarkerCorners(0.1 * k, None, None) for k in range(3)], lens, 40.0)
 
 
 def test_too_few_pictures_are_refused() -> None:

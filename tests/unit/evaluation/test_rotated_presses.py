@@ -11,7 +11,7 @@ import pytest
 
 from slipguard.cli.app import run
 from slipguard.errors import InputError
-from slipguard.evaluation.rotated_presses import Press, presses, rotated, rotated_difference
+from slipguard.evaluation.rotated_presses import PressImage, press_images, rotated_difference, rotated_grasp
 from slipguard.stress.surfaces import LEVEL, LedLights, contact, drawn, heights, lettered
 
 
@@ -35,18 +35,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def press(folder: Path) -> Press:
-    return next(presses(folder))
+def press(folder: Path) -> PressImage:
+    return next(press_images(folder))
 
 
 def test_presses_are_split_into_parts(folder: Path) -> None:
-    assert [(one.name, one.part) for one in presses(folder)] == [
+    assert [(one.name, one.part) for one in press_images(folder)] == [
         ("anytouch2_force2/f0012", "tune"),
         ("anytouch2_force2/f0140", "test"),
     ]
 
 
-def test_relit_is_what_the_lights_would_show(press: Press) -> None:
+def test_relit_is_what_the_lights_would_show(press: PressImage) -> None:
     for rotation in (25.0, -70.0):
         height = heights(lettered, 10.0 + rotation, press.centre_px, 1.0)
         true = drawn(height, LedLights(), 0.0, np.random.default_rng(0)).astype(np.float32) - LEVEL
@@ -59,10 +59,14 @@ def test_relit_is_what_the_lights_would_show(press: Press) -> None:
         assert alike > float(np.corrcoef(rigid.ravel(), true[inside].ravel())[0, 1]) + 0.05
 
 
-def test_a_grasp_is_the_same_for_one_seed_and_ends_without_contact(press: Press) -> None:
-    one, again, other = rotated(press, "relit", 5), rotated(press, "relit", 5), rotated(press, "relit", 6)
-    assert all(np.array_equal(a.frame.image, b.frame.image) for a, b in zip(one.shots, again.shots, strict=True))
-    assert [shot.rotation_deg for shot in one.shots] != [shot.rotation_deg for shot in other.shots]
+def test_a_grasp_is_the_same_for_one_seed_and_ends_without_contact(press: PressImage) -> None:
+    one, again, other = (
+        rotated_grasp(press, "relit", 5),
+        rotated_grasp(press, "relit", 5),
+        rotated_grasp(press, "relit", 6),
+    )
+    assert all(np.array_equal(a.frame.image, b.frame.image) for a, b in zip(one.shots, again.timed_frames, strict=True))
+    assert [shot.rotation_deg for shot in one.shots] != [shot.rotation_deg for shot in other.timed_frames]
     assert 10.0 <= max(abs(shot.rotation_deg) for shot in one.shots) <= 30.0
     assert not one.shots[0].contact
     assert not one.shots[-1].contact
@@ -87,4 +91,4 @@ def test_misuse_is_one_line(folder: Path, tmp_path: Path, capsys: pytest.Capture
     (tmp_path / "taxim_sphere").mkdir()
     cv2.imwrite(str(tmp_path / "taxim_sphere" / "background.png"), np.full((320, 240, 3), (90, 100, 110), np.uint8))
     with pytest.raises(InputError, match=r"circles\.csv is missing"):
-        list(presses(tmp_path))
+        list(press_images(tmp_path))

@@ -10,7 +10,7 @@ import pytest
 
 from slipguard.datasets.background_patterns import drift
 from slipguard.perception.quality.gel_wear import GelChange, compare_gel
-from slipguard.sim.background import backdrop
+from slipguard.sim.background import background_image
 from slipguard.sim.unit import random_unit
 
 NOISE_BGR = (2.9, 1.5, 2.4)
@@ -19,7 +19,7 @@ UNITS = range(6)
 
 
 def gel(seed: int) -> np.ndarray:
-    return backdrop(random_unit(np.random.default_rng(seed)))
+    return background_image(random_unit(np.random.default_rng(seed)))
 
 
 def dusty(seed: int) -> np.ndarray:

@@ -9,10 +9,10 @@ from slipguard.errors import InputError, ModelError
 from slipguard.perception.contact.segmenter import Segmenter, default_model_path
 from slipguard.perception.quality.background import estimate_background
 from slipguard.sim.gel import GelCamera
-from slipguard.sim.unit import Unit
+from slipguard.sim.unit import SensorUnit
 from slipguard.sim.view import GelView
 
-CAMERA = GelCamera(Unit.default(), seed=7)
+CAMERA = GelCamera(SensorUnit.default(), seed=7)
 TOUCH = GelView("ball", x_mm=0.5, y_mm=1.0, angle_deg=0.0, depth_mm=0.6)
 CENTRE = (70, 64)
 """Row and column of the ball at network resolution: 1 mm up and 0.5 mm right of the middle."""

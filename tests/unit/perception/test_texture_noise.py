@@ -15,7 +15,7 @@ from slipguard.perception.rotation.texture_registration import (
     make_texture_template,
 )
 from slipguard.perception.rotation.texture_sigma import parts_deg, sigma_deg
-from slipguard.sim.noise import Noise
+from slipguard.sim.noise import CameraNoise
 from slipguard.sim.unit import NOISE_STD_BGR
 from slipguard.stress.surfaces import Heights, LedLights, Surface, contact, drawn, heights, lettered, plate
 
@@ -23,7 +23,7 @@ BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
 NO_STRIPES = (0.0, 0.0, 0.0)
 
 
-def seen(surface: Surface, rotation_deg: float, noise: Noise) -> tuple[NDArray[np.uint8], Patch]:
+def seen(surface: Surface, rotation_deg: float, noise: CameraNoise) -> tuple[NDArray[np.uint8], Patch]:
     """A frame with the sensor's own noise, and its patch."""
     height = heights(surface, 15.0 + rotation_deg, (120.0, 160.0), 1.0)
     patch = find_patch(contact(height), 0.5, 100, 2.0)
@@ -34,7 +34,7 @@ def seen(surface: Surface, rotation_deg: float, noise: Noise) -> tuple[NDArray[n
 
 def rotated(surface: Surface, known: bool) -> list[TextureFit]:
     """Letters that have turned by 6 degrees and become another surface, seen ten times."""
-    noise = Noise(NOISE_STD_BGR, NO_STRIPES, 3)
+    noise = CameraNoise(NOISE_STD_BGR, NO_STRIPES, 3)
     reader = TextureMapReader(BACKGROUND, NOISE_STD_BGR if known else None)
     image, patch = seen(lettered, 0.0, noise)
     reader.learn(image, patch)
@@ -57,7 +57,7 @@ def sigma(found: list[TextureFit]) -> float:
 
 @pytest.mark.parametrize("std", [NOISE_STD_BGR, (0.9, 0.5, 0.7), (4.6, 2.4, 3.8)])
 def test_the_noise_of_the_relief_is_that_of_untouched_frames(std: tuple[float, float, float]) -> None:
-    noise = Noise(std, NO_STRIPES, 5)
+    noise = CameraNoise(std, NO_STRIPES, 5)
     reader = TextureMapReader(BACKGROUND, std)
     patch = find_patch(np.pad(np.ones((80, 60), np.float32), ((40, 40), (30, 30))), 0.5, 100, 2.0)
     assert patch is not None

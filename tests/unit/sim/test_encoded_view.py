@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slipguard.sim.encoded_view import read, told
+from slipguard.sim.encoded_view import decode_view, encode_view
 from slipguard.sim.view import GelView
 
 numbers = st.floats(-1e6, 1e6)
@@ -15,12 +15,12 @@ numbers = st.floats(-1e6, 1e6)
 @given(st.lists(numbers, min_size=7, max_size=7), st.tuples(numbers, numbers, numbers), st.booleans())
 def test_what_is_written_is_read(values: list[float], light: tuple[float, float, float], there: bool) -> None:
     view = GelView("something" if there else "", *values)
-    image = told(view, light, 3)
+    image = encode_view(view, light, 3)
     assert image.shape == (320, 240, 3)
     assert image.dtype == np.uint8
-    assert read(image) == (view, light)
+    assert decode_view(image) == (view, light)
 
 
 def test_two_of_the_same_view_differ_in_every_row() -> None:
-    one, other = (told(GelView(""), (0.0, 0.0, 0.0), number) for number in (1, 2))
+    one, other = (encode_view(GelView(""), (0.0, 0.0, 0.0), number) for number in (1, 2))
     assert (one != other).any(axis=(1, 2)).all()

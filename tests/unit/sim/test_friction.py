@@ -12,7 +12,7 @@ from slipguard.errors import InputError
 from slipguard.sim.friction import (
     GRAVITY_M_S2,
     STIFFNESS_RADIUS_M,
-    Gel,
+    SoftPad,
     needed_force_n,
     pressure_shape,
     return_to_surface,
@@ -20,7 +20,7 @@ from slipguard.sim.friction import (
 )
 from slipguard.sim.objects import SimObject
 
-GEL = Gel()
+GEL = SoftPad()
 
 
 def bar(mass_kg: float = 0.35, lever_mm: float = 60.0, friction: float = 0.8) -> SimObject:
@@ -99,20 +99,20 @@ loads = st.floats(-1e4, 1e4)
 
 @given(loads, loads, sizes, sizes, sizes, sizes)
 def test_slip_is_normal_to_the_surface_and_dissipates(
-    force: float, torque: float, force_max: float, torque_max: float, give: float, rotation_give: float
+    force: float, torque: float, force_max: float, torque_max: float, give: float, rotation_compliance: float
 ) -> None:
     inside = math.hypot(force / force_max, torque / torque_max)
-    got_force, got_torque = return_to_surface((force, torque), (force_max, torque_max), (give, rotation_give))
+    got_force, got_torque = return_to_surface((force, torque), (force_max, torque_max), (give, rotation_compliance))
     if inside <= 1.0:
         assert (got_force, got_torque) == (force, torque)
         return
     assert math.hypot(got_force / force_max, got_torque / torque_max) == pytest.approx(1.0, abs=1e-12)
-    slip, rotation_slip = give * (force - got_force), rotation_give * (torque - got_torque)
+    slip, rotational_slip = give * (force - got_force), rotation_compliance * (torque - got_torque)
     # In units of the half-axes; the answer is good to 1e-12 of them.
-    rounding = 1e-11 * (give * force_max**2 + rotation_give * torque_max**2) * inside
-    assert got_force * slip + got_torque * rotation_slip >= -rounding
+    rounding = 1e-11 * (give * force_max**2 + rotation_compliance * torque_max**2) * inside
+    assert got_force * slip + got_torque * rotational_slip >= -rounding
     normal = (got_force / force_max, got_torque / torque_max)
-    rates = (slip * force_max, rotation_slip * torque_max)
+    rates = (slip * force_max, rotational_slip * torque_max)
     cross = rates[0] * normal[1] - rates[1] * normal[0]
     assert abs(cross) <= 1e-9 * math.hypot(*rates) + rounding
 
@@ -122,11 +122,11 @@ def test_no_grip_no_friction() -> None:
 
 
 def test_a_soft_gel_stiffens_with_its_contact() -> None:
-    gel = Gel(torsion_n_m_rad=0.16, stiffening=3.0)
+    gel = SoftPad(torsion_n_m_rad=0.16, stiffening=3.0)
     force_at_6_mm = (STIFFNESS_RADIUS_M / gel.radius_m) ** (1 / gel.gamma)
     torsion, shear = gel.stiffness(force_at_6_mm)
     assert torsion == pytest.approx(0.16)
     assert shear == pytest.approx(0.16 / STIFFNESS_RADIUS_M**2)
     bigger, _ = gel.stiffness(force_at_6_mm * 2 ** (1 / gel.gamma))
     assert bigger == pytest.approx(8 * 0.16)
-    assert Gel().stiffness(5.0) == Gel().stiffness(50.0)
+    assert SoftPad().stiffness(5.0) == SoftPad().stiffness(50.0)

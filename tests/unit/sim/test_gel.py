@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 from slipguard.errors import InputError
 from slipguard.sim import objects
 from slipguard.sim.gel import GelCamera
-from slipguard.sim.height_map import Relief
+from slipguard.sim.height_map import HeightRaster
 from slipguard.sim.imprint import Imprinter
 from slipguard.sim.shapes import sphere
-from slipguard.sim.unit import NOISE_STD_BGR, Light, Unit, random_unit
+from slipguard.sim.unit import NOISE_STD_BGR, LightChange, SensorUnit, random_unit
 from slipguard.sim.view import GelView
 
 NOTHING = GelView(object_name="", depth_mm=-1.0)
 GREY = np.full((320, 240, 3), 90, np.uint8)
-QUIET = replace(Unit(), noise_bgr=(0.0, 0.0, 0.0), stripe_bgr=(0.0, 0.0, 0.0), dome_share=0.0)
+QUIET = replace(SensorUnit(), noise_bgr=(0.0, 0.0, 0.0), stripe_bgr=(0.0, 0.0, 0.0), dome_share=0.0)
 
 
-def change(unit: Unit, view: GelView, relief: Relief | None = None) -> NDArray[np.float64]:
+def change(unit: SensorUnit, view: GelView, relief: HeightRaster | None = None) -> NDArray[np.float64]:
     """Drawn minus no contact, without noise."""
     camera = GelCamera(unit, GREY)
     return camera.draw(view, relief=relief).astype(float) - camera.no_contact()
@@ -49,12 +49,12 @@ def test_the_same_seed_gives_the_same_pictures() -> None:
 
 def test_draw_and_draw_with_truth_give_one_picture() -> None:
     view = GelView("key", x_mm=1.0, angle_deg=20.0, depth_mm=0.8)
-    unit = Unit.default()
+    unit = SensorUnit.default()
     assert np.array_equal(GelCamera(unit, seed=2).draw(view), GelCamera(unit, seed=2).draw_with_truth(view).image)
 
 
 def test_without_contact_the_picture_is_the_background_and_noise() -> None:
-    camera = GelCamera(Unit.default(), GREY, seed=1)
+    camera = GelCamera(SensorUnit.default(), GREY, seed=1)
     truth = camera.draw_with_truth(replace(NOTHING, object_name="bar"))
     assert not truth.contact.any()
     assert truth.press_mm == 0.0
@@ -65,7 +65,7 @@ def test_without_contact_the_picture_is_the_background_and_noise() -> None:
 
 
 def test_noise_has_the_measured_size_and_correlation() -> None:
-    camera = GelCamera(replace(Unit(), stripe_bgr=(0.0, 0.0, 0.0)), GREY, seed=5)
+    camera = GelCamera(replace(SensorUnit(), stripe_bgr=(0.0, 0.0, 0.0)), GREY, seed=5)
     noise = np.stack([camera.draw(NOTHING) for _ in range(8)]).astype(float) - GREY
     assert noise.std(axis=(0, 1, 2)) == pytest.approx(NOISE_STD_BGR, rel=0.04)
     for channel in range(3):
@@ -91,7 +91,7 @@ def test_a_turn_is_counter_clockwise_and_y_is_up() -> None:
 def test_each_light_brightens_the_slope_that_faces_it() -> None:
     """Blue from below, green from the upper left, red from the upper right."""
     unit = replace(QUIET, crosstalk=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), shadow=0.0)
-    ball = Relief.of(lambda u, v: sphere(u, v, 2.35), 4.0)
+    ball = HeightRaster.of(lambda u, v: sphere(u, v, 2.35), 4.0)
     drawn = change(unit, GelView("", depth_mm=1.0), ball)
     rows, columns = np.mgrid[0:320, 0:240]
     for channel, azimuth_deg in enumerate((270.0, 150.0, 30.0)):
@@ -117,7 +117,7 @@ def test_a_deeper_press_touches_more() -> None:
 @pytest.mark.parametrize("name", ["bar", "ball", "screwdriver", "pins", "rod"])
 @pytest.mark.parametrize(("x_mm", "y_mm", "rate_deg_s"), [(0.5, -1.0, 0.0), (5.5, 7.0, 0.0), (-2.0, 1.0, 250.0)])
 def test_drawing_a_part_equals_drawing_the_whole(name: str, x_mm: float, y_mm: float, rate_deg_s: float) -> None:
-    imprinter = Imprinter(Unit.default(), GREY)
+    imprinter = Imprinter(SensorUnit.default(), GREY)
     view = GelView(name, x_mm, y_mm, 35.0, objects.get(name).press_mm, rate_deg_s=rate_deg_s)
     pictures = []
     for whole in (False, True):
@@ -150,7 +150,7 @@ def test_a_slow_turn_is_drawn_sharp_and_in_place() -> None:
 
 def test_light_changes_the_frame_and_not_the_reference() -> None:
     camera = GelCamera(QUIET, GREY)
-    camera.set_light(Light(1.0, (5.0, 0.0, -5.0), (0.0, 3.0, 0.0), (0.0, 0.0, 2.0)))
+    camera.set_light(LightChange(1.0, (5.0, 0.0, -5.0), (0.0, 3.0, 0.0), (0.0, 0.0, 2.0)))
     off = camera.draw(NOTHING).astype(float) - camera.no_contact()
     assert off[160, 120] == pytest.approx([5.0, 0.0, -5.0], abs=0.6)
     assert off[160, 239, 1] - off[160, 0, 1] == pytest.approx(6.0, abs=1.1)

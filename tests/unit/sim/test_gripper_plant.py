@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from slipguard.sim.gripper_plant import (
     UNLOAD_N_S,
     Drive,
-    GripperModel,
+    GripperDynamics,
     GripperPlant,
     advance,
     order_hold,
@@ -22,7 +22,7 @@ from slipguard.sim.gripper_plant import (
     report,
 )
 
-MODEL = GripperModel(dead_time_s=0.04, ramp_n_s=200.0, speed_mm_s=100.0)
+MODEL = GripperDynamics(dead_time_s=0.04, ramp_n_s=200.0, speed_mm_s=100.0)
 OPEN = GripperPlant()
 STEP_S = 1e-3
 HELD_N = MODEL.quantised_force_n(40.0)
@@ -30,7 +30,7 @@ HELD = GripperPlant(width_mm=30.0, force_n=HELD_N, applied_n=HELD_N, goal_mm=0.0
 
 
 def run(
-    plant: GripperPlant, start_s: float, seconds: float, object_mm: float | None = 30.0, model: GripperModel = MODEL
+    plant: GripperPlant, start_s: float, seconds: float, object_mm: float | None = 30.0, model: GripperDynamics = MODEL
 ) -> list[GripperPlant]:
     plants = [plant]
     for i in range(1, round(seconds / STEP_S) + 1):

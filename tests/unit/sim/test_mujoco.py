@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from slipguard.sim.friction import GRAVITY_M_S2, Gel, needed_force_n, pressure_shape
-from slipguard.sim.object_motion import Body, Load, Motion, advance
+from slipguard.sim.friction import GRAVITY_M_S2, SoftPad, needed_force_n, pressure_shape
+from slipguard.sim.object_motion import ExternalLoad, GraspedBody, ObjectMotion, advance
 from slipguard.sim.objects import SimObject
 
-RIGID = Gel(torsion_n_m_rad=5e4, relaxation_s=1e-3, viscous_n_m_s=0.0, viscous_n_s_m=0.0)
+RIGID = SoftPad(torsion_n_m_rad=5e4, relaxation_s=1e-3, viscous_n_m_s=0.0, viscous_n_s_m=0.0)
 STEP_S, SETTLE_S = 5e-4, 0.3
 MODEL = """
 <mujoco>
@@ -63,9 +63,9 @@ def in_mujoco(mujoco: Any, item: SimObject, force: Callable[[float], float], sec
 
 
 def in_ours(item: SimObject, force: Callable[[float], float], seconds: float) -> float:
-    motion, body, step_s = Motion(), Body.of(item), 1e-4
+    motion, body, step_s = ObjectMotion(), GraspedBody.of(item), 1e-4
     for index in range(round(seconds / step_s)):
-        motion = advance(motion, body, RIGID, Load(force(index * step_s)), step_s)
+        motion = advance(motion, body, RIGID, ExternalLoad(force(index * step_s)), step_s)
     return math.degrees(motion.rotation_rad)
 
 

@@ -10,44 +10,44 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slipguard.errors import InputError
-from slipguard.sim.friction import GRAVITY_M_S2, Gel, needed_force_n, torque_limit_n_m
-from slipguard.sim.object_motion import SUPPORT_M, Body, Load, Motion, advance
+from slipguard.sim.friction import GRAVITY_M_S2, SoftPad, needed_force_n, torque_limit_n_m
+from slipguard.sim.object_motion import SUPPORT_M, ExternalLoad, GraspedBody, ObjectMotion, advance
 from slipguard.sim.objects import SimObject
 
-RIGID = Gel(torsion_n_m_rad=5e4, relaxation_s=1e-3, viscous_n_m_s=0.0, viscous_n_s_m=0.0)
-STIFF = Gel(torsion_n_m_rad=50.0, relaxation_s=5e-3, viscous_n_m_s=0.0, viscous_n_s_m=0.0)
-SOFT = Gel(torsion_n_m_rad=0.3, relaxation_s=0.03)
+RIGID = SoftPad(torsion_n_m_rad=5e4, relaxation_s=1e-3, viscous_n_m_s=0.0, viscous_n_s_m=0.0)
+STIFF = SoftPad(torsion_n_m_rad=50.0, relaxation_s=5e-3, viscous_n_m_s=0.0, viscous_n_s_m=0.0)
+SOFT = SoftPad(torsion_n_m_rad=0.3, relaxation_s=0.03)
 
 
 def bar(mass_kg: float = 0.35, lever_mm: float = 60.0, friction: float = 0.8) -> SimObject:
     return SimObject("bar", "test", lambda u, v: u, mass_kg, lever_mm, 7.4e-4, friction, press_mm=1.0)
 
 
-HINGED = Body.of(bar(), slides=False)
-FREE = Body.of(bar())
+HINGED = GraspedBody.of(bar(), translates=False)
+FREE = GraspedBody.of(bar())
 
 
 def run(
-    body: Body,
-    gel: Gel,
+    body: GraspedBody,
+    gel: SoftPad,
     seconds: float,
-    load: Callable[[float], Load],
-    start: Motion | None = None,
+    load: Callable[[float], ExternalLoad],
+    start: ObjectMotion | None = None,
     step_s: float = 1e-4,
-) -> list[Motion]:
-    motions = [start or Motion()]
+) -> list[ObjectMotion]:
+    motions = [start or ObjectMotion()]
     for i in range(round(seconds / step_s)):
         motions.append(advance(motions[-1], body, gel, load(i * step_s), step_s))
     return motions
 
 
-def tau_c(force_n: float, body: Body = HINGED) -> float:
+def tau_c(force_n: float, body: GraspedBody = HINGED) -> float:
     return body.n_fingers * torque_limit_n_m(force_n, body.friction, RIGID)
 
 
 def test_a_torque_below_the_limit_winds_up_and_does_not_drift() -> None:
     torque = 0.9 * tau_c(20.0)
-    motions = run(HINGED, STIFF, 20.0, lambda t: Load(30.0, torque_n_m=torque), step_s=1e-3)
+    motions = run(HINGED, STIFF, 20.0, lambda t: ExternalLoad(30.0, torque_n_m=torque), step_s=1e-3)
     assert motions[-1].rotation_rad == pytest.approx(torque / (2 * 50.0), rel=1e-9)
     assert all(abs(m.rotation_rad - m.twist_rad) < 1e-12 and not m.slipping for m in motions)
 
@@ -55,17 +55,17 @@ def test_a_torque_below_the_limit_winds_up_and_does_not_drift() -> None:
 def test_shaking_below_the_limit_does_not_ratchet() -> None:
     torque = tau_c(20.0)
     motions = run(
-        HINGED, SOFT, 5.0, lambda t: Load(30.0, torque_n_m=torque * 0.3 * (1 + math.sin(90 * t))), step_s=1e-3
+        HINGED, SOFT, 5.0, lambda t: ExternalLoad(30.0, torque_n_m=torque * 0.3 * (1 + math.sin(90 * t))), step_s=1e-3
     )
     assert abs(motions[-1].rotation_rad - motions[-1].twist_rad) < 1e-12
 
 
 def test_exactly_at_the_limit_it_sticks_just_above_it_runs_away() -> None:
     limit = tau_c(20.0)
-    wound = Motion(rotation_rad=limit / 100.0, twist_rad=limit / 100.0, twist_n_m=limit)
+    wound = ObjectMotion(rotation_rad=limit / 100.0, twist_rad=limit / 100.0, twist_n_m=limit)
 
     def slipped(factor: float) -> float:
-        end = run(HINGED, STIFF, 2.0, lambda t: Load(20.0, torque_n_m=factor * limit), wound, step_s=1e-3)[-1]
+        end = run(HINGED, STIFF, 2.0, lambda t: ExternalLoad(20.0, torque_n_m=factor * limit), wound, step_s=1e-3)[-1]
         return end.rotation_rad - end.twist_rad
 
     assert abs(slipped(1.0)) < 1e-9
@@ -74,14 +74,14 @@ def test_exactly_at_the_limit_it_sticks_just_above_it_runs_away() -> None:
 
 def test_constant_torque_above_the_limit_accelerates_evenly() -> None:
     surplus, seconds = 0.05, 0.2
-    motions = run(HINGED, RIGID, seconds, lambda t: Load(8.0, torque_n_m=tau_c(8.0) + surplus))
+    motions = run(HINGED, RIGID, seconds, lambda t: ExternalLoad(8.0, torque_n_m=tau_c(8.0) + surplus))
     alpha = surplus / HINGED.inertia_kg_m2
     assert motions[-1].rotation_rad == pytest.approx(0.5 * alpha * seconds**2, rel=3e-3)
     assert motions[-1].rate_rad_s == pytest.approx(alpha * seconds, rel=3e-3)
 
 
 def test_without_grip_it_swings_like_a_pendulum() -> None:
-    motions = run(HINGED, RIGID, 3.0, lambda t: Load(0.0), Motion(rotation_rad=math.pi / 2 - 0.05))
+    motions = run(HINGED, RIGID, 3.0, lambda t: ExternalLoad(0.0), ObjectMotion(rotation_rad=math.pi / 2 - 0.05))
     swing = [m.rotation_rad - math.pi / 2 for m in motions]
     crossings = [i for i in range(1, len(swing)) if swing[i - 1] < 0 <= swing[i]]
     period = (crossings[-1] - crossings[0]) * 1e-4 / (len(crossings) - 1)
@@ -90,13 +90,13 @@ def test_without_grip_it_swings_like_a_pendulum() -> None:
 
 
 def test_without_grip_it_falls() -> None:
-    end = run(FREE, RIGID, 0.1, lambda t: Load(0.0))[-1]
-    assert end.slide_m == pytest.approx(0.5 * GRAVITY_M_S2 * 0.1**2, rel=2e-3)
+    end = run(FREE, RIGID, 0.1, lambda t: ExternalLoad(0.0))[-1]
+    assert end.slip_m == pytest.approx(0.5 * GRAVITY_M_S2 * 0.1**2, rel=2e-3)
 
 
 def test_tightening_arrests_after_the_exact_angle_and_time() -> None:
     torque, rate = 0.17, 1.5
-    motions = run(HINGED, RIGID, 0.4, lambda t: Load(40.0, torque_n_m=torque), Motion(rate_rad_s=rate))
+    motions = run(HINGED, RIGID, 0.4, lambda t: ExternalLoad(40.0, torque_n_m=torque), ObjectMotion(rate_rad_s=rate))
     deceleration = (tau_c(40.0) - torque) / HINGED.inertia_kg_m2
     assert motions[-1].rotation_rad == pytest.approx(rate**2 / (2 * deceleration), rel=2e-2)
     stopped = next(i for i, m in enumerate(motions) if m.rate_rad_s <= 0.0) * 1e-4
@@ -104,15 +104,15 @@ def test_tightening_arrests_after_the_exact_angle_and_time() -> None:
 
 
 def test_viscous_terminal_speed() -> None:
-    gel = Gel(torsion_n_m_rad=50.0, relaxation_s=5e-3, viscous_n_m_s=0.2)
-    end = run(HINGED, gel, 0.4, lambda t: Load(8.0, torque_n_m=tau_c(8.0) + 0.05), step_s=1e-3)[-1]
+    gel = SoftPad(torsion_n_m_rad=50.0, relaxation_s=5e-3, viscous_n_m_s=0.2)
+    end = run(HINGED, gel, 0.4, lambda t: ExternalLoad(8.0, torque_n_m=tau_c(8.0) + 0.05), step_s=1e-3)[-1]
     assert end.rate_rad_s == pytest.approx(0.05 / (2 * 0.2), rel=1e-6)
 
 
 def test_a_coulomb_pendulum_loses_the_same_amplitude_every_half_swing() -> None:
-    body = Body.of(bar(lever_mm=150.0), slides=False)
+    body = GraspedBody.of(bar(lever_mm=150.0), translates=False)
     force_n = 0.05
-    motions = run(body, RIGID, 2.0, lambda t: Load(force_n), Motion(rotation_rad=math.pi / 2 - 0.25))
+    motions = run(body, RIGID, 2.0, lambda t: ExternalLoad(force_n), ObjectMotion(rotation_rad=math.pi / 2 - 0.25))
     swing = [m.rotation_rad - math.pi / 2 for m in motions]
     rotations = [abs(b) for a, b, c in zip(swing, swing[1:], swing[2:], strict=False) if (b - a) * (c - b) < 0]
     peaks = [0.25, *rotations[:3]]
@@ -123,15 +123,15 @@ def test_a_coulomb_pendulum_loses_the_same_amplitude_every_half_swing() -> None:
 
 def test_energy_goes_into_motion_and_friction() -> None:
     force_n = 8.0
-    end = run(HINGED, RIGID, 0.15, lambda t: Load(force_n))[-1]
+    end = run(HINGED, RIGID, 0.15, lambda t: ExternalLoad(force_n))[-1]
     given_up = 0.35 * GRAVITY_M_S2 * 0.06 * math.sin(end.rotation_rad)
     kept = 0.5 * HINGED.inertia_kg_m2 * end.rate_rad_s**2 + tau_c(force_n) * end.rotation_rad
     assert kept == pytest.approx(given_up, rel=3e-3)
 
 
 def test_mirrored_torque_mirrors_the_motion() -> None:
-    def ends(sign: float) -> Motion:
-        return run(HINGED, SOFT, 0.3, lambda t: Load(8.0, torque_n_m=sign * (tau_c(8.0) + 0.05)))[-1]
+    def ends(sign: float) -> ObjectMotion:
+        return run(HINGED, SOFT, 0.3, lambda t: ExternalLoad(8.0, torque_n_m=sign * (tau_c(8.0) + 0.05)))[-1]
 
     assert ends(1.0).rotation_rad == -ends(-1.0).rotation_rad
     assert ends(1.0).twist_rad == -ends(-1.0).twist_rad
@@ -139,7 +139,7 @@ def test_mirrored_torque_mirrors_the_motion() -> None:
 
 def test_halving_the_step_halves_the_error() -> None:
     def angle(step_s: float) -> float:
-        return run(FREE, SOFT, 0.2, lambda t: Load(15.0), step_s=step_s)[-1].rotation_rad
+        return run(FREE, SOFT, 0.2, lambda t: ExternalLoad(15.0), step_s=step_s)[-1].rotation_rad
 
     exact = angle(1e-5)
     errors = [abs(angle(step_s) - exact) for step_s in (1e-3, 5e-4, 2.5e-4)]
@@ -153,8 +153,8 @@ def test_the_critical_grip_is_the_closed_form_whatever_the_step(step_s: float) -
     needed_n = needed_force_n(bar(), STIFF)
 
     def slips(force_n: float) -> bool:
-        def eased(t: float) -> Load:  # the weight comes on slowly: no overshoot
-            return Load(force_n, acceleration_m_s2=-GRAVITY_M_S2 * max(0.0, 1.0 - t))
+        def eased(t: float) -> ExternalLoad:  # the weight comes on slowly: no overshoot
+            return ExternalLoad(force_n, acceleration_m_s2=-GRAVITY_M_S2 * max(0.0, 1.0 - t))
 
         end = run(FREE, STIFF, 1.5, eased, step_s=step_s)[-1]
         return end.rotation_rad - end.twist_rad > 1e-4
@@ -166,39 +166,39 @@ def test_the_critical_grip_is_the_closed_form_whatever_the_step(step_s: float) -
 
 def test_turning_under_load_lets_it_creep_down_along_the_flow_rule() -> None:
     force_n = 15.0
-    motions = run(FREE, RIGID, 0.1, lambda t: Load(force_n))
+    motions = run(FREE, RIGID, 0.1, lambda t: ExternalLoad(force_n))
     f, f_max = 0.35 * GRAVITY_M_S2, 2 * 0.8 * force_n
     torque_max = tau_c(force_n)
     torque = torque_max * math.sqrt(1 - (f / f_max) ** 2)
-    assert motions[-1].slide_m / motions[-1].rotation_rad == pytest.approx(
+    assert motions[-1].slip_m / motions[-1].rotation_rad == pytest.approx(
         f / f_max**2 * torque_max**2 / torque, rel=0.02
     )
 
 
-BALANCED = Body.of(bar(lever_mm=0.0))
+BALANCED = GraspedBody.of(bar(lever_mm=0.0))
 
 
 def test_a_balanced_object_slides_straight_down_when_the_load_is_too_much() -> None:
     force_n = 1.5  # 0.35 kg needs 2.15 N per finger
-    end = run(BALANCED, RIGID, 0.2, lambda t: Load(force_n))[-1]
+    end = run(BALANCED, RIGID, 0.2, lambda t: ExternalLoad(force_n))[-1]
     acceleration = GRAVITY_M_S2 - 2 * 0.8 * force_n / 0.35
-    assert end.slide_m == pytest.approx(0.5 * acceleration * 0.2**2, rel=5e-3)
+    assert end.slip_m == pytest.approx(0.5 * acceleration * 0.2**2, rel=5e-3)
     assert end.rotation_rad == 0.0
 
 
 def test_a_slide_is_caught_by_tightening() -> None:
     speed = 0.05
-    end = run(BALANCED, RIGID, 0.02, lambda t: Load(6.0), Motion(slide_m_s=speed), step_s=1e-5)[-1]
+    end = run(BALANCED, RIGID, 0.02, lambda t: ExternalLoad(6.0), ObjectMotion(slip_m_s=speed), step_s=1e-5)[-1]
     deceleration = 2 * 0.8 * 6.0 / 0.35 - GRAVITY_M_S2
-    assert end.slide_m == pytest.approx(speed**2 / (2 * deceleration), rel=0.02)
-    assert end.slide_m_s == pytest.approx(0.0, abs=1e-6)
+    assert end.slip_m == pytest.approx(speed**2 / (2 * deceleration), rel=0.02)
+    assert end.slip_m_s == pytest.approx(0.0, abs=1e-6)
 
 
 def test_wind_up_is_large_on_a_soft_gel_and_comes_back() -> None:
     torque = 0.1
 
-    def pulse(t: float) -> Load:
-        return Load(40.0, torque_n_m=torque if t < 2.0 else 0.0)
+    def pulse(t: float) -> ExternalLoad:
+        return ExternalLoad(40.0, torque_n_m=torque if t < 2.0 else 0.0)
 
     motions = run(HINGED, SOFT, 4.0, pulse, step_s=1e-3)
     assert motions[1999].rotation_rad == pytest.approx(torque / (2 * 0.3), rel=1e-3)
@@ -206,8 +206,8 @@ def test_wind_up_is_large_on_a_soft_gel_and_comes_back() -> None:
 
 
 def test_after_a_slip_only_the_wind_up_comes_back() -> None:
-    def pulse(t: float) -> Load:
-        return Load(8.0, torque_n_m=tau_c(8.0) + 0.02 if t < 0.3 else 0.0)
+    def pulse(t: float) -> ExternalLoad:
+        return ExternalLoad(8.0, torque_n_m=tau_c(8.0) + 0.02 if t < 0.3 else 0.0)
 
     motions = run(HINGED, SOFT, 3.0, pulse, step_s=1e-3)
     end = motions[-1]
@@ -217,14 +217,14 @@ def test_after_a_slip_only_the_wind_up_comes_back() -> None:
 
 
 def test_tightening_does_not_untwist_the_gel() -> None:
-    gel = Gel(torsion_n_m_rad=0.2, stiffening=3.0, relaxation_s=0.03)
-    motions = run(HINGED, gel, 3.0, lambda t: Load(20.0 if t < 1.5 else 60.0, torque_n_m=0.05), step_s=1e-3)
+    gel = SoftPad(torsion_n_m_rad=0.2, stiffening=3.0, relaxation_s=0.03)
+    motions = run(HINGED, gel, 3.0, lambda t: ExternalLoad(20.0 if t < 1.5 else 60.0, torque_n_m=0.05), step_s=1e-3)
     assert motions[-1].rotation_rad == pytest.approx(motions[1490].rotation_rad, rel=1e-3)
 
 
 def test_on_the_table_nothing_moves() -> None:
     for force_n in (0.0, 10.0):
-        end = run(FREE, SOFT, 1.0, lambda t, n=force_n: Load(n, rise_m=0.0), step_s=1e-3)[-1]  # type: ignore[misc]
+        end = run(FREE, SOFT, 1.0, lambda t, n=force_n: ExternalLoad(n, rise_m=0.0), step_s=1e-3)[-1]  # type: ignore[misc]
         assert end.rotation_rad == pytest.approx(0.0, abs=1e-12)
         assert end.load_n == pytest.approx(0.0, abs=1e-9)
 
@@ -233,16 +233,18 @@ def test_the_table_hands_the_weight_over_while_it_leaves() -> None:
     weight_n = 0.35 * GRAVITY_M_S2
     loads = []
     for share in (0.25, 0.5, 1.0, 2.0):
-        gel = Gel(torsion_n_m_rad=5e4, relaxation_s=0.1)
-        loads.append(run(FREE, gel, 1.0, lambda t, s=share: Load(100.0, rise_m=s * SUPPORT_M), step_s=1e-3)[-1].load_n)  # type: ignore[misc]
+        gel = SoftPad(torsion_n_m_rad=5e4, relaxation_s=0.1)
+        loads.append(
+            run(FREE, gel, 1.0, lambda t, s=share: ExternalLoad(100.0, rise_m=s * SUPPORT_M), step_s=1e-3)[-1].load_n
+        )  # type: ignore[misc]
     assert loads == pytest.approx([0.25 * weight_n, 0.5 * weight_n, weight_n, weight_n], rel=2e-2)
 
 
 def test_a_weak_grip_lets_it_pivot_on_its_far_end() -> None:
     speed = 0.05
 
-    def lifted(t: float) -> Load:
-        return Load(8.0, rise_m=speed * t, rise_m_s=speed)
+    def lifted(t: float) -> ExternalLoad:
+        return ExternalLoad(8.0, rise_m=speed * t, rise_m_s=speed)
 
     end = run(FREE, STIFF, 1.0, lifted, step_s=1e-3)[-1]
     assert end.on_table
@@ -252,33 +254,33 @@ def test_a_weak_grip_lets_it_pivot_on_its_far_end() -> None:
 @settings(max_examples=60, deadline=None)
 @given(
     st.lists(st.tuples(st.floats(0.0, 300.0), st.floats(-20.0, 20.0), st.floats(-0.2, 0.2)), min_size=1, max_size=12),
-    st.sampled_from([RIGID, STIFF, SOFT, Gel(torsion_n_m_rad=0.1, stiffening=3.0)]),
+    st.sampled_from([RIGID, STIFF, SOFT, SoftPad(torsion_n_m_rad=0.1, stiffening=3.0)]),
     st.floats(0.01, 3.0),
     st.floats(0.0, 200.0),
     st.booleans(),
 )
 def test_no_sequence_of_grips_breaks_it(
-    pieces: list[tuple[float, float, float]], gel: Gel, mass_kg: float, lever_mm: float, table: bool
+    pieces: list[tuple[float, float, float]], gel: SoftPad, mass_kg: float, lever_mm: float, table: bool
 ) -> None:
-    body, motion, rise = Body.of(bar(mass_kg, lever_mm)), Motion(), 0.0
+    body, motion, rise = GraspedBody.of(bar(mass_kg, lever_mm)), ObjectMotion(), 0.0
     for force_n, acceleration, rise_m_s in pieces:
         for _ in range(30):
             rise = max(rise + 1e-3 * rise_m_s, 0.0)
-            load = Load(force_n, acceleration, rise if table else None, rise_m_s)
+            load = ExternalLoad(force_n, acceleration, rise if table else None, rise_m_s)
             motion = advance(motion, body, gel, load, 1e-3)
             assert all(
-                math.isfinite(x) for x in (motion.rotation_rad, motion.rate_rad_s, motion.slide_m, motion.slide_m_s)
+                math.isfinite(x) for x in (motion.rotation_rad, motion.rate_rad_s, motion.slip_m, motion.slip_m_s)
             )
             # It only ever gets energy from gravity, the table and the acceleration: speeds stay those of a fall.
-            assert abs(motion.slide_m_s) < 40.0
+            assert abs(motion.slip_m_s) < 40.0
             assert abs(motion.twist_n_m) < 1e3
 
 
 def test_a_body_needs_mass_and_friction() -> None:
     with pytest.raises(InputError, match="bar: mass"):
-        Body.of(bar(mass_kg=0.0))
+        GraspedBody.of(bar(mass_kg=0.0))
     with pytest.raises(InputError, match="bar: mass"):
-        Body.of(bar(friction=0.0))
+        GraspedBody.of(bar(friction=0.0))
 
 
 @pytest.mark.parametrize(
@@ -296,5 +298,5 @@ def test_it_turns_as_far_as_in_mujoco(ratio: float, tightened: float, mujoco_deg
     """Recorded from MuJoCo 4.0.0: elliptic cone, condim 4, impratio 10, 20 noslip iterations, tightened at 0.12 s."""
     needed_n = needed_force_n(bar(), RIGID)
     seconds = 0.4 if tightened != ratio else 0.25
-    end = run(FREE, RIGID, seconds, lambda t: Load(needed_n * (ratio if t < 0.12 else tightened)))[-1]
+    end = run(FREE, RIGID, seconds, lambda t: ExternalLoad(needed_n * (ratio if t < 0.12 else tightened)))[-1]
     assert math.degrees(end.rotation_rad) == pytest.approx(mujoco_deg, abs=0.5)

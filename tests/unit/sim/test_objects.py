@@ -7,10 +7,10 @@ import pytest
 
 from slipguard.errors import InputError
 from slipguard.sim import catalogue_test, objects, shapes
-from slipguard.sim.friction import Gel, needed_force_n
+from slipguard.sim.friction import SoftPad, needed_force_n
 from slipguard.sim.gel import GelCamera
-from slipguard.sim.height_map import relief_of
-from slipguard.sim.unit import Unit
+from slipguard.sim.height_map import height_raster_of
+from slipguard.sim.unit import SensorUnit
 from slipguard.sim.view import GelView
 
 ALL = (*objects.names("train"), *objects.names("test"))
@@ -38,7 +38,7 @@ def test_heights_are_float32_with_their_top_at_zero(name: str) -> None:
 @pytest.mark.parametrize("name", ALL)
 def test_mechanics_need_a_strong_grip(name: str) -> None:
     item = objects.get(name)
-    assert 48.0 <= needed_force_n(item, Gel()) <= 75.0
+    assert 48.0 <= needed_force_n(item, SoftPad()) <= 75.0
     assert 0.4 <= item.friction <= 1.0
     assert 0.05 <= item.mass_kg <= 1.5
     assert item.inertia_kg_m2 > 0.0
@@ -50,14 +50,14 @@ def test_one_is_heavy_and_one_strongly_curved() -> None:
     heavy, curved = objects.get("bar"), objects.get("ball")
     assert heavy.mass_kg > 1.2
     assert heavy.com_offset_mm < 60.0
-    camera = GelCamera(Unit.default())
+    camera = GelCamera(SensorUnit.default())
     picture = camera.draw(GelView("ball", x_mm=-1.5, depth_mm=curved.press_mm)).astype(float)
     off = np.abs(picture - camera.no_contact())
     assert off.max() > 90  # the signal range of a real DIGIT is about 100 grey levels
 
 
 def test_the_forces_needed_by_the_test_set_are_spread() -> None:
-    forces = sorted(needed_force_n(objects.get(name), Gel()) for name in objects.names("test"))
+    forces = sorted(needed_force_n(objects.get(name), SoftPad()) for name in objects.names("test"))
     assert forces[0] < 52
     assert forces[-1] > 70
     assert max(np.diff(forces)) < 8
@@ -66,7 +66,7 @@ def test_the_forces_needed_by_the_test_set_are_spread() -> None:
 @pytest.mark.parametrize("name", ["bar", "wedge", "wrench", "knife_edge", "key", "screwdriver", "hook"])
 def test_axial_objects_have_a_long_patch(name: str) -> None:
     item = objects.get(name)
-    truth = GelCamera(Unit.default()).draw_with_truth(GelView(name, depth_mm=item.press_mm))
+    truth = GelCamera(SensorUnit.default()).draw_with_truth(GelView(name, depth_mm=item.press_mm))
     rows, columns = np.nonzero(truth.contact)
     spread = np.linalg.eigvalsh(np.cov(rows, columns))
     assert item.axial
@@ -80,15 +80,15 @@ def test_round_objects_say_so(name: str) -> None:
 
 def test_the_handle_is_clipped_by_the_frame() -> None:
     item = objects.get("screwdriver")
-    contact = GelCamera(Unit.default()).draw_with_truth(GelView(item.name, depth_mm=item.press_mm)).contact
+    contact = GelCamera(SensorUnit.default()).draw_with_truth(GelView(item.name, depth_mm=item.press_mm)).contact
     assert contact[:, 0].any()
 
 
 def test_no_test_shape_is_among_the_training_shapes() -> None:
     """Best match over turns, of the surface to a common depth: well below that of a shape with itself."""
-    train = {name: relief_of(name).coarse for name in objects.names("train")}
+    train = {name: height_raster_of(name).coarse for name in objects.names("train")}
     for name in objects.names("test"):
-        mine = np.maximum(relief_of(name).coarse, -0.8)
+        mine = np.maximum(height_raster_of(name).coarse, -0.8)
         for other, theirs in train.items():
             for quarter in range(4):
                 match = np.corrcoef(mine.ravel(), np.rot90(np.maximum(theirs, -0.8), quarter).ravel())[0, 1]

@@ -9,12 +9,12 @@ from itertools import pairwise
 import pytest
 from world_scene import QUICK, T0, bar, follow, grasped, make
 
-from slipguard.sim.cell import Cell, is_still
-from slipguard.sim.friction import Gel, needed_force_n
+from slipguard.sim.cell import CellState, is_still
+from slipguard.sim.friction import SoftPad, needed_force_n
 from slipguard.sim.gripper_plant import GripperPlant
-from slipguard.sim.object_motion import Motion
+from slipguard.sim.object_motion import ObjectMotion
 from slipguard.sim.scenario import Scenario
-from slipguard.sim.world import Truth, World, WorldSettings
+from slipguard.sim.world import World, WorldSettings, WorldTruth
 
 
 def test_an_empty_world_has_nothing_to_show() -> None:
@@ -48,14 +48,14 @@ def test_a_good_grip_lifts_without_a_turn() -> None:
     assert end.height_mm == 60.0
     assert not end.on_table
     assert end.load_n == pytest.approx(0.35 * 9.80665 / 2, rel=1e-6)
-    assert end.needed_force_n == pytest.approx(needed_force_n(bar(), Gel()))
+    assert end.needed_force_n == pytest.approx(needed_force_n(bar(), SoftPad()))
 
 
 def test_a_weak_grip_turns_and_tightening_stops_it() -> None:
     world, now_s = grasped(20.0)
     world.command_lift(now_s, 60.0, 50.0)
 
-    def guard(truth: Truth) -> None:
+    def guard(truth: WorldTruth) -> None:
         if truth.rotation_deg > 2.0:
             world.command_hold(truth.time_s, 34.0)
 
@@ -74,7 +74,7 @@ def test_the_two_pictures_mirror_each_other() -> None:
     assert left.angle_deg == pytest.approx(30.0 + truth.rotation_deg) == truth.angle_deg
     assert right.angle_deg == -left.angle_deg == truth.right_angle_deg
     assert (left.x_mm, right.x_mm) == (1.5, -1.5)
-    assert left.y_mm == right.y_mm == pytest.approx(-0.5 - truth.slide_mm)
+    assert left.y_mm == right.y_mm == pytest.approx(-0.5 - truth.slip_mm)
     assert left.rate_deg_s == -right.rate_deg_s == truth.rate_deg_s
 
 
@@ -102,7 +102,7 @@ def test_too_weak_for_the_weight_slides_and_is_lost() -> None:
     world, now_s = grasped(20.0, bar(mass_kg=2.0, lever_mm=0.0, friction=0.4))  # needs 24.5 N
     world.command_lift(now_s, 5.0, 50.0)
     sliding = follow(world, now_s, 1.0)[-1]
-    assert sliding.slide_mm > 2.0
+    assert sliding.slip_mm > 2.0
     assert sliding.on_table
     assert sliding.dropped is None
     world.command_lift(now_s + 1.0, 60.0, 50.0)
@@ -115,15 +115,15 @@ def test_a_slide_is_seen_in_the_pictures_and_tightening_ends_it() -> None:
     world, now_s = grasped(20.0, bar(mass_kg=2.0, lever_mm=0.0, friction=0.4))
     world.command_lift(now_s, 60.0, 20.0)
 
-    def guard(truth: Truth) -> None:
-        if truth.slide_mm > 1.0:
+    def guard(truth: WorldTruth) -> None:
+        if truth.slip_mm > 1.0:
             world.command_hold(truth.time_s, 45.0)
 
     end = follow(world, now_s, 5.0, guard)[-1]
     assert end.dropped is None
-    assert 1.0 < end.slide_mm < 8.0
+    assert 1.0 < end.slip_mm < 8.0
     assert not end.on_table
-    assert world.view("left", now_s + 5.0).y_mm == pytest.approx(-end.slide_mm)
+    assert world.view("left", now_s + 5.0).y_mm == pytest.approx(-end.slip_mm)
 
 
 def test_a_jerk_beyond_friction_drops_it() -> None:
@@ -173,9 +173,9 @@ def test_set_down_and_grasped_again_it_starts_afresh() -> None:
 
 def test_an_even_motion_is_not_taken_for_rest() -> None:
     gripper = GripperPlant(width_mm=30.0, force_n=30.0, holding=True)
-    rotating = Cell(gripper, QUICK, motion=Motion(rate_rad_s=0.5), held=True)
+    rotating = CellState(gripper, QUICK, motion=ObjectMotion(rate_rad_s=0.5), held=True)
     assert not is_still(rotating, rotating, T0)
-    resting = replace(rotating, motion=Motion(rotation_rad=0.5))
+    resting = replace(rotating, motion=ObjectMotion(rotation_rad=0.5))
     assert is_still(resting, resting, T0)
 
 

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from world_scene import T0, bar, follow, grasped, make
 
 from slipguard.errors import CommandRefused, InputError
-from slipguard.sim.faults import KINDS, FaultBoard
-from slipguard.sim.friction import Gel, needed_force_n
-from slipguard.sim.object_motion import Body, Load, Motion, advance
+from slipguard.sim.faults import KINDS, InjectedFaults
+from slipguard.sim.friction import SoftPad, needed_force_n
+from slipguard.sim.object_motion import ExternalLoad, GraspedBody, ObjectMotion, advance
 from slipguard.sim.scenario import Scenario, scenario
-from slipguard.sim.world import Truth
+from slipguard.sim.world import WorldTruth
 
 
 def test_wind_up_on_a_soft_gel_is_told_apart_from_slip() -> None:
-    world, now_s = grasped(35.0, gel=Gel(torsion_n_m_rad=0.3, stiffening=3.0, relaxation_s=0.02))
+    world, now_s = grasped(35.0, gel=SoftPad(torsion_n_m_rad=0.3, stiffening=3.0, relaxation_s=0.02))
     world.command_lift(now_s, 60.0, 50.0)
     up = follow(world, now_s, 3.0)[-1]
     assert up.elastic_deg > 2.0
@@ -30,8 +30,8 @@ def test_wind_up_on_a_soft_gel_is_told_apart_from_slip() -> None:
 
 
 def test_answers_do_not_depend_on_how_often_it_is_asked() -> None:
-    def story(extra: random.Random | None) -> Truth:
-        world, now_s = grasped(20.0, gel=Gel(0.3, 3.0))
+    def story(extra: random.Random | None) -> WorldTruth:
+        world, now_s = grasped(20.0, gel=SoftPad(0.3, 3.0))
         world.command_lift(now_s, 60.0, 50.0)
         if extra is not None:
             for at_s in sorted(extra.uniform(now_s, now_s + 1.0) for _ in range(300)):
@@ -71,7 +71,7 @@ def test_safety_stops_brake_the_arm_and_keep_the_grip() -> None:
         assert 0.0 < after.height_mm - before.height_mm < 3.0
         assert after.in_contact
         assert world.command_lift(now_s + 3.0, 50.0, 50.0) == 0.0
-        world.faults.mend("arm", kind)
+        world.faults.repair("arm", kind)
         assert not world.arm_state(now_s + 4.0).moving
         assert world.command_lift(now_s + 4.0, 50.0, 50.0) == 50.0
 
@@ -85,17 +85,17 @@ def test_a_gripper_in_fault_keeps_its_grip_and_does_nothing() -> None:
     assert world.command_hold(now_s, 90.0) == applied_n
     world.command_release(now_s, 85.0)
     assert world.truth(now_s + 2.0).in_contact
-    world.faults.mend("gripper")
+    world.faults.repair("gripper")
     assert world.command_hold(now_s + 2.0, 90.0) > 89.0
 
 
 def test_faults_name_the_alternatives() -> None:
-    board = FaultBoard()
+    board = InjectedFaults()
     for device, kinds in KINDS.items():
         for kind in kinds:
             board.fail(device, kind)
         assert board.active(device) == kinds
-        board.mend(device)
+        board.repair(device)
         assert board.active(device) == frozenset()
     with pytest.raises(InputError, match="there are left, right, gripper, arm"):
         board.fail("camera", "stall")
@@ -188,7 +188,7 @@ def test_no_sequence_of_commands_breaks_the_world(story: list[tuple[tuple[str, f
             world.command_stop(now_s)
         now_s += wait_s
         truth = world.truth(now_s)
-        numbers = [v for v in (getattr(truth, f) for f in Truth.__slots__) if isinstance(v, float)]
+        numbers = [v for v in (getattr(truth, f) for f in WorldTruth.__slots__) if isinstance(v, float)]
         assert all(math.isfinite(v) for v in numbers)
         assert truth.rotation_deg == pytest.approx(truth.elastic_deg + truth.slip_deg)
         assert 0.0 <= truth.height_mm <= 800.0
@@ -205,13 +205,13 @@ def test_no_sequence_of_commands_breaks_the_world(story: list[tuple[tuple[str, f
 @pytest.mark.parametrize("ramp_n_s", [64.0, 480.0])
 def test_what_a_loop_can_reach(ratio: float, low_deg: float, high_deg: float, ramp_n_s: float) -> None:
     """The published loop table: 100 ms latency, threshold 2 deg, tightened to 1.6 x critical, seen at 30 Hz."""
-    body, gel, needed_n = Body.of(bar()), Gel(), needed_force_n(bar(), Gel())
-    motion, force_n, fires_s = Motion(), ratio * needed_n, math.inf
+    body, gel, needed_n = GraspedBody.of(bar()), SoftPad(), needed_force_n(bar(), SoftPad())
+    motion, force_n, fires_s = ObjectMotion(), ratio * needed_n, math.inf
     for i in range(1200):
         now_s = i * 1e-3
         if i % 33 == 0 and math.degrees(motion.rotation_rad) > 2.0:
             fires_s = min(fires_s, now_s + 0.1)
         if now_s >= fires_s:
             force_n = min(force_n + ramp_n_s * 1e-3, 1.6 * needed_n)
-        motion = advance(motion, body, gel, Load(force_n), 1e-3)
+        motion = advance(motion, body, gel, ExternalLoad(force_n), 1e-3)
     assert low_deg < math.degrees(motion.rotation_rad) < high_deg

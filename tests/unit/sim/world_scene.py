@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from slipguard.errors import InputError
-from slipguard.sim.gripper_plant import GripperModel
+from slipguard.sim.gripper_plant import GripperDynamics
 from slipguard.sim.objects import SimObject
 from slipguard.sim.scenario import Scenario
-from slipguard.sim.world import Truth, World
+from slipguard.sim.world import World, WorldTruth
 
 T0 = 1000.0
-QUICK = GripperModel(dead_time_s=0.02, ramp_n_s=480.0, speed_mm_s=150.0)
+QUICK = GripperDynamics(dead_time_s=0.02, ramp_n_s=480.0, speed_mm_s=150.0)
 
 
 def bar(mass_kg: float = 0.35, lever_mm: float = 60.0, friction: float = 0.8) -> SimObject:
@@ -38,7 +38,9 @@ def grasped(force_n: float, item: SimObject | None = None, **changes: object) ->
     return world, T0 + 1.5
 
 
-def follow(world: World, start_s: float, seconds: float, act: Callable[[Truth], None] | None = None) -> list[Truth]:
+def follow(
+    world: World, start_s: float, seconds: float, act: Callable[[WorldTruth], None] | None = None
+) -> list[WorldTruth]:
     truths = []
     for i in range(round(seconds * 100)):
         truths.append(world.truth(start_s + i * 0.01))

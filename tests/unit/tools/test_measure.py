@@ -11,7 +11,7 @@ import pytest
 from slipguard.cli.measure import ReferenceChoice, measure
 from slipguard.errors import InputError, ModelError
 from slipguard.sim.gel import GelCamera
-from slipguard.sim.unit import Unit
+from slipguard.sim.unit import SensorUnit
 from slipguard.sim.view import GelView
 from slipguard.tools.image_files import read_gel, sources, stills
 
@@ -28,7 +28,7 @@ KEYS = {
 }
 
 
-CAMERA = GelCamera(Unit.default(), seed=7)
+CAMERA = GelCamera(SensorUnit.default(), seed=7)
 
 
 def glow(seed: int) -> np.ndarray:

@@ -73,13 +73,13 @@ def test_rendered_frames_come_from_the_cache_the_second_time(tmp_path: Path, mon
     from slipguard.datasets import frame_cache
 
     drawn: list[int] = []
-    original = frame_cache.sample
+    original = frame_cache.render_sample
 
     def counted(seed: int) -> object:
         drawn.append(seed)
         return original(seed)
 
-    monkeypatch.setattr(frame_cache, "sample", counted)
+    monkeypatch.setattr(frame_cache, "render_sample", counted)
     first = frame_cache.rendered_frames(tmp_path, 5, 4, lambda ready: None)
     again = frame_cache.rendered_frames(tmp_path, 5, 4, lambda ready: None)
     assert drawn == [5, 6, 7, 8]
