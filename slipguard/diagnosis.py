@@ -19,37 +19,37 @@ from enum import StrEnum
 from typing import Protocol, runtime_checkable
 
 
-class Verdict(StrEnum):
+class CheckStatus(StrEnum):
     """fine: as it should be. note: it works, but somebody should know. wrong: it does not work."""
 
-    FINE = "fine"
+    OK = "ok"
     NOTE = "note"
-    WRONG = "wrong"
+    PROBLEM = "problem"
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class CheckResult:
     """One line. what: in two or three words. do: how to mend it; never empty where something is wrong."""
 
-    what: str
-    verdict: Verdict
-    seen: str
-    do: str = ""
+    check: str
+    status: CheckStatus
+    observed: str
+    action: str = ""
 
 
-def fine(what: str, seen: str) -> Finding:
+def ok(check: str, observed: str) -> CheckResult:
     """As it should be."""
-    return Finding(what, Verdict.FINE, seen)
+    return CheckResult(check, CheckStatus.OK, observed)
 
 
-def note(what: str, seen: str, do: str = "") -> Finding:
+def note(check: str, observed: str, action: str = "") -> CheckResult:
     """It works, but somebody should know."""
-    return Finding(what, Verdict.NOTE, seen, do)
+    return CheckResult(check, CheckStatus.NOTE, observed, action)
 
 
-def wrong(what: str, seen: str, do: str) -> Finding:
+def problem(check: str, observed: str, action: str) -> CheckResult:
     """It does not work. do: the next step of whoever reads it."""
-    return Finding(what, Verdict.WRONG, seen, do)
+    return CheckResult(check, CheckStatus.PROBLEM, observed, action)
 
 
 @runtime_checkable
@@ -57,15 +57,15 @@ class Diagnosable(Protocol):
     """A driver that adds looks of its own."""
 
     @abstractmethod
-    def diagnose(self, *, owned: bool) -> AsyncIterator[Finding]:
+    def diagnose(self, *, owned: bool) -> AsyncIterator[CheckResult]:
         """Look without moving anything; see the module."""
 
 
-def from_error(what: str, error: Exception, device: str, otherwise: str) -> Finding:
+def problem_from_error(check: str, error: Exception, device: str, otherwise: str) -> CheckResult:
     """A finding from one of our one-line errors: what was seen before the last `; `, what to do behind it.
 
     device: left out of the line where it leads it. otherwise: what to do where the error does not say.
     """
     text = str(error).removeprefix(f"{device}: ")
-    seen, found, do = text.rpartition("; ")
-    return wrong(what, seen if found else text, do if found else otherwise)
+    observed, found, action = text.rpartition("; ")
+    return problem(check, observed if found else text, action if found else otherwise)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from slipguard.doctor.examine import Line
 
-MARKS = {"fine": "[green]✓[/]", "note": "[yellow]![/]", "wrong": "[red]✗[/]"}
+MARKS = {"ok": "[green]✓[/]", "note": "[yellow]![/]", "problem": "[red]✗[/]"}
 
 
 def doctor(
@@ -44,11 +44,11 @@ def doctor(
     progress = Console(stderr=True, quiet=not Console(stderr=True).is_terminal)
     with progress.status("looking …") as status, left_to_the_loop():
         lines = asyncio.run(
-            examine(settings, socket or running_socket(settings), lambda what: status.update(f"looking at {what} …"))
+            examine(settings, socket or running_socket(settings), lambda check: status.update(f"looking at {check} …"))
         )
-    bad = sum(line.finding.verdict == "wrong" for line in lines)
+    bad = sum(line.result.status == "problem" for line in lines)
     if json:
-        print(jsonlib.dumps({"wrong": bad, "findings": [_plain(line) for line in lines]}))
+        print(jsonlib.dumps({"problems": bad, "checks": [_plain(line) for line in lines]}))
     else:
         _show(Console(highlight=False), lines, bad, config)
     if bad:
@@ -56,13 +56,13 @@ def doctor(
 
 
 def _plain(line: Line) -> dict[str, str]:
-    found = line.finding
+    found = line.result
     return {
         "subject": line.subject,
-        "what": found.what,
-        "verdict": found.verdict.value,
-        "seen": found.seen,
-        "do": found.do,
+        "check": found.check,
+        "status": found.status.value,
+        "observed": found.observed,
+        "action": found.action,
     }
 
 
@@ -77,15 +77,15 @@ def _show(console: Console, lines: list[Line], bad: int, config: Path) -> None:
     table.add_column()
     before = ""
     for line in lines:
-        found = line.finding
+        found = line.result
         if before and line.subject != before:
             table.add_row()
-        do = f"\n[bold]→ {escape(found.do)}[/]" if found.do else ""
+        action = f"\n[bold]→ {escape(found.action)}[/]" if found.action else ""
         name = line.subject if line.subject != before else ""
-        table.add_row(name, MARKS[found.verdict], escape(found.what), escape(found.seen) + do)
+        table.add_row(name, MARKS[found.status], escape(found.check), escape(found.observed) + action)
         before = line.subject
     console.print(table)
-    notes = sum(line.finding.verdict == "note" for line in lines)
+    notes = sum(line.result.status == "note" for line in lines)
     console.print()
     if bad:
         console.print(f"[red]{bad} wrong[/], {notes} to note; mend what is marked ✗ and look again", soft_wrap=True)

@@ -118,8 +118,8 @@ def _device(answer: Mapping[str, Any], name: str, health: Mapping[str, Any]) -> 
     words += [f"{counts[kind]} {kind}" for kind in ("corrupt", "frozen", "stalled", "late") if counts.get(kind)]
     words += finger.get("remarks", [])
     gel = finger.get("gel") or {}
-    if gel.get("do"):
-        words.append(f"gel {gel['verdict']}: {gel['seen']}; {gel['do']}")
+    if gel.get("action"):
+        words.append(f"gel {gel['status']}: {gel['observed']}; {gel['action']}")
     return ", ".join(words)
 
 

@@ -131,13 +131,13 @@ class Reloader:
             self._refuse("; ".join(refused))
             return False
         if not changed:
-            service.event_log.say("configuration read again: nothing has changed")
+            service.event_log.info("configuration read again: nothing has changed")
             return True
         service.config = new
         logs.set_level(new.log.level)
-        service.event_log.say(f"configuration read again: {', '.join(str(change) for change in changed)}")
+        service.event_log.info(f"configuration read again: {', '.join(str(change) for change in changed)}")
         self._on_change()
         return True
 
     def _refuse(self, why: str) -> None:
-        self._service.event_log.warn(f"configuration not taken up, the old one stays in full: {why}")
+        self._service.event_log.warning(f"configuration not taken up, the old one stays in full: {why}")

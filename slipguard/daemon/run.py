@@ -137,10 +137,10 @@ async def run(
     """
     service = build(config, world=world)
     kept = StateDir(config.state.directory)
-    service.observers.append(LastGraspSaver(kept, service.event_log.say, service.event_log.warn).decided)
+    service.observers.append(LastGraspSaver(kept, service.event_log.info, service.event_log.warning).decided)
     shelf = ReferenceStore(kept.path / REFERENCES)
     service.observers.append(
-        ReferenceSaver(shelf, service.fingers, service.event_log.say, service.event_log.warn).decided
+        ReferenceSaver(shelf, service.fingers, service.event_log.info, service.event_log.warning).decided
     )
     desk = RequestHandlers(service)
     path = socket_path(config)
@@ -166,7 +166,7 @@ async def run(
         async with asyncio.TaskGroup() as group:
             group.create_task(service.run(), name="service")
             group.create_task(
-                run_api(desk, unix, config.api.address, token_path(config), service.event_log.warn), name="api"
+                run_api(desk, unix, config.api.address, token_path(config), service.event_log.warning), name="api"
             )
             group.create_task(until_stopped(), name="signals")
             group.create_task(GelMonitor(service).run(), name="gels")

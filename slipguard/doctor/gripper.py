@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator, Iterator
 
 from slipguard.devices import Gripper, GripperState
-from slipguard.diagnosis import Finding, fine, from_error, note, wrong
+from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.doctor.figures import percentiles_ms, spread
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout
 
@@ -19,17 +19,17 @@ SLOW_DO = (
 )
 
 
-async def look(name: str, gripper: Gripper) -> AsyncIterator[Finding]:
+async def look(name: str, gripper: Gripper) -> AsyncIterator[CheckResult]:
     """Connect, ask a hundred times, disconnect. `open` of a gripper moves nothing."""
     try:
         await gripper.open()
     except DeviceError as error:
-        yield from_error("gripper", error, name, "check its power and its cable")
+        yield problem_from_error("gripper", error, name, "check its power and its cable")
         await gripper.close()
         return
     try:
         low_n, high_n = gripper.force_limits_n
-        yield fine("gripper", f"answers; {low_n:g} to {high_n:g} N per finger")
+        yield ok("gripper", f"answers; {low_n:g} to {high_n:g} N per finger")
         trips_s: list[float] = []
         unanswered = 0
         state: GripperState | None = None
@@ -44,33 +44,33 @@ async def look(name: str, gripper: Gripper) -> AsyncIterator[Finding]:
                 if unanswered > QUESTIONS // 10 and not trips_s:
                     break
             except DeviceLost as error:
-                yield from_error("round trip", error, name, "check the cable and the adapter")
+                yield problem_from_error("round trip", error, name, "check the cable and the adapter")
                 return
         yield round_trip(trips_s, unanswered)
         if state is not None:
-            for finding in condition(state):
-                yield finding
+            for result in condition(state):
+                yield result
     finally:
         await gripper.close()
 
 
-def round_trip(trips_s: list[float], unanswered: int) -> Finding:
+def round_trip(trips_s: list[float], unanswered: int) -> CheckResult:
     """How long an answer takes, and how often none came."""
     if not trips_s:
-        return wrong("round trip", f"none of {unanswered} questions answered", "check the gripper's power and cable")
+        return problem("round trip", f"none of {unanswered} questions answered", "check the gripper's power and cable")
     total = len(trips_s) + unanswered
-    seen = f"{spread(trips_s)} of {total}, {unanswered} unanswered"
+    observed = f"{spread(trips_s)} of {total}, {unanswered} unanswered"
     if unanswered > UNANSWERED_SHARE * total:
-        return wrong("round trip", seen, "check the RS-485 cable, its shield and its connectors")
+        return problem("round trip", observed, "check the RS-485 cable, its shield and its connectors")
     if percentiles_ms(trips_s)[0] > SLOW_MS:
-        return note("round trip", seen, SLOW_DO)
-    return fine("round trip", seen)
+        return note("round trip", observed, SLOW_DO)
+    return ok("round trip", observed)
 
 
-def condition(state: GripperState) -> Iterator[Finding]:
+def condition(state: GripperState) -> Iterator[CheckResult]:
     """What it says of itself."""
     if state.fault is not None:
-        yield wrong("condition", f"fault: {state.fault}", "take hold of the object, then `slipguard ctl release`")
+        yield problem("condition", f"fault: {state.fault}", "take hold of the object, then `slipguard ctl release`")
     elif not state.active:
         yield note(
             "condition",
@@ -81,4 +81,4 @@ def condition(state: GripperState) -> Iterator[Finding]:
         doing = "moving" if state.moving else "holding something" if state.holding else "at rest"
         if state.closed_on_nothing:
             doing = "closed on nothing"
-        yield fine("condition", f"activated, {doing}, {state.width_mm:.0f} mm open")
+        yield ok("condition", f"activated, {doing}, {state.width_mm:.0f} mm open")

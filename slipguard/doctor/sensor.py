@@ -10,7 +10,7 @@ from typing import Any
 
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import TactileSensor
-from slipguard.diagnosis import Finding, fine, from_error, note, wrong
+from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.doctor.figures import spread
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout, FrameCorrupt, FrameFrozen, InputError
 
@@ -55,19 +55,19 @@ class Watched:
         return max(0, self.sequences[-1] - self.sequences[0] + 1 - len(self.sequences)) if self.sequences else 0
 
 
-async def look(name: str, sensor: TactileSensor, settings: Any, store: StateDir) -> AsyncIterator[Finding]:
+async def look(name: str, sensor: TactileSensor, settings: Any, store: StateDir) -> AsyncIterator[CheckResult]:
     """Open the sensor, watch it for two seconds, close it."""
     try:
         await sensor.open()
     except DeviceError as error:
-        yield from_error("sensor", error, name, "check its cable")
+        yield problem_from_error("sensor", error, name, "check its cable")
         return
     try:
-        yield fine("sensor", f"found, serial {sensor.serial}")
+        yield ok("sensor", f"found, serial {sensor.serial}")
         watched = await watch(sensor, LOOK_S)
         asked_hz = getattr(settings, "fps", None) or getattr(sensor, "fps", None)
-        for finding in frames(watched, asked_hz):
-            yield finding
+        for result in frames(watched, asked_hz):
+            yield result
         for remark in getattr(sensor, "remarks", ()):
             yield note("remark", remark)
         yield no_contact(sensor.serial, store, datetime.now(UTC))
@@ -77,7 +77,7 @@ async def look(name: str, sensor: TactileSensor, settings: Any, store: StateDir)
 
 async def watch(sensor: TactileSensor, for_s: float) -> Watched:
     """Take frames for a while after the first; what goes wrong is counted."""
-    seen = Watched()
+    observed = Watched()
     loop = asyncio.get_running_loop()
     begins_s: float | None = None
     ends_s = loop.time() + FIRST_S
@@ -85,65 +85,67 @@ async def watch(sensor: TactileSensor, for_s: float) -> Watched:
         try:
             frame = await sensor.next_frame()
         except DeviceLost as error:
-            seen.lost_why = str(error)
-            return seen
+            observed.lost_why = str(error)
+            return observed
         except DeviceError as error:
             if begins_s is None and isinstance(error, DeviceTimeout):
                 continue
-            seen.corrupt += isinstance(error, FrameCorrupt)
-            seen.frozen += isinstance(error, FrameFrozen)
-            seen.stalled += isinstance(error, DeviceTimeout)
+            observed.corrupt += isinstance(error, FrameCorrupt)
+            observed.frozen += isinstance(error, FrameFrozen)
+            observed.stalled += isinstance(error, DeviceTimeout)
             continue
         if begins_s is None:
             begins_s, ends_s = now_s + SETTLE_S, now_s + SETTLE_S + for_s
         if now_s >= begins_s:
-            seen.captured_s.append(frame.captured_at_s)
-            seen.ages_s.append(loop.time() - frame.captured_at_s)
-            seen.sequences.append(frame.sequence)
-    return seen
+            observed.captured_s.append(frame.captured_at_s)
+            observed.ages_s.append(loop.time() - frame.captured_at_s)
+            observed.sequences.append(frame.sequence)
+    return observed
 
 
-def frames(seen: Watched, asked_hz: float | None) -> Iterator[Finding]:
+def frames(observed: Watched, asked_hz: float | None) -> Iterator[CheckResult]:
     """Rate, losses and age of what came."""
-    if seen.lost_why is not None:
-        yield wrong("frames", f"it went away while it was watched: {seen.lost_why}", "check its cable and the USB port")
+    if observed.lost_why is not None:
+        yield problem(
+            "frames", f"it went away while it was watched: {observed.lost_why}", "check its cable and the USB port"
+        )
         return
-    if seen.frozen and seen.rate_hz < 1.0:
-        yield wrong("frames", "the same picture again and again", "unplug the sensor and plug it in again")
+    if observed.frozen and observed.rate_hz < 1.0:
+        yield problem("frames", "the same picture again and again", "unplug the sensor and plug it in again")
         return
-    if seen.corrupt and seen.rate_hz < 1.0:
-        yield wrong("frames", f"all {seen.corrupt} frames damaged", "try another cable or port, without a hub")
+    if observed.corrupt and observed.rate_hz < 1.0:
+        yield problem("frames", f"all {observed.corrupt} frames damaged", "try another cable or port, without a hub")
         return
-    if not seen.captured_s:
-        yield wrong("frames", f"none came in {FIRST_S:g} s", "unplug the sensor and plug it in again")
+    if not observed.captured_s:
+        yield problem("frames", f"none came in {FIRST_S:g} s", "unplug the sensor and plug it in again")
         return
-    yield rate(seen.rate_hz, asked_hz)
-    yield losses(len(seen.sequences), seen.lost, seen.corrupt, seen.frozen + seen.stalled)
-    yield fine("frame age", f"{spread(seen.ages_s)} from the time stamp until it is here")
+    yield rate(observed.rate_hz, asked_hz)
+    yield losses(len(observed.sequences), observed.lost, observed.corrupt, observed.frozen + observed.stalled)
+    yield ok("frame age", f"{spread(observed.ages_s)} from the time stamp until it is here")
 
 
-def rate(rate_hz: float, asked_hz: float | None) -> Finding:
+def rate(rate_hz: float, asked_hz: float | None) -> CheckResult:
     """The real rate beside the asked one."""
     if asked_hz is None:
-        return fine("frame rate", f"{rate_hz:.1f} fps")
-    seen = f"{rate_hz:.1f} fps of {asked_hz:g} asked for"
+        return ok("frame rate", f"{rate_hz:.1f} fps")
+    observed = f"{rate_hz:.1f} fps of {asked_hz:g} asked for"
     if rate_hz < RATE_SHARE * asked_hz:
-        return wrong("frame rate", seen, MORE_BANDWIDTH)
-    return fine("frame rate", seen)
+        return problem("frame rate", observed, MORE_BANDWIDTH)
+    return ok("frame rate", observed)
 
 
-def losses(came: int, lost: int, damaged: int, interruptions: int) -> Finding:
+def losses(came: int, lost: int, damaged: int, interruptions: int) -> CheckResult:
     """What did not come, or not whole."""
     share = (lost + damaged) / max(came + lost + damaged, 1)
-    seen = f"{lost} lost, {damaged} damaged of {came + lost + damaged} ({100 * share:.1f} %)"
+    observed = f"{lost} lost, {damaged} damaged of {came + lost + damaged} ({100 * share:.1f} %)"
     if interruptions:
-        seen += f", {interruptions} times repeating or standing still"
+        observed += f", {interruptions} times repeating or standing still"
     if share > LOST_WRONG or interruptions:
-        return wrong("lost frames", seen, MORE_BANDWIDTH)
-    return note("lost frames", seen, MORE_BANDWIDTH) if share > LOST_NOTE else fine("lost frames", seen)
+        return problem("lost frames", observed, MORE_BANDWIDTH)
+    return note("lost frames", observed, MORE_BANDWIDTH) if share > LOST_NOTE else ok("lost frames", observed)
 
 
-def no_contact(serial: str, store: StateDir, now: datetime) -> Finding:
+def no_contact(serial: str, store: StateDir, now: datetime) -> CheckResult:
     """The stored picture of the untouched gel, without which nothing is grasped."""
     again = "jaws open and empty: `slipguard calibrate`"
     try:
@@ -151,12 +153,12 @@ def no_contact(serial: str, store: StateDir, now: datetime) -> Finding:
         if taken_at is not None:
             store.load_background(serial)
     except InputError as error:
-        return wrong("no-contact image", str(error), again)
+        return problem("no-contact image", str(error), again)
     if taken_at is None:
-        return wrong("no-contact image", f"none of {serial} is stored", again)
+        return problem("no-contact image", f"none of {serial} is stored", again)
     age = now - taken_at
-    seen = f"{_age(age.total_seconds())} old"
-    return note("no-contact image", seen, again) if age.days >= OLD_DAYS else fine("no-contact image", seen)
+    observed = f"{_age(age.total_seconds())} old"
+    return note("no-contact image", observed, again) if age.days >= OLD_DAYS else ok("no-contact image", observed)
 
 
 def _age(seconds: float) -> str:

@@ -8,10 +8,10 @@ from datetime import UTC, datetime
 from typing import Any
 
 from slipguard import __version__
-from slipguard.daemon.loop.gel_condition import Verdict
+from slipguard.daemon.loop.gel_condition import GelStatus
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import GripperState
-from slipguard.diagnosis import Finding, fine, note, wrong
+from slipguard.diagnosis import CheckResult, note, ok, problem
 from slipguard.doctor import gripper, sensor
 
 LOOK_S = 2.0
@@ -28,28 +28,28 @@ class Looks:
     after: State
     apart_s: float
 
-    def counted(self, finger: str, what: str) -> int:
+    def counted(self, finger: str, check: str) -> int:
         """How much a count of a finger has risen."""
-        old, new = (one["fingers"][finger]["counts"].get(what, 0) for one in (self.before, self.after))
+        old, new = (one["fingers"][finger]["counts"].get(check, 0) for one in (self.before, self.after))
         return int(new - old)
 
 
-def daemon(looks: Looks) -> Iterator[Finding]:
+def daemon(looks: Looks) -> Iterator[CheckResult]:
     """The daemon itself."""
     now = looks.after
     if now["version"] != __version__:
         yield note("daemon", f"runs version {now['version']}, installed is {__version__}", "restart it when convenient")
     else:
-        yield fine("daemon", f"running, mode {now['mode']!r}, {now['phase']}; it was asked, no device was opened")
+        yield ok("daemon", f"running, mode {now['mode']!r}, {now['phase']}; it was asked, no device was opened")
     fault = now.get("fault")
     if fault is not None:
-        yield wrong("fault", f"{fault['code']}: {fault['seen']}", fault["what_to_do"])
+        yield problem("fault", f"{fault['code']}: {fault['observed']}", fault["what_to_do"])
     late = now["deadlines_missed"] - looks.before["deadlines_missed"]
     if late:
         yield note("loop", f"{late} beats late in {looks.apart_s:.0f} s", "the processor is busy; see the line above")
 
 
-def finger(name: str, looks: Looks, settings: Any, store: StateDir) -> Iterator[Finding]:
+def finger(name: str, looks: Looks, settings: Any, store: StateDir) -> Iterator[CheckResult]:
     """One fingertip camera, as the daemon has seen it."""
     serial = looks.after["fingers"][name]["serial"]
     yield found("sensor", name, looks, f"in use by the daemon, serial {serial}")
@@ -59,7 +59,7 @@ def finger(name: str, looks: Looks, settings: Any, store: StateDir) -> Iterator[
     if not came:
         return
     yield sensor.rate(came / looks.apart_s, getattr(settings, "fps", None))
-    count = {what: looks.counted(name, what) for what in ("missed", "corrupt", "frozen", "stalled", "late")}
+    count = {check: looks.counted(name, check) for check in ("missed", "corrupt", "frozen", "stalled", "late")}
     yield sensor.losses(came, count["missed"], count["corrupt"], count["frozen"] + count["stalled"])
     if count["late"] > LATE_SHARE * came:
         yield note("pictures", f"{count['late']} of {came} not looked at: too slow", "see the line on the processor")
@@ -70,23 +70,23 @@ def finger(name: str, looks: Looks, settings: Any, store: StateDir) -> Iterator[
         yield gel(known)
 
 
-def gel(known: Mapping[str, Any]) -> Finding:
+def gel(known: Mapping[str, Any]) -> CheckResult:
     """How the gel is when nothing touches it."""
-    if known["verdict"] == Verdict.FINE:
-        return fine("gel", known["seen"])
-    return note("gel", known["seen"], known["do"])
+    if known["status"] == GelStatus.OK:
+        return ok("gel", known["observed"])
+    return note("gel", known["observed"], known["action"])
 
 
-def actuator(name: str, looks: Looks) -> Iterator[Finding]:
+def actuator(name: str, looks: Looks) -> Iterator[CheckResult]:
     """Gripper or arm, as the daemon has seen it."""
     yield found(name, name, looks, "in use by the daemon")
     state, trips = looks.after.get(name), looks.after.get("round_trips", {}).get(name)
     if name == "gripper" and trips is not None:
-        seen = f"p50 {trips['p50_ms']:.1f} ms, p99 {trips['p99_ms']:.1f} ms of {trips['answered']}"
+        observed = f"p50 {trips['p50_ms']:.1f} ms, p99 {trips['p99_ms']:.1f} ms of {trips['answered']}"
         if trips["p50_ms"] > gripper.SLOW_MS:
-            yield note("round trip", seen, gripper.SLOW_DO)
+            yield note("round trip", observed, gripper.SLOW_DO)
         else:
-            yield fine("round trip", seen)
+            yield ok("round trip", observed)
     if state is None:
         return
     if name == "gripper":
@@ -95,20 +95,22 @@ def actuator(name: str, looks: Looks) -> Iterator[Finding]:
         yield arm_condition(bool(state["protective_stop"]), bool(state["emergency_stop"]))
 
 
-def arm_condition(protective: bool, emergency: bool) -> Finding:
+def arm_condition(protective: bool, emergency: bool) -> CheckResult:
     """The stops that are for a person to clear."""
     if emergency:
-        return wrong("stops", "emergency stop", "release the button, then start the robot at its panel")
+        return problem("stops", "emergency stop", "release the button, then start the robot at its panel")
     if protective:
-        return wrong("stops", "protective stop", "look why, then unlock it at the panel")
-    return fine("stops", "none active")
+        return problem("stops", "protective stop", "look why, then unlock it at the panel")
+    return ok("stops", "none active")
 
 
-def found(what: str, name: str, looks: Looks, seen: str) -> Finding:
+def found(check: str, name: str, looks: Looks, observed: str) -> CheckResult:
     """How the daemon finds a device."""
     health = looks.after["devices"][name]
     if health["state"] == "ready":
-        return fine(what, seen)
+        return ok(check, observed)
     why = str(health.get("why") or health["state"]).removeprefix(f"{name}: ")
-    reason, split, do = why.rpartition("; ")
-    return wrong(what, f"{health['state']}: {reason if split else why}", do if split else "check its cable and power")
+    reason, split, action = why.rpartition("; ")
+    return problem(
+        check, f"{health['state']}: {reason if split else why}", action if split else "check its cable and power"
+    )

@@ -97,7 +97,7 @@ async def measure_api_load(options: ApiLoadOptions, tell: Callable[[str, float],
             with closing(bind_tcp(HOST, 0)) as probe:
                 port = int(probe.getsockname()[1])
             api = run_api(
-                RequestHandlers(service), bind(folder / "s"), (HOST, port), folder / "token", service.event_log.warn
+                RequestHandlers(service), bind(folder / "s"), (HOST, port), folder / "token", service.event_log.warning
             )
             tasks = [asyncio.create_task(service.run(), name="service"), asyncio.create_task(api, name="api")]
             try:

@@ -14,7 +14,7 @@ from loop_cell import Cell
 
 from slipguard.daemon.loop import gel_monitor as gel_watch
 from slipguard.daemon.loop.finger import ProcessedFrame
-from slipguard.daemon.loop.gel_condition import Verdict
+from slipguard.daemon.loop.gel_condition import GelStatus
 from slipguard.daemon.loop.gel_monitor import GelMonitor
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.daemon.store.calibration import BackgroundImage
@@ -89,7 +89,7 @@ def test_a_gel_as_it_was_is_fine_and_nothing_is_said() -> None:
         assert bench.finger.gel is None
         await bench.show(gel(), 300.0)
         assert bench.finger.gel is not None
-        assert bench.finger.gel.verdict is Verdict.FINE
+        assert bench.finger.gel.status is GelStatus.OK
         assert bench.said == []
 
     play(scene)
@@ -100,7 +100,7 @@ def test_a_cut_is_said_once_with_its_size_and_what_to_do() -> None:
         await bench.show(cut(gel()), 150.0)
         assert bench.said == []  # two minutes agree; three are needed
         assert bench.finger.gel is not None
-        assert bench.finger.gel.verdict is Verdict.WORN
+        assert bench.finger.gel.status is GelStatus.WORN
         await bench.show(cut(gel()), 600.0)
         (line,) = bench.said
         assert line.startswith("left (SIM-L): a lasting mark since the gel's first no-contact image, ")
@@ -123,7 +123,7 @@ def test_light_that_drifts_is_said_with_figures_and_no_more_after_a_calibration(
         bench.cell.store.kept["SIM-L"] = BackgroundImage(warmer.astype(np.uint8), NOISE_BGR, 30)
         await bench.show(warmer, 300.0, renewed=True)
         assert bench.finger.gel is not None
-        assert bench.finger.gel.verdict is Verdict.FINE
+        assert bench.finger.gel.status is GelStatus.OK
         assert len(bench.said) == 1
 
     play(scene)
@@ -166,7 +166,7 @@ def test_wear_does_not_hide_behind_the_next_calibration_but_a_new_gel_begins_ane
     async def scene(bench: Bench) -> None:
         await bench.show(cut(gel()), 300.0)
         assert bench.finger.gel is not None
-        assert bench.finger.gel.verdict is (Verdict.FINE if new_gel else Verdict.WORN)
+        assert bench.finger.gel.status is (GelStatus.OK if new_gel else GelStatus.WORN)
         assert len(bench.said) == (0 if new_gel else 1)
         assert bench.finger.gel.light.marks == ()
 

@@ -49,7 +49,7 @@ def check(cell: Cell) -> list[dict[str, Any]]:
 def ask_the_doctor(there: Cell, capfd: pytest.CaptureFixture[str]) -> dict[tuple[str, str], dict[str, str]]:
     """While the daemon has the devices."""
     run(["doctor", "--config", str(there.config), "--json"])
-    return {(one["subject"], one["what"]): one for one in json.loads(capfd.readouterr().out)["findings"]}
+    return {(one["subject"], one["check"]): one for one in json.loads(capfd.readouterr().out)["checks"]}
 
 
 def test_a_lift_by_slipguard(
@@ -62,10 +62,10 @@ def test_a_lift_by_slipguard(
         assert "it was asked" in said["daemon", "daemon"]["seen"]
         for name in ("left", "right", "gripper", "arm"):
             (known,) = (one for key, one in said.items() if key[0] == name and "in use by the daemon" in one["seen"])
-            assert known["verdict"] == "fine"
+            assert known["status"] == "ok"
         assert "p50" in said["gripper", "round trip"]["seen"]
         assert "holding something" in said["gripper", "condition"]["seen"]
-        assert said["arm", "program"]["verdict"] == "fine", "the script that runs is slipguard's own"
+        assert said["arm", "program"]["status"] == "ok", "the script that runs is slipguard's own"
         client.lift()
         wait_for(client, lambda state: state["phase"] == "lifting", "no lift")
         wait_for(client, lambda state: state["phase"] == "holding", "the lift does not end")

@@ -38,14 +38,14 @@ class Told:
     lines: dict[tuple[str, str], tuple[str, str, str]]
 
     @property
-    def wrong(self) -> set[str]:
+    def problem(self) -> set[str]:
         """What is wrong with something, whatever the machine that runs the tests has time for."""
-        return {key[0] for key, line in self.lines.items() if line[0] == "wrong" and key[1] not in TIMING}
+        return {key[0] for key, line in self.lines.items() if line[0] == "problem" and key[1] not in TIMING}
 
-    def line(self, subject: str, what: str) -> str:
+    def line(self, subject: str, check: str) -> str:
         """The line as people read it."""
-        verdict, seen, do = self.lines[subject, what]
-        return f"{verdict}: {seen} -> {do}"
+        status, observed, action = self.lines[subject, check]
+        return f"{status}: {observed} -> {action}"
 
 
 @pytest.fixture(scope="module")
@@ -82,13 +82,15 @@ def ask(capfd: pytest.CaptureFixture[str], config: Path) -> Told:
     said = capfd.readouterr()
     assert "Traceback" not in said.out + said.err
     answer = json.loads(said.out)
-    lines = {(one["subject"], one["what"]): (one["verdict"], one["seen"], one["do"]) for one in answer["findings"]}
-    for verdict, seen, do in lines.values():
-        assert seen
-        assert "\n" not in seen + do
-        assert do or verdict != "wrong", f"nothing to do about: {seen}"
-    assert answer["wrong"] == [verdict for verdict, _, _ in lines.values()].count("wrong")
-    assert code == (1 if answer["wrong"] else 0)
+    lines = {
+        (one["subject"], one["check"]): (one["status"], one["observed"], one["action"]) for one in answer["checks"]
+    }
+    for status, observed, action in lines.values():
+        assert observed
+        assert "\n" not in observed + action
+        assert action or status != "problem", f"nothing to do about: {observed}"
+    assert answer["problems"] == [status for status, _, _ in lines.values()].count("problem")
+    assert code == (1 if answer["problems"] else 0)
     return Told(code, lines)
 
 
@@ -130,17 +132,17 @@ def as_nobody() -> Iterator[None]:
 
 def test_all_present(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     told = ask(capfd, there.config)
-    assert told.wrong == set()
-    assert told.line("left", "sensor") == "fine: found, serial SIM-L -> "
+    assert told.problem == set()
+    assert told.line("left", "sensor") == "ok: found, serial SIM-L -> "
     assert "fps of 30 asked for" in told.line("right", "frame rate")
     assert "of" in told.line("right", "lost frames")
-    assert told.line("left", "no-contact image").startswith("fine: 0 min old")
+    assert told.line("left", "no-contact image").startswith("ok: 0 min old")
     assert "p50" in told.line("gripper", "round trip")
     assert "p99" in told.line("gripper", "round trip")
     assert "FTDI" in told.line("gripper", "adapter")
-    assert told.line("gripper", "condition") == "fine: activated, at rest, 85 mm open -> "
+    assert told.line("gripper", "condition") == "ok: activated, at rest, 85 mm open -> "
     assert "of 125 asked for" in told.line("arm", "RTDE rate")
-    assert told.line("arm", "stops") == "fine: none active -> "
+    assert told.line("arm", "stops") == "ok: none active -> "
     assert "none runs" in told.line("daemon", "daemon")
     assert not there.events("let go")
     assert not there.events("started"), "no script may have been sent to the robot"
@@ -162,7 +164,7 @@ def test_people_see_a_table_that_fits(there: Cell, capfd: pytest.CaptureFixture[
 
 def test_none_present(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     told = ask(capfd, with_change(there, str(there.folder), str(there.folder / "nowhere")))
-    assert told.wrong == {"left", "right", "gripper"}
+    assert told.problem == {"left", "right", "gripper"}
     assert "start whatever serves the frames" in told.line("left", "sensor")
     assert "no such device -> plug the adapter in" in told.line("gripper", "port")
 
@@ -170,7 +172,7 @@ def test_none_present(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
 def test_none_present_of_the_usual_kind(capfd: pytest.CaptureFixture[str]) -> None:
     config = Path(__file__).parents[2] / "config.toml"
     told = ask(capfd, config)
-    assert {"left", "right", "gripper", "arm"} <= told.wrong
+    assert {"left", "right", "gripper", "arm"} <= told.problem
     assert told.line("left", "USB").endswith("-> check the USB cable")
     assert "ls /dev/serial/by-id" in told.line("gripper", "port")
 
@@ -178,11 +180,11 @@ def test_none_present_of_the_usual_kind(capfd: pytest.CaptureFixture[str]) -> No
 def test_one_unplugged(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     with failing(there, "left.disconnect"):
         told = ask(capfd, there.config)
-    assert told.wrong == {"left"}
+    assert told.problem == {"left"}
     assert "no such socket" in told.line("left", "sensor")
     with failing(there, "gripper.unplug"):
         told = ask(capfd, there.config)
-    assert told.wrong == {"gripper"}
+    assert told.problem == {"gripper"}
     assert "plug" in told.line("gripper", "port")
 
 
@@ -190,35 +192,35 @@ def test_no_permission(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     ask(capfd, there.config)  # whatever it imports, it has imported as root
     with as_nobody():
         told = ask(capfd, there.config)
-    assert {"left", "right", "gripper"} <= told.wrong
-    assert "arm" not in told.wrong
+    assert {"left", "right", "gripper"} <= told.problem
+    assert "arm" not in told.problem
     assert "access is denied" in told.line("left", "sensor")
     assert "access is denied" in told.line("gripper", "port")
     assert "group" in told.line("gripper", "port")
-    assert told.line("machine", "state folder").startswith("wrong")
+    assert told.line("machine", "state folder").startswith("problem")
 
 
 @pytest.mark.parametrize(
     ("name", "seen"),
     [("/dev/null", "no serial port"), ("/etc/hostname", "no serial port"), ("/dev/ttyNONE", "no such device")],
 )
-def test_wrong_port(there: Cell, capfd: pytest.CaptureFixture[str], name: str, seen: str) -> None:
+def test_wrong_port(there: Cell, capfd: pytest.CaptureFixture[str], name: str, observed: str) -> None:
     told = ask(capfd, with_change(there, str(there.folder / "ttyGripper"), name))
-    assert told.wrong == {"gripper"}
+    assert told.problem == {"gripper"}
     about = [line[1] for (subject, _), line in told.lines.items() if subject == "gripper"]
-    assert any(seen in line for line in about), about
+    assert any(observed in line for line in about), about
 
 
 def test_wrong_address(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     told = ask(capfd, with_change(there, f'"{HOST}"', f'"{own_address(66)}"'))
-    assert told.wrong == {"arm"}
+    assert told.problem == {"arm"}
     assert "address" in told.line("arm", "controller")
 
 
 def test_gripper_without_power(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     with failing(there, "gripper.deaf"):
         told = ask(capfd, there.config)
-    assert told.wrong == {"gripper"}
+    assert told.problem == {"gripper"}
     assert "check the gripper's power and the cable" in told.line("gripper", "gripper")
 
 
@@ -245,9 +247,9 @@ def test_what_else_goes_wrong(
             failures.enter_context(failing(there, name))
         told = ask(capfd, there.config)
     subjects = {name.split(".")[0] for name, _ in faults}
-    assert told.wrong == subjects, {key: line for key, line in told.lines.items() if line[0] == "wrong"}
-    for (name, what), seen in faults.items():
-        assert seen in told.line(name.split(".")[0], what)
+    assert told.problem == subjects, {key: line for key, line in told.lines.items() if line[0] == "problem"}
+    for (name, check), observed in faults.items():
+        assert observed in told.line(name.split(".")[0], check)
 
 
 def test_a_urcap_is_hinted_at(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
@@ -267,5 +269,5 @@ def test_a_urcap_is_hinted_at(there: Cell, capfd: pytest.CaptureFixture[str]) ->
     finally:
         done.set()
         thread.join()
-    assert told.wrong == set()
+    assert told.problem == set()
     assert told.line("arm", "URCap").startswith("note: Robotiq's gripper URCap runs on the controller (port 63352)")

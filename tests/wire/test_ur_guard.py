@@ -288,12 +288,12 @@ async def test_lift_mode_beside_a_running_program_would_not_even_start(controlle
 
 
 @pytest.mark.parametrize(
-    ("press", "owned", "level"), [("play", False, "wrong"), ("pause", False, "wrong"), ("play", True, "fine")]
+    ("press", "owned", "level"), [("play", False, "problem"), ("pause", False, "problem"), ("play", True, "ok")]
 )
 async def test_the_doctor_says_so_too(controller: UrEmulator, press: str, owned: bool, level: str) -> None:
     controller.control(f"panel {press}")
     dashboard = DashboardClient("arm", HOST)
-    findings = [finding async for finding in ask("arm", dashboard, Ur5Settings(host=HOST), "lift", owned=owned)]
+    results = [result async for result in ask("arm", dashboard, Ur5Settings(host=HOST), "lift", owned=owned)]
     dashboard.close()
-    assert [finding.verdict.name.lower() for finding in findings if finding.what == "program"] == [level]
+    assert [result.status.name.lower() for result in results if result.check == "program"] == [level]
     assert disturbances(controller) == (["paused"] if press == "pause" else [])

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator, Callable
 
 from slipguard.devices import DriverContext, Frame, TactileSensor
-from slipguard.diagnosis import Finding
+from slipguard.diagnosis import CheckResult
 from slipguard.errors import DeviceLost
 from slipguard_drivers.digit.capture import RawFrame, V4l2Capture, VideoMode
 from slipguard_drivers.digit.decoder import JpegDecoder
@@ -88,10 +88,10 @@ class DigitSensor(TactileSensor):
             raise DeviceLost(f"{self._name}: the sensor is not open; open it first")
         return await self._stream.next()
 
-    async def diagnose(self, *, owned: bool) -> AsyncIterator[Finding]:
+    async def diagnose(self, *, owned: bool) -> AsyncIterator[CheckResult]:
         """For the doctor: what there is to see from outside."""
-        for finding in check_digit(self._name, self._settings):
-            yield finding
+        for result in check_digit(self._name, self._settings):
+            yield result
 
     async def close(self) -> None:
         """Stop the stream and let go of the device."""

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from slipguard.diagnosis import Finding, fine, from_error, note, wrong
+from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.errors import DeviceLost
 from slipguard_drivers.digit.discovery import DEV, SYSFS, DigitDevice, find_digit, plugged_in
 from slipguard_drivers.digit.settings import DigitSettings
@@ -24,12 +24,12 @@ def check_digit(
     sysfs: Path = SYSFS,
     dev: Path = DEV,
     rules_folders: tuple[Path, ...] = RULES_FOLDERS,
-) -> Iterator[Finding]:
+) -> Iterator[CheckResult]:
     """The device; it is not opened. The folders are the system's own, but for tests."""
     try:
         found = find_digit(settings.serial, name, sysfs, dev)
     except DeviceLost as error:
-        yield from_error("USB", error, name, "check the USB cable")
+        yield problem_from_error("USB", error, name, "check the USB cable")
         return
     firmware = f"firmware {found.firmware}" if found.firmware is not None else "firmware unknown"
     yield link(found, firmware)
@@ -40,35 +40,35 @@ def check_digit(
     yield neighbours(found, plugged_in(sysfs, dev), settings.fps)
 
 
-def link(found: DigitDevice, firmware: str) -> Finding:
+def link(found: DigitDevice, firmware: str) -> CheckResult:
     """Where it is plugged in, and how fast that is."""
-    seen = f"{found.path}, serial {found.serial}, {firmware}, port {found.port}, {found.usb_mbit_s:g} Mbit/s"
+    observed = f"{found.path}, serial {found.serial}, {firmware}, port {found.port}, {found.usb_mbit_s:g} Mbit/s"
     if 0.0 < found.usb_mbit_s < FULL_SPEED_MBIT_S:
-        return wrong("USB", seen, "use another cable or port: this link is too slow for pictures")
-    return fine("USB", seen)
+        return problem("USB", observed, "use another cable or port: this link is too slow for pictures")
+    return ok("USB", observed)
 
 
-def access(path: Path) -> Finding:
+def access(path: Path) -> CheckResult:
     """May this user read it."""
     if os.access(path, os.R_OK | os.W_OK):
-        return fine("access", f"{path} readable and writable")
+        return ok("access", f"{path} readable and writable")
     try:
         group = grp.getgrgid(path.stat().st_gid).gr_name
     except (OSError, KeyError):
         group = "video"
     user = os.environ.get("USER", "USER")
-    return wrong(
+    return problem(
         "access",
         f"{path} is not for this user; it belongs to the group {group}",
         f"`sudo usermod -aG {group} {user}`, then log out and in",
     )
 
 
-def rules(folders: tuple[Path, ...]) -> Finding:
+def rules(folders: tuple[Path, ...]) -> CheckResult:
     """The udev rules: access for the group, and no autosuspend."""
     for folder in folders:
         if (folder / RULES).is_file():
-            return fine("udev rules", str(folder / RULES))
+            return ok("udev rules", str(folder / RULES))
     return note(
         "udev rules",
         f"{RULES} is not installed",
@@ -76,7 +76,7 @@ def rules(folders: tuple[Path, ...]) -> Finding:
     )
 
 
-def neighbours(found: DigitDevice, there: list[DigitDevice], fps: int) -> Finding:
+def neighbours(found: DigitDevice, there: list[DigitDevice], fps: int) -> CheckResult:
     """Sensors on one USB bus share its bandwidth."""
     beside = [one.serial for one in there if one.bus == found.bus and one.serial != found.serial]
     if beside and fps > 30:
@@ -85,4 +85,4 @@ def neighbours(found: DigitDevice, there: list[DigitDevice], fps: int) -> Findin
             f"shared with {', '.join(beside)}",
             "it may do; where frames are lost, use ports of different USB controllers",
         )
-    return fine("USB bus", f"shared with {', '.join(beside)}" if beside else "not shared with another DIGIT")
+    return ok("USB bus", f"shared with {', '.join(beside)}" if beside else "not shared with another DIGIT")

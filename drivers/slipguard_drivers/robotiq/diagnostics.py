@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from slipguard.diagnosis import Finding, fine, note, wrong
+from slipguard.diagnosis import CheckResult, note, ok, problem
 from slipguard_drivers.robotiq import serial_port
 
 LASTING = ("/dev/serial/by-id/", "/dev/serial/by-path/")
@@ -16,23 +16,23 @@ PSEUDO = "/dev/pts/"
 """Emulated grippers are there; the kernel does not list them."""
 
 
-def check_serial_port(port: str) -> Iterator[Finding]:
+def check_serial_port(port: str) -> Iterator[CheckResult]:
     """The port; nothing is opened."""
     path = Path(port)
     if not _is_device(path) or not os.access(port, os.R_OK | os.W_OK):
-        why, _, do = serial_port.what_is_wrong(port).partition("; ")
-        yield wrong("port", f"{port}: {why}", do or "log out and in again after `usermod -aG dialout USER`")
+        why, _, action = serial_port.what_is_wrong(port).partition("; ")
+        yield problem("port", f"{port}: {why}", action or "log out and in again after `usermod -aG dialout USER`")
         return
     target = os.path.realpath(port)
     if not target.startswith(PSEUDO) and not (TTYS / Path(target).name).exists():
-        yield wrong("port", f"{port}: it is no serial port", "name one of `ls /dev/serial/by-id`")
+        yield problem("port", f"{port}: it is no serial port", "name one of `ls /dev/serial/by-id`")
         return
     if path.is_symlink():
-        yield fine("port", f"{port} is {target}, readable and writable")
+        yield ok("port", f"{port} is {target}, readable and writable")
     elif port.startswith("/dev/tty") and not port.startswith(LASTING):
         yield note("port", f"{port} may name another adapter tomorrow", "name it by one of `ls /dev/serial/by-id`")
     else:
-        yield fine("port", f"{port}, readable and writable")
+        yield ok("port", f"{port}, readable and writable")
     yield adapter(serial_port.latency_timer_ms(port))
 
 
@@ -43,14 +43,14 @@ def _is_device(path: Path) -> bool:
         return False
 
 
-def adapter(timer_ms: int | None) -> Finding:
+def adapter(timer_ms: int | None) -> CheckResult:
     """The latency timer of an FTDI adapter: each question waits for it."""
     if timer_ms is None:
-        return fine("adapter", "not an FTDI one, no latency timer to set")
+        return ok("adapter", "not an FTDI one, no latency timer to set")
     if timer_ms > 1:
         return note(
             "adapter",
             f"FTDI latency timer {timer_ms} ms; slipguard asks for 1 ms when it opens the port",
             "`sudo slipguard install` puts 60-slipguard.rules in place, so that other programs get it as well",
         )
-    return fine("adapter", "FTDI latency timer 1 ms")
+    return ok("adapter", "FTDI latency timer 1 ms")

@@ -17,7 +17,7 @@ import structlog
 from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import DriverContext, Gripper, GripperState
-from slipguard.diagnosis import Finding
+from slipguard.diagnosis import CheckResult
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq import registers, serial_port
 from slipguard_drivers.robotiq.diagnostics import check_serial_port
@@ -132,10 +132,10 @@ class RobotiqGripper(Gripper):
             await asyncio.wait(self._under_way)
         self._line.close()
 
-    async def diagnose(self, *, owned: bool) -> AsyncIterator[Finding]:
+    async def diagnose(self, *, owned: bool) -> AsyncIterator[CheckResult]:
         """For the doctor: the port from outside."""
-        for finding in check_serial_port(self._port):
-            yield finding
+        for result in check_serial_port(self._port):
+            yield result
 
     def _by_s(self) -> float:
         """When a call that begins now must have ended."""

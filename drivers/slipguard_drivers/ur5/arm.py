@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 
 from slipguard.devices import Arm, ArmState, DriverContext
-from slipguard.diagnosis import Finding
+from slipguard.diagnosis import CheckResult
 from slipguard_drivers.ur5.diagnostics import check_controller
 from slipguard_drivers.ur5.guard_mode import GuardModeArm
 from slipguard_drivers.ur5.lift_mode import LiftModeArm
@@ -37,7 +37,7 @@ class Ur5Arm(Arm):
     async def close(self) -> None:
         await self._way.close()
 
-    async def diagnose(self, *, owned: bool) -> AsyncIterator[Finding]:
+    async def diagnose(self, *, owned: bool) -> AsyncIterator[CheckResult]:
         """For the doctor: nothing is taken over, so it may look whoever has the arm."""
-        async for finding in check_controller(self._name, self._settings, self._mode, owned=owned):
-            yield finding
+        async for result in check_controller(self._name, self._settings, self._mode, owned=owned):
+            yield result

@@ -47,12 +47,12 @@ class EventLog:
         self.listeners: list[Callable[[Event], None]] = []
         self._limit = OncePerSecond()
 
-    def say(self, text: str) -> None:
+    def info(self, text: str) -> None:
         """One line of what happens."""
         self._log(log.info, text)
         self._line(Event(_now_s(), "info", text))
 
-    def warn(self, text: str) -> None:
+    def warning(self, text: str) -> None:
         """One line of what did not go as it should."""
         self._log(log.warning, text)
         self._line(Event(_now_s(), "warning", text))

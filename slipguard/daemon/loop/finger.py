@@ -9,7 +9,7 @@ from typing import Protocol
 
 from slipguard.cancellation import raise_if_cancelled
 from slipguard.daemon.loop.backoff import Backoff
-from slipguard.daemon.loop.gel_condition import Gel
+from slipguard.daemon.loop.gel_condition import GelCondition
 from slipguard.daemon.loop.health import Health
 from slipguard.daemon.loop.latest import Latest
 from slipguard.daemon.loop.worker import Worker
@@ -114,7 +114,7 @@ class Finger:
         self.newest_frame: Frame | None = None
         """The last good one; None while the sensor is gone."""
         self.observers: list[Callable[[ProcessedFrame], None]] = []
-        self.gel: Gel | None = None
+        self.gel: GelCondition | None = None
         """How it is when untouched, after the first minute of that; see `slipguard.daemon.loop.gel_monitor`."""
         self.tap: asyncio.Queue[Frame] | None = None
         """Set by a calibration: a copy of every good frame goes here."""

@@ -15,50 +15,52 @@ WORN_MM2 = 0.3
 """A spot of 0.6 mm. Rendered drifts of up to 15 levels leave marks of 0.07 mm2 at most, real ones none."""
 
 
-class Verdict(StrEnum):
-    """fine. drifted: calibrate again. marked: small lasting marks. worn: clean it; where they stay, replace it."""
+class GelStatus(StrEnum):
+    """ok: unchanged. drifted: calibrate again. marked: small lasting marks. worn: clean it; where they stay, replace it."""
 
-    FINE = "fine"
+    OK = "ok"
     DRIFTED = "drifted"
     MARKED = "marked"
     WORN = "worn"
 
 
 @dataclass(frozen=True, slots=True)
-class Gel:
+class GelCondition:
     """light: since the newest no-contact image. wear: since the first one of this gel. do: empty where it is fine."""
 
-    verdict: Verdict
+    status: GelStatus
     light: GelChange
     wear: GelChange
     marked_mm2: float
-    seen: str
-    do: str
+    observed: str
+    action: str
 
 
-def judge(light: GelChange, wear: GelChange, px_per_mm: float) -> Gel:
+def describe_gel(light: GelChange, wear: GelChange, px_per_mm: float) -> GelCondition:
     """What two comparisons come to, in words; wear before drift."""
     marked_mm2 = wear.marked_px / px_per_mm**2
     if marked_mm2 >= WORN_MM2:
         first = wear.marks[0]
-        seen = (
+        observed = (
             f"{_marks(len(wear.marks))} since the gel's first no-contact image, {marked_mm2:.1f} mm² together; the "
             f"strongest {first.levels:.0f} grey levels at {first.x_px:.0f}, {first.y_px:.0f} px"
         )
-        do = "clean the gel; where they stay it is worn: replace it, then `slipguard calibrate --new-gel`"
-        return Gel(Verdict.WORN, light, wear, marked_mm2, seen, do)
+        action = "clean the gel; where they stay it is worn: replace it, then `slipguard calibrate --new-gel`"
+        return GelCondition(GelStatus.WORN, light, wear, marked_mm2, observed, action)
     brighter = max(light.level_bgr, key=abs)
     if abs(brighter) > LEVEL_MAX or light.uneven_levels > UNEVEN_MAX:
         blue, green, red = light.level_bgr
-        seen = (
+        observed = (
             f"the light has changed since the no-contact image: blue {blue:+.0f}, green {green:+.0f}, red {red:+.0f} "
             f"grey levels, its pattern by {light.uneven_levels:.1f}"
         )
-        return Gel(Verdict.DRIFTED, light, wear, marked_mm2, seen, "jaws open and empty: `slipguard calibrate`")
+        return GelCondition(
+            GelStatus.DRIFTED, light, wear, marked_mm2, observed, "jaws open and empty: `slipguard calibrate`"
+        )
     if wear.marks:
-        seen = f"{_marks(len(wear.marks))}, {marked_mm2:.2f} mm² together"
-        return Gel(Verdict.MARKED, light, wear, marked_mm2, seen, "clean the gel when convenient")
-    return Gel(Verdict.FINE, light, wear, marked_mm2, "as it was", "")
+        observed = f"{_marks(len(wear.marks))}, {marked_mm2:.2f} mm² together"
+        return GelCondition(GelStatus.MARKED, light, wear, marked_mm2, observed, "clean the gel when convenient")
+    return GelCondition(GelStatus.OK, light, wear, marked_mm2, "as it was", "")
 
 
 def _marks(count: int) -> str:

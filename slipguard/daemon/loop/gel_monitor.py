@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from slipguard.control.state import Phase
 from slipguard.daemon.loop.finger import ProcessedFrame
-from slipguard.daemon.loop.gel_condition import Verdict, judge
+from slipguard.daemon.loop.gel_condition import GelStatus, describe_gel
 from slipguard.daemon.loop.service import Service
 from slipguard.daemon.store.calibration import BackgroundArchive, BackgroundImage, Store
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
@@ -50,8 +50,8 @@ class _Window:
     touch_began_s: float | None = None
     touch_told: bool = False
     agreeing: int = 0
-    newest: Verdict = Verdict.FINE
-    told: set[Verdict] = field(default_factory=set)
+    newest: GelStatus = GelStatus.OK
+    told: set[GelStatus] = field(default_factory=set)
     """Since the last calibration: light that comes and goes is said once."""
 
 
@@ -109,7 +109,7 @@ class GelMonitor:
         window.touch_began_s = now_s if window.touch_began_s is None else window.touch_began_s
         if now_s - window.touch_began_s >= TOUCHED_S and not window.touch_told:
             window.touch_told = True
-            self._service.event_log.warn(
+            self._service.event_log.warning(
                 f"{name}: contact for {TOUCHED_S / 60:.0f} minutes with the jaws open; look whether something sticks "
                 "to the gel; if not, its light has changed: `slipguard calibrate --force`"
             )
@@ -130,14 +130,14 @@ class GelMonitor:
             return
         if compared is None or window is not self._windows[name]:  # calibrated meanwhile
             return
-        gel = judge(*compared, px_per_mm)
+        gel = describe_gel(*compared, px_per_mm)
         finger.gel = gel
-        window.agreeing = window.agreeing + 1 if gel.verdict is window.newest else 1
-        window.newest = gel.verdict
-        worse = gel.verdict in (Verdict.DRIFTED, Verdict.WORN)
-        if worse and window.agreeing >= CONFIRMED and gel.verdict not in window.told:
-            window.told.add(gel.verdict)
-            self._service.event_log.warn(f"{name} ({serial}): {gel.seen}; {gel.do}")
+        window.agreeing = window.agreeing + 1 if gel.status is window.newest else 1
+        window.newest = gel.status
+        worse = gel.status in (GelStatus.DRIFTED, GelStatus.WORN)
+        if worse and window.agreeing >= CONFIRMED and gel.status not in window.told:
+            window.told.add(gel.status)
+            self._service.event_log.warning(f"{name} ({serial}): {gel.observed}; {gel.action}")
 
 
 def _compared(

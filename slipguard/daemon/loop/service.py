@@ -88,13 +88,13 @@ class Service:
             left.other, right.other = right, left
             left.refresh_s = right.refresh_s = config.perception.refresh_s
         self.gripper: Actuator[GripperState] = Actuator(
-            "gripper", gripper, poll_s, retry_s, self._wake.set, self.event_log.warn
+            "gripper", gripper, poll_s, retry_s, self._wake.set, self.event_log.warning
         )
-        self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, self._wake.set, self.event_log.warn)
+        self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, self._wake.set, self.event_log.warning)
         self._requests: asyncio.Queue[tuple[Request, asyncio.Future[str]]] = asyncio.Queue()
         self._decided_on: dict[str, TimedEstimate | None] = dict.fromkeys(FINGERS)
         self._last_fault: Fault | None = None
-        self._device_alerts = DeviceAlerts(self.event_log.say, self.event_log.warn)
+        self._device_alerts = DeviceAlerts(self.event_log.info, self.event_log.warning)
 
     @property
     def state(self) -> GuardState:
@@ -280,7 +280,7 @@ class Service:
 
     def _tell(self, before: Phase, command: Command, answer: asyncio.Future[str] | None) -> None:
         if command.say is not None:
-            (self.event_log.warn if command.warn else self.event_log.say)(command.say)
+            (self.event_log.warning if command.warn else self.event_log.info)(command.say)
         if command.fault is not None and command.fault != self._last_fault:
             self.event_log.fault(command.fault.code.value, command.fault.seen, command.fault.what_to_do)
         self._last_fault = command.fault

@@ -48,7 +48,7 @@ def make_recorder(service: Service, folder: Path) -> Recorder:
         RecorderSettings(asked.image, asked.jpeg_quality, SEGMENT_S, asked.keep_before_s, asked.keep_after_s),
         clock=lambda: RecordingClock(time.time_ns(), time.monotonic() + virtual_s),
         header=lambda: header(service),
-        on_trouble=lambda text: _say_in(loop, service.event_log.warn, text),
+        on_trouble=lambda text: _say_in(loop, service.event_log.warning, text),
     )
 
 

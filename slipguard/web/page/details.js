@@ -37,7 +37,7 @@ export function showDevices(state, live) {
 function does(state, name) {
   const finger = state.fingers[name];
   if (finger) {
-    const gel = finger.gel && finger.gel.do ? [`gel ${finger.gel.verdict}: ${finger.gel.seen}; ${finger.gel.do}`] : [];
+    const gel = finger.gel && finger.gel.action ? [`gel ${finger.gel.status}: ${finger.gel.observed}; ${finger.gel.action}`] : [];
     return [finger.serial, ...finger.remarks, ...gel];
   }
   if (name === "gripper") return state.gripper ? [gripperWords(state.gripper)] : [];

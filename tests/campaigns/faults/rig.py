@@ -134,7 +134,7 @@ class CampaignCell:
             law=tick,
             memory=remembered(self._state),
         )
-        service.observers.append(LastGraspSaver(self._state, service.event_log.say, service.event_log.warn).decided)
+        service.observers.append(LastGraspSaver(self._state, service.event_log.info, service.event_log.warning).decided)
         service.event_log.listeners.append(lambda event: self._heard(event.line))
         return service
 

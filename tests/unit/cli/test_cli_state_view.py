@@ -137,8 +137,8 @@ def test_what_a_sensor_does_not_give_as_asked_is_shown() -> None:
 
 
 def test_a_worn_or_drifted_gel_is_shown_with_what_to_do() -> None:
-    gel = {"verdict": "worn", "seen": "2 lasting marks", "do": "clean the gel"}
+    gel = {"status": "worn", "observed": "2 lasting marks", "action": "clean the gel"}
     left = HELD["fingers"]["left"] | {"gel": gel}
     assert "gel worn: 2 lasting marks; clean the gel" in " ".join(shown(HELD | {"fingers": {"left": left}}).split())
-    fine = HELD["fingers"]["left"] | {"gel": gel | {"verdict": "fine", "seen": "as it was", "do": ""}}
+    fine = HELD["fingers"]["left"] | {"gel": gel | {"status": "ok", "observed": "as it was", "action": ""}}
     assert "gel" not in shown(HELD | {"fingers": {"left": fine}}).split()

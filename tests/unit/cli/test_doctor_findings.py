@@ -16,7 +16,7 @@ from slipguard.config import Config, sim_config
 from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import GripperState
-from slipguard.diagnosis import Diagnosable, Finding, Verdict, fine, from_error, wrong
+from slipguard.diagnosis import CheckResult, CheckStatus, Diagnosable, ok, problem, problem_from_error
 from slipguard.doctor import examine, gripper, machine, sensor, through_daemon
 from slipguard.errors import DeviceLost
 from slipguard_drivers.digit.diagnostics import RULES, check_digit
@@ -52,10 +52,10 @@ def dev(tmp_path: Path) -> Path:
     return tmp_path / "dev"
 
 
-def digit(dev: Path, **settings: Any) -> dict[str, Finding]:
+def digit(dev: Path, **settings: Any) -> dict[str, CheckResult]:
     asked = DigitSettings.model_validate({"serial": "D20001", **settings})
     found = check_digit("left", asked, dev.parent / "sys", dev, (dev.parent / "rules",))
-    return {finding.what: finding for finding in found}
+    return {result.check: result for result in found}
 
 
 def test_a_digit_with_everything_in_order(dev: Path) -> None:
@@ -64,68 +64,68 @@ def test_a_digit_with_everything_in_order(dev: Path) -> None:
     (dev.parent / "rules").mkdir()
     (dev.parent / "rules" / RULES).touch()
     found = digit(dev)
-    assert {finding.verdict for finding in found.values()} == {Verdict.FINE}
-    assert "serial D20001, firmware 212, port 1-1, 480 Mbit/s" in found["USB"].seen
-    assert "not shared" in found["USB bus"].seen
+    assert {result.status for result in found.values()} == {CheckStatus.OK}
+    assert "serial D20001, firmware 212, port 1-1, 480 Mbit/s" in found["USB"].observed
+    assert "not shared" in found["USB bus"].observed
 
 
 def test_a_digit_on_a_slow_link_beside_another_without_rules(dev: Path) -> None:
     plug_in(dev.parent / "sys", 0, "D20001", "1-1", release="0199", speed="12")
     plug_in(dev.parent / "sys", 1, "D20002", "1-2")
     found = digit(dev, led_rgb=(15, 0, 0))
-    assert found["USB"].verdict is Verdict.WRONG
-    assert "another cable or port" in found["USB"].do
-    assert "D20002" in found["USB bus"].seen
-    assert "sudo slipguard install" in found["udev rules"].do
-    assert "one brightness" in found["LEDs"].seen
+    assert found["USB"].status is CheckStatus.PROBLEM
+    assert "another cable or port" in found["USB"].action
+    assert "D20002" in found["USB bus"].observed
+    assert "sudo slipguard install" in found["udev rules"].action
+    assert "one brightness" in found["LEDs"].observed
 
 
 def test_a_digit_that_is_another(dev: Path) -> None:
     plug_in(dev.parent / "sys", 0, "D20002", "1-1")
     found = digit(dev)
     assert list(found) == ["USB"]
-    assert "D20002" in found["USB"].seen
+    assert "D20002" in found["USB"].observed
 
 
 def test_a_camera_of_another_group(dev: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plug_in(dev.parent / "sys", 0, "D20001", "1-1")
     monkeypatch.setattr("os.access", lambda path, mode: False)
     denied = digit(dev)["access"]
-    assert denied.verdict is Verdict.WRONG
-    assert "usermod -aG" in denied.do
+    assert denied.status is CheckStatus.PROBLEM
+    assert "usermod -aG" in denied.action
 
 
 def test_the_adapters_latency_timer() -> None:
-    assert adapter(None).verdict is adapter(1).verdict is Verdict.FINE
-    assert adapter(16).verdict is Verdict.NOTE
-    assert "60-slipguard.rules" in adapter(16).do
+    assert adapter(None).status is adapter(1).status is CheckStatus.OK
+    assert adapter(16).status is CheckStatus.NOTE
+    assert "60-slipguard.rules" in adapter(16).action
 
 
 @pytest.mark.parametrize(
-    ("rate_hz", "asked_hz", "verdict"), [(59.2, 60.0, "fine"), (44.0, 60.0, "wrong"), (29.9, None, "fine")]
+    ("rate_hz", "asked_hz", "status"), [(59.2, 60.0, "ok"), (44.0, 60.0, "problem"), (29.9, None, "ok")]
 )
-def test_rates(rate_hz: float, asked_hz: float | None, verdict: str) -> None:
-    assert sensor.rate(rate_hz, asked_hz).verdict == verdict
+def test_rates(rate_hz: float, asked_hz: float | None, status: str) -> None:
+    assert sensor.rate(rate_hz, asked_hz).status == status
 
 
 @pytest.mark.parametrize(
-    ("came", "lost", "damaged", "interruptions", "verdict"),
-    [(120, 1, 0, 0, "fine"), (117, 3, 0, 0, "note"), (100, 10, 0, 0, "wrong"), (120, 0, 0, 1, "wrong")],
+    ("came", "lost", "damaged", "interruptions", "status"),
+    [(120, 1, 0, 0, "ok"), (117, 3, 0, 0, "note"), (100, 10, 0, 0, "problem"), (120, 0, 0, 1, "problem")],
 )
-def test_losses(came: int, lost: int, damaged: int, interruptions: int, verdict: str) -> None:
-    assert sensor.losses(came, lost, damaged, interruptions).verdict == verdict
+def test_losses(came: int, lost: int, damaged: int, interruptions: int, status: str) -> None:
+    assert sensor.losses(came, lost, damaged, interruptions).status == status
 
 
 def test_the_age_of_a_no_contact_image(tmp_path: Path) -> None:
     store = StateDir(tmp_path)
     now = datetime.now(UTC)
-    assert sensor.no_contact("D1", store, now).verdict is Verdict.WRONG
+    assert sensor.no_contact("D1", store, now).status is CheckStatus.PROBLEM
     store.save_background("D1", BackgroundImage(np.zeros((320, 240, 3), np.uint8), (1.0, 1.0, 1.0), 30))
-    assert sensor.no_contact("D1", store, now).verdict is Verdict.FINE
+    assert sensor.no_contact("D1", store, now).status is CheckStatus.OK
     old = sensor.no_contact("D1", store, now + timedelta(days=60))
-    assert (old.verdict, old.seen) == (Verdict.NOTE, "60 days old")
+    assert (old.status, old.observed) == (CheckStatus.NOTE, "60 days old")
     next(tmp_path.glob("sensors/D1/*.png")).write_bytes(b"no picture")
-    assert sensor.no_contact("D1", store, now).verdict is Verdict.WRONG
+    assert sensor.no_contact("D1", store, now).status is CheckStatus.PROBLEM
 
 
 def state(**changes: Any) -> GripperState:
@@ -135,33 +135,33 @@ def state(**changes: Any) -> GripperState:
 
 def test_a_gripper_that_is_not_activated_or_at_fault() -> None:
     (idle,) = gripper.condition(state(active=False))
-    assert (idle.verdict, "open and close fully" in idle.do) == (Verdict.NOTE, True)
+    assert (idle.status, "open and close fully" in idle.action) == (CheckStatus.NOTE, True)
     (faulty,) = gripper.condition(state(fault="overcurrent"))
-    assert (faulty.verdict, faulty.seen) == (Verdict.WRONG, "fault: overcurrent")
+    assert (faulty.status, faulty.observed) == (CheckStatus.PROBLEM, "fault: overcurrent")
 
 
 def test_a_slow_line_and_a_lossy_one() -> None:
-    assert gripper.round_trip([0.005] * 100, 0).verdict is Verdict.FINE
-    assert gripper.round_trip([0.018] * 100, 0).verdict is Verdict.NOTE
-    assert gripper.round_trip([0.005] * 95, 5).verdict is Verdict.WRONG
-    assert gripper.round_trip([], 10).verdict is Verdict.WRONG
+    assert gripper.round_trip([0.005] * 100, 0).status is CheckStatus.OK
+    assert gripper.round_trip([0.018] * 100, 0).status is CheckStatus.NOTE
+    assert gripper.round_trip([0.005] * 95, 5).status is CheckStatus.PROBLEM
+    assert gripper.round_trip([], 10).status is CheckStatus.PROBLEM
 
 
 def test_a_state_folder_that_cannot_be(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    assert machine.state_folder(tmp_path / "file" / "state").verdict is Verdict.WRONG
-    assert machine.state_folder(tmp_path / "new" / "state").verdict is Verdict.FINE
+    assert machine.state_folder(tmp_path / "file" / "state").status is CheckStatus.PROBLEM
+    assert machine.state_folder(tmp_path / "new" / "state").status is CheckStatus.OK
 
 
 def test_one_core_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0})
-    assert machine.processor().verdict is Verdict.NOTE
+    assert machine.processor().status is CheckStatus.NOTE
 
 
 def test_what_to_do_comes_out_of_our_own_errors() -> None:
-    found = from_error("sensor", DeviceLost("left: it is gone; plug it in"), "left", "look")
-    assert (found.seen, found.do) == ("it is gone", "plug it in")
-    assert from_error("sensor", DeviceLost("left: it is gone"), "left", "look").do == "look"
+    found = problem_from_error("sensor", DeviceLost("left: it is gone; plug it in"), "left", "look")
+    assert (found.observed, found.action) == ("it is gone", "plug it in")
+    assert problem_from_error("sensor", DeviceLost("left: it is gone"), "left", "look").action == "look"
 
 
 class Strange:
@@ -173,8 +173,8 @@ class Strange:
     def __init__(self, settings: BaseModel, context: object) -> None:
         pass
 
-    async def diagnose(self, *, owned: bool) -> AsyncIterator[Finding]:
-        yield fine("cable", "there")
+    async def diagnose(self, *, owned: bool) -> AsyncIterator[CheckResult]:
+        yield ok("cable", "there")
         raise ZeroDivisionError("oops")
 
 
@@ -188,7 +188,7 @@ class Plain:
         pass
 
 
-async def ask(config: Config, driver: type, monkeypatch: pytest.MonkeyPatch) -> list[Finding]:
+async def ask(config: Config, driver: type, monkeypatch: pytest.MonkeyPatch) -> list[CheckResult]:
     monkeypatch.setattr(examine, "load_driver", lambda group, name: driver)
     return await examine._device("arm", config, None)
 
@@ -196,29 +196,29 @@ async def ask(config: Config, driver: type, monkeypatch: pytest.MonkeyPatch) -> 
 async def test_a_driver_that_fails_is_one_more_finding(monkeypatch: pytest.MonkeyPatch) -> None:
     found = await ask(sim_config(), Strange, monkeypatch)
     assert isinstance(Strange(Strange.Settings(), None), Diagnosable)
-    assert [finding.verdict for finding in found] == [Verdict.FINE, Verdict.WRONG]
-    assert "ZeroDivisionError: oops" in found[1].seen
+    assert [result.status for result in found] == [CheckStatus.OK, CheckStatus.PROBLEM]
+    assert "ZeroDivisionError: oops" in found[1].observed
 
 
 async def test_an_arm_without_a_look_of_its_own_is_not_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     (found,) = await ask(sim_config(), Plain, monkeypatch)
-    assert (found.verdict, "no look of its own" in found.seen) == (Verdict.NOTE, True)
+    assert (found.status, "no look of its own" in found.observed) == (CheckStatus.NOTE, True)
 
 
 async def test_a_look_that_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     class Endless(Plain):
-        async def diagnose(self, *, owned: bool) -> AsyncIterator[Finding]:
+        async def diagnose(self, *, owned: bool) -> AsyncIterator[CheckResult]:
             await asyncio.sleep(3600)
-            yield wrong("never", "seen", "nothing")
+            yield problem("never", "seen", "nothing")
 
     monkeypatch.setattr(examine, "DEVICE_S", 0.05)
     (found,) = await ask(sim_config(), Endless, monkeypatch)
-    assert (found.what, found.verdict) == ("look", Verdict.WRONG)
+    assert (found.check, found.status) == ("look", CheckStatus.PROBLEM)
 
 
-@pytest.mark.parametrize("known", ["fine", "drifted", "marked", "worn"])
+@pytest.mark.parametrize("known", ["ok", "drifted", "marked", "worn"])
 def test_a_gel_that_has_changed_is_a_note_with_what_to_do(known: str) -> None:
-    told = {"verdict": known, "seen": "2 lasting marks", "do": "" if known == "fine" else "clean the gel"}
+    told = {"status": known, "observed": "2 lasting marks", "action": "" if known == "ok" else "clean the gel"}
     found = through_daemon.gel(told)
-    assert (found.what, found.seen, found.do) == ("gel", told["seen"], told["do"])
-    assert found.verdict is (Verdict.FINE if known == "fine" else Verdict.NOTE)
+    assert (found.check, found.observed, found.action) == ("gel", told["observed"], told["action"])
+    assert found.status is (CheckStatus.OK if known == "ok" else CheckStatus.NOTE)

@@ -91,9 +91,9 @@ def test_of_lines_that_differ_in_figures_one_a_second_is_logged_and_all_are_told
     event_log.listeners.append(lambda event: told.append(event.line))
     for rotation in range(250):
         now_s = rotation * 0.01
-        event_log.warn(f"left: its newest frame is {rotation}.5 ms old")
+        event_log.warning(f"left: its newest frame is {rotation}.5 ms old")
         if rotation == 100:
-            event_log.say("something else")
+            event_log.info("something else")
     lines = [json.loads(line) for line in stream.getvalue().splitlines()]
     assert [line["event"] for line in lines] == [
         "left: its newest frame is 0.5 ms old",
