@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from loop_cell import Cell
 
-from slipguard.daemon.loop import gel_monitor as gel_watch
+from slipguard.daemon.loop import gel_monitor as gel_monitor
 from slipguard.daemon.loop.finger import ProcessedFrame
 from slipguard.daemon.loop.gel_condition import GelStatus
 from slipguard.daemon.loop.gel_monitor import GelMonitor
@@ -191,7 +191,7 @@ def test_a_comparison_that_fails_ends_nothing(monkeypatch: pytest.MonkeyPatch) -
     def broken(*told: object) -> None:
         raise ZeroDivisionError("a mistake")
 
-    monkeypatch.setattr(gel_watch, "changed", broken)
+    monkeypatch.setattr(gel_monitor, "compare_gel", broken)
 
     async def scene(bench: Bench) -> None:
         await bench.show(gel(), 200.0)

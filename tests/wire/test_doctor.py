@@ -201,7 +201,7 @@ def test_no_permission(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "seen"),
+    ("name", "observed"),
     [("/dev/null", "no serial port"), ("/etc/hostname", "no serial port"), ("/dev/ttyNONE", "no such device")],
 )
 def test_wrong_port(there: Cell, capfd: pytest.CaptureFixture[str], name: str, observed: str) -> None:

@@ -35,7 +35,7 @@ def logged(monkeypatch: pytest.MonkeyPatch, stream: io.StringIO, **options: bool
 
 def test_a_journal_gets_json_and_a_terminal_colours(monkeypatch: pytest.MonkeyPatch) -> None:
     line = json.loads(logged(monkeypatch, io.StringIO()))
-    assert (line["event"], line["level"], line["turn_deg"]) == ("the grip slips", "warning", 3.5)
+    assert (line["event"], line["level"], line["rotation_deg"]) == ("the grip slips", "warning", 3.5)
     assert line["timestamp"].endswith("Z")
     assert "\x1b[" in logged(monkeypatch, Terminal())
     assert json.loads(logged(monkeypatch, Terminal(), json_lines=True))
