@@ -14,7 +14,7 @@ Image = NDArray[np.uint8]
 Answer = NDArray[np.float32]
 
 
-class Memory:
+class SegmentationCache:
     """Answers by picture. One that is given again charges the time it took to `CLOCK`.
 
     Pictures are told apart by identity: they are kept alive until `forget`, which must be called between grasps.
@@ -55,13 +55,13 @@ class Segments(Protocol):
     def segment(self, image: Image, background: Image | None) -> Answer: ...
 
 
-class Remembering:
+class CachedSegmenter:
     """A segmenter with such a memory, for one no-contact image at a time."""
 
     def __init__(self, segmenter: Segments) -> None:
         self._segmenter = segmenter
         self.threshold, self.input_size = segmenter.threshold, segmenter.input_size
-        self.memory = Memory()
+        self.memory = SegmentationCache()
 
     def segment(self, image: Image, background: Image | None) -> Answer:
         """As the segmenter's."""

@@ -15,9 +15,9 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from slipguard.bench.error_tally import Tally
-from slipguard.bench.pipelines import Subject
-from slipguard.bench.rows import Skip, mean
+from slipguard.bench.error_tally import PipelineResults
+from slipguard.bench.pipelines import BenchPipeline
+from slipguard.bench.rows import SkipResult, mean
 from slipguard.datasets.rendered_grasps import RenderedGrasp, render_grasp
 from slipguard.errors import ModelError
 from slipguard.perception.contact.segmenter import Segmenter
@@ -82,33 +82,37 @@ class CroppedSegmenter:
         return None
 
 
-def known_patch(default: Subject) -> Skip | None:
+def known_patch(default: BenchPipeline) -> SkipResult | None:
     """What the crop would be worth, over one grasp of each readable test object; None where it cannot be tried."""
     whole = Segmenter(default.path)
     try:
         cropped = CroppedSegmenter(whole)
     except ModelError:
         return None
-    tallies = {"whole": Tally(), "cropped": Tally()}
+    tallies = {"whole": PipelineResults(), "cropped": PipelineResults()}
     for name in (name for name in names("test") if get(name).axial):
         grasp = render_grasp(name, SEED, with_masks=True, mask_every=4)
         opened = {
             "whole": _pipeline(whole, grasp, default.estimator),
             "cropped": _pipeline(cropped, grasp, default.estimator),
         }
-        into = {key: tally.begin(grasp) for key, tally in tallies.items()}
+        into = {key: results.begin(grasp) for key, results in tallies.items()}
         for shot in grasp.shots:  # in turn, so that a busy machine slows both alike
             for key, pipeline in opened.items():
                 tallies[key].take(pipeline, shot, into[key])
-    spent = {key: float(np.median(tally.busy_ms)) for key, tally in tallies.items()}
-    errors = {key: mean(e for one in tally.grasps for e, _, _ in one.found) or 0.0 for key, tally in tallies.items()}
-    overlap = {key: mean(d for d, _ in tally.overlaps) or 0.0 for key, tally in tallies.items()}
+    spent = {key: float(np.median(results.busy_ms)) for key, results in tallies.items()}
+    errors = {
+        key: mean(e for one in results.grasps for e, _, _ in one.found) or 0.0 for key, results in tallies.items()
+    }
+    overlap = {key: mean(d for d, _ in results.overlaps) or 0.0 for key, results in tallies.items()}
     how = (
         f"{len(tallies['whole'].busy_ms)} frames in contact, whole and cropped: error {errors['whole']:.3f}° and "
         f"{errors['cropped']:.3f}°, Dice {overlap['whole']:.3f} and {overlap['cropped']:.3f}"
     )
     error_added = errors["cropped"] - errors["whole"]
-    return Skip("known patch: only its crop", False, spent["whole"] - spent["cropped"], None, error_added, None, how)
+    return SkipResult(
+        "known patch: only its crop", False, spent["whole"] - spent["cropped"], None, error_added, None, how
+    )
 
 
 def _pipeline(segmenter: Segmenter | CroppedSegmenter, grasp: RenderedGrasp, estimator: str) -> Pipeline:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.bench.clock import CLOCK
-from slipguard.bench.pipelines import Processor, Subject
-from slipguard.bench.rows import Row, mean, quantile
+from slipguard.bench.pipelines import BenchPipeline, FrameProcessor
+from slipguard.bench.rows import BenchRow, mean, quantile
 from slipguard.datasets.mask_scores import dice, iou
 from slipguard.datasets.rendered_grasps import EXTRA_PLAIN, ROUND_PLAIN, ROUND_TEXTURED, GraspFrame, RenderedGrasp
 from slipguard.perception.estimate import Estimate
@@ -21,7 +21,7 @@ QUARTERS = 4
 
 
 @dataclass(slots=True)
-class Errors:
+class GraspErrors:
     """One grasp's turns. found: (error, turn stated, sigma) of frames with one. compared: frames it was asked of."""
 
     object_name: str
@@ -32,7 +32,7 @@ class Errors:
 
 
 @dataclass(slots=True)
-class Tally:
+class PipelineResults:
     """Times are those of `process`, ms, and per stage.
 
     busy: frames measured in contact. empty: left out for want of contact. unchanged: left out for want of change.
@@ -45,15 +45,15 @@ class Tally:
     other_ms: list[float] = field(default_factory=list)
     stage_ms: dict[str, list[float]] = field(default_factory=dict)
     overlaps: list[tuple[float, float]] = field(default_factory=list)
-    grasps: list[Errors] = field(default_factory=list)
+    grasps: list[GraspErrors] = field(default_factory=list)
 
-    def begin(self, grasp: RenderedGrasp) -> Errors:
+    def begin(self, grasp: RenderedGrasp) -> GraspErrors:
         """A new grasp; its errors go into what is returned."""
-        errors = Errors(grasp.object_name, grasp.readable, difficulty(grasp))
+        errors = GraspErrors(grasp.object_name, grasp.readable, difficulty(grasp))
         self.grasps.append(errors)
         return errors
 
-    def take(self, processor: Processor, shot: GraspFrame, errors: Errors) -> Estimate:
+    def take(self, processor: FrameProcessor, shot: GraspFrame, errors: GraspErrors) -> Estimate:
         """Run a processor over the next shot of a grasp. A contact that was skipped as none overlaps nothing."""
         start_s = CLOCK()
         seen = processor.process(shot.frame)
@@ -71,7 +71,7 @@ class Tally:
                 errors.found.append((abs(seen.angle_deg - shot.rotation_deg), seen.angle_deg, seen.sigma_deg))
         return seen
 
-    def run(self, processor: Processor, grasp: RenderedGrasp, shots: Iterable[GraspFrame]) -> None:
+    def run(self, processor: FrameProcessor, grasp: RenderedGrasp, shots: Iterable[GraspFrame]) -> None:
         """All shots of a grasp."""
         errors = self.begin(grasp)
         for shot in shots:
@@ -89,7 +89,7 @@ class Tally:
         else:
             self.other_ms.append(spent_ms)
 
-    def add(self, other: Tally) -> None:
+    def add(self, other: PipelineResults) -> None:
         """All that another one holds."""
         self.busy_ms += other.busy_ms
         self.empty_ms += other.empty_ms
@@ -100,7 +100,9 @@ class Tally:
         self.overlaps += other.overlaps
         self.grasps += other.grasps
 
-    def row(self, subject: Subject, times: Tally, grasp_ms: float | None, cpu_s: float | None) -> Row:
+    def row(
+        self, subject: BenchPipeline, times: PipelineResults, grasp_ms: float | None, cpu_s: float | None
+    ) -> BenchRow:
         """The figures. times: the tally whose times count. grasp_ms, cpu_s: of a minute of holding."""
         known = not subject.made_up
         manifest = [one for one in self.grasps if one.object_name not in EXTRA_PLAIN] if known else []
@@ -112,7 +114,7 @@ class Tally:
         sure = [(error, sigma) for one in manifest for error, _, sigma in one.found if sigma is not None]
         textured = [one for one in manifest if one.object_name in ROUND_TEXTURED]
         plain = [one for one in self.grasps if one.object_name in ROUND_PLAIN] if known else []
-        return Row(
+        return BenchRow(
             name=subject.name,
             network=subject.network,
             estimator=subject.estimator,
@@ -158,20 +160,20 @@ class Tally:
         )
 
 
-def declined(grasps: list[Errors]) -> float | None:
+def declined(grasps: list[GraspErrors]) -> float | None:
     """Share of the frames without a turn."""
     asked = sum(one.compared for one in grasps)
     return 1.0 - sum(len(one.found) for one in grasps) / asked if asked else None
 
 
-def confident(grasps: list[Errors]) -> float | None:
+def confident(grasps: list[GraspErrors]) -> float | None:
     """Share of the frames with a turn of more than three sigmas; without a sigma every turn counts."""
     asked = sum(one.compared for one in grasps)
     sure = [abs(rotation) > CONFIDENT_SIGMAS * (sigma or 0.0) for one in grasps for _, rotation, sigma in one.found]
     return sum(sure) / asked if asked else None
 
 
-def within_se(grasps: list[Errors], sigmas: float) -> float | None:
+def within_se(grasps: list[GraspErrors], sigmas: float) -> float | None:
     """Standard error of the share of errors within so many sigmas, by how much it differs from grasp to grasp.
 
     That of a ratio of two sums over grasps; None for fewer than two grasps with a sigma.
@@ -185,7 +187,7 @@ def within_se(grasps: list[Errors], sigmas: float) -> float | None:
     return float(np.sqrt(np.square(apart).sum() * len(counts) / (len(counts) - 1)) / asked.sum())
 
 
-def quarters(grasps: list[Errors]) -> tuple[float | None, ...]:
+def quarters(grasps: list[GraspErrors]) -> tuple[float | None, ...]:
     """Mean error of each quarter of the grasps, the easiest first."""
     ordered = sorted(grasps, key=lambda one: one.difficulty)
     parts = np.array_split(np.arange(len(ordered)), QUARTERS)

@@ -20,7 +20,7 @@ PAUSE_S = (0.12, 0.20)
 
 
 @dataclass(slots=True)
-class Probe:
+class ForceProbe:
     """One command: the force, when the frame behind it was exposed, and when it was decided on."""
 
     force_n: float
@@ -29,11 +29,11 @@ class Probe:
 
 
 @dataclass(slots=True)
-class ProbingLaw:
+class ProbingController:
     """To be given to a service in place of `tick`. left: how many commands are still to be given."""
 
     left: int
-    probes: list[Probe] = field(default_factory=list)
+    probes: list[ForceProbe] = field(default_factory=list)
     _due_s: float = 0.0
     _captured_at_s: float = 0.0
     _random: random.Random = field(default_factory=lambda: random.Random(0))
@@ -51,6 +51,6 @@ class ProbingLaw:
             return guard, command
         self.left -= 1
         self._due_s = seen.now_s + self._random.uniform(*PAUSE_S)
-        self.probes.append(Probe(force_n, fused.captured_at_s, seen.now_s))
+        self.probes.append(ForceProbe(force_n, fused.captured_at_s, seen.now_s))
         law = replace(guard.law, target_n=force_n, commanded_s=seen.now_s)
         return replace(guard, law=law), replace(command, hold_force_n=force_n)

@@ -6,8 +6,8 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
-from slipguard.bench.minute import Minute
-from slipguard.bench.pipelines import Subject
+from slipguard.bench.minute import HoldingScene
+from slipguard.bench.pipelines import BenchPipeline
 
 EVERY_UNSKIPPED = 10
 """Without skipping all frames cost alike: of a pipeline that skips nothing only so many-th frames are run."""
@@ -15,7 +15,7 @@ WARM_UP = 40
 
 
 @dataclass(slots=True)
-class Held:
+class HoldingResult:
     """One pipeline over the minute. frames: how many were run. skipped: how many of them were left out, by reason.
 
     measured_s: spent on those that were not.
@@ -44,14 +44,16 @@ class Held:
         return 60.0 * 60.0 * self.cpu_s / max(self.frames, 1)
 
 
-def hold(subjects: list[Subject], minute: Minute, every: dict[str, int] | None = None) -> dict[str, Held]:
+def hold(
+    subjects: list[BenchPipeline], minute: HoldingScene, every: dict[str, int] | None = None
+) -> dict[str, HoldingResult]:
     """Run pipelines over the same minute, by name. every: of some, only so many-th frames."""
     scene = minute.scene()
-    opened: list[tuple[Subject, Any, int]] = [
+    opened: list[tuple[BenchPipeline, Any, int]] = [
         (one, one.open(scene), (every or {}).get(one.name, 1 if one.skips.unchanged else EVERY_UNSKIPPED))
         for one in subjects
     ]
-    held = {one.name: Held() for one in subjects}
+    held = {one.name: HoldingResult() for one in subjects}
     for index, shot in enumerate(minute.shots()):
         for subject, processor, step in opened:
             # The reference needs every frame of the beginning.

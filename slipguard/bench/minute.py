@@ -27,7 +27,7 @@ DRIFT_LEVELS = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Minute:
+class HoldingScene:
     """One grasp of 60 s at 60 frames a second; `shots` draws it anew each time, the same for the same seed.
 
     press: depth as a share of the object's at 40 N. sign: -1 for the finger opposite, which sees turns the other way.

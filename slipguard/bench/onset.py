@@ -34,7 +34,7 @@ LAW = GuardParams()
 
 
 @dataclass(frozen=True, slots=True)
-class Onset:
+class SlipOnset:
     """A slip after rest. rate: degrees a second, or mm a second downwards where `slides`."""
 
     object_name: str

@@ -12,7 +12,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from slipguard.bench.axes import AxialRotation, axis_of_points
-from slipguard.bench.cached_segmenter import Memory
+from slipguard.bench.cached_segmenter import SegmentationCache
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import ModelError
 from slipguard.perception.estimate import Estimate
@@ -50,7 +50,7 @@ class FrameNetwork:
         self._name = ports[0].name
         self.height, self.width = int(sides[0]), int(sides[1])
         self.threshold = float(self.metadata.get("threshold", "0.5"))
-        self.memory = Memory()
+        self.memory = SegmentationCache()
         self.made_up = "timing only" in self.metadata.get("purpose", "")
 
     @property

@@ -10,7 +10,7 @@ from typing import Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.bench.cached_segmenter import Remembering
+from slipguard.bench.cached_segmenter import CachedSegmenter
 from slipguard.bench.classical import BackgroundSubtraction
 from slipguard.bench.clock import CLOCK
 from slipguard.bench.paper import FrameNetwork, PaperPipeline
@@ -28,7 +28,7 @@ NO_SKIP = Skips(no_contact=False, unchanged=False, round=False)
 Kind = Literal["ours", "paper", "subtraction"]
 
 
-class Processor(Protocol):
+class FrameProcessor(Protocol):
     """Frame after frame of one grasp."""
 
     def process(self, frame: Frame) -> Estimate: ...
@@ -38,7 +38,7 @@ class Processor(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Subject:
+class BenchPipeline:
     """One pipeline to be benched; picklable. path: of its network, None without one. sees: `contract` or `frame`."""
 
     kind: Kind
@@ -78,7 +78,7 @@ class Subject:
         """The network's weights mean nothing: only times can be told."""
         return self.sees == "frame" and _frame_network(self.path, self.threads).made_up
 
-    def open(self, grasp: RenderedGrasp, masks: dict[int, NDArray[np.uint8]] | None = None) -> Processor:
+    def open(self, grasp: RenderedGrasp, masks: dict[int, NDArray[np.uint8]] | None = None) -> FrameProcessor:
         """Ready for the frames of a grasp. masks: what takes the place of a made-up network's answer."""
         if self.kind == "subtraction":
             return BackgroundSubtraction(grasp.background, "ellipse" if self.estimator == "ellipse" else "pca")
@@ -103,8 +103,8 @@ def _contract(path: Path | None) -> Segmenter:
 
 
 @lru_cache(maxsize=8)
-def _remembered(path: Path | None) -> Remembering:
-    return Remembering(_contract(path))
+def _remembered(path: Path | None) -> CachedSegmenter:
+    return CachedSegmenter(_contract(path))
 
 
 @lru_cache(maxsize=8)
@@ -112,31 +112,31 @@ def _frame_network(path: Path | None, threads: int) -> FrameNetwork:
     return FrameNetwork(default_model_path().with_name(PEER_MODEL) if path is None else path, threads)
 
 
-def ours(path: Path | None, every: bool) -> list[Subject]:
+def ours(path: Path | None, every: bool) -> list[BenchPipeline]:
     """A network that keeps the model contract with every estimator; where `every`, also without skipping."""
     segmenter = _contract(path)
     width, height = segmenter.input_size
     stem, size = segmenter.path.stem, f"{width}×{height}"
     default = PerceptionSettings().estimator
-    found = [Subject("ours", stem, name, segmenter.path, "contract", size) for name in ESTIMATORS]
+    found = [BenchPipeline("ours", stem, name, segmenter.path, "contract", size) for name in ESTIMATORS]
     plain = ESTIMATORS if every else (default,)
-    return found + [Subject("ours", stem, name, segmenter.path, "contract", size, NO_SKIP) for name in plain]
+    return found + [BenchPipeline("ours", stem, name, segmenter.path, "contract", size, NO_SKIP) for name in plain]
 
 
-def large(path: Path, threads: int = 1) -> list[Subject]:
+def large(path: Path, threads: int = 1) -> list[BenchPipeline]:
     """A frame network with the paper's way to the turn, then with slipguard's estimators."""
     network = _frame_network(path, threads)
     size = f"{network.width}×{network.height}"
-    theirs = Subject("paper", path.stem, "skeleton", path, "frame", size, NO_SKIP, threads)
+    theirs = BenchPipeline("paper", path.stem, "skeleton", path, "frame", size, NO_SKIP, threads)
     if network.made_up:
         return [theirs]
-    return [theirs, *(Subject("ours", path.stem, name, path, "frame", size) for name in ESTIMATORS)]
+    return [theirs, *(BenchPipeline("ours", path.stem, name, path, "frame", size) for name in ESTIMATORS)]
 
 
-def without_network() -> list[Subject]:
+def without_network() -> list[BenchPipeline]:
     """Background subtraction."""
     return [
-        Subject("subtraction", "background subtraction", axis, None, "contract", "240×320", NO_SKIP)
+        BenchPipeline("subtraction", "background subtraction", axis, None, "contract", "240×320", NO_SKIP)
         for axis in ("pca", "ellipse")
     ]
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from slipguard.bench.rows import PUBLISHED, Bench, Row
+from slipguard.bench.rows import PUBLISHED, BenchReport, BenchRow
 from slipguard.tools.plotting import figure, save
 
 STAGES = ("gate", "segment", "regions", "relief", "angle", "thin", "register", "reference", "track")
 MARKERS = {"fused": "o", "registration": "s", "moments": "D", "ellipse": "^", "pca": "v", "skeleton": "P"}
 
 
-def picture(found: Bench, path: Path) -> None:
+def picture(found: BenchReport, path: Path) -> None:
     """Draw it. Raises `InputError` where the file cannot be written."""
     drawing = figure(13.0, 9.0)
     grid = drawing.add_gridspec(2, 2, height_ratios=(1.35, 1.0))
@@ -22,7 +22,7 @@ def picture(found: Bench, path: Path) -> None:
     save(drawing, path)
 
 
-def _front(axes: Any, found: Bench) -> None:
+def _front(axes: Any, found: BenchReport) -> None:
     """Mean turn error against the mean time of a frame over a minute of holding; the front as a line."""
     rows = [*found.pipelines, *found.peers]
     networks = list(dict.fromkeys(row.network for row in rows))
@@ -79,7 +79,7 @@ def _front(axes: Any, found: Bench) -> None:
     axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
-def _stages(axes: Any, found: Bench) -> None:
+def _stages(axes: Any, found: BenchReport) -> None:
     """Where the time of a contact frame goes, means, per estimator of the default's network."""
     network = next(row.network for row in found.pipelines if row.name == found.default)
     rows = [row for row in found.pipelines if row.network == network and row.skipping]
@@ -96,7 +96,7 @@ def _stages(axes: Any, found: Bench) -> None:
     axes.set_title(f"Where the time goes: {network}")
 
 
-def _quarters(axes: Any, found: Bench) -> None:
+def _quarters(axes: Any, found: BenchReport) -> None:
     """Error from the easiest quarter of the grasps to the hardest."""
     for row in (*found.pipelines, *found.peers):
         errors = row.turn_error_by_quartile_deg
@@ -114,6 +114,6 @@ def _quarters(axes: Any, found: Bench) -> None:
     axes.set_title("By difficulty: roundness, cut by the frame, speed, growth")
 
 
-def _short(row: Row) -> str:
+def _short(row: BenchRow) -> str:
     plain = row.name.replace("the paper's pipeline: ", "paper: ").replace(" + OpenCV thinning + line", "")
     return plain.replace("background subtraction", "subtraction").replace(", no skipping", "")

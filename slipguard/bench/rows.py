@@ -28,7 +28,7 @@ PUBLISHED: dict[str, Any] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class BenchRow:
     """One pipeline's figures; None where unknown or not asked. Times in ms, of one frame in contact where not said.
 
     skipped_p50_ms: of frames left out, for want of contact or of change. turn errors: absolute, in degrees, over frames
@@ -84,7 +84,7 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True)
-class Skip:
+class SkipResult:
     """What one skip is worth. saved_ms: of each frame left out; by processor time where a minute is measured.
 
     saved_ms_per_frame_grasp: over a minute of holding.
@@ -103,7 +103,7 @@ class Skip:
 
 
 @dataclass(frozen=True, slots=True)
-class Thinning:
+class ThinningResult:
     """One size of masks through this thinning and others. ratios: how many times longer the others take."""
 
     size: str
@@ -115,18 +115,18 @@ class Thinning:
 
 
 @dataclass(frozen=True, slots=True)
-class Bench:
+class BenchReport:
     """What `slipguard bench` found."""
 
     machine: dict[str, Any]
-    pipelines: tuple[Row, ...]
-    peers: tuple[Row, ...]
+    pipelines: tuple[BenchRow, ...]
+    peers: tuple[BenchRow, ...]
     default: str
-    thinning: tuple[Thinning, ...] = ()
-    skips: tuple[Skip, ...] = ()
+    thinning: tuple[ThinningResult, ...] = ()
+    skips: tuple[SkipResult, ...] = ()
     notes: tuple[str, ...] = ()
 
-    def reference(self, resolution: str) -> Row | None:
+    def reference(self, resolution: str) -> BenchRow | None:
         """The paper's pipeline of this size that times are compared with: the first such network of the peers, on as
         many threads as it is quickest with. None where there is none.
         """
@@ -154,7 +154,7 @@ class Bench:
         }
 
 
-def on_the_front(rows: Iterable[Row]) -> set[str]:
+def on_the_front(rows: Iterable[BenchRow]) -> set[str]:
     """Names of the rows that no other beats in both mean time over a grasp and mean turn error."""
     known = [
         (row.name, row.mean_ms_per_frame_grasp, row.turn_error_mean_deg)

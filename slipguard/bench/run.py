@@ -10,11 +10,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from slipguard.bench.error_tally import Tally
-from slipguard.bench.holding import Held, hold
-from slipguard.bench.minute import Minute
-from slipguard.bench.pipelines import NO_SKIP, Subject, large, network_files, ours, without_network
-from slipguard.bench.rows import Bench, Row, machine, on_the_front
+from slipguard.bench.error_tally import PipelineResults
+from slipguard.bench.holding import HoldingResult, hold
+from slipguard.bench.minute import HoldingScene
+from slipguard.bench.pipelines import NO_SKIP, BenchPipeline, large, network_files, ours, without_network
+from slipguard.bench.rows import BenchReport, BenchRow, machine, on_the_front
 from slipguard.bench.skipping import skips
 from slipguard.bench.thinning import thinning
 from slipguard.datasets.rendered_grasps import EXTRA_PLAIN, STILL_FRAMES, RenderedGrasp, render_grasp
@@ -34,7 +34,7 @@ TRIED_GRASPS = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class BenchOptions:
     """What to bench. model: in place of the shipped network. models: folder of further ones. workers: for accuracy."""
 
     quick: bool = True
@@ -44,7 +44,7 @@ class Options:
 
 
 @dataclass(frozen=True, slots=True)
-class _Item:
+class _GraspItem:
     """One grasp for some pipelines. every: only so many-th frames go to those that remember nothing.
 
     warm: run each over some frames before any is timed.
@@ -52,13 +52,13 @@ class _Item:
 
     object_name: str
     seed: int
-    subjects: tuple[Subject, ...]
+    subjects: tuple[BenchPipeline, ...]
     mask_every: int
     every: int = 1
     warm: bool = False
 
 
-def bench(options: Options, on_progress: Callable[[str, float], None] = lambda _what, _share: None) -> Bench:
+def bench(options: BenchOptions, on_progress: Callable[[str, float], None] = lambda _what, _share: None) -> BenchReport:
     """Render, measure, time. on_progress(what, share done) is called now and then. Seeds are fixed.
 
     Sets OpenCV to one thread for the whole process; onnxruntime runs on one but for the paper's pipeline.
@@ -81,7 +81,7 @@ def bench(options: Options, on_progress: Callable[[str, float], None] = lambda _
     on_progress("a minute of holding", 0.6)
     default = _default(small)
     alone = (default.name, replace(default, skips=NO_SKIP).name)
-    held = hold([one for one in small if one.name in alone or not options.quick], Minute())
+    held = hold([one for one in small if one.name in alone or not options.quick], HoldingScene())
     on_progress("the paper's pipeline", 0.75)
     samples = _samples(options.quick)
     peers = _peer_rows(options, bigger, classical, accuracy, times, samples)
@@ -93,10 +93,10 @@ def bench(options: Options, on_progress: Callable[[str, float], None] = lambda _
     rows = [_row(one, accuracy, times, held, held[default.name]) for one in [*small, *with_large]]
     front = on_the_front([*rows, *peers])
     rows, peers = ([replace(row, pareto=row.name in front) for row in some] for some in (rows, peers))
-    return Bench(machine(), tuple(rows), tuple(peers), default.name, thinned, worth, tuple(_notes(options, held)))
+    return BenchReport(machine(), tuple(rows), tuple(peers), default.name, thinned, worth, tuple(_notes(options, held)))
 
 
-def large_stand_in() -> list[Subject]:
+def large_stand_in() -> list[BenchPipeline]:
     """The paper's network in shape, for times alone."""
     from slipguard.bench.peer import PEER_MODEL
     from slipguard.perception.contact.segmenter import default_model_path
@@ -104,14 +104,17 @@ def large_stand_in() -> list[Subject]:
     return large(default_model_path().with_name(PEER_MODEL))
 
 
-def _default(small: list[Subject]) -> Subject:
+def _default(small: list[BenchPipeline]) -> BenchPipeline:
     estimator = PerceptionSettings().estimator
     return next(one for one in small if one.estimator == estimator and one.skips == ALL_SKIPS)
 
 
 def _errors(
-    options: Options, thrifty: list[Subject], bigger: list[list[Subject]], on_share: Callable[[float], None]
-) -> dict[str, Tally]:
+    options: BenchOptions,
+    thrifty: list[BenchPipeline],
+    bigger: list[list[BenchPipeline]],
+    on_share: Callable[[float], None],
+) -> dict[str, PipelineResults]:
     """Every pipeline's errors by name; of a quick bench its times, too."""
     objects = [*names("test"), *EXTRA_PLAIN]
     grasps = QUICK_GRASPS if options.quick else FULL_GRASPS
@@ -119,26 +122,26 @@ def _errors(
     plan = [(name, SEED + k) for k in range(grasps) for name in objects]
     others = [] if options.quick else [one for group in bigger for one in group if not one.made_up]
     items = [
-        _Item(name, seed, (*thrifty, *others), mask_every, 2 if options.quick else 1, warm=not index)
+        _GraspItem(name, seed, (*thrifty, *others), mask_every, 2 if options.quick else 1, warm=not index)
         for index, (name, seed) in enumerate(plan)
     ]
     workers = Workers(jobs=1) if options.quick else options.workers
-    total: dict[str, Tally] = {}
+    total: dict[str, PipelineResults] = {}
 
     def progress(done: int) -> None:
         on_share(done / len(items))
 
     for found in each(_measure, items, workers, named=_named, progress=progress):
-        for name, tally in found.items():
-            total.setdefault(name, Tally()).add(tally)
+        for name, results in found.items():
+            total.setdefault(name, PipelineResults()).add(results)
     return total
 
 
-def _named(item: _Item) -> str:
+def _named(item: _GraspItem) -> str:
     return f"{item.object_name}, grasp {item.seed}"
 
 
-def _measure(item: _Item) -> dict[str, Tally]:
+def _measure(item: _GraspItem) -> dict[str, PipelineResults]:
     """One grasp through all pipelines of an item, one after the other."""
     grasp = render_grasp(item.object_name, item.seed, with_masks=True, mask_every=item.mask_every)
     if item.warm:
@@ -151,37 +154,43 @@ def _measure(item: _Item) -> dict[str, Tally]:
         subject.forget(share=True)
     found = {}
     for subject in item.subjects:
-        tally = found[subject.name] = Tally()
+        results = found[subject.name] = PipelineResults()
         shots = grasp.shots if subject.kind == "ours" else grasp.shots[begin : -1 : item.every]
-        tally.run(subject.open(grasp), grasp, shots)
+        results.run(subject.open(grasp), grasp, shots)
     for subject in item.subjects:
         subject.forget()
     return found
 
 
-def _warm(subjects: tuple[Subject, ...], grasp: RenderedGrasp) -> None:
+def _warm(subjects: tuple[BenchPipeline, ...], grasp: RenderedGrasp) -> None:
     for subject in subjects:
         processor = subject.open(grasp)
         for shot in grasp.shots[: 2 if subject.large else WARM_UP_FRAMES]:
             processor.process(shot.frame)
 
 
-def _times(subjects: list[Subject], with_large: list[Subject], on_share: Callable[[float], None]) -> dict[str, Tally]:
+def _times(
+    subjects: list[BenchPipeline], with_large: list[BenchPipeline], on_share: Callable[[float], None]
+) -> dict[str, PipelineResults]:
     """Times alone, serially, on a few grasps. with_large: on the first few of them."""
-    total: dict[str, Tally] = {}
+    total: dict[str, PipelineResults] = {}
     objects = names("test")
     for index, name in enumerate(objects):
         timed = (*subjects, *(with_large if index < LARGE_TIMED else ()))
-        item = _Item(name, SEED, timed, 10**6, warm=not index)
-        for one, tally in _measure(item).items():
-            total.setdefault(one, Tally()).add(tally)
+        item = _GraspItem(name, SEED, timed, 10**6, warm=not index)
+        for one, results in _measure(item).items():
+            total.setdefault(one, PipelineResults()).add(results)
         on_share((index + 1) / len(objects))
     return total
 
 
 def _row(
-    subject: Subject, accuracy: dict[str, Tally], times: dict[str, Tally], held: dict[str, Held], like: Held
-) -> Row:
+    subject: BenchPipeline,
+    accuracy: dict[str, PipelineResults],
+    times: dict[str, PipelineResults],
+    held: dict[str, HoldingResult],
+    like: HoldingResult,
+) -> BenchRow:
     """like: a pipeline whose shares of skipped frames count where this one was not run over the minute itself."""
     # Skipping changes no turn of these grasps: they never rest.
     twin = replace(subject, skips=ALL_SKIPS).name
@@ -198,20 +207,20 @@ def _row(
 
 
 def _peer_rows(
-    options: Options,
-    bigger: list[list[Subject]],
-    classical: list[Subject],
-    accuracy: dict[str, Tally],
-    times: dict[str, Tally],
+    options: BenchOptions,
+    bigger: list[list[BenchPipeline]],
+    classical: list[BenchPipeline],
+    accuracy: dict[str, PipelineResults],
+    times: dict[str, PipelineResults],
     samples: list[RenderedGrasp],
-) -> list[Row]:
+) -> list[BenchRow]:
     """The paper's pipeline with each network, on one core and on its best number of threads; then the plain ones."""
     rows = []
     for group in bigger:
         subject = next(one for one in group if one.kind == "paper")
         if options.quick and "unet" in subject.network.lower():
             continue
-        found = accuracy.get(subject.name, Tally())
+        found = accuracy.get(subject.name, PipelineResults())
         cores = sorted({1, *(count for count in (2, 4, 8) if count <= (os.cpu_count() or 1))})
         tried = {count: _few(replace(subject, threads=count), samples[:TRIED_GRASPS]) for count in cores}
         best = min(tried, key=lambda count: float(np.median(tried[count].busy_ms)))
@@ -242,20 +251,20 @@ def _samples(quick: bool) -> list[RenderedGrasp]:
     return found
 
 
-def _few(subject: Subject, samples: list[RenderedGrasp]) -> Tally:
+def _few(subject: BenchPipeline, samples: list[RenderedGrasp]) -> PipelineResults:
     """The paper's pipeline over the sample frames."""
-    tally = Tally()
+    results = PipelineResults()
     for index, grasp in enumerate(samples):
         masks = {shot.frame.sequence: shot.mask for shot in grasp.shots if shot.mask is not None}
         if index == 0:
             warm = subject.open(grasp, masks)
             for shot in grasp.shots[:3]:
                 warm.process(shot.frame)
-        tally.run(subject.open(grasp, masks), grasp, grasp.shots)
-    return tally
+        results.run(subject.open(grasp, masks), grasp, grasp.shots)
+    return results
 
 
-def _notes(options: Options, held: dict[str, Held]) -> list[str]:
+def _notes(options: BenchOptions, held: dict[str, HoldingResult]) -> list[str]:
     """What a reader must know to read the figures."""
     objects = len(names("test")) + len(EXTRA_PLAIN)
     grasps = QUICK_GRASPS if options.quick else FULL_GRASPS

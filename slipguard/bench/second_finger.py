@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slipguard.bench.minute import Minute
+from slipguard.bench.minute import HoldingScene
 from slipguard.bench.onset import LAW
-from slipguard.bench.pipelines import Subject
-from slipguard.bench.rows import Skip
+from slipguard.bench.pipelines import BenchPipeline
+from slipguard.bench.rows import SkipResult
 from slipguard.control.finger_fusion import fuse
 from slipguard.control.slip_baselines import Detector
 from slipguard.control.slip_detector import look
@@ -18,12 +18,12 @@ from slipguard.perception.contact.second_finger import repeat_estimate, second_f
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.settings import PerceptionSettings
 
-SURER, OTHER = Minute("wrench", 6000), Minute("wrench", 6005, press=0.25, sign=-1.0)
+SURER, OTHER = HoldingScene("wrench", 6000), HoldingScene("wrench", 6005, press=0.25, sign=-1.0)
 """The other finger's contact is faint: often too faint to tell an unchanged picture."""
 
 
 @dataclass(slots=True)
-class _Run:
+class _FingerRun:
     """spent_s: on the second finger. seen: frames on which the law saw slip begin."""
 
     spent_s: list[float] = field(default_factory=list)
@@ -32,9 +32,9 @@ class _Run:
     spared: int = 0
 
 
-def second_finger(default: Subject) -> Skip:
+def second_finger(default: BenchPipeline) -> SkipResult:
     """The minute with both fingers looked at, and with the second one spared."""
-    runs = {True: _Run(), False: _Run()}
+    runs = {True: _FingerRun(), False: _FingerRun()}
     surer = default.open(SURER.scene())
     others = {spare: default.open(OTHER.scene()) for spare in runs}
     detectors, slipping = dict.fromkeys(runs, Detector()), dict.fromkeys(runs, False)
@@ -67,7 +67,7 @@ def second_finger(default: Subject) -> Skip:
     later = [one - other for one, other in zip(spared.seen, plain.seen, strict=False)]
     if len(spared.seen) < len(plain.seen):
         later.append(len(plain.spent_s))
-    return Skip(
+    return SkipResult(
         "second finger adds nothing: its last answer",
         True,
         saved_ms * len(plain.spent_s) / max(spared.spared, 1),

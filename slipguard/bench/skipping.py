@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slipguard.bench.cropping import known_patch
-from slipguard.bench.error_tally import Tally
-from slipguard.bench.holding import Held, hold
-from slipguard.bench.minute import Minute
-from slipguard.bench.onset import ROTATION_RATES_DEG_S, SLIDE_RATES_MM_S, Onset, first_seen, later_by
-from slipguard.bench.pipelines import Subject
-from slipguard.bench.rows import Skip
+from slipguard.bench.error_tally import PipelineResults
+from slipguard.bench.holding import HoldingResult, hold
+from slipguard.bench.minute import HoldingScene
+from slipguard.bench.onset import ROTATION_RATES_DEG_S, SLIDE_RATES_MM_S, SlipOnset, first_seen, later_by
+from slipguard.bench.pipelines import BenchPipeline
+from slipguard.bench.rows import SkipResult
 from slipguard.bench.second_finger import second_finger
 from slipguard.datasets.rendered_grasps import ROUND_PLAIN, render_grasp
 from slipguard.perception.settings import ALL_SKIPS, Skips
@@ -20,26 +20,30 @@ from slipguard.sim.objects import get, names
 from slipguard.tools.parallel import Workers, each
 
 SEED = 7000
-QUICK_ONSETS = (Onset("key", SEED, 8.0), Onset("wrench", SEED + 1, 30.0), Onset("ring", SEED + 2, 5.0, slides=True))
+QUICK_ONSETS = (
+    SlipOnset("key", SEED, 8.0),
+    SlipOnset("wrench", SEED + 1, 30.0),
+    SlipOnset("ring", SEED + 2, 5.0, slides=True),
+)
 FULL_SEEDS = 1
 TIMED_REPEATS = 2
 
 
 @dataclass(frozen=True, slots=True)
-class _Tried:
-    onset: Onset
-    subject: Subject
+class _OnsetTrial:
+    onset: SlipOnset
+    subject: BenchPipeline
 
 
 @dataclass(frozen=True, slots=True)
-class _Later:
+class _OnsetDelay:
     """How many frames later one slip is seen because of each skip; None where it is not seen without the skip."""
 
     no_contact: int | None
     unchanged: int | None
 
 
-def onsets(quick: bool) -> list[Onset]:
+def onsets(quick: bool) -> list[SlipOnset]:
     """Slips after rest: quick ones and slow, turning and sliding, of every test object."""
     if quick:
         return list(QUICK_ONSETS)
@@ -47,14 +51,16 @@ def onsets(quick: bool) -> list[Onset]:
     for name in names("test"):
         for k in range(FULL_SEEDS):
             if get(name).axial:
-                found += [Onset(name, SEED + k, rate) for rate in ROTATION_RATES_DEG_S]
-            found += [Onset(name, SEED + k, rate, slides=True) for rate in SLIDE_RATES_MM_S]
+                found += [SlipOnset(name, SEED + k, rate) for rate in ROTATION_RATES_DEG_S]
+            found += [SlipOnset(name, SEED + k, rate, slides=True) for rate in SLIDE_RATES_MM_S]
     return found
 
 
-def skips(quick: bool, default: Subject, held: dict[str, Held], workers: Workers) -> tuple[Skip, ...]:
+def skips(
+    quick: bool, default: BenchPipeline, held: dict[str, HoldingResult], workers: Workers
+) -> tuple[SkipResult, ...]:
     """Every skip of the default pipeline, measured."""
-    tried = [_Tried(onset, default) for onset in onsets(quick)]
+    tried = [_OnsetTrial(onset, default) for onset in onsets(quick)]
     later = list(each(_later, tried, Workers(jobs=1) if quick else workers))
     found = [
         _no_contact(default, 1 if quick else 6, [one.no_contact for one in later]),
@@ -68,17 +74,17 @@ def skips(quick: bool, default: Subject, held: dict[str, Held], workers: Workers
     return tuple(found)
 
 
-def _no_contact(default: Subject, objects: int, later: list[int | None]) -> Skip:
+def _no_contact(default: BenchPipeline, objects: int, later: list[int | None]) -> SkipResult:
     """Frames without contact, with the gate's answer and with the network's."""
-    gated, plain = Tally(), Tally()
+    gated, plain = PipelineResults(), PipelineResults()
     missed = frames = 0
     for name in names("test")[:objects]:
         grasp = render_grasp(name, SEED)
         empty = [shot for shot in grasp.shots if not shot.contact]
         asked = replace(default, skips=Skips(no_contact=False, unchanged=False))
-        for subject, tally in ((default, gated), (asked, plain)):
+        for subject, results in ((default, gated), (asked, plain)):
             for shot in empty * TIMED_REPEATS:
-                tally.run(subject.open(grasp), grasp, [shot])
+                results.run(subject.open(grasp), grasp, [shot])
         quick, slow = default.open(grasp), asked.open(grasp)
         for shot in grasp.shots:
             skipped, contact = quick.process(shot.frame).skipped == "no contact", slow.process(shot.frame).contact
@@ -90,23 +96,25 @@ def _no_contact(default: Subject, objects: int, later: list[int | None]) -> Skip
         f"{len(gated.empty_ms)} frames without contact; {missed} of {frames} frames that the network finds contact in; "
         f"{_seen(later)}"
     )
-    return Skip("no contact: no network", True, saved, None, None, _most(later), how)
+    return SkipResult("no contact: no network", True, saved, None, None, _most(later), how)
 
 
-def _unchanged(quick: bool, default: Subject, held: dict[str, Held], later: list[int | None]) -> Skip:
+def _unchanged(
+    quick: bool, default: BenchPipeline, held: dict[str, HoldingResult], later: list[int | None]
+) -> SkipResult:
     """A minute of holding with and without, and slips after rest."""
     without = replace(default, skips=replace(ALL_SKIPS, unchanged=False))
-    other = hold([without], Minute(), {without.name: 10} if quick else {without.name: 1})[without.name]
+    other = hold([without], HoldingScene(), {without.name: 10} if quick else {without.name: 1})[without.name]
     own = held[default.name]
     left_out = own.skipped.get("unchanged", 0)
     saved_a_frame = (other.cpu_s_per_minute - own.cpu_s_per_minute) / 3.6
     error = float(np.mean(own.errors_deg) - np.mean(other.errors_deg))
     how = f"{left_out} of {own.frames} frames of a minute of holding; {_seen(later)}"
     saved = saved_a_frame * own.frames / max(left_out, 1)
-    return Skip("unchanged: the last answer", True, saved, saved_a_frame, error, _most(later), how)
+    return SkipResult("unchanged: the last answer", True, saved, saved_a_frame, error, _most(later), how)
 
 
-def _later(tried: _Tried) -> _Later:
+def _later(tried: _OnsetTrial) -> _OnsetDelay:
     grasp = tried.onset.grasp()
     frames = [shot.frame for shot in grasp.shots]
 
@@ -115,7 +123,7 @@ def _later(tried: _Tried) -> _Later:
 
     skipping = seen(ALL_SKIPS)
     without = [seen(replace(ALL_SKIPS, no_contact=False)), seen(replace(ALL_SKIPS, unchanged=False))]
-    return _Later(*(later_by(skipping, one, len(frames)) for one in without))
+    return _OnsetDelay(*(later_by(skipping, one, len(frames)) for one in without))
 
 
 def _most(later: list[int | None]) -> int | None:
@@ -127,9 +135,9 @@ def _seen(later: list[int | None]) -> str:
     return f"{len(later) - unseen} slips after rest ({unseen} that nobody sees aside)"
 
 
-def _round(default: Subject, objects: tuple[str, ...]) -> Skip:
+def _round(default: BenchPipeline, objects: tuple[str, ...]) -> SkipResult:
     """Plain round contacts with and without thinning."""
-    spent: dict[bool, Tally] = {True: Tally(), False: Tally()}
+    spent: dict[bool, PipelineResults] = {True: PipelineResults(), False: PipelineResults()}
     differ = 0
     for name in objects:
         grasp = render_grasp(name, SEED)
@@ -142,4 +150,4 @@ def _round(default: Subject, objects: tuple[str, ...]) -> Skip:
         differ += sum(one != other for one, other in zip(answers[True], answers[False], strict=True))
     saved = float(np.median(spent[False].busy_ms) - np.median(spent[True].busy_ms))
     how = f"{len(spent[True].busy_ms)} frames of plain round contacts; {differ} answers differ"
-    return Skip("round: no thinning", True, saved, None, None, None, how)
+    return SkipResult("round: no thinning", True, saved, None, None, None, how)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from slipguard.bench.rows import PUBLISHED, Bench, Row
+from slipguard.bench.rows import PUBLISHED, BenchReport, BenchRow
 from slipguard.errors import InputError
 
 BEGIN, END = "<!-- bench table: begin -->", "<!-- bench table: end -->"
@@ -20,7 +20,7 @@ SIZES = ("240×320", "120×160")
 """Of the paper's network: as published, and as it could be trained here."""
 
 
-def tables(found: Bench, brief: bool) -> list[Table]:
+def tables(found: BenchReport, brief: bool) -> list[Table]:
     """The pipelines and peers, thinning, and what each skip is worth. brief: fewer columns, for a narrow terminal."""
     title = f"{found.machine['processor']}, one core unless said; times in ms, errors in degrees"
     shown = Table("", "pipeline", *(BRIEF if brief else COLUMNS[2:]), title=title)
@@ -45,7 +45,7 @@ def tables(found: Bench, brief: bool) -> list[Table]:
     return [shown, thinned, worth]
 
 
-def notes(found: Bench) -> list[str]:
+def notes(found: BenchReport) -> list[str]:
     """What the figures are, in a few lines."""
     published = [
         "real cell, as published:",
@@ -57,7 +57,7 @@ def notes(found: Bench) -> list[str]:
     return [*found.notes, *_compared(found), " ".join(published)]
 
 
-def _compared(found: Bench) -> list[str]:
+def _compared(found: BenchReport) -> list[str]:
     """What the last columns divide by."""
     lines = []
     for size in SIZES:
@@ -72,7 +72,7 @@ def _compared(found: Bench) -> list[str]:
     return lines
 
 
-def markdown(found: Bench, command: str) -> str:
+def markdown(found: BenchReport, command: str) -> str:
     """All rows as a Markdown table, with the command that makes it again."""
     made = found.machine
     lines = [
@@ -105,7 +105,7 @@ def write_into(path: Path, text: str) -> None:
     path.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}", encoding="utf-8")
 
 
-def cells_of(row: Row, found: Bench) -> list[str]:
+def cells_of(row: BenchRow, found: BenchReport) -> list[str]:
     """One row as texts, in the order of COLUMNS."""
     error, sd = _text(row.turn_error_mean_deg), _text(row.turn_error_sd_deg)
     return [
@@ -135,7 +135,7 @@ def cells_of(row: Row, found: Bench) -> list[str]:
     ]
 
 
-def _ratio(peer: Row | None, row: Row) -> float | None:
+def _ratio(peer: BenchRow | None, row: BenchRow) -> float | None:
     """How many times as long the peer takes."""
     return None if peer is None or peer.p50_ms is None or not row.p50_ms else peer.p50_ms / row.p50_ms
 

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from skimage.morphology import skeletonize
 from skimage.morphology import thin as skimage_thin
 
-from slipguard.bench.rows import Thinning
+from slipguard.bench.rows import ThinningResult
 from slipguard.perception.rotation.thinning import thin
 
 MARGIN_PX = 2
 
 
-def thinning(masks: list[NDArray[np.uint8]], repeats: int = 3) -> tuple[Thinning, ...]:
+def thinning(masks: list[NDArray[np.uint8]], repeats: int = 3) -> tuple[ThinningResult, ...]:
     """Times of one mask through each, the least of some repeats, medians over masks of (320, 240) uint8 0/1.
 
     Sizes: the whole frame, the network's 120x160, and the contact's crop of the latter.
@@ -31,7 +31,7 @@ def thinning(masks: list[NDArray[np.uint8]], repeats: int = 3) -> tuple[Thinning
     )
 
 
-def _one(size: str, masks: list[NDArray[np.uint8]], repeats: int) -> Thinning:
+def _one(size: str, masks: list[NDArray[np.uint8]], repeats: int) -> ThinningResult:
     ways: dict[str, Callable[[NDArray[np.uint8]], Any]] = {
         "cv2": lambda mask: cv2.ximgproc.thinning(mask * np.uint8(255), thinningType=cv2.ximgproc.THINNING_GUOHALL),
         "scikit-image thin": skimage_thin,
@@ -41,7 +41,7 @@ def _one(size: str, masks: list[NDArray[np.uint8]], repeats: int) -> Thinning:
     others_ms = {name: _median_ms(way, masks, repeats if name == "cv2" else 1) for name, way in ways.items()}
     different = sum(int(np.count_nonzero((ways["cv2"](mask) > 0) != (thin(mask) > 0))) for mask in masks)
     ratios = {name: ms / own_ms for name, ms in others_ms.items()}
-    return Thinning(size, len(masks), own_ms, others_ms, ratios, different)
+    return ThinningResult(size, len(masks), own_ms, others_ms, ratios, different)
 
 
 def _median_ms(way: Callable[[NDArray[np.uint8]], Any], masks: list[NDArray[np.uint8]], repeats: int) -> float:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.bench.force_probe import Probe, ProbingLaw
+from slipguard.bench.force_probe import ForceProbe, ProbingController
 from slipguard.config import Config, parse_config
 from slipguard.control.state import Phase
 from slipguard.daemon.api.controls import Controls
@@ -29,7 +29,7 @@ from slipguard.daemon.loop.service import Service
 from slipguard.daemon.run import build_service
 from slipguard.errors import SlipguardError
 from slipguard.tools.cell_process import CellProcess
-from slipguard.tools.waiting import until
+from slipguard.tools.waiting import wait_until
 
 HOST = f"127.90.{os.getpid() >> 8 & 255}.{os.getpid() % 254 + 1}"
 """Every address of 127/8 is this machine; one of our own, for two measurements may run at once."""
@@ -51,7 +51,7 @@ TOTAL = "exposure to the command's last byte on the wire"
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class LatencyOptions:
     """commands: how many are measured. baud: pace of the line; 0: none. fps: of the cameras."""
 
     commands: int = 200
@@ -61,7 +61,7 @@ class Options:
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class StageLatency:
     """Of one stage, in milliseconds."""
 
     p50_ms: float
@@ -70,27 +70,27 @@ class Spread:
 
 
 @dataclass(frozen=True, slots=True)
-class Latency:
+class LatencyReport:
     """What was measured. commands: those whose every byte was found again in the gripper's log."""
 
-    options: Options
+    options: LatencyOptions
     commands: int
     frames: int
-    stages: Mapping[str, Spread]
+    stages: Mapping[str, StageLatency]
 
 
 @dataclass(slots=True)
-class _Seen:
+class _CommandTimes:
     """What the daemon's side knows of one command. Times of the loop's clock."""
 
-    probe: Probe
+    probe: ForceProbe
     handed_at_s: float
     ready_at_s: float
     decided_at_s: float
     called_at_s: float = 0.0
 
 
-async def measure(options: Options, tell: Callable[[str, float], None]) -> Latency:
+async def measure(options: LatencyOptions, tell: Callable[[str, float], None]) -> LatencyReport:
     """Grip an object and tighten it `commands` times, each time in answer to a frame. tell(what, share done)."""
     with tempfile.TemporaryDirectory(prefix="slipguard-wire-") as folder:
         cell = CellProcess(
@@ -100,7 +100,7 @@ async def measure(options: Options, tell: Callable[[str, float], None]) -> Laten
         try:
             tell("starting the emulated cell", 0.0)
             await cell.start()
-            law = ProbingLaw(0)
+            law = ProbingController(0)
             service = build_service(every_frame_in_full(cell.config), law=law)
             running = asyncio.create_task(service.run(), name="service")
             try:
@@ -125,18 +125,22 @@ def every_frame_in_full(path: Path) -> Config:
 
 
 async def _probe(
-    service: Service, law: ProbingLaw, commands: int, running: asyncio.Task[None], tell: Callable[[str, float], None]
-) -> list[_Seen]:
+    service: Service,
+    law: ProbingController,
+    commands: int,
+    running: asyncio.Task[None],
+    tell: Callable[[str, float], None],
+) -> list[_CommandTimes]:
     tell("waiting for the devices", 0.0)
     await grip(service, running)
-    seen: list[_Seen] = []
+    seen: list[_CommandTimes] = []
 
     def decided(decision: Decision) -> None:
         if len(law.probes) > len(seen) and decision.command.hold_force_n is not None:
             answers = [finger.newest for finger in service.fingers.values() if finger.newest is not None]
             newest = max(answers, key=lambda one: one.ready_at_s)
             now_s = asyncio.get_running_loop().time()
-            seen.append(_Seen(law.probes[-1], newest.handed_at_s, newest.ready_at_s, now_s))
+            seen.append(_CommandTimes(law.probes[-1], newest.handed_at_s, newest.ready_at_s, now_s))
 
     def called(since_handed_s: float) -> None:
         if seen and not seen[-1].called_at_s:
@@ -152,7 +156,7 @@ async def _probe(
         def given(wanted: int = wanted) -> bool:
             return law.left <= wanted or service.phase is Phase.FAULT
 
-        await until(running, given, COMMAND_S, lambda: f"no command was given ({service.phase})")
+        await wait_until(running, given, COMMAND_S, lambda: f"no command was given ({service.phase})")
         if service.phase is Phase.FAULT:
             raise SlipguardError(f"the guard stopped: {service.state.fault}")
     await asyncio.sleep(REST_S)
@@ -166,14 +170,18 @@ async def grip(service: Service, running: asyncio.Task[None]) -> None:
     def ready() -> bool:
         return not service.waiting_for
 
-    await until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
+    await wait_until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
     await controls.calibrate()
-    await until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
+    await wait_until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
     await controls.grasp()
-    await until(running, lambda: service.firm, GRIP_S, lambda: f"no firm grip, {service.state.fault or service.phase}")
+    await wait_until(
+        running, lambda: service.firm, GRIP_S, lambda: f"no firm grip, {service.state.fault or service.phase}"
+    )
 
 
-def _evaluate(options: Options, seen: list[_Seen], writes: list[dict[str, Any]], frames: int) -> Latency:
+def _evaluate(
+    options: LatencyOptions, seen: list[_CommandTimes], writes: list[dict[str, Any]], frames: int
+) -> LatencyReport:
     """Find each command's stop and go in the gripper's log, by their times."""
     wire_s = COMMAND_BYTES * BITS_PER_BYTE / options.baud if options.baud else 0.0
     rows = []
@@ -193,9 +201,9 @@ def _evaluate(options: Options, seen: list[_Seen], writes: list[dict[str, Any]],
     found = dict(zip(STAGES, map(_spread, np.diff(marks, axis=1).T), strict=True))
     found[TOTAL] = _spread(marks[:, -1] - marks[:, 0])
     found[OWN] = _spread(marks[:, 3] - marks[:, 1])
-    return Latency(options, len(rows), frames, found)
+    return LatencyReport(options, len(rows), frames, found)
 
 
-def _spread(times_s: NDArray[np.float64]) -> Spread:
+def _spread(times_s: NDArray[np.float64]) -> StageLatency:
     p50, p99 = np.percentile(times_s, (50, 99)) * 1e3
-    return Spread(float(p50), float(p99), float(times_s.max() * 1e3))
+    return StageLatency(float(p50), float(p99), float(times_s.max() * 1e3))

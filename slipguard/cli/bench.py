@@ -58,7 +58,7 @@ def bench(
 
         bench_grip(quick=quick, seed=seed, json=json, out=out, workers=Workers(jobs, cluster))
         return
-    options = run.Options(quick, model, models, Workers(jobs, cluster))
+    options = run.BenchOptions(quick, model, models, Workers(jobs, cluster))
     if table is not None:
         tables.check(table)
     with progress_bar("bench") as show:

@@ -14,7 +14,7 @@ from slipguard.thread_priority import set_realtime_priority
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from slipguard.bench.wire_latency import Latency
+    from slipguard.bench.wire_latency import LatencyReport
 
 
 def latency(
@@ -39,21 +39,21 @@ def latency(
 
     from rich.console import Console
 
-    from slipguard.bench.wire_latency import Options, measure
+    from slipguard.bench.wire_latency import LatencyOptions, measure
     from slipguard.daemon import logging as log
 
     log.configure(level=logging.CRITICAL)
     if as_service:
         set_realtime_priority()
     with progress_bar("latency") as show, left_to_the_loop():
-        found = asyncio.run(measure(Options(commands=commands, baud=baud, fps=int(fps)), show))
+        found = asyncio.run(measure(LatencyOptions(commands=commands, baud=baud, fps=int(fps)), show))
     if json:
         print(jsonlib.dumps(asdict(found)))
     else:
         _show(Console(highlight=False), found)
 
 
-def _show(console: Console, found: Latency) -> None:
+def _show(console: Console, found: LatencyReport) -> None:
     from rich.table import Table
 
     from slipguard.bench.wire_latency import OWN, TOTAL

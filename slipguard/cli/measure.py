@@ -13,7 +13,7 @@ import typer
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
-    from slipguard.tools.measure import Measured
+    from slipguard.tools.measure import FrameMeasurement
 
 NO_BACKGROUND = (
     "no --background given: the untouched gel is guessed from each frame, so masks and angles are worse "
@@ -55,13 +55,13 @@ def measure(
     from slipguard.perception.contact.segmenter import Segmenter
     from slipguard.perception.settings import PerceptionSettings
     from slipguard.tools import measure as lab
-    from slipguard.tools.image_files import IMAGE_ENDINGS, read_gel, sources
+    from slipguard.tools.image_files import IMAGE_ENDINGS, find_image_files, read_gel_image
 
-    files = sources(paths)
+    files = find_image_files(paths)
     if masks is not None:
         _refuse_equal_stems([file for file in files if file.suffix.lower() in IMAGE_ENDINGS])
         _make_folder(masks)
-    untouched = None if background is None else read_gel(background)
+    untouched = None if background is None else read_gel_image(background)
     choices: dict[str, str | Path] = {"reference": reference.value}
     if model is not None:
         choices["model"] = model
@@ -71,7 +71,7 @@ def measure(
     segmenter = Segmenter(settings.model)
     if untouched is None:
         print(f"slipguard: {NO_BACKGROUND}", file=sys.stderr)
-    done: list[Measured] = []
+    done: list[FrameMeasurement] = []
     try:
         for measured in lab.measure(paths, segmenter, settings, untouched, independent):
             if json:
@@ -115,7 +115,7 @@ def _known_estimator(name: str) -> str:
     return name
 
 
-def _show(done: list[Measured]) -> None:
+def _show(done: list[FrameMeasurement]) -> None:
     from rich.console import Console
     from rich.table import Table
 

@@ -14,7 +14,7 @@ from slipguard.errors import InputError, SlipguardError
 
 if TYPE_CHECKING:
     from slipguard.control.messages import Command
-    from slipguard.tools.replay import Difference, LawReplay, Replay
+    from slipguard.tools.replay import CommandDifference, ControllerReplay, ReplayResult
 
 SHOWN = 10
 
@@ -78,7 +78,7 @@ def replay(
         raise SlipguardError(f"--model {model}: no frame was replayed, so it was not tried")
 
 
-def _as_json(done: Replay) -> dict[str, Any]:
+def _as_json(done: ReplayResult) -> dict[str, Any]:
     rotations = [abs(rotation) for rotation in done.turn_differences_deg]
     return {
         "ticks": done.on_recorded.ticks,
@@ -97,11 +97,11 @@ def _as_json(done: Replay) -> dict[str, Any]:
     }
 
 
-def _first(law: LawReplay) -> dict[str, Any] | None:
+def _first(law: ControllerReplay) -> dict[str, Any] | None:
     return _plain(law.differences[0]) if law.differences else None
 
 
-def _plain(difference: Difference) -> dict[str, Any]:
+def _plain(difference: CommandDifference) -> dict[str, Any]:
     return {"at_s": difference.now_s, "recorded": _told(difference.recorded), "replayed": _told(difference.replayed)}
 
 
@@ -111,7 +111,7 @@ def _told(command: Command) -> str:
     return ", ".join(f"{name}={value}" for name, value in given.items() if value not in (None, False)) or "nothing"
 
 
-def _show(console: Any, done: Replay, against: bool) -> None:
+def _show(console: Any, done: ReplayResult, against: bool) -> None:
     from rich.table import Table
 
     began_s = done.phases[0][0] if done.phases else 0.0
@@ -138,7 +138,7 @@ def _show(console: Any, done: Replay, against: bool) -> None:
             _list(console, name, law, began_s)
 
 
-def _list(console: Any, name: str, law: LawReplay, began_s: float) -> None:
+def _list(console: Any, name: str, law: ControllerReplay, began_s: float) -> None:
     for one in law.differences[:SHOWN]:
         console.print(f"{name}, {one.now_s - began_s:.3f} s:")
         console.print(f"  recorded {_told(one.recorded)}\n  replayed {_told(one.replayed)}")

@@ -47,9 +47,9 @@ def run(
     log.configure(json_lines=log_json)
     log.set_level(settings.log.level)
     if sim:
-        from slipguard.sim_lifts.sim_daemon import run_on_stage
+        from slipguard.sim_lifts.sim_daemon import run_simulated_cell
 
-        daemon = run_on_stage(settings)
+        daemon = run_simulated_cell(settings)
     else:
         daemon = root.run(settings, reread=lambda: read_config(config))
     if sys.__stderr__ is not None:

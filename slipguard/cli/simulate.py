@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from slipguard.sim_lifts.campaign import CampaignSettings, Live
+    from slipguard.sim_lifts.campaign import CampaignSettings, LiftProgress
     from slipguard.sim_lifts.lift_record import LiftRecord
 
 LIFT_TAKES_S = 7
@@ -122,11 +122,11 @@ def _make_folder(path: Path) -> None:
 
 
 @contextmanager
-def _display(console: Console) -> Iterator[Callable[[Live], None]]:
+def _display(console: Console) -> Iterator[Callable[[LiftProgress], None]]:
     """A live table on a terminal, nothing on a pipe."""
     from rich.live import Live as Screen
 
-    newest: list[Live] = []
+    newest: list[LiftProgress] = []
     if not console.is_terminal:
         yield lambda live: None
         return
@@ -139,7 +139,7 @@ def _display(console: Console) -> Iterator[Callable[[Live], None]]:
         yield lambda live: newest.__setitem__(slice(None), [live])
 
 
-def _table(live: Live | None) -> Table:
+def _table(live: LiftProgress | None) -> Table:
     from rich.table import Table
 
     table = Table.grid(padding=(0, 2))

@@ -16,7 +16,7 @@ from slipguard.evaluation.analyse import MASK_GAP_S, mask_of
 from slipguard.evaluation.lift_data import FingerFrame, LiftData
 from slipguard.evaluation.summary import lift_statistics
 from slipguard.perception.contact.segmenter import Segmenter
-from slipguard.tools.replay import settings_of
+from slipguard.tools.replay import recorded_settings
 
 EVERY = 10
 
@@ -33,7 +33,7 @@ class NetworkScore:
 
     def take(self, data: LiftData) -> None:
         """Segment the frames of a lift that have a true mask; where there are none, time every tenth frame."""
-        settings = settings_of(data.recording)
+        settings = recorded_settings(data.recording)
         for finger, frames in data.fingers.items():
             pictured = [one for one in frames if one.picture is not None]
             if not pictured:

@@ -23,7 +23,7 @@ from slipguard.evaluation.intrinsics import Intrinsics
 from slipguard.evaluation.lift_file import LiftRecorder, encoded
 from slipguard.evaluation.protocol import LiftProtocol, PlannedLift
 from slipguard.evaluation.runner import prepare, recording_path, result_of
-from slipguard.tools.waiting import Stuck, until
+from slipguard.tools.waiting import WaitTimeout, wait_until
 from slipguard.web.sockets import bind
 
 READY_S = 20.0
@@ -91,7 +91,7 @@ class _Cell:
 
     async def do(self, todo: list[PlannedLift]) -> None:
         service = self.service
-        await until(self.running, lambda: not service.waiting_for, READY_S, lambda: "; ".join(service.waiting_for))
+        await wait_until(self.running, lambda: not service.waiting_for, READY_S, lambda: "; ".join(service.waiting_for))
         if not self.protocol.guard:
             await self.controls.guard(False)
         for lift in todo:
@@ -105,7 +105,7 @@ class _Cell:
         trouble: SlipguardError | None = None
         try:
             await self._record(lift)
-        except Stuck:
+        except WaitTimeout:
             raise
         except SlipguardError as error:
             trouble = error
@@ -135,7 +135,7 @@ class _Cell:
             try:
                 await self.controls.grasp(lift.thing.grip_force_n or protocol.grip_force_n)
                 ended = (Phase.FAULT, Phase.IDLE)
-                await until(
+                await wait_until(
                     self.running,
                     lambda: service.firm or service.phase in ended,
                     PHASE_S,
@@ -146,7 +146,7 @@ class _Cell:
                 self._check(lift)
                 await self.controls.lift(protocol.lift_height_mm, protocol.lift_speed_mm_s)
                 limit_s = self._limit_s(protocol.lift_height_mm, protocol.lift_speed_mm_s)
-                await until(
+                await wait_until(
                     self.running,
                     lambda: service.phase is not Phase.LIFTING,
                     limit_s,
@@ -176,7 +176,7 @@ class _Cell:
         if service.phase is not Phase.HOLDING or up_mm < LOW_MM:
             return ""
         try:
-            await until(
+            await wait_until(
                 self.running,
                 lambda: service.firm or service.phase is not Phase.HOLDING,
                 PHASE_S,
@@ -186,7 +186,7 @@ class _Cell:
         except CommandRefused as error:
             return str(service.state.fault or error)
         limit_s = self._limit_s(up_mm, guard.lower_speed_mm_s)
-        await until(
+        await wait_until(
             self.running,
             lambda: service.phase is not Phase.LOWERING,
             limit_s,
@@ -209,7 +209,7 @@ class _Cell:
             raise SlipguardError(f"{lift.stem}: stopped before the release")
         await self.controls.release()
         ended = (Phase.IDLE, Phase.FAULT)
-        await until(self.running, lambda: service.phase in ended, PHASE_S, lambda: f"{lift.stem}: not released")
+        await wait_until(self.running, lambda: service.phase in ended, PHASE_S, lambda: f"{lift.stem}: not released")
         if service.state.fault is not None:
             raise SlipguardError(f"{lift.stem}: {service.state.fault}")
 

@@ -32,7 +32,7 @@ from slipguard.errors import InputError
 from slipguard.sim.noise import CameraNoise
 from slipguard.sim.raster import Field, f32
 from slipguard.sim.unit import NOISE_STD_BGR, STRIPE_STD_BGR
-from slipguard.tools.image_files import read_gel
+from slipguard.tools.image_files import read_gel_image
 
 RotationMethod = Literal["relit", "rigid"]
 ROTATION_METHODS: tuple[RotationMethod, ...] = ("relit", "rigid")
@@ -78,19 +78,19 @@ def press_images(folder: Path) -> Iterator[PressImage]:
     if not balls.is_dir() and not indenter.is_dir():
         raise InputError(f"{folder}: neither taxim_sphere nor anytouch2_force2 is in this folder")
     if balls.is_dir():
-        background = read_gel(balls / "background.png")
+        background = read_gel_image(balls / "background.png")
         for index, (file, contact) in enumerate(_discs(balls / "circles.csv")):
             part = "tune" if index < 15 else "test"
-            image = read_gel(balls / file)
+            image = read_gel_image(balls / file)
             yield from _press(f"{balls.name}/{Path(file).stem}", part, False, image, background, contact)
     if indenter.is_dir():
-        background = read_gel(indenter / "background.png")
+        background = read_gel_image(indenter / "background.png")
         for path in sorted((indenter / "masks").glob("*.png")):
             mask = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
             if mask is None:
                 raise InputError(f"{path}: not a readable mask")
             part = "tune" if path.stem <= "f0132" else "test"
-            image = read_gel(indenter / "frames" / path.name)
+            image = read_gel_image(indenter / "frames" / path.name)
             yield from _press(
                 f"{indenter.name}/{path.stem}", part, True, image, background, np.asarray(mask > 0, np.uint8)
             )

@@ -38,8 +38,8 @@ from slipguard.sim.label import label
 from slipguard.sim.scenario import scenario
 from slipguard.sim.unit import random_unit
 from slipguard.sim.world import World
-from slipguard.sim_lifts.lift_record import PICTURE_SIGN
-from slipguard.tools.waiting import until
+from slipguard.sim_lifts.lift_record import IMAGE_SIGN
+from slipguard.tools.waiting import wait_until
 
 CAMERA_FPS = 30.0
 CAMERA_LAG_S = (0.02, 0.09)
@@ -119,7 +119,7 @@ async def _record(task: SimulatedLift) -> None:
         )
         running = asyncio.create_task(service.run())
         try:
-            await until(running, lambda: not service.waiting_for, TIMEOUT_S, "the devices are not ready")
+            await wait_until(running, lambda: not service.waiting_for, TIMEOUT_S, "the devices are not ready")
             controls = Controls(service)
             await controls.calibrate()
             world.place(drawn, asyncio.get_running_loop().time())
@@ -141,7 +141,7 @@ async def _lift(
     height_mm: float,
 ) -> None:
     look, lag_s = onlooker(task.protocol.seed + task.lift.number, height_mm)
-    sign = PICTURE_SIGN[task.protocol.camera_side]
+    sign = IMAGE_SIGN[task.protocol.camera_side]
     with LiftRecorder(task.path, service, task.protocol, task.lift, intrinsics_of(look.lens), lag_s) as file:
         if not task.protocol.guard:
             await controls.guard(False)
@@ -151,12 +151,12 @@ async def _lift(
         ]
         try:
             await controls.grasp(grip_n)
-            await until(
+            await wait_until(
                 running, lambda: service.firm or service.phase is Phase.FAULT, TIMEOUT_S, "the object was not gripped"
             )
             await asyncio.sleep(SETTLE_S)
             await controls.lift(height_mm, task.protocol.lift_speed_mm_s)
-            await until(running, lambda: service.phase is not Phase.LIFTING, TIMEOUT_S, "the lift did not end")
+            await wait_until(running, lambda: service.phase is not Phase.LIFTING, TIMEOUT_S, "the lift did not end")
             await asyncio.sleep(task.protocol.hold_s)
         except CommandRefused as refusal:
             raise SlipguardError(f"{task.lift.stem}: {refusal}") from None

@@ -22,9 +22,9 @@ from slipguard.evaluation.single_estimators import PatchRecorder, TimedPatch, ro
 from slipguard.sim.objects import names
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World
-from slipguard.sim_lifts.lift_record import FINGERS, LiftRecord, Measured
+from slipguard.sim_lifts.lift_record import FINGERS, LiftRecord, RotationSample
 from slipguard.sim_lifts.unguarded import unguarded_tick
-from slipguard.tools.waiting import until as wait_until
+from slipguard.tools.waiting import wait_until
 
 TRUTH_STEP_S = 0.004
 HOLD_S = 1.2
@@ -58,7 +58,7 @@ class CampaignSettings:
 
 
 @dataclass(slots=True)
-class Live:
+class LiftProgress:
     """What a progress display may show at any moment."""
 
     lift: int = 0
@@ -85,7 +85,7 @@ def campaign_config(settings: CampaignSettings, state_directory: Path) -> Config
     return parse_config(raw, where="--sim", sim=True)
 
 
-async def run_campaign(settings: CampaignSettings, show: Callable[[Live], None]) -> list[LiftRecord]:
+async def run_campaign(settings: CampaignSettings, show: Callable[[LiftProgress], None]) -> list[LiftRecord]:
     """Run all lifts; `show` is called often with the state of affairs."""
     with tempfile.TemporaryDirectory(prefix="slipguard-sim-") as folder:
         config = campaign_config(settings, Path(folder))
@@ -120,21 +120,21 @@ async def _lifts(
     service: Service,
     world: World,
     running: asyncio.Task[None],
-    show: Callable[[Live], None],
+    show: Callable[[LiftProgress], None],
 ) -> list[LiftRecord]:
     plan = settings.objects()
-    live = Live(lifts=len(plan))
+    progress = LiftProgress(lifts=len(plan))
     controls = Controls(service)
     await wait_until(running, lambda: not service.waiting_for, 30.0, "the devices are not ready")
     await controls.calibrate()
     records = []
     for index, (name, seed) in enumerate(plan):
-        live.lift, live.object_name = index + 1, name
+        progress.lift, progress.object_name = index + 1, name
         record = LiftRecord(object_name=name, hard=HARD_CASES.get(name, ""))
         records.append(record)
         loop = asyncio.get_running_loop()
         world.place(scenario(name, seed), loop.time())
-        with _watched(service, world, record, live, show):
+        with _watched(service, world, record, progress, show):
             await _one_lift(service, controls, world, record, running)
         world.clear(loop.time())
     return records
@@ -183,7 +183,7 @@ async def _one_lift(
 
 @contextmanager
 def _watched(
-    service: Service, world: World, record: LiftRecord, live: Live, show: Callable[[Live], None]
+    service: Service, world: World, record: LiftRecord, progress: LiftProgress, show: Callable[[LiftProgress], None]
 ) -> Iterator[None]:
     """Write truth, estimates and decisions into the record while the body runs."""
     loop = asyncio.get_running_loop()
@@ -198,13 +198,13 @@ def _watched(
             log.force_n.append(truth.force_n)
             log.needed_n.append(truth.needed_force_n)
             log.height_mm.append(truth.height_mm)
-        live.true_rotation_deg, live.force_n = truth.rotation_deg, truth.force_n
+        progress.true_rotation_deg, progress.force_n = truth.rotation_deg, truth.force_n
 
     def decided(decision: Decision) -> None:
-        live.phase = decision.phase.value
+        progress.phase = decision.phase.value
         fresh_grip = decision.command.new_reference  # what was seen before it belongs to an older reference
         if decision.phase not in GRIPPED or fresh_grip or loop.time() > record.ended_at_s:
-            live.rotation_deg = live.sigma_deg = None
+            progress.rotation_deg = progress.sigma_deg = None
             return
         for finger, estimate in decision.new_estimates.items():
             record.estimates[finger].append(estimate)
@@ -212,13 +212,13 @@ def _watched(
         fused = decision.seen.fused
         if fused is not None and fused.rotation_deg is not None and fused.sigma_deg is not None:
             if decision.new_estimates:
-                record.fused.append(Measured(fused.captured_at_s, fused.rotation_deg, fused.sigma_deg))
-            live.rotation_deg, live.sigma_deg = fused.rotation_deg, fused.sigma_deg
+                record.fused.append(RotationSample(fused.captured_at_s, fused.rotation_deg, fused.sigma_deg))
+            progress.rotation_deg, progress.sigma_deg = fused.rotation_deg, fused.sigma_deg
         else:
-            live.rotation_deg = live.sigma_deg = None
+            progress.rotation_deg = progress.sigma_deg = None
         if decision.latencies_s:
-            live.latency_ms = 1e3 * decision.latencies_s[-1]
-        show(live)
+            progress.latency_ms = 1e3 * decision.latencies_s[-1]
+        show(progress)
 
     timers: list[asyncio.Handle] = [loop.call_soon(sample_truth)]
     service.observers.append(decided)

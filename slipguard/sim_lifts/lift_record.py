@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from slipguard.perception.estimate import Estimate
 
 FINGERS = ("left", "right")
-PICTURE_SIGN = {"left": 1.0, "right": -1.0}
+IMAGE_SIGN = {"left": 1.0, "right": -1.0}
 """A turn that is counter-clockwise in the left picture is clockwise in the right one."""
 
 ROTATION_THAT_COUNTS_DEG = 10.0
@@ -19,7 +19,7 @@ ROTATION_THAT_COUNTS_DEG = 10.0
 
 
 @dataclass(slots=True)
-class TruthLog:
+class LiftTruth:
     """The world's truth over time, to be read at any frame's capture time."""
 
     time_s: list[float] = field(default_factory=list)
@@ -34,7 +34,7 @@ class TruthLog:
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class RotationSample:
     """One turn slipguard stated. rotation_deg: in the left picture. captured_at_s: of the frame it speaks of."""
 
     captured_at_s: float
@@ -48,10 +48,10 @@ class LiftRecord:
 
     object_name: str
     hard: str = ""
-    truth: TruthLog = field(default_factory=TruthLog)
+    truth: LiftTruth = field(default_factory=LiftTruth)
     estimates: dict[str, list[Estimate]] = field(default_factory=lambda: {name: [] for name in FINGERS})
-    fused: list[Measured] = field(default_factory=list)
-    other_estimators: dict[str, list[list[Measured]]] = field(default_factory=dict)
+    fused: list[RotationSample] = field(default_factory=list)
+    other_estimators: dict[str, list[list[RotationSample]]] = field(default_factory=dict)
     """Per estimator name and finger: what it would have said of the same patches."""
     latency_s: list[float] = field(default_factory=list)
     deadlines_missed: int = 0
@@ -80,15 +80,15 @@ class LiftRecord:
         since = rotations - rotations[0]
         return float(since[np.argmax(np.abs(since))])
 
-    def measured(self, finger: str) -> list[Measured]:
+    def measured(self, finger: str) -> list[RotationSample]:
         """What one finger stated, turned into the left picture's sign."""
         return [
-            Measured(estimate.captured_at_s, PICTURE_SIGN[finger] * estimate.angle_deg, estimate.sigma_deg)
+            RotationSample(estimate.captured_at_s, IMAGE_SIGN[finger] * estimate.angle_deg, estimate.sigma_deg)
             for estimate in self.estimates[finger]
             if estimate.angle_deg is not None and estimate.sigma_deg is not None
         ]
 
-    def errors_deg(self, stated: list[Measured]) -> NDArray[np.float64]:
+    def errors_deg(self, stated: list[RotationSample]) -> NDArray[np.float64]:
         """Stated minus true turn, both since the first statement, for frames captured before the end."""
         stated = [one for one in stated if one.captured_at_s <= self.ended_at_s]
         if not stated or not self.truth.time_s:

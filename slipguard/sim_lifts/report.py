@@ -10,7 +10,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from slipguard.sim_lifts.lift_record import FINGERS, PICTURE_SIGN, LiftRecord, mean_abs, summary, turn_errors
+from slipguard.sim_lifts.lift_record import FINGERS, IMAGE_SIGN, LiftRecord, mean_abs, summary, turn_errors
 from slipguard.tools import plotting as figures
 
 ESTIMATORS = ("skeleton", "pca", "ellipse", "moments")
@@ -172,7 +172,7 @@ def draw(records: list[LiftRecord], path: Path) -> None:
                 ".",
                 ms=2.5,
                 color=colour,
-                label=finger if PICTURE_SIGN[finger] > 0 else f"{finger} (sign turned)",
+                label=finger if IMAGE_SIGN[finger] > 0 else f"{finger} (sign turned)",
             )
         upper.plot(
             [one.captured_at_s - start_s for one in record.fused],

@@ -15,13 +15,13 @@ from slipguard.sim.objects import names
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World
 
-LOOK_S = 0.2
+POLL_S = 0.2
 ROOM_MM = 60.0
 """Jaws at least this far open count as ready for the next object."""
 log = structlog.get_logger()
 
 
-async def run_on_stage(config: Config) -> None:
+async def run_simulated_cell(config: Config) -> None:
     """Run the daemon on a fresh world until it is stopped."""
     world = World(seed=0)
 
@@ -33,7 +33,7 @@ async def run_on_stage(config: Config) -> None:
         for number, name in enumerate(cycle(names("test"))):
             while not (touched and service.phase is Phase.IDLE and _open(service)):
                 touched = touched or service.phase is not Phase.IDLE
-                await asyncio.sleep(LOOK_S)
+                await asyncio.sleep(POLL_S)
             world.clear(loop.time())
             world.place(scenario(name, number), loop.time())
             log.info("an object lies between the jaws", object=name)

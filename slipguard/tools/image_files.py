@@ -17,7 +17,7 @@ from slipguard.errors import InputError
 
 IMAGE_ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 VIDEO_ENDINGS = frozenset({".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mjpeg", ".mjpg"})
-STILLS_FPS = 30.0
+STILL_IMAGES_FPS = 30.0
 """Stills carry no time; they count as one recording at the DIGIT's usual rate."""
 LARGEST_SIDE_PX = 8192
 DARK_LEVEL, BRIGHT_LEVEL = 8, 247
@@ -26,7 +26,7 @@ _JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Still:
+class FileFrame:
     """One frame of a recording. image: (320, 240, 3) uint8 BGR, read-only; width_px, height_px: as in the file."""
 
     name: str
@@ -37,7 +37,7 @@ class Still:
     height_px: int
 
 
-def sources(paths: list[Path]) -> list[Path]:
+def find_image_files(paths: list[Path]) -> list[Path]:
     """The image and video files that `paths` stand for, in order; a folder is its images, sorted by name.
 
     Raises `InputError` for a path that is not there, a folder without images, or an ending that is neither.
@@ -59,7 +59,7 @@ def sources(paths: list[Path]) -> list[Path]:
     return out
 
 
-def stills(files: list[Path]) -> Iterator[Still]:
+def read_frames(files: list[Path]) -> Iterator[FileFrame]:
     """Every frame of the files in order, as one recording. Raises `InputError` naming the file at the first bad one."""
     at_s = 0.0
     for file in files:
@@ -70,10 +70,10 @@ def stills(files: list[Path]) -> Iterator[Still]:
                 at_s += step_s
         else:
             yield _still(read_image(file), str(file), file.name, file.stem, at_s)
-            at_s += 1.0 / STILLS_FPS
+            at_s += 1.0 / STILL_IMAGES_FPS
 
 
-def read_gel(path: Path) -> NDArray[np.uint8]:
+def read_gel_image(path: Path) -> NDArray[np.uint8]:
     """One gel image as (320, 240, 3) uint8 BGR. Raises `InputError` naming the file."""
     return _still(read_image(path), str(path), path.name, path.stem, 0.0).image
 
@@ -107,7 +107,7 @@ def read_image(path: Path) -> NDArray[np.uint8]:
     return np.ascontiguousarray(pixels, np.uint8)
 
 
-def _still(image: NDArray[np.uint8], what: str, name: str, stem: str, at_s: float) -> Still:
+def _still(image: NDArray[np.uint8], what: str, name: str, stem: str, at_s: float) -> FileFrame:
     height, width = image.shape[:2]
     _check_size(width, height, what)
     if int(image.max()) < DARK_LEVEL:
@@ -120,7 +120,7 @@ def _still(image: NDArray[np.uint8], what: str, name: str, stem: str, at_s: floa
         size = (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
     image.flags.writeable = False
-    return Still(name, stem, image, at_s, width, height)
+    return FileFrame(name, stem, image, at_s, width, height)
 
 
 def _check_size(width: int, height: int, what: str) -> None:
@@ -147,7 +147,7 @@ def _video(path: Path) -> Iterator[tuple[NDArray[np.uint8], float]]:
         if not capture.isOpened():
             raise InputError(f"{path}: no video can be decoded from it")
         fps = capture.get(cv2.CAP_PROP_FPS)
-        step_s = 1.0 / fps if 1.0 <= fps <= 1000.0 else 1.0 / STILLS_FPS
+        step_s = 1.0 / fps if 1.0 <= fps <= 1000.0 else 1.0 / STILL_IMAGES_FPS
         announced = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         count = 0
         while True:

@@ -18,17 +18,17 @@ from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.tools.image_files import Still, sources, stills
+from slipguard.tools.image_files import FileFrame, find_image_files, read_frames
 
 PX_PER_MM = 18.5
 """Scale of a DIGIT at 240 x 320; used for shifts alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
+class FrameMeasurement:
     """One frame and what was read from it. mask: (320, 240) uint8, 0 or 1."""
 
-    still: Still
+    still: FileFrame
     estimate: Estimate
     mask: NDArray[np.uint8]
 
@@ -39,13 +39,13 @@ def measure(
     settings: PerceptionSettings,
     background: NDArray[np.uint8] | None,
     independent: bool,
-) -> Iterator[Measured]:
+) -> Iterator[FrameMeasurement]:
     """Measure the frames of `paths` in order, as one recording, or each for itself when `independent`.
 
     Raises `InputError` naming the file at the first frame that cannot be used; what came before has been yielded.
     """
     pipeline = _pipeline(segmenter, settings, background)
-    for sequence, still in enumerate(stills(sources(paths))):
+    for sequence, still in enumerate(read_frames(find_image_files(paths))):
         if independent and sequence:
             pipeline = _pipeline(segmenter, settings, background)
         try:
@@ -53,14 +53,16 @@ def measure(
         except FrameCorrupt as error:
             raise InputError(f"{still.name}: {error}") from error
         mask = pipeline.last_mask if estimate.contact else None
-        yield Measured(still, estimate, np.zeros(still.image.shape[:2], np.uint8) if mask is None else mask.copy())
+        yield FrameMeasurement(
+            still, estimate, np.zeros(still.image.shape[:2], np.uint8) if mask is None else mask.copy()
+        )
 
 
 def _pipeline(segmenter: Segmenter, settings: PerceptionSettings, background: NDArray[np.uint8] | None) -> Pipeline:
     return Pipeline(segmenter, settings, background, None, PX_PER_MM, timer=time.perf_counter)
 
 
-def as_json(measured: Measured) -> dict[str, Any]:
+def as_json(measured: FrameMeasurement) -> dict[str, Any]:
     """The one object that `--json` prints for a frame."""
     estimate = measured.estimate
     return {
@@ -76,7 +78,7 @@ def as_json(measured: Measured) -> dict[str, Any]:
     }
 
 
-def write_mask(folder: Path, measured: Measured) -> None:
+def write_mask(folder: Path, measured: FrameMeasurement) -> None:
     """Write `<stem>.png`, 0 or 255, at the size the frame had in its file. Raises `InputError` if that fails."""
     size = (measured.still.width_px, measured.still.height_px)
     mask = measured.mask * np.uint8(255)
@@ -90,7 +92,7 @@ def write_mask(folder: Path, measured: Measured) -> None:
         raise InputError(f"{path}: the mask cannot be written ({error.strerror})") from error
 
 
-def plot(results: list[Measured], path: Path, background_known: bool) -> None:
+def plot(results: list[FrameMeasurement], path: Path, background_known: bool) -> None:
     """Draw turn with its uncertainty, orientation and contact area over the frames into an image file."""
     from slipguard.tools.plotting import figure, save
 

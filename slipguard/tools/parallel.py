@@ -65,7 +65,7 @@ def each(
     and carries the name as a note. Raises `InputError` where no cluster answers.
     """
     task = _Task(work, named)
-    results: Generator[R | _Failure, None, None]
+    results: Generator[R | _ItemFailure, None, None]
     if workers is not None and workers.cluster is not None:
         results = _on_cluster(task, items, workers.cluster)
     else:
@@ -73,14 +73,14 @@ def each(
         results = _in_processes(task, items, jobs) if jobs > 1 else (task(item) for item in items)
     with closing(results):
         for done, result in enumerate(results, 1):
-            if isinstance(result, _Failure):
+            if isinstance(result, _ItemFailure):
                 raise result.error
             progress(done)
             yield result
 
 
 @dataclass(frozen=True, slots=True)
-class _Failure:
+class _ItemFailure:
     """What an item came to; carried as a result, so that failures keep the order of the items, too."""
 
     error: Exception
@@ -91,14 +91,14 @@ class _Task(Generic[T, R]):
     work: Callable[[T], R]
     named: Callable[[T], str]
 
-    def __call__(self, item: T) -> R | _Failure:
+    def __call__(self, item: T) -> R | _ItemFailure:
         try:
             return self.work(item)
         except SlipguardError as error:
-            return _Failure(type(error)(f"{self.named(item)}: {error}"))
+            return _ItemFailure(type(error)(f"{self.named(item)}: {error}"))
         except Exception as error:
             error.add_note(f"while computing {self.named(item)}\n{traceback.format_exc()}")
-            return _Failure(error)
+            return _ItemFailure(error)
 
 
 def _job_count(asked: int) -> int:

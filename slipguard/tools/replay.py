@@ -38,7 +38,7 @@ KEPT_ESTIMATES = 64
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class CommandDifference:
     """A command that a replay gave otherwise."""
 
     now_s: float
@@ -47,7 +47,7 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class ReplayedEstimate:
     """One judged frame: what was recorded, and what the pipeline says now (None: it was not asked)."""
 
     finger: str
@@ -56,20 +56,20 @@ class Answer:
 
 
 @dataclass(slots=True)
-class LawReplay:
+class ControllerReplay:
     """ticks played, and every command that came out otherwise."""
 
     ticks: int = 0
-    differences: list[Difference] = field(default_factory=list)
+    differences: list[CommandDifference] = field(default_factory=list)
 
 
 @dataclass(slots=True)
-class Replay:
+class ReplayResult:
     """What came of a replay. on_recorded: the law on the recorded sights; on_frames: on the pipeline's answers now."""
 
-    on_recorded: LawReplay = field(default_factory=LawReplay)
-    on_frames: LawReplay = field(default_factory=LawReplay)
-    answers: list[Answer] = field(default_factory=list)
+    on_recorded: ControllerReplay = field(default_factory=ControllerReplay)
+    on_frames: ControllerReplay = field(default_factory=ControllerReplay)
+    answers: list[ReplayedEstimate] = field(default_factory=list)
     phases: list[tuple[float, str]] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
@@ -77,7 +77,7 @@ class Replay:
     image: str = "none"
 
     @property
-    def asked(self) -> list[Answer]:
+    def asked(self) -> list[ReplayedEstimate]:
         """Frames that went through the pipeline again."""
         return [answer for answer in self.answers if answer.replayed is not None]
 
@@ -104,27 +104,27 @@ def recordings(paths: Iterable[Path]) -> list[Recording]:
     return [open_recording(file) for file in files]
 
 
-def replay(opened: list[Recording], model: Path | None = None) -> Replay:
+def replay(opened: list[Recording], model: Path | None = None) -> ReplayResult:
     """Play recordings one after the other; each begins with the law's own memory of that moment.
 
     Raises ModelError for a model that is none, whether or not a frame comes that it is to see.
     """
     segmenter = Segmenter(model)
-    done = Replay(other_model=model is not None)
+    done = ReplayResult(other_model=model is not None)
     for recording in opened:
         done.image = "none"
-        _Player(recording, segmenter, done).play()
+        _RecordingPlayer(recording, segmenter, done).play()
         if recording.damage is not None:
             done.damage.append(f"{recording.path.name} {recording.damage}")
     return done
 
 
-class _Player:
+class _RecordingPlayer:
     """Plays one file into a `Replay`."""
 
-    def __init__(self, recording: Recording, segmenter: Segmenter, done: Replay) -> None:
+    def __init__(self, recording: Recording, segmenter: Segmenter, done: ReplayResult) -> None:
         self._recording, self._done = recording, done
-        settings = settings_of(recording)
+        settings = recorded_settings(recording)
         self._params: GuardParams = settings.guard
         self._segmenter, self._settings = segmenter, settings
         self._pipelines: dict[str, Pipeline] = {}
@@ -165,7 +165,7 @@ class _Player:
         now = None
         if self._live[finger] and picture is not None:
             now = self._process(finger, picture, judged)
-        self._done.answers.append(Answer(finger, judged, now))
+        self._done.answers.append(ReplayedEstimate(finger, judged, now))
         estimate = now or judged.estimate
         if estimate is not None:
             known = self._now[finger]
@@ -219,11 +219,11 @@ class _Player:
         seen = replace(told.seen, fused=fuse(fresh["left"], fresh["right"]))
         self._memory["frames"] = self._compare(done.on_frames, self._memory["frames"], replace(told, seen=seen))
 
-    def _compare(self, into: LawReplay, memory: Guard, told: m.CycleRecord) -> Guard:
+    def _compare(self, into: ControllerReplay, memory: Guard, told: m.CycleRecord) -> Guard:
         memory, command = tick(memory, told.seen, self._params)
         into.ticks += 1
         if command != told.command:
-            into.differences.append(Difference(told.now_s, told.command, command))
+            into.differences.append(CommandDifference(told.now_s, told.command, command))
         return memory
 
 
@@ -241,7 +241,7 @@ def _finger(item: RecordedItem) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class RecordedSettings:
     """What a recording says of the configuration it was made with."""
 
     guard: GuardParams
@@ -264,13 +264,13 @@ class Settings:
         return None if text is None else [float(level) for level in json.loads(text)]
 
 
-def settings_of(recording: Recording) -> Settings:
+def recorded_settings(recording: Recording) -> RecordedSettings:
     """Raises InputError where the recording has no configuration of this version."""
     where = f"{recording.path}: {m.CONFIG_ATTACHMENT}"
     try:
         config = json.loads(recording.attachments[m.CONFIG_ATTACHMENT])
         perception = {key: value for key, value in config["perception"].items() if key != "model"}
-        return Settings(
+        return RecordedSettings(
             GuardParams.model_validate(config["guard"]),
             PerceptionSettings.model_validate(perception),
             {finger: float(config[finger]["px_per_mm"]) for finger in m.FINGERS},

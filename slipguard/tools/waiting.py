@@ -7,21 +7,21 @@ from collections.abc import Callable
 
 from slipguard.errors import SlipguardError
 
-LOOK_S = 0.01
+POLL_S = 0.01
 
 
-class Stuck(SlipguardError):
+class WaitTimeout(SlipguardError):
     """Something does not come to its end: nothing more is worth trying."""
 
 
-async def until(
+async def wait_until(
     running: asyncio.Task[None] | None,
     reached: Callable[[], bool],
     timeout_s: float,
     otherwise: str | Callable[[], str],
-    look_s: float = LOOK_S,
+    poll_s: float = POLL_S,
 ) -> None:
-    """Wait for a condition, looked at every `look_s`. Raises the daemon's own failure, or Stuck after the time-out.
+    """Wait for a condition, looked at every `poll_s`. Raises the daemon's own failure, or Stuck after the time-out.
 
     running: the daemon's task; None where somebody else watches it. otherwise: what is so if it is not reached.
     """
@@ -30,7 +30,7 @@ async def until(
     while not reached():
         if running is not None and running.done():
             running.result()
-            raise Stuck("the daemon ended by itself")
+            raise WaitTimeout("the daemon ended by itself")
         if loop.time() >= deadline_s:
-            raise Stuck(f"within {timeout_s:g} s: {otherwise if isinstance(otherwise, str) else otherwise()}")
-        await asyncio.sleep(look_s)
+            raise WaitTimeout(f"within {timeout_s:g} s: {otherwise if isinstance(otherwise, str) else otherwise()}")
+        await asyncio.sleep(poll_s)

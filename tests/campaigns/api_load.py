@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slipguard.bench.wire_latency import HOST, Spread, every_frame_in_full, grip
+from slipguard.bench.wire_latency import HOST, StageLatency, every_frame_in_full, grip
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.run import build_service
@@ -55,8 +55,8 @@ class ApiLoadResult:
 
     options: ApiLoadOptions
     decisions: int
-    alone: Spread
-    crowded: Spread
+    alone: StageLatency
+    crowded: StageLatency
     missed: tuple[int, int]
     got: dict[str, int] = field(default_factory=dict)
 
@@ -162,9 +162,9 @@ async def _blocks(
     return ApiLoadResult(options, decisions, alone, crowded, (lost[0], lost[1]), dict(got))
 
 
-def spread_of_blocks(blocks_s: list[list[float]]) -> Spread:
+def spread_of_blocks(blocks_s: list[list[float]]) -> StageLatency:
     """Medians of the blocks' p50 and p99, and the largest of all. Raises SlipguardError for a block without any."""
     if not all(blocks_s):
         raise SlipguardError("nothing was decided in one of the blocks; is the machine busy?")
     p50, p99 = np.median([np.percentile(block_s, (50, 99)) for block_s in blocks_s], axis=0) * 1e3
-    return Spread(float(p50), float(p99), 1e3 * max(max(block_s) for block_s in blocks_s))
+    return StageLatency(float(p50), float(p99), 1e3 * max(max(block_s) for block_s in blocks_s))

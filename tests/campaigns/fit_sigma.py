@@ -33,7 +33,7 @@ from slipguard.perception.rotation.texture_registration import (
 )
 from slipguard.perception.rotation.texture_sigma import FLOOR_DEG, parts_deg, shares, sigma_deg
 from slipguard.sim.objects import names
-from slipguard.tools.image_files import read_gel
+from slipguard.tools.image_files import read_gel_image
 
 SEED = 7400
 FRAME_PX = 2.0
@@ -91,9 +91,9 @@ def samples(
 
 def sheared(folder: Path) -> Iterator[sequences.RenderedGrasp]:
     """Stretches of real frames in which a contact is sheared and not turned, tuning part of `anytouch2_force2`."""
-    background = read_gel(folder / "anytouch2_force2" / "background.png")
+    background = read_gel_image(folder / "anytouch2_force2" / "background.png")
     paths = sorted((folder / "anytouch2_force2" / "frames").glob("*.png"))
-    images = [read_gel(path) for path in paths if path.stem <= SHEARED_LAST]
+    images = [read_gel_image(path) for path in paths if path.stem <= SHEARED_LAST]
     for begin in range(0, len(images) - 2, SHEARED_STEP):
         shots = [
             GraspFrame(Frame(image, k * FRAME_S, k), True, 0.0, k > 0, None)

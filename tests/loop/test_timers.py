@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 
-from slipguard.tools.waiting import until
+from slipguard.tools.waiting import wait_until
 from slipguard_drivers.timers import TimerGroup
 
 
@@ -20,7 +20,7 @@ async def test_calls_are_made_at_their_time_and_may_ask_for_more() -> None:
 
     timers.at(begun_s + 0.02, lambda: made.append(("second", loop.time() - begun_s)))
     timers.at(begun_s + 0.01, first)
-    await until(None, lambda: len(made) == 3, 30.0, "not all were made")
+    await wait_until(None, lambda: len(made) == 3, 30.0, "not all were made")
     assert [name for name, _ in made] == ["first", "second", "third"]
     assert all(at_s >= 0.01 * k for k, (_, at_s) in enumerate(made, 1))
 

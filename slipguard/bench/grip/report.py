@@ -16,7 +16,7 @@ from slipguard.bench.grip.campaign import Found, Played
 from slipguard.bench.grip.checks import GROUPS, checks, failures, remarks
 from slipguard.bench.grip.figures import agreement, as_json
 from slipguard.bench.grip.play import HIGH_MM, Outcome, Who, play
-from slipguard.bench.grip.rows import FLOOR_DEG, GELS, SHOWN, Row, by_first_grip, by_gel, of, of_gel, row
+from slipguard.bench.grip.rows import FLOOR_DEG, GELS, SHOWN, GripRow, by_first_grip, by_gel, of, of_gel, row
 from slipguard.bench.grip.trials import FRAGILE_MAX_N, SHARES, TIGHT_SHARES
 from slipguard.tools import plotting as drawings
 
@@ -36,7 +36,7 @@ def _ratio(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}"
 
 
-SLIP: dict[str, Callable[[Row], str]] = {
+SLIP: dict[str, Callable[[GripRow], str]] = {
     "slip": lambda one: f"{one.slips_deg['law']:.1f}°",
     "oracle": lambda one: f"{one.slips_deg['oracle']:.1f}°",
     "fixed": lambda one: f"{one.slips_deg['fixed step']:.1f}°",
@@ -45,7 +45,7 @@ SLIP: dict[str, Callable[[Row], str]] = {
     "p95": lambda one: _ratio(one.over_oracle_p95),
     "fixed/": lambda one: _ratio(one.fixed_over_law),
 }
-GRIP: dict[str, Callable[[Row], str]] = {
+GRIP: dict[str, Callable[[GripRow], str]] = {
     "force": lambda one: _ratio(one.force_over_needed),
     "arrest": lambda one: "–" if one.arrested_s is None else f"{one.arrested_s:.2f} s",
     "steps": lambda one: f"{one.steps_median:g}/{one.steps_max}",
@@ -92,7 +92,7 @@ def print_tables(console: Console, found: Found) -> None:
         console.print("held on the whole" + (", not everywhere: see above" if remarks(figures) else ""))
 
 
-def _all_rows(played: Sequence[Played]) -> list[Row]:
+def _all_rows(played: Sequence[Played]) -> list[GripRow]:
     """By first grip and all together: of all gels, then of each."""
     found = [*by_first_grip(played), row("all", played)]
     for gel in GELS:
@@ -103,13 +103,13 @@ def _all_rows(played: Sequence[Played]) -> list[Row]:
     return found
 
 
-def _split(title: str, played: Sequence[Played]) -> list[Row]:
+def _split(title: str, played: Sequence[Played]) -> list[GripRow]:
     """By gel and all together."""
     rows = [*by_gel(played), row("all", played)] if played else []
     return [_titled(one, f"{title}, {one.title}" if title else one.title) for one in rows]
 
 
-def _titled(one: Row, title: str) -> Row:
+def _titled(one: GripRow, title: str) -> GripRow:
     return replace(one, title=title)
 
 
@@ -125,7 +125,7 @@ def _said_of_holds(found: Found, figures: dict[str, Any]) -> str:
     return "; ".join([text, *failed])
 
 
-def _table(title: str, lines: list[Row], columns: dict[str, Callable[[Row], str]]) -> Table:
+def _table(title: str, lines: list[GripRow], columns: dict[str, Callable[[GripRow], str]]) -> Table:
     table = _plain(title, ("", "n", *columns))
     for one in lines:
         table.add_row(one.title, str(one.count), *(column(one) for column in columns.values()))

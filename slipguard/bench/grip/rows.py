@@ -22,7 +22,7 @@ SHOWN: tuple[Who, ...] = ("law", "oracle", "fixed step", "nobody")
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class GripRow:
     """Some trials together. slips: median true slip at the end, degrees; drops: by who. Ratios: medians but p95.
 
     arrested: seconds from the first slip to the last, of the trials in which the law stopped a slip. steps: forces
@@ -67,12 +67,12 @@ class Row:
         }
 
 
-def row(title: str, played: Sequence[Played]) -> Row:
+def row(title: str, played: Sequence[Played]) -> GripRow:
     """The figures of some trials, of one at least."""
     over = ratios(played, "law", "oracle")
     arrests = [one.law.arrested_s for one in played if one.law.arrested_s is not None and one.law.dropped is None]
     steps = [one.law.tightenings for one in played]
-    return Row(
+    return GripRow(
         title=title,
         count=len(played),
         slips_deg={who: float(np.median([of(one, who).slip_deg for one in played])) for who in SHOWN},
@@ -91,13 +91,13 @@ def row(title: str, played: Sequence[Played]) -> Row:
     )
 
 
-def by_first_grip(played: Sequence[Played]) -> list[Row]:
+def by_first_grip(played: Sequence[Played]) -> list[GripRow]:
     """One for each first grip there is."""
     parts = [(f"grip {share:.2f}", [one for one in played if one.trial.share == share]) for share in SHARES]
     return [row(title, part) for title, part in parts if part]
 
 
-def by_gel(played: Sequence[Played]) -> list[Row]:
+def by_gel(played: Sequence[Played]) -> list[GripRow]:
     """One for each gel there is."""
     return [row(f"{gel} gel", part) for gel in GELS if (part := of_gel(played, gel))]
 

@@ -20,7 +20,7 @@ from slipguard.errors import CommandRefused
 from slipguard.sim.objects import names
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World
-from slipguard.tools.waiting import Stuck, until
+from slipguard.tools.waiting import WaitTimeout, wait_until
 
 STEP_S = 15.0
 """Longer than any phase takes."""
@@ -142,7 +142,7 @@ class WorkShift:
         deadline_s = loop.time() + BACK_S
         while (fault := self._service.state.fault) is not None:
             if loop.time() > deadline_s:
-                raise Stuck(f"faults for {BACK_S:g} s, each cleared; the last: {fault}")
+                raise WaitTimeout(f"faults for {BACK_S:g} s, each cleared; the last: {fault}")
             await self._patiently(self._controls.clear)
             self.counts[f"cleared: {fault.code}"] += 1
             await asyncio.sleep(LOOK_S)
@@ -157,7 +157,7 @@ class WorkShift:
                 return
             except CommandRefused as refusal:
                 if loop.time() > deadline_s:
-                    raise Stuck(f"still refused after {BACK_S:g} s: {refusal}") from None
+                    raise WaitTimeout(f"still refused after {BACK_S:g} s: {refusal}") from None
             await asyncio.sleep(LOOK_S)
 
     async def _rest(self) -> None:
@@ -174,4 +174,4 @@ class WorkShift:
         def how_it_stands() -> str:
             return f"{otherwise} ({self._service.phase}; {'; '.join(self._service.event_log.lines[-3:])})"
 
-        await until(None, reached, within_s, how_it_stands, LOOK_S)
+        await wait_until(None, reached, within_s, how_it_stands, LOOK_S)

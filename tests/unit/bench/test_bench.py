@@ -18,13 +18,13 @@ from rich.console import Console
 from slipguard.bench import table
 from slipguard.bench.axes import AxialRotation, axis_of_points
 from slipguard.bench.classical import BackgroundSubtraction
-from slipguard.bench.error_tally import Errors, Tally, quarters, within_se
-from slipguard.bench.minute import Minute
+from slipguard.bench.error_tally import GraspErrors, PipelineResults, quarters, within_se
+from slipguard.bench.minute import HoldingScene
 from slipguard.bench.paper import FrameNetwork, PaperPipeline
 from slipguard.bench.peer import PEER_MODEL
-from slipguard.bench.pipelines import Subject, network_files, ours
+from slipguard.bench.pipelines import BenchPipeline, network_files, ours
 from slipguard.bench.plot import picture
-from slipguard.bench.rows import Bench, Row, Skip, Thinning, on_the_front
+from slipguard.bench.rows import BenchReport, BenchRow, SkipResult, ThinningResult, on_the_front
 from slipguard.bench.thinning import thinning
 from slipguard.datasets.mask_scores import dice
 from slipguard.datasets.rendered_grasps import EMPTY_FRAMES, ROTATION_DEG, RenderedGrasp, render_grasp
@@ -45,19 +45,21 @@ PEER_PATH = default_model_path().with_name(PEER_MODEL)
 PAPER_PATH = Path(__file__).resolve().parents[3] / "models" / "deeplabv3plus-resnet18.onnx"
 
 
-def found() -> Bench:
-    ours = Row(
+def found() -> BenchReport:
+    ours = BenchRow(
         "net + fused", "net", "fused", 3.0, 5.0, 0.3, 0.6, 1.2, 0.05, 0.95, math.nan, 700, 10,
         mean_ms_per_frame_grasp=0.7, turn_error_by_quartile_deg=(0.1, 0.2, 0.3, 0.4), pareto=True,
         stage_ms={"segment": (1.3, 1.5, 1.4), "thin": (0.3, 0.4, 0.1)},
     )  # fmt: skip
-    peer = Row("paper", "peer", "skeleton", 150.0, 160.0, None, None, None, None, None, None, 24, None,
+    peer = BenchRow("paper", "peer", "skeleton", 150.0, 160.0, None, None, None, None, None, None, 24, None,
                resolution="240×320", mean_ms_per_frame_grasp=150.0)  # fmt: skip
     plain = replace(ours, name="subtraction + pca", network="subtraction", estimator="pca", pareto=False)
     ratios = {"cv2": 5.0, "scikit-image thin": 20.0, "scikit-image skeletonize": 1.5}
-    thin = [Thinning(size, 9, 1.0, ratios, {**ratios, "cv2": ratio}, 0) for size, ratio in (("a", 18.0), ("b", 5.0))]
-    skip = Skip("unchanged", True, 2.0, 1.4, 0.001, 0, "of 3600 frames")
-    return Bench({"processor": "test", "onnxruntime": "1", "opencv": "4"}, (ours,), (peer, plain), "net + fused",
+    thin = [
+        ThinningResult(size, 9, 1.0, ratios, {**ratios, "cv2": ratio}, 0) for size, ratio in (("a", 18.0), ("b", 5.0))
+    ]
+    skip = SkipResult("unchanged", True, 2.0, 1.4, 0.001, 0, "of 3600 frames")
+    return BenchReport({"processor": "test", "onnxruntime": "1", "opencv": "4"}, (ours,), (peer, plain), "net + fused",
                  tuple(thin), (skip,), ("a note",))  # fmt: skip
 
 
@@ -127,7 +129,7 @@ def test_the_front_is_what_nothing_beats_in_both() -> None:
 
 
 def test_quarters_go_from_easy_to_hard() -> None:
-    grasps = [Errors("bar", True, k / 8, 1, [(float(k), 0.0, None)]) for k in range(8)]
+    grasps = [GraspErrors("bar", True, k / 8, 1, [(float(k), 0.0, None)]) for k in range(8)]
     assert quarters(grasps[::-1]) == (0.5, 2.5, 4.5, 6.5)
 
 
@@ -139,9 +141,9 @@ def short(grasp: RenderedGrasp, count: int = 12) -> RenderedGrasp:
 def test_a_tally_of_one_grasp_fills_a_row() -> None:
     grasp = short(render_grasp("key", 2, with_masks=True))
     subject = next(one for one in ours(None, every=False) if one.estimator == "fused")
-    tally = Tally()
-    tally.run(subject.open(grasp), grasp, grasp.shots)
-    row = tally.row(subject, tally, 1.0, 3.6)
+    results = PipelineResults()
+    results.run(subject.open(grasp), grasp, grasp.shots)
+    row = results.row(subject, results, 1.0, 3.6)
     assert row.sequences == 1
     assert row.frames == sum(shot.compared for shot in grasp.shots)
     assert row.turn_error_mean_deg is not None
@@ -152,7 +154,7 @@ def test_a_tally_of_one_grasp_fills_a_row() -> None:
     assert row.skipped_p50_ms < (row.p50_ms or 0.0)
     assert row.round_plain_declined_share is None
     assert {"gate", "segment"} < set(row.stage_ms)
-    assert row.rotations == len(tally.grasps[0].found) > 0
+    assert row.rotations == len(results.grasps[0].found) > 0
     assert row.rotation_sequences == 1
 
 
@@ -186,7 +188,7 @@ def test_thinning_is_timed_beside_the_others_and_exact() -> None:
 
 
 def test_a_minute_is_a_minute() -> None:
-    minute = Minute()
+    minute = HoldingScene()
     assert minute.scene().background.shape == (320, 240, 3)
     first = [shot for _, shot in zip(range(40), minute.shots(), strict=False)]
     assert not first[0].contact
@@ -223,9 +225,9 @@ def test_the_paper_pipeline_runs_on_dense_weights() -> None:
     assert all(one.contact and one.angle_deg is not None and one.sigma_deg is None for one in said)
     assert network.segment(grasp.shots[0].frame.image, None).shape == (160, 120)
     assert pipeline.last_mask.shape == (320, 240)
-    subject = Subject("paper", "peer", "skeleton", PEER_PATH, "frame", "240×320")
-    tally = Tally(busy_ms=[80.0])
-    assert tally.row(subject, tally, 80.0, 288.0).turn_error_mean_deg is None
+    subject = BenchPipeline("paper", "peer", "skeleton", PEER_PATH, "frame", "240×320")
+    results = PipelineResults(busy_ms=[80.0])
+    assert results.row(subject, results, 80.0, 288.0).turn_error_mean_deg is None
 
 
 def test_the_paper_pipeline_thins_at_the_size_of_its_network(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -263,9 +265,9 @@ def test_network_files_are_told_apart(tmp_path: Path) -> None:
 
 
 def test_shares_within_sigma_are_as_uncertain_as_grasps_differ() -> None:
-    def grasp(inside: int, outside: int) -> Errors:
+    def grasp(inside: int, outside: int) -> GraspErrors:
         found = [(0.5, 1.0, 1.0)] * inside + [(1.5, 1.0, 1.0)] * outside + [(9.0, 9.0, None)]
-        return Errors("bar", True, 0.0, len(found), found)
+        return GraspErrors("bar", True, 0.0, len(found), found)
 
     alike = [grasp(8, 2)] * 9
     assert within_se(alike, 1.0) == 0.0

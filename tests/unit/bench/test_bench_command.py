@@ -11,7 +11,7 @@ import pytest
 from slipguard.bench import pipelines as subjects
 from slipguard.bench import run as bench
 from slipguard.bench import skipping
-from slipguard.bench.minute import Minute
+from slipguard.bench.minute import HoldingScene
 from slipguard.cli.app import run
 from slipguard.tools.parallel import Workers
 
@@ -25,8 +25,8 @@ def _one_object(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "EXTRA_PLAIN", ())
     monkeypatch.setattr(bench, "LARGE_FRAMES_QUICK", 2)
     monkeypatch.setattr(skipping, "QUICK_ONSETS", skipping.QUICK_ONSETS[:1])
-    whole = Minute.shots
-    monkeypatch.setattr(Minute, "shots", lambda self: islice(whole(self), 240))
+    whole = HoldingScene.shots
+    monkeypatch.setattr(HoldingScene, "shots", lambda self: islice(whole(self), 240))
 
 
 def test_large_networks_are_asked_of_the_same_grasps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -35,7 +35,7 @@ def test_large_networks_are_asked_of_the_same_grasps(tmp_path: Path, monkeypatch
     monkeypatch.setattr(bench, "skips", lambda *_: ())
     monkeypatch.setattr(bench, "thinning", lambda *_, **__: ())
     (tmp_path / NAME).symlink_to(MODELS / NAME)
-    found = bench.bench(bench.Options(quick=False, models=tmp_path, workers=Workers(jobs=1)))
+    found = bench.bench(bench.BenchOptions(quick=False, models=tmp_path, workers=Workers(jobs=1)))
     known = [row for row in (*found.pipelines, *found.peers) if row.turn_error_mean_deg is not None]
     assert {row.network for row in known} >= {"tsnn-small", "deeplabv3plus-resnet18", "background subtraction"}
     assert {row.sequences for row in known} == {2}
@@ -50,7 +50,7 @@ def test_a_quick_one_with_further_networks(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(bench, "skips", lambda *_: ())
     monkeypatch.setattr(bench, "thinning", lambda *_, **__: ())
     (tmp_path / NAME).symlink_to(MODELS / NAME)
-    found = bench.bench(bench.Options(models=tmp_path))
+    found = bench.bench(bench.BenchOptions(models=tmp_path))
     assert not [row for row in found.pipelines if row.network == "deeplabv3plus-resnet18"]
     assert {row.resolution for row in found.peers} == {"120×160", "240×320"}
 

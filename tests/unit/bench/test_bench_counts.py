@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from slipguard.bench.error_tally import Errors, Tally
-from slipguard.bench.holding import Held
-from slipguard.bench.pipelines import Subject, ours
+from slipguard.bench.error_tally import GraspErrors, PipelineResults
+from slipguard.bench.holding import HoldingResult
+from slipguard.bench.pipelines import BenchPipeline, ours
 from slipguard.bench.run import _row
 from slipguard.datasets.rendered_grasps import GraspFrame
 from slipguard.devices import Frame
@@ -42,24 +42,24 @@ def test_a_contact_that_is_skipped_as_none_overlaps_nothing() -> None:
         ("no contact", np.zeros_like(mask), []),  # touched too lightly for a label
         ("unchanged", mask, []),
     ):
-        tally = Tally()
-        tally.take(Answering(mask, skipped), replace(shot, mask=label), Errors("bar", True, 0.0))
-        assert tally.overlaps == overlaps
+        results = PipelineResults()
+        results.take(Answering(mask, skipped), replace(shot, mask=label), GraspErrors("bar", True, 0.0))
+        assert results.overlaps == overlaps
 
 
 def test_errors_are_counted_without_what_is_declined_and_without_objects_of_no_manifest() -> None:
     told: list[tuple[float, float, float | None]] = [(1.0, 1.0, 1.0)] * 4
-    tally = Tally(grasps=[Errors("bar", True, 0.0, 6, told), Errors("ring", False, 0.0, 9),
-                          Errors("plain_disc", False, 0.0, 5, told)])  # fmt: skip
-    row = tally.row(ours(None, every=False)[0], tally, 1.0, 3.6)
+    results = PipelineResults(grasps=[GraspErrors("bar", True, 0.0, 6, told), GraspErrors("ring", False, 0.0, 9),
+                          GraspErrors("plain_disc", False, 0.0, 5, told)])  # fmt: skip
+    row = results.row(ours(None, every=False)[0], results, 1.0, 3.6)
     assert (row.frames, row.sequences, row.rotations, row.rotation_sequences) == (20, 3, 4, 1)
 
 
 def test_a_minute_of_a_large_network_is_reckoned_with_the_frames_that_are_left_out() -> None:
-    like = Held(frames=100, wall_s=0.1, measured_s=0.08, skipped={"unchanged": 70, "no contact": 10})
+    like = HoldingResult(frames=100, wall_s=0.1, measured_s=0.08, skipped={"unchanged": 70, "no contact": 10})
     assert (like.mean_ms, like.measured_ms) == pytest.approx((1.0, 4.0))
-    large = Subject("ours", "large", "fused", PAPER_PATH, "frame")
-    tallies = {large.name: Tally(busy_ms=[18.0, 18.0])}
+    large = BenchPipeline("ours", "large", "fused", PAPER_PATH, "frame")
+    tallies = {large.name: PipelineResults(busy_ms=[18.0, 18.0])}
     row = _row(large, tallies, tallies, {}, like)
     assert row.mean_ms_per_frame_grasp == pytest.approx(1.0 + 0.2 * (18.0 - 4.0))
     assert row.cpu_s_per_minute_grasp == pytest.approx(3.6 * 3.8)

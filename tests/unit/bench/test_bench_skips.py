@@ -10,13 +10,13 @@ import pytest
 
 from slipguard.bench import minute, skipping
 from slipguard.bench import second_finger as second
-from slipguard.bench.cached_segmenter import Remembering
+from slipguard.bench.cached_segmenter import CachedSegmenter
 from slipguard.bench.clock import CLOCK
 from slipguard.bench.cropping import CroppedSegmenter
 from slipguard.bench.holding import hold
-from slipguard.bench.minute import Minute
-from slipguard.bench.onset import Onset
-from slipguard.bench.pipelines import NO_SKIP, Subject, ours
+from slipguard.bench.minute import HoldingScene
+from slipguard.bench.onset import SlipOnset
+from slipguard.bench.pipelines import NO_SKIP, BenchPipeline, ours
 from slipguard.control.slip_baselines import Detector
 from slipguard.datasets.mask_scores import dice
 from slipguard.datasets.rendered_grasps import render_grasp
@@ -25,7 +25,7 @@ from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.settings import ALL_SKIPS, Skips
 
 
-def default() -> Subject:
+def default() -> BenchPipeline:
     return next(one for one in ours(None, every=False) if one.estimator == "fused" and one.skips != NO_SKIP)
 
 
@@ -46,8 +46,8 @@ def test_how_much_later_a_slip_is_seen_is_measured_for_the_gate_too(monkeypatch:
         return next(answers)
 
     monkeypatch.setattr(skipping, "first_seen", first_seen)
-    tried = skipping._Tried(Onset("key", 7000, 60.0), default())
-    assert skipping._later(tried) == skipping._Later(no_contact=2, unchanged=0)
+    tried = skipping._OnsetTrial(SlipOnset("key", 7000, 60.0), default())
+    assert skipping._later(tried) == skipping._OnsetDelay(no_contact=2, unchanged=0)
     assert asked == [ALL_SKIPS, Skips(no_contact=False), Skips(unchanged=False)]
     later = skipping._later(tried)
     assert later.no_contact is None
@@ -91,7 +91,7 @@ def test_a_minute_is_held_with_most_frames_left_out(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(minute, "LIFTED_S", 1.0)
     monkeypatch.setattr(minute, "MINUTE_S", 4.0)
     monkeypatch.setattr(minute, "_ROTATIONS", ())
-    held = hold([default()], Minute())[default().name]
+    held = hold([default()], HoldingScene())[default().name]
     assert held.frames == 240
     assert held.skipped["unchanged"] > 60
     assert 0.0 < held.mean_ms < held.measured_ms
@@ -99,7 +99,7 @@ def test_a_minute_is_held_with_most_frames_left_out(monkeypatch: pytest.MonkeyPa
 
 
 def test_remembered_answers_cost_what_they_cost() -> None:
-    network = Remembering(Segmenter())
+    network = CachedSegmenter(Segmenter())
     image = render_grasp("bar", 2).shots[20].frame.image
     network.memory.forget(on=True)
     began_s = CLOCK()

@@ -6,7 +6,7 @@ from functools import cache
 
 import pytest
 
-from slipguard.bench.onset import Onset, first_seen, later_by
+from slipguard.bench.onset import SlipOnset, first_seen, later_by
 from slipguard.datasets.rendered_grasps import RenderedGrasp
 from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
@@ -27,16 +27,16 @@ def pipeline(grasp: RenderedGrasp, skips: Skips) -> Pipeline:
 @pytest.mark.parametrize(
     "onset",
     [
-        Onset("key", 7100, 3.0),
-        Onset("wrench", 7101, 8.0),
-        Onset("bar", 7102, 60.0),
-        Onset("knife_edge", 7103, 300.0),
-        Onset("ring", 7104, 5.0, slides=True),
-        Onset("screwdriver", 7105, 3.0, slides=True),
+        SlipOnset("key", 7100, 3.0),
+        SlipOnset("wrench", 7101, 8.0),
+        SlipOnset("bar", 7102, 60.0),
+        SlipOnset("knife_edge", 7103, 300.0),
+        SlipOnset("ring", 7104, 5.0, slides=True),
+        SlipOnset("screwdriver", 7105, 3.0, slides=True),
     ],
     ids=lambda onset: f"{onset.object_name} {onset.rate:g}",
 )
-def test_a_slip_after_rest_is_seen_no_more_than_one_frame_later(onset: Onset) -> None:
+def test_a_slip_after_rest_is_seen_no_more_than_one_frame_later(onset: SlipOnset) -> None:
     grasp = onset.grasp()
     frames = [shot.frame for shot in grasp.shots]
     reused = 0
@@ -56,7 +56,7 @@ def test_a_slip_after_rest_is_seen_no_more_than_one_frame_later(onset: Onset) ->
 
 
 def test_what_is_overlooked_counts_as_seen_after_the_end() -> None:
-    grasp = Onset("key", 7106, 40.0).grasp()
+    grasp = SlipOnset("key", 7106, 40.0).grasp()
     frames = [shot.frame for shot in grasp.shots]
     measuring = pipeline(grasp, Skips(unchanged=False))
     answers = {frame.sequence: measuring.process(frame) for frame in frames}

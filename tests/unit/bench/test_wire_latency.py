@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from slipguard.bench.force_probe import STEP_N, Probe, ProbingLaw
-from slipguard.bench.wire_latency import OWN, STAGES, TOTAL, Options, _evaluate, _Seen
+from slipguard.bench.force_probe import STEP_N, ForceProbe, ProbingController
+from slipguard.bench.wire_latency import OWN, STAGES, TOTAL, LatencyOptions, _CommandTimes, _evaluate
 from slipguard.control.guard import Guard
 from slipguard.control.messages import Seen
 from slipguard.control.params import GuardParams
 from slipguard.errors import SlipguardError
 
 
-def command(at_s: float) -> _Seen:
+def command(at_s: float) -> _CommandTimes:
     """Exposed at `at_s`; handed over 40 ms later, then 5 ms, 1 ms and 2 ms."""
-    return _Seen(Probe(50.0, at_s, at_s), at_s + 0.040, at_s + 0.045, at_s + 0.046, at_s + 0.048)
+    return _CommandTimes(ForceProbe(50.0, at_s, at_s), at_s + 0.040, at_s + 0.045, at_s + 0.046, at_s + 0.048)
 
 
 def writes(at_s: float) -> list[dict[str, object]]:
@@ -29,7 +29,7 @@ def test_the_stages_add_up() -> None:
     starts_s = [10.0, 10.2, 10.5]
     seen = [command(at_s) for at_s in starts_s]
     log = [entry for at_s in starts_s for entry in writes(at_s)]
-    found = _evaluate(Options(commands=3), seen, log, frames=99)
+    found = _evaluate(LatencyOptions(commands=3), seen, log, frames=99)
     assert (found.commands, found.frames) == (3, 99)
     assert found.stages[TOTAL].p50_ms == pytest.approx(80.0)
     assert found.stages[OWN].p99_ms == pytest.approx(6.0)
@@ -38,14 +38,14 @@ def test_the_stages_add_up() -> None:
 
 
 def test_a_command_that_never_arrived_is_left_out() -> None:
-    found = _evaluate(Options(), [command(10.0), command(10.2)], writes(10.2), frames=0)
+    found = _evaluate(LatencyOptions(), [command(10.0), command(10.2)], writes(10.2), frames=0)
     assert found.commands == 1
     with pytest.raises(SlipguardError, match="no command"):
-        _evaluate(Options(), [command(10.0)], [], frames=0)
+        _evaluate(LatencyOptions(), [command(10.0)], [], frames=0)
 
 
 def test_nothing_is_nudged_before_something_is_held() -> None:
-    law = ProbingLaw(5)
+    law = ProbingController(5)
     guard, given = law(Guard(), Seen(now_s=1.0), GuardParams())
     assert given.hold_force_n is None
     assert law.left == 5

@@ -10,7 +10,7 @@ import pytest
 from fake_daemon_api import FakeDaemonApi, served_on_tcp
 
 from slipguard.errors import SlipguardError
-from slipguard.tools.waiting import until
+from slipguard.tools.waiting import wait_until
 from tests.campaigns import api_load_clients as crowd_clients
 from tests.campaigns.api_load import ApiLoadOptions, ApiLoadResult, spread_of_blocks
 from tests.campaigns.command_line import run
@@ -62,7 +62,7 @@ async def test_clients_hear_and_poll_and_come_again(tmp_path: Path, monkeypatch:
     got: Counter[str] = Counter()
     async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, _):
         crowd = asyncio.create_task(crowd_clients.crowd("127.0.0.1", port, 4, got))
-        await until(crowd, lambda: got["answers 200"] >= 20 and got["live messages"] >= 6, 30.0, "no answers")
+        await wait_until(crowd, lambda: got["answers 200"] >= 20 and got["live messages"] >= 6, 30.0, "no answers")
         crowd.cancel()
         await asyncio.gather(crowd, return_exceptions=True)
     assert set(got) == {"answers 200", "live messages"}

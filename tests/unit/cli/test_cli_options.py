@@ -68,9 +68,9 @@ def test_replay_against_fails_where_it_differs(
     asked: list[object] = []
     other = [lab.Difference(1.0, Command(), Command(hold_force_n=50.0))] if differs else []
 
-    def played(opened: object, model: Path | None) -> lab.Replay:
+    def played(opened: object, model: Path | None) -> lab.ReplayResult:
         asked.append(model)
-        return lab.Replay(on_recorded=lab.LawReplay(3, other))
+        return lab.ReplayResult(on_recorded=lab.ControllerReplay(3, other))
 
     monkeypatch.setattr(lab, "recordings", lambda files: files)
     monkeypatch.setattr(lab, "replay", played)
@@ -82,9 +82,9 @@ def test_replay_against_fails_where_it_differs(
 
 
 def test_bench_takes_further_networks_in_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[bench.Options] = []
+    asked: list[bench.BenchOptions] = []
 
-    def benched(options: bench.Options, show: object) -> None:
+    def benched(options: bench.BenchOptions, show: object) -> None:
         asked.append(options)
         raise SlipguardError("that was enough")
 

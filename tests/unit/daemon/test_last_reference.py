@@ -21,7 +21,7 @@ from slipguard.daemon.store.reference_store import GOOD_FOR, ReferenceStore
 from slipguard.errors import InputError
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stored_reference import ResumingPipeline, StoredReference
-from slipguard.tools.waiting import until
+from slipguard.tools.waiting import wait_until
 
 IMAGE = np.random.default_rng(1).integers(0, 255, (320, 240, 3), np.uint8)
 
@@ -52,7 +52,7 @@ async def settled(keeper: ReferenceSaver, *decisions: Any) -> None:
     """However long the disk takes."""
     for one in decisions:
         keeper.decided(one)
-        await until(None, lambda: not keeper._disk.busy, 60.0, "the disk does not get done")
+        await wait_until(None, lambda: not keeper._disk.busy, 60.0, "the disk does not get done")
 
 
 async def test_a_reference_that_is_held_for_hours_does_not_grow_old(tmp_path: Path) -> None:

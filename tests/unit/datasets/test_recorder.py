@@ -25,7 +25,7 @@ from slipguard.sim.gel import GelCamera
 from slipguard.sim.label import label
 from slipguard.sim.unit import LightChange, random_unit
 from slipguard.sim.view import GelView
-from slipguard.tools.waiting import until
+from slipguard.tools.waiting import wait_until
 from slipguard_drivers.digit.camera import DigitSensor
 
 
@@ -96,7 +96,7 @@ async def test_without_a_daemon_the_sensor_is_opened_and_let_go() -> None:
     sensor = DigitSensor(DigitSensor.Settings(serial="D20001"), DriverContext("sensor"), found, PipeCapture)
     shots = from_sensors([sensor], 0.0)
     waiting = asyncio.ensure_future(anext(shots))
-    await until(None, lambda: sensor.mode is not None, 30.0, "it is not opened")
+    await wait_until(None, lambda: sensor.mode is not None, 30.0, "it is not opened")
     PipeCapture.last.offer(delivery(1, damage="torn"), delivery(2))
     shot = await waiting
     assert (shot.serial, shot.sequence, shot.image.shape) == ("D20001", 2, (320, 240, 3))

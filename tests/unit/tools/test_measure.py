@@ -13,7 +13,7 @@ from slipguard.errors import InputError, ModelError
 from slipguard.sim.gel import GelCamera
 from slipguard.sim.unit import SensorUnit
 from slipguard.sim.view import GelView
-from slipguard.tools.image_files import read_gel, sources, stills
+from slipguard.tools.image_files import find_image_files, read_frames, read_gel_image
 
 KEYS = {
     "frame",
@@ -200,13 +200,13 @@ def test_opaque_alpha_is_dropped(tmp_path: Path) -> None:
     image = bar(0, 20.0)
     path = tmp_path / "alpha.png"
     cv2.imwrite(str(path), np.dstack([image, np.full((320, 240), 255, np.uint8)]))
-    np.testing.assert_array_equal(read_gel(path), image)
+    np.testing.assert_array_equal(read_gel_image(path), image)
 
 
 def test_a_folder_is_its_images_by_name(tmp_path: Path) -> None:
     for name in ("f10.png", "f2.png", "f1.png", "notes.txt"):
         (tmp_path / name).write_bytes(image_bytes(bar(0, 20.0)))
-    assert [path.name for path in sources([tmp_path])] == ["f1.png", "f10.png", "f2.png"]
+    assert [path.name for path in find_image_files([tmp_path])] == ["f1.png", "f10.png", "f2.png"]
 
 
 def test_a_folder_without_images_is_refused(tmp_path: Path) -> None:
@@ -227,7 +227,7 @@ def test_a_video_that_is_none_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "clip.mp4"
     path.write_bytes(data)
     with pytest.raises(InputError, match=r"clip\.mp4"):
-        list(stills([path]))
+        list(read_frames([path]))
 
 
 def test_equal_stems_would_overwrite_masks(tmp_path: Path) -> None:

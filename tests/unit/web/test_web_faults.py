@@ -15,7 +15,7 @@ from fake_daemon_api import FakeDaemonApi
 from hosted_api import hosted, web_process
 
 from slipguard.daemon.loop.event_log import Event
-from slipguard.tools.waiting import until
+from slipguard.tools.waiting import wait_until
 from slipguard.web import daemon_endpoint, host
 from slipguard.web.daemon_endpoint import answer
 from slipguard.web.sockets import bind
@@ -33,9 +33,9 @@ async def test_garbage_and_a_process_that_cannot_be_started_end_nothing(
     control = FakeDaemonApi()
     monkeypatch.setattr(sys, "executable", str(speaking))
     async with hosted(control, tmp_path / "served") as served:
-        await until(served.serving, lambda: len(served.warnings) == 1, 30.0, "no word of the garbage")
+        await wait_until(served.serving, lambda: len(served.warnings) == 1, 30.0, "no word of the garbage")
         monkeypatch.setattr(sys, "executable", str(tmp_path / "nowhere"))
-        await until(served.serving, lambda: len(served.warnings) == 2, 30.0, "no word of the failed start")
+        await wait_until(served.serving, lambda: len(served.warnings) == 2, 30.0, "no word of the failed start")
         monkeypatch.undo()
         with served.client() as client:
             assert await asyncio.to_thread(client.clear) == {"said": "clear, as asked"}
@@ -57,7 +57,7 @@ async def test_a_web_process_that_hangs_is_replaced_and_does_nothing_later(
             hanging = web_process()
             os.kill(hanging, signal.SIGSTOP)
             asking = asyncio.create_task(asyncio.to_thread(client.state))
-            await until(served.serving, lambda: len(served.warnings) == 1, 30.0, "it is not noticed")
+            await wait_until(served.serving, lambda: len(served.warnings) == 1, 30.0, "it is not noticed")
             assert "(it hangs)" in served.warnings[0]
             await asyncio.gather(asking, return_exceptions=True)
         with pytest.raises(ProcessLookupError):
@@ -101,7 +101,7 @@ async def test_an_event_that_cannot_be_told_harms_nobody() -> None:
     ours, theirs = socket.socketpair()
     reader, writer = await asyncio.open_connection(sock=ours)
     answers = asyncio.create_task(answer(control, reader, writer))
-    await until(answers, lambda: bool(control.ears), 5.0, "nobody listens")
+    await wait_until(answers, lambda: bool(control.ears), 5.0, "nobody listens")
     hear = control.ears[0]
     hear(Event(math.nan, "info", "no time at all"))
     theirs.close()
