@@ -14,10 +14,12 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from slipguard.errors import ConfigError
 
 FRAME_WIDTH_PX = 240
 FRAME_HEIGHT_PX = 320
@@ -33,6 +35,15 @@ class DriverContext:
     """The simulated world that the fakes share (a `slipguard.sim.world.World`); None on a real cell."""
     mode: Literal["lift", "guard"] = "lift"
     """guard: another program moves the arm; its driver must take nothing over, refuse `lift`, and `stop` by a pause."""
+
+    def require_world(self) -> Any:
+        """Return the simulated world. Raises ConfigError on a real cell, which has none."""
+        if self.world is None:
+            raise ConfigError(
+                f"{self.name}: driver 'fake' needs the simulated world, and this is a real cell; "
+                "start with --sim, or configure a real driver"
+            )
+        return self.world
 
 
 @dataclass(frozen=True, slots=True, eq=False)

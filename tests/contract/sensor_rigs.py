@@ -17,8 +17,8 @@ from slipguard_drivers.digit.camera import DigitSensor
 from slipguard_drivers.digit.discovery import DigitDevice
 from slipguard_drivers.digit.fake import FakeSensor
 from slipguard_drivers.digit.replay import ReplaySensor
+from slipguard_drivers.socket_camera import SocketSensor
 from slipguard_emulators.cell.frame_server import FrameServer
-from slipguard_emulators.cell.socket_sensor import SocketSensor
 from slipguard_emulators.digit.emulator import DigitEmulator
 
 STALL_MS = 500

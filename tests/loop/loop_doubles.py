@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from slipguard.daemon.loop.worker import StatedLatencyWorker
 from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.devices import DriverContext, Frame
+from slipguard.frame_stream import SHAPE
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.cell import WorldTruth
 from slipguard.sim.world import World
 from slipguard_drivers.digit.fake import FakeSensor
-from slipguard_drivers.digit.frame_stream import SHAPE
 from slipguard_drivers.digit.render_worker import RenderRequest
 from slipguard_drivers.robotiq.fake import FakeGripper
 from slipguard_drivers.ur5.fake import FakeArm

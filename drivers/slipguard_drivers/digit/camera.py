@@ -8,11 +8,11 @@ from collections.abc import AsyncIterator, Callable
 from slipguard.devices import DriverContext, Frame, TactileSensor
 from slipguard.diagnosis import CheckResult
 from slipguard.errors import DeviceLost
+from slipguard.frame_stream import FrameStream
 from slipguard_drivers.digit.capture import RawFrame, V4l2Capture, VideoMode
 from slipguard_drivers.digit.decoder import JpegDecoder
 from slipguard_drivers.digit.diagnostics import check_digit
 from slipguard_drivers.digit.discovery import DigitDevice, find_digit
-from slipguard_drivers.digit.frame_stream import FrameStream
 from slipguard_drivers.digit.pixel_format import DamagedFrame, decode_yuyv
 from slipguard_drivers.digit.rate_monitor import FrameRateMonitor
 from slipguard_drivers.digit.settings import DigitSettings

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
+from slipguard.frame_stream import FrameStream
 from slipguard_drivers.digit.capture import RawFrame
-from slipguard_drivers.digit.frame_stream import FrameStream
 from slipguard_drivers.digit.pixel_format import DamagedFrame, Image, decode_jpeg
 
 

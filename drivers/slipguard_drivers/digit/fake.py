@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from slipguard.cancellation import TimerGroup
 from slipguard.devices import DriverContext, Frame, TactileSensor
 from slipguard.errors import DeviceLost
+from slipguard.frame_stream import FrameStream
 from slipguard_drivers.digit.fake_renderer import (
     BackgroundRenderer,
     EncodingRenderer,
@@ -25,13 +27,11 @@ from slipguard_drivers.digit.fake_renderer import (
     ProcessRenderer,
     Renderer,
 )
-from slipguard_drivers.digit.frame_stream import FrameStream
 from slipguard_drivers.digit.render_worker import RenderRequest
-from slipguard_drivers.fake_world import require_world
-from slipguard_drivers.timers import TimerGroup
 
 if TYPE_CHECKING:
     from slipguard.sim.scenario import CameraModel
+    from slipguard.sim.world import World
 
 WRONG_CLOCK_S = 5.0
 LAMP_LEVELS = 60.0
@@ -57,9 +57,9 @@ class FakeSensor(TactileSensor):
 
     def __init__(self, settings: Settings, context: DriverContext) -> None:
         self._name = context.name
-        self._world = require_world(context)
+        self._world: World = context.require_world()
         self._settings = settings
-        self._model = self._world.camera(self._name)
+        self._model: CameraModel = self._world.camera(self._name)
         self._random = random.Random(self._model.noise_seed)
         self._stream: FrameStream | None = None
         self._renderer = self._make_renderer(settings.draw, self._model.unit_seed)
@@ -119,7 +119,7 @@ class FakeSensor(TactileSensor):
 
     def _expose_at(self, sequence: int) -> None:
         due_s = self._started_at_s + sequence / self._model.fps
-        self._timers.at(due_s, lambda: self._expose(sequence))
+        self._timers.call_at(due_s, lambda: self._expose(sequence))
 
     def _expose(self, sequence: int) -> None:
         """Take one picture; those that a late loop has slept through are lost, as in a camera."""
@@ -142,12 +142,12 @@ class FakeSensor(TactileSensor):
         stream = self._stream
         assert stream is not None
         if "corrupt" in faults:
-            self._timers.at(arrives_at_s, lambda: stream.damaged("only part of its bytes arrived"))
+            self._timers.call_at(arrives_at_s, lambda: stream.damaged("only part of its bytes arrived"))
             return
 
         def deliver(image: Image) -> None:
             self._last_image = image
-            self._timers.at(arrives_at_s, lambda: stream.put(image, stamp_s, sequence))
+            self._timers.call_at(arrives_at_s, lambda: stream.put(image, stamp_s, sequence))
 
         again = twice < model.duplicate_probability or ("duplicate" in faults and sequence % 2 == 0)
         if self._last_image is not None and ("frozen" in faults or again):

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.errors import DeviceLost, DeviceTimeout
+from slipguard.frame_stream import SHAPE
 from slipguard.sim.encoded_view import encode_view
 from slipguard.sim.view import GelView
 from slipguard_drivers.child_process import PACKET_BYTES, ChildProcess
-from slipguard_drivers.digit.frame_stream import SHAPE
 from slipguard_drivers.digit.render_worker import IMAGE_BYTES, SLOTS, GelRenderer, RenderRequest
 
 Image = NDArray[np.uint8]

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import DriverContext, Frame, TactileSensor
 from slipguard.errors import ConfigError, DeviceLost
-from slipguard_drivers.digit.frame_stream import FrameStream
+from slipguard.frame_stream import FrameStream
 
 
 class ReplaySensor(TactileSensor):

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import DriverContext, Gripper, GripperState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
-from slipguard_drivers.fake_world import require_world
 from slipguard_drivers.robotiq.registers import MODEL_2F85, force_to_count, width_to_count
+
+if TYPE_CHECKING:
+    from slipguard.sim.world import World
 
 T = TypeVar("T")
 LATE_S = 0.2
@@ -34,7 +36,7 @@ class FakeGripper(Gripper):
 
     def __init__(self, settings: Settings, context: DriverContext) -> None:
         self._name = context.name
-        self._world = require_world(context)
+        self._world: World = context.require_world()
         self._settings = settings
         self._wire = asyncio.Lock()
         self._open = False

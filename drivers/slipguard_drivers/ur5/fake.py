@@ -10,13 +10,15 @@ import asyncio
 import contextlib
 import math
 from dataclasses import replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import Arm, ArmState, DriverContext
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
-from slipguard_drivers.fake_world import require_world
+
+if TYPE_CHECKING:
+    from slipguard.sim.world import World
 
 
 class FakeArm(Arm):
@@ -32,7 +34,7 @@ class FakeArm(Arm):
 
     def __init__(self, settings: Settings, context: DriverContext) -> None:
         self._name = context.name
-        self._world = require_world(context)
+        self._world: World = context.require_world()
         self._guarded = context.mode == "guard"
         self._settings = settings
         self._call = asyncio.Lock()

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import asyncio
 
+from slipguard.cancellation import cancel_and_wait
 from slipguard.devices import Arm, ArmState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost
-from slipguard_drivers.tasks import ended
 from slipguard_drivers.ur5.dashboard import DashboardClient
 from slipguard_drivers.ur5.digital_output import DigitalOutput
 from slipguard_drivers.ur5.settings import Ur5Settings
@@ -160,7 +160,7 @@ class GuardModeArm(Arm):
 
     async def _disconnect(self) -> None:
         watch, self._watch = self._watch, None
-        await ended(watch)
+        await cancel_and_wait(watch)
         if self._output is not None:
             await self._output.close()
         await self._monitor.close()

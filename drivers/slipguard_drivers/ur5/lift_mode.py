@@ -12,9 +12,9 @@ import contextlib
 import math
 from typing import Any
 
+from slipguard.cancellation import cancel_and_wait
 from slipguard.devices import Arm, ArmState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost
-from slipguard_drivers.tasks import ended
 from slipguard_drivers.ur5.dashboard import DashboardClient
 from slipguard_drivers.ur5.preconditions import check_free
 from slipguard_drivers.ur5.settings import Ur5Settings
@@ -283,7 +283,7 @@ class LiftModeArm(Arm):
 
     async def _stop_heartbeat(self) -> None:
         heartbeat, self._heartbeat = self._heartbeat, None
-        await ended(heartbeat)
+        await cancel_and_wait(heartbeat)
         if self._halting is not None:
             await self._halting
             self._halting = None

@@ -11,9 +11,9 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from slipguard.cancellation import cancel_and_wait
 from slipguard.devices import ArmState
 from slipguard.errors import DeviceLost, DeviceTimeout
-from slipguard_drivers.tasks import ended
 from slipguard_drivers.ur5.rtde import ANSWER_S, RtdeConnection
 
 VARIABLES = (
@@ -169,7 +169,7 @@ class StateMonitor:
     async def close(self) -> None:
         """Disconnect. Never raises; idempotent."""
         reading, self._reading = self._reading, None
-        await ended(reading)
+        await cancel_and_wait(reading)
         if self._connection is not None:
             self._connection.close()
             self._connection = None

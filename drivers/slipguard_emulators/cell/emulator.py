@@ -13,10 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from slipguard.devices import DriverContext
 from slipguard.emulator import Event, Report
 from slipguard.errors import CommandRefused, InputError, SlipguardError
+from slipguard.registry import load_driver
 from slipguard.sim.gripper_plant import GripperDynamics
 from slipguard.sim.scenario import CameraModel, scenario
 from slipguard.sim.world import World, WorldSettings
-from slipguard_drivers.digit.fake import FakeSensor
 from slipguard_emulators.base import ControlledEmulator, EmulatorCommand
 from slipguard_emulators.cell.cell_config import CellPaths, text
 from slipguard_emulators.cell.frame_server import FrameServer
@@ -237,7 +237,9 @@ class CellEmulator(ControlledEmulator):
     # The parts.
 
     def _camera(self, name: str) -> FrameServer:
-        sensor = FakeSensor(FakeSensor.Settings(draw="process", stall_ms=500), DriverContext(name, self.world))
+        simulated = load_driver("slipguard.tactile", "fake")
+        settings = simulated.Settings.model_validate({"draw": "process", "stall_ms": 500})
+        sensor = simulated(settings, DriverContext(name, self.world))
         return FrameServer(self.places.camera(name), sensor, float(self.settings.fps))
 
     def _new_program(self) -> LiftProgram:

@@ -1,24 +1,51 @@
-"""Serves one tactile sensor's frames on a Unix socket, to one reader at a time as a camera does."""
+"""Serves one tactile sensor's frames on a Unix socket, to one client at a time as a camera does.
+
+The wire format is documented in the driver `socket` (`slipguard_drivers/socket_camera.py`); the code here is separate,
+so that the two check each other.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import socket
+import struct
 from collections.abc import Coroutine
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame, TactileSensor
 from slipguard.errors import DeviceLost, DeviceTimeout, FrameCorrupt, FrameFrozen
-from slipguard_emulators.cell.frames import HEADER, MAGIC, greet, pack, refuse
 
+VERSION = 1
+FRAME_HEAD = struct.Struct("<4sHHIdQ")
+FRAME_MAGIC = b"SGF1"
 SOCKET_MODE = 0o660
 TORN_BYTES = 4
-"""What is left of the pixels of a damaged frame."""
+"""Number of pixel bytes in a damaged frame."""
 LEAVING_S = 0.25
-"""How long a new reader waits for one that may be hanging up."""
+"""How long a new client waits for the previous one to disconnect."""
 LINGER_S = 10.0
-"""The sensor stays open for so long after its reader has left: starting it anew takes a while."""
+"""How long the sensor stays open after its client has left: starting it takes a while."""
+
+
+def pack_greeting(serial: str, fps: float) -> bytes:
+    """Return the line that opens a stream."""
+    return json.dumps({"frames": VERSION, "serial": serial, "fps": fps}).encode() + b"\n"
+
+
+def pack_refusal(reason: str) -> bytes:
+    """Return the line that is sent instead of a stream."""
+    return json.dumps({"error": reason}).encode() + b"\n"
+
+
+def pack_frame(image: NDArray[np.uint8], captured_at_s: float, sequence: int) -> bytes:
+    """Return one frame as bytes. image: (320, 240, 3) uint8 BGR."""
+    height, width = image.shape[:2]
+    return FRAME_HEAD.pack(FRAME_MAGIC, width, height, image.nbytes, captured_at_s, sequence) + image.tobytes()
 
 
 class FrameServer:
@@ -97,7 +124,7 @@ class FrameServer:
             if self._reader is not None:
                 await asyncio.wait([self._reader], timeout=LEAVING_S)
             if self.read:
-                writer.write(refuse("another program is reading this camera; stop it first"))
+                writer.write(pack_refusal("another program is reading this camera; stop it first"))
                 writer.close()
             else:
                 self._reader = self._start(self._serve(reader, writer), "reader")
@@ -126,24 +153,26 @@ class FrameServer:
 
     async def _send(self, writer: asyncio.StreamWriter) -> None:
         with contextlib.suppress(DeviceLost):
-            writer.write(greet(self._sensor.serial, self._fps))
+            writer.write(pack_greeting(self._sensor.serial, self._fps))
             await self._sensor.open()
             while True:
                 now_s = asyncio.get_running_loop().time()
                 try:
                     self._last = await self._sensor.next_frame()
                     self._sequence = max(self._sequence + 1, self._last.sequence)
-                    packet = pack(self._last.image, self._last.captured_at_s, self._sequence)
+                    packet = pack_frame(self._last.image, self._last.captured_at_s, self._sequence)
                 except DeviceTimeout:
                     continue
                 except FrameFrozen:
                     if self._last is None:
                         continue
                     self._sequence += 1
-                    packet = pack(self._last.image, now_s, self._sequence)
+                    packet = pack_frame(self._last.image, now_s, self._sequence)
                 except FrameCorrupt:
                     self._sequence += 1
-                    torn = HEADER.pack(MAGIC, FRAME_WIDTH_PX, FRAME_HEIGHT_PX, TORN_BYTES, now_s, self._sequence)
+                    torn = FRAME_HEAD.pack(
+                        FRAME_MAGIC, FRAME_WIDTH_PX, FRAME_HEIGHT_PX, TORN_BYTES, now_s, self._sequence
+                    )
                     packet = torn + bytes(TORN_BYTES)
                 if writer.transport.get_write_buffer_size() == 0:
                     writer.write(packet)

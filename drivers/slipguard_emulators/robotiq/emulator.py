@@ -11,9 +11,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from slipguard.cancellation import TimerGroup
 from slipguard.emulator import Report
 from slipguard.errors import CommandRefused
-from slipguard_drivers.timers import TimerGroup
 from slipguard_emulators.base import ControlledEmulator, EmulatorCommand
 from slipguard_emulators.robotiq.jaws import JawsPlant, SimpleJaws
 from slipguard_emulators.robotiq.modbus_frames import ModbusRequest, answer, crc16, frame_bytes, parse
@@ -275,4 +275,4 @@ class RobotiqEmulator(ControlledEmulator):
         if due_s <= asyncio.get_running_loop().time():
             act()
         else:
-            self._timers.at(due_s, act)
+            self._timers.call_at(due_s, act)

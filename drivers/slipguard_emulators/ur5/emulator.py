@@ -15,9 +15,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from slipguard.cancellation import cancel_and_wait
 from slipguard.emulator import Report
 from slipguard.errors import InputError
-from slipguard_drivers.tasks import ended
 from slipguard_emulators.base import ControlledEmulator, EmulatorCommand
 from slipguard_emulators.ur5.controller import PAUSED, PLAYING, EmulatedController
 from slipguard_emulators.ur5.dashboard import GREETING, DashboardServer
@@ -88,7 +88,7 @@ class UrEmulator(ControlledEmulator):
         """Vanish with all connections. Idempotent."""
         self._hang_up()
         running, self._running = self._running, None
-        await ended(running)
+        await cancel_and_wait(running)
         self._hang_up()
         if self._serving:
             await asyncio.wait(self._serving)

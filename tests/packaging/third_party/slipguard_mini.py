@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict
 
 from slipguard.devices import DriverContext, Frame, TactileSensor
 from slipguard.errors import DeviceLost
-from slipguard_drivers.digit.frame_stream import FrameStream
+from slipguard.frame_stream import FrameStream
 
 
 class MiniSensor(TactileSensor):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout, FrameCorrupt, FrameFrozen
-from slipguard_drivers.digit.frame_stream import FROZEN_AFTER, FrameStream
+from slipguard.frame_stream import FROZEN_AFTER, FrameStream
 
 
 def image(seed: int) -> NDArray[np.uint8]:
