@@ -8,10 +8,10 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass, field, replace
 
-from slipguard.control.guard import Guard, tick
-from slipguard.control.messages import Command, Seen
+from slipguard.control.messages import Command, Observation
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
+from slipguard.control.step import ControlState, control_step
 
 STEP_N = 0.85
 """A little more than one count of the force register (0.843 N)."""
@@ -30,7 +30,7 @@ class ForceProbe:
 
 @dataclass(slots=True)
 class ProbingController:
-    """To be given to a service in place of `tick`. left: how many commands are still to be given."""
+    """To be given to a service in place of `control_step`. left: how many commands are still to be given."""
 
     left: int
     probes: list[ForceProbe] = field(default_factory=list)
@@ -38,19 +38,21 @@ class ProbingController:
     _captured_at_s: float = 0.0
     _random: random.Random = field(default_factory=lambda: random.Random(0))
 
-    def __call__(self, guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
+    def __call__(
+        self, state: ControlState, observation: Observation, params: GuardParams
+    ) -> tuple[ControlState, Command]:
         """One tick."""
-        guard, command = tick(guard, seen, params)
-        fused = seen.fused
+        state, command = control_step(state, observation, params)
+        fused = observation.fused
         if fused is None or fused.captured_at_s <= self._captured_at_s:
-            return guard, command
+            return state, command
         self._captured_at_s = fused.captured_at_s
-        force_n = guard.law.target_n + STEP_N
-        calm = guard.law.phase is Phase.HOLDING and guard.law.slip is None and command.hold_force_n is None
-        if not calm or self.left <= 0 or seen.now_s < self._due_s or force_n > seen.gripper_limits_n[1]:
-            return guard, command
+        force_n = state.grasp.target_n + STEP_N
+        calm = state.grasp.phase is Phase.HOLDING and state.grasp.slip is None and command.hold_force_n is None
+        if not calm or self.left <= 0 or observation.now_s < self._due_s or force_n > observation.gripper_limits_n[1]:
+            return state, command
         self.left -= 1
-        self._due_s = seen.now_s + self._random.uniform(*PAUSE_S)
-        self.probes.append(ForceProbe(force_n, fused.captured_at_s, seen.now_s))
-        law = replace(guard.law, target_n=force_n, commanded_s=seen.now_s)
-        return replace(guard, law=law), replace(command, hold_force_n=force_n)
+        self._due_s = observation.now_s + self._random.uniform(*PAUSE_S)
+        self.probes.append(ForceProbe(force_n, fused.captured_at_s, observation.now_s))
+        grasp = replace(state.grasp, target_n=force_n, commanded_s=observation.now_s)
+        return replace(state, grasp=grasp), replace(command, hold_force_n=force_n)

@@ -12,7 +12,7 @@ import numpy as np
 
 from slipguard.control.finger_fusion import fuse
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_baselines import Detector
+from slipguard.control.slip_baselines import SlipMemory
 from slipguard.control.slip_detector import look
 from slipguard.datasets.rendered_grasps import FRAME_S, GraspFrame, RenderedGrasp
 from slipguard.devices import Frame
@@ -30,7 +30,7 @@ BEYOND_DEG = 2.0
 BEYOND_MM = 0.7
 ROTATION_RATES_DEG_S = (1.0, 4.0, 15.0, 60.0, 300.0)
 SLIDE_RATES_MM_S = (1.0, 5.0)
-LAW = GuardParams()
+PARAMS = GuardParams()
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class SlipOnset:
         background = camera.no_contact()
         x_mm, y_mm, start_deg = float(rng.uniform(-1, 1)), float(rng.uniform(0, 2)), float(rng.uniform(-180, 180))
         side, press_mm = float(rng.choice([-1.0, 1.0])), float(rng.uniform(0.6, 0.9)) * thing.press_mm
-        way = LAW.slide_creep_mm + BEYOND_MM if self.slides else LAW.creep_deg + BEYOND_DEG
+        way = PARAMS.slide_creep_mm + BEYOND_MM if self.slides else PARAMS.creep_deg + BEYOND_DEG
         moving_s = way / self.rate + RAMP_S / 2.0
         shots = []
         for index in range(round((REST_S + moving_s) / FRAME_S)):
@@ -73,12 +73,12 @@ class SlipOnset:
 
 def first_seen(process: Callable[[Frame], Estimate], frames: Iterable[Frame]) -> int | None:
     """Index of the frame on which the law, with this one finger, first says that the object slips; None if never."""
-    detector = Detector()
+    detector = SlipMemory()
     for index, frame in enumerate(frames):
         fused = fuse(process(frame), None)
         if fused is None:
             continue
-        sight = look(detector, fused, LAW)
+        sight = look(detector, fused, PARAMS)
         detector = sight.detector
         if sight.slipping:
             return index

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from slipguard.bench.minute import HoldingScene
-from slipguard.bench.onset import LAW
+from slipguard.bench.onset import PARAMS
 from slipguard.bench.pipelines import BenchPipeline
 from slipguard.bench.rows import SkipResult
 from slipguard.control.finger_fusion import fuse
-from slipguard.control.slip_baselines import Detector
+from slipguard.control.slip_baselines import SlipMemory
 from slipguard.control.slip_detector import look
 from slipguard.perception.contact.second_finger import repeat_estimate, second_finger_can_skip
 from slipguard.perception.estimate import Estimate
@@ -37,7 +37,7 @@ def second_finger(default: BenchPipeline) -> SkipResult:
     runs = {True: _FingerRun(), False: _FingerRun()}
     surer = default.open(SURER.scene())
     others = {spare: default.open(OTHER.scene()) for spare in runs}
-    detectors, slipping = dict.fromkeys(runs, Detector()), dict.fromkeys(runs, False)
+    detectors, slipping = dict.fromkeys(runs, SlipMemory()), dict.fromkeys(runs, False)
     last: dict[bool, Estimate | None] = dict.fromkeys(runs)
     refresh_s = PerceptionSettings().refresh_s
     for index, (shot, beside) in enumerate(zip(SURER.shots(), OTHER.shots(), strict=True)):
@@ -57,7 +57,7 @@ def second_finger(default: BenchPipeline) -> SkipResult:
                 continue
             if shot.compared and fused.rotation_deg is not None:
                 run.errors_deg.append(abs(fused.rotation_deg - shot.rotation_deg))
-            sight = look(detectors[spare], fused, LAW)
+            sight = look(detectors[spare], fused, PARAMS)
             detectors[spare] = sight.detector
             if sight.slipping and not slipping[spare]:
                 run.seen.append(index)

@@ -100,11 +100,11 @@ async def measure(options: LatencyOptions, tell: Callable[[str, float], None]) -
         try:
             tell("starting the emulated cell", 0.0)
             await cell.start()
-            law = ProbingController(0)
-            service = build_service(every_frame_in_full(cell.config), law=law)
+            probe = ProbingController(0)
+            service = build_service(every_frame_in_full(cell.config), controller=probe)
             running = asyncio.create_task(service.run(), name="service")
             try:
-                seen = await _probe(service, law, options.commands, running, tell)
+                seen = await _probe(service, probe, options.commands, running, tell)
                 frames = sum(finger.counts.frames for finger in service.fingers.values())
             finally:
                 running.cancel()
@@ -126,7 +126,7 @@ def every_frame_in_full(path: Path) -> Config:
 
 async def _probe(
     service: Service,
-    law: ProbingController,
+    probe: ProbingController,
     commands: int,
     running: asyncio.Task[None],
     tell: Callable[[str, float], None],
@@ -136,11 +136,11 @@ async def _probe(
     seen: list[_CommandTimes] = []
 
     def decided(decision: Decision) -> None:
-        if len(law.probes) > len(seen) and decision.command.hold_force_n is not None:
+        if len(probe.probes) > len(seen) and decision.command.hold_force_n is not None:
             answers = [finger.newest for finger in service.fingers.values() if finger.newest is not None]
             newest = max(answers, key=lambda one: one.ready_at_s)
             now_s = asyncio.get_running_loop().time()
-            seen.append(_CommandTimes(law.probes[-1], newest.handed_at_s, newest.ready_at_s, now_s))
+            seen.append(_CommandTimes(probe.probes[-1], newest.handed_at_s, newest.ready_at_s, now_s))
 
     def called(since_handed_s: float) -> None:
         if seen and not seen[-1].called_at_s:
@@ -148,13 +148,13 @@ async def _probe(
 
     service.observers.append(decided)
     service.hold_observers.append(called)
-    law.left = commands
-    while law.left > 0:
-        tell("tightening step by step", 1.0 - law.left / commands)
-        wanted = law.left - 1
+    probe.left = commands
+    while probe.left > 0:
+        tell("tightening step by step", 1.0 - probe.left / commands)
+        wanted = probe.left - 1
 
         def given(wanted: int = wanted) -> bool:
-            return law.left <= wanted or service.phase is Phase.FAULT
+            return probe.left <= wanted or service.phase is Phase.FAULT
 
         await wait_until(running, given, COMMAND_S, lambda: f"no command was given ({service.phase})")
         if service.phase is Phase.FAULT:

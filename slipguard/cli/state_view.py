@@ -46,7 +46,7 @@ def _grasp(answer: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "phase", f"[{'red' if phase == 'fault' else 'bold'}]{escape(phase)}[/] ({', '.join(notes)})"
     fault = answer.get("fault")
     if fault:
-        yield "fault", f"[red]{escape(fault['code'])}[/]: {escape(fault['seen'])}"
+        yield "fault", f"[red]{escape(fault['code'])}[/]: {escape(fault['observed'])}"
         yield "what to do", escape(fault["what_to_do"])
     yield "rotation", escape(_rotation(answer))
     yield "grip", escape(_grip(answer))

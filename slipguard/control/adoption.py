@@ -9,35 +9,35 @@ from __future__ import annotations
 from dataclasses import replace
 
 from slipguard.control import force_limits as limits
-from slipguard.control.messages import Command, Seen
+from slipguard.control.messages import Command, Observation
 from slipguard.control.params import GuardParams
-from slipguard.control.state import GuardState, as_wide, taken_over, waiting
+from slipguard.control.state import GraspState, as_wide, taken_over, waiting
 from slipguard.devices import GripperState
 
-Outcome = tuple[GuardState, Command]
+Outcome = tuple[GraspState, Command]
 
 
-def undecided(state: GuardState, gripper: GripperState) -> bool:
+def undecided(state: GraspState, gripper: GripperState) -> bool:
     """Whether jaws that were left holding something are on their way still: they may be tightening what they hold."""
     return waiting(state) and gripper.moving and not gripper.holding
 
 
-def adopt(state: GuardState, gripper: GripperState, seen: Seen, params: GuardParams) -> Outcome:
+def adopt(state: GraspState, gripper: GripperState, observation: Observation, params: GuardParams) -> Outcome:
     """An object held since before the start is taken over once a finger speaks; a slow arm keeps nothing unguarded."""
-    if seen.fused is not None:
-        state, said = _held(state, gripper, seen, params)
+    if observation.fused is not None:
+        state, said = _held(state, gripper, observation, params)
         return state, Command(say=said)
     first = not state.found
     said = f"an object is held with {gripper.force_n:.0f} N already: waiting for a finger"
     return replace(state, found=True), Command(say=said if first else None)
 
 
-def adopt_in_fault(state: GuardState, seen: Seen, params: GuardParams) -> tuple[GuardState, str | None]:
+def adopt_in_fault(state: GraspState, observation: Observation, params: GuardParams) -> tuple[GraspState, str | None]:
     """The same under a latched fault, as soon as the gripper speaks: the arm stands, so no finger is waited for.
 
     A turn told later is one since a reference, by which the object may turn out to be lost.
     """
-    gripper, fused = seen.gripper, seen.fused
+    gripper, fused = observation.gripper, observation.fused
     if state.gripped and not state.referenced and state.blind is None:
         told = fused is not None and fused.rotation_deg is not None and fused.measured_at_s >= state.since_s
         return (replace(state, referenced=True) if told else state), None
@@ -45,22 +45,24 @@ def adopt_in_fault(state: GuardState, seen: Seen, params: GuardParams) -> tuple[
         return state, None
     if not gripper.holding or state.hands_off:
         return replace(state, adopted=True, remembered=None), None
-    held, said = _held(state, gripper, seen, params)
+    held, said = _held(state, gripper, observation, params)
     return replace(
         state, target_n=held.target_n, commanded_s=held.commanded_s, gripped=True, adopted=True, remembered=None
     ), said
 
 
-def _held(state: GuardState, gripper: GripperState, seen: Seen, params: GuardParams) -> tuple[GuardState, str]:
+def _held(
+    state: GraspState, gripper: GripperState, observation: Observation, params: GuardParams
+) -> tuple[GraspState, str]:
     """What the gripper holds, taken over, and how that is said."""
     before = state.remembered
-    state = taken_over(state, gripper, seen.now_s)
+    state = taken_over(state, gripper, observation.now_s)
     said = f"an object is held with {gripper.force_n:.0f} N already: taken over as it is"
-    within = limits.budget(params.force_max_n, seen.gripper_limits_n)
-    if before is not None and not before.taken and as_wide(before, gripper) and within is not None:
+    within = limits.budget(params.force_max_n, observation.gripper_limits_n)
+    if before is not None and not before.applied and as_wide(before, gripper) and within is not None:
         asked_n = limits.allowed(before.force_n, state.target_n, within)
         if asked_n > state.target_n:
             said = f"{said}; the {asked_n:.0f} N asked for before the restart are asked for again"
-            return replace(state, target_n=asked_n, commanded_s=seen.now_s), said
+            return replace(state, target_n=asked_n, commanded_s=observation.now_s), said
     known = f", with the {state.target_n:.0f} N of before the restart" if state.target_n > gripper.force_n else ""
     return state, f"{said}{known}"

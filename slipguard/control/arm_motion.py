@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from slipguard.control.fault import FaultCode
-from slipguard.control.messages import ArmLift, Command, Seen, in_one_line
+from slipguard.control.messages import ArmLift, Command, Observation, in_one_line
 from slipguard.control.params import GuardParams
-from slipguard.control.state import GuardState
+from slipguard.control.state import GraspState
 from slipguard.devices import ArmState
 
 REPEAT_S = 0.1
@@ -26,67 +26,72 @@ SPENT = frozenset({FaultCode.BUDGET_SPENT, FaultCode.TURNED_TOO_FAR})
 SAME_SLIP = SPENT | {FaultCode.NO_HELP}
 """What may still be said of the same slip while the object is put down."""
 
-Outcome = tuple[GuardState, Command]
+Outcome = tuple[GraspState, Command]
 
 
-def stop(state: GuardState, seen: Seen, command: Command, *, at_once: bool = False) -> Outcome:
+def stop(state: GraspState, observation: Observation, command: Command, *, at_once: bool = False) -> Outcome:
     """Stop the arm, again and again until it says that it stands."""
-    stands = seen.arm is not None and not seen.arm.moving
-    if at_once or (not stands and seen.now_s - state.arm_sent_s >= REPEAT_S):
-        return replace(state, arm_sent_s=seen.now_s), replace(command, arm="stop")
+    stands = observation.arm is not None and not observation.arm.moving
+    if at_once or (not stands and observation.now_s - state.arm_sent_s >= REPEAT_S):
+        return replace(state, arm_sent_s=observation.now_s), replace(command, arm="stop")
     return state, command
 
 
-def brake(state: GuardState, seen: Seen, command: Command) -> Outcome:
+def brake(state: GraspState, observation: Observation, command: Command) -> Outcome:
     """Stop an arm that is to stand before the jaws open, until it has once said that it does; then it is free."""
-    arm = seen.arm
-    known = arm is not None and arm.measured_at_s > state.arm_sent_s and seen.now_s - arm.measured_at_s <= FRESH_S
+    arm = observation.arm
+    known = (
+        arm is not None and arm.measured_at_s > state.arm_sent_s and observation.now_s - arm.measured_at_s <= FRESH_S
+    )
     if arm is not None and known and not arm.moving:
         return (replace(state, braking=False) if state.braking else state), command
-    if not state.braking or seen.now_s - state.arm_sent_s < REPEAT_S:
+    if not state.braking or observation.now_s - state.arm_sent_s < REPEAT_S:
         return state, command
-    return replace(state, arm_sent_s=seen.now_s), replace(command, arm="stop")
+    return replace(state, arm_sent_s=observation.now_s), replace(command, arm="stop")
 
 
-def ended(state: GuardState, arm: ArmState, now_s: float) -> bool:
+def ended(state: GraspState, arm: ArmState, now_s: float) -> bool:
     """The arm rests, as it has said just now, and has had the time to take up what it was told last."""
     known = arm.measured_at_s > state.arm_sent_s and now_s - arm.measured_at_s <= FRESH_S
     return known and not arm.moving and now_s - state.arm_sent_s >= START_S
 
 
-def put_down(latched: Outcome, seen: Seen, params: GuardParams) -> Outcome:
+def put_down(latched: Outcome, observation: Observation, params: GuardParams) -> Outcome:
     """The way down of an object whose fault has just been latched; as it was where the arm is to stand."""
     state, command = latched
     spent = state.fault is not None and state.fault.code in SPENT
     if not spent or params.on_budget_spent != "lower" or params.mode != "lift" or state.person_near:
         return state, command
-    if seen.arm is None or state.ground_mm is None:
+    if observation.arm is None or state.ground_mm is None:
         said = "it is not put down: it is not known where the lift began"
         return state, replace(command, say=in_one_line(command.say, said))
-    way_mm = state.ground_mm - seen.arm.height_mm
+    way_mm = state.ground_mm - observation.arm.height_mm
     if way_mm > -REACHED_MM:
         return state, command
-    state = replace(state, putting_down=True, goal_mm=state.ground_mm, arm_sent_s=seen.now_s)
+    state = replace(state, putting_down=True, goal_mm=state.ground_mm, arm_sent_s=observation.now_s)
     said = f"putting it down by {-way_mm:.0f} mm"
     return state, replace(command, arm=_leg(way_mm, params), say=in_one_line(command.say, said))
 
 
-def go_on_down(state: GuardState, seen: Seen, command: Command, params: GuardParams) -> Outcome:
+def go_on_down(state: GraspState, observation: Observation, command: Command, params: GuardParams) -> Outcome:
     """One tick on the way down."""
-    arm, goal_mm = seen.arm, state.goal_mm
-    other = any(fault.code not in SAME_SLIP for fault in (seen.fault, *seen.also) if fault is not None)
+    arm, goal_mm = observation.arm, state.goal_mm
+    other = any(fault.code not in SAME_SLIP for fault in (observation.fault, *observation.also) if fault is not None)
     if arm is None or goal_mm is None or state.person_near or other:
         why = "not put down any further"
         return stop(
-            replace(state, putting_down=False), seen, replace(command, say=in_one_line(command.say, why)), at_once=True
+            replace(state, putting_down=False),
+            observation,
+            replace(command, say=in_one_line(command.say, why)),
+            at_once=True,
         )
-    if not ended(state, arm, seen.now_s):
+    if not ended(state, arm, observation.now_s):
         return state, command
     way_mm = goal_mm - arm.height_mm
     if way_mm > -REACHED_MM:
         said = "put down where the lift began; release lets go"
         return replace(state, putting_down=False), replace(command, say=in_one_line(command.say, said))
-    return replace(state, arm_sent_s=seen.now_s), replace(command, arm=_leg(way_mm, params))
+    return replace(state, arm_sent_s=observation.now_s), replace(command, arm=_leg(way_mm, params))
 
 
 def _leg(way_mm: float, params: GuardParams) -> ArmLift:

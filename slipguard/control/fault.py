@@ -27,11 +27,11 @@ class FaultCode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault. seen: what was observed, with figures. what_to_do: one sentence for the person at the cell."""
+    """One fault. observed: what was measured, with values and limits. what_to_do: one sentence for the person at the cell."""
 
     code: FaultCode
-    seen: str
+    observed: str
     what_to_do: str
 
     def __str__(self) -> str:
-        return f"{self.code}: {self.seen}; {self.what_to_do}"
+        return f"{self.code}: {self.observed}; {self.what_to_do}"

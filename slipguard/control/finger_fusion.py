@@ -30,7 +30,7 @@ LARGEST = 1e6
 
 
 @dataclass(frozen=True, slots=True)
-class Fused:
+class FusedEstimate:
     """What both fingers say together.
 
     left_contact, right_contact: None where the finger says nothing at all.
@@ -81,7 +81,7 @@ class _Rotation:
     measured_at_s: float
 
 
-def fuse(left: Estimate | None, right: Estimate | None) -> Fused | None:
+def fuse(left: Estimate | None, right: Estimate | None) -> FusedEstimate | None:
     """What both fingers say together; None if neither has said anything.
 
     A finger whose frames are stale is given as None. One whose numbers are none (NaN, infinite, beyond all measure)
@@ -99,7 +99,7 @@ def fuse(left: Estimate | None, right: Estimate | None) -> Fused | None:
     if len(rotations) == 2:
         rotations, behind = _together(rotations[0], rotations[1])
         notes += behind
-    base = Fused(
+    base = FusedEstimate(
         left_contact=left.contact if left is not None else None,
         right_contact=right.contact if right is not None else None,
         captured_at_s=min(estimate.captured_at_s for estimate in said),

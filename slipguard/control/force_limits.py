@@ -15,7 +15,7 @@ REGISTER_COUNTS = 255
 
 
 @dataclass(frozen=True, slots=True)
-class Budget:
+class ForceRange:
     """The forces the law may command: low_n, low_n + step_n, ... up to high_n, which is on that grid."""
 
     low_n: float
@@ -23,7 +23,7 @@ class Budget:
     step_n: float
 
 
-def budget(force_max_n: float, gripper_limits_n: tuple[float, float]) -> Budget | None:
+def budget(force_max_n: float, gripper_limits_n: tuple[float, float]) -> ForceRange | None:
     """What `force_max_n` leaves of a gripper's range; None if it allows less than the gripper's weakest grip.
 
     The top is rounded down to the register's grid, so that a driver that rounds up stays within the budget.
@@ -33,12 +33,12 @@ def budget(force_max_n: float, gripper_limits_n: tuple[float, float]) -> Budget 
         return None
     step_n = (strongest_n - low_n) / REGISTER_COUNTS
     if step_n <= 0.0:
-        return Budget(low_n, low_n, 0.0)
+        return ForceRange(low_n, low_n, 0.0)
     counts = math.floor((min(force_max_n, strongest_n) - low_n) / step_n + 1e-9)
-    return Budget(low_n, low_n + counts * step_n, step_n)
+    return ForceRange(low_n, low_n + counts * step_n, step_n)
 
 
-def allowed(force_n: float, present_n: float, within: Budget) -> float:
+def allowed(force_n: float, present_n: float, within: ForceRange) -> float:
     """The force to command when `force_n` is wanted: rounded up to the grid, in the budget, never below the present.
 
     A present force above the budget (adopted from somebody else's grip) is kept.
@@ -65,7 +65,7 @@ def first_n(params: GuardParams) -> float:
     return max(params.first_force_n, params.modelled_n or 0.0)
 
 
-def raised(present_n: float, multiple: float, within: Budget) -> float:
+def raised(present_n: float, multiple: float, within: ForceRange) -> float:
     """The next force when tightening by `multiple`: at least one step of the grid more, as far as the budget goes."""
     return allowed(max(present_n * multiple, present_n + within.step_n), present_n, within)
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 from slipguard.control import force_limits as limits
 from slipguard.control.fault import Fault, FaultCode
-from slipguard.control.messages import Seen
+from slipguard.control.messages import Observation
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_detector import Look, look
+from slipguard.control.slip_detector import SlipAssessment, look
 from slipguard.control.slip_thresholds import unsure_deg
-from slipguard.control.state import GuardState, Phase, Slip, settled
+from slipguard.control.state import GraspState, Phase, SlipEpisode, gripper_at_rest
 
 SLOWING = 0.8
 """A rate below this share of that at the last step says that the step helps."""
@@ -36,26 +36,26 @@ LATE_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class GuardResult:
     """What one tick of guarding found. hold_n: tighten to this. stop: the arm must not move now."""
 
-    state: GuardState
+    state: GraspState
     hold_n: float | None = None
     stop: bool = False
     say: str | None = None
     fault: Fault | None = None
 
 
-def guard(state: GuardState, seen: Seen, params: GuardParams) -> Verdict:
+def guard(state: GraspState, observation: Observation, params: GuardParams) -> GuardResult:
     """One tick: the new memory and what to do about it."""
-    if seen.fused is None or not state.guarding:
-        return Verdict(state, stop=state.slip is not None)
+    if observation.fused is None or not state.guarding:
+        return GuardResult(state, stop=state.slip is not None)
     sight = look(
         state.detector,
-        seen.fused,
+        observation.fused,
         params,
-        arm=seen.arm,
-        firm=state.target_n >= limits.firm_n(params, seen.gripper_limits_n),
+        arm=observation.arm,
+        firm=state.target_n >= limits.firm_n(params, observation.gripper_limits_n),
         only_outward=state.phase is Phase.LOWERING,
     )
     slip = state.slip
@@ -65,68 +65,80 @@ def guard(state: GuardState, seen: Seen, params: GuardParams) -> Verdict:
     state = replace(state, detector=sight.detector, slip=slip)
     far_frames = 1 if slip is not None and sight.moving else params.frames
     if state.referenced and sight.detector.far_frames >= far_frames:
-        return _give_up(state, sight, seen, params)
+        return _give_up(state, sight, observation, params)
     if slip is None:
-        return _begin(state, sight, seen, params) if sight.slipping else Verdict(state)
-    if _calm(state, slip, sight, seen, params):
+        return _begin(state, sight, observation, params) if sight.slipping else GuardResult(state)
+    if _calm(state, slip, sight, observation, params):
         detector = sight.detector.rebased(rotated=slip.rotations, slid=slip.slides, raised=slip.raised)
         state = replace(state, slip=None, detector=detector)
-        return Verdict(state, say=f"calm at {state.target_n:.0f} N")
-    return _go_on(state, slip, sight, seen, params)
+        return GuardResult(state, say=f"calm at {state.target_n:.0f} N")
+    return _go_on(state, slip, sight, observation, params)
 
 
-def _begin(state: GuardState, sight: Look, seen: Seen, params: GuardParams) -> Verdict:
+def _begin(state: GraspState, sight: SlipAssessment, observation: Observation, params: GuardParams) -> GuardResult:
     """The first, large step."""
-    slip = Slip(seen.now_s, seen.now_s, sight.rotation_deg, sight.rate_deg_s, sight.slide_mm)
-    firm_n = limits.firm_n(params, seen.gripper_limits_n)
-    return _step(replace(state, slip=slip), slip, sight, seen, params, params.first_step, firm_n)
+    slip = SlipEpisode(observation.now_s, observation.now_s, sight.rotation_deg, sight.rate_deg_s, sight.slide_mm)
+    firm_n = limits.firm_n(params, observation.gripper_limits_n)
+    return _step(replace(state, slip=slip), slip, sight, observation, params, params.first_step, firm_n)
 
 
-def _go_on(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: GuardParams) -> Verdict:
+def _go_on(
+    state: GraspState, slip: SlipEpisode, sight: SlipAssessment, observation: Observation, params: GuardParams
+) -> GuardResult:
     """Another step if the last one has had its time and does not help; a fault if there is nothing left to do."""
-    waiting = Verdict(state, stop=True)
+    waiting = GuardResult(state, stop=True)
     if sight.detector.captured_s < slip.stepped_s + _felt_s(state, params):
         # What is seen is from before the step could help: progress counts from here on.
         slip = replace(slip, rotation_deg=sight.rotation_deg, rate_deg_s=sight.rate_deg_s, slide_mm=sight.slide_mm)
-        return Verdict(replace(state, slip=slip), stop=True)
+        return GuardResult(replace(state, slip=slip), stop=True)
     rotated_deg, slid_mm = sight.rotation_deg - slip.rotation_deg, sight.slide_mm - slip.slide_mm
     slips_on = sight.moving and (rotated_deg > PROGRESS_DEG or slid_mm > PROGRESS_MM)
-    if not (slips_on or rotated_deg > _crept_deg(seen, params) or slid_mm > CREPT_MM):
+    if not (slips_on or rotated_deg > _crept_deg(observation, params) or slid_mm > CREPT_MM):
         return waiting
-    at_rest = seen.gripper is not None and settled(state, seen.gripper)
-    within = limits.budget(params.force_max_n, seen.gripper_limits_n)
+    at_rest = observation.gripper is not None and gripper_at_rest(state, observation.gripper)
+    within = limits.budget(params.force_max_n, observation.gripper_limits_n)
     if within is None or state.target_n >= within.high_n:
         further = rotated_deg > SPENT_DEG or slid_mm > SPENT_MM
         return replace(waiting, fault=_spent(state, sight, params)) if at_rest and further else waiting
     slows = sight.rate_deg_s < SLOWING * slip.rate_deg_s and sight.slide_rate_mm_s < params.slide_rate_mm_s
-    late = _rotated_deg(seen) > LATE_SHARE * params.give_up_rotation_deg
+    late = _rotated_deg(observation) > LATE_SHARE * params.give_up_rotation_deg
     if slows and not late:  # it helps: what counts is whether it goes on slowing down
         slip = replace(slip, rotation_deg=sight.rotation_deg, rate_deg_s=sight.rate_deg_s, slide_mm=sight.slide_mm)
-        return Verdict(replace(state, slip=slip), stop=True)
+        return GuardResult(replace(state, slip=slip), stop=True)
     if not (at_rest or late):
         return waiting
-    return _step(state, slip, sight, seen, params, params.next_step)
+    return _step(state, slip, sight, observation, params, params.next_step)
 
 
-def _crept_deg(seen: Seen, params: GuardParams) -> float:
+def _crept_deg(observation: Observation, params: GuardParams) -> float:
     """How much further is no noise of the estimate."""
-    sigma_deg = seen.fused.sigma_deg if seen.fused is not None and seen.fused.sigma_deg is not None else 0.0
+    sigma_deg = (
+        observation.fused.sigma_deg
+        if observation.fused is not None and observation.fused.sigma_deg is not None
+        else 0.0
+    )
     return max(CREPT_DEG, unsure_deg(sigma_deg, params))
 
 
-def _felt_s(state: GuardState, params: GuardParams) -> float:
+def _felt_s(state: GraspState, params: GuardParams) -> float:
     """From a command to the first frame that may show its effect, rate included."""
     felt_s = state.delay.felt_s
     return RATE_LAG_S + (params.hold_off_s if felt_s is None else min(felt_s, FELT_MAX_S))
 
 
 def _step(
-    state: GuardState, slip: Slip, sight: Look, seen: Seen, params: GuardParams, base: float, least_n: float = 0.0
-) -> Verdict:
+    state: GraspState,
+    slip: SlipEpisode,
+    sight: SlipAssessment,
+    observation: Observation,
+    params: GuardParams,
+    base: float,
+    least_n: float = 0.0,
+) -> GuardResult:
     """Tighten by a multiple of the present force, to `least_n` at least, as far as the budget goes."""
     if state.person_near:
-        return Verdict(state, stop=True)
-    within = limits.budget(params.force_max_n, seen.gripper_limits_n)
+        return GuardResult(state, stop=True)
+    within = limits.budget(params.force_max_n, observation.gripper_limits_n)
     multiple = limits.multiple(base, sight.rate_deg_s, params.rate_step_per_100_deg_s)
     target_n = state.target_n
     if within is not None:
@@ -136,20 +148,20 @@ def _step(
         rotations=slip.rotations or sight.rotations,
         slides=slip.slides or sight.slides,
         raised=slip.raised or target_n > state.target_n,
-        stepped_s=seen.now_s,
+        stepped_s=observation.now_s,
         rotation_deg=sight.rotation_deg,
         rate_deg_s=sight.rate_deg_s,
         slide_mm=sight.slide_mm,
     )
     if target_n > state.target_n:
         said = f"slip: {sight.what}: tightening from {state.target_n:.0f} N to {target_n:.0f} N"
-        state = replace(state, slip=slip, target_n=target_n, commanded_s=seen.now_s)
-        return Verdict(state, hold_n=target_n, stop=True, say=said)
+        state = replace(state, slip=slip, target_n=target_n, commanded_s=observation.now_s)
+        return GuardResult(state, hold_n=target_n, stop=True, say=said)
     said = f"slip: {sight.what}: {state.target_n:.0f} N is all the force there is"
-    return Verdict(replace(state, slip=slip), stop=True, say=said)
+    return GuardResult(replace(state, slip=slip), stop=True, say=said)
 
 
-def _spent(state: GuardState, sight: Look, params: GuardParams) -> Fault:
+def _spent(state: GraspState, sight: SlipAssessment, params: GuardParams) -> Fault:
     return Fault(
         FaultCode.BUDGET_SPENT,
         f"{sight.what} at {state.target_n:.0f} N, and force_max_n = {params.force_max_n:g} N",
@@ -157,29 +169,35 @@ def _spent(state: GuardState, sight: Look, params: GuardParams) -> Fault:
     )
 
 
-def _give_up(state: GuardState, sight: Look, seen: Seen, params: GuardParams) -> Verdict:
+def _give_up(state: GraspState, sight: SlipAssessment, observation: Observation, params: GuardParams) -> GuardResult:
     """It is not being held: all the force there is, and a fault."""
     still = f" and still turning at {sight.rate_deg_s:.0f}°/s" if sight.moving else ""
     fault = Fault(
         FaultCode.TURNED_TOO_FAR,
-        f"turned {_rotated_deg(seen):.0f}° since it was gripped{still}",
+        f"turned {_rotated_deg(observation):.0f}° since it was gripped{still}",
         "support the object and release it; grip it nearer to its centre of mass",
     )
-    within = limits.budget(params.force_max_n, seen.gripper_limits_n)
+    within = limits.budget(params.force_max_n, observation.gripper_limits_n)
     target_n = limits.allowed(params.force_max_n, state.target_n, within) if within is not None else state.target_n
     if state.person_near or target_n <= state.target_n:
-        return Verdict(state, stop=True, fault=fault)
-    state = replace(state, target_n=target_n, commanded_s=seen.now_s)
-    return Verdict(state, hold_n=target_n, stop=True, fault=fault)
+        return GuardResult(state, stop=True, fault=fault)
+    state = replace(state, target_n=target_n, commanded_s=observation.now_s)
+    return GuardResult(state, hold_n=target_n, stop=True, fault=fault)
 
 
-def _calm(state: GuardState, slip: Slip, sight: Look, seen: Seen, params: GuardParams) -> bool:
+def _calm(
+    state: GraspState, slip: SlipEpisode, sight: SlipAssessment, observation: Observation, params: GuardParams
+) -> bool:
     """At rest for long enough, with the last step done and its effect seen."""
-    at_rest = seen.gripper is not None and settled(state, seen.gripper)
+    at_rest = observation.gripper is not None and gripper_at_rest(state, observation.gripper)
     seen_since = sight.detector.captured_s - slip.stepped_s >= _felt_s(state, params)
     return at_rest and seen_since and sight.still_s >= params.calm_s
 
 
-def _rotated_deg(seen: Seen) -> float:
+def _rotated_deg(observation: Observation) -> float:
     """Turn since the reference, without sign; 0 where it cannot be told."""
-    return abs(seen.fused.rotation_deg) if seen.fused is not None and seen.fused.rotation_deg is not None else 0.0
+    return (
+        abs(observation.fused.rotation_deg)
+        if observation.fused is not None and observation.fused.rotation_deg is not None
+        else 0.0
+    )

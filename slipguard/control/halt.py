@@ -10,29 +10,29 @@ import math
 from dataclasses import replace
 
 from slipguard.control.arm_motion import REPEAT_S
-from slipguard.control.messages import Command, Seen, in_one_line
-from slipguard.control.state import GuardState, Phase
+from slipguard.control.messages import Command, Observation, in_one_line
+from slipguard.control.state import GraspState, Phase
 
-Outcome = tuple[GuardState, Command]
+Outcome = tuple[GraspState, Command]
 
 
-def near(state: GuardState, person_near: bool) -> GuardState:
+def near(state: GraspState, person_near: bool) -> GraspState:
     """What the arm says now of a stop of its own."""
     if person_near is state.person_near:
         return state
     return replace(state, person_near=person_near, halted_s=-math.inf)
 
 
-def jaws(state: GuardState, seen: Seen, command: Command) -> Outcome:
+def jaws(state: GraspState, observation: Observation, command: Command) -> Outcome:
     """Halt jaws on their way, again and again until they say that they rest; a release is let finish."""
-    gripper, opening = seen.gripper, state.let_go and state.commanded_s > -math.inf
+    gripper, opening = observation.gripper, state.release_requested and state.commanded_s > -math.inf
     if not state.person_near or opening or gripper is None:
         return state, command
     if not (gripper.moving or gripper.measured_at_s <= state.commanded_s):
         return state, command
-    if seen.now_s - state.halted_s < REPEAT_S:
+    if observation.now_s - state.halted_s < REPEAT_S:
         return state, command
     said = "a person may be near: the jaws are halted on their way" if state.halted_s == -math.inf else None
     unfinished = state.phase in (Phase.CLOSING, Phase.FAULT) and state.adopted and not state.gripped
-    state = replace(state, halted_s=seen.now_s, cut_short=state.cut_short or unfinished)
+    state = replace(state, halted_s=observation.now_s, closing_interrupted=state.closing_interrupted or unfinished)
     return state, replace(command, halt=True, say=in_one_line(command.say, said))

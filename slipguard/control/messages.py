@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import Literal
 
 from slipguard.control.fault import Fault
-from slipguard.control.finger_fusion import Fused
+from slipguard.control.finger_fusion import FusedEstimate
 from slipguard.devices import ArmState, GripperState
 
 
@@ -45,7 +45,7 @@ class RequestKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class ControlRequest:
     """One wish, handed in for one tick. What is None comes from the configuration.
 
     grasp: force_n. lift, lower: height_mm (above 0), speed_mm_s. gripper: width_mm, force_n. release: width_mm.
@@ -58,12 +58,12 @@ class Request:
     width_mm: float | None = None
 
 
-NO_REQUEST = Request()
+NO_REQUEST = ControlRequest()
 _FIGURES = str.maketrans("", "", "0123456789.+-")
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class Observation:
     """All the law knows at one tick. now_s and every time in it: the same monotonic clock.
 
     fused: of the fingers whose frames are fresh; None if neither has said anything.
@@ -73,12 +73,12 @@ class Seen:
     """
 
     now_s: float
-    fused: Fused | None = None
+    fused: FusedEstimate | None = None
     left: FingerHealth = FingerHealth()
     right: FingerHealth = FingerHealth()
     gripper: GripperState | None = None
     arm: ArmState | None = None
-    request: Request = NO_REQUEST
+    request: ControlRequest = NO_REQUEST
     gripper_limits_n: tuple[float, float] = (20.0, 235.0)
     fault: Fault | None = None
     also: tuple[Fault, ...] = ()

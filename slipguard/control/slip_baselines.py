@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from slipguard.control.finger_fusion import Fused
+from slipguard.control.finger_fusion import FusedEstimate
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_thresholds import Alert, Case, moved
+from slipguard.control.slip_thresholds import MotionCase, RestingPlace, moved
 
 SHIFT_TAU_S = 0.05
 """Time constant of the filtered derivative of the shift: three frames at 60 fps."""
@@ -37,7 +37,7 @@ class Handover:
 
 
 @dataclass(frozen=True, slots=True)
-class Detector:
+class SlipMemory:
     """What is remembered between frames.
 
     base: where the object was when it was last calm. turns, slides: episodes of either that were answered with force.
@@ -70,9 +70,9 @@ class Detector:
     rest_rotation_deg: float | None = None
     rest_shift_mm: float | None = None
     rest_since_s: float | None = None
-    alert: Alert = field(default_factory=Alert)
+    alert: RestingPlace = field(default_factory=RestingPlace)
 
-    def elsewhere(self, before: Detector) -> bool:
+    def elsewhere(self, before: SlipMemory) -> bool:
         """Whether turns count from another place than before, or are told by others, who may contradict them."""
         if before.told_by and self.told_by != before.told_by:
             return True
@@ -81,7 +81,7 @@ class Detector:
         moved_deg = (self.base_rotation_deg - self.handed_deg) - (before.base_rotation_deg - before.handed_deg)
         return abs(moved_deg) > SAME_DEG
 
-    def rebased(self, *, rotated: bool, slid: bool, raised: bool) -> Detector:
+    def rebased(self, *, rotated: bool, slid: bool, raised: bool) -> SlipMemory:
         """An episode is over: from here on only what moves further counts. raised: it was answered with force."""
         return replace(
             self,
@@ -96,7 +96,7 @@ class Detector:
         )
 
 
-def handed_over(detector: Detector, fused: Fused) -> Detector:
+def handed_over(detector: SlipMemory, fused: FusedEstimate) -> SlipMemory:
     """Other fingers than before tell the turn: what is remembered moves by the difference between them.
 
     What the object has turned and slid in between, by its rates, is no part of that, nor what is beyond all difference.
@@ -116,7 +116,7 @@ def handed_over(detector: Detector, fused: Fused) -> Detector:
     if fused.fingers in known:
         by_deg = known[fused.fingers] - now.handed_deg
     else:
-        first = Handover(now.told_deg, now.told_s, now.alert.near_deg if now.alert.case is Case.REST else None)
+        first = Handover(now.told_deg, now.told_s, now.alert.near_deg if now.alert.case is MotionCase.REST else None)
         by_deg = _differ_by(first, fused, now.handed_deg)
         now = replace(now, handover=replace(first, by_deg=by_deg, newest_at_s=fused.newest_at_s))
     now = replace(_moved_by(now, by_deg), told_deg=now.told_deg + by_deg)
@@ -134,7 +134,7 @@ def handed_over(detector: Detector, fused: Fused) -> Detector:
     )
 
 
-def _seen_twice(detector: Detector, fused: Fused) -> Detector:
+def _seen_twice(detector: SlipMemory, fused: FusedEstimate) -> SlipMemory:
     """The first frame after a change of fingers may have been off by itself."""
     first = detector.handover
     if first is None or fused.measured_at_s <= first.newest_at_s:
@@ -146,7 +146,7 @@ def _seen_twice(detector: Detector, fused: Fused) -> Detector:
     return replace(_moved_by(detector, by_deg - first.by_deg), handover=None)
 
 
-def _differ_by(before: Handover, fused: Fused, handed_deg: float) -> float:
+def _differ_by(before: Handover, fused: FusedEstimate, handed_deg: float) -> float:
     """How far these fingers are from what the others told, but for what the object has turned since."""
     rotation_deg = fused.rotation_deg or 0.0
     rotated_deg = (fused.rate_deg_s or 0.0) * (fused.captured_at_s - before.told_s)
@@ -156,7 +156,7 @@ def _differ_by(before: Handover, fused: Fused, handed_deg: float) -> float:
     return _within(handed_deg + by_deg, HANDOVER_DEG) - handed_deg
 
 
-def _moved_by(detector: Detector, by_deg: float) -> Detector:
+def _moved_by(detector: SlipMemory, by_deg: float) -> SlipMemory:
     """The places that are remembered, moved to where these fingers would have seen them."""
     return replace(
         detector,
@@ -167,7 +167,7 @@ def _moved_by(detector: Detector, by_deg: float) -> Detector:
     )
 
 
-def follow_shift(detector: Detector, fused: Fused) -> Detector:
+def follow_shift(detector: SlipMemory, fused: FusedEstimate) -> SlipMemory:
     """Filtered derivative of the shift; the first shift after none starts it anew."""
     if fused.shift_mm is None:
         return replace(detector, smooth_shift_mm=None, slide_rate_mm_s=0.0)
@@ -181,7 +181,7 @@ def follow_shift(detector: Detector, fused: Fused) -> Detector:
     return replace(detector, smooth_shift_mm=smooth_mm, slide_rate_mm_s=(fused.shift_mm - smooth_mm) / SHIFT_TAU_S)
 
 
-def follow_rest(detector: Detector, fused: Fused, params: GuardParams) -> Detector:
+def follow_rest(detector: SlipMemory, fused: FusedEstimate, params: GuardParams) -> SlipMemory:
     """Where the object rests and since when: within `calm_deg` (or two sigma) and 0.3 mm of one place."""
     calm_deg = max(params.calm_deg, min(2.0 * (fused.sigma_deg or 0.0), params.level_max_deg))
     rests = _near(fused.rotation_deg, detector.rest_rotation_deg, calm_deg) and _near(

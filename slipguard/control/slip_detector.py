@@ -9,10 +9,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from slipguard.control.finger_fusion import Fused
+from slipguard.control.finger_fusion import FusedEstimate
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_baselines import CALM_SHIFT_MM, Detector, follow_rest, follow_shift, handed_over
-from slipguard.control.slip_thresholds import SWING_SHARE, Case, attend, growth, level_deg, quick_level_deg, unsure_deg
+from slipguard.control.slip_baselines import CALM_SHIFT_MM, SlipMemory, follow_rest, follow_shift, handed_over
+from slipguard.control.slip_thresholds import (
+    SWING_SHARE,
+    MotionCase,
+    attend,
+    growth,
+    level_deg,
+    quick_level_deg,
+    unsure_deg,
+)
 from slipguard.devices import ArmState
 
 PLAIN_TIMES = 1.5
@@ -28,7 +36,7 @@ the lift. At rest itself there is time to be sure."""
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class SlipAssessment:
     """What one look saw.
 
     rotation_deg: away from the base, without sign. rate_deg_s: positive while that grows. slide_mm, slide_rate_mm_s:
@@ -36,7 +44,7 @@ class Look:
     slipping: slip, in enough frames. still_s: at rest for so long.
     """
 
-    detector: Detector
+    detector: SlipMemory
     rotation_deg: float = 0.0
     rate_deg_s: float = 0.0
     slide_mm: float = 0.0
@@ -55,14 +63,14 @@ class Look:
 
 
 def look(
-    detector: Detector,
-    fused: Fused,
+    detector: SlipMemory,
+    fused: FusedEstimate,
     params: GuardParams,
     *,
     arm: ArmState | None = None,
     firm: bool = False,
     only_outward: bool = False,
-) -> Look:
+) -> SlipAssessment:
     """Compare the newest answer with the base.
 
     arm: its newest state; without it no turn is as suspicious as it is at rest. firm: the grip uses most of the budget.
@@ -96,7 +104,7 @@ def look(
     sliding = slide > params.slide_mm * times and (slides_fast or slide > params.slide_creep_mm * times)
     if new:
         detector = _counted(detector, fused, rotating or strayed or sliding, suddenly, params)
-    return Look(
+    return SlipAssessment(
         detector=detector,
         rotation_deg=rotation,
         rate_deg_s=rate,
@@ -110,13 +118,15 @@ def look(
     )
 
 
-def _counted(detector: Detector, fused: Fused, plainly: bool, suddenly: int, params: GuardParams) -> Detector:
+def _counted(
+    detector: SlipMemory, fused: FusedEstimate, plainly: bool, suddenly: int, params: GuardParams
+) -> SlipMemory:
     """What a new answer adds to the frames that show slip, or that none is left of them.
 
     plainly: it shows slip whatever the arm does. suddenly: for how many frames it counts where nothing should move.
     """
     counts = max(int(plainly), suddenly)
-    at_rest_again = detector.alert.case is Case.REST and detector.frames > 0 and not plainly
+    at_rest_again = detector.alert.case is MotionCase.REST and detector.frames > 0 and not plainly
     waits = counts > 0 and at_rest_again and fused.measured_at_s < detector.counted_s + APART_S
     far = abs(fused.rotation_deg or 0.0) > params.give_up_rotation_deg and fused.conflict is None
     return replace(
@@ -129,7 +139,7 @@ def _counted(detector: Detector, fused: Fused, plainly: bool, suddenly: int, par
     )
 
 
-def _strayed_from(detector: Detector, fused: Fused, params: GuardParams) -> float | None:
+def _strayed_from(detector: SlipMemory, fused: FusedEstimate, params: GuardParams) -> float | None:
     """Where an object was that rests further out than at its last rest: what turned it in between has come to stay.
 
     None if it does not. At rest the same load winds the gel up by the same angle, but for the first time the arm has
@@ -138,7 +148,7 @@ def _strayed_from(detector: Detector, fused: Fused, params: GuardParams) -> floa
     alert, base_deg = detector.alert, detector.base_rotation_deg
     if fused.rotation_deg is None or fused.sigma_deg is None or base_deg is None:
         return None
-    if alert.rested_deg is None or alert.case is not Case.REST:
+    if alert.rested_deg is None or alert.case is not MotionCase.REST:
         return None
     rotation_deg = fused.rotation_deg
     level = level_deg(fused.sigma_deg, detector.rotations, params)
@@ -148,7 +158,9 @@ def _strayed_from(detector: Detector, fused: Fused, params: GuardParams) -> floa
     return max(alert.rested_deg, base_deg, key=lambda place_deg: abs(rotation_deg - place_deg))
 
 
-def _rotating(detector: Detector, fused: Fused, params: GuardParams, only_outward: bool) -> tuple[float, float, bool]:
+def _rotating(
+    detector: SlipMemory, fused: FusedEstimate, params: GuardParams, only_outward: bool
+) -> tuple[float, float, bool]:
     """Turn from the base, rate away from it, and whether that is slip whatever the arm does."""
     if fused.rotation_deg is None or fused.sigma_deg is None or detector.base_rotation_deg is None:
         return 0.0, 0.0, False
@@ -159,9 +171,9 @@ def _rotating(detector: Detector, fused: Fused, params: GuardParams, only_outwar
         return rotation_deg, 0.0, False
     level = level_deg(fused.sigma_deg, detector.rotations, params)
     creep_deg = params.creep_deg * growth(detector.rotations, params)
-    if detector.alert.case is Case.MOVING:
+    if detector.alert.case is MotionCase.MOVING:
         level = max(level, SWING_SHARE * abs(detector.base_rotation_deg))
-    if detector.alert.case is Case.LIFT_OFF and detector.patient:
+    if detector.alert.case is MotionCase.LIFT_OFF and detector.patient:
         # The far end still on its table leads the turn: its rate is the arm's.
         return rotation_deg, rate_deg_s, rotation_deg > params.firm_level_deg
     fast = rate_deg_s >= params.rate_deg_s
@@ -169,7 +181,12 @@ def _rotating(detector: Detector, fused: Fused, params: GuardParams, only_outwar
 
 
 def _suddenly(
-    detector: Detector, fused: Fused, params: GuardParams, near_deg: float | None, firm: bool, only_outward: bool
+    detector: SlipMemory,
+    fused: FusedEstimate,
+    params: GuardParams,
+    near_deg: float | None,
+    firm: bool,
+    only_outward: bool,
 ) -> int:
     """For how many frames a turn from where the object rested counts, where nothing but slip should turn it.
 
@@ -178,17 +195,17 @@ def _suddenly(
     alert = detector.alert
     if fused.rotation_deg is None or fused.sigma_deg is None or near_deg is None or only_outward:
         return 0
-    if alert.case is Case.MOVING or (alert.case is Case.LIFT_OFF and detector.patient):
+    if alert.case is MotionCase.MOVING or (alert.case is MotionCase.LIFT_OFF and detector.patient):
         return 0
     if fused.conflict is not None:  # it is the larger of two turns then, a leap in itself
         return 0
     away_deg = fused.rotation_deg - near_deg
-    may_change = CHANGE_SHARE if alert.case is Case.LIFT_OFF else 1.0
+    may_change = CHANGE_SHARE if alert.case is MotionCase.LIFT_OFF else 1.0
     quick_deg = quick_level_deg(alert, params, firm=firm)
     level = max(quick_deg, may_change * unsure_deg(fused.sigma_deg, params)) * growth(detector.rotations, params)
     if abs(away_deg) <= level:
         return 0
-    if alert.case is Case.REST:
+    if alert.case is MotionCase.REST:
         return 1
     begun = math.copysign(1.0, away_deg) * (detector.told_deg - near_deg) > BEGUN_SHARE * level
     return 2 if abs(away_deg) > PLAIN_TIMES * level and begun and len(fused.fingers) == 2 else 1

@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from slipguard.control.finger_fusion import Fused
+from slipguard.control.finger_fusion import FusedEstimate
 from slipguard.control.params import GuardParams
 from slipguard.devices import ArmState
 
@@ -40,7 +40,7 @@ SWING_SHARE = 0.5
 """Arms stop with 2.5 m/s2, a quarter of gravity, and a gel without much damping answers with twice that."""
 
 
-class Case(Enum):
+class MotionCase(Enum):
     """What a turn may be just now."""
 
     REST = "at rest"
@@ -49,7 +49,7 @@ class Case(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Alert:
+class RestingPlace:
     """What is remembered for it.
 
     start_mm: height of the arm when watching began. moved_s: when it last moved, by its own account. near_deg: where
@@ -65,7 +65,7 @@ class Alert:
     before_deg: float | None = None
     variance_deg2: float = NOISE_START_DEG**2
     measured_s: float = -math.inf
-    case: Case = Case.MOVING
+    case: MotionCase = MotionCase.MOVING
     anew: bool = False
     rested_deg: float | None = None
     aloft: bool = False
@@ -75,7 +75,7 @@ class Alert:
         """One standard deviation of a turn at rest."""
         return min(math.sqrt(self.variance_deg2), NOISE_MAX_DEG)
 
-    def handed_over(self, by_deg: float) -> Alert:
+    def handed_over(self, by_deg: float) -> RestingPlace:
         """The same places, as other fingers tell them."""
         return replace(
             self,
@@ -86,8 +86,8 @@ class Alert:
 
 
 def attend(
-    alert: Alert, fused: Fused, arm: ArmState | None, params: GuardParams, *, putting_down: bool = False
-) -> Alert:
+    alert: RestingPlace, fused: FusedEstimate, arm: ArmState | None, params: GuardParams, *, putting_down: bool = False
+) -> RestingPlace:
     """What is known after one more look. Without an arm nobody knows what the load does: it may move."""
     if arm is not None:
         alert = replace(
@@ -96,20 +96,20 @@ def attend(
             moved_s=arm.measured_at_s if arm.moving else alert.moved_s,
         )
     case = _case(alert, fused, arm)
-    anew = case is not alert.case and (case is Case.REST or alert.case is Case.LIFT_OFF)
-    rises = case is Case.MOVING and alert.case is Case.LIFT_OFF and not alert.aloft
+    anew = case is not alert.case and (case is MotionCase.REST or alert.case is MotionCase.LIFT_OFF)
+    rises = case is MotionCase.MOVING and alert.case is MotionCase.LIFT_OFF and not alert.aloft
     alert = replace(alert, case=case, anew=anew, aloft=(alert.aloft or rises) and not putting_down)
     if rises or putting_down:
         alert = replace(alert, rested_deg=None)
-    elif case is Case.REST and alert.rested_deg is None:
+    elif case is MotionCase.REST and alert.rested_deg is None:
         alert = replace(alert, rested_deg=fused.rotation_deg)
     if fused.rotation_deg is None:
         return replace(alert, near_deg=None)
     if alert.near_deg is None or anew:
-        steady = case is not Case.REST or abs(fused.rate_deg_s or 0.0) <= STEADY_DEG_S
+        steady = case is not MotionCase.REST or abs(fused.rate_deg_s or 0.0) <= STEADY_DEG_S
         near_deg = fused.rotation_deg if steady else None
         return replace(alert, near_deg=near_deg, before_deg=None, measured_s=fused.measured_at_s)
-    if case is not Case.REST:
+    if case is not MotionCase.REST:
         return replace(alert, measured_s=fused.measured_at_s)
     passed_s = fused.measured_at_s - alert.measured_s
     if passed_s <= 0.0:
@@ -137,10 +137,10 @@ def moved(place: float | None, by: float) -> float | None:
     return None if place is None else place + by
 
 
-def quick_level_deg(alert: Alert, params: GuardParams, *, firm: bool = False) -> float:
+def quick_level_deg(alert: RestingPlace, params: GuardParams, *, firm: bool = False) -> float:
     """What counts as slip where nothing else should turn the object: at rest, or lifting off for the first time."""
     given_deg = params.rest_level_deg
-    if alert.case is Case.LIFT_OFF:
+    if alert.case is MotionCase.LIFT_OFF:
         given_deg = params.lift_off_level_deg * (FIRM_TIMES if firm else 1.0)
     return max(given_deg, NOISE_TIMES * alert.noise_deg)
 
@@ -160,10 +160,10 @@ def level_deg(sigma_deg: float, episodes: int, params: GuardParams) -> float:
     return max(params.level_deg, unsure_deg(sigma_deg, params)) * growth(episodes, params)
 
 
-def _case(alert: Alert, fused: Fused, arm: ArmState | None) -> Case:
+def _case(alert: RestingPlace, fused: FusedEstimate, arm: ArmState | None) -> MotionCase:
     if arm is None or alert.start_mm is None:
-        return Case.MOVING
+        return MotionCase.MOVING
     rests = not arm.moving and fused.captured_at_s - alert.moved_s > SETTLE_S
     if rests:
-        return Case.REST
-    return Case.LIFT_OFF if arm.height_mm - alert.start_mm < LIFT_OFF_MM else Case.MOVING
+        return MotionCase.REST
+    return MotionCase.LIFT_OFF if arm.height_mm - alert.start_mm < LIFT_OFF_MM else MotionCase.MOVING

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from slipguard.control.fault import Fault, FaultCode
 from slipguard.control.gripper_delay import GripperDelay
-from slipguard.control.slip_baselines import Detector
+from slipguard.control.slip_baselines import SlipMemory
 from slipguard.devices import GripperState
 
 
@@ -36,7 +36,7 @@ MOVING = frozenset({Phase.LIFTING, Phase.LOWERING})
 
 
 @dataclass(frozen=True, slots=True)
-class Slip:
+class SlipEpisode:
     """One episode of slip, from the trigger until all is calm. turn, rate and slide: when it was last tightened.
 
     turns, slides: which of the two it was, or both. raised: the force was raised.
@@ -53,15 +53,15 @@ class Slip:
 
 
 @dataclass(frozen=True, slots=True)
-class Remembered:
+class RememberedGrip:
     """How an object was held before a restart: the force per finger last commanded, and the jaws' width then.
 
-    taken: the gripper had applied that force, and said so; else nobody knows whether it was told in time.
+    applied: the gripper had applied that force, and said so; else nobody knows whether it was told in time.
     """
 
     force_n: float
     width_mm: float
-    taken: bool = True
+    applied: bool = True
 
 
 FORCE_TOLERANCE_N = 0.5
@@ -70,7 +70,7 @@ SAME_WIDTH_MM = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class GuardState:
+class GraspState:
     """The law's whole memory.
 
     since_s: when the phase began. guarding: slip is acted on (`guard off` ends that until `guard on`).
@@ -82,8 +82,8 @@ class GuardState:
     referenced: the turn could be read when the object was gripped. blind: why it could not.
     person_near: the arm was last seen in a protective or emergency stop, so no force is added.
     halted_s: when the jaws were last halted for that; -inf: not in this stop.
-    cut_short: they were halted before they had met something, so the grasp must be asked for again.
-    let_go: a release was asked for. braking: the arm has not said since then that it stands.
+    closing_interrupted: they were halted before they had met something, so the grasp must be asked for again.
+    release_requested: a release was asked for. braking: the arm has not said since then that it stands.
     adopted: the gripper's first state has been looked at. found: it was seen to hold something already.
     remembered: the grip before a restart, until the gripper's first state has been looked at.
     note: what was last said against a finger's turn. noted_s: when it was last so.
@@ -96,8 +96,8 @@ class GuardState:
     target_n: float = 0.0
     commanded_s: float = -math.inf
     delay: GripperDelay = field(default_factory=GripperDelay)
-    detector: Detector = field(default_factory=Detector)
-    slip: Slip | None = None
+    detector: SlipMemory = field(default_factory=SlipMemory)
+    slip: SlipEpisode | None = None
     ground_mm: float | None = None
     goal_mm: float | None = None
     lift_speed_mm_s: float | None = None
@@ -109,13 +109,13 @@ class GuardState:
     blind: str | None = None
     person_near: bool = False
     halted_s: float = -math.inf
-    cut_short: bool = False
-    let_go: bool = False
+    closing_interrupted: bool = False
+    release_requested: bool = False
     braking: bool = False
     lost_since_s: float | None = None
     adopted: bool = False
     found: bool = False
-    remembered: Remembered | None = None
+    remembered: RememberedGrip | None = None
     note: str | None = None
     noted_s: float = -math.inf
     besides: frozenset[FaultCode] = frozenset()
@@ -124,50 +124,50 @@ class GuardState:
     @property
     def hands_off(self) -> bool:
         """What may be between the jaws is not to be tightened or guarded until a person says so."""
-        return self.let_go or self.cut_short
+        return self.release_requested or self.closing_interrupted
 
 
-def settled(state: GuardState, gripper: GripperState) -> bool:
+def gripper_at_rest(state: GraspState, gripper: GripperState) -> bool:
     """The gripper is at rest, and said so after it was last told something."""
     return not gripper.moving and gripper.measured_at_s > state.commanded_s
 
 
-def taken(state: GuardState, gripper: GripperState) -> bool:
+def force_applied(state: GraspState, gripper: GripperState) -> bool:
     """The gripper applies the force it was last told, as it said at rest; one taken over was told nothing."""
     if state.commanded_s == -math.inf:
         return True
-    return settled(state, gripper) and gripper.force_n >= state.target_n - FORCE_TOLERANCE_N
+    return gripper_at_rest(state, gripper) and gripper.force_n >= state.target_n - FORCE_TOLERANCE_N
 
 
-def waiting(state: GuardState) -> bool:
+def waiting(state: GraspState) -> bool:
     """Something was held before a restart, or a fault latched, and nobody has seen yet what the gripper holds now."""
     if state.phase is Phase.IDLE:
         return not state.adopted and state.remembered is not None
     return not state.adopted and state.phase is Phase.FAULT
 
 
-def as_wide(before: Remembered, gripper: GripperState) -> bool:
+def as_wide(before: RememberedGrip, gripper: GripperState) -> bool:
     """The jaws still are where they held what is remembered."""
     return abs(before.width_mm - gripper.width_mm) <= SAME_WIDTH_MM
 
 
-def entered(state: GuardState, phase: Phase, now_s: float) -> GuardState:
+def entered(state: GraspState, phase: Phase, now_s: float) -> GraspState:
     """The same memory at the beginning of another phase."""
     return replace(state, phase=phase, since_s=now_s, paused=False, putting_down=False)
 
 
-def emptied(state: GuardState, phase: Phase, now_s: float) -> GuardState:
+def emptied(state: GraspState, phase: Phase, now_s: float) -> GraspState:
     """Nothing is held any more: everything about the object is forgotten."""
-    return GuardState(phase=phase, since_s=now_s, guarding=state.guarding, person_near=state.person_near, adopted=True)
+    return GraspState(phase=phase, since_s=now_s, guarding=state.guarding, person_near=state.person_near, adopted=True)
 
 
-def taken_over(state: GuardState, gripper: GripperState, now_s: float) -> GuardState:
+def taken_over(state: GraspState, gripper: GripperState, now_s: float) -> GraspState:
     """The object the gripper holds, with the grip it has, is guarded from a new reference on.
 
     A gripper that has been asked nothing since its connection was opened knows no force: where the jaws are as wide as
     before the restart, the object is held with the force that it had taken by then.
     """
     force_n, before = gripper.force_n, state.remembered
-    if before is not None and before.taken and as_wide(before, gripper):
+    if before is not None and before.applied and as_wide(before, gripper):
         force_n = max(force_n, before.force_n)
     return replace(emptied(state, Phase.REFERENCE, now_s), target_n=force_n, gripped=True)

@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass, replace
 
 from slipguard.control.fault import Fault, FaultCode
-from slipguard.control.messages import Condition, FingerHealth, Seen
+from slipguard.control.messages import Condition, FingerHealth, Observation
 from slipguard.control.params import GuardParams
-from slipguard.control.state import AT_STAKE, MOVING, GuardState, Phase, waiting
+from slipguard.control.state import AT_STAKE, MOVING, GraspState, Phase, waiting
 
 HELP_DEG = 5.0
 """An object that has turned this much further after it was tightened, and still turns, is not helped."""
@@ -27,7 +27,7 @@ GAIN_MM = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Watch:
+class Supervision:
     """What the supervisor remembers. Times are None while all is well.
 
     began_s: the first tick. arm_known, gripper_known, frames_known: heard since then. untrusted, untrusted_since_s:
@@ -53,19 +53,21 @@ class Watch:
     mark_s: float = 0.0
 
 
-def watch(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> tuple[Watch, tuple[Fault, ...]]:
+def watch(
+    memory: Supervision, state: GraspState, observation: Observation, params: GuardParams
+) -> tuple[Supervision, tuple[Fault, ...]]:
     """What is wrong now, the gravest first; nothing while nothing is at stake.
 
     While what was held before a restart is still to be found, only what would find it is looked at.
     """
-    now_s = seen.now_s
+    now_s = observation.now_s
     late_s = now_s - memory.tick_s if memory.tick_s is not None else 0.0
-    known = Watch(
+    known = Supervision(
         began_s=now_s if memory.tick_s is None else memory.began_s,
         tick_s=now_s,
-        arm_known=memory.arm_known or seen.arm is not None,
-        gripper_known=memory.gripper_known or seen.gripper is not None,
-        frames_known=memory.frames_known or math.isfinite(min(seen.left.age_s, seen.right.age_s)),
+        arm_known=memory.arm_known or observation.arm is not None,
+        gripper_known=memory.gripper_known or observation.gripper is not None,
+        frames_known=memory.frames_known or math.isfinite(min(observation.left.age_s, observation.right.age_s)),
     )
     held = state.phase in AT_STAKE or state.phase is Phase.FAULT
     if not held and not waiting(state):
@@ -77,23 +79,23 @@ def watch(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> 
         arm_known=known.arm_known,
         gripper_known=known.gripper_known,
         frames_known=known.frames_known,
-        frames_since_s=_since(memory.frames_since_s, _no_frames(seen, params), now_s),
-        gripper_since_s=_since(memory.gripper_since_s, seen.gripper is None, now_s),
-        arm_since_s=_since(memory.arm_since_s, seen.arm is None, now_s),
+        frames_since_s=_since(memory.frames_since_s, _no_frames(observation, params), now_s),
+        gripper_since_s=_since(memory.gripper_since_s, observation.gripper is None, now_s),
+        arm_since_s=_since(memory.arm_since_s, observation.arm is None, now_s),
     )
-    finders = _gripper(memory, seen, params), _frames(memory, seen, params)
+    finders = _gripper(memory, observation, params), _frames(memory, observation, params)
     if not held:
         return memory, tuple(fault for fault in finders if fault is not None)
-    memory = _follow_trust(memory, state, seen)
-    memory = _follow_help(memory, state, seen)
-    memory = _follow_arm(memory, state, seen)
+    memory = _follow_trust(memory, state, observation)
+    memory = _follow_help(memory, state, observation)
+    memory = _follow_arm(memory, state, observation)
     checks = (
-        _arm_stop(seen),
+        _arm_stop(observation),
         *finders,
-        _arm(memory, state, seen, params),
-        _arm_stuck(memory, state, seen, params),
-        _no_help(memory, seen, params),
-        _trust(memory, state, seen, params),
+        _arm(memory, state, observation, params),
+        _arm_stuck(memory, state, observation, params),
+        _no_help(memory, observation, params),
+        _trust(memory, state, observation, params),
         _late(late_s, params),
     )
     return memory, tuple(fault for fault in checks if fault is not None)
@@ -117,26 +119,26 @@ def _silent_s(measured_at_s: float | None, since_s: float | None, now_s: float) 
     return now_s - since_s if since_s is not None else 0.0
 
 
-def _starts(memory: Watch, known: bool, now_s: float, timeout_s: float) -> bool:
+def _starts(memory: Supervision, known: bool, now_s: float, timeout_s: float) -> bool:
     """A device that has said nothing yet still has the time to appear."""
     return not known and now_s - memory.began_s < max(timeout_s, FIRST_WAIT_S)
 
 
-def _arm_stop(seen: Seen) -> Fault | None:
-    if seen.arm is None or not (seen.arm.emergency_stop or seen.arm.protective_stop):
+def _arm_stop(observation: Observation) -> Fault | None:
+    if observation.arm is None or not (observation.arm.emergency_stop or observation.arm.protective_stop):
         return None
-    code = FaultCode.ARM_EMERGENCY if seen.arm.emergency_stop else FaultCode.ARM_STOPPED
+    code = FaultCode.ARM_EMERGENCY if observation.arm.emergency_stop else FaultCode.ARM_STOPPED
     return Fault(
         code,
-        f"the arm stopped itself at {seen.arm.height_mm:.0f} mm",
+        f"the arm stopped itself at {observation.arm.height_mm:.0f} mm",
         "see why, end the stop at the robot's panel, then clear; no force is added meanwhile",
     )
 
 
-def _gripper(memory: Watch, seen: Seen, params: GuardParams) -> Fault | None:
-    gripper = seen.gripper
-    silent_s = _silent_s(gripper.measured_at_s if gripper else None, memory.gripper_since_s, seen.now_s)
-    starts = _starts(memory, memory.gripper_known, seen.now_s, params.gripper_timeout_s)
+def _gripper(memory: Supervision, observation: Observation, params: GuardParams) -> Fault | None:
+    gripper = observation.gripper
+    silent_s = _silent_s(gripper.measured_at_s if gripper else None, memory.gripper_since_s, observation.now_s)
+    starts = _starts(memory, memory.gripper_known, observation.now_s, params.gripper_timeout_s)
     if silent_s >= params.gripper_timeout_s and not starts:
         return Fault(
             FaultCode.GRIPPER_SILENT,
@@ -152,23 +154,24 @@ def _gripper(memory: Watch, seen: Seen, params: GuardParams) -> Fault | None:
     return None
 
 
-def _no_frames(seen: Seen, params: GuardParams) -> bool:
-    return all(_blind(finger, params) for finger in (seen.left, seen.right))
+def _no_frames(observation: Observation, params: GuardParams) -> bool:
+    return all(_blind(finger, params) for finger in (observation.left, observation.right))
 
 
 def _blind(finger: FingerHealth, params: GuardParams) -> bool:
     return finger.condition is not Condition.FRESH or finger.age_s >= params.frames_timeout_s
 
 
-def _frames(memory: Watch, seen: Seen, params: GuardParams) -> Fault | None:
+def _frames(memory: Supervision, observation: Observation, params: GuardParams) -> Fault | None:
     if memory.frames_since_s is None:
         return None
-    silent_s = max(min(seen.left.age_s, seen.right.age_s), seen.now_s - memory.frames_since_s)
-    starts = _starts(memory, memory.frames_known, seen.now_s, params.frames_timeout_s)
+    silent_s = max(min(observation.left.age_s, observation.right.age_s), observation.now_s - memory.frames_since_s)
+    starts = _starts(memory, memory.frames_known, observation.now_s, params.frames_timeout_s)
     if silent_s < params.frames_timeout_s or starts:
         return None
     both = " and ".join(
-        f"{name}: {finger.why or finger.condition}" for name, finger in (("left", seen.left), ("right", seen.right))
+        f"{name}: {finger.why or finger.condition}"
+        for name, finger in (("left", observation.left), ("right", observation.right))
     )
     return Fault(
         FaultCode.FRAMES_LOST,
@@ -177,21 +180,21 @@ def _frames(memory: Watch, seen: Seen, params: GuardParams) -> Fault | None:
     )
 
 
-def _follow_trust(memory: Watch, state: GuardState, seen: Seen) -> Watch:
+def _follow_trust(memory: Supervision, state: GraspState, observation: Observation) -> Supervision:
     """Why the turn cannot be believed though it could be read when the object was gripped, and since when."""
-    fused = seen.fused
+    fused = observation.fused
     if fused is None or not state.referenced or state.phase is Phase.REFERENCE:
         return replace(memory, untrusted=None, untrusted_since_s=None)
     why = fused.conflict if fused.conflict is not None or fused.rotation_deg is not None else fused.declined
-    contradicted_s = memory.contradicted_s if fused.conflict is None else seen.now_s
-    if why is None and len(fused.fingers) == 1 and seen.now_s - contradicted_s < MOMENT_S:
+    contradicted_s = memory.contradicted_s if fused.conflict is None else observation.now_s
+    if why is None and len(fused.fingers) == 1 and observation.now_s - contradicted_s < MOMENT_S:
         why = memory.untrusted
-    since_s = _since(memory.untrusted_since_s, why is not None, seen.now_s)
+    since_s = _since(memory.untrusted_since_s, why is not None, observation.now_s)
     return replace(memory, untrusted=why, untrusted_since_s=since_s, contradicted_s=contradicted_s)
 
 
-def _trust(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> Fault | None:
-    if not state.guarding or not _lasts(memory.untrusted_since_s, seen.now_s, params.untrusted_s):
+def _trust(memory: Supervision, state: GraspState, observation: Observation, params: GuardParams) -> Fault | None:
+    if not state.guarding or not _lasts(memory.untrusted_since_s, observation.now_s, params.untrusted_s):
         return None
     return Fault(
         FaultCode.ESTIMATE_UNTRUSTED,
@@ -200,9 +203,11 @@ def _trust(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) ->
     )
 
 
-def _arm(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> Fault | None:
-    silent_s = _silent_s(seen.arm.measured_at_s if seen.arm else None, memory.arm_since_s, seen.now_s)
-    gone_on_the_way = seen.arm is None and (state.phase in MOVING or state.putting_down)
+def _arm(memory: Supervision, state: GraspState, observation: Observation, params: GuardParams) -> Fault | None:
+    silent_s = _silent_s(
+        observation.arm.measured_at_s if observation.arm else None, memory.arm_since_s, observation.now_s
+    )
+    gone_on_the_way = observation.arm is None and (state.phase in MOVING or state.putting_down)
     limit_s = params.arm_timeout_s if memory.arm_known else ARM_WAIT_S
     if silent_s < limit_s and not gone_on_the_way:
         return None
@@ -213,43 +218,43 @@ def _arm(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> F
     )
 
 
-def _follow_arm(memory: Watch, state: GuardState, seen: Seen) -> Watch:
+def _follow_arm(memory: Supervision, state: GraspState, observation: Observation) -> Supervision:
     """Mark each millimetre the arm gains while it should be moving."""
     goes = state.putting_down or (state.phase in MOVING and state.slip is None)
-    if not goes or seen.arm is None:
+    if not goes or observation.arm is None:
         return memory if memory.mark_mm is None else replace(memory, mark_mm=None)
-    if memory.mark_mm is None or abs(seen.arm.height_mm - memory.mark_mm) >= GAIN_MM:
-        return replace(memory, mark_mm=seen.arm.height_mm, mark_s=seen.now_s)
+    if memory.mark_mm is None or abs(observation.arm.height_mm - memory.mark_mm) >= GAIN_MM:
+        return replace(memory, mark_mm=observation.arm.height_mm, mark_s=observation.now_s)
     return memory
 
 
-def _arm_stuck(memory: Watch, state: GuardState, seen: Seen, params: GuardParams) -> Fault | None:
-    if memory.mark_mm is None or seen.arm is None or seen.now_s - memory.mark_s < params.stuck_s:
+def _arm_stuck(memory: Supervision, state: GraspState, observation: Observation, params: GuardParams) -> Fault | None:
+    if memory.mark_mm is None or observation.arm is None or observation.now_s - memory.mark_s < params.stuck_s:
         return None
     return Fault(
         FaultCode.ARM_STUCK,
-        f"at {seen.arm.height_mm:.0f} mm for {params.stuck_s:g} s on the way to {state.goal_mm or 0.0:.0f} mm",
+        f"at {observation.arm.height_mm:.0f} mm for {params.stuck_s:g} s on the way to {state.goal_mm or 0.0:.0f} mm",
         "see what stops the arm (its limits, its program, an obstacle), then clear",
     )
 
 
-def _follow_help(memory: Watch, state: GuardState, seen: Seen) -> Watch:
+def _follow_help(memory: Supervision, state: GraspState, observation: Observation) -> Supervision:
     """Mark where the object stood when it was first tightened."""
-    rotation_deg = seen.fused.rotation_deg if seen.fused is not None else None
+    rotation_deg = observation.fused.rotation_deg if observation.fused is not None else None
     if state.slip is None:
         return memory if memory.help_since_s is None else replace(memory, help_rotation_deg=None, help_since_s=None)
     if memory.help_rotation_deg is None and rotation_deg is not None:
-        return replace(memory, help_rotation_deg=rotation_deg, help_since_s=seen.now_s)
+        return replace(memory, help_rotation_deg=rotation_deg, help_since_s=observation.now_s)
     return memory
 
 
-def _no_help(memory: Watch, seen: Seen, params: GuardParams) -> Fault | None:
-    fused = seen.fused
+def _no_help(memory: Supervision, observation: Observation, params: GuardParams) -> Fault | None:
+    fused = observation.fused
     if fused is None or fused.rotation_deg is None or memory.help_rotation_deg is None:
         return None
     further_deg = fused.rotation_deg - memory.help_rotation_deg
     outward_deg_s = (fused.rate_deg_s or 0.0) * (1.0 if further_deg > 0.0 else -1.0)
-    if not _lasts(memory.help_since_s, seen.now_s, params.help_s):
+    if not _lasts(memory.help_since_s, observation.now_s, params.help_s):
         return None
     if abs(further_deg) < HELP_DEG or outward_deg_s < params.rate_deg_s:
         return None

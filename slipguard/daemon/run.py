@@ -18,12 +18,12 @@ import structlog
 
 from slipguard import __version__
 from slipguard.config import GROUP_OF, Config
-from slipguard.control.guard import tick
+from slipguard.control.step import control_step
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.paths import socket_path, token_path
 from slipguard.daemon.loop.finger import PerceptionPipeline
 from slipguard.daemon.loop.gel_monitor import GelMonitor
-from slipguard.daemon.loop.service import FINGERS, Law, Service
+from slipguard.daemon.loop.service import FINGERS, Controller, Service
 from slipguard.daemon.loop.worker import ThreadWorker, Worker
 from slipguard.daemon.reload import Reloader
 from slipguard.daemon.shutdown import Shutdown
@@ -60,12 +60,12 @@ def build_service(
     *,
     world: object | None = None,
     make_worker: Callable[[str], Worker] = ThreadWorker,
-    law: Law = tick,
+    controller: Controller = control_step,
     around: Callable[[str, Pipeline], PerceptionPipeline] = lambda finger, pipeline: pipeline,
 ) -> Service:
     """Build all devices and the guard around them; touches no hardware.
 
-    world: what the fakes share. law: what decides. around: put around each finger's pipeline.
+    world: what the fakes share. controller: what decides. around: put around each finger's pipeline.
     Raises ConfigError or ModelError.
     """
     # Both hold for the whole process: one core for each finger, and the loop never far from its turn.
@@ -107,7 +107,7 @@ def build_service(
         make_worker=make_worker,
         make_pipeline={name: pipeline_maker(name) for name in FINGERS},
         store=state_dir,
-        law=law,
+        controller=controller,
         memory=remembered(state_dir),
     )
 

@@ -135,7 +135,7 @@ def _take_tick(data: LiftData, tick: m.CycleRecord) -> None:
         data.phases.append((tick.now_s, tick.phase))
     if tick.phase not in HELD or tick.phase == "reference":
         return
-    fused = tick.seen.fused
+    fused = tick.observation.fused
     data.held += 1
     if fused is None or fused.rotation_deg is None or fused.sigma_deg is None:
         data.declined += 1

@@ -15,8 +15,8 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import to_json
 
 from slipguard.config_errors import first_complaint
-from slipguard.control.guard import Guard
-from slipguard.control.messages import Command, Seen
+from slipguard.control.messages import Command, Observation
+from slipguard.control.step import ControlState
 from slipguard.errors import InputError
 from slipguard.perception.estimate import Estimate
 
@@ -62,7 +62,7 @@ class CycleRecord:
 
     now_s: float
     phase: str
-    seen: Seen
+    observation: Observation
     command: Command
     left_sequence: int | None = None
     right_sequence: int | None = None
@@ -107,7 +107,7 @@ class Json(Generic[T]):
 
 FRAME_RECORD = Json(FrameRecord)
 CYCLE_RECORD = Json(CycleRecord)
-MEMORY = Json(Guard)
+MEMORY = Json(ControlState)
 TRUTH_RECORD = Json(TruthRecord)
 
 

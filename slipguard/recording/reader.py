@@ -18,7 +18,7 @@ from mcap.records import Attachment, Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 
-from slipguard.control.guard import Guard
+from slipguard.control.step import ControlState
 from slipguard.errors import InputError
 from slipguard.recording import messages as m
 
@@ -61,7 +61,7 @@ class StoredMessage:
     error: bool
 
 
-Value = Guard | m.FrameRecord | m.CycleRecord | m.TruthRecord | StoredImage | StoredMessage
+Value = ControlState | m.FrameRecord | m.CycleRecord | m.TruthRecord | StoredImage | StoredMessage
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +149,7 @@ _SOURCE_OF = {
 def _value(topic: str, data: bytes) -> Value | None:
     """The message; None for a topic that a later version may have added."""
     if topic in _TOPICS:
-        value: Guard | m.FrameRecord | m.CycleRecord | m.TruthRecord = _TOPICS[topic].decode(data)
+        value: ControlState | m.FrameRecord | m.CycleRecord | m.TruthRecord = _TOPICS[topic].decode(data)
         return value
     if topic in _SOURCE_OF:
         picture = CompressedImage.FromString(data)

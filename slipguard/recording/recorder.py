@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.control.guard import Guard
+from slipguard.control.step import ControlState
 from slipguard.perception.pipeline import resize_mask_to_frame
 from slipguard.recording import messages as m
 from slipguard.recording.retention import Retention
@@ -69,7 +69,7 @@ class RecordedCycle:
     """One turn of the loop. memory: the law's, before it. keep: this is worth keeping."""
 
     tick: m.CycleRecord
-    memory: Guard
+    memory: ControlState
     keep: bool = False
 
 
@@ -245,7 +245,7 @@ class Recorder:
             self._renew_s = frame.at_s + SETTLE_S  # the file's no-contact images are those of its beginning
         write_frame(file, frame, self._settings)
 
-    def _begin(self, memory: Guard, now_s: float) -> RecordingFile:
+    def _begin(self, memory: ControlState, now_s: float) -> RecordingFile:
         clock = self._clock()  # anew: a computer learns the right time some while after its start
         path = self._ring.new(clock.ns(now_s))
         self._ring.make_room(reserves=2 if self._no_room else 1)  # no stop a moment after every beginning

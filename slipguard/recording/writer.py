@@ -15,7 +15,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from slipguard.control.guard import Guard
+from slipguard.control.step import ControlState
 from slipguard.recording import messages as m
 
 CHUNK_BYTES = 64 * 1024
@@ -65,7 +65,7 @@ class RecordingFile:
         path: Path,
         clock: RecordingClock,
         header: RecordingHeader,
-        memory: Guard,
+        memory: ControlState,
         now_s: float,
         opener: Callable[[Path], BinaryIO] = open_new,
     ) -> None:
@@ -83,7 +83,7 @@ class RecordingFile:
             path.unlink(missing_ok=True)
             raise
 
-    def _begin(self, header: RecordingHeader, memory: Guard, now_s: float) -> None:
+    def _begin(self, header: RecordingHeader, memory: ControlState, now_s: float) -> None:
         self._writer.start(profile="", library="slipguard")
         self._writer.add_metadata(m.HEADER, {"format": m.FORMAT, **header.facts})
         now_ns = self._clock.ns(now_s)

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slipguard.config import Config, parse_config
-from slipguard.control.guard import tick
 from slipguard.control.state import Phase
+from slipguard.control.step import control_step
 from slipguard.daemon.api.controls import Controls
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.service import Service
@@ -94,13 +94,13 @@ async def run_campaign(settings: CampaignSettings, show: Callable[[LiftProgress]
         def make_worker(name: str) -> Worker:
             return ThreadWorker(name) if settings.realtime else StatedLatencyWorker(STATED_LATENCY_S)
 
-        law = tick if settings.guarded else unguarded_tick
+        controller = control_step if settings.guarded else unguarded_tick
         patches: list[TimedPatch] = []
         service = build_service(
             config,
             world=world,
             make_worker=make_worker,
-            law=law,
+            controller=controller,
             around=lambda finger, pipeline: PatchRecorder(finger, pipeline, patches),
         )
         running = asyncio.create_task(service.run(), name="service")
@@ -209,7 +209,7 @@ def _watched(
         for finger, estimate in decision.new_estimates.items():
             record.estimates[finger].append(estimate)
         record.latency_s.extend(decision.latencies_s)
-        fused = decision.seen.fused
+        fused = decision.observation.fused
         if fused is not None and fused.rotation_deg is not None and fused.sigma_deg is not None:
             if decision.new_estimates:
                 record.fused.append(RotationSample(fused.captured_at_s, fused.rotation_deg, fused.sigma_deg))

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from slipguard.control.controller import step
-from slipguard.control.guard import Guard
-from slipguard.control.messages import Command, Seen
+from slipguard.control.messages import Command, Observation
 from slipguard.control.params import GuardParams
+from slipguard.control.step import ControlState
 
 
-def unguarded_tick(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
+def unguarded_tick(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, Command]:
     """What `tick` does with an object that seems never to move: the same phases, the first force throughout."""
-    fused = seen.fused
+    fused = observation.fused
     if fused is not None and (fused.left_contact or fused.right_contact):
         fused = replace(
             fused,
@@ -24,6 +24,6 @@ def unguarded_tick(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard
             conflict=None,
             declined=None,
         )
-    eyes_shut = params.model_copy(update={"blind_force_n": params.first_force_n})
-    law, command = step(guard.law, replace(seen, fused=fused, fault=None), eyes_shut)
-    return replace(guard, law=law), command
+    params = params.model_copy(update={"blind_force_n": params.first_force_n})
+    grasp, command = step(state.grasp, replace(observation, fused=fused, fault=None), params)
+    return replace(state, grasp=grasp), command

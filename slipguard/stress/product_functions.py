@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.control.finger_fusion import Fused, fuse
+from slipguard.control.finger_fusion import FusedEstimate, fuse
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.contact.segmenter import Segmenter
@@ -38,7 +38,7 @@ class ProductFunctions:
     thin: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] = thin
     registrar: Callable[..., ContourRegistrar] = ContourRegistrar
     tracker: Callable[[], RotationTracker] = RotationTracker
-    fuse: Callable[[Estimate | None, Estimate | None], Fused | None] = fuse
+    fuse: Callable[[Estimate | None, Estimate | None], FusedEstimate | None] = fuse
     pipeline: Callable[..., Any] = Pipeline
     segmenter: Callable[[], ContactSegmenter] = Segmenter
 

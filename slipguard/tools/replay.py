@@ -19,9 +19,9 @@ from pydantic import ValidationError
 
 from slipguard.config_errors import first_complaint
 from slipguard.control.finger_fusion import fuse
-from slipguard.control.guard import Guard, tick
 from slipguard.control.messages import Command
 from slipguard.control.params import GuardParams
+from slipguard.control.step import ControlState, control_step
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt, InputError
 from slipguard.perception.contact.second_finger import OTHER_FINGER, repeat_estimate
@@ -132,12 +132,12 @@ class _RecordingPlayer:
         self._renewed = dict.fromkeys(m.FINGERS, False)
         self._pictures: dict[str, StoredImage] = {}
         self._now: dict[str, dict[int, Estimate]] = {finger: {} for finger in m.FINGERS}
-        self._memory: dict[str, Guard] = {}
+        self._memory: dict[str, ControlState] = {}
 
     def play(self) -> None:
         for item in self._recording.items():
             value = item.value
-            if isinstance(value, Guard):
+            if isinstance(value, ControlState):
                 self._memory = {"recorded": value, "frames": value}
             elif isinstance(value, m.FrameRecord):
                 self._judged(_finger(item), value)
@@ -216,11 +216,13 @@ class _RecordingPlayer:
         if not any(self._live.values()):
             self._memory["frames"] = self._memory["recorded"]
             return
-        seen = replace(told.seen, fused=fuse(fresh["left"], fresh["right"]))
-        self._memory["frames"] = self._compare(done.on_frames, self._memory["frames"], replace(told, seen=seen))
+        observation = replace(told.observation, fused=fuse(fresh["left"], fresh["right"]))
+        self._memory["frames"] = self._compare(
+            done.on_frames, self._memory["frames"], replace(told, observation=observation)
+        )
 
-    def _compare(self, into: ControllerReplay, memory: Guard, told: m.CycleRecord) -> Guard:
-        memory, command = tick(memory, told.seen, self._params)
+    def _compare(self, into: ControllerReplay, memory: ControlState, told: m.CycleRecord) -> ControlState:
+        memory, command = control_step(memory, told.observation, self._params)
         into.ticks += 1
         if command != told.command:
             into.differences.append(CommandDifference(told.now_s, told.command, command))

@@ -78,7 +78,7 @@ def _estimate_row(item: RecordedItem, judged: m.FrameRecord) -> list[Any]:
 
 
 def _tick_row(item: RecordedItem, tick: m.CycleRecord) -> list[Any]:
-    fused, gripper, arm, command = tick.seen.fused, tick.seen.gripper, tick.seen.arm, tick.command
+    fused, gripper, arm, command = tick.observation.fused, tick.observation.gripper, tick.observation.arm, tick.command
     rotation = (
         [fused.rotation_deg, fused.sigma_deg, fused.rate_deg_s, fused.shift_mm] if fused is not None else [None] * 4
     )
@@ -130,8 +130,8 @@ def _film(items: Iterable[RecordedItem], finger: str, film: cv2.VideoWriter) -> 
                 mask = value.pixels()
         elif isinstance(value, m.FrameRecord) and item.topic == m.JUDGED_TOPIC[finger]:
             estimate = value.estimate
-        elif isinstance(value, m.CycleRecord) and value.seen.gripper is not None:
-            force_n = value.seen.gripper.force_n
+        elif isinstance(value, m.CycleRecord) and value.observation.gripper is not None:
+            force_n = value.observation.gripper.force_n
         if image is None:
             continue
         next_ns = item.at_ns if next_ns is None else next_ns

@@ -143,7 +143,7 @@ class FaultNow(ApiResponse):
     """What is wrong, and what to do about it."""
 
     code: str
-    seen: str
+    observed: str
     what_to_do: str
 
 

@@ -10,10 +10,10 @@ import pytest
 from page_rig import Daemon
 
 from slipguard.control.fault import Fault, FaultCode
-from slipguard.control.messages import Command, Request, RequestKind, Seen
+from slipguard.control.messages import Command, ControlRequest, Observation, RequestKind
 from slipguard.control.params import GuardParams
 from slipguard.control.requests import answer
-from slipguard.control.state import GuardState, Phase, Slip
+from slipguard.control.state import GraspState, Phase, SlipEpisode
 from slipguard.devices import ArmState, GripperState
 
 pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="session")]
@@ -44,36 +44,36 @@ def arms() -> list[ArmState | None]:
     return [None, rest, replace(rest, protective_stop=True), replace(rest, emergency_stop=True)]
 
 
-def cases() -> list[tuple[GuardState, Seen, GuardParams]]:
+def cases() -> list[tuple[GraspState, Observation, GuardParams]]:
     """Every phase with everything around it."""
-    fault, slip = Fault(FaultCode.ARM_SILENT, "seen", "do"), Slip(9.0, 9.5, 3.0, 5.0, 0.0)
+    fault, slip = Fault(FaultCode.ARM_SILENT, "seen", "do"), SlipEpisode(9.0, 9.5, 3.0, 5.0, 0.0)
     made = []
     for phase, mode, guarding, slips, gripper, arm in product(
         Phase, ("lift", "guard"), (True, False), (None, slip), grippers(), arms()
     ):
         near = arm is not None and (arm.protective_stop or arm.emergency_stop)
-        state = GuardState(
+        state = GraspState(
             phase=phase, since_s=5.0, guarding=guarding, slip=slips, ground_mm=0.0, person_near=near, adopted=True,
             commanded_s=5.0, fault=fault if phase is Phase.FAULT else None,
         )  # fmt: skip
-        made.append((state, Seen(NOW_S, gripper=gripper, arm=arm), GuardParams(mode=mode)))
+        made.append((state, Observation(NOW_S, gripper=gripper, arm=arm), GuardParams(mode=mode)))
     return made
 
 
-def told(state: GuardState, seen: Seen, params: GuardParams) -> dict[str, Any]:
+def told(state: GraspState, observation: Observation, params: GuardParams) -> dict[str, Any]:
     """What the page is told of it."""
-    devices = {"left": object(), "right": object(), "gripper": seen.gripper, "arm": seen.arm}
+    devices = {"left": object(), "right": object(), "gripper": observation.gripper, "arm": observation.arm}
     gone = [name for name, one in devices.items() if one is None]
     return {
         "phase": state.phase.value, "mode": params.mode, "guarding": state.guarding, "slipping": state.slip is not None,
         "putting_down": state.putting_down, "waiting_for": [f"{name}: gone" for name in gone],
-        "gripper": seen.gripper and {name: getattr(seen.gripper, name) for name in GripperState.__slots__},
-        "arm": seen.arm and {name: getattr(seen.arm, name) for name in ArmState.__slots__},
+        "gripper": observation.gripper and {name: getattr(observation.gripper, name) for name in GripperState.__slots__},
+        "arm": observation.arm and {name: getattr(observation.arm, name) for name in ArmState.__slots__},
     }  # fmt: skip
 
 
-def granted(state: GuardState, seen: Seen, params: GuardParams, kind: RequestKind) -> bool:
-    return answer(state, Command(), replace(seen, request=Request(kind)), params)[1].refused is None
+def granted(state: GraspState, observation: Observation, params: GuardParams, kind: RequestKind) -> bool:
+    return answer(state, Command(), replace(observation, request=ControlRequest(kind)), params)[1].refused is None
 
 
 async def test_what_the_law_grants_the_page_lets_ask(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]

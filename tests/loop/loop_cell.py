@@ -15,11 +15,11 @@ import numpy as np
 from loop_doubles import FlatSensor, LoggedArm, LoggedGripper, Memory, Oracle, Shelf
 
 from slipguard.config import Config, parse_config
-from slipguard.control.guard import tick
 from slipguard.control.state import Phase
+from slipguard.control.step import control_step
 from slipguard.daemon.api.controls import Controls
 from slipguard.daemon.loop.decision import Decision
-from slipguard.daemon.loop.service import FINGERS, Law, Service
+from slipguard.daemon.loop.service import FINGERS, Controller, Service
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.daemon.loop.worker import ThreadWorker, Worker
 from slipguard.devices import DriverContext
@@ -42,7 +42,7 @@ class Cell:
     guard: dict[str, object] = field(default_factory=dict)
     loop: dict[str, object] = field(default_factory=dict)
     blind: dict[str, str] = field(default_factory=dict)
-    law: Law = tick
+    controller: Controller = control_step
     latency_s: float = 0.006
     threads: bool = False
     fps: float = 60.0
@@ -93,7 +93,7 @@ class Cell:
             make_worker=make_worker,
             make_pipeline={name: maker(name) for name in FINGERS},
             store=self.store,
-            law=self.law,
+            controller=self.controller,
         )
         self.controls = Controls(self.service)
         self.service.observers.append(self._watch)

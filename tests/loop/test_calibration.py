@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from loop_cell import Cell, play
 
-from slipguard.control.messages import Request, RequestKind
+from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.state import Phase
 from slipguard.daemon.store.calibration import FRAMES, BackgroundImage, average_background
 from slipguard.errors import CommandRefused, ConfigError, InputError
@@ -163,7 +163,7 @@ def test_nothing_is_stored_if_something_was_gripped_meanwhile() -> None:
         await cell.ready()
         asked = asyncio.create_task(cell.controls.calibrate())
         await asyncio.sleep(0.1)
-        await cell.service.request(Request(RequestKind.GRASP))
+        await cell.service.request(ControlRequest(RequestKind.GRASP))
         with pytest.raises(CommandRefused, match="cannot calibrate while"):
             await asked
         assert cell.store.kept == {}

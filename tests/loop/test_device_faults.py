@@ -72,7 +72,7 @@ def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
         fault = cell.service.state.fault
         assert fault is not None
         assert fault.code is code
-        assert seen in fault.seen
+        assert seen in fault.observed
         assert str(fault) in "\n".join(cell.service.event_log.lines)
         await asyncio.sleep(0.7)
         told = [what for told_s, what, _ in cell.arm.told if told_s > failed_at_s]
@@ -139,7 +139,7 @@ def test_one_finger_gone_is_said_and_the_other_guards_on(finger: str, kind: str)
         cell.world.faults.repair(finger, kind)
         await cell.until(lambda: not cell.service.waiting_for)
         await asyncio.sleep(0.5)
-        fused = cell.service.seen.fused if cell.service.seen is not None else None
+        fused = cell.service.observation.fused if cell.service.observation is not None else None
         assert fused is not None
         assert fused.fingers == ("left", "right")
         assert fused.conflict is None

@@ -11,9 +11,9 @@ import pytest
 from loop_cell import Cell, play
 
 from slipguard.control.fault import Fault, FaultCode
-from slipguard.control.guard import Guard
-from slipguard.control.messages import Command, Seen
-from slipguard.control.state import GuardState, Phase, Remembered
+from slipguard.control.messages import Command, Observation
+from slipguard.control.state import GraspState, Phase, RememberedGrip
+from slipguard.control.step import ControlState
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.store.disk_writer import TRY_AGAIN_S
 from slipguard.daemon.store.last_grasp import LastGraspSaver, remembered
@@ -36,7 +36,7 @@ def test_the_grip_is_noted_down_tightened_and_forgotten(tmp_path: Path) -> None:
         tightened = shelf.load_last_grasp()
         assert tightened is not None
         assert tightened.force_n == cell.service.state.target_n > first.force_n
-        assert remembered(shelf).law.remembered == Remembered(tightened.force_n, tightened.width_mm, taken=True)
+        assert remembered(shelf).grasp.remembered == RememberedGrip(tightened.force_n, tightened.width_mm, applied=True)
         await cell.lower()
         await cell.release()
         await asyncio.sleep(0.1)
@@ -148,10 +148,10 @@ def test_a_force_counts_as_taken_once_the_gripper_says_so(tmp_path: Path) -> Non
     play(Cell("wrench", 1), scene)
 
 
-async def noted(shelf: StateDir) -> Remembered:
+async def noted(shelf: StateDir) -> RememberedGrip:
     """What a daemon started now would know of the grip."""
     await asyncio.sleep(0.05)
-    grip = remembered(shelf).law.remembered
+    grip = remembered(shelf).grasp.remembered
     assert grip is not None
     return grip
 
@@ -167,23 +167,23 @@ def test_a_latched_fault_is_noted_until_it_is_cleared(tmp_path: Path) -> None:
         cell.world.faults.fail("gripper", "disconnect")
         await cell.until(lambda: cell.phase is Phase.FAULT)
         await asyncio.sleep(0.1)
-        law = remembered(shelf).law
-        assert (law.phase, law.fault) == (Phase.FAULT, cell.service.state.fault)
-        assert law.remembered == grip, "as it was when the gripper was last heard"
-        old = remembered(shelf, datetime.now(UTC) + timedelta(days=3)).law
-        assert (old.phase, old.fault, old.remembered) == (Phase.FAULT, law.fault, None)
+        grasp = remembered(shelf).grasp
+        assert (grasp.phase, grasp.fault) == (Phase.FAULT, cell.service.state.fault)
+        assert grasp.remembered == grip, "as it was when the gripper was last heard"
+        old = remembered(shelf, datetime.now(UTC) + timedelta(days=3)).grasp
+        assert (old.phase, old.fault, old.remembered) == (Phase.FAULT, grasp.fault, None)
         cell.world.faults.repair("gripper")
         await cell.ready()
         await cell.controls.clear()
         await cell.until(cell.steady)
         assert await noted(shelf) == grip
-        assert remembered(shelf).law.fault is None
+        assert remembered(shelf).grasp.fault is None
         cell.world.clear(cell.now_s)
         await cell.until(lambda: cell.phase is Phase.FAULT)
-        await cell.until(lambda: remembered(shelf).law.fault is not None)
+        await cell.until(lambda: remembered(shelf).grasp.fault is not None)
         await cell.controls.release()
         await asyncio.sleep(0.1)
-        assert remembered(shelf).law.fault is None
+        assert remembered(shelf).grasp.fault is None
         await cell.until(lambda: cell.phase is Phase.IDLE)
         await asyncio.sleep(0.1)
         assert shelf.load_last_grasp() is None
@@ -193,13 +193,13 @@ def test_a_latched_fault_is_noted_until_it_is_cleared(tmp_path: Path) -> None:
 
 def test_a_fault_without_a_gripper_is_noted_with_the_grip_of_before_the_restart(tmp_path: Path) -> None:
     shelf = StateDir(tmp_path)
-    grip = Remembered(90.0, 18.0, taken=False)
+    grip = RememberedGrip(90.0, 18.0, applied=False)
     fault = Fault(FaultCode.GRIPPER_SILENT, "no answer for 2.0 s", "check its cable")
 
     async def scene() -> None:
         keeper = LastGraspSaver(shelf, list[str]().append, list[str]().append)
-        before = Guard(GuardState(remembered=grip, person_near=True))
-        rotation = Decision(1.0, Phase.IDLE, Seen(1.0), Command(), before)
+        before = ControlState(GraspState(remembered=grip, person_near=True))
+        rotation = Decision(1.0, Phase.IDLE, Observation(1.0), Command(), before)
         keeper.decided(rotation)
         await asyncio.sleep(0.1)
         assert shelf.load_last_grasp() is None, "nothing is known yet"
@@ -207,7 +207,7 @@ def test_a_fault_without_a_gripper_is_noted_with_the_grip_of_before_the_restart(
         await asyncio.sleep(0.1)
 
     asyncio.run(scene())
-    assert remembered(shelf).law == GuardState(Phase.FAULT, remembered=grip, person_near=True, fault=fault)
+    assert remembered(shelf).grasp == GraspState(Phase.FAULT, remembered=grip, person_near=True, fault=fault)
 
 
 def test_what_was_to_be_let_go_is_noted_with_its_fault(tmp_path: Path) -> None:
@@ -216,12 +216,14 @@ def test_what_was_to_be_let_go_is_noted_with_its_fault(tmp_path: Path) -> None:
 
     async def scene() -> None:
         keeper = LastGraspSaver(shelf, list[str]().append, list[str]().append)
-        law = GuardState(Phase.FAULT, let_go=True, cut_short=True, fault=fault)
-        keeper.decided(Decision(1.0, Phase.FAULT, Seen(1.0), Command(fault=fault), Guard(law)))
+        grasp = GraspState(Phase.FAULT, release_requested=True, closing_interrupted=True, fault=fault)
+        keeper.decided(Decision(1.0, Phase.FAULT, Observation(1.0), Command(fault=fault), ControlState(grasp)))
         await asyncio.sleep(0.1)
 
     asyncio.run(scene())
-    assert remembered(shelf).law == GuardState(Phase.FAULT, let_go=True, cut_short=True, fault=fault)
+    assert remembered(shelf).grasp == GraspState(
+        Phase.FAULT, release_requested=True, closing_interrupted=True, fault=fault
+    )
 
 
 @pytest.mark.parametrize(
@@ -229,21 +231,21 @@ def test_what_was_to_be_let_go_is_noted_with_its_fault(tmp_path: Path) -> None:
     [
         '{"format": 1}',
         "not JSON",
-        '{"format": 4, "saved_at": "2026-01-01T00:00:00Z", "force_n": "NaN"}',
-        '{"format": 4, "saved_at": "2026-01-01T00:00:00Z", "fault": {"code": "x", "seen": "", "what_to_do": ""}}',
+        '{"format": 5, "saved_at": "2026-01-01T00:00:00Z", "force_n": "NaN"}',
+        '{"format": 5, "saved_at": "2026-01-01T00:00:00Z", "fault": {"code": "x", "observed": "", "what_to_do": ""}}',
     ],
 )
 def test_a_damaged_note_counts_as_none(tmp_path: Path, content: str) -> None:
     (tmp_path / "last_grasp.json").write_text(content)
-    assert remembered(StateDir(tmp_path)) == Guard()
+    assert remembered(StateDir(tmp_path)) == ControlState()
 
 
 def test_an_old_note_counts_as_none(tmp_path: Path) -> None:
     shelf, now = StateDir(tmp_path), datetime.now(UTC)
     shelf.save_last_grasp(LastGrasp(saved_at=now - timedelta(hours=2), force_n=90.0, width_mm=18.0))
-    assert remembered(shelf, now) == Guard()
+    assert remembered(shelf, now) == ControlState()
     shelf.save_last_grasp(LastGrasp(saved_at=now - timedelta(minutes=2), force_n=90.0, width_mm=18.0))
-    assert remembered(shelf, now) == Guard(GuardState(remembered=Remembered(90.0, 18.0)))
+    assert remembered(shelf, now) == ControlState(GraspState(remembered=RememberedGrip(90.0, 18.0)))
 
 
 def test_a_stop_for_a_person_is_remembered_until_the_arm_is_heard(tmp_path: Path) -> None:
@@ -256,9 +258,9 @@ def test_a_stop_for_a_person_is_remembered_until_the_arm_is_heard(tmp_path: Path
         await cell.grasp()
         cell.world.faults.fail("arm", "protective_stop")
         await asyncio.sleep(0.3)
-        assert remembered(shelf).law.person_near
+        assert remembered(shelf).grasp.person_near
         cell.world.faults.repair("arm")
         await asyncio.sleep(0.3)
-        assert not remembered(shelf).law.person_near
+        assert not remembered(shelf).grasp.person_near
 
     play(Cell("wrench", 1), scene)

@@ -7,16 +7,18 @@ import asyncio
 import pytest
 from loop_cell import Cell, play
 
-from slipguard.control.guard import tick
 from slipguard.control.state import Phase
-from slipguard.daemon.loop.service import Law
+from slipguard.control.step import control_step
+from slipguard.daemon.loop.service import Controller
 from slipguard.errors import CommandRefused
 from slipguard.sim_lifts.unguarded import unguarded_tick
 
 BRISK = {"lift_height_mm": 60.0, "lift_speed_mm_s": 100.0, "lower_speed_mm_s": 150.0}
 
 
-def carried(object_name: str, seed: int, law: Law = tick, height_mm: float = 60.0) -> tuple[Cell, list[float]]:
+def carried(
+    object_name: str, seed: int, controller: Controller = control_step, height_mm: float = 60.0
+) -> tuple[Cell, list[float]]:
     """Grasp, lift, hold for a second, lower, release; all turns on the way."""
     rotations: list[float] = []
 
@@ -25,7 +27,7 @@ def carried(object_name: str, seed: int, law: Law = tick, height_mm: float = 60.
         await cell.grasp()
         await cell.lift()
         await asyncio.sleep(1.0)
-        if law is tick:
+        if controller is control_step:
             assert cell.phase is Phase.HOLDING, cell.service.state.fault
             assert cell.truth.dropped is None
             assert cell.truth.height_mm == pytest.approx(height_mm, abs=1.0)
@@ -35,7 +37,9 @@ def carried(object_name: str, seed: int, law: Law = tick, height_mm: float = 60.
         assert cell.width_mm == pytest.approx(85.0, abs=0.5)
         assert not cell.truth.in_contact
 
-    return play(Cell(object_name, seed, guard=BRISK | {"lift_height_mm": height_mm}, law=law), scene), rotations
+    return play(
+        Cell(object_name, seed, guard=BRISK | {"lift_height_mm": height_mm}, controller=controller), scene
+    ), rotations
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -53,7 +57,7 @@ def test_an_object_is_carried_and_put_down(object_name: str, seed: int) -> None:
 
 @pytest.mark.parametrize("object_name", ["bar", "wrench"])
 def test_without_the_guard_it_turns_far(object_name: str) -> None:
-    cell, rotations = carried(object_name, 1, law=unguarded_tick, height_mm=120.0)
+    cell, rotations = carried(object_name, 1, controller=unguarded_tick, height_mm=120.0)
     assert max(rotations) > 25.0
     assert [force_n for _, what, force_n in cell.gripper.told if what == "hold"] == [pytest.approx(40.0, abs=0.9)]
 

@@ -46,7 +46,7 @@ def weight(cell: Cell) -> int:
     todo: list[object] = [
         cell.service._guard,
         cell.service.event_log.lines,
-        cell.service.seen,
+        cell.service.observation,
         *vars(cell.service).values(),
     ]
     total = 0

@@ -8,7 +8,7 @@ import itertools
 import pytest
 from loop_cell import Cell, play
 
-from slipguard.control.messages import Request, RequestKind
+from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.state import Phase
 from slipguard.errors import CommandRefused, DeviceTimeout
 
@@ -87,7 +87,7 @@ def test_a_loop_that_does_not_answer_is_said_in_time_and_the_wish_does_not_come_
         cell.service._rotation = lambda now_s: None  # type: ignore[method-assign]
         asked_s = cell.now_s
         with pytest.raises(CommandRefused, match="grasp: the loop did not answer within 2 s"):
-            await cell.service.request(Request(RequestKind.GRASP))
+            await cell.service.request(ControlRequest(RequestKind.GRASP))
         assert cell.now_s - asked_s == pytest.approx(2.0, abs=0.02)
         cell.service._rotation = rotation  # type: ignore[method-assign]
         await asyncio.sleep(0.5)
@@ -100,8 +100,8 @@ def test_a_loop_that_does_not_answer_is_said_in_time_and_the_wish_does_not_come_
 def test_a_wish_whose_asker_has_gone_does_not_come_true() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        asker = asyncio.create_task(cell.service.request(Request(RequestKind.GRASP)))
-        other = asyncio.create_task(cell.service.request(Request(RequestKind.GUARD_OFF)))
+        asker = asyncio.create_task(cell.service.request(ControlRequest(RequestKind.GRASP)))
+        other = asyncio.create_task(cell.service.request(ControlRequest(RequestKind.GUARD_OFF)))
         await asyncio.sleep(0)
         asker.cancel()
         await other

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from loop_cell import Cell, play
 
-from slipguard.control.guard import Guard, tick
-from slipguard.control.messages import Command, Seen
+from slipguard.control.messages import Command, Observation
 from slipguard.control.params import GuardParams
+from slipguard.control.step import ControlState, control_step
 from slipguard.daemon.systemd_notify import notify, watchdog_period_s
 
 WATCHDOG_S = 3.0
@@ -61,18 +61,18 @@ def test_a_law_that_fails_ends_the_service_and_feeds_nothing_more(systemd: socke
     """Sensors, gripper and arm go on answering until then: they are no sign of health."""
     rotations = 0
 
-    def broken(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
+    def broken(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, Command]:
         nonlocal rotations
         rotations += 1
         if rotations > 50:
             raise ZeroDivisionError("a mistake in the law")
-        return tick(guard, seen, params)
+        return control_step(state, observation, params)
 
     async def scene(cell: Cell) -> None:
         await cell.until(lambda: False, 20.0)
 
     with pytest.raises((ExceptionGroup, AssertionError)):
-        play(Cell(law=broken), scene)
+        play(Cell(controller=broken), scene)
     heard = told(systemd)
     assert heard.count("WATCHDOG=1") == 1  # at the first turn
     assert heard[-1] == "STOPPING=1"

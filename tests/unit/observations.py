@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from slipguard.control.finger_fusion import Fused
-from slipguard.control.messages import NO_REQUEST, FingerHealth, Request, RequestKind, Seen
+from slipguard.control.finger_fusion import FusedEstimate
+from slipguard.control.messages import NO_REQUEST, ControlRequest, FingerHealth, Observation, RequestKind
 from slipguard.devices import ArmState, GripperState
 from slipguard.perception.estimate import Estimate
 
@@ -28,25 +28,25 @@ def fused(
     rotation_deg: float | None = 0.0, rate_deg_s: float | None = 0.0, *, at_s: float = 0.0, shift_mm: float | None = 0.0,
     contact: bool = True, sigma_deg: float = 0.5, fingers: tuple[str, ...] = ("left", "right"),
     conflict: str | None = None, note: str | None = None, declined: str | None = None,
-) -> Fused:  # fmt: skip
+) -> FusedEstimate:  # fmt: skip
     blind = rotation_deg is None
-    return Fused(
+    return FusedEstimate(
         contact, contact, at_s, at_s, () if blind else fingers, rotation_deg, None if blind else sigma_deg,
         None if blind else rate_deg_s, shift_mm, conflict, note, declined,
     )  # fmt: skip
 
 
-def seen(now_s: float, **changes: object) -> Seen:
+def observation(now_s: float, **changes: object) -> Observation:
     """All well at `now_s`: an object held and seen, the arm at rest, everything just measured."""
-    base = Seen(
+    base = Observation(
         now_s=now_s, fused=fused(at_s=now_s), left=FingerHealth(), right=FingerHealth(),
         gripper=gripper(at_s=now_s), arm=arm(at_s=now_s), request=NO_REQUEST,
     )  # fmt: skip
     return replace(base, **changes)  # type: ignore[arg-type]
 
 
-def ask(kind: RequestKind, **values: float) -> Request:
-    return Request(kind, **values)
+def ask(kind: RequestKind, **values: float) -> ControlRequest:
+    return ControlRequest(kind, **values)
 
 
 def estimate(

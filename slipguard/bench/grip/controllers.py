@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from slipguard.control.guard import Guard, tick
-from slipguard.control.messages import ArmLift, Command, RequestKind, Seen
+from slipguard.control.messages import ArmLift, Command, Observation, RequestKind
 from slipguard.control.params import GuardParams
+from slipguard.control.step import ControlState, control_step
 from slipguard.sim.world import WorldTruth
 
 STEP = 1.10
@@ -21,22 +21,22 @@ REACHED_MM = 0.5
 
 
 @dataclass(slots=True)
-class Law:
+class SlipguardController:
     """slipguard's own: supervisor and law together."""
 
     params: GuardParams
-    guard: Guard = field(default_factory=Guard)
+    guard: ControlState = field(default_factory=ControlState)
 
     def exposed(self, truth: WorldTruth) -> None:
         """Does not look."""
 
-    def decide(self, seen: Seen) -> Command:
-        self.guard, command = tick(self.guard, seen, self.params)
+    def decide(self, observation: Observation) -> Command:
+        self.guard, command = control_step(self.guard, observation, self.params)
         return command
 
 
 @dataclass(slots=True)
-class Nobody:
+class UnguardedController:
     """Grips once, as told, and lifts, as told; the arm waits while `pauses` and goes on when all is calm.
 
     goal_mm, speed_mm_s: of the lift. still_deg: the turn that has lasted since still_s.
@@ -51,45 +51,50 @@ class Nobody:
     def exposed(self, truth: WorldTruth) -> None:
         """Does not look."""
 
-    def decide(self, seen: Seen) -> Command:
-        request = seen.request
+    def decide(self, observation: Observation) -> Command:
+        request = observation.request
         if request.kind is RequestKind.GRASP and request.force_n is not None:
             self.target_n = request.force_n
             return Command(hold_force_n=self.target_n)
-        if request.kind is RequestKind.LIFT and request.height_mm is not None and seen.arm is not None:
-            self.goal_mm, self.speed_mm_s = seen.arm.height_mm + request.height_mm, request.speed_mm_s or 0.0
+        if request.kind is RequestKind.LIFT and request.height_mm is not None and observation.arm is not None:
+            self.goal_mm, self.speed_mm_s = observation.arm.height_mm + request.height_mm, request.speed_mm_s or 0.0
             return Command(arm=ArmLift(request.height_mm, self.speed_mm_s))
-        more_n = self.more_n(seen)
+        more_n = self.more_n(observation)
         if more_n is not None:
-            self.target_n, self.still_s = more_n, seen.now_s
+            self.target_n, self.still_s = more_n, observation.now_s
             return Command(hold_force_n=more_n, arm="stop")
-        return Command(arm=self._go_on(seen))
+        return Command(arm=self._go_on(observation))
 
-    def more_n(self, seen: Seen) -> float | None:
+    def more_n(self, observation: Observation) -> float | None:
         """The force to tighten to now, above `target_n`; None for none."""
         return None
 
-    def _go_on(self, seen: Seen) -> ArmLift | None:
+    def _go_on(self, observation: Observation) -> ArmLift | None:
         """An arm that stands below its goal goes on when neither object nor gripper has moved for a while."""
-        rotation_deg = seen.fused.rotation_deg if seen.fused is not None else None
-        moves = seen.gripper is None or seen.gripper.moving or rotation_deg is None
+        rotation_deg = observation.fused.rotation_deg if observation.fused is not None else None
+        moves = observation.gripper is None or observation.gripper.moving or rotation_deg is None
         if moves or abs((rotation_deg or 0.0) - self.still_deg) > CALM_DEG:
-            self.still_deg, self.still_s = rotation_deg or 0.0, seen.now_s
-        if self.goal_mm is None or seen.arm is None or seen.arm.moving or seen.now_s - self.still_s < CALM_S:
+            self.still_deg, self.still_s = rotation_deg or 0.0, observation.now_s
+        if (
+            self.goal_mm is None
+            or observation.arm is None
+            or observation.arm.moving
+            or observation.now_s - self.still_s < CALM_S
+        ):
             return None
-        way_mm = self.goal_mm - seen.arm.height_mm
+        way_mm = self.goal_mm - observation.arm.height_mm
         return ArmLift(way_mm, self.speed_mm_s) if way_mm > REACHED_MM else None
 
 
 @dataclass(slots=True)
-class FixedStep(Nobody):
+class FixedStep(UnguardedController):
     """Each new frame in which the turn is above 5 degrees: ten per cent more, up to `force_max_n`."""
 
     force_max_n: float = 130.0
     captured_s: float = -1.0
 
-    def more_n(self, seen: Seen) -> float | None:
-        fused = seen.fused
+    def more_n(self, observation: Observation) -> float | None:
+        fused = observation.fused
         if fused is None or fused.rotation_deg is None or fused.captured_at_s <= self.captured_s:
             return None
         self.captured_s = fused.captured_at_s
@@ -99,7 +104,7 @@ class FixedStep(Nobody):
 
 
 @dataclass(slots=True)
-class Oracle(Nobody):
+class Oracle(UnguardedController):
     """Knows the true slip of each frame one latency later, the force needed and the gripper's gain: one command.
 
     latency_s: from exposure to its decision.
@@ -116,7 +121,7 @@ class Oracle(Nobody):
             self.known_s = truth.time_s + self.latency_s
             self.wanted_n = min(ORACLE_TIMES * truth.needed_force_n / self.gain, self.force_max_n)
 
-    def more_n(self, seen: Seen) -> float | None:
-        if self.known_s is None or seen.now_s < self.known_s or self.target_n >= self.wanted_n:
+    def more_n(self, observation: Observation) -> float | None:
+        if self.known_s is None or observation.now_s < self.known_s or self.target_n >= self.wanted_n:
             return None
         return self.wanted_n

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slipguard.bench.grip import disturbances
-from slipguard.bench.grip.controllers import Law
+from slipguard.bench.grip.controllers import SlipguardController
 from slipguard.bench.grip.loop import FINGERS, Loop, Sight, Trace
 from slipguard.bench.grip.modeled_perception import ModelSight
 from slipguard.bench.grip.rendered_perception import RenderedSight
 from slipguard.bench.grip.setup import chances, grip, model_sight, world_of
 from slipguard.bench.grip.trials import PERCEIVING_S, Trial, trials
-from slipguard.control.messages import Request, RequestKind
+from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
 
@@ -89,15 +89,17 @@ def hold(plan: Hold, params: GuardParams | None = None) -> Held:
     trial = plan.trial
     rng = np.random.default_rng([trial.number, 17])
     world = world_of(trial, STEP_S)
-    law = Law(params)
-    loop = Loop(world, law, _sights(plan, rng), chances(trial), PERCEIVING_S)
+    controller = SlipguardController(params)
+    loop = Loop(world, controller, _sights(plan, rng), chances(trial), PERCEIVING_S)
     grip(loop, min(plan.margin * trial.needed_n / trial.scenario.gripper.gain, params.force_max_n))
     loop.wait(SETTLE_S + trial.latency_s)
     lifted_s = loop.now_s
-    loop.ask(Request(RequestKind.LIFT, height_mm=LIFT_MM, speed_mm_s=trial.lift_speed_mm_s))
-    if not loop.until(lambda: law.guard.law.phase is Phase.HOLDING, LIFTS_WITHIN_S):
-        fault = law.guard.law.fault
-        return _held(plan, loop, lifted_s, loop.now_s, f"not holding after the lift: {fault or law.guard.law.phase}")
+    loop.ask(ControlRequest(RequestKind.LIFT, height_mm=LIFT_MM, speed_mm_s=trial.lift_speed_mm_s))
+    if not loop.until(lambda: controller.guard.grasp.phase is Phase.HOLDING, LIFTS_WITHIN_S):
+        fault = controller.guard.grasp.fault
+        return _held(
+            plan, loop, lifted_s, loop.now_s, f"not holding after the lift: {fault or controller.guard.grasp.phase}"
+        )
     loop.wait(SETTLE_S)
     _disturb(loop, rng, plan.seconds)
     begun_s = loop.now_s
@@ -109,7 +111,7 @@ def hold(plan: Hold, params: GuardParams | None = None) -> Held:
         if rng.random() < STOPPED_SHARE:
             loop.wait(float(rng.uniform(0.05, 0.3)))
             world.command_stop(loop.now_s)
-    fault = law.guard.law.fault
+    fault = controller.guard.grasp.fault
     return _held(plan, loop, lifted_s, begun_s, None if fault is None else str(fault))
 
 

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from slipguard.control.finger_fusion import fuse
-from slipguard.control.messages import ArmLift, Command, Condition, FingerHealth, Request, Seen
+from slipguard.control.messages import ArmLift, Command, Condition, ControlRequest, FingerHealth, Observation
 from slipguard.daemon.loop.service import STALE_S
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.view import GelView
@@ -23,7 +23,7 @@ from slipguard.sim.world import World, WorldTruth
 
 TICK_S = 0.01
 FINGERS = ("left", "right")
-NOTHING = Request()
+NOTHING = ControlRequest()
 SLIDES_MM_S = 0.5
 """Truly slipping and going down faster than this is sliding; what is slower ends within a micrometre or so."""
 
@@ -41,7 +41,7 @@ class Controller(Protocol):
 
     def exposed(self, truth: WorldTruth) -> None: ...
 
-    def decide(self, seen: Seen) -> Command: ...
+    def decide(self, observation: Observation) -> Command: ...
 
 
 @dataclass(slots=True)
@@ -98,7 +98,7 @@ class Loop:
             self._expose_next(finger)
         self._tick_next()
 
-    def ask(self, request: Request) -> None:
+    def ask(self, request: ControlRequest) -> None:
         """Hand a request to the controller, now."""
         self._request = request
         self._decide()
@@ -167,7 +167,7 @@ class Loop:
     def _decide(self) -> None:
         (left, left_health), (right, right_health) = (self._fresh(finger) for finger in FINGERS)
         request, self._request = self._request, NOTHING
-        seen = Seen(
+        observation = Observation(
             now_s=self.now_s,
             fused=fuse(left, right),
             left=left_health,
@@ -176,7 +176,7 @@ class Loop:
             arm=self.world.arm_state(self.now_s),
             request=request,
         )
-        self._obey(self.controller.decide(seen))
+        self._obey(self.controller.decide(observation))
 
     def _fresh(self, finger: str) -> tuple[Estimate | None, FingerHealth]:
         """As the daemon has it: a finger whose newest frame is old says nothing. One that has not begun is well."""

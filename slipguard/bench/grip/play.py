@@ -7,12 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from slipguard.bench.grip.controllers import REACHED_MM, FixedStep, Law, Nobody, Oracle
+from slipguard.bench.grip.controllers import REACHED_MM, FixedStep, Oracle, SlipguardController, UnguardedController
 from slipguard.bench.grip.loop import FINGERS, Loop, Sight, Trace
 from slipguard.bench.grip.rendered_perception import RenderedSight
 from slipguard.bench.grip.setup import chances, grip, model_sight, world_of
 from slipguard.bench.grip.trials import PERCEIVING_S, Trial
-from slipguard.control.messages import Request, RequestKind
+from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
 
 Who = Literal["law", "nobody", "fixed step", "oracle"]
@@ -93,16 +93,16 @@ def _loop(trial: Trial, who: Who, rendered: bool, params: GuardParams) -> Loop:
         for k, finger in enumerate(FINGERS)
     }
     camera_s = deliveries["left"].latency_s + PERCEIVING_S
-    controller: Law | Nobody
+    controller: SlipguardController | UnguardedController
     if who == "law":
-        controller = Law(params)
+        controller = SlipguardController(params)
     elif who == "fixed step":
         controller = FixedStep(force_max_n=params.force_max_n)
     elif who == "oracle":
         gain = trial.scenario.gripper.gain
         controller = Oracle(latency_s=camera_s, gain=gain, force_max_n=params.force_max_n)
     else:
-        controller = Nobody()
+        controller = UnguardedController()
     return Loop(world_of(trial), controller, sights, chances(trial), PERCEIVING_S)
 
 
@@ -114,7 +114,7 @@ def _happen(loop: Loop, trial: Trial) -> None:
     if trial.event == "support gone":
         loop.world.take_table(loop.now_s)
     else:
-        loop.ask(Request(RequestKind.LIFT, height_mm=lift_mm(trial), speed_mm_s=trial.lift_speed_mm_s))
+        loop.ask(ControlRequest(RequestKind.LIFT, height_mm=lift_mm(trial), speed_mm_s=trial.lift_speed_mm_s))
 
 
 def _watch(loop: Loop, trial: Trial) -> None:
@@ -145,7 +145,7 @@ def _outcome(loop: Loop, trial: Trial, who: Who, begun_s: float, traced: bool) -
     first_slip_s = float(times[slips > SLIPPED_DEG][0]) if (slips > SLIPPED_DEG).any() else None
     arrested_s = None if first_slip_s is None else float(moved[-1] - first_slip_s) if moved.size else 0.0
     told = [when_s for when_s, command in loop.commands if command.hold_force_n is not None and when_s >= begun_s]
-    law = loop.controller.guard.law if isinstance(loop.controller, Law) else None
+    grasp = loop.controller.guard.grasp if isinstance(loop.controller, SlipguardController) else None
     return Outcome(
         who=who,
         slip_deg=abs(truth.slip_deg),
@@ -156,7 +156,7 @@ def _outcome(loop: Loop, trial: Trial, who: Who, begun_s: float, traced: bool) -
         tightenings=len(told),
         early=bool(told and (first_slip_s is None or told[0] < first_slip_s)),
         dropped=truth.dropped,
-        fault=str(law.fault.code) if law is not None and law.fault is not None else None,
+        fault=str(grasp.fault.code) if grasp is not None and grasp.fault is not None else None,
         up=bool(truth.height_mm >= _way_mm(trial)),
         says=tuple(loop.says),
         trace=trace if traced else None,

@@ -8,7 +8,7 @@ from slipguard.bench.grip.error_model import ERRORS
 from slipguard.bench.grip.loop import Loop
 from slipguard.bench.grip.modeled_perception import Drift, ModelSight, SightError
 from slipguard.bench.grip.trials import ROOM_MM, Trial
-from slipguard.control.messages import Request, RequestKind
+from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.sim.world import World, WorldSettings
 
 START_S = 100.0
@@ -37,7 +37,7 @@ def chances(trial: Trial) -> np.random.Generator:
 def grip(loop: Loop, force_n: float) -> None:
     """Close the jaws and wait until they are firm; the cameras look from then on."""
     loop.looking = False
-    loop.ask(Request(RequestKind.GRASP, force_n=force_n))
+    loop.ask(ControlRequest(RequestKind.GRASP, force_n=force_n))
 
     def firm() -> bool:
         state = loop.world.gripper_state(loop.now_s)

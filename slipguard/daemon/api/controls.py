@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 
-from slipguard.control.messages import Request, RequestKind
+from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.state import Phase
 from slipguard.daemon.api.snapshot import snapshot, trouble
 from slipguard.daemon.loop.finger import Finger
@@ -61,32 +61,32 @@ class Controls:
                 raise CommandRefused(
                     f"cannot grasp: {name} finger ({finger.serial}) has no no-contact image; run `slipguard calibrate`"
                 )
-        return await self._ask(Request(RequestKind.GRASP, force_n=force_n))
+        return await self._ask(ControlRequest(RequestKind.GRASP, force_n=force_n))
 
     async def lift(self, height_mm: float | None = None, speed_mm_s: float | None = None) -> str:
         """Lift what is held."""
-        return await self._ask(Request(RequestKind.LIFT, height_mm=height_mm, speed_mm_s=speed_mm_s))
+        return await self._ask(ControlRequest(RequestKind.LIFT, height_mm=height_mm, speed_mm_s=speed_mm_s))
 
     async def lower(self, height_mm: float | None = None, speed_mm_s: float | None = None) -> str:
         """Lower it again; by what it was lifted where no height is given."""
-        return await self._ask(Request(RequestKind.LOWER, height_mm=height_mm, speed_mm_s=speed_mm_s))
+        return await self._ask(ControlRequest(RequestKind.LOWER, height_mm=height_mm, speed_mm_s=speed_mm_s))
 
     async def guard(self, on: bool) -> str:
         """Act on slip, or only watch."""
-        return await self._ask(Request(RequestKind.GUARD_ON if on else RequestKind.GUARD_OFF))
+        return await self._ask(ControlRequest(RequestKind.GUARD_ON if on else RequestKind.GUARD_OFF))
 
     async def gripper(self, width_mm: float | None, force_n: float | None) -> str:
         """Move the jaws for another program; never opens a held object and never lowers its grip."""
         self._check_calibration_is_over()
-        return await self._ask(Request(RequestKind.GRIPPER, width_mm=width_mm, force_n=force_n))
+        return await self._ask(ControlRequest(RequestKind.GRIPPER, width_mm=width_mm, force_n=force_n))
 
     async def release(self, width_mm: float | None = None) -> str:
         """Open the jaws, in every state."""
-        return await self._ask(Request(RequestKind.RELEASE, width_mm=width_mm))
+        return await self._ask(ControlRequest(RequestKind.RELEASE, width_mm=width_mm))
 
     async def clear(self) -> str:
         """Leave a fault whose cause is gone."""
-        return await self._ask(Request(RequestKind.CLEAR))
+        return await self._ask(ControlRequest(RequestKind.CLEAR))
 
     async def calibrate(self, *, force: bool = False, new_gel: bool = False) -> dict[str, BackgroundImage]:
         """Take and store both fingers' no-contact images. Refused while anything is or may be touched.
@@ -210,5 +210,5 @@ class Controls:
         except TimeoutError:
             raise CommandRefused("the no-contact images are stored, but no frames come any more") from None
 
-    async def _ask(self, request: Request) -> str:
+    async def _ask(self, request: ControlRequest) -> str:
         return await self._service.request(request)

@@ -16,11 +16,11 @@ def snapshot(service: Service) -> dict[str, object]:
 
     now_s: when the loop last took its turn. limits: what the configuration asks for and allows.
     """
-    seen, state, guard = service.seen, service.state, service.config.guard
+    observation, state, guard = service.observation, service.state, service.config.guard
     fault = state.fault
     return {
         "version": __version__,
-        "now_s": seen.now_s if seen is not None else None,
+        "now_s": observation.now_s if observation is not None else None,
         "mode": guard.mode,
         "phase": state.phase.value,
         "guarding": state.guarding,
@@ -35,8 +35,8 @@ def snapshot(service: Service) -> dict[str, object]:
         "no_rotation_reason": state.blind,
         "fault": None
         if fault is None
-        else {"code": fault.code.value, "seen": fault.seen, "what_to_do": fault.what_to_do},
-        "rotation": _plain(seen.fused) if seen is not None else None,
+        else {"code": fault.code.value, "observed": fault.observed, "what_to_do": fault.what_to_do},
+        "rotation": _plain(observation.fused) if observation is not None else None,
         "gripper": _plain(service.gripper.newest),
         "arm": _plain(service.arm.newest),
         "fingers": {
@@ -44,7 +44,7 @@ def snapshot(service: Service) -> dict[str, object]:
                 "serial": finger.serial,
                 "estimate": _plain(finger.newest.estimate) if finger.newest is not None else None,
                 "frames_per_s": service.latency_stats.frames_per_s[name],
-                "age_s": _plain(getattr(seen, name).age_s) if seen is not None else None,
+                "age_s": _plain(getattr(observation, name).age_s) if observation is not None else None,
                 "counts": _plain(finger.counts),
                 "remarks": list(finger.sensor.remarks),
                 "gel": _plain(finger.gel),

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from slipguard.control.guard import Guard
-from slipguard.control.messages import Command, Seen
+from slipguard.control.messages import Command, Observation
 from slipguard.control.state import Phase
+from slipguard.control.step import ControlState
 from slipguard.perception.estimate import Estimate
 
 
@@ -22,9 +22,9 @@ class Decision:
 
     now_s: float
     phase: Phase
-    seen: Seen
+    observation: Observation
     command: Command
-    memory: Guard
+    memory: ControlState
     estimates: Mapping[str, Estimate | None] = field(default_factory=dict)
     new_estimates: Mapping[str, Estimate] = field(default_factory=dict)
     latencies_s: tuple[float, ...] = ()

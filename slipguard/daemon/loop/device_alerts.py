@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from slipguard.control.messages import Condition, FingerHealth, Seen, without_figures
+from slipguard.control.messages import Condition, FingerHealth, Observation, without_figures
 from slipguard.control.state import AT_STAKE, Phase
 from slipguard.daemon.loop.health import NOT_TRIED, Health
 
@@ -33,20 +33,20 @@ class Device(Protocol):
     def health(self) -> Health: ...
 
 
-def troubles(seen: Seen, devices: Mapping[str, Device]) -> dict[str, str | None]:
+def troubles(observation: Observation, devices: Mapping[str, Device]) -> dict[str, str | None]:
     """By device what is wrong with it now, in words; None where nothing is."""
     found: dict[str, str | None] = {
         name: None if device.health.ready else device.health.why for name, device in devices.items()
     }
-    for name, finger in (("left", seen.left), ("right", seen.right)):
+    for name, finger in (("left", observation.left), ("right", observation.right)):
         found[name] = found[name] or _stale(finger)
-    if seen.gripper is not None:
-        says = None if seen.gripper.fault is None else f"says: {seen.gripper.fault}"
-        found["gripper"] = found["gripper"] or says or _late(seen.now_s - seen.gripper.measured_at_s)
-    if seen.arm is not None:
-        stops = (("emergency", seen.arm.emergency_stop), ("protective", seen.arm.protective_stop))
+    if observation.gripper is not None:
+        says = None if observation.gripper.fault is None else f"says: {observation.gripper.fault}"
+        found["gripper"] = found["gripper"] or says or _late(observation.now_s - observation.gripper.measured_at_s)
+    if observation.arm is not None:
+        stops = (("emergency", observation.arm.emergency_stop), ("protective", observation.arm.protective_stop))
         says = next((f"in {kind} stop" for kind, stopped in stops if stopped), None)
-        found["arm"] = found["arm"] or says or _late(seen.now_s - seen.arm.measured_at_s)
+        found["arm"] = found["arm"] or says or _late(observation.now_s - observation.arm.measured_at_s)
     return found
 
 

@@ -14,10 +14,10 @@ import structlog
 from slipguard.config import Config
 from slipguard.control.fault import Fault
 from slipguard.control.finger_fusion import fuse
-from slipguard.control.guard import Guard, tick
-from slipguard.control.messages import ArmLift, Command, Condition, FingerHealth, Request, Seen
+from slipguard.control.messages import ArmLift, Command, Condition, ControlRequest, FingerHealth, Observation
 from slipguard.control.params import GuardParams
-from slipguard.control.state import GuardState, Phase, settled
+from slipguard.control.state import GraspState, Phase, gripper_at_rest
+from slipguard.control.step import ControlState, control_step
 from slipguard.daemon.loop.actuator import Actuator
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.device_alerts import DeviceAlerts, troubles
@@ -40,14 +40,14 @@ At 30 fps one lost frame makes it 122 ms: two frames of 33 ms, 50 ms of latency,
 """
 REQUEST_TIMEOUT_S = 2.0
 
-Law = Callable[[Guard, Seen, GuardParams], tuple[Guard, Command]]
+Controller = Callable[[ControlState, Observation, GuardParams], tuple[ControlState, Command]]
 log = structlog.get_logger()
 
 
 class Service:
     """Runs fingers, gripper, arm and law until cancelled; then the grip stays as it is.
 
-    law: the pure tick; another may be given to see what happens without it. memory: what it knows from before.
+    controller: the pure tick; another may be given to see what happens without it. memory: what it knows from before.
     """
 
     def __init__(
@@ -60,8 +60,8 @@ class Service:
         make_worker: Callable[[str], Worker],
         make_pipeline: Mapping[str, Callable[[str], PerceptionPipeline]],
         store: Store,
-        law: Law = tick,
-        memory: Guard | None = None,
+        controller: Controller = control_step,
+        memory: ControlState | None = None,
     ) -> None:
         self.config = config
         self.store = store
@@ -71,9 +71,9 @@ class Service:
         """Called as a hold goes to the gripper, with the seconds since the frame that caused it was handed over."""
         self.event_log = EventLog()
         self.deadlines_missed = 0
-        self._guard = memory or Guard()
-        self.seen: Seen | None = None
-        self._law = law
+        self._guard = memory or ControlState()
+        self.observation: Observation | None = None
+        self._controller = controller
         self._gripper_device = gripper
         self._arm_device = arm
         self._wake = asyncio.Event()
@@ -91,26 +91,31 @@ class Service:
             "gripper", gripper, poll_s, retry_s, self._wake.set, self.event_log.warning
         )
         self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, self._wake.set, self.event_log.warning)
-        self._requests: asyncio.Queue[tuple[Request, asyncio.Future[str]]] = asyncio.Queue()
+        self._requests: asyncio.Queue[tuple[ControlRequest, asyncio.Future[str]]] = asyncio.Queue()
         self._decided_on: dict[str, TimedEstimate | None] = dict.fromkeys(FINGERS)
         self._last_fault: Fault | None = None
         self._device_alerts = DeviceAlerts(self.event_log.info, self.event_log.warning)
 
     @property
-    def state(self) -> GuardState:
+    def state(self) -> GraspState:
         """What the law remembers."""
-        return self._guard.law
+        return self._guard.grasp
 
     @property
     def phase(self) -> Phase:
         """Where the grasp is."""
-        return self._guard.law.phase
+        return self._guard.grasp.phase
 
     @property
     def firm(self) -> bool:
         """Held and calm, and the gripper has done what it was last told: fit to be lifted."""
-        state, gripper = self._guard.law, self.gripper.newest
-        return state.phase is Phase.HOLDING and state.slip is None and gripper is not None and settled(state, gripper)
+        state, gripper = self._guard.grasp, self.gripper.newest
+        return (
+            state.phase is Phase.HOLDING
+            and state.slip is None
+            and gripper is not None
+            and gripper_at_rest(state, gripper)
+        )
 
     @property
     def devices(self) -> dict[str, Finger | Actuator[GripperState] | Actuator[ArmState]]:
@@ -122,7 +127,7 @@ class Service:
         """One line for each device that is not ready."""
         return [one.health.line for one in self.devices.values() if not one.health.ready]
 
-    async def request(self, request: Request) -> str:
+    async def request(self, request: ControlRequest) -> str:
         """Hand a wish to the law; returns what it says to it. Raises CommandRefused with its reason."""
         answer: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         self._requests.put_nowait((request, answer))
@@ -182,11 +187,11 @@ class Service:
 
     def _rotation(self, now_s: float) -> None:
         """Gather, ask the law, hand commands on, tell observers."""
-        request, answer = self._next_request() or (Request(), None)
-        fresh, seen = self._gather(now_s, request)
+        request, answer = self._next_request() or (ControlRequest(), None)
+        fresh, observation = self._gather(now_s, request)
         before = self._guard
-        self._guard, command = self._law(before, seen, self.config.guard)
-        self.seen = seen
+        self._guard, command = self._controller(before, observation, self.config.guard)
+        self.observation = observation
         news = self._news()
         self._issue(command, max((one.handed_at_s for one in news.values()), default=now_s))
         done_s = asyncio.get_running_loop().time()
@@ -194,19 +199,19 @@ class Service:
         decision = Decision(
             now_s,
             self.phase,
-            seen,
+            observation,
             command,
             before,
             fresh,
             {name: one.estimate for name, one in news.items()},
             found_needless if command.hold_force_n is None else (),
         )
-        self._tell(before.law.phase, command, answer)
-        self._device_alerts.look(now_s, troubles(seen, self.devices), self.phase, self.config.guard.loop_late_s)
+        self._tell(before.grasp.phase, command, answer)
+        self._device_alerts.look(now_s, troubles(observation, self.devices), self.phase, self.config.guard.loop_late_s)
         for observer in self.observers:
             observer(decision)
 
-    def _next_request(self) -> tuple[Request, asyncio.Future[str]] | None:
+    def _next_request(self) -> tuple[ControlRequest, asyncio.Future[str]] | None:
         """The oldest that somebody still waits for: a wish given up must not come true later."""
         while not self._requests.empty():
             request, answer = self._requests.get_nowait()
@@ -214,7 +219,7 @@ class Service:
                 return request, answer
         return None
 
-    def _gather(self, now_s: float, request: Request) -> tuple[dict[str, Estimate | None], Seen]:
+    def _gather(self, now_s: float, request: ControlRequest) -> tuple[dict[str, Estimate | None], Observation]:
         """What speaks for each finger, and all that the law is told."""
         fresh: dict[str, Estimate | None] = {}
         health = {}
@@ -229,7 +234,7 @@ class Service:
                 condition = Condition.FRESH
             fresh[name] = newest.estimate if newest is not None and condition is Condition.FRESH else None
             health[name] = FingerHealth(condition, age_s, finger.health.why)
-        return fresh, Seen(
+        return fresh, Observation(
             now_s=now_s,
             fused=fuse(fresh["left"], fresh["right"]),
             left=health["left"],
@@ -282,7 +287,7 @@ class Service:
         if command.say is not None:
             (self.event_log.warning if command.warn else self.event_log.info)(command.say)
         if command.fault is not None and command.fault != self._last_fault:
-            self.event_log.fault(command.fault.code.value, command.fault.seen, command.fault.what_to_do)
+            self.event_log.fault(command.fault.code.value, command.fault.observed, command.fault.what_to_do)
         self._last_fault = command.fault
         if self.phase is not before:
             log.info("phase", now=self.phase.value, before=before.value)

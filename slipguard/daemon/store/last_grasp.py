@@ -13,8 +13,8 @@ from typing import Protocol
 import structlog
 
 from slipguard.control.fault import Fault
-from slipguard.control.guard import Guard
-from slipguard.control.state import AT_STAKE, GuardState, Phase, Remembered, taken
+from slipguard.control.state import AT_STAKE, GraspState, Phase, RememberedGrip, force_applied
+from slipguard.control.step import ControlState
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.store.disk_writer import DiskWriter
 from slipguard.daemon.store.state_dir import LastGrasp
@@ -25,7 +25,7 @@ GOOD_FOR = timedelta(hours=1)
 AGAIN_S = 300.0
 """A grip that does not change is noted down again after this time: it is its age that tells it from somebody else's."""
 CHANGE_MM = 0.5
-NOTHING = Remembered(0.0, 0.0)
+NOTHING = RememberedGrip(0.0, 0.0)
 log = structlog.get_logger()
 
 
@@ -39,38 +39,44 @@ class Shelf(Protocol):
     def forget_last_grasp(self) -> None: ...
 
 
-def remembered(shelf: Shelf, now: datetime | None = None) -> Guard:
+def remembered(shelf: Shelf, now: datetime | None = None) -> ControlState:
     """The law's memory at a start; a damaged or old file counts as none, and a damaged one is said."""
     try:
         last = shelf.load_last_grasp()
     except SlipguardError as error:
         log.error("last grasp", why=str(error))
-        return Guard()
+        return ControlState()
     if last is None:
-        return Guard()
-    law = GuardState()
+        return ControlState()
+    grasp = GraspState()
     if (now or datetime.now(UTC)) - last.saved_at <= GOOD_FOR:
-        grip = Remembered(last.force_n, last.width_mm, last.taken) if last.force_n > 0.0 else None
-        law = replace(law, remembered=grip, person_near=last.person_near)
+        grip = RememberedGrip(last.force_n, last.width_mm, last.applied) if last.force_n > 0.0 else None
+        grasp = replace(grasp, remembered=grip, person_near=last.person_near)
     if last.fault is not None:
-        law = replace(law, phase=Phase.FAULT, fault=last.fault, let_go=last.let_go, cut_short=last.cut_short)
-    return Guard(law)
+        grasp = replace(
+            grasp,
+            phase=Phase.FAULT,
+            fault=last.fault,
+            release_requested=last.release_requested,
+            closing_interrupted=last.closing_interrupted,
+        )
+    return ControlState(grasp)
 
 
 @dataclass(frozen=True, slots=True)
 class _Note:
     """What the shelf is to hold: of the grip only where there is one."""
 
-    grip: Remembered | None = None
+    grip: RememberedGrip | None = None
     person_near: bool = False
     fault: Fault | None = None
-    let_go: bool = False
-    cut_short: bool = False
+    release_requested: bool = False
+    closing_interrupted: bool = False
 
     @property
     def latched(self) -> tuple[Fault | None, bool, bool]:
         """The fault, and what goes with it."""
-        return self.fault, self.let_go, self.cut_short
+        return self.fault, self.release_requested, self.closing_interrupted
 
 
 class LastGraspSaver:
@@ -87,18 +93,26 @@ class LastGraspSaver:
         """To be called after every turn of the loop."""
         if self._disk.busy:
             return  # a later turn will do
-        law, gripper, fault = decision.memory.law, decision.seen.gripper, decision.command.fault
+        grasp, gripper, fault = decision.memory.grasp, decision.observation.gripper, decision.command.fault
         held = decision.phase in AT_STAKE or decision.phase is Phase.FAULT
-        note = _Note(None, law.person_near)
+        note = _Note(None, grasp.person_near)
         if fault is not None:
-            note = replace(note, fault=fault, let_go=law.let_go, cut_short=law.cut_short)
-        if held and gripper is not None and gripper.holding and not gripper.moving and law.target_n > 0.0:
-            self._keep(replace(note, grip=Remembered(law.target_n, gripper.width_mm, taken(law, gripper))), decision)
+            note = replace(
+                note,
+                fault=fault,
+                release_requested=grasp.release_requested,
+                closing_interrupted=grasp.closing_interrupted,
+            )
+        if held and gripper is not None and gripper.holding and not gripper.moving and grasp.target_n > 0.0:
+            self._keep(
+                replace(note, grip=RememberedGrip(grasp.target_n, gripper.width_mm, force_applied(grasp, gripper))),
+                decision,
+            )
         elif not held and gripper is not None and not gripper.holding:
             self._keep(_Note(), decision)
         elif note.latched != self._kept.latched:
             # What is held cannot be told just now; what was held is as good as before.
-            self._keep(replace(note, grip=self._kept.grip if self._known else law.remembered), decision)
+            self._keep(replace(note, grip=self._kept.grip if self._known else grasp.remembered), decision)
 
     def _keep(self, note: _Note, decision: Decision) -> None:
         same = self._known and not _differs(note, self._kept)
@@ -118,11 +132,11 @@ class LastGraspSaver:
                 saved_at=datetime.now(UTC),
                 force_n=grip.force_n,
                 width_mm=grip.width_mm,
-                taken=grip.taken,
+                applied=grip.applied,
                 person_near=note.person_near,
                 fault=note.fault,
-                let_go=note.let_go,
-                cut_short=note.cut_short,
+                release_requested=note.release_requested,
+                closing_interrupted=note.closing_interrupted,
             )
         )
 

@@ -77,7 +77,7 @@ class ReferenceSaver:
         """To be called after every turn of the loop."""
         for name, finger in self._fingers.items():
             self._tell(name, finger)
-        gripper = decision.seen.gripper
+        gripper = decision.observation.gripper
         if gripper is None or self._disk.busy or (self._disk.failed and not self._disk.due):
             return  # not known, or the disk cannot: a later turn will do
         if self._disk.failed:

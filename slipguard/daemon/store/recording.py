@@ -128,8 +128,8 @@ class RecordingObserver:
 
     def decided(self, decision: Decision) -> None:
         """A turn of the loop; the beginning of a slip or a fault is worth keeping."""
-        law = decision.memory.law
-        slipping, faulty = law.slip is not None, decision.command.fault is not None
+        grasp = decision.memory.grasp
+        slipping, faulty = grasp.slip is not None, decision.command.fault is not None
         keep = (slipping and not self._slipping) or (faulty and not self._faulty)
         self._slipping, self._faulty = slipping, faulty
         self._idle = decision.phase is Phase.IDLE
@@ -137,7 +137,7 @@ class RecordingObserver:
         tick = m.CycleRecord(
             decision.now_s,
             decision.phase.value,
-            decision.seen,
+            decision.observation,
             decision.command,
             _sequence(estimates.get("left")),
             _sequence(estimates.get("right")),

@@ -55,20 +55,20 @@ class _ImageFacts(_Stored):
 class LastGrasp(_Stored):
     """How an object was held when last looked at: force per finger, width of the jaws; saved_at with time zone.
 
-    force_n: as last commanded; 0 where nothing was held. taken: the gripper had applied that force, and said so.
+    force_n: as last commanded; 0 where nothing was held. applied: the gripper had applied that force, and said so.
     person_near: the arm was in a protective or emergency stop, so no force was to be added. fault: latched then.
-    let_go, cut_short: under it what the jaws had met was not to be guarded (see `GuardState`).
+    release_requested, closing_interrupted: under it what the jaws had met was not to be guarded (see `GraspState`).
     """
 
-    format: Literal[4] = 4
+    format: Literal[5] = 5
     saved_at: datetime
     force_n: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     width_mm: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
-    taken: bool = True
+    applied: bool = True
     person_near: bool = False
     fault: Fault | None = None
-    let_go: bool = False
-    cut_short: bool = False
+    release_requested: bool = False
+    closing_interrupted: bool = False
 
 
 _S = TypeVar("_S", bound=_Stored)

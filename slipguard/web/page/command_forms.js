@@ -77,7 +77,7 @@ export const ORDERS = {
       hint: "once its cause is gone",
       title: "Clear the fault?",
       what: state.fault
-        ? `${state.fault.code}: ${state.fault.seen}. First: ${state.fault.what_to_do}. The grip stays as it is.`
+        ? `${state.fault.code}: ${state.fault.observed}. First: ${state.fault.what_to_do}. The grip stays as it is.`
         : "The grip stays as it is.",
       yes: "Clear the fault",
       path: "/clear",

@@ -152,7 +152,7 @@ function showNow() {
 function showFault(fault) {
   byId("fault").hidden = !fault;
   setText(byId("fault-code"), fault ? `Fault: ${fault.code}` : "");
-  setText(byId("fault-seen"), fault ? `Seen: ${fault.seen}` : "");
+  setText(byId("fault-observed"), fault ? `Observed: ${fault.observed}` : "");
   setText(byId("fault-do"), fault ? fault.what_to_do : "");
 }
 

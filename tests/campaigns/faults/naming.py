@@ -112,8 +112,8 @@ def _hidden(device: str, fault: str, rig: CampaignCell) -> bool:
 def _both_rotated(rig: CampaignCell) -> bool:
     newest = [finger.newest for finger in rig.service.fingers.values()]
     rotations = [abs(one.estimate.angle_deg or 0.0) for one in newest if one is not None]
-    seen = rig.service.seen
-    both = seen is not None and seen.fused is not None and len(seen.fused.fingers) == 2
+    observation = rig.service.observation
+    both = observation is not None and observation.fused is not None and len(observation.fused.fingers) == 2
     return both and len(rotations) == 2 and min(rotations) > TELLING_DEG
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from slipguard.bench.grip.modeled_perception import SightError
 from slipguard.config import GROUP_OF, Config, parse_config
-from slipguard.control.guard import tick
+from slipguard.control.step import control_step
 from slipguard.daemon.api.controls import Controls
 from slipguard.daemon.loop.service import FINGERS, Service
 from slipguard.daemon.loop.worker import StatedLatencyWorker
@@ -131,7 +131,7 @@ class CampaignCell:
             make_worker=lambda name: StatedLatencyWorker(LATENCY_S),
             make_pipeline={name: maker(name) for name in FINGERS},
             store=self._state,
-            law=tick,
+            controller=control_step,
             memory=remembered(self._state),
         )
         service.observers.append(LastGraspSaver(self._state, service.event_log.info, service.event_log.warning).decided)

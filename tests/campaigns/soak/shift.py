@@ -69,7 +69,7 @@ class WorkShift:
         service.observers.append(self._decided)
 
     def _decided(self, decision: Decision) -> None:
-        slipping = decision.memory.law.slip is not None
+        slipping = decision.memory.grasp.slip is not None
         self.counts["slips"] += slipping and not self._slipping
         self.counts["tightenings"] += decision.command.hold_force_n is not None
         self.counts["turns of the loop"] += 1

@@ -17,7 +17,7 @@ from slipguard.bench.holding import hold
 from slipguard.bench.minute import HoldingScene
 from slipguard.bench.onset import SlipOnset
 from slipguard.bench.pipelines import NO_SKIP, BenchPipeline, ours
-from slipguard.control.slip_baselines import Detector
+from slipguard.control.slip_baselines import SlipMemory
 from slipguard.datasets.mask_scores import dice
 from slipguard.datasets.rendered_grasps import render_grasp
 from slipguard.devices import Frame
@@ -33,7 +33,7 @@ def default() -> BenchPipeline:
 class Blind:
     """A law that never sees a slip."""
 
-    detector: Detector
+    detector: SlipMemory
     slipping: bool = False
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from slipguard.bench.grip import disturbances, holds
-from slipguard.bench.grip.controllers import Nobody
+from slipguard.bench.grip.controllers import UnguardedController
 from slipguard.bench.grip.holds import HOLD_NUMBERS, RENDERED_NUMBERS, Hold, hold
 from slipguard.bench.grip.loop import FINGERS, Loop, Trace
 from slipguard.bench.grip.modeled_perception import ModelSight, Outliers, SightError
 from slipguard.bench.grip.setup import chances, grip, model_sight, world_of
 from slipguard.bench.grip.trials import draw
-from slipguard.control.messages import Command, Condition, Seen
+from slipguard.control.messages import Command, Condition, Observation
 from slipguard.sim.view import GelView
 
 
@@ -64,12 +64,12 @@ def test_one_frame_is_off_and_its_turn_is_common_to_both_fingers() -> None:
 
 def test_a_blind_finger_says_nothing_once_its_newest_frame_is_old() -> None:
     trial = plan().trial
-    seen: list[Seen] = []
+    seen: list[Observation] = []
 
-    class Watching(Nobody):
-        def decide(self, now: Seen) -> Command:
+    class Watching(UnguardedController):
+        def decide(self, now: Observation) -> Command:
             seen.append(now)
-            return Nobody.decide(self, now)
+            return UnguardedController.decide(self, now)
 
     sights = {finger: model_sight(trial, k) for k, finger in enumerate(FINGERS)}
     loop = Loop(world_of(trial), Watching(), sights, chances(trial))

@@ -6,9 +6,9 @@ import pytest
 
 from slipguard.bench.force_probe import STEP_N, ForceProbe, ProbingController
 from slipguard.bench.wire_latency import OWN, STAGES, TOTAL, LatencyOptions, _CommandTimes, _evaluate
-from slipguard.control.guard import Guard
-from slipguard.control.messages import Seen
+from slipguard.control.messages import Observation
 from slipguard.control.params import GuardParams
+from slipguard.control.step import ControlState
 from slipguard.errors import SlipguardError
 
 
@@ -45,10 +45,10 @@ def test_a_command_that_never_arrived_is_left_out() -> None:
 
 
 def test_nothing_is_nudged_before_something_is_held() -> None:
-    law = ProbingController(5)
-    guard, given = law(Guard(), Seen(now_s=1.0), GuardParams())
+    probe = ProbingController(5)
+    guard, given = probe(ControlState(), Observation(now_s=1.0), GuardParams())
     assert given.hold_force_n is None
-    assert law.left == 5
-    assert not law.probes
-    assert guard.law.target_n == 0.0
+    assert probe.left == 5
+    assert not probe.probes
+    assert guard.grasp.target_n == 0.0
     assert STEP_N > 215.0 / 255.0, "at least one count of the register"

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slipguard.control.guard import Guard, tick
-from slipguard.control.messages import Command, Seen
+from slipguard.control.messages import Command, Observation
 from slipguard.control.params import GuardParams
+from slipguard.control.step import ControlState, control_step
 from slipguard.daemon.loop import device_alerts as bulletin
 from slipguard.daemon.loop.service import Service
 from slipguard.sim.faults import KINDS as ON_THE_BOARD
@@ -61,24 +61,24 @@ def test_an_object_taken_and_a_stuck_arm_are_named(monkeypatch: pytest.MonkeyPat
 
 
 def test_it_sees_jaws_that_open(monkeypatch: pytest.MonkeyPatch) -> None:
-    def opens(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
-        guard, command = tick(guard, seen, params)
-        return guard, replace(command, release_width_mm=60.0) if command.fault is not None else command
+    def opens(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, Command]:
+        state, command = control_step(state, observation, params)
+        return state, replace(command, release_width_mm=60.0) if command.fault is not None else command
 
-    monkeypatch.setattr(rig, "tick", opens)
+    monkeypatch.setattr(rig, "control_step", opens)
     outcome = with_plans(monkeypatch, ("arm.timeout", 3.0, np.inf))
     assert outcome.openings
     assert outcome.failed
 
 
 def test_it_sees_jaws_that_go_on_in_a_stop_of_the_arm(monkeypatch: pytest.MonkeyPatch) -> None:
-    def goes_on(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
-        guard, command = tick(guard, seen, params)
-        return guard, replace(command, halt=False)
+    def goes_on(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, Command]:
+        state, command = control_step(state, observation, params)
+        return state, replace(command, halt=False)
 
     plan = ("arm.emergency_stop", 0.3, np.inf)
     assert with_plans(monkeypatch, plan).presses == 0
-    monkeypatch.setattr(rig, "tick", goes_on)
+    monkeypatch.setattr(rig, "control_step", goes_on)
     outcome = with_plans(monkeypatch, plan)
     assert outcome.presses
     assert outcome.failed
@@ -86,12 +86,12 @@ def test_it_sees_jaws_that_go_on_in_a_stop_of_the_arm(monkeypatch: pytest.Monkey
 
 
 def test_it_sees_a_drop_that_holding_would_have_prevented(monkeypatch: pytest.MonkeyPatch) -> None:
-    def lets_slip(guard: Guard, seen: Seen, params: GuardParams) -> tuple[Guard, Command]:
-        guard, command = tick(guard, seen, params)
-        late = seen.arm is not None and seen.arm.height_mm > 140.0
-        return guard, replace(command, release_width_mm=70.0) if late else command
+    def lets_slip(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, Command]:
+        state, command = control_step(state, observation, params)
+        late = observation.arm is not None and observation.arm.height_mm > 140.0
+        return state, replace(command, release_width_mm=70.0) if late else command
 
-    monkeypatch.setattr(rig, "tick", lets_slip)
+    monkeypatch.setattr(rig, "control_step", lets_slip)
     monkeypatch.setitem(rig.LIFT, "lift_height_mm", 150.0)
     outcome = with_plans(monkeypatch, ("left.stall", 1.2, np.inf), seed=23)
     assert outcome.dropped is not None
@@ -99,7 +99,7 @@ def test_it_sees_a_drop_that_holding_would_have_prevented(monkeypatch: pytest.Mo
 
 
 def test_it_sees_a_fault_that_is_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bulletin.DeviceAlerts, "look", lambda self, *seen: None)
+    monkeypatch.setattr(bulletin.DeviceAlerts, "look", lambda self, *observation: None)
     outcome = with_plans(monkeypatch, ("left.corrupt", 4.0, np.inf))
     assert outcome.unnamed == ("left.corrupt",)
 

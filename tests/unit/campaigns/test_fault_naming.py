@@ -35,7 +35,7 @@ def rig(phase: Phase = Phase.HOLDING, rotations_deg: tuple[float, float] = (5.0,
         fingers=fingers,
         gripper=gripper,
         arm=SimpleNamespace(newest=object()),
-        seen=SimpleNamespace(fused=SimpleNamespace(fingers=("left", "right"))),
+        observation=SimpleNamespace(fused=SimpleNamespace(fingers=("left", "right"))),
     )
     return SimpleNamespace(
         world=SimpleNamespace(faults=InjectedFaults()),
@@ -127,7 +127,7 @@ def test_mirrored_pictures_show_once_both_have_turned_and_only_one_is_mirrored()
     assert seen("left.mirrored", cell)
     assert not seen("right.mirrored", cell), "two mirrored pictures agree"
     cell = rig()
-    cell.service.seen.fused.fingers = ("left",)
+    cell.service.observation.fused.fingers = ("left",)
     assert not seen("left.mirrored", cell)
 
 

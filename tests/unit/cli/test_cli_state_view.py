@@ -78,7 +78,7 @@ def test_what_is_held_and_how_the_devices_are() -> None:
 def test_a_fault_comes_with_what_to_do() -> None:
     fault = {
         "code": "frames lost",
-        "seen": "no good frame for 0.3 s [left]",
+        "observed": "no good frame for 0.3 s [left]",
         "what_to_do": "check the cables, then clear",
     }
     text = shown(HELD | {"phase": "fault", "fault": fault})

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from observations import arm, ask, fused, gripper, seen
+from observations import arm, ask, fused, gripper, observation
 
 from slipguard.control.fault import Fault, FaultCode
-from slipguard.control.guard import Guard, tick
-from slipguard.control.messages import ArmLift, Command, RequestKind, Seen
+from slipguard.control.messages import ArmLift, Command, Observation, RequestKind
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_baselines import Detector
-from slipguard.control.slip_thresholds import Alert, Case
-from slipguard.control.state import GuardState, Phase
+from slipguard.control.slip_baselines import SlipMemory
+from slipguard.control.slip_thresholds import MotionCase, RestingPlace
+from slipguard.control.state import GraspState, Phase
+from slipguard.control.step import ControlState, control_step
 
 COARSE = {
     "rest_level_deg": 10.0, "lift_off_level_deg": 10.0, "firm_share": 0.1, "first_step": 1.5,
@@ -22,27 +22,27 @@ PARAMS = GuardParams(**COARSE)  # type: ignore[arg-type]
 GUARD_MODE = GuardParams(mode="guard", **COARSE)  # type: ignore[arg-type]
 NOW_S = 10.0
 FAULT = Fault(FaultCode.ARM_SILENT, "no state for 0.5 s", "check the network")
-PRIMED = Detector(
+PRIMED = SlipMemory(
     base_rotation_deg=0.0, base_shift_mm=0.0, measured_s=NOW_S - 0.02, captured_s=NOW_S - 0.02, frames=1,
     smooth_shift_mm=0.0, rest_rotation_deg=0.0, rest_shift_mm=0.0, rest_since_s=NOW_S - 2.0,
-    alert=Alert(start_mm=0.0, near_deg=0.0, measured_s=NOW_S - 0.02, case=Case.REST),
+    alert=RestingPlace(start_mm=0.0, near_deg=0.0, measured_s=NOW_S - 0.02, case=MotionCase.REST),
 )  # fmt: skip
 """One frame of slip has been seen already."""
 
 
-def state_in(phase: Phase, **changes: object) -> GuardState:
+def state_in(phase: Phase, **changes: object) -> GraspState:
     """A plausible memory in a phase that began two seconds ago."""
     held = phase not in (Phase.IDLE, Phase.RELEASED)
-    base = GuardState(
+    base = GraspState(
         phase=phase, since_s=NOW_S - 0.5, adopted=True, target_n=40.0 if held else 0.0, commanded_s=NOW_S - 0.5,
         detector=PRIMED, referenced=held, ground_mm=0.0 if held else None, arm_sent_s=NOW_S - 0.5,
         goal_mm={Phase.LIFTING: 100.0, Phase.LOWERING: 0.0, Phase.RELEASED: 85.0}.get(phase),
-        fault=FAULT if phase is Phase.FAULT else None, let_go=phase is Phase.RELEASED,
+        fault=FAULT if phase is Phase.FAULT else None, release_requested=phase is Phase.RELEASED,
     )  # fmt: skip
     return replace(base, **changes)  # type: ignore[arg-type]
 
 
-def seen_in(phase: Phase, **changes: object) -> Seen:
+def seen_in(phase: Phase, **changes: object) -> Observation:
     """What fits that phase at NOW_S, before anything happens."""
     jaws = {
         Phase.IDLE: gripper(0.0, holding=False, width_mm=85.0, at_s=NOW_S),
@@ -54,29 +54,29 @@ def seen_in(phase: Phase, **changes: object) -> Seen:
     none = fused(None, shift_mm=None, contact=False, at_s=NOW_S)
     # the reference is still awaited in REFERENCE
     view = fused(at_s=NOW_S) if touches and phase is not Phase.REFERENCE else fused(None, shift_mm=None, at_s=NOW_S)
-    base = seen(NOW_S, gripper=jaws, arm=rising, fused=view if touches else none)
+    base = observation(NOW_S, gripper=jaws, arm=rising, fused=view if touches else none)
     return replace(base, **changes)  # type: ignore[arg-type]
 
 
 class Play:
     """The law on a simple gripper and arm that do at once what they are told."""
 
-    def __init__(self, params: GuardParams = PARAMS, guard: Guard | None = None) -> None:
-        self.params, self.guard, self.now_s = params, guard or Guard(), 100.0
+    def __init__(self, params: GuardParams = PARAMS, guard: ControlState | None = None) -> None:
+        self.params, self.guard, self.now_s = params, guard or ControlState(), 100.0
         self.jaws = gripper(0.0, holding=False, width_mm=85.0)
         self.here = arm()
         self.view = fused(None, contact=False, shift_mm=None)
         self.commands: list[Command] = []
         self.lazy = False
 
-    def tick(self, kind: RequestKind = RequestKind.NONE, **values: float) -> Command:
+    def step(self, kind: RequestKind = RequestKind.NONE, **values: float) -> Command:
         self.now_s += 0.02
         if not self.lazy:
             self.view = replace(self.view, captured_at_s=self.now_s, measured_at_s=self.now_s)
         jaws = self.jaws and replace(self.jaws, measured_at_s=self.now_s)
         here = self.here and replace(self.here, measured_at_s=self.now_s)
-        view = seen(self.now_s, fused=self.view, gripper=jaws, arm=here, request=ask(kind, **values))
-        self.guard, command = tick(self.guard, view, self.params)
+        view = observation(self.now_s, fused=self.view, gripper=jaws, arm=here, request=ask(kind, **values))
+        self.guard, command = control_step(self.guard, view, self.params)
         self.commands.append(command)
         if command.hold_force_n is not None:
             self.jaws = replace(self.jaws, force_n=command.hold_force_n, holding=True)
@@ -86,24 +86,24 @@ class Play:
             self.here = replace(self.here, height_mm=self.here.height_mm + command.arm.height_mm)
         return command
 
-    def ticks(self, seconds: float) -> list[Command]:
-        return [self.tick() for _ in range(round(seconds / 0.02))]
+    def steps(self, seconds: float) -> list[Command]:
+        return [self.step() for _ in range(round(seconds / 0.02))]
 
     @property
-    def law(self) -> GuardState:
-        return self.guard.law
+    def grasp(self) -> GraspState:
+        return self.guard.grasp
 
     def held(self) -> Play:
         """Grasped and with a reference, on the table."""
-        self.tick(RequestKind.GRASP)
-        self.tick()
+        self.step(RequestKind.GRASP)
+        self.step()
         self.view = fused()
-        self.tick()
-        assert self.law.phase is Phase.HOLDING
-        self.ticks(0.5)
+        self.step()
+        assert self.grasp.phase is Phase.HOLDING
+        self.steps(0.5)
         return self
 
     def slips(self, rotation_deg: float = 4.0, rate_deg_s: float = 30.0, frames: int = 2) -> Command:
         """Measured frames of slip; the last one's command."""
         self.view = replace(self.view, rotation_deg=rotation_deg, rate_deg_s=rate_deg_s)
-        return [self.tick() for _ in range(frames)][-1]
+        return [self.step() for _ in range(frames)][-1]

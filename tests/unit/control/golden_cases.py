@@ -15,11 +15,19 @@ from controller_steps import NOW_S, seen_in, state_in
 from observations import ask, fused
 
 from slipguard.control.fault import Fault, FaultCode
-from slipguard.control.guard import Guard, tick
-from slipguard.control.messages import ArmLift, Command, Condition, FingerHealth, Request, RequestKind, Seen
+from slipguard.control.messages import (
+    ArmLift,
+    Command,
+    Condition,
+    ControlRequest,
+    FingerHealth,
+    Observation,
+    RequestKind,
+)
 from slipguard.control.params import GuardParams
-from slipguard.control.state import AT_STAKE, GuardState, Phase, Remembered
-from slipguard.control.supervisor import Watch
+from slipguard.control.state import AT_STAKE, GraspState, Phase, RememberedGrip
+from slipguard.control.step import ControlState, control_step
+from slipguard.control.supervisor import Supervision
 
 LEDGER = Path(__file__).with_suffix(".txt")
 LEFT_OUT = ("detector", "delay", "slip", "fault")
@@ -30,7 +38,7 @@ PARAMS = {
 }
 GONE = FingerHealth(Condition.LOST, 2.0, "unplugged")
 OLD = FingerHealth(Condition.STALE, 0.31, "its frames are old")
-View = Callable[[Seen], Seen]
+View = Callable[[Observation], Observation]
 
 
 def jaws(**changes: Any) -> View:
@@ -83,7 +91,7 @@ EVENTS: dict[str, View] = {
     "turned far": sight(rotation_deg=60.0),
     "told": sight(),
 }
-WISHES: dict[str, Request] = {
+WISHES: dict[str, ControlRequest] = {
     "grasp": ask(RequestKind.GRASP),
     "grasp 60": ask(RequestKind.GRASP, force_n=60.0),
     "grasp 200": ask(RequestKind.GRASP, force_n=200.0),
@@ -106,7 +114,7 @@ BESIDE_A_WISH = (
     "protective stop", "emergency stop", "round", "tightening",
 )  # fmt: skip
 STARTS: dict[str, dict[str, Any]] = {
-    "new": {"adopted": False, "remembered": Remembered(91.0, 30.0)},
+    "new": {"adopted": False, "remembered": RememberedGrip(91.0, 30.0)},
     "unguarded": {"guarding": False},
     "paused": {"paused": True},
     "no ground": {"ground_mm": None},
@@ -119,12 +127,12 @@ STARTS: dict[str, dict[str, Any]] = {
 }
 
 
-def stories() -> Iterator[tuple[str, GuardParams, Phase, dict[str, Any], View, Request, float]]:
+def stories() -> Iterator[tuple[str, GuardParams, Phase, dict[str, Any], View, ControlRequest, float]]:
     """Name, parameters, phase, how its memory differs, what happens, what is asked first, time between ticks."""
     for phase in Phase:
         for event, view in EVENTS.items():
-            yield f"{phase}: {event}", PARAMS["lift"], phase, {}, view, Request(), 0.12
-            yield f"{phase}: {event}, for long", PARAMS["lift"], phase, {}, view, Request(), 0.45
+            yield f"{phase}: {event}", PARAMS["lift"], phase, {}, view, ControlRequest(), 0.12
+            yield f"{phase}: {event}, for long", PARAMS["lift"], phase, {}, view, ControlRequest(), 0.45
         for wish, request in WISHES.items():
             for event in BESIDE_A_WISH:
                 yield f"{phase}: {wish}, {event}", PARAMS["lift"], phase, {}, EVENTS[event], request, 0.12
@@ -134,10 +142,10 @@ def stories() -> Iterator[tuple[str, GuardParams, Phase, dict[str, Any], View, R
                 yield f"{phase}: {wish}, {start}", PARAMS["lift"], phase, changes, EVENTS["nothing"], request, 0.12
         for start, changes in STARTS.items():
             for event, view in EVENTS.items():
-                yield f"{phase}: {event}, {start}", PARAMS["lower"], phase, changes, view, Request(), 0.3
+                yield f"{phase}: {event}, {start}", PARAMS["lower"], phase, changes, view, ControlRequest(), 0.3
 
 
-def moment(phase: Phase, now_s: float) -> Seen:
+def moment(phase: Phase, now_s: float) -> Observation:
     view = seen_in(phase)
     return replace(
         view,
@@ -152,22 +160,22 @@ def ledger() -> list[str]:
     """Stories with the same outcome in one line: the outcome, then their names."""
     lines: dict[str, list[str]] = {}
     for name, params, phase, changes, view, request, step_s in stories():
-        law = replace(state_in(phase, gripped=phase in AT_STAKE - {Phase.CLOSING} or phase is Phase.FAULT), **changes)
-        guard = Guard(law, Watch(tick_s=NOW_S - 0.02, arm_known=True))
+        grasp = replace(state_in(phase, gripped=phase in AT_STAKE - {Phase.CLOSING} or phase is Phase.FAULT), **changes)
+        guard = ControlState(grasp, Supervision(tick_s=NOW_S - 0.02, arm_known=True))
         told = []
         for number in range(4):
-            seen = view(moment(phase, NOW_S + step_s * number))
-            seen = replace(seen, request=request if number == 1 else Request())
-            before = guard.law
-            guard, command = tick(guard, seen, params)
-            told.append(f"{_changes(before, guard.law)} {_command(command)}".strip())
+            observation = view(moment(phase, NOW_S + step_s * number))
+            observation = replace(observation, request=request if number == 1 else ControlRequest())
+            before = guard.grasp
+            guard, command = control_step(guard, observation, params)
+            told.append(f"{_changes(before, guard.grasp)} {_command(command)}".strip())
         lines.setdefault(" | ".join(told), []).append(name)
     return [f"{'; '.join(names)} => {told}" for told, names in lines.items()]
 
 
-def _changes(before: GuardState, after: GuardState) -> str:
+def _changes(before: GraspState, after: GraspState) -> str:
     """The fields that changed, and what to."""
-    names = [one.name for one in fields(GuardState) if one.name not in LEFT_OUT]
+    names = [one.name for one in fields(GraspState) if one.name not in LEFT_OUT]
     changed = [name for name in names if getattr(before, name) != getattr(after, name)]
     kept = [name for name in ("fault",) if getattr(before, name) != getattr(after, name)]
     return " ".join(

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from slipguard.bench.grip.controllers import Law
+from slipguard.bench.grip.controllers import SlipguardController
 from slipguard.bench.grip.loop import FINGERS, TICK_S, Loop
 from slipguard.bench.grip.modeled_perception import ModelSight, SightError
 from slipguard.bench.grip.trials import scaled
-from slipguard.control.guard import Guard
-from slipguard.control.messages import Command, Request, RequestKind
+from slipguard.control.messages import Command, ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
+from slipguard.control.step import ControlState
 from slipguard.sim.friction import SoftPad
 from slipguard.sim.objects import SimObject
 from slipguard.sim.scenario import Scenario
@@ -37,14 +37,14 @@ class Run:
     """One simulated run, step by step."""
 
     def __init__(self, world: World, params: GuardParams, seed: int = 0, blind: tuple[str, ...] = ()) -> None:
-        self.world, self.law = world, Law(params)
+        self.world, self.controller = world, SlipguardController(params)
         sights = {
             name: ModelSight(UNSEEN if name in blind else SEEN, np.random.default_rng([seed, k]))
             for k, name in enumerate(FINGERS)
         }
-        self.loop = Loop(world, self.law, sights, np.random.default_rng(seed), trip_s=GRIPPER_TRIP_S)
+        self.loop = Loop(world, self.controller, sights, np.random.default_rng(seed), trip_s=GRIPPER_TRIP_S)
 
-    def tick(self, request: Request | None = None) -> None:
+    def step(self, request: ControlRequest | None = None) -> None:
         if request is not None:
             self.loop.ask(request)
         self.loop.wait(TICK_S)
@@ -70,15 +70,15 @@ class Run:
 
     @property
     def phase(self) -> Phase:
-        return self.law.guard.law.phase
+        return self.controller.guard.grasp.phase
 
     @property
-    def guard(self) -> Guard:
-        return self.law.guard
+    def guard(self) -> ControlState:
+        return self.controller.guard
 
     @guard.setter
-    def guard(self, guard: Guard) -> None:
-        self.law.guard = guard
+    def guard(self, guard: ControlState) -> None:
+        self.controller.guard = guard
 
 
 def placed(item: SimObject, scenario: Scenario, params: GuardParams, seed: int = 0, blind: tuple[str, ...] = ()) -> Run:
@@ -92,13 +92,13 @@ def placed(item: SimObject, scenario: Scenario, params: GuardParams, seed: int =
 def grasp_and_lift(run: Run, *, guarded: bool = True, hold_s: float = 1.0) -> Run:
     """Grasp, lift, hold for a while."""
     if not guarded:
-        run.tick(Request(RequestKind.GUARD_OFF))
-    run.tick(Request(RequestKind.GRASP))
+        run.step(ControlRequest(RequestKind.GUARD_OFF))
+    run.step(ControlRequest(RequestKind.GRASP))
     ready = lambda: run.phase is Phase.HOLDING and not run.world.gripper_state(run.now_s).moving  # noqa: E731
     run.until(lambda: run.phase not in (Phase.CLOSING, Phase.REFERENCE), 8.0)
     run.until(ready, 4.0)
     run.until(lambda: False, 0.1)
-    run.tick(Request(RequestKind.LIFT))
+    run.step(ControlRequest(RequestKind.LIFT))
     run.until(lambda: run.phase in (Phase.HOLDING, Phase.FAULT), 15.0)
     run.until(lambda: False, hold_s)
     return run

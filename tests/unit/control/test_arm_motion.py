@@ -1,4 +1,4 @@
-"""Each answer of the arm's part of the law, whole: state and command, at and beside every limit."""
+"""Each answer of the arm's part of the grasp, whole: state and command, at and beside every limit."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import pytest
 from controller_steps import FAULT
-from observations import arm, seen
+from observations import arm, observation
 
 from slipguard.control.arm_motion import FRESH_S, REACHED_MM, REPEAT_S, START_S, ended, go_on_down, put_down, stop
 from slipguard.control.fault import Fault, FaultCode
 from slipguard.control.messages import ArmLift, Command
 from slipguard.control.params import GuardParams
-from slipguard.control.state import GuardState, Phase
+from slipguard.control.state import GraspState, Phase
 
 LOWER = GuardParams(on_budget_spent="lower", probe_speed_mm_s=12.0, lower_speed_mm_s=30.0)
 SPENT = Fault(FaultCode.BUDGET_SPENT, "slips on", "support it")
-TOLD = GuardState(Phase.FAULT, ground_mm=10.0, fault=SPENT)
+TOLD = GraspState(Phase.FAULT, ground_mm=10.0, fault=SPENT)
 DOWN = replace(TOLD, putting_down=True, goal_mm=10.0)
 SAID = Command(say="said before")
 LATE_S = 64.0
@@ -37,7 +37,7 @@ LATE_S = 64.0
 )
 def test_stop(moving: bool, known: bool, since_s: float, at_once: bool, stops: bool) -> None:
     state = replace(TOLD, arm_sent_s=0.0)
-    view = seen(since_s, arm=arm(50.0, moving=moving) if known else None)
+    view = observation(since_s, arm=arm(50.0, moving=moving) if known else None)
     after, command = stop(state, view, SAID, at_once=at_once)
     assert command == (replace(SAID, arm="stop") if stops else SAID)
     assert after == (replace(state, arm_sent_s=since_s) if stops else state)
@@ -65,7 +65,7 @@ def test_ended(moving: bool, measured_s: float, now_s: float, sent_s: float, is_
 @pytest.mark.parametrize("code", FaultCode)
 def test_what_is_put_down(code: FaultCode) -> None:
     state = replace(TOLD, fault=Fault(code, "seen", "do"))
-    after, command = put_down((state, SAID), seen(5.0, arm=arm(60.0)), LOWER)
+    after, command = put_down((state, SAID), observation(5.0, arm=arm(60.0)), LOWER)
     if code not in (FaultCode.BUDGET_SPENT, FaultCode.TURNED_TOO_FAR):
         assert (after, command) == (state, SAID)
         return
@@ -75,7 +75,7 @@ def test_what_is_put_down(code: FaultCode) -> None:
 
 def test_it_goes_no_faster_than_a_lowering() -> None:
     slow = GuardParams(on_budget_spent="lower", probe_speed_mm_s=40.0, lower_speed_mm_s=30.0)
-    _, command = put_down((TOLD, SAID), seen(5.0, arm=arm(60.0)), slow)
+    _, command = put_down((TOLD, SAID), observation(5.0, arm=arm(60.0)), slow)
     assert command.arm == ArmLift(-50.0, 30.0)
 
 
@@ -93,21 +93,21 @@ def test_it_goes_no_faster_than_a_lowering() -> None:
     ],
 )
 def test_where_the_arm_stands(
-    state: GuardState, height_mm: float | None, params: GuardParams, says: str | None
+    state: GraspState, height_mm: float | None, params: GuardParams, says: str | None
 ) -> None:
-    view = seen(5.0, arm=None if height_mm is None else arm(height_mm))
+    view = observation(5.0, arm=None if height_mm is None else arm(height_mm))
     after, command = put_down((state, SAID), view, params)
     assert after == state
     assert command == (SAID if says is None else Command(say=f"said before; {says}"))
 
 
 def test_at_the_very_limit_there_is_a_way() -> None:
-    after, _ = put_down((TOLD, SAID), seen(5.0, arm=arm(10.0 + REACHED_MM)), LOWER)
+    after, _ = put_down((TOLD, SAID), observation(5.0, arm=arm(10.0 + REACHED_MM)), LOWER)
     assert after.putting_down
 
 
 def moment(now_s: float, height_mm: float, *, moving: bool = False) -> object:
-    return seen(now_s, arm=arm(height_mm, moving=moving, at_s=now_s))
+    return observation(now_s, arm=arm(height_mm, moving=moving, at_s=now_s))
 
 
 def test_on_the_way_it_waits_until_the_arm_rests() -> None:
@@ -137,7 +137,7 @@ def test_where_the_lift_began_it_ends(height_mm: float) -> None:
 @pytest.mark.parametrize("wrong", ["arm", "goal", "person", "fault", "also"])
 @pytest.mark.parametrize("sent_s", [4.0, 4.96875])
 def test_anything_else_stops_it_at_once_and_for_good(wrong: str, sent_s: float) -> None:
-    state, view = replace(DOWN, arm_sent_s=sent_s), seen(5.0, arm=arm(40.0, moving=True, at_s=5.0))
+    state, view = replace(DOWN, arm_sent_s=sent_s), observation(5.0, arm=arm(40.0, moving=True, at_s=5.0))
     if wrong == "arm":
         view = replace(view, arm=None)
     elif wrong == "goal":

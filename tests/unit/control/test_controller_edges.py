@@ -6,21 +6,21 @@ from dataclasses import replace
 
 import pytest
 from controller_steps import NOW_S, PARAMS, seen_in, state_in
-from observations import arm, ask, estimate, fused, gripper, seen
+from observations import arm, ask, estimate, fused, gripper, observation
 
 from slipguard.control.controller import step
-from slipguard.control.finger_fusion import Fused, fuse
+from slipguard.control.finger_fusion import FusedEstimate, fuse
 from slipguard.control.messages import RequestKind
-from slipguard.control.slip_baselines import Detector
-from slipguard.control.state import GuardState, Phase, Remembered, Slip
+from slipguard.control.slip_baselines import SlipMemory
+from slipguard.control.state import GraspState, Phase, RememberedGrip, SlipEpisode
 from slipguard.devices import GripperState
 
 
 def test_what_is_found_held_waits_for_a_finger_but_not_for_the_arm() -> None:
-    state, said = GuardState(), []
+    state, said = GraspState(), []
     for number in range(15):
         now_s = 100.0 + 0.1 * number
-        view = seen(now_s, gripper=gripper(60.0, at_s=now_s), arm=None, fused=fused() if number > 10 else None)
+        view = observation(now_s, gripper=gripper(60.0, at_s=now_s), arm=None, fused=fused() if number > 10 else None)
         state, command = step(state, view, PARAMS)
         said += [(round(now_s - 100.0, 1), command.say)] if command.say else []
         assert command.hold_force_n is command.release_width_mm is command.arm is None
@@ -32,19 +32,19 @@ def test_what_is_found_held_waits_for_a_finger_but_not_for_the_arm() -> None:
 
 
 @pytest.mark.parametrize(("fingers", "here"), [(fused(), arm()), (fused(None, contact=False), arm())])
-def test_with_finger_and_arm_it_is_taken_over_at_once(fingers: Fused, here: object) -> None:
-    view = seen(100.0, gripper=gripper(60.0, at_s=100.0), arm=here, fused=fingers)
-    state, _ = step(GuardState(), view, PARAMS)
+def test_with_finger_and_arm_it_is_taken_over_at_once(fingers: FusedEstimate, here: object) -> None:
+    view = observation(100.0, gripper=gripper(60.0, at_s=100.0), arm=here, fused=fingers)
+    state, _ = step(GraspState(), view, PARAMS)
     assert state.phase is Phase.REFERENCE
 
 
 def test_the_force_of_before_is_said_where_it_was_greater() -> None:
-    remembered = GuardState(remembered=Remembered(91.0, 30.0))
-    _, command = step(remembered, seen(100.0, gripper=gripper(20.0, at_s=100.0)), PARAMS)
+    remembered = GraspState(remembered=RememberedGrip(91.0, 30.0))
+    _, command = step(remembered, observation(100.0, gripper=gripper(20.0, at_s=100.0)), PARAMS)
     assert (
         command.say == "an object is held with 20 N already: taken over as it is, with the 91 N of before the restart"
     )
-    _, command = step(remembered, seen(100.0, gripper=gripper(95.0, at_s=100.0)), PARAMS)
+    _, command = step(remembered, observation(100.0, gripper=gripper(95.0, at_s=100.0)), PARAMS)
     assert command.say == "an object is held with 95 N already: taken over as it is"
 
 
@@ -136,10 +136,12 @@ def test_the_ends_of_what_a_sigma_may_be(sigma_deg: float) -> None:
 
 
 def test_no_force_is_added_to_what_is_found_until_the_arm_says_that_nobody_is_near() -> None:
-    state = GuardState(person_near=True)
+    state = GraspState(person_near=True)
     for number in range(100):
         now_s = 100.0 + 0.02 * number
-        view = seen(now_s, gripper=gripper(60.0, at_s=now_s), arm=None, fused=fused(0.25 * number, 12.0, at_s=now_s))
+        view = observation(
+            now_s, gripper=gripper(60.0, at_s=now_s), arm=None, fused=fused(0.25 * number, 12.0, at_s=now_s)
+        )
         state, command = step(state, view, PARAMS)
         assert command.hold_force_n is None
     assert state.phase is Phase.HOLDING
@@ -148,7 +150,7 @@ def test_no_force_is_added_to_what_is_found_until_the_arm_says_that_nobody_is_ne
         state = near
         for number in range(100, 140):
             now_s = 100.0 + 0.02 * number
-            view = seen(now_s, gripper=gripper(60.0, at_s=now_s), fused=fused(0.25 * number, 12.0, at_s=now_s))
+            view = observation(now_s, gripper=gripper(60.0, at_s=now_s), fused=fused(0.25 * number, 12.0, at_s=now_s))
             state, command = step(state, replace(view, arm=replace(here, measured_at_s=now_s)), PARAMS)
             if command.hold_force_n is not None:
                 break
@@ -156,7 +158,7 @@ def test_no_force_is_added_to_what_is_found_until_the_arm_says_that_nobody_is_ne
 
 
 def test_guard_off_ends_an_episode_of_slip() -> None:
-    slipping = state_in(Phase.HOLDING, slip=Slip(NOW_S - 1.0, NOW_S - 1.0, 4.0, 20.0, 0.0))
+    slipping = state_in(Phase.HOLDING, slip=SlipEpisode(NOW_S - 1.0, NOW_S - 1.0, 4.0, 20.0, 0.0))
     state, command = step(slipping, seen_in(Phase.HOLDING, request=ask(RequestKind.GUARD_OFF)), PARAMS)
-    assert (state.slip, state.guarding, state.detector) == (None, False, Detector())
+    assert (state.slip, state.guarding, state.detector) == (None, False, SlipMemory())
     assert (command.say or "").endswith("; not guarding: slip is not acted on")

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from controller_steps import NOW_S, PARAMS, Play, seen_in, state_in
-from observations import arm, ask, fused, gripper, seen
+from observations import arm, ask, fused, gripper, observation
 
 from slipguard.control.controller import step
 from slipguard.control.fault import FaultCode
@@ -17,59 +17,59 @@ from slipguard.control.state import Phase
 
 def test_grasp_lift_hold_lower_release() -> None:
     play = Play()
-    command = play.tick(RequestKind.GRASP)
+    command = play.step(RequestKind.GRASP)
     assert command.hold_force_n == pytest.approx(40.0, abs=0.85)
     assert command.hold_force_n >= 40.0
-    command = play.tick()
+    command = play.step()
     assert command.new_reference
-    assert play.law.phase is Phase.REFERENCE
+    assert play.grasp.phase is Phase.REFERENCE
     play.view = fused()
-    play.ticks(0.1)
-    assert play.law.phase is Phase.HOLDING
-    assert play.law.referenced
-    command = play.tick(RequestKind.LIFT)
+    play.steps(0.1)
+    assert play.grasp.phase is Phase.HOLDING
+    assert play.grasp.referenced
+    command = play.step(RequestKind.LIFT)
     assert command.arm == ArmLift(15.0, 20.0)  # the slow probe first
-    legs = [command.arm for command in play.ticks(1.0) if command.arm is not None]
+    legs = [command.arm for command in play.steps(1.0) if command.arm is not None]
     assert legs == [ArmLift(85.0, 50.0)]
-    assert play.law.phase is Phase.HOLDING
-    command = play.tick(RequestKind.LOWER)
+    assert play.grasp.phase is Phase.HOLDING
+    command = play.step(RequestKind.LOWER)
     assert command.arm == ArmLift(-100.0, 30.0)
-    play.ticks(0.5)
-    assert play.law.phase is Phase.HOLDING
-    command = play.tick(RequestKind.RELEASE)
+    play.steps(0.5)
+    assert play.grasp.phase is Phase.HOLDING
+    command = play.step(RequestKind.RELEASE)
     assert command.release_width_mm == 85.0
-    play.tick()
-    assert play.law.phase is Phase.IDLE
-    assert play.law.target_n == 0.0
+    play.step()
+    assert play.grasp.phase is Phase.IDLE
+    assert play.grasp.target_n == 0.0
     opened = [command for command in play.commands if command.release_width_mm is not None]
     assert len(opened) == 1
 
 
 def test_what_was_asked_replaces_the_configuration() -> None:
     play = Play()
-    assert play.tick(RequestKind.GRASP, force_n=60.0).hold_force_n == pytest.approx(60.0, abs=0.85)
-    play.tick()
+    assert play.step(RequestKind.GRASP, force_n=60.0).hold_force_n == pytest.approx(60.0, abs=0.85)
+    play.step()
     play.view = fused()
-    play.tick()
-    assert play.tick(RequestKind.LIFT, height_mm=8.0, speed_mm_s=10.0).arm == ArmLift(8.0, 10.0)
-    play.ticks(0.5)
-    assert play.tick(RequestKind.LOWER, height_mm=3.0, speed_mm_s=5.0).arm == ArmLift(-3.0, 5.0)
-    play.ticks(0.5)
-    assert play.tick(RequestKind.RELEASE, width_mm=40.0).release_width_mm == 40.0
+    play.step()
+    assert play.step(RequestKind.LIFT, height_mm=8.0, speed_mm_s=10.0).arm == ArmLift(8.0, 10.0)
+    play.steps(0.5)
+    assert play.step(RequestKind.LOWER, height_mm=3.0, speed_mm_s=5.0).arm == ArmLift(-3.0, 5.0)
+    play.steps(0.5)
+    assert play.step(RequestKind.RELEASE, width_mm=40.0).release_width_mm == 40.0
 
 
 def test_closing_on_nothing_ends_idle_and_not_closing_ends_in_a_fault() -> None:
     play = Play()
-    play.tick(RequestKind.GRASP)
+    play.step(RequestKind.GRASP)
     play.jaws = gripper(40.0, holding=False, nothing=True, width_mm=0.0)
-    assert play.tick().say == "the gripper closed on nothing"
-    assert play.law.phase is Phase.IDLE
+    assert play.step().say == "the gripper closed on nothing"
+    assert play.grasp.phase is Phase.IDLE
     play.jaws = gripper(40.0, holding=False, moving=True)
-    play.tick(RequestKind.GRASP)
+    play.step(RequestKind.GRASP)
     play.jaws = replace(play.jaws, holding=False, moving=True)
-    play.ticks(5.2)
-    assert play.law.fault is not None
-    assert play.law.fault.code is FaultCode.GRIPPER_STUCK
+    play.steps(5.2)
+    assert play.grasp.fault is not None
+    assert play.grasp.fault.code is FaultCode.GRIPPER_STUCK
 
 
 @pytest.mark.parametrize(
@@ -86,27 +86,27 @@ def test_grasps_that_are_refused(changes: dict[str, object], says: str) -> None:
     play = Play()
     for name, value in changes.items():
         setattr(play, name, value)
-    command = play.tick(RequestKind.GRASP)
+    command = play.step(RequestKind.GRASP)
     assert command.refused is not None
     assert says in command.refused
     assert command.hold_force_n is None
-    assert play.law.phase is Phase.IDLE
+    assert play.grasp.phase is Phase.IDLE
 
 
 def test_more_than_the_budget_cannot_be_asked_for() -> None:
-    assert "130 N" in (Play().tick(RequestKind.GRASP, force_n=131.0).refused or "")
-    assert "130 N" in (Play().held().tick(RequestKind.GRIPPER, force_n=131.0).refused or "")
+    assert "130 N" in (Play().step(RequestKind.GRASP, force_n=131.0).refused or "")
+    assert "130 N" in (Play().held().step(RequestKind.GRIPPER, force_n=131.0).refused or "")
 
 
 def test_one_finger_will_do_after_the_time_out() -> None:
     play = Play()
-    play.tick(RequestKind.GRASP)
-    play.tick()
+    play.step(RequestKind.GRASP)
+    play.step()
     play.view = fused(0.0, fingers=("left",), note="right finger: round contact")
-    play.ticks(0.9)
-    assert play.law.phase is Phase.REFERENCE
-    said = [command.say for command in play.ticks(0.2) if command.say]
-    assert play.law.phase is Phase.HOLDING
+    play.steps(0.9)
+    assert play.grasp.phase is Phase.REFERENCE
+    said = [command.say for command in play.steps(0.2) if command.say]
+    assert play.grasp.phase is Phase.HOLDING
     assert "one finger only (right finger: round contact)" in said[0]
 
 
@@ -114,34 +114,34 @@ def test_an_answer_from_before_the_grip_is_no_reference() -> None:
     play = Play()
     play.view = fused(0.0, at_s=90.0)
     play.lazy = True
-    play.tick(RequestKind.GRASP)
-    play.ticks(0.2)
-    assert play.law.phase is Phase.REFERENCE
+    play.step(RequestKind.GRASP)
+    play.steps(0.2)
+    assert play.grasp.phase is Phase.REFERENCE
 
 
 def blind(params: GuardParams) -> Play:
     play = Play(params)
-    play.tick(RequestKind.GRASP)
-    play.tick()
+    play.step(RequestKind.GRASP)
+    play.step()
     play.view = fused(None, declined="left finger: round contact; right finger: round contact")
-    play.ticks(1.1)
-    assert play.law.phase is Phase.HOLDING
+    play.steps(1.1)
+    assert play.grasp.phase is Phase.HOLDING
     return play
 
 
 def test_without_a_reference_it_grips_firmly_before_lifting() -> None:
     play = blind(PARAMS)
-    assert play.law.target_n == pytest.approx(100.0, abs=0.85)
-    assert "round contact" in (play.law.blind or "")
-    assert isinstance(play.tick(RequestKind.LIFT).arm, ArmLift)
-    play.ticks(3.0)
-    assert play.law.phase is Phase.HOLDING  # nobody asks for a turn that never could be told
+    assert play.grasp.target_n == pytest.approx(100.0, abs=0.85)
+    assert "round contact" in (play.grasp.blind or "")
+    assert isinstance(play.step(RequestKind.LIFT).arm, ArmLift)
+    play.steps(3.0)
+    assert play.grasp.phase is Phase.HOLDING  # nobody asks for a turn that never could be told
 
 
 def test_without_a_reference_it_refuses_the_lift_in_words() -> None:
     play = blind(GuardParams(on_blind="refuse"))
-    assert play.law.target_n == pytest.approx(40.0, abs=0.85)
-    refused = play.tick(RequestKind.LIFT).refused
+    assert play.grasp.target_n == pytest.approx(40.0, abs=0.85)
+    refused = play.step(RequestKind.LIFT).refused
     assert refused is not None
     assert "round contact" in refused
 
@@ -158,30 +158,30 @@ def test_a_blind_grip_that_is_firm_already_or_near_a_person_is_left_as_it_is() -
 
 def test_an_object_gripped_blind_is_still_guarded_against_sliding() -> None:
     play = blind(PARAMS)
-    before_n = play.law.target_n
+    before_n = play.grasp.target_n
     for number in range(6):
         play.view = replace(play.view, shift_mm=0.3 * number)
-        play.tick()
-    assert play.law.target_n > before_n
+        play.step()
+    assert play.grasp.target_n > before_n
 
 
 def test_a_release_that_did_not_reach_the_gripper_is_said_again_and_then_given_up() -> None:
-    state, command = step(state_in(Phase.HOLDING), seen(NOW_S, request=ask(RequestKind.RELEASE)), PARAMS)
+    state, command = step(state_in(Phase.HOLDING), observation(NOW_S, request=ask(RequestKind.RELEASE)), PARAMS)
     opened = int(command.release_width_mm is not None)
     for number in range(1, 150):
         now_s = NOW_S + 0.02 * number
-        state, command = step(state, seen(now_s, gripper=gripper(40.0, at_s=now_s)), PARAMS)
+        state, command = step(state, observation(now_s, gripper=gripper(40.0, at_s=now_s)), PARAMS)
         opened += command.release_width_mm is not None
     assert opened > 10
     assert state.phase is Phase.FAULT
     assert state.fault is not None
     assert state.fault.code is FaultCode.GRIPPER_STUCK
-    _, command = step(state, seen(NOW_S + 5.0, gripper=gripper(40.0)), PARAMS)
+    _, command = step(state, observation(NOW_S + 5.0, gripper=gripper(40.0)), PARAMS)
     assert command.release_width_mm is None  # one request does not open the jaws for ever
 
 
 def test_a_gripper_that_comes_back_late_does_not_open() -> None:
-    state, _ = step(state_in(Phase.HOLDING), seen(NOW_S, request=ask(RequestKind.RELEASE)), PARAMS)
-    state, _ = step(state, seen(NOW_S + 3.0, gripper=None), PARAMS)
-    state, command = step(state, seen(NOW_S + 60.0, gripper=gripper(40.0, at_s=NOW_S + 60.0)), PARAMS)
+    state, _ = step(state_in(Phase.HOLDING), observation(NOW_S, request=ask(RequestKind.RELEASE)), PARAMS)
+    state, _ = step(state, observation(NOW_S + 3.0, gripper=None), PARAMS)
+    state, command = step(state, observation(NOW_S + 60.0, gripper=gripper(40.0, at_s=NOW_S + 60.0)), PARAMS)
     assert command.release_width_mm is None

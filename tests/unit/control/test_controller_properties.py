@@ -6,20 +6,28 @@ from dataclasses import replace
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from observations import arm, ask, fused, gripper, seen
+from observations import arm, ask, fused, gripper, observation
 
 from slipguard.control.fault import Fault, FaultCode
-from slipguard.control.guard import Guard, tick
-from slipguard.control.messages import ArmLift, Command, Condition, FingerHealth, Request, RequestKind, Seen
+from slipguard.control.messages import (
+    ArmLift,
+    Command,
+    Condition,
+    ControlRequest,
+    FingerHealth,
+    Observation,
+    RequestKind,
+)
 from slipguard.control.params import GuardParams
 from slipguard.control.release import OPEN_ANYWAY_S
-from slipguard.control.state import AT_STAKE, MOVING, GuardState, Phase
+from slipguard.control.state import AT_STAKE, MOVING, GraspState, Phase
+from slipguard.control.step import ControlState, control_step
 
 HELD = (AT_STAKE - {Phase.CLOSING}) | {Phase.FAULT}
 
 requests = st.one_of(
-    st.just(Request()),
-    st.just(Request()),
+    st.just(ControlRequest()),
+    st.just(ControlRequest()),
     st.builds(ask, st.sampled_from([kind for kind in RequestKind if kind is not RequestKind.RELEASE])),
     st.builds(lambda n: ask(RequestKind.GRIPPER, force_n=n), st.floats(1.0, 235.0)),
     st.builds(lambda n: ask(RequestKind.GRASP, force_n=n), st.floats(1.0, 235.0)),
@@ -53,25 +61,27 @@ healths = st.builds(FingerHealth, st.sampled_from(Condition), st.floats(0.0, 1.0
 gaps = st.sampled_from([0.005, 0.01, 0.01, 0.02, 0.1, 0.4, 1.2])
 
 
-def moment(gap_s: float, view: object, jaw: object, here: object, left: object, right: object) -> tuple[float, Seen]:
-    return gap_s, replace(seen(0.0), fused=view, gripper=jaw, arm=here, left=left, right=right)  # type: ignore[arg-type]
+def moment(
+    gap_s: float, view: object, jaw: object, here: object, left: object, right: object
+) -> tuple[float, Observation]:
+    return gap_s, replace(observation(0.0), fused=view, gripper=jaw, arm=here, left=left, right=right)  # type: ignore[arg-type]
 
 
 moments = st.builds(moment, gaps, views, jaws, arms, healths, healths)
 modes = st.sampled_from([GuardParams(), GuardParams(mode="guard"), GuardParams(on_blind="refuse", stop_on_slip=False)])
 
 
-def start(phase: Phase) -> Guard:
+def start(phase: Phase) -> ControlState:
     goal_mm = {Phase.RELEASED: 85.0, Phase.LIFTING: 100.0, Phase.LOWERING: 0.0}.get(phase)
     held = phase not in (Phase.IDLE, Phase.RELEASED)
     fault = Fault(FaultCode.LOOP_LATE, "late", "look") if phase is Phase.FAULT else None
-    state = GuardState(phase, target_n=40.0 * held, referenced=held, ground_mm=0.0, goal_mm=goal_mm, fault=fault)
-    return Guard(replace(state, adopted=phase is not Phase.IDLE))
+    state = GraspState(phase, target_n=40.0 * held, referenced=held, ground_mm=0.0, goal_mm=goal_mm, fault=fault)
+    return ControlState(replace(state, adopted=phase is not Phase.IDLE))
 
 
 def play(
-    guard: Guard, story: list[tuple[tuple[float, Seen], Request]], params: GuardParams
-) -> list[tuple[Guard, Seen, Command, Guard]]:
+    guard: ControlState, story: list[tuple[tuple[float, Observation], ControlRequest]], params: GuardParams
+) -> list[tuple[ControlState, Observation, Command, ControlState]]:
     """Every tick: before, seen, command, after. Devices and fingers were read a little before the tick."""
     now_s, played = 0.0, []
     for (gap_s, view), request in story:
@@ -82,7 +92,7 @@ def play(
             gripper=view.gripper and replace(view.gripper, measured_at_s=now_s - 0.003),
             arm=view.arm and replace(view.arm, measured_at_s=now_s - 0.003),
         )  # fmt: skip
-        after, command = tick(guard, view, params)
+        after, command = control_step(guard, view, params)
         played.append((guard, view, command, after))
         guard = after
     return played
@@ -96,23 +106,23 @@ phases = st.sampled_from(Phase)
 @settings(max_examples=150)
 @given(phases, stories, modes)
 def test_without_a_request_to_release_nothing_opens_and_the_force_never_falls(
-    phase: Phase, story: list[tuple[tuple[float, Seen], Request]], params: GuardParams
+    phase: Phase, story: list[tuple[tuple[float, Observation], ControlRequest]], params: GuardParams
 ) -> None:
     guard = start(phase)
     for before, view, command, after in play(guard, story, params):
         if phase is not Phase.RELEASED:
             assert command.release_width_mm is None
-        if before.law.phase in HELD and after.law.phase in HELD and view.request.kind is not RequestKind.CLEAR:
-            assert after.law.target_n >= before.law.target_n
-            assert command.hold_force_n is None or command.hold_force_n >= before.law.target_n
-        if before.law.phase in HELD:
+        if before.grasp.phase in HELD and after.grasp.phase in HELD and view.request.kind is not RequestKind.CLEAR:
+            assert after.grasp.target_n >= before.grasp.target_n
+            assert command.hold_force_n is None or command.hold_force_n >= before.grasp.target_n
+        if before.grasp.phase in HELD:
             assert command.move_width_mm is None
 
 
 @settings(max_examples=150)
 @given(phases, any_stories, modes)
 def test_never_more_than_the_budget_and_nothing_near_a_person(
-    phase: Phase, story: list[tuple[tuple[float, Seen], Request]], params: GuardParams
+    phase: Phase, story: list[tuple[tuple[float, Observation], ControlRequest]], params: GuardParams
 ) -> None:
     for _, view, command, after in play(start(phase), story, params):
         for force_n in (command.hold_force_n, command.move_force_n):
@@ -123,21 +133,21 @@ def test_never_more_than_the_budget_and_nothing_near_a_person(
             assert not isinstance(command.arm, ArmLift)
         if params.mode == "guard" and phase not in MOVING:  # no way leads there in this mode
             assert not isinstance(command.arm, ArmLift)
-        assert (after.law.fault is not None) is (after.law.phase is Phase.FAULT)
+        assert (after.grasp.fault is not None) is (after.grasp.phase is Phase.FAULT)
 
 
 @settings(max_examples=150)
 @given(phases, any_stories, modes)
 def test_a_fault_stops_the_arm_and_only_clear_or_release_leave_it(
-    phase: Phase, story: list[tuple[tuple[float, Seen], Request]], params: GuardParams
+    phase: Phase, story: list[tuple[tuple[float, Observation], ControlRequest]], params: GuardParams
 ) -> None:
     for before, view, command, after in play(start(phase), story, params):
-        if after.law.phase is Phase.FAULT:
+        if after.grasp.phase is Phase.FAULT:
             assert not isinstance(command.arm, ArmLift)
-            assert command.fault == after.law.fault
-            if before.law.phase is not Phase.FAULT:
+            assert command.fault == after.grasp.fault
+            if before.grasp.phase is not Phase.FAULT:
                 assert command.arm == "stop"
-        elif before.law.phase is Phase.FAULT:
+        elif before.grasp.phase is Phase.FAULT:
             assert view.request.kind in (RequestKind.CLEAR, RequestKind.RELEASE)
 
 
@@ -145,15 +155,15 @@ def test_a_fault_stops_the_arm_and_only_clear_or_release_leave_it(
 @given(phases, stories, moments, st.lists(moments, max_size=30), modes)
 def test_a_release_is_granted_whatever_has_happened(
     phase: Phase,
-    story: list[tuple[tuple[float, Seen], Request]],
-    last: tuple[float, Seen],
-    then: list[tuple[float, Seen]],
+    story: list[tuple[tuple[float, Observation], ControlRequest]],
+    last: tuple[float, Observation],
+    then: list[tuple[float, Observation]],
     params: GuardParams,
 ) -> None:
-    told = [*story, (last, ask(RequestKind.RELEASE)), *((one, Request()) for one in then)]
+    told = [*story, (last, ask(RequestKind.RELEASE)), *((one, ControlRequest()) for one in then)]
     asked, *later = play(start(phase), told, params)[len(story) :]
     assert asked[2].refused is None
-    assert asked[3].law.phase is Phase.RELEASED
+    assert asked[3].grasp.phase is Phase.RELEASED
     opened_s = None
     for _, view, command, _ in [asked, *later]:
         assert command.hold_force_n is command.move_width_mm is None

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from controller_steps import NOW_S, Play, seen_in, state_in
-from observations import arm, ask, fused, gripper, seen
+from observations import arm, ask, fused, gripper, observation
 from pydantic import ValidationError
 
 from slipguard.config import parse_config
@@ -29,21 +29,21 @@ class Lifted(Play):
     def __init__(self, params: GuardParams) -> None:
         super().__init__(params)
         self.held()
-        self.tick(RequestKind.LIFT)
-        self.ticks(4.0)
-        assert self.law.phase is Phase.HOLDING
+        self.step(RequestKind.LIFT)
+        self.steps(4.0)
+        assert self.grasp.phase is Phase.HOLDING
         self.goal_mm, self.speed_mm_s = self.here.height_mm, 0.0
         self.reached_mm = self.here.height_mm
 
-    def tick(self, kind: RequestKind = RequestKind.NONE, **values: float) -> Command:
+    def step(self, kind: RequestKind = RequestKind.NONE, **values: float) -> Command:
         if not hasattr(self, "goal_mm"):
-            return super().tick(kind, **values)
+            return super().step(kind, **values)
         if self.here is not None:
             way_mm = self.goal_mm - self.here.height_mm
             step_mm = min(abs(way_mm), 0.02 * self.speed_mm_s) * (1.0 if way_mm > 0.0 else -1.0)
             self.here = replace(self.here, height_mm=self.here.height_mm + step_mm, moving=abs(way_mm) > 1e-9)
         before = self.here
-        command = super().tick(kind, **values)
+        command = super().step(kind, **values)
         self.here = before
         if self.here is not None and isinstance(command.arm, ArmLift):
             self.goal_mm, self.speed_mm_s = self.here.height_mm + command.arm.height_mm, command.arm.speed_mm_s
@@ -56,7 +56,7 @@ class Lifted(Play):
         for rotation_deg in range(4, 40, 2):
             self.view = replace(self.view, rotation_deg=float(rotation_deg), rate_deg_s=40.0)
             for _ in range(10):
-                command = self.tick()
+                command = self.step()
                 if command.fault is not None:
                     return command
         raise AssertionError("nothing was found")
@@ -74,26 +74,26 @@ def test_it_goes_back_slowly_to_where_the_lift_began_and_stays_a_fault() -> None
     assert command.fault.code is FaultCode.BUDGET_SPENT
     assert command.arm == ArmLift(pytest.approx(-80.0, abs=0.6), 20.0)
     assert "putting it down by 80 mm" in (command.say or "")
-    play.ticks(3.0)
-    assert play.law.putting_down
-    assert "being put down" in (play.tick(RequestKind.CLEAR).refused or "")
-    said = [command.say for command in play.ticks(3.0)]
+    play.steps(3.0)
+    assert play.grasp.putting_down
+    assert "being put down" in (play.step(RequestKind.CLEAR).refused or "")
+    said = [command.say for command in play.steps(3.0)]
     assert play.here.height_mm == pytest.approx(0.0, abs=0.6)
     assert any("put down where the lift began" in line for line in said if line)
-    assert not play.law.putting_down
+    assert not play.grasp.putting_down
     assert len(lifts(play)) == before + 1
-    assert play.law.phase is Phase.FAULT
-    assert play.law.fault == command.fault
+    assert play.grasp.phase is Phase.FAULT
+    assert play.grasp.fault == command.fault
     play.view = replace(play.view, rate_deg_s=0.0)
-    assert all(command.arm != "stop" for command in play.ticks(0.2))
-    assert play.tick(RequestKind.CLEAR).refused is None
+    assert all(command.arm != "stop" for command in play.steps(0.2))
+    assert play.step(RequestKind.CLEAR).refused is None
 
 
 def test_the_usual_is_to_stand() -> None:
     play = Lifted(STOP)
     command = play.spend()
     assert command.arm == "stop"
-    play.ticks(2.0)
+    play.steps(2.0)
     assert play.here.height_mm == pytest.approx(80.0, abs=0.6)
 
 
@@ -104,7 +104,7 @@ def test_an_object_turned_too_far_is_put_down_too() -> None:
     assert command.fault is not None
     assert command.fault.code is FaultCode.TURNED_TOO_FAR
     assert isinstance(command.arm, ArmLift)
-    assert play.law.target_n == pytest.approx(60.0, abs=0.85)
+    assert play.grasp.target_n == pytest.approx(60.0, abs=0.85)
 
 
 def test_tightening_that_does_not_help_stops_as_ever() -> None:
@@ -117,7 +117,7 @@ def test_tightening_that_does_not_help_stops_as_ever() -> None:
         command = play.slips(rotation_deg, 20.0, frames=1)
     assert command.fault.code is FaultCode.NO_HELP
     assert command.arm == "stop"
-    assert not play.law.putting_down
+    assert not play.grasp.putting_down
 
 
 @pytest.mark.parametrize(
@@ -131,19 +131,19 @@ def test_tightening_that_does_not_help_stops_as_ever() -> None:
 def test_whatever_else_goes_wrong_stops_it_for_good(here: object) -> None:
     play = Lifted(LOWER)
     play.spend()
-    play.ticks(1.0)
+    play.steps(1.0)
     there, before = play.here, len(lifts(play))
     play.here = here(there)  # type: ignore[operator]
-    command = play.tick()
+    command = play.step()
     assert command.arm == "stop"
     assert "not put down any further" in (command.say or "")
-    play.ticks(0.5)
+    play.steps(0.5)
     play.here = there
-    play.ticks(2.0)
+    play.steps(2.0)
     assert len(lifts(play)) == before
-    assert not play.law.putting_down
-    assert play.law.fault is not None
-    assert play.law.fault.code is FaultCode.BUDGET_SPENT
+    assert not play.grasp.putting_down
+    assert play.grasp.fault is not None
+    assert play.grasp.fault.code is FaultCode.BUDGET_SPENT
 
 
 @pytest.mark.parametrize(
@@ -152,10 +152,10 @@ def test_whatever_else_goes_wrong_stops_it_for_good(here: object) -> None:
 def test_an_object_lost_or_not_seen_any_more_stops_it(view: object) -> None:
     play = Lifted(LOWER)
     play.spend()
-    play.ticks(0.5)
+    play.steps(0.5)
     play.view = view  # type: ignore[assignment]
-    play.ticks(1.2)
-    assert not play.law.putting_down
+    play.steps(1.2)
+    assert not play.grasp.putting_down
     assert any(command.arm == "stop" for command in play.commands[-60:])
     said = " ".join(command.say for command in play.commands[-60:] if command.say)
     assert "object lost" in said or "estimate untrusted" in said
@@ -166,8 +166,8 @@ def test_slip_that_goes_on_does_not_stop_it() -> None:
     play.spend()
     for rotation_deg in range(40, 60):
         play.slips(float(rotation_deg), 40.0, frames=5)
-    assert play.law.putting_down
-    assert FaultCode.NO_HELP in play.law.besides
+    assert play.grasp.putting_down
+    assert FaultCode.NO_HELP in play.grasp.besides
 
 
 def test_an_arm_that_does_not_take_it_up_is_told_again_and_then_given_up() -> None:
@@ -177,22 +177,22 @@ def test_an_arm_that_does_not_take_it_up_is_told_again_and_then_given_up() -> No
     for _ in range(150):
         play.here = replace(there, moving=False)
         play.goal_mm = there.height_mm
-        play.tick()
+        play.step()
     assert len(lifts(play)) > before + 2
-    assert not play.law.putting_down
-    assert FaultCode.ARM_STUCK in play.law.besides or any("arm stuck" in (c.say or "") for c in play.commands)
+    assert not play.grasp.putting_down
+    assert FaultCode.ARM_STUCK in play.grasp.besides or any("arm stuck" in (c.say or "") for c in play.commands)
 
 
 def test_a_release_on_the_way_stops_the_arm_and_opens() -> None:
     play = Lifted(LOWER)
     play.spend()
-    play.ticks(0.5)
-    command = play.tick(RequestKind.RELEASE)
+    play.steps(0.5)
+    command = play.step(RequestKind.RELEASE)
     assert command.arm == "stop"
     assert command.release_width_mm is None
-    assert not play.law.putting_down
+    assert not play.grasp.putting_down
     play.here = replace(play.here, moving=False)
-    assert play.tick().release_width_mm == 85.0
+    assert play.step().release_width_mm == 85.0
 
 
 @pytest.mark.parametrize(
@@ -235,34 +235,34 @@ def test_in_guard_mode_it_is_refused_in_words() -> None:
 def test_a_second_fault_is_said_once_and_the_first_stays() -> None:
     play = Play().held()
     play.here = arm(protective=True)
-    first = play.tick().fault
+    first = play.step().fault
     assert first is not None
     play.jaws = replace(play.jaws, fault="9")
-    said = [command.say for command in play.ticks(0.5) if command.say]
+    said = [command.say for command in play.steps(0.5) if command.say]
     assert len(said) == 1
     assert "gripper fault" in said[0]
-    assert play.law.fault == first
+    assert play.grasp.fault == first
     play.jaws = replace(play.jaws, fault=None)
-    assert not [command.say for command in play.ticks(0.2) if command.say]
+    assert not [command.say for command in play.steps(0.2) if command.say]
     play.jaws = replace(play.jaws, fault="9")
-    assert len([command.say for command in play.ticks(0.2) if command.say]) == 1
+    assert len([command.say for command in play.steps(0.2) if command.say]) == 1
 
 
 def test_an_object_lost_in_a_fault_is_said_and_can_be_cleared() -> None:
     play = Play().held()
     play.here = arm(protective=True)
-    play.tick()
+    play.step()
     play.jaws = replace(play.jaws, holding=False, closed_on_nothing=True)
-    said = [command.say for command in play.ticks(0.5) if command.say]
+    said = [command.say for command in play.steps(0.5) if command.say]
     assert len(said) == 1
     assert "object lost: the gripper closed on nothing" in said[0]
     play.here = arm()
-    command = play.tick(RequestKind.CLEAR)
+    command = play.step(RequestKind.CLEAR)
     assert command.say == "cleared; nothing is held"
 
 
 def test_jaws_that_never_met_anything_lose_nothing() -> None:
-    state, view = state_in(Phase.FAULT), seen(NOW_S, gripper=gripper(40.0, holding=False, at_s=NOW_S))
+    state, view = state_in(Phase.FAULT), observation(NOW_S, gripper=gripper(40.0, holding=False, at_s=NOW_S))
     for number in range(20):
         now_s = NOW_S + 0.02 * number
         state, command = step(state, replace(view, now_s=now_s), STOP)

@@ -6,26 +6,26 @@ from dataclasses import replace
 
 import pytest
 from controller_steps import FAULT, PARAMS, Play
-from observations import arm, fused, gripper, seen
+from observations import arm, fused, gripper, observation
 
 from slipguard.control.controller import step
 from slipguard.control.fault import FaultCode
-from slipguard.control.guard import Guard, tick
-from slipguard.control.messages import Command, Condition, FingerHealth, RequestKind, Seen
-from slipguard.control.state import GuardState, Phase, Remembered, taken
+from slipguard.control.messages import Command, Condition, FingerHealth, Observation, RequestKind
+from slipguard.control.state import GraspState, Phase, RememberedGrip, force_applied
+from slipguard.control.step import ControlState, control_step
 from slipguard.control.supervisor import FIRST_WAIT_S
 from slipguard.devices import GripperState
 
 WIDTH_MM = gripper().width_mm
 NEVER = FingerHealth(Condition.LOST, float("inf"), "unplugged")
-ASKED = Remembered(110.0, WIDTH_MM, taken=False)
+ASKED = RememberedGrip(110.0, WIDTH_MM, applied=False)
 ASKED_N = pytest.approx(110.0, abs=0.85)
 
 
-def restarted(before: Remembered | None, **changes: object) -> Play:
+def restarted(before: RememberedGrip | None, **changes: object) -> Play:
     """A new law in front of what is held with 40 N."""
-    law = GuardState(remembered=before, **changes)  # type: ignore[arg-type]
-    play = Play(guard=Guard(law))
+    grasp = GraspState(remembered=before, **changes)  # type: ignore[arg-type]
+    play = Play(guard=ControlState(grasp))
     play.jaws, play.view, play.here = gripper(40.0), fused(), arm(60.0)
     return play
 
@@ -39,11 +39,11 @@ def forces(commands: list[Command]) -> list[float]:
 
 def test_a_force_that_never_arrived_is_said_again_and_once() -> None:
     play = restarted(ASKED)
-    first = play.tick()
+    first = play.step()
     assert "the 110 N asked for before the restart are asked for again" in (first.say or "")
-    assert forces(play.ticks(1.0)) == [ASKED_N]
-    assert play.law.phase is Phase.HOLDING
-    assert play.law.target_n == ASKED_N
+    assert forces(play.steps(1.0)) == [ASKED_N]
+    assert play.grasp.phase is Phase.HOLDING
+    assert play.grasp.target_n == ASKED_N
     assert all(command.release_width_mm is None for command in play.commands)
     assert play.slips().hold_force_n == pytest.approx(130.0, abs=0.85)
 
@@ -51,24 +51,26 @@ def test_a_force_that_never_arrived_is_said_again_and_once() -> None:
 def test_one_that_arrived_after_all_is_not() -> None:
     play = restarted(ASKED)
     play.jaws = gripper(110.5)
-    assert play.tick().say == "an object is held with 110 N already: taken over as it is"
-    assert forces(play.ticks(1.0)) == []
-    assert play.law.target_n == 110.5
+    assert play.step().say == "an object is held with 110 N already: taken over as it is"
+    assert forces(play.steps(1.0)) == []
+    assert play.grasp.target_n == 110.5
 
 
 @pytest.mark.parametrize(
     ("before", "limits_n"),
     [
-        (Remembered(110.0, WIDTH_MM + 1.5, taken=False), (20.0, 235.0)),  # something else
-        (Remembered(30.0, WIDTH_MM, taken=False), (20.0, 235.0)),  # no more than there is
+        (RememberedGrip(110.0, WIDTH_MM + 1.5, applied=False), (20.0, 235.0)),  # something else
+        (RememberedGrip(30.0, WIDTH_MM, applied=False), (20.0, 235.0)),  # no more than there is
         (ASKED, (150.0, 235.0)),  # a gripper too strong for the budget
     ],
 )
-def test_it_is_said_only_of_the_same_object_and_only_upwards(before: Remembered, limits_n: tuple[float, float]) -> None:
-    state, told = GuardState(remembered=before), []
+def test_it_is_said_only_of_the_same_object_and_only_upwards(
+    before: RememberedGrip, limits_n: tuple[float, float]
+) -> None:
+    state, told = GraspState(remembered=before), []
     for number in range(50):
         now_s = 100.0 + 0.02 * number
-        view = seen(now_s, gripper_limits_n=limits_n)
+        view = observation(now_s, gripper_limits_n=limits_n)
         state, command = step(state, view, PARAMS)
         told.append(command)
     assert forces(told) == []
@@ -76,18 +78,18 @@ def test_it_is_said_only_of_the_same_object_and_only_upwards(before: Remembered,
 
 
 def test_it_is_said_within_the_budget_of_now() -> None:
-    play = restarted(Remembered(800.0, WIDTH_MM, taken=False))
-    assert forces(play.ticks(1.0)) == [pytest.approx(PARAMS.force_max_n, abs=0.85)]
+    play = restarted(RememberedGrip(800.0, WIDTH_MM, applied=False))
+    assert forces(play.steps(1.0)) == [pytest.approx(PARAMS.force_max_n, abs=0.85)]
 
 
 def test_never_while_somebody_is_near_but_when_they_have_gone() -> None:
     play = restarted(ASKED, person_near=True)
     play.here = None
-    assert forces(play.ticks(0.4)) == []
+    assert forces(play.steps(0.4)) == []
     play.here = arm(60.0, protective=True)
-    assert forces(play.ticks(1.0)) == []
+    assert forces(play.steps(1.0)) == []
     play.here = arm(60.0)
-    assert forces(play.ticks(0.4)) == [ASKED_N]
+    assert forces(play.steps(0.4)) == [ASKED_N]
 
 
 @pytest.mark.parametrize(
@@ -100,115 +102,117 @@ def test_never_while_somebody_is_near_but_when_they_have_gone() -> None:
     ],
 )
 def test_a_force_is_taken_when_the_gripper_says_so_at_rest(jaws: GripperState, is_taken: bool) -> None:
-    held = GuardState(Phase.HOLDING, target_n=110.0, commanded_s=10.0)
-    assert taken(held, jaws) is is_taken
-    assert taken(replace(held, commanded_s=float("-inf")), jaws), "it was told nothing since the restart"
+    held = GraspState(Phase.HOLDING, target_n=110.0, commanded_s=10.0)
+    assert force_applied(held, jaws) is is_taken
+    assert force_applied(replace(held, commanded_s=float("-inf")), jaws), "it was told nothing since the restart"
 
 
 def test_jaws_still_on_their_way_are_waited_for() -> None:
     """A tightening that was under way as the daemon was killed."""
-    play = restarted(Remembered(93.0, WIDTH_MM))
+    play = restarted(RememberedGrip(93.0, WIDTH_MM))
     play.jaws = gripper(0.0, holding=False, moving=True)
-    play.ticks(0.2)
-    assert (play.law.phase, play.law.adopted) == (Phase.IDLE, False)
+    play.steps(0.2)
+    assert (play.grasp.phase, play.grasp.adopted) == (Phase.IDLE, False)
     play.jaws = gripper(20.0)
-    play.ticks(0.6)
-    assert (play.law.phase, play.law.target_n) == (Phase.HOLDING, 93.0)
+    play.steps(0.6)
+    assert (play.grasp.phase, play.grasp.target_n) == (Phase.HOLDING, 93.0)
 
 
 # --- a latched fault ---
 
 
-def latched(before: Remembered | None = ASKED, **changes: object) -> Play:
+def latched(before: RememberedGrip | None = ASKED, **changes: object) -> Play:
     return restarted(before, phase=Phase.FAULT, fault=FAULT, **changes)
 
 
 def test_a_fault_stays_latched_until_it_is_cleared() -> None:
-    play = latched(Remembered(93.0, WIDTH_MM))
+    play = latched(RememberedGrip(93.0, WIDTH_MM))
     play.jaws = gripper(20.0)
-    first = play.tick()
+    first = play.step()
     assert first.fault is FAULT
     assert first.say == (
         "an object is held with 20 N already: taken over as it is, with the 93 N of before the restart"
     )
-    assert "a fault is latched (arm silent)" in (play.tick(RequestKind.LIFT).refused or "")
-    play.ticks(1.0)
-    assert (play.law.phase, play.law.target_n, play.law.gripped) == (Phase.FAULT, 93.0, True)
-    assert "cleared; holding with 93 N" in (play.tick(RequestKind.CLEAR).say or "")
-    play.ticks(0.5)
-    assert (play.law.phase, play.law.target_n, play.law.fault) == (Phase.HOLDING, 93.0, None)
+    assert "a fault is latched (arm silent)" in (play.step(RequestKind.LIFT).refused or "")
+    play.steps(1.0)
+    assert (play.grasp.phase, play.grasp.target_n, play.grasp.gripped) == (Phase.FAULT, 93.0, True)
+    assert "cleared; holding with 93 N" in (play.step(RequestKind.CLEAR).say or "")
+    play.steps(0.5)
+    assert (play.grasp.phase, play.grasp.target_n, play.grasp.fault) == (Phase.HOLDING, 93.0, None)
     assert forces(play.commands) == []
 
 
 def test_a_release_ends_it() -> None:
     play = latched()
-    play.tick(RequestKind.RELEASE)
-    assert (play.law.phase, play.law.fault) == (Phase.RELEASED, None)
+    play.step(RequestKind.RELEASE)
+    assert (play.grasp.phase, play.grasp.fault) == (Phase.RELEASED, None)
 
 
 def test_the_arm_stands_and_a_slip_is_answered_as_before_the_restart() -> None:
-    play = latched(Remembered(40.0, WIDTH_MM))
+    play = latched(RememberedGrip(40.0, WIDTH_MM))
     play.here = arm(60.0, moving=True)
-    assert "stop" in [command.arm for command in play.ticks(0.3)]
+    assert "stop" in [command.arm for command in play.steps(0.3)]
     play.here = arm(60.0)
-    play.ticks(0.5)
+    play.steps(0.5)
     assert (play.slips().hold_force_n or 0.0) > 40.0
     play.slips(50.0, 50.0)
-    assert play.law.target_n == pytest.approx(130.0, abs=0.85)
+    assert play.grasp.target_n == pytest.approx(130.0, abs=0.85)
     assert any("turned too far" in (command.say or "") for command in play.commands)
 
 
 def test_a_force_that_never_arrived_is_said_again_in_a_fault_too() -> None:
     play = latched()
-    assert forces(play.ticks(0.5)) == [ASKED_N]
-    assert play.law.phase is Phase.FAULT
+    assert forces(play.steps(0.5)) == [ASKED_N]
+    assert play.grasp.phase is Phase.FAULT
 
 
 def test_no_finger_is_waited_for_nor_is_it_known_what_was_referenced() -> None:
-    play = latched(Remembered(93.0, WIDTH_MM))
+    play = latched(RememberedGrip(93.0, WIDTH_MM))
     play.view = None  # type: ignore[assignment]
     play.lazy = True
-    play.tick()
-    assert (play.law.target_n, play.law.referenced) == (93.0, False)
+    play.step()
+    assert (play.grasp.target_n, play.grasp.referenced) == (93.0, False)
     play.view = fused(None, declined="no reference yet")
     play.lazy = False
-    play.tick()
-    assert not play.law.referenced
+    play.step()
+    assert not play.grasp.referenced
     play.view = fused()
-    play.tick()
-    assert play.law.referenced
+    play.step()
+    assert play.grasp.referenced
 
 
-@pytest.mark.parametrize("before", [None, Remembered(93.0, WIDTH_MM)])
-def test_with_empty_jaws_it_is_still_a_fault(before: Remembered | None) -> None:
+@pytest.mark.parametrize("before", [None, RememberedGrip(93.0, WIDTH_MM)])
+def test_with_empty_jaws_it_is_still_a_fault(before: RememberedGrip | None) -> None:
     play = latched(before)
     play.jaws = None  # type: ignore[assignment]
-    play.ticks(0.1)
-    assert not play.law.adopted
+    play.steps(0.1)
+    assert not play.grasp.adopted
     play.jaws = gripper(0.0, holding=False)
-    play.ticks(0.5)
-    assert (play.law.phase, play.law.gripped, play.law.remembered) == (Phase.FAULT, False, None)
-    assert play.tick(RequestKind.CLEAR).say == "cleared; nothing is held"
+    play.steps(0.5)
+    assert (play.grasp.phase, play.grasp.gripped, play.grasp.remembered) == (Phase.FAULT, False, None)
+    assert play.step(RequestKind.CLEAR).say == "cleared; nothing is held"
 
 
 def test_what_was_to_be_let_go_is_left_alone() -> None:
-    play = latched(let_go=True)
-    play.ticks(0.5)
+    play = latched(release_requested=True)
+    play.steps(0.5)
     play.slips(20.0, 50.0)
     assert forces(play.commands) == []
-    assert not play.law.gripped
+    assert not play.grasp.gripped
 
 
 # --- what does not come back ---
 
 
-def waits(view: Seen, seconds: float, before: Remembered | None = ASKED) -> tuple[Guard, list[tuple[float, Command]]]:
-    guard, told = Guard(GuardState(remembered=before)), []
+def waits(
+    view: Observation, seconds: float, before: RememberedGrip | None = ASKED
+) -> tuple[ControlState, list[tuple[float, Command]]]:
+    guard, told = ControlState(GraspState(remembered=before)), []
     for number in range(round(seconds / 0.05)):
         now_s = 100.0 + 0.05 * number
         jaws = view.gripper and replace(view.gripper, measured_at_s=now_s)
         here = view.arm and replace(view.arm, measured_at_s=now_s)
-        guard, command = tick(guard, replace(view, now_s=now_s, gripper=jaws, arm=here), PARAMS)
+        guard, command = control_step(guard, replace(view, now_s=now_s, gripper=jaws, arm=here), PARAMS)
         told.append((now_s - 100.0, command))
     return guard, told
 
@@ -216,14 +220,14 @@ def waits(view: Seen, seconds: float, before: Remembered | None = ASKED) -> tupl
 @pytest.mark.parametrize(
     ("view", "code"),
     [
-        (seen(100.0, fused=None, left=NEVER, right=NEVER), FaultCode.FRAMES_LOST),
-        (seen(100.0, gripper=None), FaultCode.GRIPPER_SILENT),
+        (observation(100.0, fused=None, left=NEVER, right=NEVER), FaultCode.FRAMES_LOST),
+        (observation(100.0, gripper=None), FaultCode.GRIPPER_SILENT),
     ],
 )
-def test_what_never_comes_back_is_a_fault_as_while_holding(view: Seen, code: FaultCode) -> None:
+def test_what_never_comes_back_is_a_fault_as_while_holding(view: Observation, code: FaultCode) -> None:
     moving = replace(view, arm=arm(60.0, moving=True))
     guard, told = waits(moving, FIRST_WAIT_S - 0.05)
-    assert guard.law.phase is Phase.IDLE
+    assert guard.grasp.phase is Phase.IDLE
     guard, told = waits(moving, 4.0)
     latched_s, latching = next((at_s, command) for at_s, command in told if command.fault is not None)
     assert latched_s == pytest.approx(FIRST_WAIT_S, abs=0.06)
@@ -235,52 +239,56 @@ def test_what_never_comes_back_is_a_fault_as_while_holding(view: Seen, code: Fau
     play = Play(guard=guard)
     play.now_s = 110.0
     play.jaws, play.view, play.here = gripper(40.0), fused(), arm(60.0)
-    assert forces(play.ticks(0.5)) == [ASKED_N]
-    assert (play.law.phase, play.law.target_n) == (Phase.FAULT, ASKED_N)
-    play.tick(RequestKind.CLEAR)
-    play.ticks(0.5)
-    assert play.law.phase is Phase.HOLDING
+    assert forces(play.steps(0.5)) == [ASKED_N]
+    assert (play.grasp.phase, play.grasp.target_n) == (Phase.FAULT, ASKED_N)
+    play.step(RequestKind.CLEAR)
+    play.steps(0.5)
+    assert play.grasp.phase is Phase.HOLDING
 
 
 @pytest.mark.parametrize("heard", [True, False])
 def test_what_was_heard_since_the_start_has_the_usual_time(heard: bool) -> None:
-    guard, silent_s = Guard(GuardState(remembered=ASKED)), 0.0
-    while guard.law.phase is Phase.IDLE:
+    guard, silent_s = ControlState(GraspState(remembered=ASKED)), 0.0
+    while guard.grasp.phase is Phase.IDLE:
         gone = replace(NEVER, age_s=silent_s) if heard else NEVER
-        guard, _ = tick(guard, seen(100.0 + silent_s, fused=None, left=gone, right=NEVER), PARAMS)
+        guard, _ = control_step(guard, observation(100.0 + silent_s, fused=None, left=gone, right=NEVER), PARAMS)
         silent_s += 0.05
-    assert guard.law.fault is not None
-    assert guard.law.fault.code is FaultCode.FRAMES_LOST
+    assert guard.grasp.fault is not None
+    assert guard.grasp.fault.code is FaultCode.FRAMES_LOST
     assert silent_s == pytest.approx(PARAMS.frames_timeout_s if heard else FIRST_WAIT_S, abs=0.06)
 
 
 def test_a_gripper_that_was_heard_has_the_usual_time_too() -> None:
-    law = GuardState(remembered=ASKED)
-    guard, _ = tick(Guard(law), seen(99.9, gripper=gripper(0.0, holding=False, moving=True, at_s=99.9)), PARAMS)
+    grasp = GraspState(remembered=ASKED)
+    guard, _ = control_step(
+        ControlState(grasp), observation(99.9, gripper=gripper(0.0, holding=False, moving=True, at_s=99.9)), PARAMS
+    )
     latched_s = 0.0
-    while guard.law.phase is Phase.IDLE:
+    while guard.grasp.phase is Phase.IDLE:
         latched_s += 0.05
-        guard, _ = tick(guard, seen(99.9 + latched_s, gripper=None), PARAMS)
-    assert guard.law.fault is not None
-    assert guard.law.fault.code is FaultCode.GRIPPER_SILENT
+        guard, _ = control_step(guard, observation(99.9 + latched_s, gripper=None), PARAMS)
+    assert guard.grasp.fault is not None
+    assert guard.grasp.fault.code is FaultCode.GRIPPER_SILENT
     assert latched_s == pytest.approx(PARAMS.gripper_timeout_s, abs=0.06)
 
 
 def test_a_gripper_at_fault_is_one_at_once() -> None:
-    guard, _ = tick(
-        Guard(GuardState(remembered=ASKED)), seen(100.0, gripper=gripper(0.0, fault="9", at_s=100.0)), PARAMS
+    guard, _ = control_step(
+        ControlState(GraspState(remembered=ASKED)),
+        observation(100.0, gripper=gripper(0.0, fault="9", at_s=100.0)),
+        PARAMS,
     )
-    assert guard.law.fault is not None
-    assert guard.law.fault.code is FaultCode.GRIPPER_FAULT
+    assert guard.grasp.fault is not None
+    assert guard.grasp.fault.code is FaultCode.GRIPPER_FAULT
 
 
 def test_with_nothing_remembered_nothing_is_missed() -> None:
-    for view in (seen(100.0, fused=None, left=NEVER, right=NEVER), seen(100.0, gripper=None)):
+    for view in (observation(100.0, fused=None, left=NEVER, right=NEVER), observation(100.0, gripper=None)):
         guard, _ = waits(view, 4.0, None)
-        assert guard.law.phase is Phase.IDLE
-    guard, command = tick(
-        Guard(GuardState(remembered=ASKED)),
-        seen(100.0, gripper=gripper(0.0, holding=False, at_s=100.0)),
+        assert guard.grasp.phase is Phase.IDLE
+    guard, command = control_step(
+        ControlState(GraspState(remembered=ASKED)),
+        observation(100.0, gripper=gripper(0.0, holding=False, at_s=100.0)),
         PARAMS,
     )
-    assert (guard.law.remembered, command.fault) == (None, None)
+    assert (guard.grasp.remembered, command.fault) == (None, None)

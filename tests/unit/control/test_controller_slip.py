@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from controller_steps import FAULT, NOW_S, PARAMS, PRIMED, Play, seen_in, state_in
-from observations import arm, ask, fused, gripper, seen
+from observations import arm, ask, fused, gripper, observation
 
 from slipguard.control.controller import step
 from slipguard.control.fault import FaultCode
@@ -24,7 +24,7 @@ def test_the_first_step_is_large_and_stops_the_arm() -> None:
     assert "tightening" in (command.say or "")
     assert command.warn
     play.view = replace(play.view, rate_deg_s=0.0)
-    (calm,) = [later for later in play.ticks(2.0) if "calm" in (later.say or "")]
+    (calm,) = [later for later in play.steps(2.0) if "calm" in (later.say or "")]
     assert not calm.warn
 
 
@@ -48,7 +48,7 @@ def test_what_is_not_slip(rotation_deg: float, rate_deg_s: float | None, sigma_d
     play.view = replace(play.view, sigma_deg=sigma_deg)
     commands = []
     play.view = replace(play.view, rotation_deg=rotation_deg, rate_deg_s=rate_deg_s)
-    commands = [play.tick() for _ in range(frames)]
+    commands = [play.step() for _ in range(frames)]
     assert all(command.hold_force_n is None for command in commands)
 
 
@@ -56,7 +56,7 @@ def test_a_frame_counts_once_however_often_it_is_looked_at() -> None:
     play = Play().held()
     play.slips(frames=1)
     play.lazy = True
-    assert all(command.hold_force_n is None for command in play.ticks(0.2))
+    assert all(command.hold_force_n is None for command in play.steps(0.2))
 
 
 def test_a_creeping_turn_is_slip_at_any_rate() -> None:
@@ -72,13 +72,13 @@ def test_an_unsure_estimate_does_not_hide_slip() -> None:
 def test_further_steps_wait_until_the_last_could_be_felt_and_for_progress() -> None:
     play = Play().held()
     play.slips(4.0, 30.0)
-    first_n = play.law.target_n
+    first_n = play.grasp.target_n
     for number in range(10):  # 200 ms: 150 until it is felt, 50 until a rate shows it
         assert play.slips(4.5 + 0.5 * number, 40.0, frames=1).hold_force_n is None
     command = play.slips(13.0, 40.0, frames=1)
     assert command.hold_force_n is not None
     assert command.hold_force_n == pytest.approx(first_n * (1.25 + 0.1), abs=0.9)
-    play.ticks(0.3)
+    play.steps(0.3)
     assert play.slips(13.5, 40.0, frames=1).hold_force_n is None  # hardly further
 
 
@@ -98,29 +98,29 @@ def test_while_the_force_rises_or_the_turn_slows_down_it_waits(
     play = Play().held()
     play.slips(4.0, 60.0)
     play.jaws = replace(play.jaws, moving=moving)
-    play.ticks(0.24)
+    play.steps(0.24)
     assert (play.slips(rotation_deg, rate_deg_s, frames=1).hold_force_n is not None) is steps
 
 
 def test_a_turn_that_does_not_go_on_slowing_down_is_answered_again() -> None:
     play = Play().held()
     play.slips(4.0, 60.0)
-    play.ticks(0.24)
+    play.steps(0.24)
     assert play.slips(8.0, 40.0, frames=1).hold_force_n is None
     assert play.slips(9.5, 40.0, frames=1).hold_force_n is not None
 
 
 def test_what_the_jaws_took_to_close_is_what_a_step_takes() -> None:
     play = Play()
-    play.tick(RequestKind.GRASP)
+    play.step(RequestKind.GRASP)
     play.jaws = replace(play.jaws, holding=False, moving=True)
-    play.ticks(0.1)
+    play.steps(0.1)
     play.jaws = replace(play.jaws, width_mm=80.0)
-    play.tick()
+    play.step()
     play.jaws = replace(play.jaws, width_mm=30.0, holding=True, moving=False)
     play.view = fused()
-    play.ticks(0.5)
-    assert play.law.delay.felt_s == pytest.approx(0.12 + 0.016, abs=1e-9)
+    play.steps(0.5)
+    assert play.grasp.delay.felt_s == pytest.approx(0.12 + 0.016, abs=1e-9)
     play.slips(4.0, 30.0)
     assert play.slips(6.0, 30.0, frames=9).hold_force_n is None
     assert play.slips(8.0, 30.0, frames=1).hold_force_n is not None
@@ -154,26 +154,26 @@ def test_calm_ends_an_episode_and_the_next_needs_twice_the_turn() -> None:
     play = Play().held()
     play.slips(4.0)
     play.view = replace(play.view, rotation_deg=4.5, rate_deg_s=0.0)
-    said = " ".join(command.say or "" for command in play.ticks(0.6))
+    said = " ".join(command.say or "" for command in play.steps(0.6))
     assert "calm at" in said
-    assert play.law.slip is None
+    assert play.grasp.slip is None
     assert play.slips(8.0).hold_force_n is None  # 3.5 degrees more
     assert play.slips(9.0).hold_force_n is not None
 
 
 def test_a_lift_stops_for_slip_and_goes_on_when_calm() -> None:
     play = Play().held()
-    play.tick(RequestKind.LIFT)
+    play.step(RequestKind.LIFT)
     play.here = arm(7.0, moving=True)
-    play.tick()
+    play.step()
     assert play.slips().arm == "stop"
-    stops = [command for command in play.ticks(0.5) if command.arm == "stop"]
+    stops = [command for command in play.steps(0.5) if command.arm == "stop"]
     assert 2 <= len(stops) <= 4  # said again, but not at every tick
     play.here = arm(8.0)
     play.view = replace(play.view, rate_deg_s=0.0)
-    commands = play.ticks(1.0)
+    commands = play.steps(1.0)
     assert ArmLift(7.0, 20.0) in [command.arm for command in commands]
-    assert play.law.phase is Phase.HOLDING
+    assert play.grasp.phase is Phase.HOLDING
 
 
 def test_without_stop_on_slip_the_arm_goes_on() -> None:
@@ -188,49 +188,49 @@ def test_slip_too_slow_to_be_told_by_its_rate_takes_all_the_force_and_then_is_a_
     deg_s: float, mm_s: float
 ) -> None:
     play = Play(GuardParams()).held()
-    forces = [play.law.target_n]
+    forces = [play.grasp.target_n]
     for tick in range(round(5.0 / 0.02)):
         passed_s = 0.02 * tick
         play.view = replace(
             play.view, rotation_deg=deg_s * passed_s, rate_deg_s=deg_s, shift_mm=mm_s * passed_s, sigma_deg=0.1
         )
-        forces.append(play.tick().hold_force_n or forces[-1])
+        forces.append(play.step().hold_force_n or forces[-1])
     assert forces == sorted(forces)
     assert forces[-1] == pytest.approx(130.0, abs=1.0)
-    assert play.law.fault is not None
-    assert play.law.fault.code is FaultCode.BUDGET_SPENT
-    assert play.law.slip is not None
+    assert play.grasp.fault is not None
+    assert play.grasp.fault.code is FaultCode.BUDGET_SPENT
+    assert play.grasp.slip is not None
 
 
 def test_the_budget_spent_is_a_fault_that_keeps_the_grip() -> None:
     play = Play(GuardParams(force_max_n=60.0, blind_force_n=60.0)).held()
     for rotation_deg in range(4, 40, 2):
         play.slips(float(rotation_deg), 40.0, frames=5)
-    assert play.law.fault is not None
-    assert play.law.fault.code is FaultCode.BUDGET_SPENT
-    assert play.law.target_n <= 60.0
+    assert play.grasp.fault is not None
+    assert play.grasp.fault.code is FaultCode.BUDGET_SPENT
+    assert play.grasp.target_n <= 60.0
     assert any(command.arm == "stop" for command in play.commands)
 
 
 def test_with_the_whole_budget_applied_the_arm_waits_and_it_is_said() -> None:
     play = Play(PARAMS.model_copy(update={"force_max_n": 40.0, "blind_force_n": 40.0, "first_force_n": 40.0})).held()
-    strongest_n = play.law.target_n
+    strongest_n = play.grasp.target_n
     command = play.slips()
     assert (command.hold_force_n, command.arm) == (None, "stop")
     assert "slip: turned 4.0° at 30°/s: 39 N is all the force there is" in (command.say or "")
     play.view = replace(play.view, rate_deg_s=0.0)
-    play.ticks(0.6)
-    assert play.law.slip is None
-    assert (play.law.detector.rotations, play.law.detector.patient) == (0, True)
-    assert play.law.target_n == strongest_n
+    play.steps(0.6)
+    assert play.grasp.slip is None
+    assert (play.grasp.detector.rotations, play.grasp.detector.patient) == (0, True)
+    assert play.grasp.target_n == strongest_n
 
 
 def test_a_firm_grip_that_turns_while_it_lifts_off_is_tightened_too() -> None:
     play = Play(GuardParams(force_max_n=57.0, blind_force_n=57.0)).held()
-    play.tick(RequestKind.LIFT)
+    play.step(RequestKind.LIFT)
     play.here = arm(5.0, moving=True)
     play.view = replace(play.view, sigma_deg=0.1)
-    play.tick()
+    play.step()
     command = play.slips(1.1, 5.0)
     assert command.hold_force_n == pytest.approx(40.0 * 1.3, abs=1.7)
     assert command.arm == "stop"
@@ -240,30 +240,30 @@ def test_what_slid_and_what_turned_is_remembered_until_all_is_calm() -> None:
     play = Play().held()
     play.view = replace(play.view, shift_mm=2.5)
     assert play.slips(0.0, 0.0).hold_force_n is not None
-    assert play.law.slip is not None
-    assert (play.law.slip.rotations, play.law.slip.slides, play.law.slip.raised) == (False, True, True)
-    play.ticks(0.24)
+    assert play.grasp.slip is not None
+    assert (play.grasp.slip.rotations, play.grasp.slip.slides, play.grasp.slip.raised) == (False, True, True)
+    play.steps(0.24)
     play.view = replace(play.view, shift_mm=2.6)
     assert play.slips(7.0, 30.0, frames=1).hold_force_n is not None
-    assert (play.law.slip.rotations, play.law.slip.slides) == (True, True)
+    assert (play.grasp.slip.rotations, play.grasp.slip.slides) == (True, True)
     play.view = replace(play.view, rate_deg_s=0.0)
-    play.ticks(0.8)
-    assert (play.law.detector.rotations, play.law.detector.slides) == (1, 1)
+    play.steps(0.8)
+    assert (play.grasp.detector.rotations, play.grasp.detector.slides) == (1, 1)
 
 
 @pytest.mark.parametrize(("rotation_deg", "gives_up"), [(44.5, False), (45.5, True), (-45.5, True)])
 def test_an_object_turned_too_far_is_given_up_though_it_rests(rotation_deg: float, gives_up: bool) -> None:
     play = Play().held()
-    detector = replace(play.law.detector, base_rotation_deg=rotation_deg, rest_rotation_deg=rotation_deg)
+    detector = replace(play.grasp.detector, base_rotation_deg=rotation_deg, rest_rotation_deg=rotation_deg)
     detector = replace(detector, alert=replace(detector.alert, near_deg=rotation_deg, rested_deg=rotation_deg))
-    play.guard = replace(play.guard, law=replace(play.law, detector=detector))
+    play.guard = replace(play.guard, grasp=replace(play.grasp, detector=detector))
     assert play.slips(rotation_deg, 0.0, frames=1).fault is None
     command = play.slips(rotation_deg, 0.0, frames=1)
     assert (command.fault is not None) is gives_up
     if gives_up:
-        assert play.law.fault is not None
-        assert play.law.fault.code is FaultCode.TURNED_TOO_FAR
-        assert play.law.fault.seen == "turned 46° since it was gripped"
+        assert play.grasp.fault is not None
+        assert play.grasp.fault.code is FaultCode.TURNED_TOO_FAR
+        assert play.grasp.fault.observed == "turned 46° since it was gripped"
         assert command.hold_force_n == pytest.approx(130.0, abs=0.85)
         assert command.arm == "stop"
 
@@ -278,7 +278,7 @@ def test_fingers_that_contradict_each_other_give_nothing_up_nor_does_a_single_fr
 
 def test_without_a_reference_no_turn_is_too_far() -> None:
     play = Play().held()
-    play.guard = replace(play.guard, law=replace(play.law, referenced=False))
+    play.guard = replace(play.guard, grasp=replace(play.grasp, referenced=False))
     assert all(play.slips(50.0, 0.0, frames=1).fault is None for _ in range(5))
 
 
@@ -291,8 +291,8 @@ def test_turned_too_far_takes_all_the_force_there_is() -> None:
     assert command.hold_force_n == pytest.approx(130.0, abs=0.85)
     assert command.arm == "stop"
     play.slips(70.0, 300.0, frames=20)
-    assert play.law.fault is not None
-    assert play.law.fault.code is FaultCode.TURNED_TOO_FAR
+    assert play.grasp.fault is not None
+    assert play.grasp.fault.code is FaultCode.TURNED_TOO_FAR
 
 
 def test_no_force_is_added_near_a_person() -> None:
@@ -303,7 +303,7 @@ def test_no_force_is_added_near_a_person() -> None:
     play.here = None  # type: ignore[assignment]
     play.slips(50.0, 100.0, frames=20)
     assert all(command.hold_force_n is None for command in play.commands[-20:])
-    assert play.law.target_n == pytest.approx(40.0, abs=0.85)
+    assert play.grasp.target_n == pytest.approx(40.0, abs=0.85)
 
 
 def test_a_turn_back_while_putting_down_is_no_slip() -> None:
@@ -316,10 +316,10 @@ def test_a_turn_back_while_putting_down_is_no_slip() -> None:
 
 def test_guard_off_only_watches_until_guard_on() -> None:
     play = Play().held()
-    play.tick(RequestKind.GUARD_OFF)
+    play.step(RequestKind.GUARD_OFF)
     assert play.slips(30.0, 50.0, frames=10).hold_force_n is None
-    play.tick(RequestKind.GUARD_ON)
-    play.tick()
+    play.step(RequestKind.GUARD_ON)
+    play.step()
     assert play.slips(34.0, 50.0).hold_force_n is not None
 
 
@@ -335,8 +335,8 @@ def test_a_lost_object_latches(changes: dict[str, object]) -> None:
     play = Play().held()
     for name, value in changes.items():
         setattr(play, name, value)
-    assert all(command.fault is None for command in play.ticks(0.08))
-    command = play.ticks(0.08)[-1]
+    assert all(command.fault is None for command in play.steps(0.08))
+    command = play.steps(0.08)[-1]
     assert command.fault is not None
     assert command.fault.code is FaultCode.OBJECT_LOST
 
@@ -345,10 +345,10 @@ def test_a_passing_loss_of_contact_does_not() -> None:
     play = Play().held()
     for _ in range(5):
         play.view = fused(None, contact=False, shift_mm=None)
-        play.ticks(0.06)
+        play.steps(0.06)
         play.view = fused()
-        play.ticks(0.04)
-    assert play.law.phase is Phase.HOLDING
+        play.steps(0.04)
+    assert play.grasp.phase is Phase.HOLDING
 
 
 NO_CONTACT = replace(fused(None, contact=False, shift_mm=None), left_contact=None)
@@ -357,30 +357,30 @@ NO_CONTACT = replace(fused(None, contact=False, shift_mm=None), left_contact=Non
 
 def test_one_fingers_word_for_a_loss_stops_the_arm_and_must_last_three_times_as_long() -> None:
     play = Play().held()
-    play.tick(RequestKind.LIFT)
+    play.step(RequestKind.LIFT)
     play.here = arm(7.0, moving=True)
     play.view = NO_CONTACT
-    assert all(command.arm is None for command in play.ticks(0.1))
-    assert "stop" in [command.arm for command in play.ticks(0.06)]
+    assert all(command.arm is None for command in play.steps(0.1))
+    assert "stop" in [command.arm for command in play.steps(0.06)]
     play.here = arm(8.0)
-    commands = play.ticks(0.12)
+    commands = play.steps(0.12)
     assert all(command.fault is None and not isinstance(command.arm, ArmLift) for command in commands)
-    command = play.ticks(0.06)[-1]
+    command = play.steps(0.06)[-1]
     assert command.fault is not None
     assert command.fault.code is FaultCode.OBJECT_LOST
 
 
 def test_a_lift_goes_on_when_the_only_finger_sees_contact_again() -> None:
     play = Play().held()
-    play.tick(RequestKind.LIFT)
+    play.step(RequestKind.LIFT)
     play.here = arm(7.0, moving=True)
     play.view = NO_CONTACT
-    play.ticks(0.2)
+    play.steps(0.2)
     play.here = arm(8.0)
     play.view = fused(fingers=("right",))
-    commands = play.ticks(0.6)
+    commands = play.steps(0.6)
     assert any(isinstance(command.arm, ArmLift) for command in commands)
-    assert play.law.fault is None
+    assert play.grasp.fault is None
 
 
 @pytest.mark.parametrize(
@@ -389,7 +389,7 @@ def test_a_lift_goes_on_when_the_only_finger_sees_contact_again() -> None:
 def test_a_gripper_that_no_longer_holds_bears_one_finger_out(jaws: GripperState) -> None:
     play = Play().held()
     play.view, play.jaws = NO_CONTACT, jaws
-    command = play.ticks(0.14)[-1]
+    command = play.steps(0.14)[-1]
     assert command.fault is not None
     assert command.fault.code is FaultCode.OBJECT_LOST
 
@@ -397,14 +397,14 @@ def test_a_gripper_that_no_longer_holds_bears_one_finger_out(jaws: GripperState)
 def test_without_a_gripper_one_finger_is_in_doubt_too() -> None:
     play = Play().held()
     play.view, play.jaws = NO_CONTACT, None  # type: ignore[assignment]
-    assert all(command.fault is None for command in play.ticks(0.28))
+    assert all(command.fault is None for command in play.steps(0.28))
 
 
 def test_in_a_fault_slip_is_still_answered_with_force() -> None:
     play = Play().held()
-    play.guard = replace(play.guard, law=replace(play.law, phase=Phase.FAULT, fault=FAULT))
+    play.guard = replace(play.guard, grasp=replace(play.grasp, phase=Phase.FAULT, fault=FAULT))
     assert play.slips().hold_force_n is not None
-    assert play.law.fault == FAULT
+    assert play.grasp.fault == FAULT
 
 
 def test_clear_takes_over_what_is_held() -> None:
@@ -456,7 +456,7 @@ def test_clear_is_refused_where_something_else_is_wrong_besides() -> None:
 def test_what_a_tick_has_to_say_is_not_lost_on_a_request() -> None:
     play = Play().held()
     play.slips(frames=1)
-    command = play.tick(RequestKind.GUARD_ON)
+    command = play.step(RequestKind.GUARD_ON)
     assert command.hold_force_n is not None
     assert "tightening" in (command.say or "")
     assert (command.say or "").endswith("; guarding")
@@ -475,7 +475,7 @@ def test_a_stop_is_said_again_until_the_arm_stands() -> None:
     state, stops = state_in(Phase.FAULT, arm_sent_s=NOW_S), 0
     for number in range(1, 31):
         now_s = NOW_S + 0.02 * number
-        state, command = step(state, seen(now_s, arm=None if number < 20 else arm(at_s=now_s)), PARAMS)
+        state, command = step(state, observation(now_s, arm=None if number < 20 else arm(at_s=now_s)), PARAMS)
         stops += command.arm == "stop"
     assert stops == 3
 
@@ -483,14 +483,14 @@ def test_a_stop_is_said_again_until_the_arm_stands() -> None:
 def test_a_force_that_was_not_taken_is_commanded_again() -> None:
     play = Play().held()
     play.slips()
-    wanted_n = play.law.target_n
+    wanted_n = play.grasp.target_n
     play.jaws = replace(play.jaws, force_n=40.0)
-    again = [command.hold_force_n for command in play.ticks(0.25) if command.hold_force_n is not None]
+    again = [command.hold_force_n for command in play.steps(0.25) if command.hold_force_n is not None]
     assert again[0] == wanted_n
 
 
 def test_a_gripper_somebody_opened_is_not_closed_again() -> None:
     play = Play().held()
     play.jaws = replace(play.jaws, force_n=0.0, holding=False, width_mm=85.0)
-    assert all(command.hold_force_n is None for command in play.ticks(1.0))
-    assert play.law.fault is not None
+    assert all(command.hold_force_n is None for command in play.steps(1.0))
+    assert play.grasp.fault is not None

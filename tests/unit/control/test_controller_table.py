@@ -10,10 +10,10 @@ from observations import arm, ask, fused, gripper
 
 from slipguard.control.controller import step
 from slipguard.control.messages import ArmLift, Command, RequestKind
-from slipguard.control.state import AT_STAKE, GuardState, Phase
+from slipguard.control.state import AT_STAKE, GraspState, Phase
 
 
-def describe(before: Phase, state: GuardState, command: Command) -> str:
+def describe(before: Phase, state: GraspState, command: Command) -> str:
     """An outcome in a few letters, for the table."""
     words = [] if state.phase is before else [state.phase.value]
     words += ["hold"] if command.hold_force_n is not None else []
@@ -43,11 +43,11 @@ EVENTS: dict[str, dict[str, object]] = {
     "clear": {"request": ask(RequestKind.CLEAR)},
     "rotation": {"fused": SLIP},
     "slide": {"fused": SLIDE},
-    "turn back": {"fused": BACK},
+    "rotates back": {"fused": BACK},
     "fault": {"fault": FAULT},
     "no devices": {"gripper": None, "arm": None, "fused": None},
     "on nothing": {"gripper": gripper(40.0, holding=False, nothing=True, width_mm=0.0, at_s=NOW_S)},
-    "turn in a stop": {"fused": SLIP, "arm": arm(50.0, protective=True, at_s=NOW_S)},
+    "stop, rotating": {"fused": SLIP, "arm": arm(50.0, protective=True, at_s=NOW_S)},
 }
 ORDER = (
     Phase.IDLE, Phase.CLOSING, Phase.REFERENCE, Phase.LIFTING, Phase.HOLDING, Phase.LOWERING, Phase.RELEASED,
@@ -65,13 +65,13 @@ jaws open      | move         | refused       | refused           | refused     
 jaws tighter   | refused      | refused       | hold              | hold          | hold          | hold          | refused       | refused
 release        | released open| released open | released open     | released stop | released open | released stop | open          | released open
 clear          | refused      | refused       | refused           | refused       | refused       | refused       | refused       | reference reference
-turn           | -            | -             | holding           | hold stop     | hold stop     | hold stop     | -             | hold
+rotation       | -            | -             | holding           | hold stop     | hold stop     | hold stop     | -             | hold
 slide          | -            | -             | holding           | hold stop     | hold stop     | hold stop     | -             | hold
-turn back      | -            | -             | holding           | -             | -             | -             | -             | -
+rotates back   | -            | -             | holding           | -             | -             | -             | -             | -
 fault          | -            | fault stop    | fault stop        | fault stop    | fault stop    | fault stop    | -             | -
 no devices     | -            | -             | -                 | -             | -             | -             | -             | stop
 on nothing     | -            | idle          | -                 | -             | -             | -             | idle          | -
-turn in a stop | -            | halt          | holding           | stop          | stop          | stop          | -             | -
+stop, rotating | -            | halt          | holding           | stop          | stop          | stop          | -             | -
 """
 CASES = [
     (phase, row.split("|")[0].strip(), cell.strip())

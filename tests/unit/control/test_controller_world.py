@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from guard_loop import Run, bar, grasp_and_lift, placed
 
-from slipguard.control.guard import Guard
-from slipguard.control.messages import Request, RequestKind
+from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
+from slipguard.control.step import ControlState
 from slipguard.sim.friction import SoftPad
 from slipguard.sim.gripper_plant import GripperDynamics
 from slipguard.sim.scenario import FrameDelivery, Scenario, scenario
@@ -113,13 +113,13 @@ def test_a_firm_hold_is_left_alone(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_a_restart_in_the_middle_of_a_lift_keeps_the_object(seed: int) -> None:
     run, _ = drawn(seed)
-    run.tick(Request(RequestKind.GRASP))
+    run.step(ControlRequest(RequestKind.GRASP))
     assert run.until(lambda: run.phase is Phase.HOLDING, 8.0)
     run.until(lambda: False, 0.2)
-    run.tick(Request(RequestKind.LIFT))
+    run.step(ControlRequest(RequestKind.LIFT))
     run.until(lambda: False, 0.3 + 0.2 * seed)
     run.world.command_stop(run.now_s)  # the arm's driver stops when its connection closes
-    run.guard = Guard()
+    run.guard = ControlState()
     commands = len(run.commands)
     assert run.until(lambda: run.phase is Phase.HOLDING, 3.0)
     run.until(lambda: False, 2.0)
@@ -155,11 +155,11 @@ def test_a_soft_gel_wound_up_by_all_of_the_budget_stops_the_lift_a_few_times_at_
 def test_lowered_and_released_on_the_table() -> None:
     run, _ = drawn(3)
     grasp_and_lift(run)
-    run.tick(Request(RequestKind.LOWER))
+    run.step(ControlRequest(RequestKind.LOWER))
     assert run.until(lambda: run.phase is Phase.HOLDING, 15.0)
     truth = run.world.truth(run.now_s)
     assert truth.height_mm == pytest.approx(0.0, abs=1.0)
     assert truth.on_table
-    run.tick(Request(RequestKind.RELEASE))
+    run.step(ControlRequest(RequestKind.RELEASE))
     assert run.until(lambda: run.phase is Phase.IDLE, 3.0)
     assert run.world.truth(run.now_s).dropped is None

@@ -7,14 +7,14 @@ from dataclasses import replace
 import pytest
 from observations import estimate
 
-from slipguard.control.finger_fusion import GAP_MAX_S, Fused, fuse
+from slipguard.control.finger_fusion import GAP_MAX_S, FusedEstimate, fuse
 
 LEFT = replace(estimate(4.0, 0.5, at_s=8.0, measured_s=7.5, shift_mm=(9.0, -1.0)), rate_deg_s=16.0)
 RIGHT = replace(estimate(-6.0, 1.0, at_s=8.0, measured_s=7.25, shift_mm=(-9.0, -3.0)), rate_deg_s=-6.0)
 
 
 def test_both() -> None:
-    assert fuse(LEFT, RIGHT) == Fused(
+    assert fuse(LEFT, RIGHT) == FusedEstimate(
         left_contact=True,
         right_contact=True,
         captured_at_s=8.0,
@@ -30,13 +30,13 @@ def test_both() -> None:
 
 def test_one_declines() -> None:
     blind = replace(RIGHT, angle_deg=None, sigma_deg=None, declined="round contact")
-    assert fuse(LEFT, blind) == Fused(
+    assert fuse(LEFT, blind) == FusedEstimate(
         True, True, 8.0, 7.5, ("left",), 4.0, 0.5, 16.0, 2.0, None, "right finger: round contact", newest_at_s=7.5
     )
 
 
 def test_one_is_silent() -> None:
-    assert fuse(None, RIGHT) == Fused(
+    assert fuse(None, RIGHT) == FusedEstimate(
         None, True, 8.0, 7.25, ("right",), 6.0, 1.0, 6.0, 3.0, None, "left finger: no frames", newest_at_s=7.25
     )
 
@@ -44,7 +44,7 @@ def test_one_is_silent() -> None:
 def test_both_decline() -> None:
     blind = [replace(one, angle_deg=None, sigma_deg=None, declined=None) for one in (LEFT, RIGHT)]
     away = replace(blind[1], contact=False, shift_mm=None)
-    assert fuse(blind[0], away) == Fused(
+    assert fuse(blind[0], away) == FusedEstimate(
         True,
         False,
         8.0,
@@ -151,7 +151,7 @@ def test_one_that_turns_alone(left_deg: float, right_deg: float, sigma_deg: floa
 @pytest.mark.parametrize("bad", [{"angle_deg": float("nan")}, {"sigma_deg": -1.0}])
 def test_no_numbers_leave_nothing_behind(bad: dict[str, float]) -> None:
     answer = fuse(replace(LEFT, **bad), None)  # type: ignore[arg-type]
-    assert answer == Fused(
+    assert answer == FusedEstimate(
         True, None, 8.0, 7.5, declined="left finger: not a number; right finger: no frames", newest_at_s=7.5
     )
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slipguard.control import force_limits as limits
-from slipguard.control.force_limits import Budget
+from slipguard.control.force_limits import ForceRange
 from slipguard.control.params import GuardParams
 from slipguard.sim.gripper_plant import GripperDynamics
 
@@ -40,8 +40,8 @@ def test_less_than_the_weakest_grip_is_no_budget() -> None:
 
 
 def test_a_gripper_of_one_force() -> None:
-    assert limits.budget(50.0, (30.0, 30.0)) == Budget(30.0, 30.0, 0.0)
-    assert limits.raised(30.0, 1.5, Budget(30.0, 30.0, 0.0)) == 30.0
+    assert limits.budget(50.0, (30.0, 30.0)) == ForceRange(30.0, 30.0, 0.0)
+    assert limits.raised(30.0, 1.5, ForceRange(30.0, 30.0, 0.0)) == 30.0
 
 
 def test_forces_are_rounded_up_and_kept_within() -> None:
@@ -56,7 +56,7 @@ def test_forces_are_rounded_up_and_kept_within() -> None:
 
 
 @given(forces, forces, budgets)
-def test_never_below_the_present_and_never_above_the_budget(wanted: float, present: float, within: Budget) -> None:
+def test_never_below_the_present_and_never_above_the_budget(wanted: float, present: float, within: ForceRange) -> None:
     force_n = limits.allowed(wanted, present, within)
     assert force_n >= present
     assert force_n <= max(within.high_n, present)
@@ -66,7 +66,7 @@ def test_never_below_the_present_and_never_above_the_budget(wanted: float, prese
 
 @given(st.floats(20.0, 235.0), st.floats(1.0, 3.0), budgets)
 def test_raising_gains_at_least_one_step_until_the_budget_is_spent(
-    present: float, multiple: float, within: Budget
+    present: float, multiple: float, within: ForceRange
 ) -> None:
     force_n = limits.raised(present, multiple, within)
     assert force_n >= min(present + within.step_n, max(within.high_n, present)) - 1e-9

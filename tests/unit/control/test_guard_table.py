@@ -11,29 +11,29 @@ from observations import arm, ask, fused, gripper
 
 from slipguard.control.arm_motion import SAME_SLIP
 from slipguard.control.fault import Fault, FaultCode
-from slipguard.control.guard import Guard, tick
-from slipguard.control.messages import Command, Condition, FingerHealth, RequestKind, Seen
+from slipguard.control.messages import Command, Condition, FingerHealth, Observation, RequestKind
 from slipguard.control.release import OPEN_ANYWAY_S
-from slipguard.control.state import AT_STAKE, GuardState, Phase, Slip
-from slipguard.control.supervisor import Watch
+from slipguard.control.state import AT_STAKE, GraspState, Phase, SlipEpisode
+from slipguard.control.step import ControlState, control_step
+from slipguard.control.supervisor import Supervision
 
 TICK_S = 0.04
 LASTS_S = 2.4
 GONE = FingerHealth(Condition.LOST, 1.0, "unplugged")
-SLIPS = Slip(NOW_S - 2.0, NOW_S - 2.0, 20.0, 40.0, 0.0)
+SLIPS = SlipEpisode(NOW_S - 2.0, NOW_S - 2.0, 20.0, 40.0, 0.0)
 HELD = AT_STAKE - {Phase.CLOSING}
 GUARDED = frozenset({Phase.LIFTING, Phase.HOLDING, Phase.LOWERING})
 SEEN = GUARDED | {Phase.REFERENCE}
 """A turn that is seen ends the wait for a reference, and is guarded from then on."""
-View = Callable[[Seen, float], Seen]
+View = Callable[[Observation, float], Observation]
 """What the event makes of what is seen in that phase; the time since it began."""
 
 
-def rotating(view: Seen, since_s: float) -> Seen:
+def rotating(view: Observation, since_s: float) -> Observation:
     return replace(view, fused=fused(22.0 + 10.0 * since_s, 10.0, at_s=view.now_s))
 
 
-def rotating_while_it_tightens(view: Seen, since_s: float) -> Seen:
+def rotating_while_it_tightens(view: Observation, since_s: float) -> Observation:
     return rotating(replace(view, gripper=view.gripper and replace(view.gripper, moving=True)), since_s)
 
 
@@ -81,14 +81,14 @@ EVENTS: dict[FaultCode, tuple[View, frozenset[Phase], dict[str, object]]] = {
 }
 
 
-def before_in(phase: Phase, **changes: object) -> Guard:
+def before_in(phase: Phase, **changes: object) -> ControlState:
     """All well in that phase. changes: where slip may be under way."""
     guarded = phase in GUARDED or phase is Phase.FAULT
-    law = state_in(phase, gripped=phase in HELD or phase is Phase.FAULT, **(changes if guarded else {}))
-    return Guard(replace(law, referenced=guarded), Watch(tick_s=NOW_S - TICK_S, arm_known=True))
+    grasp = state_in(phase, gripped=phase in HELD or phase is Phase.FAULT, **(changes if guarded else {}))
+    return ControlState(replace(grasp, referenced=guarded), Supervision(tick_s=NOW_S - TICK_S, arm_known=True))
 
 
-def moment(phase: Phase, now_s: float) -> Seen:
+def moment(phase: Phase, now_s: float) -> Observation:
     """All as it should be in that phase, just measured."""
     view = seen_in(phase)
     moving_mm = 40.0 * (now_s - NOW_S) * {Phase.LIFTING: 1.0, Phase.LOWERING: -1.0}.get(phase, 0.0)
@@ -101,13 +101,13 @@ def moment(phase: Phase, now_s: float) -> Seen:
     )
 
 
-def play(phase: Phase, code: FaultCode) -> list[tuple[GuardState, Command]]:
+def play(phase: Phase, code: FaultCode) -> list[tuple[GraspState, Command]]:
     view, _, changes = EVENTS[code]
     guard, played = before_in(phase, **changes), []
     for number in range(round(LASTS_S / TICK_S)):
         now_s = NOW_S + TICK_S * number
-        guard, command = tick(guard, view(moment(phase, now_s), TICK_S * number), PARAMS)
-        played.append((guard.law, command))
+        guard, command = control_step(guard, view(moment(phase, now_s), TICK_S * number), PARAMS)
+        played.append((guard.grasp, command))
     return played
 
 
@@ -147,10 +147,10 @@ def test_phase_against_what_goes_wrong(phase: Phase, code: FaultCode) -> None:
 
 @pytest.mark.parametrize("phase", Phase)
 def test_a_late_loop_in_every_phase(phase: Phase) -> None:
-    guard, _ = tick(before_in(phase), moment(phase, NOW_S), PARAMS)
-    guard, command = tick(guard, moment(phase, NOW_S + 0.6), PARAMS)
+    guard, _ = control_step(before_in(phase), moment(phase, NOW_S), PARAMS)
+    guard, command = control_step(guard, moment(phase, NOW_S + 0.6), PARAMS)
     latched = phase in AT_STAKE
-    assert (guard.law.fault is not None and guard.law.fault.code is FaultCode.LOOP_LATE) is latched
+    assert (guard.grasp.fault is not None and guard.grasp.fault.code is FaultCode.LOOP_LATE) is latched
     assert (command.arm == "stop") is latched
     assert ("loop late" in (command.say or "")) is (latched or phase is Phase.FAULT)
 
@@ -162,18 +162,18 @@ def test_a_release_in_every_phase_and_every_fault(phase: Phase, code: FaultCode)
     guard = before_in(phase, **changes)
     for number in range(30):
         now_s = NOW_S + TICK_S * number
-        guard, _ = tick(guard, view(moment(phase, now_s), TICK_S * number), PARAMS)
+        guard, _ = control_step(guard, view(moment(phase, now_s), TICK_S * number), PARAMS)
     asked = replace(view(moment(phase, now_s + TICK_S), 1.2), request=ask(RequestKind.RELEASE, width_mm=70.0))
-    guard, command = tick(guard, asked, PARAMS)
-    assert guard.law.phase is Phase.RELEASED
-    assert guard.law.fault is None
+    guard, command = control_step(guard, asked, PARAMS)
+    assert guard.grasp.phase is Phase.RELEASED
+    assert guard.grasp.fault is None
     assert (command.say or "").startswith("releasing, as asked")
     assert command.refused is None
     waited_s = 0.0
     while command.release_width_mm is None:
-        assert command.arm == "stop" or guard.law.braking
+        assert command.arm == "stop" or guard.grasp.braking
         waited_s += TICK_S
-        guard, command = tick(guard, view(moment(phase, now_s + TICK_S + waited_s), 1.2 + waited_s), PARAMS)
+        guard, command = control_step(guard, view(moment(phase, now_s + TICK_S + waited_s), 1.2 + waited_s), PARAMS)
     assert command.release_width_mm == 70.0
     assert waited_s <= OPEN_ANYWAY_S + TICK_S
 
@@ -183,11 +183,11 @@ def test_a_release_in_every_phase_and_every_fault(phase: Phase, code: FaultCode)
 def test_in_a_fault_no_wish_but_a_release_moves_anything(code: FaultCode, kind: RequestKind) -> None:
     view, _, changes = EVENTS[code]
     guard = before_in(Phase.HOLDING, **changes)
-    guard = replace(guard, law=replace(guard.law, phase=Phase.FAULT, fault=Fault(code, "seen", "do")))
+    guard = replace(guard, grasp=replace(guard.grasp, phase=Phase.FAULT, fault=Fault(code, "seen", "do")))
     for number in range(30):
         now_s = NOW_S + TICK_S * number
-        guard, _ = tick(guard, view(moment(Phase.HOLDING, now_s), TICK_S * number), PARAMS)
+        guard, _ = control_step(guard, view(moment(Phase.HOLDING, now_s), TICK_S * number), PARAMS)
     asked = replace(view(moment(Phase.HOLDING, now_s + TICK_S), 1.2), request=ask(kind))
-    _, command = tick(guard, asked, PARAMS)
+    _, command = control_step(guard, asked, PARAMS)
     assert command.release_width_mm is command.move_width_mm is None
     assert command.arm in (None, "stop")

@@ -1,4 +1,4 @@
-"""The heart of the law, look by look: what one tick of guarding remembers, commands and says."""
+"""The heart of the grasp, look by look: what one tick of guarding remembers, commands and says."""
 
 from __future__ import annotations
 
@@ -11,60 +11,68 @@ from observations import arm, fused, gripper
 from slipguard.control import force_limits as limits
 from slipguard.control.fault import FaultCode
 from slipguard.control.gripper_delay import GripperDelay
-from slipguard.control.guarding import Verdict, guard
-from slipguard.control.messages import Seen
+from slipguard.control.guarding import GuardResult, guard
+from slipguard.control.messages import Observation
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_baselines import Detector
-from slipguard.control.slip_thresholds import Case
-from slipguard.control.state import GuardState, Phase, Slip
+from slipguard.control.slip_baselines import SlipMemory
+from slipguard.control.slip_thresholds import MotionCase
+from slipguard.control.state import GraspState, Phase, SlipEpisode
 
 FELT_S = 0.25
 """200 ms until a step is felt, 50 until a rate shows it."""
 BUDGET_N = 129.6
 
 
-def slipping(rotation_deg: float = 4.0, rate_deg_s: float = 60.0, slide_mm: float = 0.0, since_s: float = 1.0) -> Slip:
+def slipping(
+    rotation_deg: float = 4.0, rate_deg_s: float = 60.0, slide_mm: float = 0.0, since_s: float = 1.0
+) -> SlipEpisode:
     """Tightened so long ago, at this turn and rate."""
-    return Slip(NOW_S - since_s, NOW_S - since_s, rotation_deg, rate_deg_s, slide_mm, rotations=True, raised=True)
+    return SlipEpisode(
+        NOW_S - since_s, NOW_S - since_s, rotation_deg, rate_deg_s, slide_mm, rotations=True, raised=True
+    )
 
 
-def state(slip: Slip | None = None, detector: Detector = PRIMED, **changes: object) -> GuardState:
+def state(slip: SlipEpisode | None = None, detector: SlipMemory = PRIMED, **changes: object) -> GraspState:
     return state_in(Phase.HOLDING, slip=slip, detector=detector, delay=GripperDelay(felt_s=0.2), **changes)
 
 
-def view(rotation_deg: float | None = 0.0, rate_deg_s: float = 0.0, shift_mm: float = 0.0, **changes: object) -> Seen:
-    seen = seen_in(Phase.HOLDING, fused=fused(rotation_deg, rate_deg_s, at_s=NOW_S, shift_mm=shift_mm, sigma_deg=0.1))
-    return replace(seen, **changes)  # type: ignore[arg-type]
+def view(
+    rotation_deg: float | None = 0.0, rate_deg_s: float = 0.0, shift_mm: float = 0.0, **changes: object
+) -> Observation:
+    observation = seen_in(
+        Phase.HOLDING, fused=fused(rotation_deg, rate_deg_s, at_s=NOW_S, shift_mm=shift_mm, sigma_deg=0.1)
+    )
+    return replace(observation, **changes)  # type: ignore[arg-type]
 
 
-def look(law: GuardState, seen: Seen, params: GuardParams = PARAMS) -> Verdict:
-    return guard(law, seen, params)
+def look(grasp: GraspState, observation: Observation, params: GuardParams = PARAMS) -> GuardResult:
+    return guard(grasp, observation, params)
 
 
 # --- nothing to see ---
 
 
 @pytest.mark.parametrize("slip", [None, slipping()])
-def test_with_nothing_seen_or_nothing_to_guard_an_arm_stopped_for_slip_stays_stopped(slip: Slip | None) -> None:
-    for law, seen in (
+def test_with_nothing_seen_or_nothing_to_guard_an_arm_stopped_for_slip_stays_stopped(slip: SlipEpisode | None) -> None:
+    for grasp, observation in (
         (state(slip), view(fused=None)),
         (state(slip, guarding=False), view(4.0, 60.0)),
     ):
-        verdict = look(law, seen)
-        assert verdict == Verdict(law, stop=slip is not None)
+        verdict = look(grasp, observation)
+        assert verdict == GuardResult(grasp, stop=slip is not None)
 
 
 def test_a_firm_grip_bears_more_of_a_turn_while_it_lifts_off() -> None:
     params = GuardParams()
-    lifting = replace(PRIMED, frames=1, alert=replace(PRIMED.alert, case=Case.LIFT_OFF))
+    lifting = replace(PRIMED, frames=1, alert=replace(PRIMED.alert, case=MotionCase.LIFT_OFF))
     firm_n = limits.firm_n(params, (20.0, 235.0))
     for target_n, slips in ((firm_n - 0.1, True), (firm_n, False)):
-        seen = view(0.8, arm=arm(10.0, moving=True, at_s=NOW_S))
-        assert (look(state(detector=lifting, target_n=target_n), seen, params).hold_n is not None) is slips
+        observation = view(0.8, arm=arm(10.0, moving=True, at_s=NOW_S))
+        assert (look(state(detector=lifting, target_n=target_n), observation, params).hold_n is not None) is slips
 
 
 def test_a_base_that_moves_takes_the_last_steps_turn_and_slide_along() -> None:
-    lifting = replace(PRIMED, alert=replace(PRIMED.alert, case=Case.LIFT_OFF))
+    lifting = replace(PRIMED, alert=replace(PRIMED.alert, case=MotionCase.LIFT_OFF))
     verdict = look(state(slipping(5.0, slide_mm=0.2), lifting), view(6.0, shift_mm=0.4))
     assert verdict.state.detector.base_rotation_deg == 6.0
     assert verdict.state.slip is not None
@@ -75,14 +83,14 @@ def test_a_base_that_moves_takes_the_last_steps_turn_and_slide_along() -> None:
 
 
 def test_the_first_step_is_remembered_as_it_was() -> None:
-    seen = view(7.0, 60.0, 0.4)
-    verdict = look(state(), seen)
-    law = verdict.state
-    rate_mm_s = law.detector.slide_rate_mm_s
+    observation = view(7.0, 60.0, 0.4)
+    verdict = look(state(), observation)
+    grasp = verdict.state
+    rate_mm_s = grasp.detector.slide_rate_mm_s
     assert rate_mm_s > PARAMS.slide_rate_mm_s
-    assert law.slip == Slip(NOW_S, NOW_S, 7.0, 60.0, 0.4, rotations=True, slides=False, raised=True)
-    assert verdict.hold_n == law.target_n > 40.0
-    assert law.commanded_s == NOW_S
+    assert grasp.slip == SlipEpisode(NOW_S, NOW_S, 7.0, 60.0, 0.4, rotations=True, slides=False, raised=True)
+    assert verdict.hold_n == grasp.target_n > 40.0
+    assert grasp.commanded_s == NOW_S
     assert verdict.stop
 
 
@@ -94,8 +102,8 @@ def test_the_first_step_is_as_large_as_most_of_the_budget() -> None:
 
 def test_near_a_person_it_is_remembered_without_a_step() -> None:
     verdict = look(state(person_near=True), view(7.0, 60.0, 0.4))
-    assert verdict == Verdict(verdict.state, stop=True)
-    assert verdict.state.slip == Slip(NOW_S, NOW_S, 7.0, 60.0, 0.4)
+    assert verdict == GuardResult(verdict.state, stop=True)
+    assert verdict.state.slip == SlipEpisode(NOW_S, NOW_S, 7.0, 60.0, 0.4)
     assert verdict.state.target_n == 40.0
 
 
@@ -111,7 +119,7 @@ def test_a_gripper_too_strong_for_the_budget_is_not_told_anything() -> None:
 def test_until_a_step_can_be_felt_progress_does_not_count() -> None:
     early = slipping(4.0, 60.0, 0.1, since_s=FELT_S - 0.01)
     verdict = look(state(early), view(9.0, 50.0, 0.3))
-    assert verdict == Verdict(verdict.state, stop=True)
+    assert verdict == GuardResult(verdict.state, stop=True)
     assert verdict.state.slip == replace(early, rotation_deg=9.0, rate_deg_s=50.0, slide_mm=0.3)
     felt = look(state(slipping(4.0, 60.0, since_s=FELT_S)), view(9.0, 60.0))
     assert felt.hold_n is not None
@@ -168,20 +176,20 @@ def test_a_fifth_slower_is_help(rate_deg_s: float, steps: bool) -> None:
     assert (verdict.hold_n is not None) is steps
     assert verdict.stop
     if not steps:
-        assert verdict == Verdict(verdict.state, stop=True)
+        assert verdict == GuardResult(verdict.state, stop=True)
         assert verdict.state.slip == replace(before, rotation_deg=8.0, rate_deg_s=rate_deg_s, slide_mm=0.01)
 
 
 @pytest.mark.parametrize(("rotation_deg", "steps"), [(22.5, False), (22.6, True), (-22.6, True)])
 def test_half_way_to_giving_up_there_is_no_waiting(rotation_deg: float, steps: bool) -> None:
     rate_deg_s = 30.0 if rotation_deg > 0.0 else -30.0
-    seen = view(rotation_deg, rate_deg_s, gripper=gripper(40.0, moving=True, at_s=NOW_S))
-    assert (look(state(slipping(4.0, 60.0)), seen).hold_n is not None) is steps
+    observation = view(rotation_deg, rate_deg_s, gripper=gripper(40.0, moving=True, at_s=NOW_S))
+    assert (look(state(slipping(4.0, 60.0)), observation).hold_n is not None) is steps
 
 
 def test_a_slide_that_goes_on_though_the_object_does_not_turn_is_answered_again() -> None:
-    seen = view(None, shift_mm=1.0)
-    verdict = look(state(slipping(0.0, 0.0)), seen)
+    observation = view(None, shift_mm=1.0)
+    verdict = look(state(slipping(0.0, 0.0)), observation)
     assert verdict.hold_n is not None
     assert verdict.state.slip is not None
     assert verdict.state.slip.slides
@@ -204,8 +212,8 @@ def test_a_slide_that_goes_on_though_the_object_does_not_turn_is_answered_again(
 def test_the_budget_is_spent_when_the_object_moves_on_under_all_of_it(
     rotation_deg: float, shift_mm: float, moving: bool, spent: bool
 ) -> None:
-    law = state(slipping(4.0), target_n=BUDGET_N + 0.1)
-    verdict = look(law, view(rotation_deg, 60.0, shift_mm, gripper=gripper(130.0, moving=moving, at_s=NOW_S)))
+    grasp = state(slipping(4.0), target_n=BUDGET_N + 0.1)
+    verdict = look(grasp, view(rotation_deg, 60.0, shift_mm, gripper=gripper(130.0, moving=moving, at_s=NOW_S)))
     assert verdict.stop
     assert verdict.hold_n is None
     if not spent:
@@ -214,7 +222,7 @@ def test_the_budget_is_spent_when_the_object_moves_on_under_all_of_it(
         assert verdict.fault is not None
         assert verdict.fault.code is FaultCode.BUDGET_SPENT
         slid = f", slid {shift_mm:.1f} mm" if shift_mm else ""
-        assert verdict.fault.seen == f"turned {rotation_deg:.1f}° at 60°/s{slid} at 130 N, and force_max_n = 130 N"
+        assert verdict.fault.observed == f"turned {rotation_deg:.1f}° at 60°/s{slid} at 130 N, and force_max_n = 130 N"
         assert verdict.fault.what_to_do == (
             "support the object, lower it or release it; raise force_max_n if object and gel allow it"
         )
@@ -227,7 +235,7 @@ def test_one_frame_beyond_is_enough_while_it_slips_and_turns() -> None:
     verdict = look(state(slipping(4.0)), view(45.1, 60.0))
     assert verdict.fault is not None
     assert verdict.fault.code is FaultCode.TURNED_TOO_FAR
-    assert verdict.fault.seen == "turned 45° since it was gripped and still turning at 60°/s"
+    assert verdict.fault.observed == "turned 45° since it was gripped and still turning at 60°/s"
     assert verdict.fault.what_to_do == "support the object and release it; grip it nearer to its centre of mass"
     assert verdict.stop
     assert verdict.hold_n == verdict.state.target_n == pytest.approx(BUDGET_N, abs=0.1)
@@ -235,7 +243,7 @@ def test_one_frame_beyond_is_enough_while_it_slips_and_turns() -> None:
 
 
 @pytest.mark.parametrize(("slip", "rate_deg_s"), [(None, 60.0), (slipping(4.0), 0.0)])
-def test_else_it_takes_two(slip: Slip | None, rate_deg_s: float) -> None:
+def test_else_it_takes_two(slip: SlipEpisode | None, rate_deg_s: float) -> None:
     quiet = replace(PRIMED, frames=0)
     assert look(state(slip, quiet), view(46.0, rate_deg_s)).fault is None
     again = look(state(slip, replace(quiet, far_frames=1)), view(46.0, rate_deg_s))
@@ -248,11 +256,11 @@ def test_else_it_takes_two(slip: Slip | None, rate_deg_s: float) -> None:
     [{"person_near": True}, {"target_n": 130.0}],
 )
 def test_given_up_without_more_force(changes: dict[str, object]) -> None:
-    law = state(slipping(4.0), **changes)
-    verdict = look(law, view(46.0, 60.0))
+    grasp = state(slipping(4.0), **changes)
+    verdict = look(grasp, view(46.0, 60.0))
     assert (verdict.hold_n, verdict.stop) == (None, True)
     assert verdict.fault is not None
-    assert (verdict.state.target_n, verdict.state.commanded_s) == (law.target_n, law.commanded_s)
+    assert (verdict.state.target_n, verdict.state.commanded_s) == (grasp.target_n, grasp.commanded_s)
     weak = look(state(slipping(4.0)), view(46.0, 60.0, gripper_limits_n=(131.0, 235.0)))
     assert (weak.hold_n, weak.state.target_n) == (None, 40.0)
 
@@ -260,7 +268,7 @@ def test_given_up_without_more_force(changes: dict[str, object]) -> None:
 # --- calm ---
 
 
-def resting(for_s: float) -> Detector:
+def resting(for_s: float) -> SlipMemory:
     return replace(PRIMED, rest_rotation_deg=4.5, rest_since_s=NOW_S - for_s, base_rotation_deg=0.0)
 
 

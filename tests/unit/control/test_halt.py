@@ -18,25 +18,25 @@ STOPPED = arm(emergency=True)
 def closing() -> Play:
     """On the way to the object, which has not been met."""
     play = Play()
-    play.tick(RequestKind.GRASP)
+    play.step(RequestKind.GRASP)
     play.jaws = gripper(40.0, holding=False, moving=True)
-    play.tick()
-    assert play.law.phase is Phase.CLOSING
+    play.step()
+    assert play.grasp.phase is Phase.CLOSING
     return play
 
 
 def halts(play: Play, seconds: float) -> int:
-    return sum(command.halt for command in play.ticks(seconds))
+    return sum(command.halt for command in play.steps(seconds))
 
 
 def test_a_closing_is_halted_until_the_jaws_rest() -> None:
     play = closing()
     play.here = STOPPED
-    command = play.tick()
+    command = play.step()
     assert command.halt
     assert command.hold_force_n is None
     assert "the jaws are halted" in (command.say or "")
-    again = play.ticks(0.3)
+    again = play.steps(0.3)
     assert sum(command.halt for command in again) >= 2, "a lost halt is made up for"
     assert all(command.say is None for command in again)
     play.jaws = replace(play.jaws, moving=False)
@@ -53,25 +53,25 @@ def test_a_closing_cut_short_must_be_asked_for_again(says_it_holds: bool) -> Non
     """A gripper halted on its way may hold something, and says so where it cannot tell."""
     play = closing()
     play.here = STOPPED
-    play.tick()
+    play.step()
     play.jaws = gripper(0.0, holding=says_it_holds)
-    play.ticks(0.3)
+    play.steps(0.3)
     play.view = fused(30.0, 100.0)  # a hand, pulling
     play.here = arm()
-    play.ticks(1.0)
-    assert play.law.phase is Phase.FAULT
-    assert play.tick(RequestKind.CLEAR).refused is None
-    play.ticks(0.5)
-    assert play.law.phase is Phase.IDLE
+    play.steps(1.0)
+    assert play.grasp.phase is Phase.FAULT
+    assert play.step(RequestKind.CLEAR).refused is None
+    play.steps(0.5)
+    assert play.grasp.phase is Phase.IDLE
     assert all(command.hold_force_n is None for command in play.commands[2:])
     play.lazy = True
-    assert play.tick(RequestKind.GRASP).hold_force_n is not None
-    assert play.law.phase is Phase.CLOSING
+    assert play.step(RequestKind.GRASP).hold_force_n is not None
+    assert play.grasp.phase is Phase.CLOSING
 
 
 def test_in_guard_mode_a_closing_cut_short_is_not_taken_over() -> None:
     view = seen_in(Phase.HOLDING, gripper=gripper(0.0, at_s=NOW_S))
-    state, command = step(state_in(Phase.IDLE, cut_short=True), view, GUARD_MODE)
+    state, command = step(state_in(Phase.IDLE, closing_interrupted=True), view, GUARD_MODE)
     assert state.phase is Phase.IDLE
     assert not command.new_reference
     assert step(state_in(Phase.IDLE), view, GUARD_MODE)[0].phase is Phase.REFERENCE
@@ -91,29 +91,29 @@ def test_a_tightening_is_halted_and_its_force_said_again_after_the_stop() -> Non
     assert target_n is not None
     play.jaws = gripper(target_n, moving=True)
     play.here = STOPPED
-    assert play.tick().halt
+    assert play.step().halt
     play.jaws = gripper(0.0)  # it cannot say what it had reached
-    play.ticks(0.5)
-    assert play.law.target_n == target_n
+    play.steps(0.5)
+    assert play.grasp.target_n == target_n
     play.here = arm()
-    assert target_n in [command.hold_force_n for command in play.ticks(0.3)]
-    assert not play.law.cut_short
+    assert target_n in [command.hold_force_n for command in play.steps(0.3)]
+    assert not play.grasp.closing_interrupted
 
 
 def test_each_stop_halts_anew() -> None:
     play = closing()
     for _ in range(2):
         play.here = STOPPED
-        assert play.tick().halt
+        assert play.step().halt
         play.here = arm()
-        assert not play.tick().halt
+        assert not play.step().halt
 
 
 def test_jaws_at_rest_and_jaws_that_open_on_request_are_let_be() -> None:
     play = Play().held()
     play.here = STOPPED
     assert halts(play, 0.3) == 0
-    play.tick(RequestKind.RELEASE)
+    play.step(RequestKind.RELEASE)
     play.jaws = replace(play.jaws, moving=True)
     assert halts(play, 0.3) == 0
     play.jaws = None  # type: ignore[assignment]
@@ -124,6 +124,6 @@ def test_while_a_release_waits_for_the_arm_nothing_tightens() -> None:
     play = Play().held()
     play.jaws = gripper(90.0, moving=True)
     play.here = arm(20.0, moving=True, protective=True)
-    command = play.tick(RequestKind.RELEASE)
+    command = play.step(RequestKind.RELEASE)
     assert command.release_width_mm is None
-    assert play.tick().halt
+    assert play.step().halt

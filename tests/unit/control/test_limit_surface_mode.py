@@ -47,16 +47,16 @@ def test_more_than_the_budget_is_not_tightened_to() -> None:
 def test_a_grasp_uses_it_and_so_does_the_first_step() -> None:
     params = GuardParams(friction=0.6, mass_kg=0.6, lever_mm=100.0)
     play = Play(params)
-    command = play.tick(RequestKind.GRASP)
+    command = play.step(RequestKind.GRASP)
     assert command.hold_force_n == pytest.approx(params.modelled_n or 0.0, abs=0.85)
     gentle = Play(params)
-    gentle.tick(RequestKind.GRASP, force_n=25.0)
-    gentle.tick()
+    gentle.step(RequestKind.GRASP, force_n=25.0)
+    gentle.step()
     gentle.view = replace(
         gentle.view, left_contact=True, right_contact=True, rotation_deg=0.0, sigma_deg=0.1, rate_deg_s=0.0
     )
     gentle.view = replace(gentle.view, fingers=("left", "right"), shift_mm=0.0, declined=None)
-    gentle.ticks(0.6)
+    gentle.steps(0.6)
     gentle.here = arm()
     assert gentle.slips(1.0, 10.0).hold_force_n == pytest.approx(params.modelled_n or 0.0, abs=0.85)
 

@@ -9,14 +9,14 @@ import pytest
 from observations import arm, fused
 
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_baselines import HANDOVER_DEG, HANDOVER_MM, Detector
-from slipguard.control.slip_detector import Look, look
+from slipguard.control.slip_baselines import HANDOVER_DEG, HANDOVER_MM, SlipMemory
+from slipguard.control.slip_detector import SlipAssessment, look
 from slipguard.control.slip_thresholds import (
     LIFT_OFF_MM,
     NOISE_MAX_DEG,
     SETTLE_S,
-    Alert,
-    Case,
+    MotionCase,
+    RestingPlace,
     attend,
     growth,
     level_deg,
@@ -31,14 +31,14 @@ class Watched:
     """Frames one after the other, with the arm as it is."""
 
     def __init__(self, patient: bool = False, params: GuardParams = PARAMS) -> None:
-        self.detector, self.params = Detector(patient=patient), params
+        self.detector, self.params = SlipMemory(patient=patient), params
         self.left_alone = self.firm = False
         self.now_s, self.here = 10.0, arm()
         self.rate_deg_s, self.shift_mm = 0.0, 0.0
         self.putting_down = False
         self.conflict: str | None = None
 
-    def see(self, rotation_deg: float, *, sigma_deg: float = 0.05) -> Look:
+    def see(self, rotation_deg: float, *, sigma_deg: float = 0.05) -> SlipAssessment:
         self.now_s += FRAME_S
         fingers = ("left",) if self.left_alone else ("left", "right")
         view = fused(
@@ -90,7 +90,7 @@ def test_where_it_comes_to_rest_is_where_it_turns_no_more() -> None:
         watched.see(10.0)
     watched.rate_deg_s = -6.0
     watched.see(9.4)
-    assert watched.detector.alert.case is Case.REST
+    assert watched.detector.alert.case is MotionCase.REST
     assert watched.detector.alert.near_deg is None
     watched.rate_deg_s = 0.0
     assert not any(watched.see(10.0).slipping for _ in range(5))
@@ -130,9 +130,9 @@ def test_the_level_follows_the_sensors_own_noise() -> None:
         assert not watched.see(float(rng.normal(0.0, 0.2)), sigma_deg=0.2).slipping
     assert 0.15 < watched.detector.alert.noise_deg < 0.3
     assert 1.0 < quick_level_deg(watched.detector.alert, PARAMS) < 1.6
-    assert quick_level_deg(Alert(), PARAMS) == pytest.approx(0.36)
-    assert quick_level_deg(Alert(variance_deg2=1e-6), PARAMS) == PARAMS.rest_level_deg
-    assert Alert(variance_deg2=100.0).noise_deg == NOISE_MAX_DEG
+    assert quick_level_deg(RestingPlace(), PARAMS) == pytest.approx(0.36)
+    assert quick_level_deg(RestingPlace(variance_deg2=1e-6), PARAMS) == PARAMS.rest_level_deg
+    assert RestingPlace(variance_deg2=100.0).noise_deg == NOISE_MAX_DEG
 
 
 @pytest.mark.parametrize("rate_deg_s", [0.3, 1.0, 3.0, 6.0, 12.0])
@@ -201,7 +201,7 @@ def test_what_the_arms_motion_may_swing_depends_on_what_is_wound_up(
     watched = Watched(patient=True)
     watched.rest(0.1)
     watched.here = arm(LIFT_OFF_MM + 50.0)
-    watched.detector = replace(watched.detector, base_rotation_deg=None, alert=Alert(start_mm=0.0, aloft=True))
+    watched.detector = replace(watched.detector, base_rotation_deg=None, alert=RestingPlace(start_mm=0.0, aloft=True))
     for _ in range(60):
         watched.see(wound_deg)
     watched.here = arm(LIFT_OFF_MM + 50.0, moving=True)
@@ -219,14 +219,14 @@ def test_the_gel_is_given_time_to_settle_after_the_arm_has_stopped() -> None:
     watched.see(0.0)
     while watched.now_s < stopped_s + SETTLE_S + 0.2:
         watched.see(0.0)
-    assert watched.detector.alert.case is Case.REST
+    assert watched.detector.alert.case is MotionCase.REST
     watched.see(0.8)
     assert watched.see(0.8).slipping
 
 
 def test_without_an_arm_or_a_turn_nothing_counts_as_sudden() -> None:
-    alert = attend(Alert(), fused(0.0, at_s=1.0), None, PARAMS)
-    assert alert.case is Case.MOVING
+    alert = attend(RestingPlace(), fused(0.0, at_s=1.0), None, PARAMS)
+    assert alert.case is MotionCase.MOVING
     alert = attend(replace(alert, near_deg=1.0), fused(None, at_s=1.1), arm(at_s=1.1), PARAMS)
     assert alert.near_deg is None
 
@@ -337,7 +337,7 @@ def test_levels_grow_with_what_was_answered_up_to_four_times() -> None:
 def test_each_kind_of_slip_raises_its_own_levels_and_only_if_the_force_was_raised(
     rotated: bool, slid: bool, raised: bool, rotations: int, slides: int, patient: bool
 ) -> None:
-    after = Detector(rotations=2, slides=5, frames=2).rebased(rotated=rotated, slid=slid, raised=raised)
+    after = SlipMemory(rotations=2, slides=5, frames=2).rebased(rotated=rotated, slid=slid, raised=raised)
     assert (after.rotations, after.slides, after.patient, after.frames) == (rotations, slides, patient, 0)
     assert after.alert.near_deg is after.alert.rested_deg is after.base_rotation_deg is after.base_shift_mm is None
 

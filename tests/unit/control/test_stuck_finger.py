@@ -7,15 +7,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from observations import estimate, gripper, seen
+from observations import estimate, gripper, observation
 
 from slipguard.bench.grip.error_model import ERRORS
 from slipguard.control.fault import FaultCode
-from slipguard.control.finger_fusion import DIFFER_DEG, DIFFER_SHARE, Fused, fuse
-from slipguard.control.guard import Guard, tick
+from slipguard.control.finger_fusion import DIFFER_DEG, DIFFER_SHARE, FusedEstimate, fuse
 from slipguard.control.messages import Command
 from slipguard.control.params import GuardParams
-from slipguard.control.state import GuardState, Phase
+from slipguard.control.state import GraspState, Phase
+from slipguard.control.step import ControlState, control_step
 from slipguard.perception.contact.second_finger import repeat_estimate, second_finger_can_skip
 from slipguard.perception.estimate import Estimate
 
@@ -53,7 +53,7 @@ class Pair:
         rate_deg_s = -self.rate_deg_s * (0.0 < rotation_deg < self.rests_deg)
         return estimate(-rotation_deg, self.sigma_deg, at_s=now_s, rate_deg_s=rate_deg_s, shift_mm=(0.0, 0.0))
 
-    def see(self, now_s: float) -> Fused:
+    def see(self, now_s: float) -> FusedEstimate:
         skips = now_s - self.left_measured_s < NOTICED_S
         self.left_measured_s = self.left_measured_s if skips else now_s
         left = estimate(0.0, 0.1, at_s=now_s, rate_deg_s=0.0, shift_mm=(0.0, 0.0), measured_s=self.left_measured_s)
@@ -67,14 +67,16 @@ class Pair:
         return both
 
 
-def played(pair: Pair, seconds: float) -> tuple[Guard, list[tuple[float, Fused, Command]]]:
+def played(pair: Pair, seconds: float) -> tuple[ControlState, list[tuple[float, FusedEstimate, Command]]]:
     """Held at rest in the air with 40 N, and what the law does; the gripper takes what it is told."""
-    guard = Guard(GuardState(phase=Phase.HOLDING, adopted=True, target_n=40.0, referenced=True, gripped=True))
+    guard = ControlState(GraspState(phase=Phase.HOLDING, adopted=True, target_n=40.0, referenced=True, gripped=True))
     log, force_n = [], 40.0
     for k in range(1, round(seconds / FRAME_S)):
         now_s = k * FRAME_S
         view = pair.see(now_s)
-        guard, command = tick(guard, seen(now_s, fused=view, gripper=gripper(force_n, at_s=now_s)), PARAMS)
+        guard, command = control_step(
+            guard, observation(now_s, fused=view, gripper=gripper(force_n, at_s=now_s)), PARAMS
+        )
         force_n = command.hold_force_n or force_n
         log.append((now_s, view, command))
     return guard, log
@@ -96,7 +98,7 @@ def test_the_law_tightens_and_then_stops_the_arm(sigma_deg: float, within_deg: f
     assert stop.fault.code is FaultCode.ESTIMATE_UNTRUSTED
     assert stop.arm == "stop"
     assert fault_s - begun_s == pytest.approx(PARAMS.untrusted_s, abs=2 * FRAME_S)
-    assert guard.law.phase is Phase.FAULT
+    assert guard.grasp.phase is Phase.FAULT
     assert all(command.release_width_mm is None for _, _, command in log)
 
 
@@ -116,16 +118,16 @@ def test_what_a_finger_that_is_left_out_would_say_is_known_within_250_ms(rate_de
 
 def test_a_stuck_finger_is_said_though_the_object_rests_turned() -> None:
     guard, _ = played(Pair(0.2, 4000.0), CALM_S + 1.5)
-    assert guard.law.fault is not None
-    assert guard.law.fault.code is FaultCode.ESTIMATE_UNTRUSTED
+    assert guard.grasp.fault is not None
+    assert guard.grasp.fault.code is FaultCode.ESTIMATE_UNTRUSTED
 
 
 @pytest.mark.parametrize(("every", "spare"), [(2, False), (5, False), (10, False), (2, True), (10, True)])
 def test_a_contradiction_is_not_settled_by_a_moment_of_silence(every: int, spare: bool) -> None:
     """The finger that sees the turn declines now and then; the stuck one alone is believed until it is asked again."""
     guard, log = played(Pair(0.2, 20.0, spare, declines_every=every), CALM_S + 2.0)
-    assert guard.law.fault is not None
-    assert guard.law.fault.code is FaultCode.ESTIMATE_UNTRUSTED
+    assert guard.grasp.fault is not None
+    assert guard.grasp.fault.code is FaultCode.ESTIMATE_UNTRUSTED
     assert sum("for 1 s" in (command.say or "") for _, _, command in log) == 1
 
 
@@ -141,7 +143,7 @@ def test_how_long_a_moment_is(silent_for_s: float, from_the_start: bool) -> None
 
 def test_a_finger_that_is_silent_for_good_leaves_the_other_one_to_be_believed() -> None:
     guard, _ = played(Pair(0.2, 20.0, silent_s=(CALM_S + 0.3, math.inf)), CALM_S + 3.0)
-    assert guard.law.phase is Phase.HOLDING
+    assert guard.grasp.phase is Phase.HOLDING
 
 
 @pytest.mark.parametrize("name", ERRORS)

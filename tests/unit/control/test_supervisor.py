@@ -5,26 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from observations import arm, fused, gripper, seen
+from observations import arm, fused, gripper, observation
 
 from slipguard.control.fault import Fault, FaultCode
-from slipguard.control.messages import Condition, FingerHealth, Seen
+from slipguard.control.messages import Condition, FingerHealth, Observation
 from slipguard.control.params import GuardParams
-from slipguard.control.state import AT_STAKE, GuardState, Phase, Slip
-from slipguard.control.supervisor import Watch, watch
+from slipguard.control.state import AT_STAKE, GraspState, Phase, SlipEpisode
+from slipguard.control.supervisor import Supervision, watch
 
 PARAMS = GuardParams()
 TICK_S = 0.01
-KNOWN = Watch(arm_known=True, gripper_known=True, frames_known=True)
-HOLDING = GuardState(phase=Phase.HOLDING, referenced=True, target_n=40.0)
-LIFTING = GuardState(phase=Phase.LIFTING, referenced=True, target_n=40.0, goal_mm=100.0, ground_mm=0.0)
-SLIPPING = GuardState(phase=Phase.HOLDING, referenced=True, slip=Slip(0.0, 0.0, 2.0, 20.0, 0.0))
+KNOWN = Supervision(arm_known=True, gripper_known=True, frames_known=True)
+HOLDING = GraspState(phase=Phase.HOLDING, referenced=True, target_n=40.0)
+LIFTING = GraspState(phase=Phase.LIFTING, referenced=True, target_n=40.0, goal_mm=100.0, ground_mm=0.0)
+SLIPPING = GraspState(phase=Phase.HOLDING, referenced=True, slip=SlipEpisode(0.0, 0.0, 2.0, 20.0, 0.0))
 LOST = FingerHealth(Condition.LOST, 0.5, "unplugged")
 STALE = FingerHealth(Condition.STALE, 0.2, "frozen")
 
 
 def first_fault(
-    state: GuardState, view: Callable[[float], Seen], seconds: float = 3.0, params: GuardParams = PARAMS
+    state: GraspState, view: Callable[[float], Observation], seconds: float = 3.0, params: GuardParams = PARAMS
 ) -> tuple[float, Fault | None]:
     """When the supervisor first says something, and what."""
     memory = KNOWN
@@ -37,126 +37,168 @@ def first_fault(
     return seconds, None
 
 
-CASES: list[tuple[str, GuardState, Callable[[float], Seen], FaultCode | None, float]] = [
-    ("all well", HOLDING, seen, None, 3.0),
-    ("protective stop", HOLDING, lambda t: seen(t, arm=arm(at_s=t, protective=True)), FaultCode.ARM_STOPPED, 0.0),
-    ("emergency stop", HOLDING, lambda t: seen(t, arm=arm(at_s=t, emergency=True)), FaultCode.ARM_EMERGENCY, 0.0),
-    ("gripper gone", HOLDING, lambda t: seen(t, gripper=None), FaultCode.GRIPPER_SILENT, 0.4),
-    ("gripper silent", HOLDING, lambda t: seen(t, gripper=gripper(at_s=0.0)), FaultCode.GRIPPER_SILENT, 0.4),
-    ("gripper fault", HOLDING, lambda t: seen(t, gripper=gripper(at_s=t, fault="9")), FaultCode.GRIPPER_FAULT, 0.0),
-    ("not active", HOLDING, lambda t: seen(t, gripper=gripper(at_s=t, active=False)), FaultCode.GRIPPER_FAULT, 0.0),
-    ("arm gone", HOLDING, lambda t: seen(t, arm=None), FaultCode.ARM_SILENT, 0.4),
-    ("arm silent", HOLDING, lambda t: seen(t, arm=arm(at_s=0.0)), FaultCode.ARM_SILENT, 0.4),
-    ("both lost", HOLDING, lambda t: seen(t, left=LOST, right=STALE), FaultCode.FRAMES_LOST, 0.3),
-    ("one lost", HOLDING, lambda t: seen(t, left=LOST), None, 3.0),
-    ("conflict", HOLDING, lambda t: seen(t, fused=fused(at_s=t, conflict="x")), FaultCode.ESTIMATE_UNTRUSTED, 1.0),
-    ("blind", HOLDING, lambda t: seen(t, fused=fused(None, declined="y")), FaultCode.ESTIMATE_UNTRUSTED, 1.0),
+CASES: list[tuple[str, GraspState, Callable[[float], Observation], FaultCode | None, float]] = [
+    ("all well", HOLDING, observation, None, 3.0),
+    (
+        "protective stop",
+        HOLDING,
+        lambda t: observation(t, arm=arm(at_s=t, protective=True)),
+        FaultCode.ARM_STOPPED,
+        0.0,
+    ),
+    (
+        "emergency stop",
+        HOLDING,
+        lambda t: observation(t, arm=arm(at_s=t, emergency=True)),
+        FaultCode.ARM_EMERGENCY,
+        0.0,
+    ),
+    ("gripper gone", HOLDING, lambda t: observation(t, gripper=None), FaultCode.GRIPPER_SILENT, 0.4),
+    ("gripper silent", HOLDING, lambda t: observation(t, gripper=gripper(at_s=0.0)), FaultCode.GRIPPER_SILENT, 0.4),
+    (
+        "gripper fault",
+        HOLDING,
+        lambda t: observation(t, gripper=gripper(at_s=t, fault="9")),
+        FaultCode.GRIPPER_FAULT,
+        0.0,
+    ),
+    (
+        "not active",
+        HOLDING,
+        lambda t: observation(t, gripper=gripper(at_s=t, active=False)),
+        FaultCode.GRIPPER_FAULT,
+        0.0,
+    ),
+    ("arm gone", HOLDING, lambda t: observation(t, arm=None), FaultCode.ARM_SILENT, 0.4),
+    ("arm silent", HOLDING, lambda t: observation(t, arm=arm(at_s=0.0)), FaultCode.ARM_SILENT, 0.4),
+    ("both lost", HOLDING, lambda t: observation(t, left=LOST, right=STALE), FaultCode.FRAMES_LOST, 0.3),
+    ("one lost", HOLDING, lambda t: observation(t, left=LOST), None, 3.0),
+    (
+        "conflict",
+        HOLDING,
+        lambda t: observation(t, fused=fused(at_s=t, conflict="x")),
+        FaultCode.ESTIMATE_UNTRUSTED,
+        1.0,
+    ),
+    ("blind", HOLDING, lambda t: observation(t, fused=fused(None, declined="y")), FaultCode.ESTIMATE_UNTRUSTED, 1.0),
     (
         "blind from the start",
-        GuardState(phase=Phase.HOLDING, blind="round"),
-        lambda t: seen(t, fused=fused(None, declined="y")),
+        GraspState(phase=Phase.HOLDING, blind="round"),
+        lambda t: observation(t, fused=fused(None, declined="y")),
         None,
         3.0,
     ),
     (
         "blind and not guarding",
-        GuardState(phase=Phase.HOLDING, referenced=True, guarding=False),
-        lambda t: seen(t, fused=fused(None, declined="y")),
+        GraspState(phase=Phase.HOLDING, referenced=True, guarding=False),
+        lambda t: observation(t, fused=fused(None, declined="y")),
         None,
         3.0,
     ),
-    ("no answers yet", HOLDING, lambda t: seen(t, fused=None), None, 3.0),
-    ("lifting", LIFTING, lambda t: seen(t, arm=arm(20.0 * t, moving=True, at_s=t)), None, 3.0),
-    ("arm stuck", LIFTING, lambda t: seen(t, arm=arm(7.0, at_s=t)), FaultCode.ARM_STUCK, 2.0),
-    ("paused", GuardState(Phase.LIFTING, slip=SLIPPING.slip), lambda t: seen(t, arm=arm(7.0, at_s=t)), None, 3.0),
+    ("no answers yet", HOLDING, lambda t: observation(t, fused=None), None, 3.0),
+    ("lifting", LIFTING, lambda t: observation(t, arm=arm(20.0 * t, moving=True, at_s=t)), None, 3.0),
+    ("arm stuck", LIFTING, lambda t: observation(t, arm=arm(7.0, at_s=t)), FaultCode.ARM_STUCK, 2.0),
+    (
+        "paused",
+        GraspState(Phase.LIFTING, slip=SLIPPING.slip),
+        lambda t: observation(t, arm=arm(7.0, at_s=t)),
+        None,
+        3.0,
+    ),
     (
         "tightening does not help",
         SLIPPING,
-        lambda t: seen(t, fused=fused(-10.0 * t, -10.0, at_s=t)),
+        lambda t: observation(t, fused=fused(-10.0 * t, -10.0, at_s=t)),
         FaultCode.NO_HELP,
         1.5,
     ),
-    ("helps late", SLIPPING, lambda t: seen(t, fused=fused(min(10 * t, 14.0), 10.0 * (t < 1.4), at_s=t)), None, 3.0),
-    ("hardly moves", SLIPPING, lambda t: seen(t, fused=fused(1.0 * t, 10.0, at_s=t)), None, 3.0),
-    ("slips unseen", SLIPPING, lambda t: seen(t, fused=fused(None, at_s=t)), None, 3.0),
+    (
+        "helps late",
+        SLIPPING,
+        lambda t: observation(t, fused=fused(min(10 * t, 14.0), 10.0 * (t < 1.4), at_s=t)),
+        None,
+        3.0,
+    ),
+    ("hardly moves", SLIPPING, lambda t: observation(t, fused=fused(1.0 * t, 10.0, at_s=t)), None, 3.0),
+    ("slips unseen", SLIPPING, lambda t: observation(t, fused=fused(None, at_s=t)), None, 3.0),
 ]
 
 
 @pytest.mark.parametrize(("name", "state", "view", "code", "after_s"), CASES, ids=[case[0] for case in CASES])
 def test_faults(
-    name: str, state: GuardState, view: Callable[[float], Seen], code: FaultCode | None, after_s: float
+    name: str, state: GraspState, view: Callable[[float], Observation], code: FaultCode | None, after_s: float
 ) -> None:
     at_s, fault = first_fault(state, view)
     assert (fault.code if fault is not None else None) == code
     assert at_s == pytest.approx(after_s, abs=2 * TICK_S)
     if fault is not None:
-        assert fault.seen
+        assert fault.observed
         assert fault.what_to_do
         assert "\n" not in str(fault)
 
 
 def test_a_late_loop_is_a_fault() -> None:
-    memory, faults = watch(Watch(), HOLDING, seen(1.0), PARAMS)
+    memory, faults = watch(Supervision(), HOLDING, observation(1.0), PARAMS)
     assert not faults
-    memory, faults = watch(memory, HOLDING, seen(1.4), PARAMS)
+    memory, faults = watch(memory, HOLDING, observation(1.4), PARAMS)
     assert not faults
-    memory, faults = watch(memory, HOLDING, seen(1.9), PARAMS)
+    memory, faults = watch(memory, HOLDING, observation(1.9), PARAMS)
     assert [fault.code for fault in faults] == [FaultCode.LOOP_LATE]
 
 
 @pytest.mark.parametrize("phase", [phase for phase in Phase if phase not in AT_STAKE and phase is not Phase.FAULT])
 def test_nothing_at_stake_nothing_wrong(phase: Phase) -> None:
     _, fault = first_fault(
-        GuardState(phase=phase), lambda t: seen(t, gripper=None, arm=None, fused=None, left=LOST, right=LOST)
+        GraspState(phase=phase), lambda t: observation(t, gripper=None, arm=None, fused=None, left=LOST, right=LOST)
     )
     assert fault is None
 
 
 def test_what_has_passed_is_no_longer_said() -> None:
     """So that it can be cleared."""
-    state = GuardState(phase=Phase.FAULT)
-    memory, faults = watch(KNOWN, state, seen(0.0, gripper=None), PARAMS)
-    memory, faults = watch(memory, state, seen(0.45, gripper=None), PARAMS)
+    state = GraspState(phase=Phase.FAULT)
+    memory, faults = watch(KNOWN, state, observation(0.0, gripper=None), PARAMS)
+    memory, faults = watch(memory, state, observation(0.45, gripper=None), PARAMS)
     assert faults
-    memory, faults = watch(memory, state, seen(0.46), PARAMS)
+    memory, faults = watch(memory, state, observation(0.46), PARAMS)
     assert not faults
-    memory, faults = watch(memory, state, seen(0.47, gripper=None), PARAMS)
+    memory, faults = watch(memory, state, observation(0.47, gripper=None), PARAMS)
     assert not faults
 
 
 def test_the_gravest_comes_first() -> None:
-    view = seen(0.0, arm=arm(emergency=True), gripper=gripper(fault="9"), left=LOST)
-    _, faults = watch(Watch(), HOLDING, view, PARAMS)
+    view = observation(0.0, arm=arm(emergency=True), gripper=gripper(fault="9"), left=LOST)
+    _, faults = watch(Supervision(), HOLDING, view, PARAMS)
     assert [fault.code for fault in faults] == [FaultCode.ARM_EMERGENCY, FaultCode.GRIPPER_FAULT]
 
 
 def test_a_finger_that_only_ages_is_lost_too() -> None:
     old = FingerHealth(Condition.FRESH, 0.35)
-    _, (fault,) = watch(Watch(), HOLDING, seen(0.0, left=old, right=old), PARAMS)
+    _, (fault,) = watch(Supervision(), HOLDING, observation(0.0, left=old, right=old), PARAMS)
     assert fault.code is FaultCode.FRAMES_LOST
-    assert "fresh" in fault.seen
+    assert "fresh" in fault.observed
 
 
 def test_an_arm_not_heard_since_the_start_may_take_a_while() -> None:
     """So that what a restarted daemon finds held is guarded before the arm's control program runs."""
-    found = GuardState(phase=Phase.HOLDING, gripped=True)
-    memory, faults = watch(Watch(), found, seen(0.0, arm=None), PARAMS)
+    found = GraspState(phase=Phase.HOLDING, gripped=True)
+    memory, faults = watch(Supervision(), found, observation(0.0, arm=None), PARAMS)
     for number in range(1, 50):
-        memory, faults = watch(memory, found, seen(0.1 * number, arm=None), PARAMS)
+        memory, faults = watch(memory, found, observation(0.1 * number, arm=None), PARAMS)
         assert not faults
-    memory, (fault,) = watch(memory, found, seen(5.01, arm=None), PARAMS)
+    memory, (fault,) = watch(memory, found, observation(5.01, arm=None), PARAMS)
     assert fault.code is FaultCode.ARM_SILENT
-    memory, faults = watch(memory, found, seen(5.1), PARAMS)
-    memory, faults = watch(memory, found, seen(5.2, arm=None), PARAMS)
-    memory, (fault,) = watch(memory, found, seen(5.61, arm=None), PARAMS)
+    memory, faults = watch(memory, found, observation(5.1), PARAMS)
+    memory, faults = watch(memory, found, observation(5.2, arm=None), PARAMS)
+    memory, (fault,) = watch(memory, found, observation(5.61, arm=None), PARAMS)
     assert fault.code is FaultCode.ARM_SILENT
 
 
 def test_an_arm_heard_while_nothing_was_held_is_known() -> None:
-    memory, _ = watch(Watch(), GuardState(phase=Phase.IDLE), seen(0.0), PARAMS)
+    memory, _ = watch(Supervision(), GraspState(phase=Phase.IDLE), observation(0.0), PARAMS)
     assert memory.arm_known
-    memory, _ = watch(memory, GuardState(phase=Phase.IDLE), seen(0.1, arm=None), PARAMS)
+    memory, _ = watch(memory, GraspState(phase=Phase.IDLE), observation(0.1, arm=None), PARAMS)
     assert memory.arm_known
-    memory, _ = watch(memory, HOLDING, seen(0.2, arm=None), PARAMS)
-    _, (fault,) = watch(memory, HOLDING, seen(0.61, arm=None), PARAMS)
+    memory, _ = watch(memory, HOLDING, observation(0.2, arm=None), PARAMS)
+    _, (fault,) = watch(memory, HOLDING, observation(0.61, arm=None), PARAMS)
     assert fault.code is FaultCode.ARM_SILENT

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from observations import arm, gripper, seen
+from observations import arm, gripper, observation
 
-from slipguard.control.messages import Condition, FingerHealth, Seen
+from slipguard.control.messages import Condition, FingerHealth, Observation
 from slipguard.control.state import Phase
 from slipguard.daemon.loop.device_alerts import DeviceAlerts, troubles
 from slipguard.daemon.loop.health import Health
@@ -108,7 +108,7 @@ def test_a_late_loop_is_said_where_the_law_does_not(phase: Phase) -> None:
         assert len(listener.said) == lines
 
 
-def found(view: Seen, **not_ready: str) -> dict[str, str | None]:
+def found(view: Observation, **not_ready: str) -> dict[str, str | None]:
     devices = {name: Health(name, "ready", "") for name in ("left", "right", "gripper", "arm")}
     for name, why in not_ready.items():
         devices[name].lost(why)
@@ -117,7 +117,7 @@ def found(view: Seen, **not_ready: str) -> dict[str, str | None]:
 
 
 def test_what_is_wrong_in_words() -> None:
-    fine = seen(10.0)
+    fine = observation(10.0)
     assert found(fine) == {}
     assert found(fine, arm="gone") == {"arm": "gone"}
     old = FingerHealth(Condition.STALE, 5.0)

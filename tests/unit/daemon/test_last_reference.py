@@ -44,8 +44,8 @@ class Finger:
 
 
 def decision(phase: Phase, holding: bool = True, now_s: float = 0.0) -> Any:
-    seen = SimpleNamespace(gripper=SimpleNamespace(holding=holding))
-    return SimpleNamespace(phase=phase, seen=seen, now_s=now_s)
+    observation = SimpleNamespace(gripper=SimpleNamespace(holding=holding))
+    return SimpleNamespace(phase=phase, observation=observation, now_s=now_s)
 
 
 async def settled(keeper: ReferenceSaver, *decisions: Any) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from slipguard.control.finger_fusion import fuse
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_baselines import Detector
+from slipguard.control.slip_baselines import SlipMemory
 from slipguard.control.slip_detector import look
 from slipguard.perception.contact.second_finger import OTHER_FINGER, repeat_estimate, second_finger_can_skip
 from slipguard.perception.estimate import Estimate
@@ -89,7 +89,7 @@ def test_two_fingers_never_spare_each_other(left_deg: float, right_deg: float) -
 def first_slip(rate_deg_s: float, spare: bool, phase_s: float) -> int:
     """Frame on which the law sees the slip; the right finger answers second, with twice the noise."""
     rng = np.random.default_rng(3)
-    detector, params = Detector(), GuardParams()
+    detector, params = SlipMemory(), GuardParams()
     left: Estimate | None = None
     right: Estimate | None = None
     history: list[float] = []

@@ -11,8 +11,8 @@ from typing import BinaryIO
 import cv2
 import numpy as np
 
-from slipguard.control.guard import Guard
-from slipguard.control.messages import Command, Seen
+from slipguard.control.messages import Command, Observation
+from slipguard.control.step import ControlState
 from slipguard.perception.estimate import Estimate
 from slipguard.recording import messages as m
 from slipguard.recording.writer import RecordingClock, RecordingFile, RecordingHeader, open_new
@@ -22,7 +22,7 @@ HEADER = RecordingHeader({"slipguard": "0"}, {m.CONFIG_ATTACHMENT: b"{}"})
 
 
 def tick_at(now_s: float) -> m.CycleRecord:
-    return m.CycleRecord(now_s, "holding", Seen(now_s=now_s), Command(hold_force_n=now_s), 1, None)
+    return m.CycleRecord(now_s, "holding", Observation(now_s=now_s), Command(hold_force_n=now_s), 1, None)
 
 
 def judged_at(now_s: float) -> m.FrameRecord:
@@ -36,7 +36,7 @@ def picture(seed: int = 0) -> np.ndarray:
 
 
 def written(path: Path, count: int = 200) -> RecordingFile:
-    file = RecordingFile(path, CLOCK, HEADER, Guard(), 0.0)
+    file = RecordingFile(path, CLOCK, HEADER, ControlState(), 0.0)
     for number in range(count):
         at_s = number / 60
         file.image("left", at_s, cv2.imencode(".jpg", picture(number))[1].tobytes(), "jpeg")

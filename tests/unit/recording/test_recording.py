@@ -13,10 +13,10 @@ import pytest
 from mcap.reader import make_reader
 from recorded_cycles import CLOCK, HEADER, FullDisk, judged_at, picture, tick_at, written
 
-from slipguard.control.guard import Guard
-from slipguard.control.messages import ArmLift, Command, Seen
-from slipguard.control.slip_baselines import Detector
-from slipguard.control.state import GuardState, Phase
+from slipguard.control.messages import ArmLift, Command, Observation
+from slipguard.control.slip_baselines import SlipMemory
+from slipguard.control.state import GraspState, Phase
+from slipguard.control.step import ControlState
 from slipguard.errors import InputError
 from slipguard.recording import messages as m
 from slipguard.recording.reader import StoredImage, StoredMessage, open_recording
@@ -42,15 +42,19 @@ def play(one: Recorder, times: np.ndarray, keep_at: float | None = None) -> None
     for now_s in times:
         one.hand(RecordedFrame("left", float(now_s), judged_at(float(now_s)), picture(), picture()[..., 0] // 128))
         one.hand(
-            RecordedCycle(tick_at(float(now_s)), Guard(), keep=keep_at is not None and bool(np.isclose(now_s, keep_at)))
+            RecordedCycle(
+                tick_at(float(now_s)), ControlState(), keep=keep_at is not None and bool(np.isclose(now_s, keep_at))
+            )
         )
     one.stop(20.0)
 
 
 def test_the_laws_memory_survives_to_the_last_bit() -> None:
-    memory = Guard(GuardState(Phase.LIFTING, 0.1 + 0.2, detector=Detector(1 / 3, frames=2), commanded_s=-math.inf))
+    memory = ControlState(
+        GraspState(Phase.LIFTING, 0.1 + 0.2, detector=SlipMemory(1 / 3, frames=2), commanded_s=-math.inf)
+    )
     assert m.MEMORY.decode(m.MEMORY.encode(memory)) == memory
-    tick = m.CycleRecord(1e-17, "idle", Seen(now_s=1 / 7), Command(arm=ArmLift(1 / 3, 2 / 3)))
+    tick = m.CycleRecord(1e-17, "idle", Observation(now_s=1 / 7), Command(arm=ArmLift(1 / 3, 2 / 3)))
     assert m.CYCLE_RECORD.decode(m.CYCLE_RECORD.encode(tick)) == tick
 
 
@@ -60,7 +64,7 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
     items = list(recording.items())
     assert recording.damage is None
     assert recording.attachments == {m.CONFIG_ATTACHMENT: b"{}"}
-    assert items[0].value == Guard()
+    assert items[0].value == ControlState()
     ticks = [item.value for item in items if isinstance(item.value, m.CycleRecord)]
     assert ticks == [tick_at(number / 60) for number in range(200)]
     assert [item.value.text for item in items if isinstance(item.value, StoredMessage)][-1] == "line 199"
@@ -243,7 +247,7 @@ def test_any_other_trouble_stops_the_recording_and_not_its_thread(
     assert not one.dead
     one.start()
     for number in range(4):
-        one.hand(RecordedCycle(tick_at(number / 10), Guard()))
+        one.hand(RecordedCycle(tick_at(number / 10), ControlState()))
     one.stop(20.0)
     assert "recording stopped: ValueError: a model that is none" in said[0]
     assert said[1:] == ["recording again"]
@@ -282,7 +286,7 @@ def test_handing_over_never_waits_and_leaves_pictures_out_first(tmp_path: Path) 
 def test_png_keeps_every_pixel(tmp_path: Path) -> None:
     one = recorder(tmp_path, image="png")
     one.start()
-    one.hand(RecordedCycle(tick_at(0.0), Guard()))
+    one.hand(RecordedCycle(tick_at(0.0), ControlState()))
     one.hand(RecordedFrame("right", 0.0, judged_at(0.0), picture(5)))
     one.stop(20.0)
     (path,) = (tmp_path / "ring").iterdir()

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from recorded_cycles import CLOCK, HEADER, FullDisk, judged_at, picture, tick_at, written
 
-from slipguard.control.guard import Guard
+from slipguard.control.step import ControlState
 from slipguard.recording import messages as m
 from slipguard.recording.reader import open_recording
 from slipguard.recording.recorder import RecordedCycle, RecordedFrame, RecordedMessage, Recorder, RecorderSettings
@@ -63,7 +63,7 @@ class Playing:
         for now_s in np.arange(from_s, to_s, 0.1).tolist():
             self.recorder.hand(RecordedFrame("left", now_s, judged_at(now_s), PICTURES[round(10 * now_s) % 8]))
             keep = keep_at is not None and bool(np.isclose(now_s, keep_at))
-            self.recorder.hand(RecordedCycle(tick_at(now_s), Guard(), keep=keep))
+            self.recorder.hand(RecordedCycle(tick_at(now_s), ControlState(), keep=keep))
             for _ in range(2):
                 assert self.recorder.taken.acquire(timeout=20.0)
 

@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from slipguard.cli.app import run as cli
-from slipguard.control.finger_fusion import Fused, fuse
+from slipguard.control.finger_fusion import FusedEstimate, fuse
 from slipguard.devices import Frame
 from slipguard.errors import InputError
 from slipguard.perception.contact.patch import Patch
@@ -88,8 +88,8 @@ def broken_tracker(flaw: str) -> type[RotationTracker]:
     return type("Broken", (BrokenTracker,), {"flaw": flaw})
 
 
-def broken_fuse(flaw: str) -> Callable[[Estimate | None, Estimate | None], Fused | None]:
-    def broken(left: Estimate | None, right: Estimate | None) -> Fused | None:
+def broken_fuse(flaw: str) -> Callable[[Estimate | None, Estimate | None], FusedEstimate | None]:
+    def broken(left: Estimate | None, right: Estimate | None) -> FusedEstimate | None:
         fused = fuse(left, right)
         if fused is None:
             return None
