@@ -41,7 +41,7 @@ class BenchRow:
     mean_ms_per_frame_grasp, cpu_s_per_minute_grasp: over a minute of holding; of a large network with slipguard's
     estimators reckoned from its own frames and the share of frames that the default leaves out. stage_ms: stage ->
     (p50, p99) of the frames that needed it, and its mean over all. pareto: no other row is both faster (mean over the
-    grasp) and more accurate. frames, sequences: asked of a turn; turns, rotation_sequences: those that the turn errors are
+    grasp) and more accurate. frames, sequences: asked of a turn; turns, turn_sequences: those that the turn errors are
     taken over, without declined ones and without the two plain objects that are in no manifest.
     """
 
@@ -79,8 +79,8 @@ class BenchRow:
     round_plain_confident_share: float | None = None
     stage_ms: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     pareto: bool = False
-    rotations: int | None = None
-    rotation_sequences: int | None = None
+    turns: int | None = None
+    turn_sequences: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

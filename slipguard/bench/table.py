@@ -120,7 +120,7 @@ def cells_of(row: BenchRow, found: BenchReport) -> list[str]:
         _text(row.turn_error_p95_deg),
         _text(row.turn_error_worst_object_deg),
         _text(row.turn_error_readable_mean_deg),
-        _text(row.rotations, "{:,}"),
+        _text(row.turns, "{:,}"),
         _text(row.declined_share, "{:.0%}"),
         _text(row.round_textured_error_mean_deg),
         _text(row.round_plain_declined_share, "{:.0%}"),

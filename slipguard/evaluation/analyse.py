@@ -19,7 +19,7 @@ from slipguard.evaluation.single_estimators import PatchRecorder, TimedPatch, ro
 from slipguard.evaluation.video_files import FILMS, markers_in
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
-from slipguard.sim_lifts.lift_record import IMAGE_SIGN, RotationSample
+from slipguard.sim_lifts.lift_record import IMAGE_SIGN, EstimatedRotation
 from slipguard.tools.replay import recorded_settings
 
 Array = NDArray[np.float64]
@@ -120,7 +120,7 @@ def analyse(data: LiftData) -> LiftResult:
     result.final_rotation_deg = float(marker_deg[-1])
     _compare_truth(data, result, trace)
     _curve(result, "markers", camera_s - began_s, marker_deg)
-    told = [RotationSample(*row) for row in fused[fused[:, 0] >= began_s - STILL_S].tolist()]
+    told = [EstimatedRotation(*row) for row in fused[fused[:, 0] >= began_s - STILL_S].tolist()]
     for name, stated in {"fused": told, **_estimators(data, began_s)}.items():
         time_s = np.array([one.captured_at_s for one in stated])
         rotation_deg = np.array([one.rotation_deg for one in stated])
@@ -222,7 +222,7 @@ def _judge_sigma(result: LiftResult, error: Array, sigma_deg: Array) -> None:
     result.within_1_sigma, result.within_2_sigma = float((scaled <= 1.0).mean()), float((scaled <= 2.0).mean())
 
 
-def _estimators(data: LiftData, began_s: float) -> dict[str, list[RotationSample]]:
+def _estimators(data: LiftData, began_s: float) -> dict[str, list[EstimatedRotation]]:
     """What each plain estimator says of the recorded frames: the mean of both fingers, frame by frame of the left."""
     kept: list[TimedPatch] = []
     settings = recorded_settings(data.recording)
@@ -250,7 +250,7 @@ def _estimators(data: LiftData, began_s: float) -> dict[str, list[RotationSample
     return {name: _together(fingers) for name, fingers in by_estimator.items()}
 
 
-def _together(fingers: list[list[RotationSample]]) -> list[RotationSample]:
+def _together(fingers: list[list[EstimatedRotation]]) -> list[EstimatedRotation]:
     """Both fingers' turns, weighted by their sigmas, at the times of the one that says more."""
     told = sorted((one for one in fingers if one), key=len, reverse=True)
     if len(told) < 2:
@@ -267,7 +267,7 @@ def _together(fingers: list[list[RotationSample]]) -> list[RotationSample]:
         a, b = one.sigma_deg**-2, second[beside].sigma_deg ** -2
         at_deg = float(np.interp(one.captured_at_s, other_s, other_deg))
         together.append(
-            RotationSample(one.captured_at_s, (a * one.rotation_deg + b * at_deg) / (a + b), (a + b) ** -0.5)
+            EstimatedRotation(one.captured_at_s, (a * one.rotation_deg + b * at_deg) / (a + b), (a + b) ** -0.5)
         )
     return together
 

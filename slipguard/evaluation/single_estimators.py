@@ -11,7 +11,7 @@ from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation.axis import ESTIMATORS, estimate
 from slipguard.perception.rotation.tracker import rotation_between_axes
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.sim_lifts.lift_record import IMAGE_SIGN, RotationSample
+from slipguard.sim_lifts.lift_record import IMAGE_SIGN, EstimatedRotation
 
 SIGMA_MAX_DEG = PerceptionSettings().sigma_max_deg
 
@@ -55,7 +55,9 @@ class PatchRecorder:
         return self._pipeline.last_patch
 
 
-def rotations_by_estimator(seen: list[TimedPatch], from_s: float, to_s: float) -> dict[str, list[list[RotationSample]]]:
+def rotations_by_estimator(
+    seen: list[TimedPatch], from_s: float, to_s: float
+) -> dict[str, list[list[EstimatedRotation]]]:
     """Per estimator and finger, the turn since its first patch in the span, in the left picture's sign, unwrapped.
 
     As in the pipeline: where an estimator declines, or is less certain than `sigma_max_deg`, there is no entry, and one
@@ -70,13 +72,13 @@ def rotations_by_estimator(seen: list[TimedPatch], from_s: float, to_s: float) -
     }
 
 
-def _rotations(seen: list[TimedPatch], name: str, sign: float) -> list[RotationSample]:
+def _rotations(seen: list[TimedPatch], name: str, sign: float) -> list[EstimatedRotation]:
     if not seen:
         return []
     reference = estimate(seen[0].patch, name)
     if reference.angle_deg is None or reference.sigma_deg is None:
         return []
-    rotations: list[RotationSample] = []
+    rotations: list[EstimatedRotation] = []
     near_deg = 0.0
     for one in seen:
         now = estimate(one.patch, name)
@@ -88,5 +90,5 @@ def _rotations(seen: list[TimedPatch], name: str, sign: float) -> list[RotationS
         if rotation.rotation_deg is None or rotation.sigma_deg is None or rotation.sigma_deg > SIGMA_MAX_DEG:
             continue
         near_deg = rotation.rotation_deg
-        rotations.append(RotationSample(one.captured_at_s, sign * rotation.rotation_deg, rotation.sigma_deg))
+        rotations.append(EstimatedRotation(one.captured_at_s, sign * rotation.rotation_deg, rotation.sigma_deg))
     return rotations

@@ -22,7 +22,7 @@ from slipguard.evaluation.single_estimators import PatchRecorder, TimedPatch, ro
 from slipguard.sim.objects import names
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World
-from slipguard.sim_lifts.lift_record import FINGERS, LiftRecord, RotationSample
+from slipguard.sim_lifts.lift_record import FINGERS, EstimatedRotation, LiftRecord
 from slipguard.sim_lifts.unguarded import unguarded_tick
 from slipguard.tools.waiting import wait_until
 
@@ -212,7 +212,7 @@ def _watched(
         fused = decision.observation.fused
         if fused is not None and fused.rotation_deg is not None and fused.sigma_deg is not None:
             if decision.new_estimates:
-                record.fused.append(RotationSample(fused.captured_at_s, fused.rotation_deg, fused.sigma_deg))
+                record.fused.append(EstimatedRotation(fused.captured_at_s, fused.rotation_deg, fused.sigma_deg))
             progress.rotation_deg, progress.sigma_deg = fused.rotation_deg, fused.sigma_deg
         else:
             progress.rotation_deg = progress.sigma_deg = None

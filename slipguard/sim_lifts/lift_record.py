@@ -34,7 +34,7 @@ class LiftTruth:
 
 
 @dataclass(frozen=True, slots=True)
-class RotationSample:
+class EstimatedRotation:
     """One turn slipguard stated. rotation_deg: in the left picture. captured_at_s: of the frame it speaks of."""
 
     captured_at_s: float
@@ -50,8 +50,8 @@ class LiftRecord:
     hard: str = ""
     truth: LiftTruth = field(default_factory=LiftTruth)
     estimates: dict[str, list[Estimate]] = field(default_factory=lambda: {name: [] for name in FINGERS})
-    fused: list[RotationSample] = field(default_factory=list)
-    other_estimators: dict[str, list[list[RotationSample]]] = field(default_factory=dict)
+    fused: list[EstimatedRotation] = field(default_factory=list)
+    other_estimators: dict[str, list[list[EstimatedRotation]]] = field(default_factory=dict)
     """Per estimator name and finger: what it would have said of the same patches."""
     latency_s: list[float] = field(default_factory=list)
     deadlines_missed: int = 0
@@ -80,15 +80,15 @@ class LiftRecord:
         since = rotations - rotations[0]
         return float(since[np.argmax(np.abs(since))])
 
-    def measured(self, finger: str) -> list[RotationSample]:
+    def measured(self, finger: str) -> list[EstimatedRotation]:
         """What one finger stated, turned into the left picture's sign."""
         return [
-            RotationSample(estimate.captured_at_s, IMAGE_SIGN[finger] * estimate.angle_deg, estimate.sigma_deg)
+            EstimatedRotation(estimate.captured_at_s, IMAGE_SIGN[finger] * estimate.angle_deg, estimate.sigma_deg)
             for estimate in self.estimates[finger]
             if estimate.angle_deg is not None and estimate.sigma_deg is not None
         ]
 
-    def errors_deg(self, stated: list[RotationSample]) -> NDArray[np.float64]:
+    def errors_deg(self, stated: list[EstimatedRotation]) -> NDArray[np.float64]:
         """Stated minus true turn, both since the first statement, for frames captured before the end."""
         stated = [one for one in stated if one.captured_at_s <= self.ended_at_s]
         if not stated or not self.truth.time_s:
@@ -122,7 +122,7 @@ def mean_abs(errors_deg: NDArray[np.float64]) -> float | None:
 
 
 @dataclass(frozen=True, slots=True)
-class RotationErrors:
+class SourceRotationErrors:
     """Turn errors of one source (a finger, the fused turn, an estimator) over all lifts that count."""
 
     source: str
@@ -133,7 +133,7 @@ class RotationErrors:
     p95_deg: float | None
 
 
-def turn_errors(records: list[LiftRecord], source: str) -> RotationErrors:
+def turn_errors(records: list[LiftRecord], source: str) -> SourceRotationErrors:
     """Errors of `source`: "left", "right", "fused" or the name of an estimator."""
     per_object: dict[str, list[NDArray[np.float64]]] = {}
     for record in records:
@@ -149,12 +149,14 @@ def turn_errors(records: list[LiftRecord], source: str) -> RotationErrors:
         if errors.size:
             per_object.setdefault(record.object_name, []).append(errors)
     if not per_object:
-        return RotationErrors(source, 0, None, None, None, None)
+        return SourceRotationErrors(source, 0, None, None, None, None)
     means = {name: float(np.mean(np.abs(np.concatenate(parts)))) for name, parts in per_object.items()}
     every = np.abs(np.concatenate([part for parts in per_object.values() for part in parts]))
     worst = max(means, key=lambda name: means[name])
     lifts = sum(len(parts) for parts in per_object.values())
-    return RotationErrors(source, lifts, float(every.mean()), means[worst], worst, float(np.percentile(every, 95)))
+    return SourceRotationErrors(
+        source, lifts, float(every.mean()), means[worst], worst, float(np.percentile(every, 95))
+    )
 
 
 def summary(records: list[LiftRecord], *, realtime: bool) -> dict[str, object]:

@@ -39,7 +39,7 @@ KEYS = [
 MORE_KEYS = {
     "mean_ms_per_frame_grasp", "round_textured_error_mean_deg", "round_plain_declined_share", "within_1_sigma",
     "within_2_sigma", "turn_error_sd_deg", "turn_error_p95_deg", "turn_error_by_quartile_deg", "stage_ms", "pareto",
-    "cpu_s_per_minute_grasp", "within_1_sigma_se", "within_2_sigma_se", "rotations", "rotation_sequences",
+    "cpu_s_per_minute_grasp", "within_1_sigma_se", "within_2_sigma_se", "turns", "turn_sequences",
 }  # fmt: skip
 PEER_PATH = default_model_path().with_name(PEER_MODEL)
 PAPER_PATH = Path(__file__).resolve().parents[3] / "models" / "deeplabv3plus-resnet18.onnx"
@@ -154,8 +154,8 @@ def test_a_tally_of_one_grasp_fills_a_row() -> None:
     assert row.skipped_p50_ms < (row.p50_ms or 0.0)
     assert row.round_plain_declined_share is None
     assert {"gate", "segment"} < set(row.stage_ms)
-    assert row.rotations == len(results.grasps[0].found) > 0
-    assert row.rotation_sequences == 1
+    assert row.turns == len(results.grasps[0].found) > 0
+    assert row.turn_sequences == 1
 
 
 def test_background_subtraction_turns_the_right_way() -> None:

@@ -52,7 +52,7 @@ def test_errors_are_counted_without_what_is_declined_and_without_objects_of_no_m
     results = PipelineResults(grasps=[GraspErrors("bar", True, 0.0, 6, told), GraspErrors("ring", False, 0.0, 9),
                           GraspErrors("plain_disc", False, 0.0, 5, told)])  # fmt: skip
     row = results.row(ours(None, every=False)[0], results, 1.0, 3.6)
-    assert (row.frames, row.sequences, row.rotations, row.rotation_sequences) == (20, 3, 4, 1)
+    assert (row.frames, row.sequences, row.turns, row.turn_sequences) == (20, 3, 4, 1)
 
 
 def test_a_minute_of_a_large_network_is_reckoned_with_the_frames_that_are_left_out() -> None:

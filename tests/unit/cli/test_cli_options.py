@@ -66,7 +66,7 @@ def test_replay_against_fails_where_it_differs(
     differs: bool, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked: list[object] = []
-    other = [lab.Difference(1.0, Command(), Command(hold_force_n=50.0))] if differs else []
+    other = [lab.CommandDifference(1.0, Command(), Command(hold_force_n=50.0))] if differs else []
 
     def played(opened: object, model: Path | None) -> lab.ReplayResult:
         asked.append(model)

@@ -12,7 +12,7 @@ from command_line import Ran, slipguard
 from rich.console import Console
 
 from slipguard.sim_lifts import campaign
-from slipguard.sim_lifts.lift_record import LiftRecord, RotationSample
+from slipguard.sim_lifts.lift_record import EstimatedRotation, LiftRecord
 from slipguard.sim_lifts.report import print_lines, print_tables, record_line
 
 SUMMARY = {
@@ -53,7 +53,7 @@ def record(name: str, outcome: str, why: str = "") -> LiftRecord:
         made.truth.force_n.append(40.0 + 1.8 * step)
         made.truth.needed_n.append(66.0)
         made.truth.height_mm.append(3.0 * step)
-        made.fused.append(RotationSample(0.1 * step, -0.9 * step + 0.2, 0.39))
+        made.fused.append(EstimatedRotation(0.1 * step, -0.9 * step + 0.2, 0.39))
     made.latency_s = [0.0042, 0.0118]
     made.deadlines_missed = 12
     return made
