@@ -10,7 +10,7 @@ from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 
-COLOUR = {"ready": "green", "troubled": "yellow", "waiting": "red"}
+COLOUR = {"ready": "green", "error": "yellow", "disconnected": "red"}
 SHOWN_EVENTS = 6
 
 
@@ -102,8 +102,8 @@ def _grip(answer: Mapping[str, Any]) -> str:
 
 def _device(answer: Mapping[str, Any], name: str, health: Mapping[str, Any]) -> str:
     """Why it is not ready, or how it does."""
-    if health.get("why"):
-        return str(health["why"])
+    if health.get("reason"):
+        return str(health["reason"])
     finger = answer.get("fingers", {}).get(name)
     if not finger:
         return ""

@@ -239,8 +239,8 @@ async def _first_answers(service: Service) -> None:
     loop = asyncio.get_running_loop()
     deadline_s = loop.time() + FIRST_ANSWER_S
     while True:
-        missing = [one.health.line for one in service.fingers.values() if not one.health.ready]
-        gripper_known = service.gripper.health.ready or service.gripper.health.why != "not tried yet"
+        missing = [one.health.message for one in service.fingers.values() if not one.health.ready]
+        gripper_known = service.gripper.health.ready or service.gripper.health.reason != "not tried yet"
         if not missing and gripper_known:
             return
         if loop.time() > deadline_s:

@@ -109,7 +109,7 @@ def found(check: str, name: str, looks: Looks, observed: str) -> CheckResult:
     health = looks.after["devices"][name]
     if health["state"] == "ready":
         return ok(check, observed)
-    why = str(health.get("why") or health["state"]).removeprefix(f"{name}: ")
+    why = str(health.get("reason") or health["state"]).removeprefix(f"{name}: ")
     reason, split, action = why.rpartition("; ")
     return problem(
         check, f"{health['state']}: {reason if split else why}", action if split else "check its cable and power"

@@ -116,8 +116,8 @@ def test_a_lost_device_is_waited_for_and_taken_up_again() -> None:
     async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
         motor.failure = DeviceLost("motor: unplugged; plug it in")
         await asyncio.sleep(3.0)
-        assert actuator.health.state == "waiting"
-        assert actuator.health.why == "motor: unplugged; plug it in"
+        assert actuator.health.state == "disconnected"
+        assert actuator.health.reason == "motor: unplugged; plug it in"
         assert actuator.newest is None
         motor.failure = None
         await asyncio.sleep(6.0)
@@ -131,7 +131,7 @@ def test_a_time_out_is_trouble_and_a_refusal_is_an_event() -> None:
         await asyncio.sleep(0.1)
         motor.failure = DeviceTimeout("motor: no answer for 0.1 s")
         await asyncio.sleep(0.1)
-        assert actuator.health.state == "troubled"
+        assert actuator.health.state == "error"
         motor.failure = None
         await asyncio.sleep(0.1)
         assert actuator.health.ready
@@ -158,7 +158,7 @@ def test_a_command_from_before_the_device_was_lost_is_not_carried_out_after_it()
         await asyncio.sleep(0.1)
         motor.state = lost_while_asked  # type: ignore[method-assign]
         await asyncio.sleep(0.1)
-        assert actuator.health.state == "waiting"
+        assert actuator.health.state == "disconnected"
         actuator.command(lift)
         del motor.state
         await asyncio.sleep(1.0)

@@ -25,21 +25,29 @@ def names(wheel: Path) -> set[str]:
         return set(archive.namelist())
 
 
-def test_two_packages_and_nothing_else_at_the_top(names: set[str]) -> None:
+def test_wheel_contains_the_three_packages_and_nothing_else(names: set[str]) -> None:
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     tops = {name.split("/")[0] for name in names}
-    assert tops == {"slipguard", "slipguard_drivers", f"slipguard-{version}.dist-info"}
+    assert tops == {"slipguard", "slipguard_drivers", "slipguard_emulators", f"slipguard-{version}.dist-info"}
 
 
 def test_types_and_the_network_are_in_it(names: set[str]) -> None:
-    assert {"slipguard/py.typed", "slipguard_drivers/py.typed", "slipguard/models/tsnn-small.onnx"} <= names
+    assert {
+        "slipguard/py.typed",
+        "slipguard_drivers/py.typed",
+        "slipguard_emulators/py.typed",
+        "slipguard/models/tsnn-small.onnx",
+    } <= names
     assert any(name.endswith("licenses/LICENSE") for name in names)
 
 
 def test_every_module_of_the_checkout_is_in_it(names: set[str]) -> None:
     wanted = {
         f"{package.name}/{path.relative_to(package).as_posix()}"
-        for package in (ROOT / "slipguard", ROOT / "drivers" / "slipguard_drivers")
+        for package in (
+            ROOT / "slipguard",
+            *(ROOT / "drivers" / name for name in ("slipguard_drivers", "slipguard_emulators")),
+        )
         for path in package.rglob("*.py")
     }
     assert wanted <= names

@@ -117,14 +117,14 @@ async def one_round(
     direction = rng.choice((-1.0, 1.0))
     speed_mm_s = rng.uniform(60.0, 250.0)
     for _ in range(5):  # on a machine too busy for the watchdog the arm is lost without a fault, too
-        assert await until(lambda: actuator.health.ready, 5.0), actuator.health.why
+        assert await until(lambda: actuator.health.ready, 5.0), actuator.health.reason
         actuator.command(lambda: arm.lift(direction * 2000.0, speed_mm_s))
         if not await until(lambda: not controller.stands(), 1.0):
             continue
         await asyncio.sleep(rng.uniform(0.0, 0.5))
         if actuator.health.ready and not controller.stands():
             break
-    assert not controller.stands(), f"it does not move: {actuator.health.why} {said[-3:]}"
+    assert not controller.stands(), f"it does not move: {actuator.health.reason} {said[-3:]}"
     controller.events.clear()
     begun_s = loop.time()
     over_s = begun_s
@@ -145,7 +145,7 @@ async def one_round(
         await asyncio.sleep(over_s - loop.time())
         over_s = loop.time()
         controller.say("clear")
-    assert await until(lambda: actuator.health.ready, 5.0), f"not back after {kind}: {actuator.health.why}"
+    assert await until(lambda: actuator.health.ready, 5.0), f"not back after {kind}: {actuator.health.reason}"
     recovered_s = loop.time() - max(over_s, seen_s)
     assert await until(lambda: any(event["event"] == "stands" for event in controller.events)), "it does not stop"
     stood = next(event for event in controller.events if event["event"] == "stands")
@@ -189,7 +189,7 @@ async def test_the_driver_lives_through_every_fault_and_the_arm_stops(
     running = asyncio.create_task(actuator.run(), name="actuator")
     rounds: list[Round] = []
     try:
-        assert await until(lambda: actuator.health.ready, 10.0), actuator.health.why
+        assert await until(lambda: actuator.health.ready, 10.0), actuator.health.reason
         for number in range(count):
             rounds.append(await one_round(controller, arm, actuator, kinds[number % len(kinds)], rng, said))
             assert not running.done()

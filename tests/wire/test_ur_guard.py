@@ -125,7 +125,7 @@ async def test_no_fault_of_the_link_reaches_the_program(controller: UrEmulator, 
     if fault == "kill":  # with the controller its program is gone
         controller.log.clear()
         controller.control("panel play")
-    assert await until(lambda: actuator.health.ready, 4.0), actuator.health.why
+    assert await until(lambda: actuator.health.ready, 4.0), actuator.health.reason
     assert disturbances(controller) == []
     actuator.command(arm.stop)
     assert await rests(controller)

@@ -43,7 +43,7 @@ class Controls:
             raise CommandRefused(f"no finger {finger!r}; there are: {', '.join(fingers)}")
         one = fingers[finger]
         if one.newest_frame is None or one.serial is None:
-            raise CommandRefused(f"no frame of the {finger} finger: {one.health.why}")
+            raise CommandRefused(f"no frame of the {finger} finger: {one.health.reason}")
         return one.serial, one.newest_frame
 
     async def grasp(self, force_n: float | None = None) -> str:
@@ -112,7 +112,7 @@ class Controls:
         if finger is None:
             raise CommandRefused(f"no finger {name!r}; there are: {', '.join(self._service.fingers)}")
         if finger.serial is None or not isinstance(store, BackgroundArchive):
-            raise CommandRefused(f"no sensor of the {name} finger was seen yet: {finger.health.why}")
+            raise CommandRefused(f"no sensor of the {name} finger was seen yet: {finger.health.reason}")
         self._check_calibration_is_over()
         async with self._calibrating:
             self._check_idle()

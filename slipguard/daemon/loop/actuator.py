@@ -92,7 +92,7 @@ class Actuator(Generic[S]):
                         self._commands.put(pending)
                     await self._serve()
                 except DeviceError as error:
-                    self.health.lost(str(error))
+                    self.health.set_disconnected(str(error))
                     self.newest = None
                     self._on_news()
                     await self._device.close()
@@ -144,7 +144,7 @@ class Actuator(Generic[S]):
                     self.polled += 1
                     if action is not None or not self.health.ready:
                         self._on_news()
-                    self.health.good(loop.time())
+                    self.health.set_ready(loop.time())
                     self._backoff.reset()
                     next_poll_s = loop.time() + self._poll_s
             except CommandRefused as error:
@@ -152,7 +152,7 @@ class Actuator(Generic[S]):
             except DeviceLost:
                 raise
             except DeviceError as error:
-                self.health.troubled(str(error))
+                self.health.set_error(str(error))
                 self._on_news()
                 next_poll_s = loop.time() + self._poll_s
             raise_if_cancelled()

@@ -36,7 +36,7 @@ class Device(Protocol):
 def troubles(observation: Observation, devices: Mapping[str, Device]) -> dict[str, str | None]:
     """By device what is wrong with it now, in words; None where nothing is."""
     found: dict[str, str | None] = {
-        name: None if device.health.ready else device.health.why for name, device in devices.items()
+        name: None if device.health.ready else device.health.reason for name, device in devices.items()
     }
     for name, finger in (("left", observation.left), ("right", observation.right)):
         found[name] = found[name] or _stale(finger)

@@ -162,7 +162,7 @@ class Finger:
             except SlipguardError as error:
                 self._streaming = False
                 self.newest_frame = None
-                self.health.lost(str(error))
+                self.health.set_disconnected(str(error))
                 self._on_news()
                 await self.sensor.close()
                 raise_if_cancelled()
@@ -201,7 +201,7 @@ class Finger:
             self.counts.late = self._waiting.overwritten
 
     def _trouble(self, why: str) -> None:
-        self.health.troubled(why)
+        self.health.set_error(why)
         self._on_news()
 
     async def _perceive(self) -> None:
@@ -230,7 +230,7 @@ class Finger:
             if not self._streaming:
                 continue
             self.captured_at_s = frame.captured_at_s
-            self.health.good(loop.time())
+            self.health.set_ready(loop.time())
             if pipeline is not self.pipeline or self._wants_reset:
                 continue
             if estimate.skipped:

@@ -1,47 +1,50 @@
-"""How a device is, in a word and a sentence."""
+"""Whether a device works, and why not."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 NOT_TRIED = "not tried yet"
+HealthState = Literal["ready", "error", "disconnected"]
 
 
 @dataclass(slots=True)
 class Health:
-    """One device's health.
+    """One device's health; written by the task that talks to the device.
 
-    state: `waiting` (never seen yet or gone; being retried), `troubled` (there, but its last answer was bad), `ready`.
+    state: `disconnected` (never connected or lost; being retried), `error` (connected, but its last response was
+    bad), `ready`.
     """
 
     name: str
-    state: str = "waiting"
-    why: str = NOT_TRIED
-    good_at_s: float | None = None
-    """Loop time of the last good answer."""
+    state: HealthState = "disconnected"
+    reason: str = NOT_TRIED
+    last_ready_at_s: float | None = None
+    """Loop time of the last good response."""
 
     @property
     def ready(self) -> bool:
-        """True after a good answer, until the next bad one."""
+        """True after a good response, until the next bad one."""
         return self.state == "ready"
 
     @property
-    def line(self) -> str:
-        """Who it is and why it is not ready; a driver's own words may begin with its name already."""
-        return f"{self.name}: {self.why.removeprefix(f'{self.name}: ')}"
+    def message(self) -> str:
+        """The device's name and why it is not ready, in one line."""
+        return f"{self.name}: {self.reason.removeprefix(f'{self.name}: ')}"
 
-    def good(self, now_s: float) -> None:
-        """It answered well."""
-        self.state, self.why, self.good_at_s = "ready", "", now_s
+    def set_ready(self, now_s: float) -> None:
+        """Note a good response."""
+        self.state, self.reason, self.last_ready_at_s = "ready", "", now_s
 
-    def troubled(self, why: str) -> None:
-        """It is there but answered badly."""
-        self.state, self.why = "troubled", why
+    def set_error(self, reason: str) -> None:
+        """Note a bad response of a connected device."""
+        self.state, self.reason = "error", reason
 
-    def lost(self, why: str) -> None:
-        """It is not there, and will be looked for again."""
-        self.state, self.why = "waiting", why
+    def set_disconnected(self, reason: str) -> None:
+        """Note that the device is gone and will be retried."""
+        self.state, self.reason = "disconnected", reason
 
     def as_dict(self) -> dict[str, object]:
-        """For the API."""
-        return {"state": self.state, "why": self.why or None, "good_at_s": self.good_at_s}
+        """Return the health as the API shows it."""
+        return {"state": self.state, "reason": self.reason or None, "last_ready_at_s": self.last_ready_at_s}

@@ -125,7 +125,7 @@ class Service:
     @property
     def waiting_for(self) -> list[str]:
         """One line for each device that is not ready."""
-        return [one.health.line for one in self.devices.values() if not one.health.ready]
+        return [one.health.message for one in self.devices.values() if not one.health.ready]
 
     async def request(self, request: ControlRequest) -> str:
         """Hand a wish to the law; returns what it says to it. Raises CommandRefused with its reason."""
@@ -226,14 +226,14 @@ class Service:
         for name, finger in self.fingers.items():
             newest = finger.newest
             age_s = now_s - finger.captured_at_s if finger.captured_at_s is not None else float("inf")
-            if finger.health.state == "waiting":
+            if finger.health.state == "disconnected":
                 condition = Condition.LOST
             elif not -STALE_S <= age_s <= STALE_S:
                 condition = Condition.STALE
             else:
                 condition = Condition.FRESH
             fresh[name] = newest.estimate if newest is not None and condition is Condition.FRESH else None
-            health[name] = FingerHealth(condition, age_s, finger.health.why)
+            health[name] = FingerHealth(condition, age_s, finger.health.reason)
         return fresh, Observation(
             now_s=now_s,
             fused=fuse(fresh["left"], fresh["right"]),

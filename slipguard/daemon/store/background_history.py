@@ -43,7 +43,7 @@ async def stored_image(
     if finger is None:
         raise CommandRefused(f"no finger {name!r}; there are: {', '.join(service.fingers)}")
     if finger.serial is None or not isinstance(store, BackgroundArchive):
-        raise CommandRefused(f"no sensor of the {name} finger was seen yet: {finger.health.why}")
+        raise CommandRefused(f"no sensor of the {name} finger was seen yet: {finger.health.reason}")
     loop = asyncio.get_running_loop()
     versions = await loop.run_in_executor(pool, store.background_versions, finger.serial)
     chosen = number if number is not None else max((version.number for version in versions), default=None)

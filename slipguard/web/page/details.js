@@ -21,8 +21,8 @@ const RETRIED = "It is tried again by itself. More is said by: slipguard doctor"
 export function showDevices(state, live) {
   const rows = Object.entries(state.devices).map(([name, health]) => {
     if (!live) return [name, "not known", ""];
-    const help = health.state === "waiting" ? [RETRIED] : [];
-    const words = [withoutName(name, health.why), ...help, ...does(state, name)].filter(Boolean);
+    const help = health.state === "disconnected" ? [RETRIED] : [];
+    const words = [withoutName(name, health.reason), ...help, ...does(state, name)].filter(Boolean);
     return [name, health.state, words.join(". ")];
   });
   setRows(byId("devices"), rows, (name, health, why) => {

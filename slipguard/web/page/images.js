@@ -82,7 +82,7 @@ class Finger {
 
   /** What the state says of this finger; health: of its device. */
   tell(finger, health, live) {
-    this.gone = health.state === "waiting" ? withoutName(this.name, health.why) : null;
+    this.gone = health.state === "disconnected" ? withoutName(this.name, health.reason) : null;
     if (this.gone) this.lack(this.gone);
     this.figure.classList.toggle("old", !live);
     setText(this.serial, finger.serial ?? "not seen yet");

@@ -91,7 +91,7 @@ def can_be_seen(watched: WatchedFault, rig: CampaignCell) -> bool:
 def _camera(finger: str, fault: str, rig: CampaignCell) -> bool:
     if fault == "duplicate" or _hidden(finger, fault, rig):
         return False
-    if fault != "disconnect" and rig.service.fingers[finger].health.state == "waiting":
+    if fault != "disconnect" and rig.service.fingers[finger].health.state == "disconnected":
         return False
     held = rig.service.phase in GUARDED or (rig.service.phase is Phase.FAULT and rig.service.state.gripped)
     if fault == "light":

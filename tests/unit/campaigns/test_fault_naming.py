@@ -107,7 +107,7 @@ def test_stamps_ahead_and_behind_undo_each_other() -> None:
 @pytest.mark.parametrize(("fault", "visible"), [("corrupt", False), ("stall", False), ("disconnect", True)])
 def test_a_sensor_that_is_being_opened_again_shows_only_that_it_is_gone(fault: str, visible: bool) -> None:
     cell = rig()
-    cell.service.fingers["left"].health.state = "waiting"
+    cell.service.fingers["left"].health.state = "disconnected"
     assert seen(f"left.{fault}", cell) is visible
 
 

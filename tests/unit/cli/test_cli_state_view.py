@@ -45,10 +45,10 @@ HELD: dict[str, Any] = {
         }
     },
     "devices": {
-        "left": {"state": "ready", "why": None},
-        "right": {"state": "waiting", "why": "right: no DIGIT with serial number D20510; [plugged] in are D1 and D2"},
-        "gripper": {"state": "troubled", "why": "gripper: no answer within 50 ms"},
-        "arm": {"state": "ready", "why": None},
+        "left": {"state": "ready", "reason": None},
+        "right": {"state": "disconnected", "reason": "right: no DIGIT with serial number D20510; [plugged] in are D1 and D2"},
+        "gripper": {"state": "error", "reason": "gripper: no answer within 50 ms"},
+        "arm": {"state": "ready", "reason": None},
     },
     "said": ["gripped", "slip", "slip", "slip"],
 }  # fmt: skip
@@ -66,12 +66,12 @@ def shown(answer: dict[str, Any], width: int = 80) -> str:
 def test_what_is_held_and_how_the_devices_are() -> None:
     text = shown(HELD)
     assert "lifting (mode lift, guarding, slipping)" in text
-    assert "turn +12.3° ± 0.4°, seen by left and right; slid +0.3 mm" in text
+    assert "rotation +12.3° ± 0.4°, seen by left and right; slid +0.3 mm" in text
     assert "grip holds with 40 N per finger (asked for 61 N), jaws 28 mm apart" in text
     assert "arm 53 mm above its start, moving at 50 mm/s" in text
     assert "left ready D20479, contact of 2160 px, round contact, 1280 frames, 2 corrupt, 7 late" in text
-    assert "right waiting right: no DIGIT with serial number D20510; [plugged] in are D1 and D2" in text
-    assert "gripper troubled gripper: no answer within 50 ms" in text
+    assert "right disconnected right: no DIGIT with serial number D20510; [plugged] in are D1 and D2" in text
+    assert "gripper error gripper: no answer within 50 ms" in text
     assert "last events gripped slip (×3)" in text
 
 
@@ -128,7 +128,7 @@ def test_a_service_that_has_just_started_can_be_shown() -> None:
 
     text = shown(asyncio.run(main()))
     assert "idle (mode lift, guarding)" in text
-    assert text.count("waiting not tried yet") == 4
+    assert text.count("disconnected not tried yet") == 4
 
 
 def test_what_a_sensor_does_not_give_as_asked_is_shown() -> None:

@@ -111,7 +111,7 @@ def test_a_late_loop_is_said_where_the_law_does_not(phase: Phase) -> None:
 def found(view: Observation, **not_ready: str) -> dict[str, str | None]:
     devices = {name: Health(name, "ready", "") for name in ("left", "right", "gripper", "arm")}
     for name, why in not_ready.items():
-        devices[name].lost(why)
+        devices[name].set_disconnected(why)
     holders = {name: type("One", (), {"health": health})() for name, health in devices.items()}
     return {name: why for name, why in troubles(view, holders).items() if why is not None}
 

@@ -82,15 +82,15 @@ def test_whoever_works_for_the_loop_comes_one_behind_it(monkeypatch: pytest.Monk
     set_worker_priority()
 
 
-def test_where_it_is_refused_it_says_what_to_do(
+def test_refused_realtime_priority_is_an_error_that_says_what_to_do(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(os, "sched_setscheduler", forbidden)
     with pytest.raises(SlipguardError, match=r"Operation not permitted.*root"):
         set_realtime_priority()
     soak = ["soak", "--minutes", "1", "--as-service"]
-    for code in (run(["latency", "--as-service"]), run_campaign(soak)):
-        assert code != 0
+    for command, arguments in ((run, ["latency", "--as-service"]), (run_campaign, soak)):
+        assert command(arguments) != 0
         (line,) = capsys.readouterr().err.strip().splitlines()
         assert "ulimit -r 2" in line
 
