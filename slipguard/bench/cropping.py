@@ -23,7 +23,7 @@ from slipguard.errors import ModelError
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.sim.objects import get, names
+from slipguard.sim.catalogue import find_object, object_names
 
 SEED = 4100
 SIZES = ((64, 64), (80, 80), (96, 96), (96, 128), (112, 144))
@@ -90,7 +90,7 @@ def known_patch(default: BenchPipeline) -> SkipResult | None:
     except ModelError:
         return None
     tallies = {"whole": PipelineResults(), "cropped": PipelineResults()}
-    for name in (name for name in names("test") if get(name).axial):
+    for name in (name for name in object_names("test") if find_object(name).axial):
         grasp = render_grasp(name, SEED, with_masks=True, mask_every=4)
         opened = {
             "whole": _pipeline(whole, grasp, default.estimator),

@@ -9,10 +9,10 @@ import numpy as np
 
 from slipguard.datasets.rendered_grasps import FRAME_S, GraspFrame, RenderedGrasp
 from slipguard.devices import Frame
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.objects import get
-from slipguard.sim.unit import LightChange, random_unit
-from slipguard.sim.view import GelView
+from slipguard.sim.catalogue import find_object
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.sensor_unit import LightChange, random_unit
 
 MINUTE_S = 60.0
 EMPTY_S, CLOSED_S, STILL_S = 0.4, 0.5, 1.5
@@ -49,7 +49,7 @@ class HoldingScene:
         rng = np.random.default_rng(self.seed)
         camera = GelCamera(random_unit(rng), seed=self.seed)
         x_mm, y_mm, start_deg = float(rng.uniform(-1, 1)), float(rng.uniform(-1, 1)), float(rng.uniform(-180, 180))
-        press_mm = self.press * get(self.object_name).press_mm
+        press_mm = self.press * find_object(self.object_name).press_mm
         offset = rng.uniform(-3.0, 3.0, 3)
         drift = rng.choice([-1.0, 1.0], 3) * DRIFT_LEVELS / MINUTE_S
         for index in range(round(MINUTE_S / FRAME_S)):

@@ -17,10 +17,10 @@ from slipguard.control.slip_detector import look
 from slipguard.datasets.rendered_grasps import FRAME_S, GraspFrame, RenderedGrasp
 from slipguard.devices import Frame
 from slipguard.perception.estimate import Estimate
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.objects import get
-from slipguard.sim.unit import random_unit
-from slipguard.sim.view import GelView
+from slipguard.sim.catalogue import find_object
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.sensor_unit import random_unit
 
 REST_S = 1.5
 """Long enough for skipping to have begun."""
@@ -45,7 +45,7 @@ class SlipOnset:
     def grasp(self) -> RenderedGrasp:
         """Rest, then motion at a constant rate until nobody could overlook it."""
         rng = np.random.default_rng([self.seed, round(100 * self.rate), self.slides])
-        unit, thing = random_unit(rng), get(self.object_name)
+        unit, thing = random_unit(rng), find_object(self.object_name)
         camera = GelCamera(unit, seed=self.seed)
         background = camera.no_contact()
         x_mm, y_mm, start_deg = float(rng.uniform(-1, 1)), float(rng.uniform(0, 2)), float(rng.uniform(-180, 180))

@@ -19,7 +19,7 @@ from slipguard.bench.skipping import skips
 from slipguard.bench.thinning import thinning
 from slipguard.datasets.rendered_grasps import EXTRA_PLAIN, STILL_FRAMES, RenderedGrasp, render_grasp
 from slipguard.perception.settings import ALL_SKIPS, PerceptionSettings
-from slipguard.sim.objects import names
+from slipguard.sim.catalogue import object_names
 from slipguard.tools.parallel import Workers, each
 
 SEED = 4100
@@ -116,7 +116,7 @@ def _errors(
     on_share: Callable[[float], None],
 ) -> dict[str, PipelineResults]:
     """Every pipeline's errors by name; of a quick bench its times, too."""
-    objects = [*names("test"), *EXTRA_PLAIN]
+    objects = [*object_names("test"), *EXTRA_PLAIN]
     grasps = QUICK_GRASPS if options.quick else FULL_GRASPS
     mask_every = QUICK_MASK_EVERY if options.quick else FULL_MASK_EVERY
     plan = [(name, SEED + k) for k in range(grasps) for name in objects]
@@ -174,7 +174,7 @@ def _times(
 ) -> dict[str, PipelineResults]:
     """Times alone, serially, on a few grasps. with_large: on the first few of them."""
     total: dict[str, PipelineResults] = {}
-    objects = names("test")
+    objects = object_names("test")
     for index, name in enumerate(objects):
         timed = (*subjects, *(with_large if index < LARGE_TIMED else ()))
         item = _GraspItem(name, SEED, timed, 10**6, warm=not index)
@@ -238,7 +238,7 @@ def _peer_rows(
 
 def _samples(quick: bool) -> list[RenderedGrasp]:
     """Some thirty frames for large networks: of each test object the last still frame and some turned ones."""
-    objects = names("test")
+    objects = object_names("test")
     each_object = -(-LARGE_FRAMES_QUICK // len(objects)) + (0 if quick else 2)
     found = []
     for name in objects:
@@ -266,7 +266,7 @@ def _few(subject: BenchPipeline, samples: list[RenderedGrasp]) -> PipelineResult
 
 def _notes(options: BenchOptions, held: dict[str, HoldingResult]) -> list[str]:
     """What a reader must know to read the figures."""
-    objects = len(names("test")) + len(EXTRA_PLAIN)
+    objects = len(object_names("test")) + len(EXTRA_PLAIN)
     grasps = QUICK_GRASPS if options.quick else FULL_GRASPS
     skipped = next(iter(held.values())).skipped
     whose = "of which the paper's pipeline sees some thirty frames" if options.quick else "the same for every pipeline"

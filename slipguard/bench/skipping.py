@@ -16,7 +16,7 @@ from slipguard.bench.rows import SkipResult
 from slipguard.bench.second_finger import second_finger
 from slipguard.datasets.rendered_grasps import ROUND_PLAIN, render_grasp
 from slipguard.perception.settings import ALL_SKIPS, Skips
-from slipguard.sim.objects import get, names
+from slipguard.sim.catalogue import find_object, object_names
 from slipguard.tools.parallel import Workers, each
 
 SEED = 7000
@@ -48,9 +48,9 @@ def onsets(quick: bool) -> list[SlipOnset]:
     if quick:
         return list(QUICK_ONSETS)
     found = []
-    for name in names("test"):
+    for name in object_names("test"):
         for k in range(FULL_SEEDS):
-            if get(name).axial:
+            if find_object(name).axial:
                 found += [SlipOnset(name, SEED + k, rate) for rate in ROTATION_RATES_DEG_S]
             found += [SlipOnset(name, SEED + k, rate, slides=True) for rate in SLIDE_RATES_MM_S]
     return found
@@ -78,7 +78,7 @@ def _no_contact(default: BenchPipeline, objects: int, later: list[int | None]) -
     """Frames without contact, with the gate's answer and with the network's."""
     gated, plain = PipelineResults(), PipelineResults()
     missed = frames = 0
-    for name in names("test")[:objects]:
+    for name in object_names("test")[:objects]:
         grasp = render_grasp(name, SEED)
         empty = [shot for shot in grasp.shots if not shot.contact]
         asked = replace(default, skips=Skips(no_contact=False, unchanged=False))

@@ -202,9 +202,9 @@ def _show(figures: dict[str, Any]) -> None:
 
 
 def _check_simulated(plan: LiftProtocol) -> None:
-    from slipguard.sim.objects import names
+    from slipguard.sim.catalogue import object_names
 
-    known = {*names("test"), *names("train")}
+    known = {*object_names("test"), *object_names("train")}
     for thing in plan.objects:
         if thing.name not in known:
             raise InputError(f"no simulated object {thing.name!r}; there are: {', '.join(sorted(known))}")

@@ -148,7 +148,7 @@ def _frames(
 
 def _label(asked: Request) -> str:
     from slipguard.datasets.importer import LABEL_NAME as IMPORTED
-    from slipguard.sim.label import LABEL_NAME
+    from slipguard.sim.contact_label import LABEL_NAME
 
     return LABEL_NAME if asked.data is None else IMPORTED
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from slipguard.datasets.samples import UNIT_FRAMES, RenderedSample, render_sample
 from slipguard.errors import InputError
-from slipguard.sim.label import LABEL_NAME, label
-from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
+from slipguard.sim.contact_label import LABEL_NAME, label
+from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.tools.parallel import Workers, each
 
 Image = NDArray[np.uint8]

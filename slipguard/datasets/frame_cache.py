@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from slipguard.datasets.samples import render_sample
 from slipguard.perception.contact.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
-from slipguard.sim.label import LABEL_NAME, label
+from slipguard.sim.contact_label import LABEL_NAME, label
 
 CHUNK = 200
 VALIDATION_SEED = 1_000_000_000

@@ -22,7 +22,7 @@ from slipguard.datasets.files import (
     png,
 )
 from slipguard.errors import InputError
-from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
+from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.tools.image_files import IMAGE_ENDINGS, damage, read_image
 from slipguard.tools.parallel import Workers, each
 

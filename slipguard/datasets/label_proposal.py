@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.sim.label import outlined
+from slipguard.sim.contact_label import outlined
 from slipguard.sim.raster import f32
 
 Image = NDArray[np.uint8]

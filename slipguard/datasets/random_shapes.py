@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from slipguard.sim import shapes as s
-from slipguard.sim.height_map import FLOOR_MM, HeightRaster
+from slipguard.sim.height_raster import FLOOR_MM, HeightRaster
 from slipguard.sim.raster import Field, f32, warped
 
 HALF_MM = 11.0

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from slipguard.devices import Frame
 from slipguard.sim import shapes
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.height_map import HeightRaster
-from slipguard.sim.label import label
-from slipguard.sim.objects import HeightMap, SimObject, get
-from slipguard.sim.unit import LightChange, SensorUnit, random_unit
-from slipguard.sim.view import GelView
+from slipguard.sim.catalogue import find_object
+from slipguard.sim.contact_label import label
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.height_raster import HeightRaster
+from slipguard.sim.sensor_unit import LightChange, SensorUnit, random_unit
+from slipguard.sim.sim_object import HeightMap, SimObject
 
 FRAME_S = 1.0 / 60.0
 EMPTY_FRAMES, CLOSING_FRAMES, STILL_FRAMES, SHEAR_FRAMES, END_FRAMES = 6, 6, 10, 8, 8
@@ -128,7 +129,7 @@ def bench_object(name: str) -> tuple[SimObject, HeightRaster | None]:
         "plain_ball": (lambda u, v: shapes.sphere(u, v, 6.0), 1.2),
     }
     if name not in surfaces:
-        return get(name), None
+        return find_object(name), None
     height_mm, press_mm = surfaces[name]
     return SimObject(name, "test", height_mm, 0.5, 100.0, 0.003, 0.7, press_mm, axial=False), HeightRaster.of(height_mm)
 

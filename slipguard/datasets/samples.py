@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.datasets.random_shapes import beside, broad, composition, resized, roughened
-from slipguard.sim import objects
-from slipguard.sim.gel import GelCamera, GelTruth
-from slipguard.sim.height_map import HeightRaster, height_raster_of
-from slipguard.sim.label import VISIBLE_MM
+from slipguard.sim.catalogue import object_names
+from slipguard.sim.contact_label import VISIBLE_MM
+from slipguard.sim.gel_camera import GelCamera, GelTruth
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.height_raster import HeightRaster, height_raster_of
 from slipguard.sim.raster import Field, blurred
-from slipguard.sim.unit import LightChange, random_unit
-from slipguard.sim.view import GelView
+from slipguard.sim.sensor_unit import LightChange, random_unit
 
 Image = NDArray[np.uint8]
 UNIT_FRAMES = 50
@@ -130,7 +130,7 @@ def _surface(rng: np.random.Generator, split: str) -> tuple[str, HeightRaster]:
     if split == "train" and rng.random() < BROAD_SHARE:
         body = broad(rng)
         return BROAD_NAME, roughened(body, rng, float(rng.uniform(0.010, 0.080))) if rng.random() < 0.5 else body
-    names = objects.names(split)
+    names = object_names(split)
     name = names[int(rng.integers(len(names)))]
     composed = split == "train" and rng.random() < COMPOSITION_SHARE
     relief = composition(rng) if composed else height_raster_of(name)

@@ -29,9 +29,9 @@ from slipguard.datasets.rendered_grasps import (
 )
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import InputError
-from slipguard.sim.noise import CameraNoise
+from slipguard.sim.camera_noise import CameraNoise
 from slipguard.sim.raster import Field, f32
-from slipguard.sim.unit import NOISE_STD_BGR, STRIPE_STD_BGR
+from slipguard.sim.sensor_unit import NOISE_STD_BGR, STRIPE_STD_BGR
 from slipguard.tools.image_files import read_gel_image
 
 RotationMethod = Literal["relit", "rigid"]

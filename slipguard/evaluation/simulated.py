@@ -25,7 +25,8 @@ from slipguard.evaluation.lift_file import LiftRecorder, encoded
 from slipguard.evaluation.markers import GRIPPER_ID, OBJECT_ID, cells
 from slipguard.evaluation.protocol import LiftProtocol, PlannedLift
 from slipguard.recording import messages as m
-from slipguard.sim import objects
+from slipguard.sim.catalogue import find_object
+from slipguard.sim.contact_label import label
 from slipguard.sim.external_camera import (
     ExternalCameraModel,
     ExternalCameraRenderer,
@@ -33,10 +34,9 @@ from slipguard.sim.external_camera import (
     MarkerPlate,
     MarkerScene,
 )
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.label import label
+from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.scenario import scenario
-from slipguard.sim.unit import random_unit
+from slipguard.sim.sensor_unit import random_unit
 from slipguard.sim.world import World
 from slipguard.sim_lifts.lift_record import IMAGE_SIGN
 from slipguard.tools.waiting import wait_until
@@ -104,7 +104,7 @@ def record(task: SimulatedLift) -> Path:
 
 async def _record(task: SimulatedLift) -> None:
     protocol, lift = task.protocol, task.lift
-    item = objects.get(lift.thing.name)
+    item = find_object(lift.thing.name)
     drawn = scenario(lift.thing.name, protocol.seed + lift.repeat)
     world = World(seed=protocol.seed + lift.number)
     height_mm = 2.0 * item.com_offset_mm * math.sin(math.radians(lift.target_deg)) + SUPPORT_MM

@@ -11,8 +11,8 @@ import hashlib
 import numpy as np
 
 from slipguard.sim import shapes as s
-from slipguard.sim.objects import SimObject
 from slipguard.sim.raster import Field, f32
+from slipguard.sim.sim_object import SimObject
 
 MANIFEST_SHA256 = "acc58316d8430c44bdc77d9aa98b8215ca0a0446b27bc65f47cbf16304260958"
 """`manifest_sha256()` of the set as published; figures on other sets cannot be compared."""

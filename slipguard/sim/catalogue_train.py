@@ -10,8 +10,8 @@ import math
 import numpy as np
 
 from slipguard.sim import shapes as s
-from slipguard.sim.objects import SimObject
 from slipguard.sim.raster import Field, f32
+from slipguard.sim.sim_object import SimObject
 
 
 def _egg(u: Field, v: Field) -> Field:

@@ -14,11 +14,11 @@ from slipguard.sim import arm_plant, gripper_plant
 from slipguard.sim import object_motion as rotation
 from slipguard.sim.arm_plant import ArmPlant, ArmPose
 from slipguard.sim.friction import NO_CONTACT_N
+from slipguard.sim.gel_view import GelView
 from slipguard.sim.gripper_plant import Drive, GripperDynamics, GripperPlant
 from slipguard.sim.object_motion import ExternalLoad, GraspedBody, ObjectMotion
-from slipguard.sim.objects import SimObject
 from slipguard.sim.scenario import Scenario
-from slipguard.sim.view import GelView
+from slipguard.sim.sim_object import SimObject
 
 MAX_ROTATION_DEG = 60.0
 """An object turned further than this counts as dropped."""

@@ -19,7 +19,7 @@ from slipguard.limit_surface import (
     pressure_shape,
     torque_limit_n_m,
 )
-from slipguard.sim.objects import SimObject
+from slipguard.sim.sim_object import SimObject
 
 __all__ = [
     "GRAVITY_M_S2",

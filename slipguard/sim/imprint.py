@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.errors import InputError
-from slipguard.sim.height_map import HeightRaster, height_raster_of
-from slipguard.sim.membrane import STEP_PX, lit, settle
+from slipguard.sim.gel_optics import STEP_PX, Shading, displaced_gel, led_visibility
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.height_raster import HeightRaster, height_raster_of
 from slipguard.sim.raster import Field, blurred, enlarged, f32
-from slipguard.sim.shading import Shading
-from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
-from slipguard.sim.view import GelView
+from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
 
 _PAD_CELLS = 8
 """The coarse grid goes this far beyond the frame: what is pressed out there still bends and shades the gel in it."""
@@ -77,8 +76,8 @@ class Imprinter:
         overlap_mm = self._overlap(relief, view, STEP_PX, (-_PAD_CELLS, -_PAD_CELLS), _GRID)
         if float(overlap_mm.max()) <= 0.0:
             return None
-        gel_mm = settle(overlap_mm, self._unit)
-        shares = lit(gel_mm, self._unit)
+        gel_mm = displaced_gel(overlap_mm, self._unit)
+        shares = led_visibility(gel_mm, self._unit)
         darkest = np.minimum(np.minimum(shares[0], shares[1]), shares[2])
         changed = (gel_mm > _VISIBLE_MM) | (darkest < 1 - _VISIBLE_SHADE)
         if whole:

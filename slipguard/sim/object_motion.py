@@ -22,7 +22,7 @@ from slipguard.sim.friction import (
     pressure_shape,
     return_to_surface,
 )
-from slipguard.sim.objects import SimObject
+from slipguard.sim.sim_object import SimObject
 
 SUPPORT_M = 3e-3
 """Lift over which the table hands the weight over to the fingers."""

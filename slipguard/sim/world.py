@@ -13,16 +13,17 @@ from dataclasses import dataclass, field, replace
 
 from slipguard.devices import ArmState, GripperState
 from slipguard.errors import CommandRefused, InputError
-from slipguard.sim import arm_plant, cell, gripper_plant, objects
+from slipguard.sim import arm_plant, cell, gripper_plant
 from slipguard.sim.arm_plant import ArmModel
+from slipguard.sim.catalogue import find_object
 from slipguard.sim.cell import CellState, PlacedObject, WorldTruth
-from slipguard.sim.faults import InjectedFaults
 from slipguard.sim.friction import needed_force_n
+from slipguard.sim.gel_view import GelView
 from slipguard.sim.gripper_plant import GripperDynamics, GripperPlant
+from slipguard.sim.injected_faults import InjectedFaults
 from slipguard.sim.object_motion import GraspedBody, ObjectMotion
-from slipguard.sim.objects import SimObject
 from slipguard.sim.scenario import CameraModel, Scenario, initial_delivery
-from slipguard.sim.view import GelView
+from slipguard.sim.sim_object import SimObject
 
 __all__ = ["World", "WorldSettings", "WorldTruth"]
 
@@ -52,7 +53,7 @@ class World:
         self.settings = settings or WorldSettings()
         self.seed = seed
         self.faults = InjectedFaults()
-        self._lookup = lookup or objects.get
+        self._lookup = lookup or find_object
         self._deliveries = {finger: initial_delivery(seed, finger) for finger in _SIGNS}
         width_mm = self.settings.start_width_mm
         self._cell = CellState(GripperPlant(width_mm=width_mm, goal_mm=width_mm), self.settings.gripper)

@@ -19,7 +19,7 @@ from slipguard.daemon.loop.worker import StatedLatencyWorker, ThreadWorker, Work
 from slipguard.daemon.run import build_service
 from slipguard.errors import CommandRefused
 from slipguard.evaluation.single_estimators import PatchRecorder, TimedPatch, rotations_by_estimator
-from slipguard.sim.objects import names
+from slipguard.sim.catalogue import object_names
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World
 from slipguard.sim_lifts.lift_record import FINGERS, EstimatedRotation, LiftRecord
@@ -52,7 +52,7 @@ class CampaignSettings:
 
     def objects(self) -> list[tuple[str, int]]:
         """The objects in order, each with the seed of its scenario."""
-        every = names("test")
+        every = object_names("test")
         count = len(every) if self.lifts is None else self.lifts
         return [(every[index % len(every)], self.seed + index // len(every)) for index in range(count)]
 

@@ -11,7 +11,7 @@ from slipguard.config import Config
 from slipguard.control.state import Phase
 from slipguard.daemon import run as root
 from slipguard.daemon.loop.service import Service
-from slipguard.sim.objects import names
+from slipguard.sim.catalogue import object_names
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World
 
@@ -30,7 +30,7 @@ async def run_simulated_cell(config: Config) -> None:
         log.info("try in another terminal: slipguard ctl calibrate, then grasp, state, lift, lower, release")
         loop = asyncio.get_running_loop()
         touched = True
-        for number, name in enumerate(cycle(names("test"))):
+        for number, name in enumerate(cycle(object_names("test"))):
             while not (touched and service.phase is Phase.IDLE and _open(service)):
                 touched = touched or service.phase is not Phase.IDLE
                 await asyncio.sleep(POLL_S)

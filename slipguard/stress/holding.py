@@ -10,10 +10,10 @@ import numpy as np
 
 from slipguard.devices import Frame
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.objects import get
-from slipguard.sim.unit import LightChange, random_unit
-from slipguard.sim.view import GelView
+from slipguard.sim.catalogue import find_object
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.sensor_unit import LightChange, random_unit
 from slipguard.stress.drift import DRIFT_DEG
 from slipguard.stress.family import FamilyResults, TrialFamily, TrialFunction
 from slipguard.stress.product_functions import FRAME_S, ProductFunctions
@@ -52,7 +52,7 @@ class _HeldContact:
             level = LIGHT_LEVELS * math.sin(2.0 * math.pi * now_s / LIGHT_PERIOD_S)
             self.camera.set_light(LightChange(1.0, (level, -0.5 * level, 0.7 * level)))
         part = _pressed(self.frame % CYCLE_FRAMES)
-        depth_mm = get(self.name).press_mm * (SHARES[0] + part * (SHARES[1] - SHARES[0]))
+        depth_mm = find_object(self.name).press_mm * (SHARES[0] + part * (SHARES[1] - SHARES[0]))
         view = GelView(self.name, 0.4, -0.3 - SHEAR_MM * part, 25.0, depth_mm)
         self.frame += 1
         return Frame(self.camera.draw(view), now_s, self.frame)

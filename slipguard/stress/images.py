@@ -11,10 +11,10 @@ import numpy as np
 
 from slipguard.devices import Frame
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.objects import get, names
-from slipguard.sim.unit import SensorUnit
-from slipguard.sim.view import GelView
+from slipguard.sim.catalogue import find_object, object_names
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.sensor_unit import SensorUnit
 from slipguard.stress.family import FamilyResults, TrialFamily, TrialFunction
 from slipguard.stress.light import SPOILS, Image, malformed, nonsense
 from slipguard.stress.product_functions import FRAME_S, PX_PER_MM, ProductFunctions
@@ -42,7 +42,7 @@ class RotatedGrasp:
 def grasp(number: int) -> RotatedGrasp:
     """The same grasp for the same number: an object with an axis, anywhere, pressed lightly or hard."""
     rng = np.random.default_rng(np.random.SeedSequence([number, 77]))
-    things = [get(name) for name in names("train")]
+    things = [find_object(name) for name in object_names("train")]
     readable = [thing for thing in things if thing.axial]
     thing = readable[number % len(readable)]
     camera = GelCamera(SensorUnit.default(), seed=number)

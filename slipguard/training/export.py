@@ -10,7 +10,7 @@ import numpy as np
 
 from slipguard.datasets.frame_cache import RenderedFrames
 from slipguard.perception.contact.segmenter import CONTRACT, INPUT_HEIGHT_PX, INPUT_WIDTH_PX
-from slipguard.sim.label import LABEL_NAME
+from slipguard.sim.contact_label import LABEL_NAME
 from slipguard.training.float16_weights import round_to_half
 from slipguard.training.onnx_file import CHECKED_FRAMES, Feed, file_metadata, write_compared
 from slipguard.training.small_network import Exported, SmallNet, example_inputs

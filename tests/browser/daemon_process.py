@@ -21,7 +21,7 @@ from slipguard.config import read_config
 from slipguard.daemon import logging as log
 from slipguard.daemon import run as root
 from slipguard.daemon.loop.service import Service
-from slipguard.sim.faults import KINDS
+from slipguard.sim.injected_faults import KINDS
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World, WorldSettings
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from slipguard.datasets.frame_cache import VALIDATION_SEED, RenderedFrames
 from slipguard.datasets.samples import RenderedSample, press_of, render_sample
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
-from slipguard.sim.gel import GelTruth
-from slipguard.sim.label import label, outlined
+from slipguard.sim.contact_label import label, outlined
+from slipguard.sim.gel_camera import GelTruth
 
 HELD_OUT = ("battery", "bolt", "coin", "cone", "egg", "gear", "pen", "tee")
 """Training objects left out of these trainings: what the variants are scored on."""

@@ -24,7 +24,7 @@ from rich.console import Console
 from slipguard.datasets.frame_cache import RenderedFrames
 from slipguard.datasets.mask_scores import RealFrame, backgrounds_in, dice, iou, no_contact_frames, real_frames
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
-from slipguard.sim.label import PRESS_SHARE
+from slipguard.sim.contact_label import PRESS_SHARE
 from slipguard.training.int8 import CALIBRATION_FRAMES, CONVOLUTIONS, quantised
 from slipguard.training.onnx_file import session
 from slipguard.training.small_network import Exported, Inputs, SmallNet

@@ -17,12 +17,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.sim.height_map import HeightRaster
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.height_raster import HeightRaster
 from slipguard.sim.imprint import Imprinter
 from slipguard.sim.raster import Field, f32
+from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
 from slipguard.sim.shapes import sphere
-from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
-from slipguard.sim.view import GelView
 from tests.campaigns.real_presses import RealPress, read_presses, write_sheet
 
 Vector = NDArray[np.float64]

@@ -32,7 +32,7 @@ from slipguard.perception.rotation.texture_registration import (
     make_texture_template,
 )
 from slipguard.perception.rotation.texture_sigma import FLOOR_DEG, parts_deg, shares, sigma_deg
-from slipguard.sim.objects import names
+from slipguard.sim.catalogue import object_names
 from slipguard.tools.image_files import read_gel_image
 
 SEED = 7400
@@ -163,7 +163,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--model", type=Path, default=None, help="segmentation network; the shipped one if left out")
     chosen = parser.parse_args(arguments)
     segmenter = Segmenter(chosen.model)
-    grasps = (sequences.render_grasp(name, SEED + number) for number in range(chosen.grasps) for name in names("train"))
+    grasps = (
+        sequences.render_grasp(name, SEED + number) for number in range(chosen.grasps) for name in object_names("train")
+    )
     found = list(samples(grasps, segmenter))
     print(f"{len(found)} turns of {len({one.grasp for one in found})} grasps, training objects, seeds from {SEED}")
     if chosen.real is not None:

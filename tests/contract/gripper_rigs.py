@@ -11,8 +11,8 @@ from timeouts import eventually
 
 from slipguard.devices import DriverContext, Gripper
 from slipguard.sim.gripper_plant import GripperDynamics
-from slipguard.sim.objects import SimObject
 from slipguard.sim.scenario import Scenario
+from slipguard.sim.sim_object import SimObject
 from slipguard.sim.world import World, WorldSettings
 from slipguard_drivers.robotiq.fake import FakeGripper
 from slipguard_drivers.robotiq.gripper import RobotiqGripper

@@ -23,7 +23,7 @@ from slipguard.daemon.loop.service import FINGERS, Controller, Service
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.daemon.loop.worker import ThreadWorker, Worker
 from slipguard.devices import DriverContext
-from slipguard.sim import objects
+from slipguard.sim.catalogue import find_object
 from slipguard.sim.cell import WorldTruth
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World, WorldSettings
@@ -59,7 +59,7 @@ class Cell:
 
     def __post_init__(self) -> None:
         self.fresh = self.world is None
-        start_mm = objects.get(self.object_name).width_mm + 20.0
+        start_mm = find_object(self.object_name).width_mm + 20.0
         settings = WorldSettings(step_s=2e-3, start_width_mm=start_mm)
         self.world = world = self.world or World(settings, seed=self.seed)
         rng = np.random.default_rng([self.seed, 7])

@@ -21,8 +21,8 @@ from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import Frame, GripperState
 from slipguard.perception.estimate import Estimate
-from slipguard.sim.background import background_image
-from slipguard.sim.unit import random_unit
+from slipguard.sim.background_image import background_image
+from slipguard.sim.sensor_unit import random_unit
 
 NOISE_BGR = (2.0, 2.0, 2.0)
 OPEN = GripperState(True, False, False, False, 80.0, 0.0, None, 0.0)

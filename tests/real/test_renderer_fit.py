@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slipguard.sim.unit import SensorUnit
+from slipguard.sim.sensor_unit import SensorUnit
 from tests.campaigns.fit_renderer import BALL_RADIUS_MM, correlation, drawn_difference, refined_pose
 from tests.campaigns.real_presses import read_presses
 

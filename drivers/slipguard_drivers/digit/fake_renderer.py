@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from slipguard.errors import DeviceLost, DeviceTimeout
 from slipguard.frame_stream import SHAPE
-from slipguard.sim.encoded_view import encode_view
-from slipguard.sim.view import GelView
+from slipguard.sim.gel_view import GelView, encode_view
 from slipguard_drivers.child_process import PACKET_BYTES, ChildProcess
 from slipguard_drivers.digit.render_worker import IMAGE_BYTES, SLOTS, GelRenderer, RenderRequest
 
@@ -86,7 +85,7 @@ class BackgroundRenderer:
 
 
 class EncodingRenderer:
-    """Writes down what would be on the picture instead of drawing it (`slipguard.sim.encoded_view`)."""
+    """Writes down what would be on the picture instead of drawing it (`slipguard.sim.gel_view`)."""
 
     def __init__(self) -> None:
         self._count = 0

@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.height_map import height_raster_of
-from slipguard.sim.unit import LightChange, random_unit
-from slipguard.sim.view import GelView
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.height_raster import height_raster_of
+from slipguard.sim.sensor_unit import LightChange, random_unit
 from slipguard_drivers.child_process import PACKET_BYTES
 
 IMAGE_BYTES = 320 * 240 * 3

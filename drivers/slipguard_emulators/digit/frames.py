@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.unit import random_unit
-from slipguard.sim.view import GelView
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.sensor_unit import random_unit
 
 Image = NDArray[np.uint8]
 PICTURES = 48

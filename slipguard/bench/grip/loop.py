@@ -18,7 +18,7 @@ from slipguard.control.finger_fusion import fuse
 from slipguard.control.messages import ArmLift, Command, Condition, ControlRequest, FingerHealth, Observation
 from slipguard.daemon.loop.service import STALE_S
 from slipguard.perception.estimate import Estimate
-from slipguard.sim.view import GelView
+from slipguard.sim.gel_view import GelView
 from slipguard.sim.world import World, WorldTruth
 
 TICK_S = 0.01

@@ -15,7 +15,7 @@ import numpy as np
 
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.rotation.tracker import RotationEstimate, RotationTracker
-from slipguard.sim.view import GelView
+from slipguard.sim.gel_view import GelView
 
 REFERENCE_FRAMES = 5
 """So many frames of a stable contact make a reference."""

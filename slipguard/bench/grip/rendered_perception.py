@@ -11,10 +11,10 @@ from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.sim.gel import GelCamera
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
 from slipguard.sim.scenario import FrameDelivery
-from slipguard.sim.unit import LightChange, random_unit
-from slipguard.sim.view import GelView
+from slipguard.sim.sensor_unit import LightChange, random_unit
 
 LIGHT_LEVELS_S = 0.3
 """The light drifts by so many grey levels a second."""

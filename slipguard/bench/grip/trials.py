@@ -14,10 +14,11 @@ import numpy as np
 
 from slipguard.control.force_limits import budget
 from slipguard.control.params import GuardParams
+from slipguard.sim.catalogue import find_object
 from slipguard.sim.friction import SoftPad, needed_force_n
 from slipguard.sim.gripper_plant import GripperDynamics
-from slipguard.sim.objects import SimObject, get
 from slipguard.sim.scenario import FrameDelivery, Scenario
+from slipguard.sim.sim_object import SimObject
 
 TEST_OBJECTS = ("bar", "wedge", "wrench", "knife_edge", "key", "screwdriver", "cap", "ball", "hook")
 """All test objects whose turn can be seen; the ring has neither axis nor texture and is gripped blindly."""
@@ -153,7 +154,7 @@ def draw(
     if first_n * gripper.gain / share > highest_n:
         first_n -= gripper.force_step_n
     needed_n = first_n * gripper.gain / share
-    item = scaled(get(name), needed_n, friction, gel)
+    item = scaled(find_object(name), needed_n, friction, gel)
     x_mm, y_mm = (float(v) for v in rng.uniform(-2.0, 2.0, 2))
     scenario = Scenario(
         object_name=name,

@@ -18,7 +18,7 @@ from slipguard.datasets.files import data_set_pairs, read_colour
 from slipguard.datasets.frame_cache import VALIDATION_SEED
 from slipguard.datasets.samples import UNIT_FRAMES, press_of
 from slipguard.errors import InputError
-from slipguard.sim.label import LABEL_NAME, label
+from slipguard.sim.contact_label import LABEL_NAME, label
 from slipguard.tools.parallel import Workers, each
 
 Image = NDArray[np.uint8]

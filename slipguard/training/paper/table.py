@@ -21,7 +21,7 @@ from slipguard.datasets.mask_scores import dice, iou
 from slipguard.datasets.rendered_grasps import render_grasp
 from slipguard.errors import SlipguardError
 from slipguard.perception.contact.segmenter import Segmenter
-from slipguard.sim import objects
+from slipguard.sim.catalogue import object_names
 from slipguard.tools.parallel import Workers, each
 
 EVERY = 6
@@ -68,7 +68,7 @@ class Row:
 
 def grasp_frames(seeds: Sequence[int], workers: Workers | None = None) -> list[Known]:
     """Frames of one grasp of each test object for each seed."""
-    grasps = [(name, seed) for seed in seeds for name in objects.names("test")]
+    grasps = [(name, seed) for seed in seeds for name in object_names("test")]
     return [frame for frames in each(_grasp, grasps, workers) for frame in frames]
 
 

@@ -10,7 +10,7 @@ from slipguard.bench.grip.modeled_perception import ModelSight, SightError
 from slipguard.devices import Frame
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.quality.image_quality import UNLIKE
-from slipguard.sim.encoded_view import decode_view
+from slipguard.sim.gel_view import decode_view
 
 BRIGHT_LEVELS = 30.0
 """Beyond this change of light the pipeline calls a picture unlike the no-contact image."""

@@ -17,7 +17,7 @@ from slipguard.daemon.loop.worker import StatedLatencyWorker
 from slipguard.daemon.store.last_grasp import LastGraspSaver, remembered
 from slipguard.devices import Arm, DriverContext, Gripper, TactileSensor
 from slipguard.registry import load_driver
-from slipguard.sim import objects
+from slipguard.sim.catalogue import find_object
 from slipguard.sim.cell import WorldTruth
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World, WorldSettings
@@ -38,12 +38,12 @@ class CampaignCell:
     """One cell and its daemon. heard: called with every line of the log."""
 
     def __init__(self, object_name: str, seed: int, guard: dict[str, object], heard: Callable[[str], None]) -> None:
-        settings = WorldSettings(step_s=2e-3, start_width_mm=objects.get(object_name).width_mm + ROOM_MM)
+        settings = WorldSettings(step_s=2e-3, start_width_mm=find_object(object_name).width_mm + ROOM_MM)
         self.world = World(settings, seed=seed)
         self.crashes: list[str] = []
         self.releases = 0
         """How often the jaws were told to open."""
-        self._error = SightError(declined=0.0 if objects.get(object_name).axial else 1.0)
+        self._error = SightError(declined=0.0 if find_object(object_name).axial else 1.0)
         self._object, self._seed, self._heard = object_name, seed, heard
         self._config = _config({**LIFT, **guard})
         self._state = MemoryState()

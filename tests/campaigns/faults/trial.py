@@ -10,7 +10,7 @@ import numpy as np
 
 from slipguard.control.state import Phase
 from slipguard.daemon.loop.virtual_time import VirtualTimeLoop, run_virtual
-from slipguard.sim import objects
+from slipguard.sim.catalogue import object_names
 from slipguard.sim.world import World
 from tests.campaigns.faults.kinds import MOMENTS, PlannedFault, draw
 from tests.campaigns.faults.naming import WatchedFault, holding
@@ -193,7 +193,7 @@ def _stays(world: World, until_s: float) -> bool:
 def trial(seed: int) -> TrialResult:
     """The run of that seed, always the same."""
     rng = np.random.default_rng([seed, 5])
-    names = objects.names("test")
+    names = object_names("test")
     object_name = names[int(rng.integers(len(names)))]
     guard: dict[str, object] = {"on_budget_spent": str(rng.choice(["stop", "lower"]))}
     return run_virtual(_run(seed, object_name, guard, draw(rng, seed)))

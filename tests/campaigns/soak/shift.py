@@ -17,7 +17,7 @@ from slipguard.daemon.api.controls import Controls
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.service import FINGERS, Service
 from slipguard.errors import CommandRefused
-from slipguard.sim.objects import names
+from slipguard.sim.catalogue import object_names
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World
 from slipguard.tools.waiting import WaitTimeout, wait_until
@@ -64,7 +64,7 @@ class WorkShift:
         self._controls = Controls(service)
         self._random = random.Random(seed)
         self._seed = seed
-        self._objects = names("test")
+        self._objects = object_names("test")
         self._slipping = False
         service.observers.append(self._decided)
 

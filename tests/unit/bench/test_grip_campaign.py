@@ -27,7 +27,7 @@ from slipguard.bench.grip.trials import (
 )
 from slipguard.cli.bench_grip import bench_grip
 from slipguard.sim.friction import needed_force_n
-from slipguard.sim.view import GelView
+from slipguard.sim.gel_view import GelView
 from slipguard.tools.parallel import Workers
 
 PROMISED = (

@@ -13,7 +13,7 @@ from slipguard.bench.grip.modeled_perception import ModelSight, Outliers, SightE
 from slipguard.bench.grip.setup import chances, grip, model_sight, world_of
 from slipguard.bench.grip.trials import draw
 from slipguard.control.messages import Command, Condition, Observation
-from slipguard.sim.view import GelView
+from slipguard.sim.gel_view import GelView
 
 
 def plan(*, soft: bool = False, margin: float = 1.6, seconds: float = 8.0) -> Hold:

@@ -47,10 +47,10 @@ def test_variants_are_trained_measured_and_tabled(
 
 
 def test_held_out_objects_are_in_no_training_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from slipguard.sim import objects
+    from slipguard.sim.catalogue import object_names
     from tests.campaigns import ablation_frames
 
-    assert set(ablation_frames.HELD_OUT) <= set(objects.names("train"))
+    assert set(ablation_frames.HELD_OUT) <= set(object_names("train"))
     seen: list[str] = []
     original = ablation_frames.render_sample
 

@@ -14,7 +14,7 @@ from slipguard.control.params import GuardParams
 from slipguard.control.step import ControlState, control_step
 from slipguard.daemon.loop import device_alerts as bulletin
 from slipguard.daemon.loop.service import Service
-from slipguard.sim.faults import KINDS as ON_THE_BOARD
+from slipguard.sim.injected_faults import KINDS as ON_THE_BOARD
 from tests.campaigns.command_line import run
 from tests.campaigns.faults import rig, trial
 from tests.campaigns.faults.campaign import Campaign, campaign

@@ -10,7 +10,7 @@ import pytest
 
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
-from slipguard.sim.faults import InjectedFaults
+from slipguard.sim.injected_faults import InjectedFaults
 from tests.campaigns.faults import naming
 from tests.campaigns.faults.kinds import KINDS, RANKS, PlannedFault
 from tests.campaigns.faults.naming import TELLING_DEG, WITHIN_S, WatchedFault, can_be_seen

@@ -18,9 +18,9 @@ from slipguard.cli import evaluate
 from slipguard.cli.app import run
 from slipguard.control.messages import Command
 from slipguard.errors import SlipguardError
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.unit import SensorUnit
-from slipguard.sim.view import GelView
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.sensor_unit import SensorUnit
 from slipguard.tools import replay as lab
 
 EMULATED = {

@@ -16,8 +16,8 @@ from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
 from slipguard.control.step import ControlState
 from slipguard.sim.friction import SoftPad
-from slipguard.sim.objects import SimObject
 from slipguard.sim.scenario import Scenario
+from slipguard.sim.sim_object import SimObject
 from slipguard.sim.world import World
 
 GRIPPER_TRIP_S = 0.004

@@ -12,14 +12,14 @@ from observations import arm
 from slipguard.control import force_limits as limits
 from slipguard.control.messages import RequestKind
 from slipguard.control.params import MODEL_RESERVE, GuardParams
+from slipguard.sim.catalogue import find_object
 from slipguard.sim.friction import SoftPad, needed_force_n
-from slipguard.sim.objects import get
 
 ROBOTIQ_85 = (20.0, 235.0)
 
 
 def test_the_force_is_the_worlds_with_a_reserve() -> None:
-    item = get("wrench")
+    item = find_object("wrench")
     params = GuardParams(friction=item.friction, mass_kg=item.mass_kg, lever_mm=item.com_offset_mm)
     needed_n = MODEL_RESERVE * needed_force_n(item, SoftPad())
     assert params.modelled_n == pytest.approx(needed_n, rel=1e-9)

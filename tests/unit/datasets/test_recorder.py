@@ -21,10 +21,10 @@ from slipguard.datasets.label_proposal import propose
 from slipguard.datasets.recorder import SensorImage, from_daemon, from_sensors, record_dataset
 from slipguard.devices import DriverContext
 from slipguard.errors import CommandRefused, DeviceLost
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.label import label
-from slipguard.sim.unit import LightChange, random_unit
-from slipguard.sim.view import GelView
+from slipguard.sim.contact_label import label
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.sensor_unit import LightChange, random_unit
 from slipguard.tools.waiting import wait_until
 from slipguard_drivers.digit.camera import DigitSensor
 

@@ -16,9 +16,9 @@ from slipguard.datasets.files import DataSetWriter, read_backgrounds, render_dat
 from slipguard.datasets.random_shapes import beside, composition, resized, roughened
 from slipguard.datasets.samples import BROAD_NAME, COMPOSITION_NAME, UNIT_FRAMES, RenderedSample, render_sample
 from slipguard.errors import InputError
-from slipguard.sim import objects
-from slipguard.sim.height_map import FLOOR_MM, height_raster_of
-from slipguard.sim.label import label
+from slipguard.sim.catalogue import object_names
+from slipguard.sim.contact_label import label
+from slipguard.sim.height_raster import FLOOR_MM, height_raster_of
 from slipguard.tools.parallel import Workers
 
 
@@ -88,9 +88,9 @@ def test_without_contact_a_frame_is_its_background_but_for_light_and_wear(many: 
 
 def test_training_frames_never_show_a_test_object(many: list[RenderedSample]) -> None:
     shown = {drawn.view.object_name for drawn in many} - {COMPOSITION_NAME, BROAD_NAME, ""}
-    assert shown <= set(objects.names("train"))
+    assert shown <= set(object_names("train"))
     tested = {render_sample(seed, None, "test").view.object_name for seed in range(60)} - {""}
-    assert tested <= set(objects.names("test"))
+    assert tested <= set(object_names("test"))
 
 
 def test_compositions_are_surfaces() -> None:

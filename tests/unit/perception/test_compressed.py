@@ -15,10 +15,10 @@ from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.quality.compressed import coarsely_compressed
 from slipguard.perception.quality.image_quality import COMPRESSED
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.objects import get, names
-from slipguard.sim.unit import random_unit
-from slipguard.sim.view import GelView
+from slipguard.sim.catalogue import find_object, object_names
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.sensor_unit import random_unit
 from slipguard.stress.family import FamilyResults, generator
 from slipguard.stress.images import IMAGES, grasp
 from slipguard.stress.product_functions import ProductFunctions
@@ -37,7 +37,7 @@ def pictures(number: int) -> list[Image]:
     """A contact and no contact of one random unit, noisy as it is and nearly without noise."""
     rng = np.random.default_rng(number)
     unit = random_unit(rng)
-    thing = get(names("train")[number])
+    thing = find_object(object_names("train")[number])
     view = GelView(thing.name, rng.uniform(-2, 2), rng.uniform(-3, 3), rng.uniform(-180, 180), thing.press_mm)
     cameras = [GelCamera(one, seed=number) for one in (unit, replace(unit, noise_bgr=QUIET_BGR))]
     return [image for camera in cameras for image in (camera.draw(view), camera.no_contact())]

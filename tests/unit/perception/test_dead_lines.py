@@ -13,8 +13,8 @@ from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.quality.dead_lines import DeadLines
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.unit import random_unit
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.sensor_unit import random_unit
 from slipguard.stress.family import FamilyResults, generator
 from slipguard.stress.images import IMAGES, Image, grasp
 from slipguard.stress.light import SPOILS

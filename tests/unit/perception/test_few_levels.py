@@ -14,8 +14,8 @@ from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.quality.few_levels import few_levels, level_step
 from slipguard.perception.quality.image_quality import FEW_LEVELS
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.unit import random_unit
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.sensor_unit import random_unit
 from slipguard.stress.family import FamilyResults, generator
 from slipguard.stress.images import IMAGES, grasp
 from slipguard.stress.product_functions import ProductFunctions

@@ -10,8 +10,8 @@ import pytest
 
 from slipguard.datasets.background_patterns import drift
 from slipguard.perception.quality.gel_wear import GelChange, compare_gel
-from slipguard.sim.background import background_image
-from slipguard.sim.unit import random_unit
+from slipguard.sim.background_image import background_image
+from slipguard.sim.sensor_unit import random_unit
 
 NOISE_BGR = (2.9, 1.5, 2.4)
 FRAMES = 30

@@ -11,8 +11,8 @@ from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.quality.image_quality import NOISY
 from slipguard.perception.quality.noisy import noisy
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.unit import random_unit
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.sensor_unit import random_unit
 from slipguard.stress.family import FamilyResults, generator
 from slipguard.stress.images import IMAGES, grasp
 from slipguard.stress.light import SPOILS

@@ -21,9 +21,9 @@ from slipguard.perception.rotation.texture_map import TextureMapReader
 from slipguard.perception.rotation.texture_registration import make_texture_template
 from slipguard.perception.rotation.texture_tracker import AMBIGUOUS_PERIOD
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.unit import random_unit
-from slipguard.sim.view import GelView
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.sensor_unit import random_unit
 from slipguard.stress.product_functions import FRAME_S, ScriptedSegmenter
 from slipguard.stress.surfaces import (
     Heights,

@@ -8,9 +8,9 @@ import pytest
 from slipguard.errors import InputError, ModelError
 from slipguard.perception.contact.segmenter import Segmenter, default_model_path
 from slipguard.perception.quality.background import estimate_background
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.unit import SensorUnit
-from slipguard.sim.view import GelView
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.sensor_unit import SensorUnit
 
 CAMERA = GelCamera(SensorUnit.default(), seed=7)
 TOUCH = GelView("ball", x_mm=0.5, y_mm=1.0, angle_deg=0.0, depth_mm=0.6)

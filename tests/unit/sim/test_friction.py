@@ -18,7 +18,7 @@ from slipguard.sim.friction import (
     return_to_surface,
     torque_limit_n_m,
 )
-from slipguard.sim.objects import SimObject
+from slipguard.sim.sim_object import SimObject
 
 GEL = SoftPad()
 

@@ -10,7 +10,7 @@ import pytest
 
 from slipguard.sim.friction import GRAVITY_M_S2, SoftPad, needed_force_n, pressure_shape
 from slipguard.sim.object_motion import ExternalLoad, GraspedBody, ObjectMotion, advance
-from slipguard.sim.objects import SimObject
+from slipguard.sim.sim_object import SimObject
 
 RIGID = SoftPad(torsion_n_m_rad=5e4, relaxation_s=1e-3, viscous_n_m_s=0.0, viscous_n_s_m=0.0)
 STEP_S, SETTLE_S = 5e-4, 0.3

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from slipguard.errors import InputError
 from slipguard.sim.friction import GRAVITY_M_S2, SoftPad, needed_force_n, torque_limit_n_m
 from slipguard.sim.object_motion import SUPPORT_M, ExternalLoad, GraspedBody, ObjectMotion, advance
-from slipguard.sim.objects import SimObject
+from slipguard.sim.sim_object import SimObject
 
 RIGID = SoftPad(torsion_n_m_rad=5e4, relaxation_s=1e-3, viscous_n_m_s=0.0, viscous_n_s_m=0.0)
 STIFF = SoftPad(torsion_n_m_rad=50.0, relaxation_s=5e-3, viscous_n_m_s=0.0, viscous_n_s_m=0.0)

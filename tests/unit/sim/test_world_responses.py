@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from world_scene import T0, bar, follow, grasped, make
 
 from slipguard.errors import CommandRefused, InputError
-from slipguard.sim.faults import KINDS, InjectedFaults
 from slipguard.sim.friction import SoftPad, needed_force_n
+from slipguard.sim.injected_faults import KINDS, InjectedFaults
 from slipguard.sim.object_motion import ExternalLoad, GraspedBody, ObjectMotion, advance
 from slipguard.sim.scenario import Scenario, scenario
 from slipguard.sim.world import WorldTruth

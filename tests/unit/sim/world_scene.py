@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from slipguard.errors import InputError
 from slipguard.sim.gripper_plant import GripperDynamics
-from slipguard.sim.objects import SimObject
 from slipguard.sim.scenario import Scenario
+from slipguard.sim.sim_object import SimObject
 from slipguard.sim.world import World, WorldTruth
 
 T0 = 1000.0

@@ -10,9 +10,9 @@ import pytest
 
 from slipguard.cli.measure import ReferenceChoice, measure
 from slipguard.errors import InputError, ModelError
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.unit import SensorUnit
-from slipguard.sim.view import GelView
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.sensor_unit import SensorUnit
 from slipguard.tools.image_files import find_image_files, read_frames, read_gel_image
 
 KEYS = {

@@ -6,20 +6,21 @@ import numpy as np
 import pytest
 
 from slipguard.errors import InputError
-from slipguard.sim import catalogue_test, objects, shapes
+from slipguard.sim import catalogue_test, shapes
+from slipguard.sim.catalogue import find_object, object_names
 from slipguard.sim.friction import SoftPad, needed_force_n
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.height_map import height_raster_of
-from slipguard.sim.unit import SensorUnit
-from slipguard.sim.view import GelView
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.height_raster import height_raster_of
+from slipguard.sim.sensor_unit import SensorUnit
 
-ALL = (*objects.names("train"), *objects.names("test"))
+ALL = (*object_names("train"), *object_names("test"))
 AXIS = np.arange(-18.0, 18.0, 0.05, dtype=np.float32)
 
 
 def test_there_are_enough_and_no_name_twice() -> None:
-    assert len(objects.names("train")) >= 18
-    assert len(objects.names("test")) == 10
+    assert len(object_names("train")) >= 18
+    assert len(object_names("test")) == 10
     assert len(set(ALL)) == len(ALL)
 
 
@@ -29,7 +30,7 @@ def test_the_test_set_is_the_published_one() -> None:
 
 @pytest.mark.parametrize("name", ALL)
 def test_heights_are_float32_with_their_top_at_zero(name: str) -> None:
-    heights = objects.get(name).height_mm(*np.meshgrid(AXIS, -AXIS))
+    heights = find_object(name).height_mm(*np.meshgrid(AXIS, -AXIS))
     assert heights.dtype == np.float32
     assert np.isfinite(heights).all()
     assert float(heights.max()) == pytest.approx(0.0, abs=0.015)
@@ -37,7 +38,7 @@ def test_heights_are_float32_with_their_top_at_zero(name: str) -> None:
 
 @pytest.mark.parametrize("name", ALL)
 def test_mechanics_need_a_strong_grip(name: str) -> None:
-    item = objects.get(name)
+    item = find_object(name)
     assert 48.0 <= needed_force_n(item, SoftPad()) <= 75.0
     assert 0.4 <= item.friction <= 1.0
     assert 0.05 <= item.mass_kg <= 1.5
@@ -47,7 +48,7 @@ def test_mechanics_need_a_strong_grip(name: str) -> None:
 
 
 def test_one_is_heavy_and_one_strongly_curved() -> None:
-    heavy, curved = objects.get("bar"), objects.get("ball")
+    heavy, curved = find_object("bar"), find_object("ball")
     assert heavy.mass_kg > 1.2
     assert heavy.com_offset_mm < 60.0
     camera = GelCamera(SensorUnit.default())
@@ -57,7 +58,7 @@ def test_one_is_heavy_and_one_strongly_curved() -> None:
 
 
 def test_the_forces_needed_by_the_test_set_are_spread() -> None:
-    forces = sorted(needed_force_n(objects.get(name), SoftPad()) for name in objects.names("test"))
+    forces = sorted(needed_force_n(find_object(name), SoftPad()) for name in object_names("test"))
     assert forces[0] < 52
     assert forces[-1] > 70
     assert max(np.diff(forces)) < 8
@@ -65,7 +66,7 @@ def test_the_forces_needed_by_the_test_set_are_spread() -> None:
 
 @pytest.mark.parametrize("name", ["bar", "wedge", "wrench", "knife_edge", "key", "screwdriver", "hook"])
 def test_axial_objects_have_a_long_patch(name: str) -> None:
-    item = objects.get(name)
+    item = find_object(name)
     truth = GelCamera(SensorUnit.default()).draw_with_truth(GelView(name, depth_mm=item.press_mm))
     rows, columns = np.nonzero(truth.contact)
     spread = np.linalg.eigvalsh(np.cov(rows, columns))
@@ -75,19 +76,19 @@ def test_axial_objects_have_a_long_patch(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["cap", "ring", "ball"])
 def test_round_objects_say_so(name: str) -> None:
-    assert not objects.get(name).axial
+    assert not find_object(name).axial
 
 
 def test_the_handle_is_clipped_by_the_frame() -> None:
-    item = objects.get("screwdriver")
+    item = find_object("screwdriver")
     contact = GelCamera(SensorUnit.default()).draw_with_truth(GelView(item.name, depth_mm=item.press_mm)).contact
     assert contact[:, 0].any()
 
 
 def test_no_test_shape_is_among_the_training_shapes() -> None:
     """Best match over turns, of the surface to a common depth: well below that of a shape with itself."""
-    train = {name: height_raster_of(name).coarse for name in objects.names("train")}
-    for name in objects.names("test"):
+    train = {name: height_raster_of(name).coarse for name in object_names("train")}
+    for name in object_names("test"):
         mine = np.maximum(height_raster_of(name).coarse, -0.8)
         for other, theirs in train.items():
             for quarter in range(4):
@@ -97,9 +98,9 @@ def test_no_test_shape_is_among_the_training_shapes() -> None:
 
 def test_unknown_names_and_splits_are_refused_with_the_alternatives() -> None:
     with pytest.raises(InputError, match="screwdriver"):
-        objects.get("spanner")
+        find_object("spanner")
     with pytest.raises(InputError, match="train, test"):
-        objects.names("validation")
+        object_names("validation")
 
 
 def test_outlines_are_signed_distances() -> None:

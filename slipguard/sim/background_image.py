@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.sim.raster import Field, blurred, f32
-from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
+from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
 
 _BLEED = ((0.80, 0.20, 0.12), (0.16, 0.80, 0.12), (0.12, 0.16, 0.80))
 """How the three colours mix: no light is pure, no filter is sharp."""

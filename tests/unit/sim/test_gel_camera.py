@@ -10,13 +10,13 @@ import pytest
 from numpy.typing import NDArray
 
 from slipguard.errors import InputError
-from slipguard.sim import objects
-from slipguard.sim.gel import GelCamera
-from slipguard.sim.height_map import HeightRaster
+from slipguard.sim.catalogue import find_object
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.height_raster import HeightRaster
 from slipguard.sim.imprint import Imprinter
+from slipguard.sim.sensor_unit import NOISE_STD_BGR, LightChange, SensorUnit, random_unit
 from slipguard.sim.shapes import sphere
-from slipguard.sim.unit import NOISE_STD_BGR, LightChange, SensorUnit, random_unit
-from slipguard.sim.view import GelView
 
 NOTHING = GelView(object_name="", depth_mm=-1.0)
 GREY = np.full((320, 240, 3), 90, np.uint8)
@@ -118,7 +118,7 @@ def test_a_deeper_press_touches_more() -> None:
 @pytest.mark.parametrize(("x_mm", "y_mm", "rate_deg_s"), [(0.5, -1.0, 0.0), (5.5, 7.0, 0.0), (-2.0, 1.0, 250.0)])
 def test_drawing_a_part_equals_drawing_the_whole(name: str, x_mm: float, y_mm: float, rate_deg_s: float) -> None:
     imprinter = Imprinter(SensorUnit.default(), GREY)
-    view = GelView(name, x_mm, y_mm, 35.0, objects.get(name).press_mm, rate_deg_s=rate_deg_s)
+    view = GelView(name, x_mm, y_mm, 35.0, find_object(name).press_mm, rate_deg_s=rate_deg_s)
     pictures = []
     for whole in (False, True):
         picture = np.zeros((320, 240, 3), np.float32)

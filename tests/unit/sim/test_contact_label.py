@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from slipguard.sim.gel import GelTruth
-from slipguard.sim.label import PRESS_SHARE, label
+from slipguard.sim.contact_label import PRESS_SHARE, label
+from slipguard.sim.gel_camera import GelTruth
 
 
 def truth(displacement_mm: np.ndarray, press_mm: float) -> GelTruth:

@@ -9,8 +9,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.sim import objects
+from slipguard.sim.catalogue import find_object
 from slipguard.sim.raster import f32, reduced, warped
+from slipguard.sim.sim_object import HeightMap
 
 FLOOR_MM = -1.5
 """Heights are cut off here: the gel never reaches deeper."""
@@ -20,9 +21,11 @@ COARSE = 4
 
 @dataclass(frozen=True, slots=True)
 class HeightRaster:
-    """Heights (mm, 0 at the top, >= -1.5) about an object's origin; beyond the raster its border goes on.
+    """Heights (mm, 0 at the top, >= -1.5) about an object's origin; the border values extend outwards.
 
-    fine: (n, n) float32, row 0 is up, `px_per_mm` pixels a mm, origin at the middle. coarse: fine, averaged 4 x 4.
+    Attributes:
+        fine: (n, n) float32, row 0 is up, `px_per_mm` pixels per mm, origin at the center.
+        coarse: `fine` averaged over 4 x 4 pixels.
     """
 
     fine: NDArray[np.float32]
@@ -30,17 +33,16 @@ class HeightRaster:
     px_per_mm: float
 
     @classmethod
-    def of(cls, height_mm: objects.HeightMap, half_mm: float = 16.0, px_per_mm: float = 20.0) -> HeightRaster:
-        """Sample a height map on a square of 2 * half_mm."""
+    def of(cls, height_mm: HeightMap, half_mm: float = 16.0, px_per_mm: float = 20.0) -> HeightRaster:
+        """Sample a height map on a square of side 2 * half_mm."""
         n = COARSE * math.ceil(2.0 * half_mm * px_per_mm / COARSE)
         axis = (np.arange(n, dtype=np.float32) - (n - 1) / 2) / np.float32(px_per_mm)
         u, v = np.meshgrid(axis, -axis)
-        fine = f32(np.maximum(height_mm(u, v), FLOOR_MM))
-        return cls.from_raster(fine, px_per_mm)
+        return cls.from_raster(f32(np.maximum(height_mm(u, v), FLOOR_MM)), px_per_mm)
 
     @classmethod
     def from_raster(cls, fine: NDArray[np.float32], px_per_mm: float) -> HeightRaster:
-        """Take a square raster whose side is a multiple of 4."""
+        """Make one from a square raster whose side is a multiple of 4."""
         n = fine.shape[0] // COARSE
         coarse = reduced(fine, (n, n))
         fine.setflags(write=False)
@@ -50,9 +52,11 @@ class HeightRaster:
     def posed(
         self, to_object: NDArray[np.float64], size: tuple[int, int], *, coarse: bool = False
     ) -> NDArray[np.float32]:
-        """Heights on a picture grid, (height, width) float32 mm.
+        """Return the heights on an image grid, (height, width) float32 mm.
 
-        to_object: (2, 3), from pixel (column, row, 1) to object coordinates (u, v) in mm. size: (width, height).
+        Args:
+            to_object: (2, 3), from pixel (column, row, 1) to object coordinates (u, v) in mm.
+            size: (width, height).
         """
         raster = self.coarse if coarse else self.fine
         scale = self.px_per_mm / COARSE if coarse else self.px_per_mm
@@ -64,5 +68,5 @@ class HeightRaster:
 
 @lru_cache(maxsize=64)
 def height_raster_of(name: str) -> HeightRaster:
-    """The raster of a catalogue object, made once. Raises InputError for an unknown name."""
-    return HeightRaster.of(objects.get(name).height_mm)
+    """Return the raster of a catalogue object, computed once. Raises InputError for an unknown name."""
+    return HeightRaster.of(find_object(name).height_mm)

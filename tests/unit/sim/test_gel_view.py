@@ -6,15 +6,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slipguard.sim.encoded_view import decode_view, encode_view
-from slipguard.sim.view import GelView
+from slipguard.sim.gel_view import GelView, decode_view, encode_view
 
 numbers = st.floats(-1e6, 1e6)
 
 
 @given(st.lists(numbers, min_size=7, max_size=7), st.tuples(numbers, numbers, numbers), st.booleans())
 def test_what_is_written_is_read(values: list[float], light: tuple[float, float, float], there: bool) -> None:
-    view = GelView("something" if there else "", *values)
+    view = GelView("object" if there else "", *values)
     image = encode_view(view, light, 3)
     assert image.shape == (320, 240, 3)
     assert image.dtype == np.uint8

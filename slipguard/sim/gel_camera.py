@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.errors import InputError
-from slipguard.sim.background import background_image
-from slipguard.sim.height_map import HeightRaster
+from slipguard.sim.background_image import background_image
+from slipguard.sim.camera_noise import CameraNoise
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.height_raster import HeightRaster
 from slipguard.sim.imprint import Imprint, Imprinter
-from slipguard.sim.noise import CameraNoise
 from slipguard.sim.raster import Field, f32
-from slipguard.sim.unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, LightChange, SensorUnit
-from slipguard.sim.view import GelView
+from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, LightChange, SensorUnit
 
 Image = NDArray[np.uint8]
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from slipguard.sim.gel import GelTruth
+    from slipguard.sim.gel_camera import GelTruth
 
 PRESS_SHARE = 0.15
 """Pressed is what moved by more than this share of the deepest press; chosen on the tuning frames."""
