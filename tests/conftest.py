@@ -1,4 +1,4 @@
-"""Shared by all suites: real data, virtual time, and a test that leaves a task behind fails."""
+"""Shared by all suites: options, order of the run, and a test that leaves a task running fails."""
 
 from __future__ import annotations
 
@@ -10,92 +10,81 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from deselection import closing_lines, leave_out, receive, send
+from realtime import RealTime
+from run_order import CLOSING_LINE, REAL_DATA_VARIABLE, choose_workers, make_scheduler, need_what_it_names, select
 
-REAL_DATA_VARIABLE = "SLIPGUARD_REAL_DATA"
-
-
-def pytest_configure() -> None:
-    """No test is timed. The test machine, which runs contract suites only, has no hypothesis."""
-    if importlib.util.find_spec("hypothesis") is not None:
-        from hypothesis import settings
-
-        settings.register_profile("untimed", deadline=None)
-        settings.load_profile("untimed")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as slipguard's own main does; before numpy is imported
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Real devices for the contract suites. They move; without these options no test touches one."""
-    group = parser.getgroup("slipguard", "contract suites on real hardware")
-    group.addoption("--gripper", metavar="PORT", help="a real gripper's serial port, such as /dev/ttyUSB0")
-    group.addoption("--gripper-object", action="store_true", help="something to grip lies between its jaws throughout")
-    group.addoption("--arm", metavar="HOST", help="a real arm's address, such as 192.0.2.10")
-    group.addoption("--arm-campaign", type=int, default=5, metavar="N", help="faults of the arm's link")
-    group.addoption("--commands", type=int, default=300, help="length of the gripper's campaign of faults")
-    group.addoption("--seed", type=int, default=0, help="seed of the gripper's campaign of faults, and of the kills")
-    group.addoption("--kills", type=int, default=2, metavar="N", help="how often the daemon is killed in a lift")
-    group.addoption("--sensor-driver", metavar="NAME", help="a sensor's driver registered by another package")
+    group = parser.getgroup("slipguard", "contract suites on real hardware, lengths of campaigns")
+    group.addoption("--gripper", metavar="PORT", help="serial port of a real gripper, such as /dev/ttyUSB0")
+    group.addoption("--gripper-object", action="store_true", help="an object lies between its jaws all the time")
+    group.addoption("--arm", metavar="HOST", help="address of a real arm, such as 192.0.2.10")
+    group.addoption("--digit", metavar="SERIAL", help="serial number of a real sensor, such as D20479")
+    group.addoption("--sensor-driver", metavar="NAME", help="a sensor driver that another package registers")
     group.addoption("--sensor-settings", metavar="JSON", default="{}", help="its table in config.toml")
+    group.addoption("--arm-campaign", type=int, default=5, metavar="N", help="faults of the arm's connection")
+    group.addoption("--commands", type=int, default=300, metavar="N", help="length of the gripper's fault campaign")
+    group.addoption("--kills", type=int, default=2, metavar="N", help="how often the daemon is killed during a lift")
+    group.addoption("--seed", type=int, default=0, metavar="N", help="seed of the gripper's faults and of the kills")
+    group.addoption("--api-examples", type=int, default=5, metavar="N", help="generated requests for each API route")
+    group.addoption("--page-pictures", metavar="DIR", help="store images of the operator page in this folder")
     group.addoption(
-        "--api-examples", type=int, default=5, metavar="N", help="made-up requests for each of the API's routes"
-    )
-    group.addoption("--digit", metavar="SERIAL", help="a real sensor's serial number, such as D20479")
-    parser.addoption("--page-pictures", metavar="DIR", help="keep pictures of the operator page here")
+        "--judged-share", type=float, default=0.0, metavar="SHARE",
+        help="fail if the machine is too busy to judge this share of the real-time tests (0 to 1)",
+    )  # fmt: skip
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """The test machine, which runs contract suites only, has no hypothesis."""
+    config.pluginmanager.register(RealTime(config.getoption("--judged-share")), "slipguard-realtime")
+    if importlib.util.find_spec("hypothesis") is not None:
+        from hypothesis import HealthCheck, settings
+        from hypothesis.database import DirectoryBasedExampleDatabase
+
+        # New random examples in each run. A failing one is kept, and printed with the line that repeats it.
+        settings.register_profile(
+            "slipguard",
+            deadline=None,
+            derandomize=False,
+            print_blob=True,
+            suppress_health_check=[HealthCheck.too_slow],
+            database=DirectoryBasedExampleDatabase(Path(__file__).parents[1] / ".hypothesis" / "examples"),
+        )
+        settings.load_profile("slipguard")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    choose_workers(config)
+
+
+@pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Without real data the `real` tests are deselected, without MuJoCo its own; the closing lines say so."""
-    if not os.environ.get(REAL_DATA_VARIABLE):
-        leave_out(
-            config,
-            items,
-            "real",
-            f"on real sensor images were left out: {REAL_DATA_VARIABLE} is not set "
-            "(it names a folder of DIGIT recordings that is not part of the project)",
-        )
-    if importlib.util.find_spec("mujoco") is None:
-        leave_out(
-            config, items, "mujoco", "of the mechanics beside MuJoCo were left out: pip install 'slipguard[mujoco]'"
-        )
-    items.sort(key=lambda item: not _shared(item.path))
-
-
-def _shared(path: Path) -> bool:
-    """Whether the tests of this file may share the machine with others."""
-    return not {"browser", "contract", "service", "vm", "wire"} & set(path.parts)
+    select(config, items)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """With `-n 2` files that only compute share the cores; then all others follow one after the other."""
-    from xdist.scheduler import LoadScopeScheduling
-
-    class OneAfterTheOther(LoadScopeScheduling):
-        def _split_scope(self, nodeid: str) -> str:
-            path = nodeid.partition("::")[0]
-            return path if _shared(Path(path)) else "one after the other"
-
-    config.option.loadscopereorder = False
-    return OneAfterTheOther(config, log)
+    return make_scheduler(config, log)
 
 
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    send(session.config)
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    need_what_it_names(item)
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_testnodedown(node: Any) -> None:
-    receive(node.config, getattr(node, "workeroutput", {}))
-
-
+@pytest.hookimpl(tryfirst=True)
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    for line in closing_lines(config):
-        terminalreporter.write_line(line)
+    if config.option.whole_suite and not config.option.markexpr:
+        terminalreporter.write_line(CLOSING_LINE)
 
 
 @pytest.fixture(scope="session")
 def real_data() -> Path:
-    """The folder of real sensor images; set but missing is a failure, not a skip."""
+    """Return the folder of real sensor images; a folder that is named but missing is a failure."""
     folder = Path(os.environ[REAL_DATA_VARIABLE])
     assert folder.is_dir(), f"{REAL_DATA_VARIABLE} names {folder}, which is not a folder"
     return folder

@@ -1,4 +1,4 @@
-"""A real browser before a real daemon; left out with a word where there is no Chromium."""
+"""A real browser shows the page of a real daemon: `apt-get install chromium`, then `pytest tests/browser`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 import pytest_asyncio
-from deselection import leave_out
 from playwright.async_api import Browser, ConsoleMessage, Page, async_playwright, expect
 
 sys.path.append(str(Path(__file__).parent))
@@ -28,22 +27,11 @@ PATIENCE_MS = 45_000
 Open = Callable[..., Awaitable[Page]]
 
 
-def chromium() -> str | None:
-    """The browser's program; SLIPGUARD_CHROMIUM names another than the usual ones, and must be right."""
-    named = os.environ.get(VARIABLE)
-    return named or next((path for path in map(shutil.which, NAMES) if path), None)
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Without a browser its tests are deselected."""
-    if chromium():
-        return
-    leave_out(
-        config,
-        items,
-        "browser",
-        f"of the operator page were left out: no Chromium here; `apt-get install chromium`, or name it in {VARIABLE}",
-    )
+def chromium() -> str:
+    """Return the path of the browser, which SLIPGUARD_CHROMIUM may name."""
+    found = os.environ.get(VARIABLE) or next((path for path in map(shutil.which, NAMES) if path), None)
+    assert found, f"no Chromium here: apt-get install chromium, or name one in {VARIABLE}"
+    return found
 
 
 @pytest.fixture(scope="session")

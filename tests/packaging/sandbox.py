@@ -1,4 +1,4 @@
-"""A place to run slipguard where nothing may go wrong: watched, and with nothing in it."""
+"""An empty, watched place in which to run slipguard: no connections, no vendor libraries, no optional packages."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 VENDOR = ("rtde_control", "rtde_receive", "rtde_io", "dashboard_client", "pymodbus", "serial")
+EXTRAS = ("torch", "onnx", "segmentation_models_pytorch", "mujoco", "distributed")
 
-WATCHED = f"""
-import os, socket, sys
+WATCHED = """
+import importlib.machinery, os, socket, sys
 sys.dont_write_bytecode = True
-class Refuse:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {VENDOR!r}:
-            raise ImportError(f"{{name}} is blocked")
-if "VENDOR_BLOCKED" in os.environ:
-    sys.meta_path.insert(0, Refuse())
+blocked = os.environ["BLOCKED"].split()
+class Finder(importlib.machinery.PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        return None if name.partition(".")[0] in blocked else super().find_spec(name, path, target)
+sys.meta_path[:] = [Finder if one is importlib.machinery.PathFinder else one for one in sys.meta_path]
 def watch(event, arguments):
     if event == "socket.getaddrinfo" or (event in ("socket.connect", "socket.sendto")
                                          and arguments[0].family != socket.AF_UNIX):
-        sys.stderr.write(f"a connection was opened: {{event}} {{arguments}}\\n")
+        sys.stderr.write(f"a connection was opened: {event} {arguments}\\n")
         sys.stderr.flush()
         os._exit(99)
 sys.addaudithook(watch)
@@ -37,8 +38,15 @@ class Sandbox:
     path: Path
     packages: Path | None = None
 
-    def run(self, *words: str, vendor: bool = False) -> subprocess.CompletedProcess[str]:
-        """`python WORDS...` with `packages` before all others; without `vendor` no vendor library can be imported."""
+    def run(self, *words: str, vendor: bool = False, extras: bool = False) -> subprocess.CompletedProcess[str]:
+        """Run `python WORDS...` with `packages` before all others.
+
+        Args:
+            words: Arguments of Python.
+            vendor: Whether the vendor libraries can be imported.
+            extras: Whether the optional packages can be imported.
+        """
+        blocked = (() if vendor else VENDOR) + (() if extras else EXTRAS)
         search = [str(self.path / "watch"), *([str(self.packages)] if self.packages else [])]
         return subprocess.run(
             [sys.executable, *words],
@@ -49,7 +57,7 @@ class Sandbox:
                 "PATH": "/usr/bin:/bin",
                 "PYTHONPATH": os.pathsep.join(search),
                 "OMP_NUM_THREADS": "1",
-                **({} if vendor else {"VENDOR_BLOCKED": "1"}),
+                "BLOCKED": " ".join(blocked),
             },
             stdin=subprocess.DEVNULL,
             capture_output=True,

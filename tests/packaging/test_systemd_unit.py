@@ -42,7 +42,7 @@ def test_it_may_use_cameras_and_serial_ports_and_no_other_device() -> None:
     assert unit["SupplementaryGroups"] == ["video dialout"]
 
 
-@pytest.mark.skipif(ANALYZE is None, reason="systemd-analyze is not installed")
+@pytest.mark.extras("systemd-analyze")
 def test_systemd_knows_every_key_and_finds_it_confined() -> None:
     assert ANALYZE is not None
     verified = subprocess.run([ANALYZE, "verify", str(UNIT)], capture_output=True, text=True, check=False)

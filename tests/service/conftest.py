@@ -1,4 +1,7 @@
-"""The service's own machine: left out with a word where it has not been built, started once for all tests here."""
+"""The container of the service, started once for all tests here.
+
+`python tests/service/build_root.py --install` builds it.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from deselection import leave_out
 
 sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "wire")]
 
@@ -22,27 +24,14 @@ PROJECT = Path(__file__).parents[2]
 BUILD = "import sys; from hatchling.build import build_wheel; print(build_wheel(sys.argv[1]))"
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Without a root, and where nobody asks for it, the tests of the service are deselected."""
-    if os.environ.get(VARIABLE) or (root_folder().exists() and os.geteuid() == 0):
-        return
-    leave_out(
-        config,
-        items,
-        "service",
-        "of the service under systemd were left out: they need root and a machine of their own; "
-        "`python tests/service/build_root.py --install` builds it (root, apt and two minutes)",
-    )
-
-
 @pytest.fixture(scope="module")
 def container(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Container]:
-    """Booted, with the wheel of this checkout in /opt/slipguard; SLIPGUARD_SERVICE names another root than the usual.
+    """Boot it with the wheel of this checkout in /opt/slipguard, and delete it at the end.
 
-    Everything is thrown away at the end.
+    SLIPGUARD_SERVICE names another root than the one that `build_root.py` has built.
     """
     root = Path(os.environ.get(VARIABLE) or root_folder())
-    assert root.is_dir(), f"{root} is not there; build it with `python tests/service/build_root.py`"
+    assert root.is_dir(), f"{root} is not there; build it with `python tests/service/build_root.py --install`"
     with tempfile.TemporaryDirectory(prefix="slipguard-service-", dir=os.environ.get("TMPDIR", "/var/tmp")) as work:
         container = Container(root, Path(work))
         try:

@@ -59,8 +59,8 @@ def test_how_much_later_a_slip_is_seen_is_measured_for_the_gate_too(monkeypatch:
     assert skipping._most([None]) is None
 
 
+@pytest.mark.extras("onnx")
 def test_a_crop_shows_what_the_whole_shows() -> None:
-    pytest.importorskip("onnx")
     whole = Segmenter()
     cropped = CroppedSegmenter(whole)
     grasp = render_grasp("ball", 4100)

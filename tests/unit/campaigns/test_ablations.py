@@ -1,13 +1,11 @@
 """The comparison of variants runs from frames to table, and scores what it says it scores."""
 
-import importlib.util
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-TORCH = all(importlib.util.find_spec(name) for name in ("torch", "onnx"))
-pytestmark = pytest.mark.skipif(not TORCH, reason="torch and onnx are the optional extra 'train'")
+pytestmark = pytest.mark.extras("torch", "onnx")
 
 
 def test_variants_are_trained_measured_and_tabled(

@@ -69,7 +69,7 @@ def in_ours(item: SimObject, force: Callable[[float], float], seconds: float) ->
     return math.degrees(motion.rotation_rad)
 
 
-@pytest.mark.mujoco
+@pytest.mark.extras("mujoco")
 @pytest.mark.parametrize(("mass_kg", "lever_mm", "friction"), [(0.35, 60.0, 0.8), (0.5, 100.0, 0.4), (0.8, 80.0, 0.6)])
 @pytest.mark.parametrize(("first", "then"), [(0.8, 0.8), (0.9, 0.9), (0.97, 0.97), (1.03, 1.03), (0.8, 1.6)])
 def test_it_turns_as_far_as_in_mujoco_itself(

@@ -77,8 +77,8 @@ def test_jobs_are_counted_from_one() -> None:
         Workers(-1)
 
 
+@pytest.mark.extras("distributed")
 def test_no_scheduler_is_one_line() -> None:
-    pytest.importorskip("distributed")
     with pytest.raises(InputError, match=r"no Dask scheduler answers at nowhere://x"):
         list(each(drawn, ITEMS, Workers(cluster="nowhere://x")))
 
@@ -149,13 +149,15 @@ def alive(group: int) -> bool:
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[str]:
     """The address of two workers of one thread each."""
-    distributed = pytest.importorskip("distributed")
+    import distributed
+
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=None, silence_logs=False
     ) as local:
         yield local.scheduler_address
 
 
+@pytest.mark.extras("distributed")
 def test_a_cluster_gives_the_same(cluster: str) -> None:
     counts: list[int] = []
     items = list(range(3 * AHEAD_PER_CORE))
@@ -164,18 +166,21 @@ def test_a_cluster_gives_the_same(cluster: str) -> None:
     assert counts == [item + 1 for item in items]
 
 
+@pytest.mark.extras("distributed")
 def test_a_failure_on_a_cluster_names_its_item(cluster: str) -> None:
     results = each(picky, ITEMS, Workers(cluster=cluster), named=name)
     with pytest.raises(InputError, match=r"^frame 5: not this one$"):
         list(results)
 
 
+@pytest.mark.extras("distributed")
 def test_what_is_not_wanted_any_more_is_not_computed(cluster: str) -> None:
     results = each(drawn, ITEMS, Workers(cluster=cluster))
     assert next(results) == drawn(0)
     results.close()
 
 
+@pytest.mark.extras("distributed")
 def test_a_cluster_of_another_version_is_refused(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel, "__version__", "9.9")
     monkeypatch.setattr(parallel, "_version", lambda: "0.0.1")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 from pathlib import Path
@@ -15,8 +14,7 @@ from command_line import slipguard
 from slipguard.errors import InputError, ModelError
 from slipguard.perception.contact.segmenter import Segmenter
 
-HERE = all(importlib.util.find_spec(name) for name in ("torch", "onnx", "segmentation_models_pytorch"))
-pytestmark = pytest.mark.skipif(not HERE, reason="torch and segmentation-models-pytorch are the optional extra 'train'")
+pytestmark = pytest.mark.extras("torch", "onnx", "segmentation_models_pytorch")
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,7 @@ import pytest
 from slipguard.cli.train import train as train_command
 from slipguard.errors import InputError
 
-TORCH = all(importlib.util.find_spec(name) for name in ("torch", "onnx"))
-needs_torch = pytest.mark.skipif(not TORCH, reason="torch and onnx are the optional extra 'train'")
+needs_torch = pytest.mark.extras("torch", "onnx")
 
 
 def test_without_torch_one_line_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,106 @@
+"""Which tests a plain `python -m pytest` runs, in how many processes, and in which order.
+
+Tests that compute share all cores. Tests that wait for emulated devices run one after the other in a process of their
+own. Tests of real time run last, alone, so that no other test takes the cores from them.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from xdist.workermanage import WorkerController
+
+REAL_DATA_VARIABLE = "SLIPGUARD_REAL_DATA"
+ON_DEMAND = ("browser", "campaign", "extras", "real", "service", "vm")
+"""Markers of tests that run only if a path or `-m` selects them, as `.ci/run` does."""
+SERIAL_FOLDERS = {"browser", "contract", "service", "vm", "wire"}
+WAITING_WORKERS = 1
+"""Processes beyond one per core: the tests in SERIAL_FOLDERS wait most of the time."""
+REALTIME = "realtime"
+CLOSING_LINE = (
+    "Tests that need a browser, a virtual machine, real images or optional packages, and long campaigns: "
+    "see tests/README.md."
+)
+
+
+def choose_workers(config: pytest.Config) -> None:
+    """Use all cores if no path was given: a developer's choice of a few tests runs in one process."""
+    config.option.whole_suite = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    if not config.option.whole_suite:
+        config.option.reportchars += "s"  # say why a test that was chosen is skipped
+    one_process = config.option.collectonly or config.option.usepdb or hasattr(config, "workerinput")
+    if config.option.whole_suite and not one_process and getattr(config.option, "numprocesses", 0) is None:
+        config.option.numprocesses = len(os.sched_getaffinity(0)) + WAITING_WORKERS
+
+
+def select(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the tests on demand, and put the others in order."""
+    if config.option.whole_suite and not config.option.markexpr:
+        items[:] = [item for item in items if not any(item.get_closest_marker(name) for name in ON_DEMAND)]
+    items.sort(key=_rank)
+    for item in items:
+        if item.get_closest_marker(REALTIME) and os.environ.get("PYTEST_XDIST_WORKER"):
+            item._nodeid += f"@{REALTIME}"  # as `--dist loadgroup` does: the scheduler knows names only
+
+
+def _rank(item: pytest.Item) -> int:
+    if item.get_closest_marker(REALTIME):
+        return 2
+    return 0 if SERIAL_FOLDERS & set(item.path.parts) else 1
+
+
+def need_what_it_names(item: pytest.Item) -> None:
+    """Skip a test whose packages or images are missing; fail it if `-m` asked for it."""
+    missing = [name for marker in item.iter_markers("extras") for name in marker.args if not _has(name)]
+    if item.get_closest_marker("real") and not os.environ.get(REAL_DATA_VARIABLE):
+        missing.append(f"{REAL_DATA_VARIABLE} (a folder of DIGIT recordings)")
+    if not missing:
+        return
+    reason = f"needs {', '.join(missing)}; see tests/README.md"
+    if item.config.option.markexpr:
+        pytest.fail(reason, pytrace=False)
+    pytest.skip(reason)
+
+
+def _has(name: str) -> bool:
+    """Return whether a module, a program, or the rights of root are there."""
+    if name == "root":
+        return os.geteuid() == 0
+    return shutil.which(name) is not None or importlib.util.find_spec(name) is not None
+
+
+def make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give each process one file at a time, and the tests of real time to the last one that is left."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class RealTimeLast(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            if nodeid.endswith(f"@{REALTIME}"):
+                return REALTIME
+            path = nodeid.partition("::")[0]
+            return "one after the other" if SERIAL_FOLDERS & set(Path(path).parts) else path
+
+        def _reschedule(self, node: WorkerController) -> None:
+            if list(self.workqueue) != [REALTIME] or node.shutting_down:
+                super()._reschedule(node)
+            elif any(not other.shutting_down for other in self.nodes if other is not node):
+                if self._pending_of(self.assigned_work[node]) <= 1:
+                    node.shutdown()
+            elif len(self.nodes) == 1:
+                super()._reschedule(node)
+
+        def remove_node(self, node: WorkerController) -> str | None:
+            crashed = super().remove_node(node)
+            for other in self.nodes:
+                self._reschedule(other)
+            return crashed
+
+    config.option.loadscopereorder = False
+    return RealTimeLast(config, log)
