@@ -1,130 +1,113 @@
-"""The README tells the truth: its set-up lines are those of the gate, and its commands exist with those options."""
+"""The README files are true: commands parse, paths exist, and the fault table names every fault."""
 
 from __future__ import annotations
 
 import re
-import shlex
-import tomllib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
-from unittest.mock import Mock
+from typing import Any
 
 import pytest
 import typer
-from config_table import in_readme, table
 from sandbox import ROOT
 
 from slipguard.cli.app import app
-from slipguard.web.app import make_app
-from slipguard.web.route_context import RouteContext
+from slipguard.control.fault import FaultCode
+from tests.campaigns.command_line import app as campaigns
 
-if TYPE_CHECKING:
-    from slipguard.daemon.api.daemon_api import DaemonApi
+README_MAX_BYTES = 10_240
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+FOLDERS = ("", "slipguard", "drivers", "systemd", "tests", "models", ".github")
+FILES = [path for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.md"))]
+each_file = pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
 
-README = (ROOT / "README.md").read_text()
-GATE = (ROOT / ".ci" / "run").read_text().replace("\\\n", "")
-ON_BOTH_CORES = ["-n", "2"]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-TOP: Any = typer.main.get_command(app)
+PROGRAMS: dict[str, Any] = {
+    "slipguard": typer.main.get_command(app),
+    "python -m tests.campaigns": typer.main.get_command(campaigns),
+}
+COMMAND = re.compile(
+    r"^(?:\$ )?(?:sudo )?(?:[\w./]*/)?(slipguard|python -m tests\.campaigns|(?:python -m )?pytest)(?: |$)(.*)"
+)
+TRY_IT = "python3 -m venv .venv && .venv/bin/pip install . && .venv/bin/slipguard --sim"
+TEST_IT = "python3 -m venv .venv && .venv/bin/pip install -e '.[test]' && .venv/bin/python -m pytest"
 
 
-def set_up_lines() -> list[list[list[str]]]:
-    """The shell blocks of the README: each one line of commands joined by &&, each command as words."""
-    blocks = re.findall(r"```sh\n(.*?)```", README, re.S)
-    return [[shlex.split(step) for step in block.strip().split(" && ")] for block in blocks]
+def code(text: str) -> Iterator[str]:
+    """Yield the lines of all code blocks, and what stands between back-ticks."""
+    parts = re.split(r"^```.*$", text.replace("\\\n", " "), flags=re.M)
+    for block in parts[1::2]:
+        for line in block.splitlines():
+            yield from (step.strip() for step in re.split(r"&&|;", line.partition(" #")[0]))
+    for prose in parts[::2]:
+        yield from re.findall(r"`([^`\n]+)`", prose)
+
+
+def commands(path: Path) -> set[tuple[str, str]]:
+    """Return program and arguments of every command in a README; `a|b` are two commands."""
+    found = set()
+    for text in code(path.read_text(encoding="utf-8")):
+        if match := COMMAND.match(text):
+            first, *others = re.split(r"\\?\|(?! )", match[2])
+            group = first.split()[:1]
+            found |= {(match[1], first), *((match[1], " ".join([*group, other])) for other in others)}
+    return found
+
+
+def check(program: str, arguments: str) -> None:
+    """Fail if a command or an option does not exist. Square brackets mark what is optional."""
+    command, text = PROGRAMS[program], f"`{program} {arguments}`"
+    words = re.sub(r"[\[\]]|\.\.\.", " ", re.split(r" [|>] | 2>", arguments)[0]).split()
+    while words:
+        word = words.pop(0)
+        if word.startswith("-"):
+            options = {name: option for option in command.params for name in (*option.opts, *option.secondary_opts)}
+            name, has_value, _ = word.partition("=")
+            assert name in options or name == "--help", f"{text}: no option {name}"
+            if not has_value and name in options and not options[name].is_flag and words:
+                words.pop(0)
+        elif hasattr(command, "commands"):
+            assert word in command.commands, f"{text}: no command {word}"
+            command = command.commands[word]
+
+
+@each_file
+def test_every_command_exists(path: Path, pytestconfig: pytest.Config) -> None:
+    for program, arguments in sorted(commands(path)):
+        if program in PROGRAMS:
+            check(program, arguments)
+            continue
+        for word in arguments.split():
+            if word.startswith("--"):
+                pytestconfig.getoption(word.partition("=")[0])
+            elif word.startswith("tests/"):
+                assert (ROOT / word.partition("::")[0]).exists(), f"`pytest {arguments}`: no {word}"
+
+
+@each_file
+def test_every_path_exists(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    for link in re.findall(r"\]\((?!https?:|mailto:|#)([^)#]+)", text):
+        assert (path.parent / link).exists(), link
+    for name in re.findall(r"`((?:slipguard|systemd|tests|models|drivers|\.ci|\.github)/[\w./-]*)`", text):
+        assert (ROOT / name).exists() or (path.parent / name).exists(), name
 
 
 def test_two_lines_set_everything_up() -> None:
-    to_try, to_test = set_up_lines()
-    assert to_try[0] == to_test[0] == ["python3", "-m", "venv", ".venv"]
-    assert to_try[1:] == [[".venv/bin/pip", "install", "."], [".venv/bin/slipguard", "--sim"]]
-    assert to_test[1:] == [[".venv/bin/pip", "install", "-e", ".[test]"], [".venv/bin/python", "-m", "pytest"]]
-    assert "test" in PROJECT["optional-dependencies"]
-    assert "slipguard" in PROJECT["scripts"]
+    """`.ci/run` begins with them."""
+    assert re.findall(r"^```sh\n(.*?)\n```$", README, re.M | re.S) == [TRY_IT, TEST_IT]
 
 
-def test_the_gate_runs_the_same_lines() -> None:
-    steps = [shlex.split(line) for line in GATE.splitlines() if line and not line.lstrip().startswith("#")]
-    plain = [["-e" if word == "--editable" else word for word in step if word != "--quiet"] for step in steps]
-    (_, install, test) = set_up_lines()[1]
-    assert any(step[1:3] == ["-m", "venv"] for step in plain)
-    assert ["python", "-m", "pip", *install[1:]] in plain
-    assert ["python", *test[1:], *ON_BOTH_CORES] in plain
-    assert plain.index(["python", "-m", "pip", *install[1:]]) < plain.index(["python", *test[1:], *ON_BOTH_CORES])
+def test_the_readme_is_short() -> None:
+    assert len(README.encode()) <= README_MAX_BYTES
 
 
-def resolve(words: list[str]) -> tuple[Any, list[str]]:
-    """The command that the words name, and what is left of them."""
-    command, rest = TOP, list(words)
-    while rest and rest[0] in getattr(command, "commands", {}):
-        command = command.commands[rest.pop(0)]
-    return command, rest
+def fault_table() -> list[str]:
+    """Return the rows of the table that names faults in its first column."""
+    tables = re.findall(r"(?:^\|.*\n)+", README, re.M)
+    (table,) = [text for text in tables if sum(f"`{code.value}`" in text for code in FaultCode) > len(FaultCode) // 2]
+    return table.splitlines()[2:]
 
 
-def check(text: str) -> None:
-    """A command line as the README writes it: [optional], alternatives with \\|, PLACES in capitals."""
-    words = re.sub(r"[\[\]]|\.\.\.", " ", text).split()
-    assert words[0] == "slipguard"
-    command, rest = resolve(words[1:])
-    options = {name for param in command.params for name in (*param.opts, *param.secondary_opts)}
-    for word in rest:
-        if word.startswith("-"):
-            assert word in options, f"`{text}`: {command.name} has no {word}"
-    if not rest or rest[0].startswith("-"):
-        return
-    assert not getattr(command, "commands", None), f"`{text}`: no such command"
-
-
-TABLE = re.findall(r"^\| `(slipguard[^`]*)`", README, re.M)
-MENTIONED = re.findall(r"`(slipguard(?: [^`]+)?)`", README)
-
-
-def alternatives(text: str) -> list[str]:
-    """`slipguard ctl a\\|b c` is `slipguard ctl a` and `slipguard ctl b c`."""
-    first, *others = text.split("\\|")
-    stem = " ".join(first.split()[:2])
-    return [first, *(f"{stem} {other}" for other in others)]
-
-
-@pytest.mark.parametrize("text", sorted({one for text in TABLE + MENTIONED for one in alternatives(text)}))
-def test_every_command_in_the_readme_exists(text: str) -> None:
-    if "/" not in text.split()[0] and not text.startswith("slipguard["):
-        check(text)
-
-
-def test_every_command_is_in_the_table() -> None:
-    told = {text.split()[1] for text in TABLE if not text.split()[1].startswith("-")}
-    assert told == set(TOP.commands)
-    (ctl,) = [text for text in TABLE if text.startswith("slipguard ctl")]
-    told_ctl = {one.split()[2] for one in alternatives(ctl)}
-    assert told_ctl == set(TOP.commands["ctl"].commands)
-
-
-def test_every_path_of_the_api_is_in_its_table() -> None:
-    paths = make_app(RouteContext(cast("DaemonApi", Mock()))).openapi()["paths"]
-    there = {(method.upper(), path.replace("{finger}", "left")) for path, asked in paths.items() for method in asked}
-    section = README.partition("## The local API")[2].partition("\n## ")[0]
-    told = set()
-    for methods, cell in re.findall(r"^\| (?:`(GET|POST) |WebSocket )(.*?) \|", section, re.M):
-        told |= {(methods, path.strip("` ")) for path in cell.split("` `")} if methods else set()
-    assert told == there
-
-
-def test_every_path_and_extra_it_names_is_there() -> None:
-    for path in set(re.findall(r"`((?:slipguard|systemd|tests|models|drivers)/[\w./-]+)`", README)):
-        assert (ROOT / path).exists(), path
-    for extra in re.findall(r"slipguard\[(\w+)\]", README):
-        assert extra in PROJECT["optional-dependencies"]
-    for link in re.findall(r"\]\((?!http)([^)#]+)\)", README):
-        assert (ROOT / link).exists(), link
-
-
-def test_the_table_of_the_configuration_is_that_of_config_toml() -> None:
-    assert in_readme() == table(), "config.toml has changed: run `python tests/packaging/config_table.py`"
-
-
-def test_the_keys_it_names_are_in_the_configuration() -> None:
-    configuration = Path(ROOT / "config.toml").read_text()
-    for key in ("force_max_n", "mode", "give_up_rotation_deg", "blind_force_n", "on_blind", "fps"):
-        assert f"`{key}`" in README or f"`{key} = " in README
-        assert re.search(rf"^(# )?{key} = ", configuration, re.M), key
+def test_the_fault_table_names_every_fault_once() -> None:
+    named = [name for row in fault_table() for name in re.findall(r"`([a-z]+(?: [a-z]+)+)`", row.split("|")[1])]
+    assert sorted(named) == sorted(code.value for code in FaultCode)
