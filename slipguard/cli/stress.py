@@ -14,8 +14,8 @@ from slipguard.cli.progress import progress_bar
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
-    from slipguard.stress.family import TrialFamily
-    from slipguard.stress.run import StressOutcome
+    from slipguard.stress.runner import StressOutcome
+    from slipguard.stress.trial_family import TrialFamily
     from slipguard.tools.parallel import Workers
 
 PICTURE = "error-against-noise.png"
@@ -46,7 +46,7 @@ def stress(
     from rich.console import Console
 
     from slipguard.stress.report import as_json, draw, print_table, summary
-    from slipguard.stress.run import chosen, full_hours, run
+    from slipguard.stress.runner import chosen, full_hours, run
     from slipguard.tools.parallel import Workers
 
     families = chosen(only or [])
@@ -85,7 +85,7 @@ def _whole(
     note: Callable[[StressOutcome], None],
 ) -> StressOutcome:
     """All of the list; what has been found is noted now and then."""
-    from slipguard.stress.whole import run_whole
+    from slipguard.stress.runner import run_whole
 
     for outcome in run_whole(families, seed, workers=workers, progress=progress):
         note(outcome)

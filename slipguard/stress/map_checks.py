@@ -12,9 +12,9 @@ from slipguard.perception.estimate import AxisEstimate
 from slipguard.perception.rotation.axis import ESTIMATORS, FUSED_ESTIMATORS, fuse
 from slipguard.perception.rotation.contour_registration import ContourPose
 from slipguard.perception.rotation.contour_template import make_contour_template
-from slipguard.stress.family import FamilyResults
 from slipguard.stress.masks import Mask, opencv_thinned, rotated, rotated_axis_deg
 from slipguard.stress.product_functions import THRESHOLD, ProductFunctions
+from slipguard.stress.trial_family import FamilyResults
 
 Map = NDArray[np.float32]
 

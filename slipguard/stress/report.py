@@ -10,11 +10,10 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from slipguard.stress.drift import DRIFT
-from slipguard.stress.family import CurvePoint, FailureKind, FamilyResults, TrialFailure, TrialFamily
-from slipguard.stress.holding import HOLDING
-from slipguard.stress.rounds import ASPECT
-from slipguard.stress.run import StressOutcome, full_hours
+from slipguard.stress.drift_families import DRIFT, HOLDING
+from slipguard.stress.runner import StressOutcome, full_hours
+from slipguard.stress.shape_families import ASPECT
+from slipguard.stress.trial_family import CurvePoint, FailureKind, FamilyResults, TrialFailure, TrialFamily
 from slipguard.tools import plotting as figures
 
 SHOWN_FAILURES = 10

@@ -12,7 +12,7 @@ import pytest
 from slipguard.cli.app import run
 from slipguard.errors import InputError
 from slipguard.evaluation.rotated_presses import PressImage, press_images, rotated_difference, rotated_grasp
-from slipguard.stress.surfaces import LEVEL, LedLights, contact, drawn, heights, lettered
+from slipguard.stress.textured_surfaces import LEVEL, LedLights, contact, drawn, heights, lettered
 
 
 @pytest.fixture(scope="module")

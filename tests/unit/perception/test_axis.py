@@ -14,9 +14,9 @@ from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.estimate import AxisEstimate
 from slipguard.perception.rotation.axial_angle import axial_difference_deg
 from slipguard.perception.rotation.axis import ESTIMATORS, LINE_SIGMA_MAX_DEG, estimate, fuse
-from slipguard.stress.family import FamilyResults, generator
-from slipguard.stress.mask_trials import RANDOM
+from slipguard.stress.mask_families import RANDOM
 from slipguard.stress.product_functions import ProductFunctions
+from slipguard.stress.trial_family import FamilyResults, generator
 
 ALL = (*ESTIMATORS, "fused")
 ELONGATED = ("bar", "rectangle", "ellipse", "key", "wedge")

@@ -21,8 +21,8 @@ from slipguard.perception.quality.image_quality import UNLIKE
 from slipguard.perception.rotation.axis import estimate
 from slipguard.perception.rotation.tracker import RATE_STALE_S, RotationEstimate, RotationTracker
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.stress.images import grasp
-from slipguard.stress.light import SPOILS
+from slipguard.stress.image_distortions import SPOILS
+from slipguard.stress.image_families import grasp
 
 
 def rotating(tracker: RotationTracker, from_s: float, rate_deg_s: float, frames: int) -> float | None:

@@ -19,9 +19,9 @@ from slipguard.sim.catalogue import find_object, object_names
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.sensor_unit import random_unit
-from slipguard.stress.family import FamilyResults, generator
-from slipguard.stress.images import IMAGES, grasp
+from slipguard.stress.image_families import IMAGES, grasp
 from slipguard.stress.product_functions import ProductFunctions
+from slipguard.stress.trial_family import FamilyResults, generator
 
 Image = NDArray[np.uint8]
 QUIET_BGR = (0.3, 0.3, 0.3)

@@ -12,7 +12,7 @@ from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.quality.image_quality import DARK
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.stress.images import grasp
+from slipguard.stress.image_families import grasp
 
 Image = NDArray[np.uint8]
 

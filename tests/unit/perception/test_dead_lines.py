@@ -15,10 +15,10 @@ from slipguard.perception.quality.dead_lines import DeadLines
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.sensor_unit import random_unit
-from slipguard.stress.family import FamilyResults, generator
-from slipguard.stress.images import IMAGES, Image, grasp
-from slipguard.stress.light import SPOILS
+from slipguard.stress.image_distortions import SPOILS
+from slipguard.stress.image_families import IMAGES, Image, grasp
 from slipguard.stress.product_functions import ProductFunctions
+from slipguard.stress.trial_family import FamilyResults, generator
 
 ROWS, COLUMNS = {0: 250, 71: 0, 72: 0, 200: 90, 319: 40}, {5: 30, 150: 180, 239: 0}
 

@@ -13,10 +13,10 @@ from slipguard.perception.quality.noisy import noisy
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.sensor_unit import random_unit
-from slipguard.stress.family import FamilyResults, generator
-from slipguard.stress.images import IMAGES, grasp
-from slipguard.stress.light import SPOILS
+from slipguard.stress.image_distortions import SPOILS
+from slipguard.stress.image_families import IMAGES, grasp
 from slipguard.stress.product_functions import ProductFunctions
+from slipguard.stress.trial_family import FamilyResults, generator
 
 
 @pytest.mark.parametrize("number", range(8))

@@ -13,7 +13,7 @@ from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.quality.image_quality import BLURRED
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.stress.images import grasp
+from slipguard.stress.image_families import grasp
 
 NEAR = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
 

@@ -25,7 +25,7 @@ from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.sensor_unit import random_unit
 from slipguard.stress.product_functions import FRAME_S, ScriptedSegmenter
-from slipguard.stress.surfaces import (
+from slipguard.stress.textured_surfaces import (
     Heights,
     LedLights,
     Surface,

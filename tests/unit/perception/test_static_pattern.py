@@ -18,10 +18,10 @@ from slipguard.perception.rotation.texture_registration import (
     make_texture_template,
 )
 from slipguard.perception.rotation.texture_sigma import sigma_deg
-from slipguard.stress.family import FamilyResults, generator
-from slipguard.stress.images import IMAGES
+from slipguard.stress.image_families import IMAGES
 from slipguard.stress.product_functions import ProductFunctions
-from slipguard.stress.surfaces import LedLights, contact, drawn, heights, lettered
+from slipguard.stress.textured_surfaces import LedLights, contact, drawn, heights, lettered
+from slipguard.stress.trial_family import FamilyResults, generator
 
 ROTATIONS_DEG = (2.0, 4.0, 8.0, 12.0)
 

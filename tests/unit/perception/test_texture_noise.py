@@ -17,7 +17,7 @@ from slipguard.perception.rotation.texture_registration import (
 from slipguard.perception.rotation.texture_sigma import parts_deg, sigma_deg
 from slipguard.sim.camera_noise import CameraNoise
 from slipguard.sim.sensor_unit import NOISE_STD_BGR
-from slipguard.stress.surfaces import Heights, LedLights, Surface, contact, drawn, heights, lettered, plate
+from slipguard.stress.textured_surfaces import Heights, LedLights, Surface, contact, drawn, heights, lettered, plate
 
 BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
 NO_STRIPES = (0.0, 0.0, 0.0)

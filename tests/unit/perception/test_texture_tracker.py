@@ -11,7 +11,7 @@ from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.rotation.texture_map import TextureMapReader
 from slipguard.perception.rotation.texture_registration import make_texture_template
 from slipguard.perception.rotation.texture_tracker import TextureTracker, TrackedTexture
-from slipguard.stress.surfaces import Heights, LedLights, Surface, contact, drawn, heights, lettered, plate
+from slipguard.stress.textured_surfaces import Heights, LedLights, Surface, contact, drawn, heights, lettered, plate
 
 BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
 NOISE = 2.0

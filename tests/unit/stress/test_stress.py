@@ -23,14 +23,13 @@ from slipguard.perception.estimate import AxisEstimate, Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation.axis import estimate
 from slipguard.perception.rotation.tracker import RotationEstimate, RotationTracker
-from slipguard.stress.family import KEPT_FAILURES, FamilyResults, TrialFamily
-from slipguard.stress.floats import fitted_ellipse_deg, second_moments_deg
 from slipguard.stress.masks import degenerate, rotated, rotated_axis_deg
+from slipguard.stress.numeric_families import fitted_ellipse_deg, second_moments_deg
 from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.report import as_json, first_failures
-from slipguard.stress.run import FAMILIES, StressOutcome, chosen, run, schedule
+from slipguard.stress.runner import FAMILIES, StressOutcome, chosen, parts, run, run_whole, schedule
 from slipguard.stress.shapes import ELONGATED, ShapePose, soft
-from slipguard.stress.whole import parts, run_whole
+from slipguard.stress.trial_family import KEPT_FAILURES, FamilyResults, TrialFamily
 from slipguard.tools.parallel import Workers
 
 FLAWS = ("biased", "nan", "raising")
@@ -253,7 +252,7 @@ def test_an_interrupted_whole_list_leaves_what_it_found(
 
         return trial
 
-    monkeypatch.setattr("slipguard.stress.run.FAMILIES", (TrialFamily("odd", "", 40, 1_000.0, begin),))
+    monkeypatch.setattr("slipguard.stress.runner.FAMILIES", (TrialFamily("odd", "", 40, 1_000.0, begin),))
     assert cli(["stress", "--seconds", "0", "--jobs", "1", "--out", str(tmp_path)]) == 1
     assert "interrupted" in capsys.readouterr().err
     found = json.loads((tmp_path / "stress.json").read_text())
@@ -261,7 +260,7 @@ def test_an_interrupted_whole_list_leaves_what_it_found(
 
 
 def test_the_command_tries_the_whole_list(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slipguard.stress.run.FAMILIES", short("times", "fusion"))
+    monkeypatch.setattr("slipguard.stress.runner.FAMILIES", short("times", "fusion"))
     assert cli(["stress", "--seconds", "0", "--jobs", "1", "--out", str(tmp_path)]) == 0
     found = json.loads((tmp_path / "stress.json").read_text())
     assert (found["tried"], found["share"]) == (12, 1.0)
@@ -332,7 +331,7 @@ def test_the_command_prints_a_table_that_fits(capsys: pytest.CaptureFixture[str]
 def test_what_is_found_wrong_is_exit_code_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("slipguard.stress.run.ProductFunctions", lambda: ProductFunctions(fuse=broken_fuse("nan")))
+    monkeypatch.setattr("slipguard.stress.runner.ProductFunctions", lambda: ProductFunctions(fuse=broken_fuse("nan")))
     assert cli(["stress", "--only", "fusion", "--seconds", "0.05"]) == 1
     assert "again: slipguard stress --only fusion --seed" in " ".join(capsys.readouterr().out.split())
 

@@ -17,13 +17,11 @@ from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation import rotation_meter as rotations
 from slipguard.perception.rotation.contour_registration import ContourFit, ContourPose, ContourRegistrar
 from slipguard.perception.rotation.tracker import RotationEstimate, RotationTracker
-from slipguard.stress import holding
-from slipguard.stress import run as runs
-from slipguard.stress.drift import DRIFT
-from slipguard.stress.holding import HOLDING, OBJECTS
+from slipguard.stress import drift_families, runner
+from slipguard.stress.drift_families import DRIFT, HOLDING, OBJECTS
 from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.report import as_json, first_failures, print_table
-from slipguard.stress.run import FAMILIES, JUDGED_FROM, StressOutcome, chosen, run
+from slipguard.stress.runner import FAMILIES, JUDGED_FROM, StressOutcome, chosen, run
 
 
 class Mute:
@@ -61,7 +59,7 @@ def trials_until_judged(name: str) -> int:
 
 @pytest.mark.parametrize("family", [family.name for family in FAMILIES])
 def test_a_family_that_tells_nothing_fails(family: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runs, "JUDGED_FROM", 8)
+    monkeypatch.setattr(runner, "JUDGED_FROM", 8)
     outcome = tried(family, 10, mute()) if family != "drift" else tried(family, 1, mute())
     assert outcome.failed
     (silent,) = outcome.rarely_answering
@@ -108,8 +106,8 @@ def test_a_registration_that_goes_on_from_where_it_was_wrong_is_caught(monkeypat
 
 
 def test_a_pipeline_that_drifts_while_it_holds_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(holding, "CYCLE_FRAMES", 60)
-    monkeypatch.setattr(holding, "MOVING_FRAMES", 15)
+    monkeypatch.setattr(drift_families, "CYCLE_FRAMES", 60)
+    monkeypatch.setattr(drift_families, "MOVING_FRAMES", 15)
 
     class Drifting(Pipeline):
         def process(self, frame: Frame) -> Estimate:
@@ -117,7 +115,7 @@ def test_a_pipeline_that_drifts_while_it_holds_is_caught(monkeypatch: pytest.Mon
             off = 4e-3 * frame.sequence
             return answer if answer.angle_deg is None else replace(answer, angle_deg=answer.angle_deg + off)
 
-    two_cycles = 2 * 60 // holding.TRIAL_FRAMES * len(OBJECTS) + 2
+    two_cycles = 2 * 60 // drift_families.TRIAL_FRAMES * len(OBJECTS) + 2
     assert tried("holding", two_cycles).results[0].promises[HOLDING] < 0.05
     assert tried("holding", two_cycles, ProductFunctions(pipeline=Drifting)).results[0].counts["limit"] > 0
 
@@ -138,7 +136,7 @@ def test_what_is_held_has_a_relief_takes_keys_and_leaves_frames_out() -> None:
             )
             return answer
 
-    outcome = tried("holding", 300 // holding.TRIAL_FRAMES * len(OBJECTS), ProductFunctions(pipeline=Watched))
+    outcome = tried("holding", 300 // drift_families.TRIAL_FRAMES * len(OBJECTS), ProductFunctions(pipeline=Watched))
     assert len(seen) == len(OBJECTS)
     assert all(counts["unchanged"] > 100 and counts["relief"] > 250 and counts["key"] > 200 for counts in seen.values())
     assert outcome.results[0].worst_deg["coin"] < 1.5

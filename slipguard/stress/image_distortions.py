@@ -1,4 +1,4 @@
-"""What can happen to the light and the pixels of a camera, from a little to everything: pictures in, pictures out."""
+"""Image distortions of growing strength: light, color, pixel and compression faults of a camera."""
 
 from __future__ import annotations
 

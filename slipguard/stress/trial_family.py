@@ -1,4 +1,4 @@
-"""A family of trials, and the notes taken while it runs: what was tried, what failed, how large the errors were."""
+"""Trial families and their results: what was tried, what failed, how large the errors were."""
 
 from __future__ import annotations
 

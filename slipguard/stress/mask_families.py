@@ -1,14 +1,14 @@
-"""Families on masks: the degenerate ones through the whole chain, and a million random ones."""
+"""Trial families on masks: every degenerate mask through the whole chain, and a million random ones."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
-from slipguard.stress.family import FamilyResults, TrialFamily, TrialFunction
 from slipguard.stress.map_checks import Map, check_laid_over_itself, check_rotated, check_thinning, patch_of
 from slipguard.stress.masks import Mask, degenerate, rotated, scattered
 from slipguard.stress.product_functions import MAP_PX, MAP_WIDTH_PX, THRESHOLD, ProductFunctions, ScriptedPipeline
+from slipguard.stress.trial_family import FamilyResults, TrialFamily, TrialFunction
 
 STYLES = 3
 """How a mask becomes a map: 0 and 1; just below and just above the threshold; blurred."""

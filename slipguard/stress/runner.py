@@ -1,4 +1,4 @@
-"""Runs the families of trials in turns for as long as there is time, always in the same order."""
+"""Run trial families: for a limited time in one process, or the full list in parallel batches."""
 
 from __future__ import annotations
 
@@ -6,24 +6,19 @@ import heapq
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from slipguard.errors import InputError
-from slipguard.stress.drift import TRACKING
-from slipguard.stress.equivariance import EQUIVARIANCE
-from slipguard.stress.family import FamilyResults, TrialFailure, TrialFamily, TrialFunction, generator
-from slipguard.stress.floats import FLOATS
-from slipguard.stress.fusion import FUSION
-from slipguard.stress.holding import HOLD
-from slipguard.stress.images import IMAGES
-from slipguard.stress.mask_trials import DEGENERATE, RANDOM
-from slipguard.stress.noise import NOISE
+from slipguard.stress.drift_families import HOLD, TRACKING
+from slipguard.stress.image_families import IMAGES, TEXTURES
+from slipguard.stress.mask_families import DEGENERATE, RANDOM
+from slipguard.stress.numeric_families import FLOATS, FUSION, TIMES
 from slipguard.stress.product_functions import ProductFunctions
-from slipguard.stress.rounds import ROUNDS
-from slipguard.stress.seams import SEAMS
-from slipguard.stress.textures import TEXTURES
-from slipguard.stress.times import TIMES
+from slipguard.stress.shape_families import EQUIVARIANCE, NOISE, ROUNDS, SEAMS
+from slipguard.stress.trial_family import FamilyResults, TrialFailure, TrialFamily, TrialFunction, generator
+from slipguard.tools.parallel import Workers, each
 
 FAMILIES: tuple[TrialFamily, ...] = (
     DEGENERATE, RANDOM, EQUIVARIANCE, NOISE, SEAMS, ROUNDS, FLOATS, FUSION, TIMES, TRACKING, HOLD, TEXTURES, IMAGES,
@@ -127,3 +122,62 @@ def try_one(family: TrialFamily, trial: TrialFunction, seed: int, number: int, r
     results.seed = seed if family.continuous else seed + number
     results.call("trial", trial, generator(family.name, seed + number), seed + number, results)
     results.tried += family.frames
+
+
+PART_MS = 10_000.0
+"""How long a part takes, as reckoned: many parts keep all cores busy to the end, and little is lost by an interrupt."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrialBatch:
+    """Trials `first` to `after - 1` of a family."""
+
+    family: TrialFamily
+    first: int
+    after: int
+
+    def __str__(self) -> str:
+        return f"{self.family.name}, trials {self.first} to {self.after - 1}"
+
+
+def parts(families: Sequence[TrialFamily]) -> list[TrialBatch]:
+    """The list cut up; every family gets on by the same share, one whose trials go on from each other is not cut."""
+    cut: list[TrialBatch] = []
+    for family in families:
+        size = family.full if family.continuous else max(1, round(PART_MS / family.cost_ms))
+        cut += [TrialBatch(family, first, min(first + size, family.full)) for first in range(0, family.full, size)]
+    return sorted(cut, key=lambda part: part.first / part.family.full)
+
+
+def run_whole(
+    families: Sequence[TrialFamily],
+    seed: int,
+    product: ProductFunctions | None = None,
+    workers: Workers | None = None,
+    progress: Callable[[float, str], None] = lambda share, name: None,
+    clock: Callable[[], float] = time.perf_counter,
+) -> Iterator[StressOutcome]:
+    """Try all of it; yields all that has been found so far after each part, and so at last everything.
+
+    Trial k of a family has the seed `seed + k`, whoever tries it. progress: called with the share done and the name of
+    the family of the part that is through.
+    """
+    started_s = clock()
+    found = {family.name: FamilyResults(family.name) for family in families}
+    cut = parts(families)
+    all_ms = sum(family.full * family.cost_ms for family in families)
+    done_ms = 0.0
+    for part, results in zip(cut, each(partial(_tried, seed, product), cut, workers), strict=True):
+        found[part.family.name].merge(results)
+        done_ms += (part.after - part.first) * part.family.cost_ms
+        progress(done_ms / all_ms, part.family.name)
+        yield StressOutcome(seed, clock() - started_s, tuple(families), tuple(found.values()))
+
+
+def _tried(seed: int, product: ProductFunctions | None, part: TrialBatch) -> FamilyResults:
+    results = FamilyResults(part.family.name)
+    with np.errstate(all="ignore"):  # as in `run`
+        trial = part.family.begin(ProductFunctions() if product is None else product)
+        for number in range(part.first, part.after):
+            try_one(part.family, trial, seed, number, results)
+    return results

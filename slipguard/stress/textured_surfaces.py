@@ -1,4 +1,4 @@
-"""Pressed surfaces drawn under three lights, without the renderer: quick, exact in angle, in any light."""
+"""Pressed surfaces shaded by three lights, without the renderer: fast, and exact in angle."""
 
 from __future__ import annotations
 
