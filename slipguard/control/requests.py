@@ -18,6 +18,7 @@ from slipguard.control.state import GraspState, Phase, emptied, entered, gripper
 
 MAY_LAST = frozenset({FaultCode.ESTIMATE_UNTRUSTED})
 """Faults that only a clear can end: it takes a new reference, and what still cannot be told then latches again."""
+INTERRUPTED = "the closing was interrupted and the jaws apply 0 N"
 
 Outcome = tuple[GraspState, Command]
 
@@ -153,21 +154,28 @@ def _guard_on(state: GraspState, command: Command, observation: Observation, par
         if params.mode == "guard":
             return state, replace(command, say="will guard what is gripped")
         return _refuse(state, command, "nothing is held; grasp something first")
+    if state.closing_interrupted and observation.gripper.force_n <= 0.0:
+        return _refuse(state, command, f"{INTERRUPTED}; grasp again, or release")
     said = f"guarding what is held with {observation.gripper.force_n:.0f} N"
     return taken_over(state, observation.gripper, observation.now_s), replace(command, new_reference=True, say=said)
 
 
 def _guard_again(state: GraspState, command: Command, observation: Observation) -> Outcome:
-    """In a fault, what was to be let go or was not gripped to the end is guarded from here on; the fault stays."""
+    """In a fault, guard an object after a release request or an interrupted closing. The fault stays latched.
+
+    An interrupted closing counts as a grip only if the gripper reports a force; the force target never falls.
+    """
     if observation.gripper is None or not observation.gripper.holding:
         return _refuse(state, command, "nothing is held; clear, then grasp something first")
     force_n = observation.gripper.force_n
+    if state.closing_interrupted and force_n <= 0.0:
+        return _refuse(state, command, f"{INTERRUPTED}; clear and grasp again, or release")
     state = replace(
         state,
         release_requested=False,
         closing_interrupted=False,
         gripped=True,
-        target_n=force_n,
+        target_n=max(state.target_n, force_n),
         commanded_s=-math.inf,
         detector=SlipMemory(),
     )

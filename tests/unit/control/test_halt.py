@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from controller_steps import GUARD_MODE, NOW_S, PARAMS, Play, seen_in, state_in
-from observations import arm, fused, gripper
+from observations import arm, ask, fused, gripper
 
 from slipguard.control.controller import step
 from slipguard.control.messages import RequestKind
@@ -67,6 +67,26 @@ def test_a_closing_cut_short_must_be_asked_for_again(says_it_holds: bool) -> Non
     play.lazy = True
     assert play.step(RequestKind.GRASP).hold_force_n is not None
     assert play.grasp.phase is Phase.CLOSING
+
+
+@pytest.mark.parametrize("phase", [Phase.FAULT, Phase.IDLE])
+def test_an_interrupted_closing_without_force_is_no_grip_to_guard(phase: Phase) -> None:
+    state = state_in(phase, closing_interrupted=True)
+    view = seen_in(Phase.FAULT, gripper=gripper(0.0, at_s=NOW_S), request=ask(RequestKind.GUARD_ON))
+    after, command = step(state, view, PARAMS)
+    assert "interrupted" in (command.refused or "")
+    assert after.closing_interrupted
+    assert after.target_n == state.target_n
+    assert not command.new_reference
+
+
+def test_guarding_an_interrupted_closing_keeps_the_force_target() -> None:
+    state = state_in(Phase.FAULT, closing_interrupted=True, target_n=40.0)
+    view = seen_in(Phase.FAULT, gripper=gripper(25.0, at_s=NOW_S), request=ask(RequestKind.GUARD_ON))
+    after, command = step(state, view, PARAMS)
+    assert command.refused is None
+    assert (after.target_n, after.closing_interrupted) == (40.0, False)
+    assert step(state, replace(view, gripper=gripper(60.0, at_s=NOW_S)), PARAMS)[0].target_n == 60.0
 
 
 def test_in_guard_mode_a_closing_cut_short_is_not_taken_over() -> None:
