@@ -26,7 +26,7 @@ REST_S = 1.5
 """Long enough for skipping to have begun."""
 RAMP_S = 0.1
 BEYOND_DEG = 2.0
-"""The turn goes on so far beyond `creep_deg`: every slip is seen by then."""
+"""The turn goes on so far beyond `guard.tuning.creep_deg`: every slip is seen by then."""
 BEYOND_MM = 0.7
 ROTATION_RATES_DEG_S = (1.0, 4.0, 15.0, 60.0, 300.0)
 SLIDE_RATES_MM_S = (1.0, 5.0)
@@ -50,7 +50,7 @@ class SlipOnset:
         background = camera.no_contact()
         x_mm, y_mm, start_deg = float(rng.uniform(-1, 1)), float(rng.uniform(0, 2)), float(rng.uniform(-180, 180))
         side, press_mm = float(rng.choice([-1.0, 1.0])), float(rng.uniform(0.6, 0.9)) * thing.press_mm
-        way = PARAMS.slide_creep_mm + BEYOND_MM if self.slides else PARAMS.creep_deg + BEYOND_DEG
+        way = PARAMS.tuning.creep_mm + BEYOND_MM if self.slides else PARAMS.tuning.creep_deg + BEYOND_DEG
         moving_s = way / self.rate + RAMP_S / 2.0
         shots = []
         for index in range(round((REST_S + moving_s) / FRAME_S)):

@@ -94,7 +94,7 @@ def check(
     guard = settings.guard
     console.print(
         f"mode {guard.mode!r}: first grip {guard.first_force_n:g} N per finger, never above {guard.force_max_n:g} N, "
-        f"{guard.blind_force_n:g} N where the turn cannot be seen"
+        f"{guard.no_estimate_force_n:g} N where the turn cannot be seen"
     )
     _, hardest_n = _devices(settings)["gripper"].force_limits_n
     if hardest_n < guard.force_max_n:

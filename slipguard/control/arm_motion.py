@@ -60,7 +60,7 @@ def put_down(latched: Outcome, observation: Observation, params: GuardParams) ->
     """The way down of an object whose fault has just been latched; as it was where the arm is to stand."""
     state, command = latched
     spent = state.fault is not None and state.fault.code in SPENT
-    if not spent or params.on_budget_spent != "lower" or params.mode != "lift" or state.person_near:
+    if not spent or params.on_force_limit != "lower" or params.mode != "lift" or state.person_near:
         return state, command
     if observation.arm is None or state.ground_mm is None:
         said = "it is not put down: it is not known where the lift began"
@@ -95,4 +95,4 @@ def go_on_down(state: GraspState, observation: Observation, command: Command, pa
 
 
 def _leg(way_mm: float, params: GuardParams) -> ArmLift:
-    return ArmLift(way_mm, min(params.probe_speed_mm_s, params.lower_speed_mm_s))
+    return ArmLift(way_mm, min(params.tuning.probe_speed_mm_s, params.tuning.lower_speed_mm_s))

@@ -79,7 +79,7 @@ def _watch_object(state: GraspState, observation: Observation, params: GuardPara
         return (state if state.lost_since_s is None else replace(state, lost_since_s=None)), observation
     since_s = state.lost_since_s if state.lost_since_s is not None else observation.now_s
     state = replace(state, lost_since_s=since_s)
-    if observation.now_s - since_s < params.lost_s * (LOST_ALONE_TIMES if _in_doubt(observation) else 1.0):
+    if observation.now_s - since_s < params.tuning.lost_after_s * (LOST_ALONE_TIMES if _in_doubt(observation) else 1.0):
         return state, observation
     lost = Fault(FaultCode.OBJECT_LOST, why, "take the object away, release, and clear")
     return state, replace(observation, fault=lost) if observation.fault is None else replace(
@@ -143,10 +143,10 @@ def _closing(state: GraspState, observation: Observation, params: GuardParams) -
             return state, Command(new_reference=True, say="gripped")
         if gripper.closed_on_nothing:
             return emptied(state, Phase.IDLE, observation.now_s), Command(say="the gripper closed on nothing")
-    if observation.now_s - state.since_s > params.closing_timeout_s:
+    if observation.now_s - state.since_s > params.tuning.closing_timeout_s:
         fault = Fault(
             FaultCode.GRIPPER_STUCK,
-            f"not closed on an object within {params.closing_timeout_s:g} s",
+            f"not closed on an object within {params.tuning.closing_timeout_s:g} s",
             "look at the jaws and the gripper's cable, then clear",
         )
         return _latch(state, observation, fault, Command())
@@ -156,7 +156,7 @@ def _closing(state: GraspState, observation: Observation, params: GuardParams) -
 def _reference(state: GraspState, observation: Observation, params: GuardParams) -> Outcome:
     """Wait until both fingers have their reference; after the time-out one will do, or none with a firmer grip."""
     fused = observation.fused
-    waited = observation.now_s - state.since_s > params.reference_timeout_s
+    waited = observation.now_s - state.since_s > params.tuning.reference_timeout_s
     told = fused is not None and fused.rotation_deg is not None and fused.measured_at_s >= state.since_s
     if fused is not None and told and (waited or len(fused.fingers) == 2):
         note = f" by one finger only ({fused.note})" if len(fused.fingers) == 1 else ""
@@ -166,10 +166,10 @@ def _reference(state: GraspState, observation: Observation, params: GuardParams)
         return state, Command()
     why = (fused.declined if fused is not None else None) or "no frames from either finger"
     state = replace(entered(state, Phase.HOLDING, observation.now_s), referenced=False, blind=why)
-    if params.on_blind == "refuse" or not state.guarding:
+    if params.on_no_estimate == "refuse" or not state.guarding:
         return state, Command(say=f"the turn cannot be seen ({why})")
     within = limits.budget(params.force_max_n, observation.gripper_limits_n)
-    target_n = limits.allowed(params.blind_force_n, state.target_n, within) if within is not None else 0.0
+    target_n = limits.allowed(params.no_estimate_force_n, state.target_n, within) if within is not None else 0.0
     said = f"the turn cannot be seen ({why}): gripping with {max(target_n, state.target_n):.0f} N"
     if target_n <= state.target_n or state.person_near:
         return state, Command(say=said)
@@ -207,7 +207,9 @@ def _guarded(state: GraspState, observation: Observation, params: GuardParams) -
     state, command = verdict.state, Command(hold_force_n=verdict.hold_n, say=verdict.say, warn=verdict.stop)
     if verdict.fault is not None:
         return motion.put_down(_latch(state, observation, verdict.fault, command), observation, params)
-    perhaps_lost = state.lost_since_s is not None and observation.now_s - state.lost_since_s >= params.lost_s
+    perhaps_lost = (
+        state.lost_since_s is not None and observation.now_s - state.lost_since_s >= params.tuning.lost_after_s
+    )
     if (verdict.stop and params.stop_on_slip) or perhaps_lost:
         first = state.slip is not None and state.slip.began_s == observation.now_s
         state, command = motion.stop(replace(state, paused=True), observation, command, at_once=first)

@@ -57,7 +57,7 @@ def firm_n(params: GuardParams, gripper_limits_n: tuple[float, float]) -> float:
     if within is None:
         return math.inf
     modelled_n = params.modelled_n
-    return params.firm_share * within.high_n if modelled_n is None else min(modelled_n, within.high_n)
+    return params.tuning.first_fraction * within.high_n if modelled_n is None else min(modelled_n, within.high_n)
 
 
 def first_n(params: GuardParams) -> float:

@@ -61,9 +61,9 @@ def guard(state: GraspState, observation: Observation, params: GuardParams) -> G
     slip = state.slip
     if slip is not None and sight.detector.elsewhere(state.detector):
         # Turns count from another place now: so must those of the last step.
-        slip = replace(slip, rotation_deg=sight.rotation_deg, slide_mm=sight.slide_mm)
+        slip = replace(slip, rotation_deg=sight.rotation_deg, slip_mm=sight.slip_mm)
     state = replace(state, detector=sight.detector, slip=slip)
-    far_frames = 1 if slip is not None and sight.moving else params.frames
+    far_frames = 1 if slip is not None and sight.moving else params.tuning.confirm_frames
     if state.referenced and sight.detector.far_frames >= far_frames:
         return _give_up(state, sight, observation, params)
     if slip is None:
@@ -77,9 +77,9 @@ def guard(state: GraspState, observation: Observation, params: GuardParams) -> G
 
 def _begin(state: GraspState, sight: SlipAssessment, observation: Observation, params: GuardParams) -> GuardResult:
     """The first, large step."""
-    slip = SlipEpisode(observation.now_s, observation.now_s, sight.rotation_deg, sight.rate_deg_s, sight.slide_mm)
+    slip = SlipEpisode(observation.now_s, observation.now_s, sight.rotation_deg, sight.rate_deg_s, sight.slip_mm)
     firm_n = limits.firm_n(params, observation.gripper_limits_n)
-    return _step(replace(state, slip=slip), slip, sight, observation, params, params.first_step, firm_n)
+    return _step(replace(state, slip=slip), slip, sight, observation, params, params.tuning.first_multiplier, firm_n)
 
 
 def _go_on(
@@ -89,9 +89,9 @@ def _go_on(
     waiting = GuardResult(state, stop=True)
     if sight.detector.captured_s < slip.stepped_s + _felt_s(state, params):
         # What is seen is from before the step could help: progress counts from here on.
-        slip = replace(slip, rotation_deg=sight.rotation_deg, rate_deg_s=sight.rate_deg_s, slide_mm=sight.slide_mm)
+        slip = replace(slip, rotation_deg=sight.rotation_deg, rate_deg_s=sight.rate_deg_s, slip_mm=sight.slip_mm)
         return GuardResult(replace(state, slip=slip), stop=True)
-    rotated_deg, slid_mm = sight.rotation_deg - slip.rotation_deg, sight.slide_mm - slip.slide_mm
+    rotated_deg, slid_mm = sight.rotation_deg - slip.rotation_deg, sight.slip_mm - slip.slip_mm
     slips_on = sight.moving and (rotated_deg > PROGRESS_DEG or slid_mm > PROGRESS_MM)
     if not (slips_on or rotated_deg > _crept_deg(observation, params) or slid_mm > CREPT_MM):
         return waiting
@@ -100,14 +100,14 @@ def _go_on(
     if within is None or state.target_n >= within.high_n:
         further = rotated_deg > SPENT_DEG or slid_mm > SPENT_MM
         return replace(waiting, fault=_spent(state, sight, params)) if at_rest and further else waiting
-    slows = sight.rate_deg_s < SLOWING * slip.rate_deg_s and sight.slide_rate_mm_s < params.slide_rate_mm_s
-    late = _rotated_deg(observation) > LATE_SHARE * params.give_up_rotation_deg
+    slows = sight.rate_deg_s < SLOWING * slip.rate_deg_s and sight.slip_rate_mm_s < params.tuning.slip_rate_mm_s
+    late = _rotated_deg(observation) > LATE_SHARE * params.tuning.rotation_max_deg
     if slows and not late:  # it helps: what counts is whether it goes on slowing down
-        slip = replace(slip, rotation_deg=sight.rotation_deg, rate_deg_s=sight.rate_deg_s, slide_mm=sight.slide_mm)
+        slip = replace(slip, rotation_deg=sight.rotation_deg, rate_deg_s=sight.rate_deg_s, slip_mm=sight.slip_mm)
         return GuardResult(replace(state, slip=slip), stop=True)
     if not (at_rest or late):
         return waiting
-    return _step(state, slip, sight, observation, params, params.next_step)
+    return _step(state, slip, sight, observation, params, params.tuning.next_multiplier)
 
 
 def _crept_deg(observation: Observation, params: GuardParams) -> float:
@@ -123,7 +123,7 @@ def _crept_deg(observation: Observation, params: GuardParams) -> float:
 def _felt_s(state: GraspState, params: GuardParams) -> float:
     """From a command to the first frame that may show its effect, rate included."""
     felt_s = state.delay.felt_s
-    return RATE_LAG_S + (params.hold_off_s if felt_s is None else min(felt_s, FELT_MAX_S))
+    return RATE_LAG_S + (params.tuning.tighten_delay_s if felt_s is None else min(felt_s, FELT_MAX_S))
 
 
 def _step(
@@ -139,7 +139,7 @@ def _step(
     if state.person_near:
         return GuardResult(state, stop=True)
     within = limits.budget(params.force_max_n, observation.gripper_limits_n)
-    multiple = limits.multiple(base, sight.rate_deg_s, params.rate_step_per_100_deg_s)
+    multiple = limits.multiple(base, sight.rate_deg_s, params.tuning.multiplier_per_100_deg_s)
     target_n = state.target_n
     if within is not None:
         target_n = limits.allowed(least_n, limits.raised(state.target_n, multiple, within), within)
@@ -151,7 +151,7 @@ def _step(
         stepped_s=observation.now_s,
         rotation_deg=sight.rotation_deg,
         rate_deg_s=sight.rate_deg_s,
-        slide_mm=sight.slide_mm,
+        slip_mm=sight.slip_mm,
     )
     if target_n > state.target_n:
         said = f"slip: {sight.what}: tightening from {state.target_n:.0f} N to {target_n:.0f} N"
@@ -191,7 +191,7 @@ def _calm(
     """At rest for long enough, with the last step done and its effect seen."""
     at_rest = observation.gripper is not None and gripper_at_rest(state, observation.gripper)
     seen_since = sight.detector.captured_s - slip.stepped_s >= _felt_s(state, params)
-    return at_rest and seen_since and sight.still_s >= params.calm_s
+    return at_rest and seen_since and sight.still_s >= params.tuning.settle_s
 
 
 def _rotated_deg(observation: Observation) -> float:

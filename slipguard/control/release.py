@@ -48,7 +48,7 @@ def go_on(state: GraspState, observation: Observation, params: GuardParams) -> t
     if waits(state):
         return *_open(state, observation, command), None
     gripper = observation.gripper
-    late = observation.now_s - state.since_s > params.stuck_s
+    late = observation.now_s - state.since_s > params.tuning.stuck_timeout_s
     if gripper is not None and gripper.measured_at_s > state.commanded_s and not gripper.moving:
         if not gripper.holding and state.braking and not late:
             return state, command, None
@@ -62,7 +62,7 @@ def go_on(state: GraspState, observation: Observation, params: GuardParams) -> t
         if observation.now_s - state.commanded_s >= REPEAT_S:
             return replace(state, commanded_s=observation.now_s), replace(command, release_width_mm=state.goal_mm), None
     moving = gripper is not None and gripper.moving
-    if observation.now_s - state.since_s <= params.stuck_s + params.closing_timeout_s * moving:
+    if observation.now_s - state.since_s <= params.tuning.stuck_timeout_s + params.tuning.closing_timeout_s * moving:
         return state, command, None
     fault = Fault(
         FaultCode.GRIPPER_STUCK,

@@ -39,14 +39,14 @@ def next_leg(state: GraspState, height_mm: float, params: GuardParams) -> ArmLif
     goal_mm = state.goal_mm if state.goal_mm is not None else height_mm
     way_mm = goal_mm - height_mm
     if state.phase is Phase.LOWERING:
-        return ArmLift(way_mm, state.lift_speed_mm_s or params.lower_speed_mm_s)
+        return ArmLift(way_mm, state.lift_speed_mm_s or params.tuning.lower_speed_mm_s)
     speed_mm_s = state.lift_speed_mm_s or params.lift_speed_mm_s
     ground_mm = state.ground_mm if state.ground_mm is not None else height_mm
-    probe_mm = ground_mm + params.probe_height_mm - height_mm
+    probe_mm = ground_mm + params.tuning.probe_height_mm - height_mm
     if probe_mm > 0.5 and way_mm > probe_mm:
-        return ArmLift(probe_mm, min(params.probe_speed_mm_s, speed_mm_s))
+        return ArmLift(probe_mm, min(params.tuning.probe_speed_mm_s, speed_mm_s))
     if probe_mm > 0.5:
-        return ArmLift(way_mm, min(params.probe_speed_mm_s, speed_mm_s))
+        return ArmLift(way_mm, min(params.tuning.probe_speed_mm_s, speed_mm_s))
     return ArmLift(way_mm, speed_mm_s)
 
 
@@ -80,7 +80,7 @@ def _grasp(state: GraspState, command: Command, observation: Observation, params
 
 def _lift(state: GraspState, command: Command, observation: Observation, params: GuardParams) -> Outcome:
     why = _no_motion(state, observation, params, "lift")
-    if why is None and state.guarding and state.blind is not None and params.on_blind == "refuse":
+    if why is None and state.guarding and state.blind is not None and params.on_no_estimate == "refuse":
         why = f"the turn cannot be seen ({state.blind}); grip it elsewhere, or set on_blind = 'grip'"
     if why is not None or observation.arm is None:
         return _refuse(state, command, why or "")

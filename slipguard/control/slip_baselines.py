@@ -66,7 +66,7 @@ class SlipMemory:
     known: tuple[tuple[tuple[str, ...], float], ...] = ()
     handover: Handover | None = None
     smooth_shift_mm: float | None = None
-    slide_rate_mm_s: float = 0.0
+    slip_rate_mm_s: float = 0.0
     rest_rotation_deg: float | None = None
     rest_shift_mm: float | None = None
     rest_since_s: float | None = None
@@ -122,7 +122,7 @@ def handed_over(detector: SlipMemory, fused: FusedEstimate) -> SlipMemory:
     now = replace(_moved_by(now, by_deg), told_deg=now.told_deg + by_deg)
     if fused.shift_mm is None or now.smooth_shift_mm is None:
         return now
-    slid_mm = now.slide_rate_mm_s * SHIFT_TAU_S
+    slid_mm = now.slip_rate_mm_s * SHIFT_TAU_S
     handed_mm = _within(now.handed_mm + fused.shift_mm - now.smooth_shift_mm - slid_mm, HANDOVER_MM)
     by_mm = handed_mm - now.handed_mm
     return replace(
@@ -170,7 +170,7 @@ def _moved_by(detector: SlipMemory, by_deg: float) -> SlipMemory:
 def follow_shift(detector: SlipMemory, fused: FusedEstimate) -> SlipMemory:
     """Filtered derivative of the shift; the first shift after none starts it anew."""
     if fused.shift_mm is None:
-        return replace(detector, smooth_shift_mm=None, slide_rate_mm_s=0.0)
+        return replace(detector, smooth_shift_mm=None, slip_rate_mm_s=0.0)
     if detector.smooth_shift_mm is None:
         return replace(detector, smooth_shift_mm=fused.shift_mm)
     passed_s = fused.captured_at_s - detector.captured_s
@@ -178,12 +178,12 @@ def follow_shift(detector: SlipMemory, fused: FusedEstimate) -> SlipMemory:
         return detector
     share = 1.0 - math.exp(-passed_s / SHIFT_TAU_S)
     smooth_mm = detector.smooth_shift_mm + share * (fused.shift_mm - detector.smooth_shift_mm)
-    return replace(detector, smooth_shift_mm=smooth_mm, slide_rate_mm_s=(fused.shift_mm - smooth_mm) / SHIFT_TAU_S)
+    return replace(detector, smooth_shift_mm=smooth_mm, slip_rate_mm_s=(fused.shift_mm - smooth_mm) / SHIFT_TAU_S)
 
 
 def follow_rest(detector: SlipMemory, fused: FusedEstimate, params: GuardParams) -> SlipMemory:
     """Where the object rests and since when: within `calm_deg` (or two sigma) and 0.3 mm of one place."""
-    calm_deg = max(params.calm_deg, min(2.0 * (fused.sigma_deg or 0.0), params.level_max_deg))
+    calm_deg = max(params.tuning.settle_deg, min(2.0 * (fused.sigma_deg or 0.0), params.tuning.sigma_threshold_max_deg))
     rests = _near(fused.rotation_deg, detector.rest_rotation_deg, calm_deg) and _near(
         fused.shift_mm, detector.rest_shift_mm, CALM_SHIFT_MM
     )

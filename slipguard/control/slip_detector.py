@@ -39,7 +39,7 @@ the lift. At rest itself there is time to be sure."""
 class SlipAssessment:
     """What one look saw.
 
-    rotation_deg: away from the base, without sign. rate_deg_s: positive while that grows. slide_mm, slide_rate_mm_s:
+    rotation_deg: away from the base, without sign. rate_deg_s: positive while that grows. slip_mm, slip_rate_mm_s:
     downwards. moving: one of the rates is that of slip. turns, slides: this frame shows slip of that kind.
     slipping: slip, in enough frames. still_s: at rest for so long.
     """
@@ -47,8 +47,8 @@ class SlipAssessment:
     detector: SlipMemory
     rotation_deg: float = 0.0
     rate_deg_s: float = 0.0
-    slide_mm: float = 0.0
-    slide_rate_mm_s: float = 0.0
+    slip_mm: float = 0.0
+    slip_rate_mm_s: float = 0.0
     moving: bool = False
     rotations: bool = False
     slides: bool = False
@@ -59,7 +59,7 @@ class SlipAssessment:
     def what(self) -> str:
         """In words, with figures."""
         rotation = f"turned {self.rotation_deg:.1f}° at {self.rate_deg_s:.0f}°/s"
-        return f"{rotation}, slid {self.slide_mm:.1f} mm" if self.slide_mm > CALM_SHIFT_MM else rotation
+        return f"{rotation}, slid {self.slip_mm:.1f} mm" if self.slip_mm > CALM_SHIFT_MM else rotation
 
 
 def look(
@@ -99,21 +99,21 @@ def look(
     rotation, rate, rotating = _rotating(detector, fused, params, only_outward)
     suddenly = 0 if anew else _suddenly(detector, fused, params, near_deg, firm, only_outward)
     slide = (fused.shift_mm or 0.0) - (detector.base_shift_mm or 0.0) if fused.shift_mm is not None else 0.0
-    slides_fast = detector.slide_rate_mm_s >= params.slide_rate_mm_s
+    slides_fast = detector.slip_rate_mm_s >= params.tuning.slip_rate_mm_s
     times = growth(detector.slides, params)
-    sliding = slide > params.slide_mm * times and (slides_fast or slide > params.slide_creep_mm * times)
+    sliding = slide > params.tuning.slip_mm * times and (slides_fast or slide > params.tuning.creep_mm * times)
     if new:
         detector = _counted(detector, fused, rotating or strayed or sliding, suddenly, params)
     return SlipAssessment(
         detector=detector,
         rotation_deg=rotation,
         rate_deg_s=rate,
-        slide_mm=slide,
-        slide_rate_mm_s=detector.slide_rate_mm_s,
-        moving=rate >= params.rate_deg_s or slides_fast,
+        slip_mm=slide,
+        slip_rate_mm_s=detector.slip_rate_mm_s,
+        moving=rate >= params.tuning.slip_rate_deg_s or slides_fast,
         rotations=rotating or strayed or suddenly > 0,
         slides=sliding,
-        slipping=detector.frames >= params.frames,
+        slipping=detector.frames >= params.tuning.confirm_frames,
         still_s=detector.captured_s - detector.rest_since_s if detector.rest_since_s is not None else 0.0,
     )
 
@@ -128,7 +128,7 @@ def _counted(
     counts = max(int(plainly), suddenly)
     at_rest_again = detector.alert.case is MotionCase.REST and detector.frames > 0 and not plainly
     waits = counts > 0 and at_rest_again and fused.measured_at_s < detector.counted_s + APART_S
-    far = abs(fused.rotation_deg or 0.0) > params.give_up_rotation_deg and fused.conflict is None
+    far = abs(fused.rotation_deg or 0.0) > params.tuning.rotation_max_deg and fused.conflict is None
     return replace(
         detector,
         frames=detector.frames if waits else detector.frames + counts if counts else 0,
@@ -152,7 +152,7 @@ def _strayed_from(detector: SlipMemory, fused: FusedEstimate, params: GuardParam
         return None
     rotation_deg = fused.rotation_deg
     level = level_deg(fused.sigma_deg, detector.rotations, params)
-    level = level if alert.aloft else max(level, params.firm_level_deg)
+    level = level if alert.aloft else max(level, params.tuning.torsion_after_tightening_deg)
     if abs(rotation_deg - alert.rested_deg) <= level or abs(rotation_deg) <= abs(alert.rested_deg):
         return None
     return max(alert.rested_deg, base_deg, key=lambda place_deg: abs(rotation_deg - place_deg))
@@ -170,13 +170,13 @@ def _rotating(
     if only_outward and abs(fused.rotation_deg) <= abs(detector.base_rotation_deg):
         return rotation_deg, 0.0, False
     level = level_deg(fused.sigma_deg, detector.rotations, params)
-    creep_deg = params.creep_deg * growth(detector.rotations, params)
+    creep_deg = params.tuning.creep_deg * growth(detector.rotations, params)
     if detector.alert.case is MotionCase.MOVING:
         level = max(level, SWING_SHARE * abs(detector.base_rotation_deg))
     if detector.alert.case is MotionCase.LIFT_OFF and detector.patient:
         # The far end still on its table leads the turn: its rate is the arm's.
-        return rotation_deg, rate_deg_s, rotation_deg > params.firm_level_deg
-    fast = rate_deg_s >= params.rate_deg_s
+        return rotation_deg, rate_deg_s, rotation_deg > params.tuning.torsion_after_tightening_deg
+    fast = rate_deg_s >= params.tuning.slip_rate_deg_s
     return rotation_deg, rate_deg_s, rotation_deg > level and (fast or rotation_deg > max(creep_deg, level))
 
 

@@ -139,25 +139,25 @@ def moved(place: float | None, by: float) -> float | None:
 
 def quick_level_deg(alert: RestingPlace, params: GuardParams, *, firm: bool = False) -> float:
     """What counts as slip where nothing else should turn the object: at rest, or lifting off for the first time."""
-    given_deg = params.rest_level_deg
+    given_deg = params.tighten_at_rest_deg
     if alert.case is MotionCase.LIFT_OFF:
-        given_deg = params.lift_off_level_deg * (FIRM_TIMES if firm else 1.0)
+        given_deg = params.tighten_at_lift_off_deg * (FIRM_TIMES if firm else 1.0)
     return max(given_deg, NOISE_TIMES * alert.noise_deg)
 
 
 def growth(episodes: int, params: GuardParams) -> float:
     """What the levels are multiplied by after so many episodes that were answered with force."""
-    return min(params.level_growth**episodes, GROWTH_MAX)
+    return min(params.tuning.threshold_growth**episodes, GROWTH_MAX)
 
 
 def unsure_deg(sigma_deg: float, params: GuardParams) -> float:
     """The turn that may be no more than the estimate's error."""
-    return min(params.level_sigmas * sigma_deg, params.level_max_deg)
+    return min(params.tuning.threshold_sigmas * sigma_deg, params.tuning.sigma_threshold_max_deg)
 
 
 def level_deg(sigma_deg: float, episodes: int, params: GuardParams) -> float:
     """The turn below which nothing counts as slip after so many episodes of it."""
-    return max(params.level_deg, unsure_deg(sigma_deg, params)) * growth(episodes, params)
+    return max(params.tuning.tighten_in_motion_deg, unsure_deg(sigma_deg, params)) * growth(episodes, params)
 
 
 def _case(alert: RestingPlace, fused: FusedEstimate, arm: ArmState | None) -> MotionCase:

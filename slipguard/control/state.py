@@ -46,7 +46,7 @@ class SlipEpisode:
     stepped_s: float
     rotation_deg: float
     rate_deg_s: float
-    slide_mm: float
+    slip_mm: float
     rotations: bool = False
     slides: bool = False
     raised: bool = False

@@ -138,8 +138,8 @@ def _arm_stop(observation: Observation) -> Fault | None:
 def _gripper(memory: Supervision, observation: Observation, params: GuardParams) -> Fault | None:
     gripper = observation.gripper
     silent_s = _silent_s(gripper.measured_at_s if gripper else None, memory.gripper_since_s, observation.now_s)
-    starts = _starts(memory, memory.gripper_known, observation.now_s, params.gripper_timeout_s)
-    if silent_s >= params.gripper_timeout_s and not starts:
+    starts = _starts(memory, memory.gripper_known, observation.now_s, params.tuning.gripper_timeout_s)
+    if silent_s >= params.tuning.gripper_timeout_s and not starts:
         return Fault(
             FaultCode.GRIPPER_SILENT,
             f"no answer for {silent_s:.1f} s",
@@ -159,15 +159,15 @@ def _no_frames(observation: Observation, params: GuardParams) -> bool:
 
 
 def _blind(finger: FingerHealth, params: GuardParams) -> bool:
-    return finger.condition is not Condition.FRESH or finger.age_s >= params.frames_timeout_s
+    return finger.condition is not Condition.FRESH or finger.age_s >= params.tuning.frames_timeout_s
 
 
 def _frames(memory: Supervision, observation: Observation, params: GuardParams) -> Fault | None:
     if memory.frames_since_s is None:
         return None
     silent_s = max(min(observation.left.age_s, observation.right.age_s), observation.now_s - memory.frames_since_s)
-    starts = _starts(memory, memory.frames_known, observation.now_s, params.frames_timeout_s)
-    if silent_s < params.frames_timeout_s or starts:
+    starts = _starts(memory, memory.frames_known, observation.now_s, params.tuning.frames_timeout_s)
+    if silent_s < params.tuning.frames_timeout_s or starts:
         return None
     both = " and ".join(
         f"{name}: {finger.why or finger.condition}"
@@ -194,11 +194,11 @@ def _follow_trust(memory: Supervision, state: GraspState, observation: Observati
 
 
 def _trust(memory: Supervision, state: GraspState, observation: Observation, params: GuardParams) -> Fault | None:
-    if not state.guarding or not _lasts(memory.untrusted_since_s, observation.now_s, params.untrusted_s):
+    if not state.guarding or not _lasts(memory.untrusted_since_s, observation.now_s, params.tuning.estimate_timeout_s):
         return None
     return Fault(
         FaultCode.ESTIMATE_UNTRUSTED,
-        f"for {params.untrusted_s:g} s: {memory.untrusted}",
+        f"for {params.tuning.estimate_timeout_s:g} s: {memory.untrusted}",
         "look at both fingers; clear takes a new reference, release lets go",
     )
 
@@ -208,7 +208,7 @@ def _arm(memory: Supervision, state: GraspState, observation: Observation, param
         observation.arm.measured_at_s if observation.arm else None, memory.arm_since_s, observation.now_s
     )
     gone_on_the_way = observation.arm is None and (state.phase in MOVING or state.putting_down)
-    limit_s = params.arm_timeout_s if memory.arm_known else ARM_WAIT_S
+    limit_s = params.tuning.arm_timeout_s if memory.arm_known else ARM_WAIT_S
     if silent_s < limit_s and not gone_on_the_way:
         return None
     return Fault(
@@ -229,11 +229,15 @@ def _follow_arm(memory: Supervision, state: GraspState, observation: Observation
 
 
 def _arm_stuck(memory: Supervision, state: GraspState, observation: Observation, params: GuardParams) -> Fault | None:
-    if memory.mark_mm is None or observation.arm is None or observation.now_s - memory.mark_s < params.stuck_s:
+    if (
+        memory.mark_mm is None
+        or observation.arm is None
+        or observation.now_s - memory.mark_s < params.tuning.stuck_timeout_s
+    ):
         return None
     return Fault(
         FaultCode.ARM_STUCK,
-        f"at {observation.arm.height_mm:.0f} mm for {params.stuck_s:g} s on the way to {state.goal_mm or 0.0:.0f} mm",
+        f"at {observation.arm.height_mm:.0f} mm for {params.tuning.stuck_timeout_s:g} s on the way to {state.goal_mm or 0.0:.0f} mm",
         "see what stops the arm (its limits, its program, an obstacle), then clear",
     )
 
@@ -254,20 +258,20 @@ def _no_help(memory: Supervision, observation: Observation, params: GuardParams)
         return None
     further_deg = fused.rotation_deg - memory.help_rotation_deg
     outward_deg_s = (fused.rate_deg_s or 0.0) * (1.0 if further_deg > 0.0 else -1.0)
-    if not _lasts(memory.help_since_s, observation.now_s, params.help_s):
+    if not _lasts(memory.help_since_s, observation.now_s, params.tuning.tighten_effect_timeout_s):
         return None
-    if abs(further_deg) < HELP_DEG or outward_deg_s < params.rate_deg_s:
+    if abs(further_deg) < HELP_DEG or outward_deg_s < params.tuning.slip_rate_deg_s:
         return None
     return Fault(
         FaultCode.NO_HELP,
         f"{abs(further_deg):.0f}° further and still turning at {outward_deg_s:.0f}°/s "
-        f"{params.help_s:g} s after tightening",
+        f"{params.tuning.tighten_effect_timeout_s:g} s after tightening",
         "support the object; grip it nearer to its centre of mass",
     )
 
 
 def _late(late_s: float, params: GuardParams) -> Fault | None:
-    if late_s < params.loop_late_s:
+    if late_s < params.tuning.cycle_timeout_s:
         return None
     return Fault(
         FaultCode.LOOP_LATE,

@@ -185,7 +185,7 @@ class _Cell:
             await self.controls.lower()
         except CommandRefused as error:
             return str(service.state.fault or error)
-        limit_s = self._limit_s(up_mm, guard.lower_speed_mm_s)
+        limit_s = self._limit_s(up_mm, guard.tuning.lower_speed_mm_s)
         await wait_until(
             self.running,
             lambda: service.phase is not Phase.LOWERING,
@@ -214,7 +214,7 @@ class _Cell:
             raise SlipguardError(f"{lift.stem}: {service.state.fault}")
 
     def _limit_s(self, height_mm: float, speed_mm_s: float) -> float:
-        return PHASE_S + SLACK * height_mm / min(speed_mm_s, self.service.config.guard.probe_speed_mm_s)
+        return PHASE_S + SLACK * height_mm / min(speed_mm_s, self.service.config.guard.tuning.probe_speed_mm_s)
 
 
 def _up_mm(service: Service) -> float:

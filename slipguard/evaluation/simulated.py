@@ -111,7 +111,7 @@ async def _record(task: SimulatedLift) -> None:
     with tempfile.TemporaryDirectory(prefix="slipguard-evaluate-") as folder:
         raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in m.FINGERS}
         raw["state"] = {"directory": folder}
-        raw["guard"] = {"lift_speed_mm_s": protocol.lift_speed_mm_s, "lower_speed_mm_s": 150.0}
+        raw["guard"] = {"lift_speed_mm_s": protocol.lift_speed_mm_s, "tuning": {"lower_speed_mm_s": 150.0}}
         service = build_service(
             parse_config(raw, where="the simulated experiment", sim=True),
             world=world,

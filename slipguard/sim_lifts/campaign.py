@@ -79,7 +79,7 @@ def campaign_config(settings: CampaignSettings, state_directory: Path) -> Config
     raw["guard"] = {
         "lift_height_mm": LIFT_HEIGHT_MM,
         "lift_speed_mm_s": LIFT_SPEED_MM_S,
-        "lower_speed_mm_s": LOWER_SPEED_MM_S,
+        "tuning": {"lower_speed_mm_s": LOWER_SPEED_MM_S},
     }
     raw["state"] = {"directory": str(state_directory)}
     return parse_config(raw, where="--sim", sim=True)

@@ -24,6 +24,6 @@ def unguarded_tick(state: ControlState, observation: Observation, params: GuardP
             conflict=None,
             declined=None,
         )
-    params = params.model_copy(update={"blind_force_n": params.first_force_n})
+    params = params.model_copy(update={"no_estimate_force_n": params.first_force_n})
     grasp, command = step(state.grasp, replace(observation, fused=fused, fault=None), params)
     return replace(state, grasp=grasp), command

@@ -38,16 +38,17 @@ enabled = false
 lift_height_mm = 40
 release_width_mm = 40
 lift_speed_mm_s = 100
+[guard.tuning]
 probe_height_mm = 5
 lower_speed_mm_s = 100
 frames_timeout_s = 5
-untrusted_s = 10
-lost_s = 2
+estimate_timeout_s = 10
+lost_after_s = 2
 gripper_timeout_s = 5
 arm_timeout_s = 5
-stuck_s = 10
-loop_late_s = 5
-help_s = 10
+stuck_timeout_s = 10
+cycle_timeout_s = 5
+tighten_effect_timeout_s = 10
 """
 """A short lift, and more patience with devices than on a real cell: a busy machine that runs tests is no fault."""
 pause = Event().wait

@@ -16,7 +16,7 @@ from slipguard.control.fault import FaultCode
 from slipguard.control.state import Phase
 from slipguard.errors import CommandRefused
 
-BRISK: dict[str, object] = {"lift_height_mm": 50.0, "lift_speed_mm_s": 80.0, "lower_speed_mm_s": 150.0}
+BRISK: dict[str, object] = {"lift_height_mm": 50.0, "lift_speed_mm_s": 80.0, "tuning": {"lower_speed_mm_s": 150.0}}
 NAMED_WITHIN_S = 0.5
 Reach = Callable[[Cell], Awaitable[None]]
 

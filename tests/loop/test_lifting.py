@@ -13,7 +13,7 @@ from slipguard.daemon.loop.service import Controller
 from slipguard.errors import CommandRefused
 from slipguard.sim_lifts.unguarded import unguarded_tick
 
-BRISK = {"lift_height_mm": 60.0, "lift_speed_mm_s": 100.0, "lower_speed_mm_s": 150.0}
+BRISK = {"lift_height_mm": 60.0, "lift_speed_mm_s": 100.0, "tuning": {"lower_speed_mm_s": 150.0}}
 
 
 def carried(
@@ -108,7 +108,7 @@ def test_what_cannot_be_seen_turning_is_not_lifted_where_that_is_refused() -> No
         assert not [told for told in cell.arm.told if told[1] == "lift"]
         await cell.release()
 
-    play(Cell("ball", 1, guard=BRISK | {"on_blind": "refuse"}, blind=BLIND), scene)
+    play(Cell("ball", 1, guard=BRISK | {"on_no_estimate": "refuse"}, blind=BLIND), scene)
 
 
 def test_one_finger_that_sees_is_enough() -> None:

@@ -161,7 +161,12 @@ def test_a_bug_in_perception_ends_the_service_and_not_in_silence() -> None:
 
 async def test_on_the_real_clock_with_threads_it_grips_and_leaves_no_thread_behind() -> None:
     others = set(threading.enumerate())  # an earlier test's may not have noticed yet that nobody needs them
-    cell = Cell("key", 1, guard={"reference_timeout_s": 5.0, "frames_timeout_s": 5.0, "loop_late_s": 5.0}, threads=True)
+    cell = Cell(
+        "key",
+        1,
+        guard={"tuning": {"reference_timeout_s": 5.0, "frames_timeout_s": 5.0, "cycle_timeout_s": 5.0}},
+        threads=True,
+    )
     async with running(cell):
         await cell.grasp()
         names = {thread.name for thread in threading.enumerate()}

@@ -10,7 +10,7 @@ from loop_cell import Cell, play
 from slipguard.control.state import Phase
 from slipguard.errors import DeviceTimeout
 
-BRISK = {"lift_speed_mm_s": 100.0, "lower_speed_mm_s": 60.0}
+BRISK = {"lift_speed_mm_s": 100.0, "tuning": {"lower_speed_mm_s": 60.0}}
 STOPS = ["protective_stop", "emergency_stop"]
 
 

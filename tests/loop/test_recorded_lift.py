@@ -132,7 +132,7 @@ def test_a_law_that_would_have_decided_otherwise_is_found_out(lift: Path) -> Non
     opened = recordings([lift])
     for one in opened:
         config = json.loads(one.attachments[m.CONFIG_ATTACHMENT])
-        config["guard"]["firm_share"] = 0.6
+        config["guard"]["tuning"]["first_fraction"] = 0.6
         one.attachments[m.CONFIG_ATTACHMENT] = json.dumps(config).encode()
     played = replay(opened)
     assert played.on_recorded.differences

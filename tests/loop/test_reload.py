@@ -60,7 +60,7 @@ def test_what_is_built_at_the_start_needs_a_restart(sections: dict[str, Any]) ->
 
 @pytest.mark.parametrize("phase", Phase)
 def test_the_guard_changes_only_while_nothing_moves(phase: Phase) -> None:
-    new = config(guard={"level_deg": 3.0})
+    new = config(guard={"tuning": {"tighten_in_motion_deg": 3.0}})
     (change,) = changes(config(), new)
     rests = phase in (Phase.IDLE, Phase.HOLDING, Phase.FAULT)
     assert why_not(change, new, Grip(phase, False, 40.0)) == (None if rests else f"not while {phase.value}")
@@ -71,10 +71,12 @@ def test_thresholds_are_taken_up_while_an_object_is_held() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
         await cell.grasp()
-        assert await reloader(cell, lambda: config(guard={"force_max_n": 115.0, "level_deg": 2.5})).reload()
+        assert await reloader(
+            cell, lambda: config(guard={"force_max_n": 115.0, "tuning": {"tighten_in_motion_deg": 2.5}})
+        ).reload()
         assert cell.service.config.guard.force_max_n == 115.0
         assert cell.service.event_log.lines[-1] == (
-            "configuration read again: guard.force_max_n: 130.0 -> 115.0, guard.level_deg: 2.0 -> 2.5"
+            "configuration read again: guard.force_max_n: 130.0 -> 115.0, guard.tuning.tighten_in_motion_deg: 2.0 -> 2.5"
         )
         await cell.lift()
         assert cell.phase is Phase.HOLDING
@@ -90,7 +92,12 @@ def test_a_budget_below_the_present_grip_is_refused_and_nothing_of_the_rest_is_t
         await cell.grasp()
         held_n = grip_of(cell.service).force_n
         assert held_n >= 40.0
-        low = {"force_max_n": 35.0, "blind_force_n": 30.0, "first_force_n": 20.0, "level_deg": 3.0}
+        low = {
+            "force_max_n": 35.0,
+            "no_estimate_force_n": 30.0,
+            "first_force_n": 20.0,
+            "tuning": {"tighten_in_motion_deg": 3.0},
+        }
         before = cell.service.config
         assert not await reloader(cell, lambda: config(guard=low, recording={"ring_s": 60})).reload()
         assert cell.service.config is before
@@ -112,8 +119,8 @@ def test_during_a_lift_the_old_one_stays() -> None:
         await cell.grasp()
         lifting = asyncio.create_task(cell.lift())
         await cell.until(lambda: cell.phase is Phase.LIFTING)
-        assert not await reloader(cell, lambda: config(guard={"level_deg": 3.0})).reload()
-        assert "guard.level_deg: 2.0 -> 3.0 not while lifting" in cell.service.event_log.lines[-1]
+        assert not await reloader(cell, lambda: config(guard={"tuning": {"tighten_in_motion_deg": 3.0}})).reload()
+        assert "guard.tuning.tighten_in_motion_deg: 2.0 -> 3.0 not while lifting" in cell.service.event_log.lines[-1]
         assert await reloader(cell, lambda: config(recording={"ring_s": 60})).reload()
         await lifting
 

@@ -13,7 +13,7 @@ from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.errors import CommandRefused
 from slipguard.sim.world import World
 
-BRISK: dict[str, object] = {"lift_height_mm": 50.0, "lift_speed_mm_s": 80.0, "lower_speed_mm_s": 150.0}
+BRISK: dict[str, object] = {"lift_height_mm": 50.0, "lift_speed_mm_s": 80.0, "tuning": {"lower_speed_mm_s": 150.0}}
 DEVICES = ("left", "right", "gripper", "arm")
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from slipguard.control.finger_fusion import FusedEstimate
 from slipguard.control.messages import NO_REQUEST, ControlRequest, FingerHealth, Observation, RequestKind
+from slipguard.control.params import GuardParams, GuardTuning
 from slipguard.devices import ArmState, GripperState
 from slipguard.perception.estimate import Estimate
 
@@ -43,6 +44,12 @@ def observation(now_s: float, **changes: object) -> Observation:
         gripper=gripper(at_s=now_s), arm=arm(at_s=now_s), request=NO_REQUEST,
     )  # fmt: skip
     return replace(base, **changes)  # type: ignore[arg-type]
+
+
+def guard_params(**keys: object) -> GuardParams:
+    """The parameters with some keys changed, each put where it belongs: into [guard] or [guard.tuning]."""
+    tuning = {key: keys.pop(key) for key in list(keys) if key in GuardTuning.model_fields}
+    return GuardParams(**keys, tuning=GuardTuning(**tuning))  # type: ignore[arg-type]
 
 
 def ask(kind: RequestKind, **values: float) -> ControlRequest:

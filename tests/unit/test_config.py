@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -40,8 +41,9 @@ def test_the_shipped_file_is_fine_and_complete() -> None:
     made = read_config(SHIPPED)
     assert (made.left.driver, made.gripper.driver, made.arm.driver) == ("digit", "robotiq", "ur5")
     text = SHIPPED.read_text()
+    assert type(made.guard.tuning).model_fields.keys() <= set(re.findall(r"^(\w+) = ", text, re.MULTILINE))
     for section in ("guard", "perception", "loop", "api", "state"):
-        for key in getattr(made, section).__class__.model_fields:
+        for key in type(getattr(made, section)).model_fields.keys() - {"tuning"}:
             assert f"{key} = " in text, f"config.toml does not explain {section}.{key}"
         assert getattr(made, section) == type(getattr(made, section))(), f"[{section}] differs from the defaults"
 
@@ -90,8 +92,11 @@ def test_a_typo_in_a_drivers_table_names_that_table() -> None:
         ({"guard": {"first_force_n": "40"}}, "guard.first_force_n = '40'"),
         ({"guard": {"stop_on_slip": "off"}}, "guard.stop_on_slip = 'off'"),
         ({"guard": {"stop_on_slip": 1}}, "guard.stop_on_slip = 1"),
-        ({"guard": {"frames": 2.0}}, "guard.frames = 2:"),
-        ({"guard": {"level_deg": list(range(999))}}, "guard.level_deg = [0, 1, 2"),
+        ({"guard": {"tuning": {"confirm_frames": 2.0}}}, "guard.tuning.confirm_frames = 2:"),
+        (
+            {"guard": {"tuning": {"tighten_in_motion_deg": list(range(999))}}},
+            "guard.tuning.tighten_in_motion_deg = [0, 1, 2",
+        ),
         ({"left": {"mounting_deg": False}}, "left.mounting_deg = false: a whole number"),
         ({"left": {"mounting_deg": 0.0}}, "left.mounting_deg = 0: a whole number"),
         ({"left": {"fake": {"stall_ms": "250"}}}, "left.fake.stall_ms = '250'"),
@@ -157,14 +162,20 @@ def test_addresses_that_are_none(listen: str) -> None:
 @pytest.mark.parametrize(
     ("guard", "expected"),
     [
-        ({"force_max_n": 60, "blind_force_n": 100}, "blind_force_n = 100: at most force_max_n (60); lower it, too"),
+        (
+            {"force_max_n": 60, "no_estimate_force_n": 100},
+            "no_estimate_force_n = 100: at most force_max_n (60); lower it, too",
+        ),
         ({"force_max_n": 30}, "first_force_n = 40: at most force_max_n (30); lower it, too"),
-        ({"blind_force_n": 30}, "blind_force_n = 30: at least first_force_n (40)"),
-        ({"level_max_deg": 1}, "level_max_deg = 1: at least level_deg (2)"),
+        ({"no_estimate_force_n": 30}, "no_estimate_force_n = 30: at least first_force_n (40)"),
+        (
+            {"tuning": {"sigma_threshold_max_deg": 1}},
+            "tuning.sigma_threshold_max_deg = 1: at least tighten_in_motion_deg (2)",
+        ),
         ({"friction": 0.5}, "mass_kg: missing; it and friction go together: give both, or neither"),
         ({"mass_kg": 0.5}, "friction: missing; it and mass_kg go together: give both, or neither"),
         ({"friction": 0.4, "mass_kg": 2, "lever_mm": 100}, "force_max_n = 130: friction (0.4), mass_kg (2) and"),
-        ({"mode": "guard", "on_budget_spent": "lower"}, "on_budget_spent = 'lower': for mode = \"lift\""),
+        ({"mode": "guard", "on_force_limit": "lower"}, "on_force_limit = 'lower': for mode = \"lift\""),
         ({"force_max_n": 500}, "force_max_n = 500: input should be less than or equal to 235"),
     ],
 )
@@ -198,7 +209,7 @@ def test_one_sensor_for_both_fingers_is_refused() -> None:
 @given(
     first=st.none() | st.integers(1, 235),
     most=st.none() | st.floats(1.0, 235.0),
-    key=st.sampled_from(["first_force_n", "force_max_n", "frames", "stop_on_slip", "level_deg", "mode"]),
+    key=st.sampled_from(["first_force_n", "force_max_n", "stop_on_slip", "tighten_at_rest_deg", "mode"]),
 )
 def test_a_grip_that_is_not_given_fits_those_that_are(first: int | None, most: float | None, key: str) -> None:
     forces = {"first_force_n": first, "force_max_n": most}
@@ -207,8 +218,8 @@ def test_a_grip_that_is_not_given_fits_those_that_are(first: int | None, most: f
         assert "first_force_n = " in complaint({"guard": guard})
         return
     made = parse_config({"guard": guard}, where="c.toml", sim=True).guard
-    assert made.first_force_n <= made.blind_force_n <= made.force_max_n
-    assert made.blind_force_n == 100.0 or made.blind_force_n in (made.first_force_n, made.force_max_n)
+    assert made.first_force_n <= made.no_estimate_force_n <= made.force_max_n
+    assert made.no_estimate_force_n == 100.0 or made.no_estimate_force_n in (made.first_force_n, made.force_max_n)
     quoted = str(getattr(made, key))
     assert key == "mode" or f"guard.{key} = {quoted!r}" in complaint({"guard": guard | {key: quoted}})
 
@@ -234,7 +245,7 @@ def test_every_key_of_the_shipped_file_refuses_another_type() -> None:
 
 
 UNWORKABLE = [
-    ("force_max_n = 130", "force_max_n = 15\nblind_force_n = 15", "first_force_n = 40: at most force_max_n (15)"),
+    ("force_max_n = 130", "force_max_n = 15\nno_estimate_force_n = 15", "first_force_n = 40: at most force_max_n (15)"),
     ("first_force_n = 40\n", "first_force_n = 9\n", None),
     ('# model = "models/tsnn-small.onnx"', 'model = "{here}"', "perception.model = {here}: a folder"),
     ('# model = "models/tsnn-small.onnx"', 'model = "{here}/no.onnx"', "perception.model = {here}/no.onnx: no such"),

@@ -19,12 +19,12 @@ from slipguard.errors import CommandRefused, SlipguardError
 
 PATIENCE_S = 40.0
 PATIENT_GUARD = """watchdog_hz = 2
-[guard]
+[guard.tuning]
 frames_timeout_s = 1.5
 gripper_timeout_s = 2
 arm_timeout_s = 2
-loop_late_s = 2
-help_s = 4
+cycle_timeout_s = 2
+tighten_effect_timeout_s = 4
 """
 pause = threading.Event().wait
 

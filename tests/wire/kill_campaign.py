@@ -23,13 +23,13 @@ DEAD_S = 0.8
 LOOSER_N = 0.5
 KEPT_DEG = 3.0
 MOST_PATIENT = """watchdog_hz = 2
-[guard]
+[guard.tuning]
 frames_timeout_s = 5
 gripper_timeout_s = 5
 arm_timeout_s = 5
-loop_late_s = 5
-help_s = 10
-stuck_s = 10
+cycle_timeout_s = 5
+tighten_effect_timeout_s = 10
+stuck_timeout_s = 10
 """
 """What another program on this machine does to the doubles' time is not what is looked at."""
 

@@ -85,7 +85,8 @@ def holds(minutes: float, seed: int = 0, each_s: float = 60.0, *, rendered: bool
 
 def hold(plan: Hold, params: GuardParams | None = None) -> Held:
     """Play one; the same hold gives the same answer."""
-    params = (params or GuardParams()).model_copy(update={"probe_height_mm": 0.0})
+    params = params or GuardParams()
+    params = params.model_copy(update={"tuning": params.tuning.model_copy(update={"probe_height_mm": 0.0})})
     trial = plan.trial
     rng = np.random.default_rng([trial.number, 17])
     world = world_of(trial, STEP_S)

@@ -75,8 +75,8 @@ def within_budget(params: GuardParams, trial: Trial) -> GuardParams:
     """The parameters with the trial's budget, for a lift that begins at full speed."""
     told = {
         "force_max_n": trial.force_max_n,
-        "blind_force_n": min(params.blind_force_n, trial.force_max_n),
-        "probe_height_mm": 0.0,
+        "no_estimate_force_n": min(params.no_estimate_force_n, trial.force_max_n),
+        "tuning": params.tuning.model_dump() | {"probe_height_mm": 0.0},
     }
     return GuardParams.model_validate(params.model_dump() | told)
 

@@ -137,7 +137,7 @@ def ended_for_nothing(one: Played) -> bool:
     Where the support goes at once only if the oracle's turn stayed within what the law gives up at.
     """
     ended = any(law.dropped is None and (law.fault is not None or not law.up) for law in _laws(one))
-    return ended and not _beyond_help(one, GuardParams().give_up_rotation_deg)
+    return ended and not _beyond_help(one, GuardParams().tuning.rotation_max_deg)
 
 
 def _beyond_help(one: Played, rotation_deg: float = math.inf) -> bool:

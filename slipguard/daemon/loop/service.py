@@ -207,7 +207,9 @@ class Service:
             found_needless if command.hold_force_n is None else (),
         )
         self._tell(before.grasp.phase, command, answer)
-        self._device_alerts.look(now_s, troubles(observation, self.devices), self.phase, self.config.guard.loop_late_s)
+        self._device_alerts.look(
+            now_s, troubles(observation, self.devices), self.phase, self.config.guard.tuning.cycle_timeout_s
+        )
         for observer in self.observers:
             observer(decision)
 

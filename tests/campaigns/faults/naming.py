@@ -5,7 +5,7 @@ its device. It can be seen while the daemon runs, and unless:
 - a graver fault of the same device hides it (`RANKS`), or one that undoes it, or the sensor is being opened again;
 - light and mirrored pictures: nothing is held, for only then does a finger's word count; mirrored ones also until both
   fingers have seen more than `TELLING_DEG`, and if both are, for then they agree;
-- an arm that is stuck: until it has gained no height for `stuck_s` though it was told to, which is what stuck means;
+- an arm that is stuck: until it has gained no height for `stuck_timeout_s` though it was told to, which is what stuck means;
 - an object that was taken: no camera shows the empty fingers, and the jaws have not yet closed or the gripper is not
   heard; nor where the guard was not holding it;
 - a killed daemon: until the next one has heard the gripper, if it holds something.
@@ -118,13 +118,13 @@ def _both_rotated(rig: CampaignCell) -> bool:
 
 
 def _stuck(standing: Standing, rig: CampaignCell) -> bool:
-    """Told to move, and at one height for `stuck_s`."""
+    """Told to move, and at one height for `stuck_timeout_s`."""
     service = rig.service
     moves = service.phase in MOVING and service.state.slip is None and service.arm.newest is not None
     height_mm = rig.truth.height_mm
     if not moves or abs(height_mm - standing.height_mm) >= 1.0:
         standing.since_s, standing.height_mm = rig.now_s, height_mm
-    return rig.now_s - standing.since_s >= rig.params.guard.stuck_s
+    return rig.now_s - standing.since_s >= rig.params.guard.tuning.stuck_timeout_s
 
 
 def _camera_shows_nothing(rig: CampaignCell) -> bool:

@@ -31,7 +31,7 @@ WATCHDOG_S = 0.25
 """An arm stops by itself so long after it has heard from a dead daemon for the last time."""
 ROOM_MM = 20.0
 """The open jaws are so much wider than the object, to spare a run the way."""
-LIFT: dict[str, object] = {"lift_height_mm": 50.0, "lift_speed_mm_s": 80.0, "lower_speed_mm_s": 150.0}
+LIFT: dict[str, object] = {"lift_height_mm": 50.0, "lift_speed_mm_s": 80.0, "tuning": {"lower_speed_mm_s": 150.0}}
 
 
 class CampaignCell:

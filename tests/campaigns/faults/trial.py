@@ -195,7 +195,7 @@ def trial(seed: int) -> TrialResult:
     rng = np.random.default_rng([seed, 5])
     names = object_names("test")
     object_name = names[int(rng.integers(len(names)))]
-    guard: dict[str, object] = {"on_budget_spent": str(rng.choice(["stop", "lower"]))}
+    guard: dict[str, object] = {"on_force_limit": str(rng.choice(["stop", "lower"]))}
     return run_virtual(_run(seed, object_name, guard, draw(rng, seed)))
 
 

@@ -34,7 +34,7 @@ def soak_config(settings: SoakSettings, folder: Path) -> Config:
     """The fakes and every default; the recordings' limits are small enough to be reached."""
     draw = "plain" if settings.virtual else "process"
     raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": draw}} for name in FINGERS}
-    raw["guard"] = {"lift_height_mm": 100.0, "lift_speed_mm_s": 80.0, "lower_speed_mm_s": 150.0}
+    raw["guard"] = {"lift_height_mm": 100.0, "lift_speed_mm_s": 80.0, "tuning": {"lower_speed_mm_s": 150.0}}
     raw["loop"] = VIRTUAL_LOOP if settings.virtual else {}
     raw["state"] = {"directory": str(folder)}
     raw["api"] = {"listen": ""}

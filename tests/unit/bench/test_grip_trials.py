@@ -16,7 +16,7 @@ from slipguard.bench.grip.trials import (
     trials,
 )
 from slipguard.control.force_limits import budget
-from slipguard.control.params import GuardParams
+from slipguard.control.params import GuardParams, GuardTuning
 from slipguard.sim.friction import needed_force_n
 
 TIGHT: tuple[Block, ...] = ("high need", "fragile")
@@ -48,9 +48,9 @@ def test_blocks_spread_over_the_same_axes_and_share_no_number() -> None:
 
 def test_the_parameters_of_a_trial_are_ones_that_a_user_could_set() -> None:
     fragile = within_budget(GuardParams(), trials(1, 0, 0, "fragile")[0])
-    assert fragile.force_max_n == fragile.blind_force_n == FRAGILE_MAX_N
+    assert fragile.force_max_n == fragile.no_estimate_force_n == FRAGILE_MAX_N
     plain = within_budget(GuardParams(), trials(1, 0)[0])
-    assert plain == GuardParams(probe_height_mm=0.0)
+    assert plain == GuardParams(tuning=GuardTuning(probe_height_mm=0.0))
 
 
 def test_something_fragile_is_held_and_never_gripped_beyond_its_budget() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from observations import arm, ask, fused, gripper, observation
+from observations import arm, ask, fused, gripper, guard_params, observation
 
 from slipguard.control.fault import Fault, FaultCode
 from slipguard.control.messages import ArmLift, Command, Observation, RequestKind
@@ -15,11 +15,11 @@ from slipguard.control.state import GraspState, Phase
 from slipguard.control.step import ControlState, control_step
 
 COARSE = {
-    "rest_level_deg": 10.0, "lift_off_level_deg": 10.0, "firm_share": 0.1, "first_step": 1.5,
+    "tighten_at_rest_deg": 10.0, "tighten_at_lift_off_deg": 10.0, "first_fraction": 0.1, "first_multiplier": 1.5,
 }  # fmt: skip
 """No level but those that hold whatever the arm does, and steps that follow from the present force alone."""
-PARAMS = GuardParams(**COARSE)  # type: ignore[arg-type]
-GUARD_MODE = GuardParams(mode="guard", **COARSE)  # type: ignore[arg-type]
+PARAMS = guard_params(**COARSE)
+GUARD_MODE = guard_params(mode="guard", **COARSE)
 NOW_S = 10.0
 FAULT = Fault(FaultCode.ARM_SILENT, "no state for 0.5 s", "check the network")
 PRIMED = SlipMemory(

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from controller_steps import NOW_S, seen_in, state_in
-from observations import ask, fused
+from observations import ask, fused, guard_params
 
 from slipguard.control.fault import Fault, FaultCode
 from slipguard.control.messages import (
@@ -32,9 +32,9 @@ from slipguard.control.supervisor import Supervision
 LEDGER = Path(__file__).with_suffix(".txt")
 LEFT_OUT = ("detector", "delay", "slip", "fault")
 PARAMS = {
-    "lift": GuardParams(lift_height_mm=80.0),
-    "lower": GuardParams(on_budget_spent="lower", on_blind="refuse", stop_on_slip=False),
-    "guard": GuardParams(mode="guard"),
+    "lift": guard_params(lift_height_mm=80.0),
+    "lower": guard_params(on_force_limit="lower", on_no_estimate="refuse", stop_on_slip=False),
+    "guard": guard_params(mode="guard"),
 }
 GONE = FingerHealth(Condition.LOST, 2.0, "unplugged")
 OLD = FingerHealth(Condition.STALE, 0.31, "its frames are old")

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from controller_steps import FAULT
-from observations import arm, observation
+from observations import arm, guard_params, observation
 
 from slipguard.control.arm_motion import FRESH_S, REACHED_MM, REPEAT_S, START_S, ended, go_on_down, put_down, stop
 from slipguard.control.fault import Fault, FaultCode
@@ -14,7 +14,7 @@ from slipguard.control.messages import ArmLift, Command
 from slipguard.control.params import GuardParams
 from slipguard.control.state import GraspState, Phase
 
-LOWER = GuardParams(on_budget_spent="lower", probe_speed_mm_s=12.0, lower_speed_mm_s=30.0)
+LOWER = guard_params(on_force_limit="lower", probe_speed_mm_s=12.0, lower_speed_mm_s=30.0)
 SPENT = Fault(FaultCode.BUDGET_SPENT, "slips on", "support it")
 TOLD = GraspState(Phase.FAULT, ground_mm=10.0, fault=SPENT)
 DOWN = replace(TOLD, putting_down=True, goal_mm=10.0)
@@ -74,7 +74,7 @@ def test_what_is_put_down(code: FaultCode) -> None:
 
 
 def test_it_goes_no_faster_than_a_lowering() -> None:
-    slow = GuardParams(on_budget_spent="lower", probe_speed_mm_s=40.0, lower_speed_mm_s=30.0)
+    slow = guard_params(on_force_limit="lower", probe_speed_mm_s=40.0, lower_speed_mm_s=30.0)
     _, command = put_down((TOLD, SAID), observation(5.0, arm=arm(60.0)), slow)
     assert command.arm == ArmLift(-50.0, 30.0)
 

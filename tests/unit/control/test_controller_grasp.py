@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from controller_steps import NOW_S, PARAMS, Play, seen_in, state_in
-from observations import arm, ask, fused, gripper, observation
+from observations import arm, ask, fused, gripper, guard_params, observation
 
 from slipguard.control.controller import step
 from slipguard.control.fault import FaultCode
@@ -79,7 +79,7 @@ def test_closing_on_nothing_ends_idle_and_not_closing_ends_in_a_fault() -> None:
         ({"jaws": gripper(0.0, holding=False, fault="5")}, "not ready"),
         ({"jaws": gripper(0.0, holding=False, active=False)}, "not activated"),
         ({"here": arm(emergency=True)}, "emergency stop"),
-        ({"params": GuardParams(first_force_n=10.0, blind_force_n=15.0, force_max_n=15.0)}, "below the 20 N"),
+        ({"params": guard_params(first_force_n=10.0, no_estimate_force_n=15.0, force_max_n=15.0)}, "below the 20 N"),
     ],
 )
 def test_grasps_that_are_refused(changes: dict[str, object], says: str) -> None:
@@ -139,7 +139,7 @@ def test_without_a_reference_it_grips_firmly_before_lifting() -> None:
 
 
 def test_without_a_reference_it_refuses_the_lift_in_words() -> None:
-    play = blind(GuardParams(on_blind="refuse"))
+    play = blind(guard_params(on_no_estimate="refuse"))
     assert play.grasp.target_n == pytest.approx(40.0, abs=0.85)
     refused = play.step(RequestKind.LIFT).refused
     assert refused is not None

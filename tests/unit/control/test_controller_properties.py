@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from observations import arm, ask, fused, gripper, observation
+from observations import arm, ask, fused, gripper, guard_params, observation
 
 from slipguard.control.fault import Fault, FaultCode
 from slipguard.control.messages import (
@@ -68,7 +68,9 @@ def moment(
 
 
 moments = st.builds(moment, gaps, views, jaws, arms, healths, healths)
-modes = st.sampled_from([GuardParams(), GuardParams(mode="guard"), GuardParams(on_blind="refuse", stop_on_slip=False)])
+modes = st.sampled_from(
+    [GuardParams(), guard_params(mode="guard"), guard_params(on_no_estimate="refuse", stop_on_slip=False)]
+)
 
 
 def start(phase: Phase) -> ControlState:

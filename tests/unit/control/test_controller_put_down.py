@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from controller_steps import NOW_S, Play, seen_in, state_in
-from observations import arm, ask, fused, gripper, observation
+from observations import arm, ask, fused, gripper, guard_params, observation
 from pydantic import ValidationError
 
 from slipguard.config import parse_config
@@ -18,9 +18,9 @@ from slipguard.control.state import Phase
 from slipguard.devices import ArmState
 from slipguard.errors import ConfigError
 
-SMALL = {"force_max_n": 60.0, "blind_force_n": 60.0, "lift_height_mm": 80.0}
-LOWER = GuardParams(on_budget_spent="lower", **SMALL)  # type: ignore[arg-type]
-STOP = GuardParams(**SMALL)  # type: ignore[arg-type]
+SMALL = {"force_max_n": 60.0, "no_estimate_force_n": 60.0, "lift_height_mm": 80.0}
+LOWER = guard_params(on_force_limit="lower", **SMALL)
+STOP = guard_params(**SMALL)
 
 
 class Lifted(Play):
@@ -109,7 +109,7 @@ def test_an_object_turned_too_far_is_put_down_too() -> None:
 
 def test_tightening_that_does_not_help_stops_as_ever() -> None:
     """There is force left: it is not known that nothing holds it."""
-    play = Lifted(GuardParams(on_budget_spent="lower", lift_height_mm=80.0, help_s=0.2))
+    play = Lifted(guard_params(on_force_limit="lower", lift_height_mm=80.0, tighten_effect_timeout_s=0.2))
     play.slips(4.0, 30.0)
     rotation_deg, command = 4.0, Command()
     while command.fault is None:
@@ -223,9 +223,9 @@ def test_where_it_cannot_go_down_it_stands(
 
 def test_in_guard_mode_it_is_refused_in_words() -> None:
     with pytest.raises(ValidationError, match="the arm belongs to another program"):
-        GuardParams(mode="guard", on_budget_spent="lower")
-    with pytest.raises(ConfigError, match="on_budget_spent") as refusal:
-        parse_config({"guard": {"mode": "guard", "on_budget_spent": "lower"}}, where="cell.toml", sim=True)
+        guard_params(mode="guard", on_force_limit="lower")
+    with pytest.raises(ConfigError, match="on_force_limit") as refusal:
+        parse_config({"guard": {"mode": "guard", "on_force_limit": "lower"}}, where="cell.toml", sim=True)
     assert "\n" not in str(refusal.value)
 
 

@@ -255,7 +255,7 @@ def test_what_was_heard_since_the_start_has_the_usual_time(heard: bool) -> None:
         silent_s += 0.05
     assert guard.grasp.fault is not None
     assert guard.grasp.fault.code is FaultCode.FRAMES_LOST
-    assert silent_s == pytest.approx(PARAMS.frames_timeout_s if heard else FIRST_WAIT_S, abs=0.06)
+    assert silent_s == pytest.approx(PARAMS.tuning.frames_timeout_s if heard else FIRST_WAIT_S, abs=0.06)
 
 
 def test_a_gripper_that_was_heard_has_the_usual_time_too() -> None:
@@ -269,7 +269,7 @@ def test_a_gripper_that_was_heard_has_the_usual_time_too() -> None:
         guard, _ = control_step(guard, observation(99.9 + latched_s, gripper=None), PARAMS)
     assert guard.grasp.fault is not None
     assert guard.grasp.fault.code is FaultCode.GRIPPER_SILENT
-    assert latched_s == pytest.approx(PARAMS.gripper_timeout_s, abs=0.06)
+    assert latched_s == pytest.approx(PARAMS.tuning.gripper_timeout_s, abs=0.06)
 
 
 def test_a_gripper_at_fault_is_one_at_once() -> None:

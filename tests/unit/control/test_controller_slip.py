@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from controller_steps import FAULT, NOW_S, PARAMS, PRIMED, Play, seen_in, state_in
-from observations import arm, ask, fused, gripper, observation
+from observations import arm, ask, fused, gripper, guard_params, observation
 
 from slipguard.control.controller import step
 from slipguard.control.fault import FaultCode
@@ -203,7 +203,7 @@ def test_slip_too_slow_to_be_told_by_its_rate_takes_all_the_force_and_then_is_a_
 
 
 def test_the_budget_spent_is_a_fault_that_keeps_the_grip() -> None:
-    play = Play(GuardParams(force_max_n=60.0, blind_force_n=60.0)).held()
+    play = Play(guard_params(force_max_n=60.0, no_estimate_force_n=60.0)).held()
     for rotation_deg in range(4, 40, 2):
         play.slips(float(rotation_deg), 40.0, frames=5)
     assert play.grasp.fault is not None
@@ -213,7 +213,9 @@ def test_the_budget_spent_is_a_fault_that_keeps_the_grip() -> None:
 
 
 def test_with_the_whole_budget_applied_the_arm_waits_and_it_is_said() -> None:
-    play = Play(PARAMS.model_copy(update={"force_max_n": 40.0, "blind_force_n": 40.0, "first_force_n": 40.0})).held()
+    play = Play(
+        PARAMS.model_copy(update={"force_max_n": 40.0, "no_estimate_force_n": 40.0, "first_force_n": 40.0})
+    ).held()
     strongest_n = play.grasp.target_n
     command = play.slips()
     assert (command.hold_force_n, command.arm) == (None, "stop")
@@ -226,7 +228,7 @@ def test_with_the_whole_budget_applied_the_arm_waits_and_it_is_said() -> None:
 
 
 def test_a_firm_grip_that_turns_while_it_lifts_off_is_tightened_too() -> None:
-    play = Play(GuardParams(force_max_n=57.0, blind_force_n=57.0)).held()
+    play = Play(guard_params(force_max_n=57.0, no_estimate_force_n=57.0)).held()
     play.step(RequestKind.LIFT)
     play.here = arm(5.0, moving=True)
     play.view = replace(play.view, sigma_deg=0.1)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from guard_loop import Run, bar, grasp_and_lift, placed
+from observations import guard_params
 
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
@@ -19,7 +20,7 @@ from slipguard.sim.scenario import FrameDelivery, Scenario, scenario
 PARAMS = GuardParams()
 STIFF = SoftPad(torsion_n_m_rad=50.0)
 SOFT = SoftPad(torsion_n_m_rad=0.15, stiffening=3.0, relaxation_s=0.02)
-HASTY = GuardParams(probe_height_mm=0.0, lift_speed_mm_s=250.0)
+HASTY = guard_params(probe_height_mm=0.0, lift_speed_mm_s=250.0)
 WEAKEST = GripperDynamics(dead_time_s=0.06, ramp_n_s=64.0, gain=0.9)
 """A tenth less force than it says, late and slow."""
 
@@ -128,7 +129,7 @@ def test_a_restart_in_the_middle_of_a_lift_keeps_the_object(seed: int) -> None:
     assert all(command.release_width_mm is None for _, command in run.commands[commands:])
 
 
-FRAGILE = GuardParams(force_max_n=57.0, blind_force_n=57.0)
+FRAGILE = guard_params(force_max_n=57.0, no_estimate_force_n=57.0)
 
 
 @pytest.mark.parametrize("gel", [STIFF, SOFT], ids=["stiff", "soft"])

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from observations import guard_params
 
 from slipguard.control import force_limits as limits
 from slipguard.control.force_limits import ForceRange
-from slipguard.control.params import GuardParams
 from slipguard.sim.gripper_plant import GripperDynamics
 
 ROBOTIQ_85 = (20.0, 235.0)
@@ -89,15 +89,15 @@ def test_the_faster_it_turns_the_larger_the_step() -> None:
 @pytest.mark.parametrize(
     ("values", "says"),
     [
-        ({"first_force_n": 120.0, "blind_force_n": 100.0}, "first_force_n"),
-        ({"blind_force_n": 140.0}, "force_max_n"),
-        ({"level_deg": 6.0}, "level_max_deg"),
+        ({"first_force_n": 120.0, "no_estimate_force_n": 100.0}, "first_force_n"),
+        ({"no_estimate_force_n": 140.0}, "force_max_n"),
+        ({"tighten_in_motion_deg": 6.0}, "sigma_threshold_max_deg"),
         ({"force_max_n": 300.0}, "force_max_n"),
         ({"forse_max_n": 100.0}, "forse_max_n"),
-        ({"hold_off_s": float("nan")}, "hold_off_s"),
+        ({"tighten_delay_s": float("nan")}, "tighten_delay_s"),
         ({"mode": "watch"}, "mode"),
     ],
 )
 def test_parameters_out_of_range_or_order_are_refused(values: dict[str, object], says: str) -> None:
     with pytest.raises(ValueError, match=says):
-        GuardParams.model_validate(values)
+        guard_params(**values)

@@ -24,12 +24,10 @@ BUDGET_N = 129.6
 
 
 def slipping(
-    rotation_deg: float = 4.0, rate_deg_s: float = 60.0, slide_mm: float = 0.0, since_s: float = 1.0
+    rotation_deg: float = 4.0, rate_deg_s: float = 60.0, slip_mm: float = 0.0, since_s: float = 1.0
 ) -> SlipEpisode:
     """Tightened so long ago, at this turn and rate."""
-    return SlipEpisode(
-        NOW_S - since_s, NOW_S - since_s, rotation_deg, rate_deg_s, slide_mm, rotations=True, raised=True
-    )
+    return SlipEpisode(NOW_S - since_s, NOW_S - since_s, rotation_deg, rate_deg_s, slip_mm, rotations=True, raised=True)
 
 
 def state(slip: SlipEpisode | None = None, detector: SlipMemory = PRIMED, **changes: object) -> GraspState:
@@ -73,10 +71,10 @@ def test_a_firm_grip_bears_more_of_a_turn_while_it_lifts_off() -> None:
 
 def test_a_base_that_moves_takes_the_last_steps_turn_and_slide_along() -> None:
     lifting = replace(PRIMED, alert=replace(PRIMED.alert, case=MotionCase.LIFT_OFF))
-    verdict = look(state(slipping(5.0, slide_mm=0.2), lifting), view(6.0, shift_mm=0.4))
+    verdict = look(state(slipping(5.0, slip_mm=0.2), lifting), view(6.0, shift_mm=0.4))
     assert verdict.state.detector.base_rotation_deg == 6.0
     assert verdict.state.slip is not None
-    assert (verdict.state.slip.rotation_deg, verdict.state.slip.slide_mm) == (0.0, 0.0)
+    assert (verdict.state.slip.rotation_deg, verdict.state.slip.slip_mm) == (0.0, 0.0)
 
 
 # --- the first step ---
@@ -86,8 +84,8 @@ def test_the_first_step_is_remembered_as_it_was() -> None:
     observation = view(7.0, 60.0, 0.4)
     verdict = look(state(), observation)
     grasp = verdict.state
-    rate_mm_s = grasp.detector.slide_rate_mm_s
-    assert rate_mm_s > PARAMS.slide_rate_mm_s
+    rate_mm_s = grasp.detector.slip_rate_mm_s
+    assert rate_mm_s > PARAMS.tuning.slip_rate_mm_s
     assert grasp.slip == SlipEpisode(NOW_S, NOW_S, 7.0, 60.0, 0.4, rotations=True, slides=False, raised=True)
     assert verdict.hold_n == grasp.target_n > 40.0
     assert grasp.commanded_s == NOW_S
@@ -120,7 +118,7 @@ def test_until_a_step_can_be_felt_progress_does_not_count() -> None:
     early = slipping(4.0, 60.0, 0.1, since_s=FELT_S - 0.01)
     verdict = look(state(early), view(9.0, 50.0, 0.3))
     assert verdict == GuardResult(verdict.state, stop=True)
-    assert verdict.state.slip == replace(early, rotation_deg=9.0, rate_deg_s=50.0, slide_mm=0.3)
+    assert verdict.state.slip == replace(early, rotation_deg=9.0, rate_deg_s=50.0, slip_mm=0.3)
     felt = look(state(slipping(4.0, 60.0, since_s=FELT_S)), view(9.0, 60.0))
     assert felt.hold_n is not None
 
@@ -142,7 +140,7 @@ def test_a_step_is_followed_by_another_only_if_the_object_moved_on(
         assert verdict.state.slip.stepped_s == verdict.state.commanded_s == NOW_S
         assert verdict.state.slip.began_s == before.began_s
         assert (verdict.state.slip.rotation_deg, verdict.state.slip.rate_deg_s) == (rotation_deg, 70.0)
-        assert verdict.state.slip.slide_mm == shift_mm
+        assert verdict.state.slip.slip_mm == shift_mm
 
 
 @pytest.mark.parametrize(
@@ -166,7 +164,7 @@ def test_so_where_it_slides_on_slowly(rotation_deg: float | None, slid_mm: float
 
 
 def test_what_slid_before_the_last_step_is_no_progress() -> None:
-    assert look(state(slipping(4.0, slide_mm=0.3)), view(4.5, 60.0, 0.4)).hold_n is None
+    assert look(state(slipping(4.0, slip_mm=0.3)), view(4.5, 60.0, 0.4)).hold_n is None
 
 
 @pytest.mark.parametrize(("rate_deg_s", "steps"), [(48.0, True), (47.9, False)])
@@ -177,7 +175,7 @@ def test_a_fifth_slower_is_help(rate_deg_s: float, steps: bool) -> None:
     assert verdict.stop
     if not steps:
         assert verdict == GuardResult(verdict.state, stop=True)
-        assert verdict.state.slip == replace(before, rotation_deg=8.0, rate_deg_s=rate_deg_s, slide_mm=0.01)
+        assert verdict.state.slip == replace(before, rotation_deg=8.0, rate_deg_s=rate_deg_s, slip_mm=0.01)
 
 
 @pytest.mark.parametrize(("rotation_deg", "steps"), [(22.5, False), (22.6, True), (-22.6, True)])
@@ -298,5 +296,5 @@ def test_calm_is_rest_with_the_last_step_done_and_seen(
 
 def test_calm_needs_the_time_set_for_it() -> None:
     for calm_s, calm in ((0.5, True), (0.51, False)):
-        params = PARAMS.model_copy(update={"calm_s": calm_s})
+        params = PARAMS.model_copy(update={"tuning": PARAMS.tuning.model_copy(update={"settle_s": calm_s})})
         assert (look(state(slipping(4.0), resting(0.5)), view(4.5), params).state.slip is None) is calm

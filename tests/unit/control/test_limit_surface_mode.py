@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 from controller_steps import Play
-from observations import arm
+from observations import arm, guard_params
 
 from slipguard.control import force_limits as limits
 from slipguard.control.messages import RequestKind
@@ -20,7 +20,7 @@ ROBOTIQ_85 = (20.0, 235.0)
 
 def test_the_force_is_the_worlds_with_a_reserve() -> None:
     item = find_object("wrench")
-    params = GuardParams(friction=item.friction, mass_kg=item.mass_kg, lever_mm=item.com_offset_mm)
+    params = guard_params(friction=item.friction, mass_kg=item.mass_kg, lever_mm=item.com_offset_mm)
     needed_n = MODEL_RESERVE * needed_force_n(item, SoftPad())
     assert params.modelled_n == pytest.approx(needed_n, rel=1e-9)
     assert limits.first_n(params) == params.modelled_n
@@ -36,16 +36,16 @@ def test_without_them_it_is_gentle_first_and_then_a_share_of_the_budget() -> Non
 
 
 def test_the_first_grip_is_no_weaker_than_configured() -> None:
-    assert limits.first_n(GuardParams(friction=1.0, mass_kg=0.1)) == 40.0
+    assert limits.first_n(guard_params(friction=1.0, mass_kg=0.1)) == 40.0
 
 
 def test_more_than_the_budget_is_not_tightened_to() -> None:
-    params = GuardParams(friction=0.5, mass_kg=0.9, lever_mm=100.0, force_max_n=130.0)
+    params = guard_params(friction=0.5, mass_kg=0.9, lever_mm=100.0, force_max_n=130.0)
     assert limits.firm_n(params, (20.0, 90.0)) == pytest.approx(90.0)
 
 
 def test_a_grasp_uses_it_and_so_does_the_first_step() -> None:
-    params = GuardParams(friction=0.6, mass_kg=0.6, lever_mm=100.0)
+    params = guard_params(friction=0.6, mass_kg=0.6, lever_mm=100.0)
     play = Play(params)
     command = play.step(RequestKind.GRASP)
     assert command.hold_force_n == pytest.approx(params.modelled_n or 0.0, abs=0.85)
@@ -71,4 +71,4 @@ def test_a_grasp_uses_it_and_so_does_the_first_step() -> None:
 )
 def test_half_a_model_or_one_beyond_the_budget_is_refused(values: dict[str, float], says: str) -> None:
     with pytest.raises(ValueError, match=says):
-        GuardParams(**values)  # type: ignore[arg-type]
+        guard_params(**values)

@@ -90,7 +90,7 @@ def test_an_arm_that_goes_on_is_told_to_stop_while_and_after_the_jaws_open_and_t
     play.steps(OPEN_ANYWAY_S + 0.02)
     assert play.jaws.force_n == 0.0
     assert play.grasp.phase is Phase.RELEASED
-    assert stops(play.steps(PARAMS.stuck_s - 0.1)) >= 15
+    assert stops(play.steps(PARAMS.tuning.stuck_timeout_s - 0.1)) >= 15
     play.steps(0.2)
     assert play.grasp.phase is Phase.IDLE
     assert any("the arm has not said that it stands" in (command.say or "") for command in play.commands)

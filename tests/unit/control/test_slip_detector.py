@@ -20,7 +20,7 @@ NOW_S = 10.05
 BEFORE = SlipMemory(
     base_rotation_deg=4.0, base_shift_mm=1.0, measured_s=10.0, captured_s=10.0, rotations=0, slides=0,
     told_by=("left", "right"), told_deg=5.0, told_s=10.0, handed_deg=0.1, handed_mm=0.05, smooth_shift_mm=1.2,
-    slide_rate_mm_s=2.0, rest_rotation_deg=4.9, rest_shift_mm=1.1, rest_since_s=9.0,
+    slip_rate_mm_s=2.0, rest_rotation_deg=4.9, rest_shift_mm=1.1, rest_since_s=9.0,
     alert=RestingPlace(start_mm=0.0, near_deg=4.5, before_deg=4.6, rested_deg=4.4, measured_s=10.0),
 )  # fmt: skip
 """The arm moves, or nobody knows."""
@@ -66,7 +66,7 @@ def test_a_change_of_finger_moves_every_place_that_is_remembered() -> None:
             known=((("left", "right"), 0.1),),
             handover=Handover(5.0, 10.0, None, pytest.approx(0.2), NOW_S),
             smooth_shift_mm=pytest.approx(smooth_mm),
-            slide_rate_mm_s=pytest.approx(rate_mm_s),
+            slip_rate_mm_s=pytest.approx(rate_mm_s),
             rest_rotation_deg=pytest.approx(5.1),
             rest_shift_mm=pytest.approx(1.3),
             rest_since_s=9.0,
@@ -80,8 +80,8 @@ def test_a_change_of_finger_moves_every_place_that_is_remembered() -> None:
         ),
         rotation_deg=pytest.approx(1.6),
         rate_deg_s=12.0,
-        slide_mm=pytest.approx(0.3),
-        slide_rate_mm_s=pytest.approx(rate_mm_s),
+        slip_mm=pytest.approx(0.3),
+        slip_rate_mm_s=pytest.approx(rate_mm_s),
         moving=True,
         still_s=pytest.approx(NOW_S - 9.0),
     )
@@ -227,11 +227,11 @@ def test_fingers_that_change_again_are_looked_at_anew() -> None:
 
 def test_no_turn_leaves_everything_where_it_is() -> None:
     sight = look(BEFORE, observation(None), PARAMS)
-    assert (sight.rotation_deg, sight.rate_deg_s, sight.slide_mm) == (0.0, 0.0, pytest.approx(0.3))
+    assert (sight.rotation_deg, sight.rate_deg_s, sight.slip_mm) == (0.0, 0.0, pytest.approx(0.3))
     assert (sight.detector.told_deg, sight.detector.told_s) == (5.0, 10.0)
     assert (sight.detector.told_by, sight.detector.base_rotation_deg) == (BEFORE.told_by, 4.0)
-    assert look(BEFORE, observation(shift_mm=None), PARAMS).slide_mm == 0.0
-    assert look(replace(BEFORE, base_shift_mm=0.0, smooth_shift_mm=1.3), observation(), PARAMS).slide_mm == 1.3
+    assert look(BEFORE, observation(shift_mm=None), PARAMS).slip_mm == 0.0
+    assert look(replace(BEFORE, base_shift_mm=0.0, smooth_shift_mm=1.3), observation(), PARAMS).slip_mm == 1.3
 
 
 def test_where_the_arm_comes_to_rest_is_where_turns_and_slides_count_from() -> None:
@@ -290,11 +290,11 @@ def test_what_a_sudden_turn_counts_in_a_lift_off(
 
 
 @pytest.mark.parametrize(
-    ("slide_mm", "smooth_mm", "slides"), [(0.5, 0.0, False), (0.51, 0.0, True), (2.0, 2.0, False), (2.01, 2.01, True)]
+    ("slip_mm", "smooth_mm", "slides"), [(0.5, 0.0, False), (0.51, 0.0, True), (2.0, 2.0, False), (2.01, 2.01, True)]
 )
-def test_a_slide_counts_beyond_its_level(slide_mm: float, smooth_mm: float, slides: bool) -> None:
+def test_a_slide_counts_beyond_its_level(slip_mm: float, smooth_mm: float, slides: bool) -> None:
     before = replace(BEFORE, base_shift_mm=0.0, smooth_shift_mm=smooth_mm)
-    sight = look(before, observation(4.0, shift_mm=slide_mm), PARAMS)
+    sight = look(before, observation(4.0, shift_mm=slip_mm), PARAMS)
     assert sight.slides is slides
     assert sight.detector.frames == int(slides)
     assert not sight.rotations

@@ -131,7 +131,7 @@ def test_the_level_follows_the_sensors_own_noise() -> None:
     assert 0.15 < watched.detector.alert.noise_deg < 0.3
     assert 1.0 < quick_level_deg(watched.detector.alert, PARAMS) < 1.6
     assert quick_level_deg(RestingPlace(), PARAMS) == pytest.approx(0.36)
-    assert quick_level_deg(RestingPlace(variance_deg2=1e-6), PARAMS) == PARAMS.rest_level_deg
+    assert quick_level_deg(RestingPlace(variance_deg2=1e-6), PARAMS) == PARAMS.tighten_at_rest_deg
     assert RestingPlace(variance_deg2=100.0).noise_deg == NOISE_MAX_DEG
 
 
@@ -142,12 +142,12 @@ def test_slow_slip_at_rest_does_not_pass_for_the_sensors_noise(rate_deg_s: float
     watched = Watched()
     for _ in range(120):
         watched.see(float(rng.normal(0.0, noise_deg)))
-    watched.rate_deg_s = min(rate_deg_s, PARAMS.rate_deg_s - 1.0)
+    watched.rate_deg_s = min(rate_deg_s, PARAMS.tuning.slip_rate_deg_s - 1.0)
     rotations = [rate_deg_s * k * FRAME_S for k in range(1, 300)]
     found = next(
         rotation for rotation in rotations if watched.see(rotation + float(rng.normal(0.0, noise_deg))).slipping
     )
-    assert PARAMS.rest_level_deg < found < 0.8
+    assert PARAMS.tighten_at_rest_deg < found < 0.8
 
 
 def test_a_drift_is_followed() -> None:
@@ -319,9 +319,9 @@ def test_what_is_put_down_is_lifted_anew() -> None:
 
 def test_levels_grow_with_what_was_answered_up_to_four_times() -> None:
     assert [growth(episodes, PARAMS) for episodes in (0, 1, 2, 3, 9)] == [1.0, 2.0, 4.0, 4.0, 4.0]
-    assert level_deg(0.1, 9, PARAMS) == 4.0 * PARAMS.level_deg
+    assert level_deg(0.1, 9, PARAMS) == 4.0 * PARAMS.tuning.tighten_in_motion_deg
     assert level_deg(1.0, 1, PARAMS) == 6.0
-    assert level_deg(9.0, 0, PARAMS) == PARAMS.level_max_deg
+    assert level_deg(9.0, 0, PARAMS) == PARAMS.tuning.sigma_threshold_max_deg
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ def test_the_law_tightens_and_then_stops_the_arm(sigma_deg: float, within_deg: f
     assert stop.fault is not None
     assert stop.fault.code is FaultCode.ESTIMATE_UNTRUSTED
     assert stop.arm == "stop"
-    assert fault_s - begun_s == pytest.approx(PARAMS.untrusted_s, abs=2 * FRAME_S)
+    assert fault_s - begun_s == pytest.approx(PARAMS.tuning.estimate_timeout_s, abs=2 * FRAME_S)
     assert guard.grasp.phase is Phase.FAULT
     assert all(command.release_width_mm is None for _, _, command in log)
 
@@ -138,7 +138,7 @@ def test_how_long_a_moment_is(silent_for_s: float, from_the_start: bool) -> None
     begun_s = next(now_s for now_s, view, _ in log if view.conflict is not None)
     fault_s = next(now_s for now_s, _, command in log if command.fault is not None)
     counted_from_s = begun_s if from_the_start else silent_s[1]
-    assert fault_s - counted_from_s == pytest.approx(PARAMS.untrusted_s, abs=2 * FRAME_S)
+    assert fault_s - counted_from_s == pytest.approx(PARAMS.tuning.estimate_timeout_s, abs=2 * FRAME_S)
 
 
 def test_a_finger_that_is_silent_for_good_leaves_the_other_one_to_be_believed() -> None:
