@@ -23,8 +23,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--gripper-object", action="store_true", help="an object lies between its jaws all the time")
     group.addoption("--arm", metavar="HOST", help="address of a real arm, such as 192.0.2.10")
     group.addoption("--digit", metavar="SERIAL", help="serial number of a real sensor, such as D20479")
-    group.addoption("--sensor-driver", metavar="NAME", help="a sensor driver that another package registers")
-    group.addoption("--sensor-settings", metavar="JSON", default="{}", help="its table in config.toml")
+    for device in ("sensor", "gripper", "arm"):
+        group.addoption(f"--{device}-driver", metavar="NAME", help=f"a {device} driver that another package registers")
+        group.addoption(f"--{device}-settings", metavar="JSON", default="{}", help="its table in config.toml, as JSON")
     group.addoption("--arm-campaign", type=int, default=5, metavar="N", help="faults of the arm's connection")
     group.addoption("--commands", type=int, default=300, metavar="N", help="length of the gripper's fault campaign")
     group.addoption("--kills", type=int, default=2, metavar="N", help="how often the daemon is killed during a lift")

@@ -1,8 +1,8 @@
-"""The contract suites run on the fakes, and on the real drivers against the doubles on the wire.
+"""The contract suites run on the simulated devices and on the real drivers connected to emulators.
 
-On real hardware only where it is named: `pytest tests/contract/test_gripper_contract.py --gripper /dev/ttyUSB0`
-(`--gripper-object` with something to grip between the jaws), `--arm 192.0.2.10`, `--digit D20479`. What needs a hand
-on the cable is left out there. Take everything breakable away: gripper and arm move.
+They run on real hardware only if it is named: `--gripper /dev/ttyUSB0` (with `--gripper-object` while an object lies
+between its jaws), `--arm 192.0.2.10`, `--digit D20479`; for other drivers see drivers/README.md. Tests that need a
+fault are left out there. Remove everything breakable: gripper and arm move.
 """
 
 from __future__ import annotations

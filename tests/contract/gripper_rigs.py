@@ -1,12 +1,13 @@
-"""The grippers of the contract suite, each with something to grip and a way to break it."""
+"""The grippers of the contract suite, each with an object to grip and a way to make it fail."""
 
 from __future__ import annotations
 
 import asyncio
-from abc import ABC, abstractmethod
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from rig import hardware_kinds, named_driver
 from timeouts import eventually
 
 from slipguard.devices import DriverContext, Gripper
@@ -20,71 +21,89 @@ from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 from slipguard_emulators.robotiq.jaws import SimpleJaws
 
 
-class Rig(ABC):
-    """A gripper, what lies between its fingers, and a way to break it. Built with open fingers, not yet opened."""
+class GripperRig:
+    """A gripper, the object between its fingers, and its faults. Built with open fingers, not yet connected.
+
+    open_mm: the width of the open fingers.
+    """
 
     gripper: Gripper
+    open_mm = 85.0
+
+    @property
+    def step_n(self) -> float:
+        """Resolution of the force: one of 255 steps."""
+        low_n, high_n = self.gripper.force_limits_n
+        return (high_n - low_n) / 253
+
+    @property
+    def step_mm(self) -> float:
+        """Resolution of the width: one of 227 steps."""
+        return self.open_mm / 223
+
+    def force(self, share: float) -> float:
+        """Return a force within the limits. share: 0 is the lowest, 1 the highest."""
+        low_n, high_n = self.gripper.force_limits_n
+        return round(low_n + share * (high_n - low_n), 1)
 
     async def start(self) -> None:
         """Make it ready to be opened."""
-        return
 
-    @abstractmethod
-    def put_object(self) -> None: ...
+    def put_object(self) -> None:
+        raise NotImplementedError
 
-    @abstractmethod
-    def pressed_with_n(self) -> float:
-        """The force the fingers press with by command, told by the double, not by the driver."""
+    def pressed_n(self) -> float | None:
+        """Return the force on the object as the double knows it, independent of the driver; None for hardware."""
+        raise NotImplementedError
 
-    @abstractmethod
-    def fail(self, kind: str) -> None: ...
+    def fail(self, fault: str) -> None:
+        raise NotImplementedError
 
-    @abstractmethod
-    def repair(self, kind: str) -> None: ...
+    def repair(self, fault: str) -> None:
+        raise NotImplementedError
 
-    @abstractmethod
-    def again(self) -> Gripper:
-        """A new driver on the same gripper, as after a restart."""
+    def new_driver(self) -> Gripper:
+        """Return a new driver for the same gripper, as after a restart."""
+        raise NotImplementedError
 
-    async def end(self) -> None:
-        """Put the double away."""
-        return
+    async def stop(self) -> None:
+        """Stop what `start` has started."""
 
 
-class FakeRig(Rig):
-    """A quick gripper in a world of its own."""
+class FakeGripperRig(GripperRig):
+    """A fast gripper in a simulated world of its own."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self) -> None:
         def lookup(name: str) -> SimObject:
             return SimObject(name, "test", lambda u, v: 0 * u, 0.05, 10.0, 1e-4, 0.9, 0.8, width_mm=70.0)
 
         self.model = GripperDynamics(transaction_s=0.004, dead_time_s=0.01, ramp_n_s=2000.0, speed_mm_s=300.0)
         self.world = World(WorldSettings(gripper=self.model), lookup=lookup)
-        self.gripper = self.again()
+        self.gripper = self.new_driver()
 
     def put_object(self) -> None:
         self.world.place(Scenario("block", gripper=self.model), asyncio.get_running_loop().time())
 
-    def pressed_with_n(self) -> float:
+    def pressed_n(self) -> float:
         return self.world.truth(asyncio.get_running_loop().time()).force_n
 
-    def fail(self, kind: str) -> None:
-        self.world.faults.fail("gripper", kind)
+    def fail(self, fault: str) -> None:
+        self.world.faults.fail("gripper", fault)
 
-    def repair(self, kind: str) -> None:
-        self.world.faults.repair("gripper", kind)
+    def repair(self, fault: str) -> None:
+        self.world.faults.repair("gripper", fault)
 
-    def again(self) -> Gripper:
+    def new_driver(self) -> Gripper:
         return FakeGripper(FakeGripper.Settings(), DriverContext("gripper", self.world))
 
 
-class WireRig(Rig):
-    """The real driver, a pseudo terminal, and an emulated 2F-85 that was activated before our time."""
+class WireGripperRig(GripperRig):
+    """The real driver, a pseudo terminal, and an emulated 2F-85 that is activated already."""
 
     def __init__(self, folder: Path) -> None:
         options = {"link": folder / "ttyGripper", "baud": 0, "response_ms": 0.0, "quick": 5.0, "activated": True}
         self.emulator = RobotiqEmulator(RobotiqEmulator.Settings.model_validate(options))
-        self.gripper = self.again()
+        self.gripper = self.new_driver()
 
     async def start(self) -> None:
         await self.emulator.start()
@@ -93,57 +112,69 @@ class WireRig(Rig):
         assert isinstance(self.emulator.jaws, SimpleJaws)
         self.emulator.jaws.object_mm = 41.2
 
-    def pressed_with_n(self) -> float:
+    def pressed_n(self) -> float:
         view = self.emulator.registers.tick(asyncio.get_running_loop().time())
         return view.force_n
 
-    def fail(self, kind: str) -> None:
-        self.emulator.control({"disconnect": "fault unplug", "timeout": "fault silence"}.get(kind, "gflt 0x0E"))
+    def fail(self, fault: str) -> None:
+        self.emulator.control({"disconnect": "fault unplug", "timeout": "fault silence"}.get(fault, "gflt 0x0E"))
 
-    def repair(self, kind: str) -> None:
-        self.emulator.control({"disconnect": "clear unplug", "timeout": "clear silence"}.get(kind, "gflt 0"))
+    def repair(self, fault: str) -> None:
+        self.emulator.control({"disconnect": "clear unplug", "timeout": "clear silence"}.get(fault, "gflt 0"))
 
-    def again(self) -> Gripper:
+    def new_driver(self) -> Gripper:
         settings = RobotiqGripper.Settings(
             port=str(self.emulator.settings.link),
             approach_speed=1.0,
-            timeout_ms=200.0,  # a busy machine takes its time
+            timeout_ms=200.0,  # a busy machine is slow
         )
         return RobotiqGripper(settings, DriverContext("gripper"))
 
-    async def end(self) -> None:
-        assert self.emulator.registers.activations == 0, "activation moves the fingers: only a release may ask for it"
+    async def stop(self) -> None:
+        assert self.emulator.registers.activations == 0, "activation moves the fingers: only a release may start it"
         assert self.emulator.events("rACT cleared") == []
         await self.emulator.stop()
 
 
-class HardwareRig(Rig):
-    """A real gripper. with_object: something to grip lies between its jaws throughout; without, nothing does."""
+class HardwareGripperRig(GripperRig):
+    """A gripper outside this process, with an object between its fingers all the time or never."""
 
-    def __init__(self, port: str, *, with_object: bool) -> None:
-        self._port = port
-        self._with_object = with_object
-        self.gripper = self.again()
+    def __init__(self, build: Callable[[], Gripper]) -> None:
+        self._build = build
+        self.gripper = build()
 
     async def start(self) -> None:
-        """Open it; the first time its fingers move all the way."""
+        """Open it. On the first call the fingers of some grippers move all the way."""
         await self.gripper.open()
-        await self.gripper.release(85.0)
-        await eventually(self.gripper.state, lambda state: not state.moving)
+        await self.gripper.release(1000.0)
+        self.open_mm = (await eventually(self.gripper.state, lambda state: not state.moving)).width_mm
         await self.gripper.close()
 
     def put_object(self) -> None:
-        if not self._with_object:
-            pytest.skip("needs something to grip: --gripper-object")
-
-    def pressed_with_n(self) -> float:
-        pytest.skip("the force is known to a double only")
-
-    def fail(self, kind: str) -> None:
-        pytest.skip("needs a hand on the cable")
-
-    def repair(self, kind: str) -> None:
         return
 
-    def again(self) -> Gripper:
-        return RobotiqGripper(RobotiqGripper.Settings(port=self._port), DriverContext("gripper"))
+    def pressed_n(self) -> None:
+        return None
+
+    def new_driver(self) -> Gripper:
+        return self._build()
+
+
+def abilities(config: pytest.Config) -> dict[str, set[str]]:
+    """Return the kinds of rig, each with what it can do."""
+    everything = {"object", "no object", "faults", "pressed force"}
+    between = {"object"} if config.getoption("--gripper-object") else {"no object"}
+    return {"fake": everything, "wire": everything} | dict.fromkeys(
+        hardware_kinds(config, "gripper", "--gripper"), between
+    )
+
+
+def make_rig(kind: str, folder: Path, config: pytest.Config) -> GripperRig:
+    """Return a new rig of a kind."""
+    context = DriverContext("gripper")
+    if kind == "real":
+        settings = RobotiqGripper.Settings(port=config.getoption("--gripper"))
+        return HardwareGripperRig(lambda: RobotiqGripper(settings, context))
+    if kind == "driver":
+        return HardwareGripperRig(lambda: named_driver(config, "gripper", context))
+    return FakeGripperRig() if kind == "fake" else WireGripperRig(folder)

@@ -1,4 +1,4 @@
-"""Every sensor there is, with a hand on its cable: what the contract suite asks them all."""
+"""The tactile sensors of the contract suite, each with a way to make it fail."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from rig import hardware_kinds, named_driver
 from usb_host import UsbCapture, listed
 
 from slipguard.devices import DriverContext, TactileSensor
 from slipguard.errors import DeviceLost
-from slipguard.registry import load_driver
 from slipguard.sim.world import World
 from slipguard_drivers.digit.camera import DigitSensor
 from slipguard_drivers.digit.discovery import DigitDevice
@@ -23,33 +23,33 @@ from slipguard_emulators.digit.emulator import DigitEmulator
 
 STALL_MS = 500
 FAULTS = {"stall": "stall", "frozen": "freeze", "corrupt": "corrupt", "disconnect": "unplug"}
-"""What they are called on the emulated USB."""
+"""The faults' names on the emulated USB."""
 
 
-class Rig:
-    """A sensor and whoever may fail it: "stall", "frozen", "corrupt", "disconnect".
+class SensorRig:
+    """A sensor and its faults: "stall", "frozen", "corrupt", "disconnect".
 
-    slowest_s: from exposure to hand-over on a machine busy with other things.
+    latency_max_s: from exposure to `next_frame` on a busy machine.
     """
 
-    slowest_s = 0.7
+    latency_max_s = 0.7
     sensor: TactileSensor
 
-    async def begin(self) -> None:
-        """Get ready what must run before the sensor is opened."""
+    async def start(self) -> None:
+        """Start what must run before the sensor is opened."""
 
-    def fail(self, kind: str) -> None:
-        pytest.skip(f"{kind} cannot be had of it")
+    def fail(self, fault: str) -> None:
+        raise NotImplementedError
 
-    def repair(self, kind: str) -> None:
-        pytest.skip(f"{kind} cannot be had of it")
+    def repair(self, fault: str) -> None:
+        raise NotImplementedError
 
-    async def end(self) -> None:
-        """Put away what `begin` got ready."""
+    async def stop(self) -> None:
+        """Stop what `start` has started."""
 
 
-class FakeRig(Rig):
-    """A finger of an empty world."""
+class FakeSensorRig(SensorRig):
+    """A finger of an empty simulated world."""
 
     def __init__(self, draw: str) -> None:
         self.world = World()
@@ -57,15 +57,15 @@ class FakeRig(Rig):
             FakeSensor.Settings.model_validate({"draw": draw, "stall_ms": STALL_MS}), DriverContext("left", self.world)
         )
 
-    def fail(self, kind: str) -> None:
-        self.world.faults.fail("left", kind)
+    def fail(self, fault: str) -> None:
+        self.world.faults.fail("left", fault)
 
-    def repair(self, kind: str) -> None:
-        self.world.faults.repair("left", kind)
+    def repair(self, fault: str) -> None:
+        self.world.faults.repair("left", fault)
 
 
-class SocketRig(FakeRig):
-    """The same finger behind a frame server, read by the driver of the socket."""
+class SocketSensorRig(FakeSensorRig):
+    """The same finger behind a frame server, read by the driver `socket`."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__("inline")
@@ -74,21 +74,21 @@ class SocketRig(FakeRig):
         settings = SocketSensor.Settings(path=self.server.path, stall_ms=STALL_MS)
         self.sensor = SocketSensor(settings, DriverContext("left"))
 
-    def fail(self, kind: str) -> None:
-        super().fail(kind)
-        if kind == "disconnect":
+    def fail(self, fault: str) -> None:
+        super().fail(fault)
+        if fault == "disconnect":
             self.server.unplug()
 
-    def repair(self, kind: str) -> None:
-        super().repair(kind)
+    def repair(self, fault: str) -> None:
+        super().repair(fault)
         self.server.plug()
 
-    async def end(self) -> None:
+    async def stop(self) -> None:
         await self.server.close()
 
 
-class UsbRig(Rig):
-    """The DIGIT driver on an emulated DIGIT over USB/IP; a USB host in user space stands in for the kernel."""
+class UsbSensorRig(SensorRig):
+    """The DIGIT driver on an emulated DIGIT over USB/IP; a USB host in user space replaces the kernel."""
 
     def __init__(self, pixels: str) -> None:
         self.emulator = DigitEmulator(DigitEmulator.Settings.model_validate({"port": 0, "pixels": pixels}))
@@ -100,64 +100,56 @@ class UsbRig(Rig):
             raise DeviceLost(f"{name}: {serial} is not plugged in")
         return DigitDevice(Path(self.emulator.address) / "1-1", serial, 212, "1-1", 480.0)
 
-    async def begin(self) -> None:
+    async def start(self) -> None:
         await self.emulator.start()
 
-    def fail(self, kind: str) -> None:
-        self.emulator.control(f"fault {FAULTS[kind]}")
+    def fail(self, fault: str) -> None:
+        self.emulator.control(f"fault {FAULTS[fault]}")
 
-    def repair(self, kind: str) -> None:
+    def repair(self, fault: str) -> None:
         self.emulator.control("clear")
 
-    async def end(self) -> None:
+    async def stop(self) -> None:
         await self.emulator.stop()
 
 
-class ReplayRig(Rig):
-    """A folder of seven noise pictures, played for ever."""
+class ReplaySensorRig(SensorRig):
+    """A folder of seven noise images, repeated."""
 
     def __init__(self, folder: Path) -> None:
-        noise_pictures(folder)
+        write_noise_images(folder)
         self.sensor = ReplaySensor(ReplaySensor.Settings(path=folder), DriverContext("left"))
 
 
-class RealRig(Rig):
-    """A DIGIT on this machine's USB."""
+class RealSensorRig(SensorRig):
+    """A sensor of this machine: a DIGIT, or one whose driver another package has registered."""
 
-    def __init__(self, serial: str) -> None:
-        self.sensor = DigitSensor(DigitSensor.Settings(serial=serial, stall_ms=STALL_MS), DriverContext("left"))
-
-
-class DriverRig(Rig):
-    """A sensor whose driver another package has registered."""
-
-    def __init__(self, name: str, settings: str) -> None:
-        driver = load_driver("slipguard.tactile", name)
-        self.sensor = driver(driver.Settings.model_validate_json(settings), DriverContext("left"))
+    def __init__(self, sensor: TactileSensor) -> None:
+        self.sensor = sensor
 
 
-def noise_pictures(folder: Path) -> None:
-    """Seven of them."""
+def write_noise_images(folder: Path) -> None:
+    """Write seven noise images of the sensor's size."""
     rng = np.random.default_rng(5)
     for number in range(7):
         cv2.imwrite(str(folder / f"{number}.png"), rng.integers(0, 256, (320, 240, 3), np.uint8))
 
 
-def kinds(config: pytest.Config, *, with_faults: bool) -> list[str]:
-    """Those there are; `real` only where a serial number is named, `driver` only where one is."""
-    all_fail = ["inline", "process", "socket", "usb", "usb-mjpg"]
-    named = {"real": config.getoption("--digit"), "driver": config.getoption("--sensor-driver")}
-    return all_fail if with_faults else [*all_fail, "replay", *(kind for kind, name in named.items() if name)]
+def abilities(config: pytest.Config) -> dict[str, set[str]]:
+    """Return the kinds of rig, each with what it can do."""
+    with_faults = {kind: {"faults"} for kind in ("inline", "process", "socket", "usb", "usb-mjpg")}
+    return with_faults | {kind: set() for kind in ("replay", *hardware_kinds(config, "sensor", "--digit"))}
 
 
-def rig_of(kind: str, folder: Path, config: pytest.Config) -> Rig:
-    """The rig of one kind."""
+def make_rig(kind: str, folder: Path, config: pytest.Config) -> SensorRig:
+    """Return a new rig of a kind."""
     if kind == "socket":
-        return SocketRig(folder)
+        return SocketSensorRig(folder)
     if kind == "replay":
-        return ReplayRig(folder)
+        return ReplaySensorRig(folder)
     if kind == "driver":
-        return DriverRig(config.getoption("--sensor-driver"), config.getoption("--sensor-settings"))
+        return RealSensorRig(named_driver(config, "sensor", DriverContext("left")))
     if kind == "real":
-        return RealRig(config.getoption("--digit"))
-    return UsbRig("MJPG" if kind == "usb-mjpg" else "YUYV") if kind.startswith("usb") else FakeRig(kind)
+        settings = DigitSensor.Settings(serial=config.getoption("--digit"), stall_ms=STALL_MS)
+        return RealSensorRig(DigitSensor(settings, DriverContext("left")))
+    return UsbSensorRig("MJPG" if kind == "usb-mjpg" else "YUYV") if kind.startswith("usb") else FakeSensorRig(kind)

@@ -1,4 +1,4 @@
-"""What `slipguard.devices.Gripper` promises, asked of every gripper there is."""
+"""The contract of `slipguard.devices.Gripper`, checked on every gripper."""
 
 from __future__ import annotations
 
@@ -8,48 +8,48 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from gripper_rigs import FakeRig, HardwareRig, Rig, WireRig
+from gripper_rigs import GripperRig, abilities, make_rig
+from rig import needs, parametrize_rig
 from timeouts import eventually
 
 from slipguard.devices import Gripper, GripperState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 
-STEP_N = 0.85  # one force count
-STEP_MM = 0.38  # one position count
+WEAK, FIRM, STRONG = 0.025, 0.1, 0.85
+"""Forces as a share of the range: 25, 41 and 203 N on a 2F-85."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """A double of each kind; a real gripper only where one is named."""
-    if "rig" in metafunc.fixturenames:
-        real = ["real"] if metafunc.config.getoption("--gripper") else []
-        metafunc.parametrize("rig", ["fake", "wire", *real], indirect=True)
+    parametrize_rig(metafunc, abilities(metafunc.config), fixture_needs={"held": "object"})
 
 
 @pytest.fixture
-async def rig(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[Rig]:
-    port, with_object = (request.config.getoption(name) for name in ("--gripper", "--gripper-object"))
-    if request.param == "real":
-        rig: Rig = HardwareRig(port, with_object=with_object)
-    else:
-        rig = {"fake": FakeRig, "wire": WireRig}[request.param](tmp_path)
+async def rig(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[GripperRig]:
+    rig = make_rig(request.param, tmp_path, request.config)
     await rig.start()
     yield rig
     await rig.gripper.close()
-    await rig.end()
+    await rig.stop()
 
 
 @pytest.fixture
-async def gripper(rig: Rig) -> Gripper:
+async def gripper(rig: GripperRig) -> Gripper:
     await rig.gripper.open()
     return rig.gripper
 
 
 @pytest.fixture
-async def held(rig: Rig, gripper: Gripper) -> Gripper:
+async def held(rig: GripperRig, gripper: Gripper) -> Gripper:
     rig.put_object()
-    await gripper.hold(40.0)
+    await gripper.hold(rig.force(FIRM))
     await eventually(gripper.state, lambda state: state.holding and not state.moving)
     return gripper
+
+
+def check_pressed(rig: GripperRig, expected_n: float | None, tolerance_n: float = 1e-6) -> None:
+    """Compare the force on the object with what the driver said, where the rig knows it."""
+    if (pressed_n := rig.pressed_n()) is not None and expected_n is not None:
+        assert pressed_n == pytest.approx(expected_n, abs=tolerance_n)
 
 
 async def test_force_limits_are_a_range(gripper: Gripper) -> None:
@@ -57,145 +57,157 @@ async def test_force_limits_are_a_range(gripper: Gripper) -> None:
     assert 0 < low_n < high_n
 
 
-async def test_hold_grips_with_the_force_it_returns(rig: Rig, gripper: Gripper) -> None:
+@needs("object")
+async def test_hold_grips_with_the_force_it_returns(rig: GripperRig, gripper: Gripper) -> None:
     rig.put_object()
-    applied_n = await gripper.hold(40.0)
-    assert 40.0 <= applied_n <= 40.0 + STEP_N
+    force_n = rig.force(FIRM)
+    applied_n = await gripper.hold(force_n)
+    assert force_n <= applied_n <= force_n + rig.step_n
     state = await eventually(gripper.state, lambda state: state.holding and not state.moving)
     assert state.active
     assert state.fault is None
     assert not state.closed_on_nothing
     assert state.force_n == pytest.approx(applied_n)
-    assert rig.pressed_with_n() == pytest.approx(applied_n)
+    check_pressed(rig, applied_n)
 
 
-async def test_a_lower_force_changes_nothing(rig: Rig, held: Gripper) -> None:
-    before_n = rig.pressed_with_n()
-    assert await held.hold(25.0) == pytest.approx(before_n)
+async def test_a_lower_force_changes_nothing(rig: GripperRig, held: Gripper) -> None:
+    before_n = (await held.state()).force_n
+    check_pressed(rig, before_n)
+    assert await held.hold(rig.force(WEAK)) == pytest.approx(before_n)
     await asyncio.sleep(0.1)
     assert (await held.state()).holding
-    assert rig.pressed_with_n() == pytest.approx(before_n)
+    check_pressed(rig, before_n)
 
 
-async def test_a_higher_force_really_tightens(rig: Rig, held: Gripper) -> None:
-    applied_n = await held.hold(80.0)
-    assert 80.0 <= applied_n <= 80.0 + STEP_N
+async def test_a_higher_force_really_tightens(rig: GripperRig, held: Gripper) -> None:
+    force_n = rig.force(0.3)
+    applied_n = await held.hold(force_n)
+    assert force_n <= applied_n <= force_n + rig.step_n
 
-    async def pressed_with_n() -> float:
-        return rig.pressed_with_n()
+    async def pressed_n() -> float | None:
+        return rig.pressed_n()
 
-    await eventually(pressed_with_n, lambda force_n: abs(force_n - applied_n) < 0.01)
+    await eventually(pressed_n, lambda pressed_n: pressed_n is None or abs(pressed_n - applied_n) < 0.01)
     await eventually(held.state, lambda state: state.holding and not state.moving)
-    assert await held.hold(80.0) == pytest.approx(applied_n), "the same command again"
+    assert await held.hold(force_n) == pytest.approx(applied_n), "the same command again"
 
 
-async def test_forces_beyond_the_limits_become_the_nearest(rig: Rig, held: Gripper) -> None:
+async def test_a_force_beyond_the_limits_becomes_the_limit(held: Gripper) -> None:
     assert await held.hold(10_000.0) == pytest.approx(held.force_limits_n[1])
 
 
 @pytest.mark.parametrize("force_n", [math.nan, math.inf, -1.0])
-async def test_a_force_that_makes_no_sense_is_refused(held: Gripper, force_n: float) -> None:
+async def test_an_invalid_force_is_refused(held: Gripper, force_n: float) -> None:
     with pytest.raises(CommandRefused):
         await held.hold(force_n)
     assert (await held.state()).holding
 
 
-async def test_closing_on_nothing_is_told(gripper: Gripper) -> None:
-    await gripper.hold(30.0)
+@needs("no object")
+async def test_closing_on_nothing_is_reported(rig: GripperRig, gripper: Gripper) -> None:
+    await gripper.hold(rig.force(WEAK))
     state = await eventually(gripper.state, lambda state: state.closed_on_nothing)
     assert not state.holding
     assert state.width_mm < 2.0
 
 
-async def test_move_goes_to_the_width_it_returns(gripper: Gripper) -> None:
-    goal_mm = await gripper.move(50.0, 30.0)
-    assert goal_mm == pytest.approx(50.0, abs=STEP_MM)
-    await eventually(gripper.state, lambda state: abs(state.width_mm - goal_mm) < STEP_MM and not state.moving)
+@needs("no object")
+async def test_move_goes_to_the_width_it_returns(rig: GripperRig, gripper: Gripper) -> None:
+    width_mm = round(0.6 * rig.open_mm, 1)
+    goal_mm = await gripper.move(width_mm, rig.force(WEAK))
+    assert goal_mm == pytest.approx(width_mm, abs=rig.step_mm)
+    await eventually(gripper.state, lambda state: abs(state.width_mm - goal_mm) < rig.step_mm and not state.moving)
 
 
-async def test_hold_closes_after_a_move_with_more_force(rig: Rig, gripper: Gripper) -> None:
+@needs("object")
+async def test_hold_closes_after_a_move_with_more_force(rig: GripperRig, gripper: Gripper) -> None:
     rig.put_object()
-    await gripper.move(80.0, 60.0)
+    await gripper.move(0.94 * rig.open_mm, rig.force(0.2))
     await eventually(gripper.state, lambda state: not state.moving)
-    await gripper.hold(30.0)
+    await gripper.hold(rig.force(WEAK))
     await eventually(gripper.state, lambda state: state.holding)
 
 
 @pytest.mark.parametrize("width_mm", [-1.0, math.inf, math.nan])
-async def test_a_width_that_makes_no_sense_is_refused(gripper: Gripper, width_mm: float) -> None:
+async def test_an_invalid_width_is_refused(rig: GripperRig, gripper: Gripper, width_mm: float) -> None:
     with pytest.raises(CommandRefused):
-        await gripper.move(width_mm, 30.0)
+        await gripper.move(width_mm, rig.force(WEAK))
     with pytest.raises(CommandRefused):
         await gripper.release(width_mm)
 
 
-async def test_a_release_beyond_the_stroke_opens_as_far_as_it_goes(rig: Rig, held: Gripper) -> None:
+async def test_a_release_beyond_the_stroke_opens_fully(rig: GripperRig, held: Gripper) -> None:
     await held.release(300.0)
     state = await eventually(held.state, lambda state: not state.holding and not state.moving)
-    assert state.width_mm > 84.0
+    assert state.width_mm > rig.open_mm - 1.0
 
 
-async def test_move_is_refused_while_an_object_is_held(rig: Rig, held: Gripper) -> None:
-    before_n = rig.pressed_with_n()
+async def test_move_is_refused_while_an_object_is_held(rig: GripperRig, held: Gripper) -> None:
+    before_n = rig.pressed_n()
     with pytest.raises(CommandRefused, match="release"):
-        await held.move(80.0, 30.0)
+        await held.move(0.94 * rig.open_mm, rig.force(WEAK))
     await asyncio.sleep(0.1)
     assert (await held.state()).holding
-    assert rig.pressed_with_n() == pytest.approx(before_n)
+    check_pressed(rig, before_n)
 
 
-async def test_a_move_outwards_is_refused_while_the_fingers_close(rig: Rig, gripper: Gripper) -> None:
-    """They may have met something a moment ago, and would let it go."""
+@needs("object")
+async def test_opening_is_refused_while_the_fingers_close(rig: GripperRig, gripper: Gripper) -> None:
+    """They may have gripped something a moment ago, which would fall."""
     rig.put_object()
-    await gripper.hold(60.0)
+    await gripper.hold(rig.force(0.2))
     with pytest.raises(CommandRefused):
-        await gripper.move(80.0, 30.0)
+        await gripper.move(0.94 * rig.open_mm, rig.force(WEAK))
     await eventually(gripper.state, lambda state: state.holding and not state.moving)
 
 
-async def test_while_it_tightens_it_is_said_to_hold(rig: Rig, held: Gripper) -> None:
-    await held.hold(200.0)
+async def test_while_it_tightens_it_is_holding(rig: GripperRig, held: Gripper) -> None:
+    await held.hold(rig.force(STRONG))
     while (state := await held.state()).moving:
         assert state.holding
     assert state.holding
 
 
-async def test_a_closing_that_is_halted_stays_where_it_is(rig: Rig, gripper: Gripper) -> None:
+@needs("object")
+async def test_an_interrupted_closing_stays_in_place(rig: GripperRig, gripper: Gripper) -> None:
     rig.put_object()
-    await gripper.hold(60.0)
+    await gripper.hold(rig.force(0.2))
     await gripper.halt()
     halted = await gripper.state()
     assert not halted.moving
     assert not halted.closed_on_nothing
-    assert halted.force_n == 0.0, "what it has reached is not known"
+    assert halted.force_n == 0.0, "the force that was reached is unknown"
     assert halted.width_mm > 1.0
     await asyncio.sleep(0.2)
     later = await gripper.state()
-    assert later.width_mm == pytest.approx(halted.width_mm, abs=STEP_MM)
+    assert later.width_mm == pytest.approx(halted.width_mm, abs=rig.step_mm)
     assert not later.moving
-    await gripper.hold(40.0)
+    await gripper.hold(rig.force(FIRM))
     state = await eventually(gripper.state, lambda state: state.holding and not state.moving)
-    assert state.force_n >= 40.0
+    assert state.force_n >= rig.force(FIRM)
 
 
-async def test_a_tightening_that_is_halted_keeps_the_force_it_has(rig: Rig, held: Gripper) -> None:
-    before_n = rig.pressed_with_n()
-    await held.hold(200.0)
+async def test_an_interrupted_tightening_keeps_its_force(rig: GripperRig, held: Gripper) -> None:
+    before_n = rig.pressed_n()
+    await held.hold(rig.force(STRONG))
     await held.halt()
-    halted_n = rig.pressed_with_n()
-    assert before_n <= halted_n < 200.0
+    halted_n = rig.pressed_n()
+    if before_n is not None and halted_n is not None:
+        assert before_n <= halted_n < rig.force(STRONG)
     await asyncio.sleep(0.3)
-    assert rig.pressed_with_n() == pytest.approx(halted_n)
+    check_pressed(rig, halted_n)
     state = await held.state()
     assert state.holding
     assert not state.moving
-    assert state.force_n <= held.force_limits_n[0], "what it has reached is not known"
-    assert await held.hold(220.0) >= 220.0
+    assert state.force_n <= held.force_limits_n[0], "the force that was reached is unknown"
+    stronger_n = rig.force(0.93)
+    assert await held.hold(stronger_n) >= stronger_n
     await eventually(held.state, lambda state: state.holding and not state.moving)
-    assert rig.pressed_with_n() == pytest.approx(220.0, abs=STEP_N)
+    check_pressed(rig, stronger_n, rig.step_n)
 
 
-async def test_halting_what_rests_changes_nothing(rig: Rig, held: Gripper) -> None:
+async def test_halting_a_gripper_at_rest_changes_nothing(rig: GripperRig, held: Gripper) -> None:
     before = await held.state()
     await held.halt()
     after = await held.state()
@@ -204,36 +216,37 @@ async def test_halting_what_rests_changes_nothing(rig: Rig, held: Gripper) -> No
     )  # fmt: skip
 
 
-async def test_release_lets_go(rig: Rig, held: Gripper) -> None:
-    await held.release(85.0)
-    await eventually(held.state, lambda state: state.width_mm > 84.0 and not state.holding)
-    assert rig.pressed_with_n() == 0.0
+async def test_release_opens_the_fingers(rig: GripperRig, held: Gripper) -> None:
+    await held.release(rig.open_mm)
+    await eventually(held.state, lambda state: state.width_mm > rig.open_mm - 1.0 and not state.holding)
+    check_pressed(rig, 0.0)
 
 
-async def test_after_a_release_a_lower_force_holds(rig: Rig, held: Gripper) -> None:
-    await held.release(85.0)
-    await eventually(held.state, lambda state: state.width_mm > 84.0)
-    assert await held.hold(25.0) < 40.0
+async def test_after_a_release_a_lower_force_holds(rig: GripperRig, held: Gripper) -> None:
+    await held.release(rig.open_mm)
+    await eventually(held.state, lambda state: state.width_mm > rig.open_mm - 1.0)
+    assert await held.hold(rig.force(WEAK)) < rig.force(FIRM)
     await eventually(held.state, lambda state: state.holding and not state.moving)
-    assert rig.pressed_with_n() == pytest.approx(25.0, abs=STEP_N)
+    check_pressed(rig, rig.force(WEAK), rig.step_n)
 
 
-async def test_a_restart_adopts_the_grip(rig: Rig, held: Gripper) -> None:
-    before_n = rig.pressed_with_n()
+async def test_a_restart_adopts_the_grip(rig: GripperRig, held: Gripper) -> None:
+    before_n = rig.pressed_n()
     await held.close()
-    rig.gripper = rig.again()
+    rig.gripper = rig.new_driver()
     await rig.gripper.open()
     state = await rig.gripper.state()
     assert state.holding
-    assert rig.pressed_with_n() == pytest.approx(before_n)
+    check_pressed(rig, before_n)
     with pytest.raises(CommandRefused):
-        await rig.gripper.move(80.0, 30.0)
-    assert await rig.gripper.hold(90.0) >= 90.0
+        await rig.gripper.move(0.94 * rig.open_mm, rig.force(WEAK))
+    stronger_n = rig.force(0.33)
+    assert await rig.gripper.hold(stronger_n) >= stronger_n
     await eventually(rig.gripper.state, lambda state: state.holding and not state.moving)
-    assert rig.pressed_with_n() == pytest.approx(90.0, abs=STEP_N)
+    check_pressed(rig, stronger_n, rig.step_n)
 
 
-async def test_before_open_and_after_close_it_is_lost(rig: Rig) -> None:
+async def test_a_gripper_that_is_not_open_is_lost(rig: GripperRig) -> None:
     with pytest.raises(DeviceLost):
         await rig.gripper.state()
     await rig.gripper.open()
@@ -242,13 +255,14 @@ async def test_before_open_and_after_close_it_is_lost(rig: Rig) -> None:
     await rig.gripper.close()
     await rig.gripper.close()
     with pytest.raises(DeviceLost):
-        await rig.gripper.hold(30.0)
+        await rig.gripper.hold(rig.force(WEAK))
 
 
-async def test_a_lost_gripper_keeps_its_grip_and_comes_back_with_open(rig: Rig, held: Gripper) -> None:
+@needs("faults")
+async def test_a_lost_gripper_keeps_its_grip_and_is_usable_after_open(rig: GripperRig, held: Gripper) -> None:
     rig.fail("disconnect")
     with pytest.raises(DeviceLost):
-        await asyncio.wait_for(_ask_until_it_fails(held), 2.0)
+        await asyncio.wait_for(_poll_until_error(held), 2.0)
     with pytest.raises(DeviceLost):
         await held.open()
     rig.repair("disconnect")
@@ -258,39 +272,42 @@ async def test_a_lost_gripper_keeps_its_grip_and_comes_back_with_open(rig: Rig, 
     assert (await held.state()).holding
 
 
-async def test_a_silent_gripper_times_out_and_may_be_asked_again(rig: Rig, held: Gripper) -> None:
+@needs("faults")
+async def test_a_silent_gripper_times_out_and_is_usable_afterwards(rig: GripperRig, held: Gripper) -> None:
     rig.fail("timeout")
     for _ in range(10):
         with pytest.raises(DeviceTimeout):
             await asyncio.wait_for(held.state(), 1.0)
     with pytest.raises(DeviceTimeout):
-        await held.hold(60.0)
+        await held.hold(rig.force(0.2))
     rig.repair("timeout")
     assert (await held.state()).holding
-    assert await held.hold(60.0) >= 60.0
+    assert await held.hold(rig.force(0.2)) >= rig.force(0.2)
 
 
-async def test_a_fault_is_told_in_words_and_stops_commands(rig: Rig, held: Gripper) -> None:
+@needs("faults")
+async def test_a_fault_is_described_and_stops_commands(rig: GripperRig, held: Gripper) -> None:
     rig.fail("fault")
     fault = (await held.state()).fault
     assert fault
     assert len(fault) > 5
     with pytest.raises(DeviceError, match=fault):
-        await held.hold(60.0)
+        await held.hold(rig.force(0.2))
     rig.repair("fault")
     assert (await held.state()).fault is None
-    assert await held.hold(60.0) >= 60.0
+    assert await held.hold(rig.force(0.2)) >= rig.force(0.2)
 
 
-async def test_many_callers_get_their_own_answers(rig: Rig, held: Gripper) -> None:
-    answers = await asyncio.gather(held.hold(50.0), *(held.state() for _ in range(8)), held.hold(70.0))
-    assert answers[0] == pytest.approx(50.0, abs=STEP_N)
-    assert answers[-1] == pytest.approx(70.0, abs=STEP_N)
-    assert all(isinstance(state, GripperState) for state in answers[1:-1])
+async def test_concurrent_callers_get_their_own_responses(rig: GripperRig, held: Gripper) -> None:
+    first_n, last_n = rig.force(0.15), rig.force(0.25)
+    responses = await asyncio.gather(held.hold(first_n), *(held.state() for _ in range(8)), held.hold(last_n))
+    assert responses[0] == pytest.approx(first_n, abs=rig.step_n)
+    assert responses[-1] == pytest.approx(last_n, abs=rig.step_n)
+    assert all(isinstance(state, GripperState) for state in responses[1:-1])
 
 
-async def test_a_caller_that_gives_up_upsets_nobody(rig: Rig, held: Gripper) -> None:
-    for command in (held.state, lambda: held.hold(55.0)):
+async def test_a_cancelled_call_does_no_harm(rig: GripperRig, held: Gripper) -> None:
+    for command in (held.state, lambda: held.hold(rig.force(0.17))):
         task = asyncio.ensure_future(command())
         await asyncio.sleep(0.002)
         task.cancel()
@@ -300,6 +317,6 @@ async def test_a_caller_that_gives_up_upsets_nobody(rig: Rig, held: Gripper) -> 
         assert state.active
 
 
-async def _ask_until_it_fails(gripper: Gripper) -> None:
+async def _poll_until_error(gripper: Gripper) -> None:
     while True:
         await gripper.state()

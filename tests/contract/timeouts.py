@@ -1,4 +1,4 @@
-"""Waiting for what a device does in its own time."""
+"""Wait for a device to reach a state."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from typing import TypeVar
 from slipguard.errors import DeviceTimeout
 
 T = TypeVar("T")
-PATIENCE_S = 3.0
+TIMEOUT_S = 3.0
 
 
-async def eventually(question: Callable[[], Awaitable[T]], good: Callable[[T], object]) -> T:
-    """Ask until the answer is as it should be; fails with the last answer after three seconds.
+async def eventually(read: Callable[[], Awaitable[T]], condition: Callable[[T], object]) -> T:
+    """Read until the condition holds, and return that value; fail with the last value after three seconds.
 
-    A time-out means: ask again.
+    A DeviceTimeout is read again.
     """
     loop = asyncio.get_running_loop()
-    ends_s = loop.time() + PATIENCE_S
+    ends_s = loop.time() + TIMEOUT_S
     while True:
         try:
-            if good(answer := await question()):
-                return answer
-            last: object = answer
+            if condition(value := await read()):
+                return value
+            last: object = value
         except DeviceTimeout as error:
             last = error
         assert loop.time() < ends_s, f"still {last}"
         await asyncio.sleep(0.01)
 
 
-async def answer_of(question: Callable[[], Awaitable[T]]) -> T:
-    """The first answer that comes in time."""
-    return await eventually(question, lambda answer: True)
+async def first_value(read: Callable[[], Awaitable[T]]) -> T:
+    """Return the first value that is read without a time-out."""
+    return await eventually(read, lambda value: True)
