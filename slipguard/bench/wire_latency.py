@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from slipguard.bench.force_probe import ForceProbe, ProbingController
 from slipguard.config import Config, parse_config
 from slipguard.control.state import Phase
-from slipguard.daemon.api.controls import Controls
+from slipguard.daemon.api.handlers import RequestHandlers
+from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.service import Service
 from slipguard.daemon.run import build_service
@@ -165,15 +166,15 @@ async def _probe(
 
 async def grip(service: Service, running: asyncio.Task[None]) -> None:
     """Calibrate, then grasp what lies between the jaws. Raises SlipguardError where it does not come to a firm grip."""
-    controls = Controls(service)
+    handlers = RequestHandlers(service)
 
     def ready() -> bool:
         return not service.waiting_for
 
     await wait_until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
-    await controls.calibrate()
+    await handlers.submit(CalibrateRequest())
     await wait_until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
-    await controls.grasp()
+    await handlers.submit(GraspRequest())
     await wait_until(
         running, lambda: service.firm, GRIP_S, lambda: f"no firm grip, {service.state.fault or service.phase}"
     )

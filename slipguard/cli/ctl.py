@@ -1,9 +1,9 @@
-"""`slipguard ctl`: talk to a running daemon."""
+"""`slipguard ctl`: send requests to a running daemon."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
@@ -19,21 +19,22 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     no_args_is_help=True,
-    help="Talk to a running daemon. Exit code 1 with the daemon's reason where it refuses.\n\n"
+    help="Send requests to a running daemon. Exit code 1 with the daemon's reason if it refuses.\n\n"
     "Example: `slipguard ctl state`, `slipguard ctl grasp`, `slipguard ctl lift`, `slipguard ctl release --yes`",
 )
 
 SocketOption = Annotated[
-    Path | None, typer.Option("--socket", help="Unix socket of the daemon; default: that of this user or system.")
+    Path | None,
+    typer.Option("--socket", help="Unix socket of the daemon. Default: this user's daemon, then the system's."),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="The daemon's answer as one JSON object.")]
-ForceOption = Annotated[float | None, typer.Option(min=0.1, max=235.0, help="Newtons per finger.")]
-HeightOption = Annotated[float | None, typer.Option(min=0.1, max=2000.0, help="Millimetres.")]
-SpeedOption = Annotated[float | None, typer.Option(min=0.1, max=250.0, help="Millimetres a second.")]
-WidthOption = Annotated[float | None, typer.Option(min=0.0, max=200.0, help="Millimetres between the jaws.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the daemon's response as one JSON object.")]
+ForceOption = Annotated[float | None, typer.Option(help="Newtons per finger. Default: from the configuration.")]
+HeightOption = Annotated[float | None, typer.Option(help="Millimeters. Default: from the configuration.")]
+SpeedOption = Annotated[float | None, typer.Option(help="Millimeters per second. Default: from the configuration.")]
+WidthOption = Annotated[float | None, typer.Option(help="Millimeters between the jaws.")]
 
 
-class Switch(StrEnum):
+class OnOff(StrEnum):
     """on or off."""
 
     on = "on"
@@ -41,8 +42,8 @@ class Switch(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class _Told:
-    """What stood between `ctl` and the command."""
+class ConnectionOptions:
+    """The options between `ctl` and the command."""
 
     socket: Path | None
     url: str | None
@@ -50,50 +51,50 @@ class _Told:
 
 
 @app.callback()
-def whom(
+def connection(
     context: typer.Context,
     socket: SocketOption = None,
     url: Annotated[
-        str | None, typer.Option(help="Ask over TCP, such as http://127.0.0.1:8470, and not over the Unix socket.")
+        str | None, typer.Option(help="Connect over TCP, such as http://127.0.0.1:8470, not over the Unix socket.")
     ] = None,
     token_file: Annotated[
         Path | None,
-        typer.Option(help="The daemon's token, for --url; default: that of this user or system, on this machine."),
+        typer.Option(help="The daemon's token, for --url. Default on this machine: this user's, then the system's."),
     ] = None,
 ) -> None:
-    """Keep whom to ask for the command that follows."""
+    """Store the connection options for the command that follows."""
     if token_file is not None and url is None:
-        raise InputError("--token-file is for --url; the Unix socket asks for no token")
-    context.obj = _Told(socket, url, token_file)
+        raise InputError("--token-file needs --url; the Unix socket does not use a token")
+    context.obj = ConnectionOptions(socket, url, token_file)
 
 
 @app.command()
 def state(context: typer.Context, socket: SocketOption = None, json: JsonOption = False) -> None:
-    """Show what is held, how each device is, and what to do about a fault; `--json` has everything.
+    """Show the state: the grasp, each device, and what to do about a fault.
 
-    Example: `slipguard ctl state`
+    Example: `slipguard ctl state`, `slipguard ctl state --json`
     """
-    with _client(_where(context, socket)) as client:
-        answer = client.state()
+    with _client(context, socket) as client:
+        response = client.state()
     if json:
-        _print_json(answer)
+        _print_json(response)
         return
     from rich.console import Console
 
-    from slipguard.cli.state_view import view
+    from slipguard.cli.state_view import state_table
 
-    Console(highlight=False).print(view(answer))
+    Console(highlight=False).print(state_table(response))
 
 
 @app.command()
 def grasp(
     context: typer.Context, force_n: ForceOption = None, socket: SocketOption = None, json: JsonOption = False
 ) -> None:
-    """Close on what is between the jaws, gently.
+    """Close gently on the object between the jaws.
 
     Example: `slipguard ctl grasp --force-n 30`
     """
-    _ask(_where(context, socket), json, lambda client: client.grasp(force_n))
+    _submit(context, socket, json, "grasp", force_n=force_n)
 
 
 @app.command()
@@ -104,11 +105,11 @@ def lift(
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Lift what is held; returns when the lift has begun.
+    """Lift the held object; returns when the lift has begun.
 
     Example: `slipguard ctl lift --height-mm 120`
     """
-    _ask(_where(context, socket), json, lambda client: client.lift(height_mm, speed_mm_s))
+    _submit(context, socket, json, "lift", height_mm=height_mm, speed_mm_s=speed_mm_s)
 
 
 @app.command()
@@ -119,25 +120,25 @@ def lower(
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Lower what is held, by as much as it was lifted; returns when the motion has begun.
+    """Lower the held object, by default by the height it was lifted; returns when the motion has begun.
 
     Example: `slipguard ctl lower`
     """
-    _ask(_where(context, socket), json, lambda client: client.lower(height_mm, speed_mm_s))
+    _submit(context, socket, json, "lower", height_mm=height_mm, speed_mm_s=speed_mm_s)
 
 
 @app.command()
 def guard(
     context: typer.Context,
-    switch: Annotated[Switch, typer.Argument(help="on: tighten when the object slips. off: only watch.")],
+    switch: Annotated[OnOff, typer.Argument(help="on: tighten when the object slips. off: only report.")],
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Guard what is held, or stop guarding.
+    """Switch the guard on or off.
 
     Example: `slipguard ctl guard on`
     """
-    _ask(_where(context, socket), json, lambda client: client.guard(switch is Switch.on))
+    _submit(context, socket, json, "guard", on=switch is OnOff.on)
 
 
 @app.command()
@@ -148,90 +149,92 @@ def gripper(
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Move the jaws for another program; never opens a held object, never lowers its grip.
+    """Move the jaws for another program. Never opens on a held object and never lowers its grip force.
 
-    Without --force-n with the force of the first grip; --width-mm may be left out where something is held. In lift mode
-    what the jaws meet is not guarded until `slipguard ctl guard on`.
+    Without --force-n, the force of the first grip is used. --width-mm may be omitted while an object is held. In lift
+    mode an object gripped this way is not guarded until `slipguard ctl guard on`.
+
     Example: `slipguard ctl gripper --width-mm 60`
     """
     if width_mm is None and force_n is None:
-        raise InputError("say what the jaws shall do: give --width-mm, --force-n or both")
-    _ask(_where(context, socket), json, lambda client: client.gripper(width_mm, force_n))
+        raise InputError("gripper: nothing to do; give --width-mm, --force-n or both")
+    _submit(context, socket, json, "gripper", width_mm=width_mm, force_n=force_n)
 
 
 @app.command()
 def release(
     context: typer.Context,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
     width_mm: WidthOption = None,
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Open the jaws, in every state, faults included: what is held drops.
+    """Open the jaws, in every state, including faults. A held object drops.
 
     Example: `slipguard ctl release --yes`
     """
-    if not yes and not _sure("Open the jaws? What is held drops."):
-        typer.echo("nothing was opened; `slipguard ctl release --yes` does not ask", err=True)
+    if not yes and not _confirm("Open the jaws? A held object drops."):
+        typer.echo("the jaws were not opened; `slipguard ctl release --yes` does not ask", err=True)
         raise typer.Exit(1)
-    _ask(_where(context, socket), json, lambda client: client.release(width_mm))
+    _submit(context, socket, json, "release", confirm=True, width_mm=width_mm)
 
 
 @app.command()
 def clear(context: typer.Context, socket: SocketOption = None, json: JsonOption = False) -> None:
-    """Leave a fault whose cause is gone; what is held stays held.
+    """Clear a latched fault whose cause is gone; a held object stays held.
 
     Example: `slipguard ctl clear`
     """
-    _ask(_where(context, socket), json, lambda client: client.clear())
+    _submit(context, socket, json, "clear")
 
 
 @app.command()
 def calibrate(
     context: typer.Context,
-    force: Annotated[
-        bool, typer.Option("--force", help="Even if the stored image says that there is contact.")
+    force: Annotated[bool, typer.Option("--force", help="Also if the stored image indicates contact.")] = False,
+    new_gel: Annotated[
+        bool, typer.Option("--new-gel", help="The gels were replaced: count wear from this image on.")
     ] = False,
-    new_gel: Annotated[bool, typer.Option("--new-gel", help="Gels were replaced; wear counts from now on.")] = False,
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Take and store each finger's no-contact image; the jaws must be open and empty.
+    """Take and store the background image of each finger. The jaws must be open and empty.
 
     Example: `slipguard ctl calibrate`, `slipguard ctl calibrate --new-gel`
     """
-    _ask(_where(context, socket), json, lambda client: client.calibrate(force=force, new_gel=new_gel))
+    _submit(context, socket, json, "calibrate", force=force, new_gel=new_gel)
 
 
 @app.command()
 def page(
     context: typer.Context,
-    open_it: Annotated[bool, typer.Option("--open", help="Open it in this machine's browser.")] = False,
+    open_browser: Annotated[bool, typer.Option("--open", help="Open the link in a browser on this machine.")] = False,
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Make a link to the operator page that gives the browser that opens it first control; it is good for a minute.
+    """Print a link to the operator page. The first browser that opens it, within a minute, gets control.
 
-    Without a link the page only shows. As root, which no browser runs as, open the printed link in your own browser.
+    Without such a link the page is read-only. As root, open the printed link in your own browser.
+
     Example: `slipguard ctl page --open`
     """
-    if open_it and os.geteuid() == 0:
-        raise InputError("--open: no browser runs as root; leave --open out and open the link in your own browser")
-    with _client(_where(context, socket)) as client:
-        answer = client.page_link()
+    if open_browser and os.geteuid() == 0:
+        raise InputError("--open: browsers do not run as root; omit --open and open the link in your own browser")
+    with _client(context, socket) as client:
+        response = client.page_link()
     if json:
-        _print_json(answer)
+        _print_json(response)
     else:
-        typer.echo(answer["url"])
-    if open_it:
+        typer.echo(response["url"])
+    if open_browser:
         import webbrowser
 
-        if not webbrowser.open(str(answer["url"])):
-            raise SlipguardError("no browser could be started here; open the link in one within a minute")
+        if not webbrowser.open(str(response["url"])):
+            raise SlipguardError("no browser could be started; open the printed link in a browser within a minute")
 
 
-def _sure(question: str) -> bool:
-    """A person's yes; anything else, the end of the input and Ctrl-C included, is a no."""
+def _confirm(question: str) -> bool:
+    """Return True if the user types yes; False for any other input, its end, or Ctrl-C."""
     try:
         return typer.confirm(question, err=True)
     except typer.Abort:
@@ -239,13 +242,13 @@ def _sure(question: str) -> bool:
         return False
 
 
-def _where(context: typer.Context, socket: Path | None) -> Path | TcpAddress | None:
-    """Whom to ask: what stands after the command counts before what stands after `ctl`; None: whoever runs here."""
-    before: _Told = context.obj
+def _address(context: typer.Context, socket: Path | None) -> Path | TcpAddress | None:
+    """Return the daemon's address. Options after the command have priority over those before it."""
+    before: ConnectionOptions = context.obj
     if before.url is None:
         return socket or before.socket
     if socket or before.socket:
-        raise InputError("--url and --socket: one daemon at a time; leave one of them out")
+        raise InputError("--url and --socket cannot be combined; omit one of them")
     from slipguard.daemon.api.client import TcpAddress
     from slipguard.daemon.api.paths import token_for
 
@@ -253,23 +256,35 @@ def _where(context: typer.Context, socket: Path | None) -> Path | TcpAddress | N
 
 
 @contextmanager
-def _client(where: Path | TcpAddress | None) -> Iterator[Client]:
+def _client(context: typer.Context, socket: Path | None) -> Iterator[Client]:
     from slipguard.daemon.api.client import Client
 
-    with Client(where) as client:
+    with Client(_address(context, socket)) as client:
         yield client
 
 
-def _ask(where: Path | TcpAddress | None, json: bool, command: Callable[[Client], dict[str, Any]]) -> None:
-    with _client(where) as client:
-        answer = command(client)
+def _submit(context: typer.Context, socket: Path | None, json: bool, kind: str, **fields: object) -> None:
+    """Submit a request of `slipguard.daemon.api.requests` and print the response."""
+    from pydantic import ValidationError
+
+    from slipguard.config_errors import first_complaint
+    from slipguard.daemon.api.requests import REQUESTS
+
+    model = REQUESTS[kind]
+    try:
+        request = model.model_validate(fields)
+    except ValidationError as invalid:
+        field, _, reason = first_complaint(invalid, model).partition(" = ")
+        raise typer.BadParameter(reason, ctx=context, param_hint=f"--{field.replace('_', '-')}") from None
+    with _client(context, socket) as client:
+        response = client.submit(request)
     if json:
-        _print_json(answer)
+        _print_json(response)
     else:
-        typer.echo(answer.get("said", "done"))
+        typer.echo(response["message"])
 
 
-def _print_json(answer: dict[str, Any]) -> None:
+def _print_json(response: dict[str, Any]) -> None:
     import json
 
-    typer.echo(json.dumps(answer))
+    typer.echo(json.dumps(response))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slipguard.cli.interrupt import left_to_the_loop
+from slipguard.cli.interrupt import default_interrupts
 from slipguard.cli.run import USUAL_FILE, ConfigOption
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def doctor(
     settings = read_config(config)
     log.configure(level=logging.CRITICAL)
     progress = Console(stderr=True, quiet=not Console(stderr=True).is_terminal)
-    with progress.status("looking …") as status, left_to_the_loop():
+    with progress.status("looking …") as status, default_interrupts():
         lines = asyncio.run(
             examine(settings, socket or running_socket(settings), lambda check: status.update(f"looking at {check} …"))
         )

@@ -70,7 +70,7 @@ def _command(name: str, kind: EmulatorKind) -> Any:
     def emulate(fault: list[str] | None, json: bool, **options: Any) -> None:
         from pydantic import ValidationError
 
-        from slipguard.cli.interrupt import left_to_the_loop
+        from slipguard.cli.interrupt import default_interrupts
         from slipguard.config_errors import first_complaint
         from slipguard.errors import InputError
         from slipguard.tools.emulation import run
@@ -79,7 +79,7 @@ def _command(name: str, kind: EmulatorKind) -> Any:
             settings = kind.Settings(**{key: value for key, value in options.items() if value is not None})
         except ValidationError as error:
             raise InputError(first_complaint(error, kind.Settings)) from None
-        with left_to_the_loop():
+        with default_interrupts():
             asyncio.run(run(name, lambda report: kind(settings, report), fault or [], json_lines=json))
 
     parameters = [*_options(kind.Settings), _option("fault", FaultsOption, None), _option("json", JsonOption, False)]

@@ -215,7 +215,7 @@ def _on_cell(
 ) -> None:
     import asyncio
 
-    from slipguard.cli.interrupt import left_to_the_loop
+    from slipguard.cli.interrupt import default_interrupts
     from slipguard.cli.prompt import ask
     from slipguard.config import read_config
     from slipguard.daemon.api.paths import socket_path
@@ -235,5 +235,5 @@ def _on_cell(
     )
     with in_the_daemons_place(socket_path(settings)):
         external = nullcontext() if camera is None else ExternalCamera(camera, lens)
-        with external as eye, left_to_the_loop():
+        with external as eye, default_interrupts():
             asyncio.run(run_on_cell(out, plan, service, eye, lens, ask))

@@ -33,7 +33,7 @@ class Interrupt:
 
 
 @contextmanager
-def left_to_the_loop() -> Iterator[None]:
+def default_interrupts() -> Iterator[None]:
     """asyncio turns a Ctrl-C into a cancelled main task, but only where nobody else has put a handler."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:

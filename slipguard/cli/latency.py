@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from slipguard.cli.interrupt import left_to_the_loop
+from slipguard.cli.interrupt import default_interrupts
 from slipguard.cli.progress import progress_bar
 from slipguard.thread_priority import set_realtime_priority
 
@@ -45,7 +45,7 @@ def latency(
     log.configure(level=logging.CRITICAL)
     if as_service:
         set_realtime_priority()
-    with progress_bar("latency") as show, left_to_the_loop():
+    with progress_bar("latency") as show, default_interrupts():
         found = asyncio.run(measure(LatencyOptions(commands=commands, baud=baud, fps=int(fps)), show))
     if json:
         print(jsonlib.dumps(asdict(found)))

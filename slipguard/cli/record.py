@@ -35,7 +35,7 @@ def record(
     """
     import asyncio
 
-    from slipguard.cli.interrupt import left_to_the_loop
+    from slipguard.cli.interrupt import default_interrupts
     from slipguard.cli.progress import count_bar
     from slipguard.config import read_config
     from slipguard.daemon.api.client import Client, DaemonNotRunning
@@ -65,7 +65,7 @@ def record(
             asked: Client | None = client
         except DaemonNotRunning:
             asked = None
-        with left_to_the_loop():
+        with default_interrupts():
             touched = asyncio.run(all_of_it(asked))
     if show is not None:
         contact_sheet(out, show)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slipguard.cli.interrupt import left_to_the_loop
+from slipguard.cli.interrupt import default_interrupts
 
 if TYPE_CHECKING:
     from slipguard.config import Config
@@ -54,7 +54,7 @@ def run(
         daemon = root.run(settings, reread=lambda: read_config(config))
     if sys.__stderr__ is not None:
         faulthandler.enable(sys.__stderr__)  # where a loop hangs that systemd's watchdog ends is worth a look
-    with left_to_the_loop():
+    with default_interrupts():
         asyncio.run(daemon)
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from slipguard.cli.interrupt import left_to_the_loop
+from slipguard.cli.interrupt import default_interrupts
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def simulate(*, seed: int, lifts: int | None, guarded: bool, json: bool, out: Pa
     console, progress = Console(highlight=False), Console(stderr=True)
     if not json:
         console.print(_announcement(settings))
-    with _display(progress) as show, left_to_the_loop():
+    with _display(progress) as show, default_interrupts():
         runner = asyncio.run if realtime else run_virtual
         records = runner(run_campaign(settings, show))
     if json:

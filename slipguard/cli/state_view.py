@@ -14,7 +14,7 @@ COLOUR = {"ready": "green", "error": "yellow", "disconnected": "red"}
 SHOWN_EVENTS = 6
 
 
-def view(answer: Mapping[str, Any]) -> RenderableType:
+def state_table(answer: Mapping[str, Any]) -> RenderableType:
     """What `GET /state` answered, in at most 80 columns where no reason is longer."""
     grasp = _two_columns()
     for name, text in _grasp(answer):
@@ -26,7 +26,7 @@ def view(answer: Mapping[str, Any]) -> RenderableType:
         colour = COLOUR.get(state, "white")
         devices.add_row(name, f"[{colour}]{escape(state)}[/]", escape(_device(answer, name, health)))
     events = _two_columns()
-    for number, line in enumerate(_events(answer.get("said", []))):
+    for number, line in enumerate(_events(answer.get("messages", []))):
         events.add_row("last events" if number == 0 else "", escape(line))
     return Group(grasp, "", devices, "", events)
 

@@ -170,7 +170,7 @@ async def run(
             )
             group.create_task(until_stopped(), name="signals")
             group.create_task(GelMonitor(service).run(), name="gels")
-            group.create_task(_recordings(service, desk.noting(recorder), changed), name="recorder")
+            group.create_task(_recordings(service, desk.track_recorder(recorder), changed), name="recorder")
             if reread is not None:
                 reloader = Reloader(service, reread, changed.set)
                 group.create_task(_reload_on(hung_up, reloader), name="reload")

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.control.state import AT_STAKE, MOVING, Phase
-from slipguard.daemon.api.controls import Controls
+from slipguard.daemon.api.handlers import RequestHandlers
+from slipguard.daemon.api.requests import GraspRequest, GuardRequest, LiftRequest, LowerRequest, ReleaseRequest
 from slipguard.daemon.loop.service import Service
 from slipguard.errors import CommandRefused, ConfigError, DeviceLost, SlipguardError
 from slipguard.evaluation.external_camera import ExternalCamera
@@ -58,7 +59,7 @@ async def run_on_cell(
         raise ConfigError('guard.mode = "guard": slipguard does not move the arm then; the experiment needs "lift"')
     todo = prepare(out, protocol)
     running = asyncio.create_task(service.run())
-    cell = _Cell(out, protocol, service, Controls(service), camera, intrinsics, running, ask)
+    cell = _Cell(out, protocol, service, RequestHandlers(service), camera, intrinsics, running, ask)
     try:
         await cell.do(todo)
     except asyncio.CancelledError:
@@ -83,7 +84,7 @@ class _Cell:
     out: Path
     protocol: LiftProtocol
     service: Service
-    controls: Controls
+    handlers: RequestHandlers
     camera: ExternalCamera | None
     intrinsics: Intrinsics
     running: asyncio.Task[None]
@@ -93,7 +94,7 @@ class _Cell:
         service = self.service
         await wait_until(self.running, lambda: not service.waiting_for, READY_S, lambda: "; ".join(service.waiting_for))
         if not self.protocol.guard:
-            await self.controls.guard(False)
+            await self.handlers.submit(GuardRequest(on=False))
         for lift in todo:
             line = f"{lift.stem}: place {lift.thing.name} so that the lift turns it by about {lift.target_deg:.0f}°"
             if not await self.ask(line, ""):
@@ -133,7 +134,7 @@ class _Cell:
             if self.camera is not None:
                 self.camera.give_to(take)
             try:
-                await self.controls.grasp(lift.thing.grip_force_n or protocol.grip_force_n)
+                await self.handlers.submit(GraspRequest(force_n=lift.thing.grip_force_n or protocol.grip_force_n))
                 ended = (Phase.FAULT, Phase.IDLE)
                 await wait_until(
                     self.running,
@@ -144,7 +145,9 @@ class _Cell:
                 self._check(lift)
                 await asyncio.sleep(STILL_S)
                 self._check(lift)
-                await self.controls.lift(protocol.lift_height_mm, protocol.lift_speed_mm_s)
+                await self.handlers.submit(
+                    LiftRequest(height_mm=protocol.lift_height_mm, speed_mm_s=protocol.lift_speed_mm_s)
+                )
                 limit_s = self._limit_s(protocol.lift_height_mm, protocol.lift_speed_mm_s)
                 await wait_until(
                     self.running,
@@ -182,7 +185,7 @@ class _Cell:
                 PHASE_S,
                 lambda: f"{lift.stem}: not calm enough to be lowered",
             )
-            await self.controls.lower()
+            await self.handlers.submit(LowerRequest())
         except CommandRefused as error:
             return str(service.state.fault or error)
         limit_s = self._limit_s(up_mm, guard.tuning.lower_speed_mm_s)
@@ -207,7 +210,7 @@ class _Cell:
         where = f". It hangs {up_mm:.0f} mm up" if up_mm >= LOW_MM else ""
         if not await self.ask(f"{lift.stem}: {told}{where}. Hold the object; the jaws open", RELEASE):
             raise SlipguardError(f"{lift.stem}: stopped before the release")
-        await self.controls.release()
+        await self.handlers.submit(ReleaseRequest(confirm=True))
         ended = (Phase.IDLE, Phase.FAULT)
         await wait_until(self.running, lambda: service.phase in ended, PHASE_S, lambda: f"{lift.stem}: not released")
         if service.state.fault is not None:

@@ -14,7 +14,8 @@ import numpy as np
 from slipguard.config import parse_config
 from slipguard.control.state import Phase
 from slipguard.daemon import logging as log
-from slipguard.daemon.api.controls import Controls
+from slipguard.daemon.api.handlers import RequestHandlers
+from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, GuardRequest, LiftRequest
 from slipguard.daemon.loop.service import Service
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.daemon.loop.worker import StatedLatencyWorker
@@ -120,12 +121,12 @@ async def _record(task: SimulatedLift) -> None:
         running = asyncio.create_task(service.run())
         try:
             await wait_until(running, lambda: not service.waiting_for, TIMEOUT_S, "the devices are not ready")
-            controls = Controls(service)
-            await controls.calibrate()
+            handlers = RequestHandlers(service)
+            await handlers.submit(CalibrateRequest())
             world.place(drawn, asyncio.get_running_loop().time())
             needed_n = world.truth(asyncio.get_running_loop().time()).needed_force_n
             grip_n = lift.thing.grip_force_n or protocol.grip_force_n or max(GRIP_SHARE * needed_n, GRIP_MIN_N)
-            await _lift(task, service, controls, world, running, round(grip_n, 1), height_mm)
+            await _lift(task, service, handlers, world, running, round(grip_n, 1), height_mm)
         finally:
             running.cancel()
             await asyncio.gather(running, return_exceptions=True)
@@ -134,7 +135,7 @@ async def _record(task: SimulatedLift) -> None:
 async def _lift(
     task: SimulatedLift,
     service: Service,
-    controls: Controls,
+    handlers: RequestHandlers,
     world: World,
     running: asyncio.Task[None],
     grip_n: float,
@@ -144,18 +145,18 @@ async def _lift(
     sign = IMAGE_SIGN[task.protocol.camera_side]
     with LiftRecorder(task.path, service, task.protocol, task.lift, intrinsics_of(look.lens), lag_s) as file:
         if not task.protocol.guard:
-            await controls.guard(False)
+            await handlers.submit(GuardRequest(on=False))
         watchers = [
             asyncio.create_task(_film(file, world, ExternalCameraRenderer(look, task.lift.number), lag_s, sign)),
             asyncio.create_task(_masks(file, world)),
         ]
         try:
-            await controls.grasp(grip_n)
+            await handlers.submit(GraspRequest(force_n=grip_n))
             await wait_until(
                 running, lambda: service.firm or service.phase is Phase.FAULT, TIMEOUT_S, "the object was not gripped"
             )
             await asyncio.sleep(SETTLE_S)
-            await controls.lift(height_mm, task.protocol.lift_speed_mm_s)
+            await handlers.submit(LiftRequest(height_mm=height_mm, speed_mm_s=task.protocol.lift_speed_mm_s))
             await wait_until(running, lambda: service.phase is not Phase.LIFTING, TIMEOUT_S, "the lift did not end")
             await asyncio.sleep(task.protocol.hold_s)
         except CommandRefused as refusal:

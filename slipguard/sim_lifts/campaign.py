@@ -12,7 +12,8 @@ from pathlib import Path
 from slipguard.config import Config, parse_config
 from slipguard.control.state import Phase
 from slipguard.control.step import control_step
-from slipguard.daemon.api.controls import Controls
+from slipguard.daemon.api.handlers import RequestHandlers
+from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, LiftRequest, LowerRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.service import Service
 from slipguard.daemon.loop.worker import StatedLatencyWorker, ThreadWorker, Worker
@@ -124,9 +125,9 @@ async def _lifts(
 ) -> list[LiftRecord]:
     plan = settings.objects()
     progress = LiftProgress(lifts=len(plan))
-    controls = Controls(service)
+    handlers = RequestHandlers(service)
     await wait_until(running, lambda: not service.waiting_for, 30.0, "the devices are not ready")
-    await controls.calibrate()
+    await handlers.submit(CalibrateRequest())
     records = []
     for index, (name, seed) in enumerate(plan):
         progress.lift, progress.object_name = index + 1, name
@@ -135,13 +136,13 @@ async def _lifts(
         loop = asyncio.get_running_loop()
         world.place(scenario(name, seed), loop.time())
         with _watched(service, world, record, progress, show):
-            await _one_lift(service, controls, world, record, running)
+            await _one_lift(service, handlers, world, record, running)
         world.clear(loop.time())
     return records
 
 
 async def _one_lift(
-    service: Service, controls: Controls, world: World, record: LiftRecord, running: asyncio.Task[None]
+    service: Service, handlers: RequestHandlers, world: World, record: LiftRecord, running: asyncio.Task[None]
 ) -> None:
     """Grasp, lift, hold, lower and release one object, and say how it went."""
     loop = asyncio.get_running_loop()
@@ -159,9 +160,9 @@ async def _one_lift(
         )
 
     try:
-        await controls.grasp()
+        await handlers.submit(GraspRequest())
         await until(lambda: service.firm, "the object was not gripped")
-        await controls.lift()
+        await handlers.submit(LiftRequest())
         await until(lambda: service.phase is Phase.HOLDING, "the lift did not end")
         hold_until_s = loop.time() + HOLD_S
         await until(lambda: loop.time() >= hold_until_s, "the hold did not end")
@@ -175,9 +176,9 @@ async def _one_lift(
         record.why = str(service.state.fault.code)
     record.deadlines_missed = service.deadlines_missed - missed_before
     if record.outcome == "held" and service.phase is Phase.HOLDING:
-        await controls.lower()
+        await handlers.submit(LowerRequest())
         await until(lambda: service.phase is Phase.HOLDING, "the lowering did not end")
-    await controls.release()
+    await handlers.submit(ReleaseRequest(confirm=True))
     await wait_until(running, lambda: service.phase is Phase.IDLE, PHASE_TIMEOUT_S, "the release did not end")
 
 

@@ -1,7 +1,4 @@
-"""The web process: `python -m slipguard.web SOCKET_FD`, started by the daemon and ended with it.
-
-It stands back before anything else, for the imports alone take most of a second.
-"""
+"""The web process: `python -m slipguard.web SOCKET_FD`, started and stopped by the daemon."""
 
 from __future__ import annotations
 
@@ -11,13 +8,13 @@ import sys
 from slipguard.thread_priority import set_batch_priority
 
 NICENESS = 5
-"""The loop comes first where there are too few cores."""
+"""The control loop has priority if there are too few cores."""
 
 
 def main() -> None:
-    """Deaf to the terminal's Ctrl-C: the daemon says when to stop."""
+    """Serve until the daemon stops the process. Ctrl-C is ignored: it is handled by the daemon."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    set_batch_priority(NICENESS)
+    set_batch_priority(NICENESS)  # before the imports, which take most of a second
     from slipguard.web.process import serve_and_exit
 
     serve_and_exit(int(sys.argv[1]))

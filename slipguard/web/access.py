@@ -1,12 +1,12 @@
-"""Who may command over TCP, and which web pages may ask at all.
+"""Access control over TCP: which clients may send commands, and which web pages may send requests.
 
-Every user of this machine, and every page open in the operator's browser, can reach a loopback port. So a command
-needs the token (or the cookie that a link made with it has set), and each request must be meant for this server: its
-`Host` is one of ours (a foreign name that points here is refused) and its `Origin`, where a browser tells one, is that
-of our own page.
+Every user of this machine, and every page open in the operator's browser, can reach a loopback port. A command
+therefore needs the token, or the cookie that a login link has set. Every request must be meant for this server: its
+`Host` must be ours (another name that resolves here is refused), and its `Origin`, if present, must be our own page.
 
-A browser sends a cookie to every port of a host, so to whatever another user has put on one. The page therefore has a
-second secret, which the login hands it in the address's fragment and which it keeps where only its own origin can read.
+A browser sends a cookie to every port of a host, also to a server of another user. The page therefore sends a second
+secret, the session key. It gets the key in the address fragment at login and keeps it where only its own origin can
+read.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import socket
 import time
 from collections.abc import Callable
 from http.cookies import CookieError, SimpleCookie
-from typing import Any
 
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -27,100 +26,94 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from slipguard.web.middleware import refuse
 
 COOKIE = "slipguard"
-SESSION = "x-slipguard-session"
-"""The header in which the page sends the second secret."""
-CODE_S = 60.0
-"""How long a link to the page is good."""
-CODES_MAX = 16
+SESSION_HEADER = "x-slipguard-session"
+"""Header in which the page sends the session key."""
+LINK_VALID_S = 60.0
+LINKS_MAX = 16
 CONTROL_KEY = "slipguard.control"
-"""Where the scope says whether this client may command."""
+"""Key of the ASGI scope: whether this client may send commands."""
 
 
 class Access:
-    """token: the daemon's secret for this run. address: (host, port) it listens at.
-
-    clock: seconds, for the links' ends.
-    """
+    """token: the daemon's secret for this run. address: (host, port) of the server. clock: for the links' expiry."""
 
     def __init__(self, token: str, address: tuple[str, int], clock: Callable[[], float] = time.monotonic) -> None:
         self._token = token
         self._cookie = hmac.new(token.encode(), b"page", hashlib.sha256).hexdigest()
-        self.session = hmac.new(token.encode(), b"session", hashlib.sha256).hexdigest()
-        """The page's second secret; the cookie alone commands nothing."""
+        self.session_key = hmac.new(token.encode(), b"session", hashlib.sha256).hexdigest()
         self._host, self._port = address
         self._clock = clock
-        self._codes: dict[str, float] = {}
+        self._links: dict[str, float] = {}
 
-    # --- the page's way in ---
-
-    def link(self) -> str:
-        """An address that gives the browser that opens it first control; good once, for `CODE_S`."""
+    def make_link(self) -> str:
+        """Return an address that gives the first browser that opens it control, within `LINK_VALID_S`."""
         code = secrets.token_urlsafe(32)
-        self._codes[code] = self._clock() + CODE_S
-        while len(self._codes) > CODES_MAX:
-            del self._codes[next(iter(self._codes))]
+        self._links[code] = self._clock() + LINK_VALID_S
+        while len(self._links) > LINKS_MAX:
+            del self._links[next(iter(self._links))]
         return f"http://{self._shown_host()}:{self._port}/login?token={code}"
 
     def redeem(self, code: str) -> str | None:
-        """The cookie's value for a link's code, which is used up by it; None for any other."""
-        ends_s = self._codes.pop(code, None)
-        return self._cookie if ends_s is not None and self._clock() < ends_s else None
+        """Return the cookie's value for a link's code, and invalidate the code; None if the code is not valid."""
+        expires_s = self._links.pop(code, None)
+        return self._cookie if expires_s is not None and self._clock() < expires_s else None
 
-    def _shown_host(self) -> str:
-        if _is_any(self._host):
-            return socket.gethostname()
-        return f"[{self._host}]" if ":" in self._host else self._host
-
-    # --- each request ---
-
-    def knows(self, headers: Headers) -> bool:
-        """Whether the token or the cookie came with it: enough to be no stranger."""
+    def is_known(self, headers: Headers) -> bool:
+        """Return whether the request has the token or the cookie."""
         return self._has_token(headers) or self._has_cookie(headers)
 
     def may_command(self, headers: Headers) -> bool:
-        """Whether the token came with it, or the cookie and the page's second secret."""
-        session = _same(headers.get(SESSION, ""), self.session)
+        """Return whether the request has the token, or the cookie and the session key."""
+        session = _equal(headers.get(SESSION_HEADER, ""), self.session_key)
         return self._has_token(headers) or (session and self._has_cookie(headers))
+
+    def find_objection(self, scope: Scope, headers: Headers) -> str | None:
+        """Return why a request is not meant for this server, or comes from another page; None if it is valid."""
+        hosts = headers.getlist("host")
+        if len(hosts) != 1 or not self._is_own_host(hosts[0].lower()):
+            return f"Host {hosts[0] if hosts else ''!r} is not this server; use {self._shown_host()}:{self._port}"
+        origins = headers.getlist("origin")
+        if origins and origins != [f"http://{hosts[0]}"]:
+            return f"Origin {origins[0]!r} is not the page of this server; only that page may send requests"
+        site = headers.get("sec-fetch-site", "none")
+        link_followed = scope.get("method") == "GET" and headers.get("sec-fetch-mode") == "navigate"
+        if site not in ("none", "same-origin") and not (link_followed and headers.get("sec-fetch-dest") == "document"):
+            return "the request comes from another web page; only the page of this server may send requests"
+        return None
+
+    def _shown_host(self) -> str:
+        address = _ip_address(self._host)
+        if address is not None and address.is_unspecified:
+            return socket.gethostname()
+        return f"[{self._host}]" if ":" in self._host else self._host
 
     def _has_token(self, headers: Headers) -> bool:
         kind, _, given = headers.get("authorization", "").partition(" ")
-        return kind.lower() == "bearer" and _same(given.strip(), self._token)
+        return kind.lower() == "bearer" and _equal(given.strip(), self._token)
 
     def _has_cookie(self, headers: Headers) -> bool:
         try:
             cookies = SimpleCookie(headers.get("cookie", ""))
         except CookieError:
             return False
-        return COOKIE in cookies and _same(cookies[COOKIE].value, self._cookie)
+        return COOKIE in cookies and _equal(cookies[COOKIE].value, self._cookie)
 
-    def objection(self, scope: Scope, headers: Headers) -> str | None:
-        """Why a request is not meant for this server, or comes from a foreign page; None if all is well."""
-        hosts = headers.getlist("host")
-        if len(hosts) != 1 or not self._is_ours(hosts[0].lower()):
-            return f"Host {hosts[0] if hosts else ''!r} is not this server; ask for {self._shown_host()}:{self._port}"
-        origins = headers.getlist("origin")
-        if origins and origins != [f"http://{hosts[0]}"]:
-            return f"Origin {origins[0]!r} is a foreign page; only the page of this server may ask"
-        site = headers.get("sec-fetch-site", "none")
-        followed = scope.get("method") == "GET" and headers.get("sec-fetch-mode") == "navigate"
-        if site not in ("none", "same-origin") and not (followed and headers.get("sec-fetch-dest") == "document"):
-            return "the request comes from a foreign page; only the page of this server may ask"
-        return None
-
-    def _is_ours(self, host: str) -> bool:
+    def _is_own_host(self, host: str) -> bool:
         name, _, port = host.rpartition(":")
         if port != str(self._port):
             return False
         name = name.removeprefix("[").removesuffix("]")
-        if _is_any(self._host):  # by number, no foreign name can point here
-            return name in ("localhost", socket.gethostname().lower()) or _number(name) is not None
-        if _is_loopback(self._host):
+        address = _ip_address(self._host)
+        if address is not None and address.is_unspecified:
+            # An address in numbers is safe: no other name can resolve to it.
+            return name in ("localhost", socket.gethostname().lower()) or _ip_address(name) is not None
+        if self._host == "localhost" or (address is not None and address.is_loopback):
             return name == "localhost" or name == self._host
         return name == self._host.lower()
 
 
 class AccessMiddleware:
-    """ASGI: lets through what `access` has no objection to, and commands only with the token."""
+    """ASGI: refuses requests that are not meant for this server, and commands without the token."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self._app, self._access = app, access
@@ -130,35 +123,23 @@ class AccessMiddleware:
             await self._app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        refusal: tuple[int, str] | None = None
-        objection = self._access.objection(scope, headers)
-        may = self._access.may_command(headers)
+        objection = self._access.find_objection(scope, headers)
+        may_command = self._access.may_command(headers)
         if objection is not None:
-            refusal = 403, objection
-        elif scope["type"] == "http" and scope["method"] not in ("GET", "HEAD") and not may:
-            refusal = 401, "this needs the token; `slipguard ctl page` makes a link that gives control"
-        if refusal is None:
-            await self._app({**scope, CONTROL_KEY: may}, receive, send)
-            return
-        await refuse(*refusal, scope, receive, send)
+            await refuse(403, objection, scope, receive, send)
+        elif scope["type"] == "http" and scope["method"] not in ("GET", "HEAD") and not may_command:
+            reason = "this request needs the token; `slipguard ctl page` prints a link that gives control"
+            await refuse(401, reason, scope, receive, send)
+        else:
+            await self._app({**scope, CONTROL_KEY: may_command}, receive, send)
 
 
-def _same(given: str, secret: str) -> bool:
+def _equal(given: str, secret: str) -> bool:
     return hmac.compare_digest(given.encode(), secret.encode())
 
 
-def _number(host: str) -> Any:
+def _ip_address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
     try:
         return ipaddress.ip_address(host)
     except ValueError:
         return None
-
-
-def _is_any(host: str) -> bool:
-    number = _number(host)
-    return number is not None and number.is_unspecified
-
-
-def _is_loopback(host: str) -> bool:
-    number = _number(host)
-    return host == "localhost" or (number is not None and number.is_loopback)

@@ -1,7 +1,7 @@
-"""The local API: HTTP that answers from what the daemon knows and hands wishes on; it decides nothing itself.
+"""The local API over HTTP: reads the daemon's state and passes requests to it. It makes no decisions.
 
-Bodies and answers are JSON objects, described at /openapi.json. Whatever cannot be done is answered with
-{"error": one line}: see `slipguard.web.errors.MEANS`.
+Bodies and responses are JSON objects, described at /openapi.json. Errors are {"error": one line}; their statuses are in
+`slipguard.web.errors.STATUS_DESCRIPTIONS`.
 """
 
 from __future__ import annotations
@@ -15,155 +15,158 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from starlette.exceptions import HTTPException
 
 from slipguard import __version__
-from slipguard.web import models as b
-from slipguard.web.access import CONTROL_KEY, COOKIE, SESSION
+from slipguard.web import models
+from slipguard.web.access import CONTROL_KEY, COOKIE, SESSION_HEADER
 from slipguard.web.commands import add_commands
-from slipguard.web.errors import error, error_responses, http_error, with_error_response
-from slipguard.web.images import FINGERS
-from slipguard.web.metrics import exposition
+from slipguard.web.errors import error_response, error_responses, handle_http_exception, with_error_response
+from slipguard.web.images import FINGERS, EncodedImage
+from slipguard.web.metrics import prometheus_text
 from slipguard.web.page_routes import add_page
 from slipguard.web.route_context import RouteContext
 
-ABOUT = """Keeps a robot from dropping what it holds. On the Unix socket, file permissions decide who may ask.
-On TCP every command needs the token in the daemon's runtime directory, or the page's cookie and second secret."""
-TEXT: dict[int | str, dict[str, Any]] = {
+DESCRIPTION = """Keeps a robot from dropping what it holds. On the Unix socket, file permissions control access.
+On TCP every command needs the token in the daemon's runtime directory, or the page's cookie and session key."""
+TEXT_RESPONSE: dict[int | str, dict[str, Any]] = {
     200: {"description": "Prometheus text.", "content": {"text/plain": {"schema": {"type": "string"}}}}
 }
 FingerName = Annotated[str, Path(json_schema_extra={"enum": list(FINGERS)})]
 
 
-def make_app(room: RouteContext) -> FastAPI:
-    """The API of one daemon. Whoever may reach it may command, unless `slipguard.web.access.Gate` stands before it."""
+def make_app(context: RouteContext) -> FastAPI:
+    """Return the API of one daemon. Access control is separate: `slipguard.web.access.AccessMiddleware`."""
     app = FastAPI(
         title="slipguard",
         version=__version__,
-        description=ABOUT,
+        description=DESCRIPTION,
         telemetry={"tracing": False, "metrics": False, "logs": False, "auto_configure": False},
         docs_url=None,
         redoc_url=None,
-        exception_handlers={HTTPException: http_error, RequestValidationError: _bad_parameter},
+        exception_handlers={HTTPException: handle_http_exception, RequestValidationError: _bad_parameter},
     )
-    _add_reads(app, room)
-    _add_pictures(app, room)
-    add_page(app, room)
-    add_commands(app, room)
-    make = app.openapi
+    _add_state(app, context)
+    _add_images(app, context)
+    add_page(app, context)
+    add_commands(app, context)
+    make_document = app.openapi
 
-    def described() -> dict[str, Any]:
-        document = make()
+    def document_with_security() -> dict[str, Any]:
+        document = make_document()
         document.setdefault("components", {})["securitySchemes"] = {
             "token": {"type": "http", "scheme": "bearer"},
             "cookie": {"type": "apiKey", "in": "cookie", "name": COOKIE},
-            "session": {"type": "apiKey", "in": "header", "name": SESSION},
+            "session": {"type": "apiKey", "in": "header", "name": SESSION_HEADER},
         }
         return document
 
-    app.openapi = described  # type: ignore[method-assign]
+    app.openapi = document_with_security  # type: ignore[method-assign]
     return app
 
 
-def _add_reads(app: FastAPI, room: RouteContext) -> None:
-    @app.get("/state", response_model=b.StateResponse, responses=error_responses())
+def _add_state(app: FastAPI, context: RouteContext) -> None:
+    @app.get("/state", response_model=models.StateResponse, responses=error_responses())
     async def state() -> Response:
-        """Everything the daemon knows now, at most a tenth of a second old."""
+        """Return the complete state, at most a tenth of a second old."""
 
-        async def look() -> Response:
-            return Response(await room.state.get(), media_type="application/json")
+        async def respond() -> Response:
+            return Response(await context.state.get(), media_type="application/json")
 
-        return await with_error_response("/state", look())
+        return await with_error_response("/state", respond())
 
-    @app.get("/healthz", response_model=b.HealthyResponse, responses=error_responses())
+    @app.get("/healthz", response_model=models.HealthyResponse, responses=error_responses())
     async def healthz() -> Response:
-        """Whether the daemon is well; 503 with the reason where it is not."""
+        """Return whether the daemon is healthy; 503 with the reason if it is not."""
 
-        async def look() -> Response:
-            why = await room.trouble.get()
-            return JSONResponse({"status": "ok"}) if why is None else error(503, why)
+        async def respond() -> Response:
+            problem = await context.health_problem.get()
+            return JSONResponse({"status": "ok"}) if problem is None else error_response(503, problem)
 
-        return await with_error_response("/healthz", look())
+        return await with_error_response("/healthz", respond())
 
-    @app.get("/metrics", response_class=Response, responses=TEXT | error_responses())
+    @app.get("/metrics", response_class=Response, responses=TEXT_RESPONSE | error_responses())
     async def metrics() -> Response:
-        """State and tallies as Prometheus reads them."""
+        """Return state and counters in the format of Prometheus."""
 
-        async def look() -> Response:
-            text = exposition(await room.state.get(), await room.tallies.get())
+        async def respond() -> Response:
+            text = prometheus_text(await context.state.get(), await context.counters.get())
             return Response(text, media_type=CONTENT_TYPE_LATEST)
 
-        return await with_error_response("/metrics", look())
+        return await with_error_response("/metrics", respond())
 
-    @app.get("/no-contact", response_model=dict[str, b.StoredBackgrounds], responses=error_responses())
-    async def no_contacts() -> Response:
-        """What is stored of each finger's sensor: number, time, noise and light of every no-contact image."""
+    @app.get("/no-contact", response_model=dict[str, models.StoredBackgrounds], responses=error_responses())
+    async def backgrounds() -> Response:
+        """Return number, time, noise and brightness of all stored background images, by finger."""
 
-        async def look() -> Response:
-            return Response(await room.no_contacts.get(), media_type="application/json")
+        async def respond() -> Response:
+            return Response(await context.backgrounds.get(), media_type="application/json")
 
-        return await with_error_response("/no-contact", look())
+        return await with_error_response("/no-contact", respond())
 
-    @app.get("/access", response_model=b.AccessInfo, responses=error_responses())
+    @app.get("/access", response_model=models.AccessInfo, responses=error_responses())
     async def access(request: Request) -> Response:
-        """Whether whoever asks may also command."""
+        """Return whether this client may send commands."""
         return JSONResponse({"control": bool(request.scope.get(CONTROL_KEY, True))})
 
     @app.websocket("/live")
     async def live(socket: WebSocket) -> None:
-        """`history`, then ten times a second `state`, and every `event` at once."""
-        await room.live.serve(socket)
+        """Send `history`, then `state` ten times per second, and each `event` at once."""
+        await context.live.serve(socket)
 
 
-def _add_pictures(app: FastAPI, room: RouteContext) -> None:
-    def answers(kind: str, about: str) -> dict[int | str, dict[str, Any]]:
-        picture = {"type": "string", "format": "binary"}
-        return {200: {"description": about, "content": {kind: {"schema": picture}}}} | error_responses(404, 409, 422)
+def _add_images(app: FastAPI, context: RouteContext) -> None:
+    def responses(media_type: str, description: str) -> dict[int | str, dict[str, Any]]:
+        content = {media_type: {"schema": {"type": "string", "format": "binary"}}}
+        return {200: {"description": description, "content": content}} | error_responses(404, 409, 422)
 
-    @app.get("/frame/{finger}", response_class=Response, responses=answers("image/png", "As the sensor gave it."))
+    @app.get("/frame/{finger}", response_class=Response, responses=responses("image/png", "The unmodified frame."))
     async def frame(finger: FingerName) -> Response:
-        """The newest frame as it came; serial number, number and capture time are in the headers."""
-        return await _picture(room, "/frame", finger, "image/png")
+        """Return the newest frame as it was captured; serial number, frame number and capture time are in headers."""
 
-    @app.get("/no-contact/{finger}", response_class=Response, responses=answers("image/png", "As it was averaged."))
-    async def no_contact(
+        async def respond() -> Response:
+            _check_finger(finger)
+            return _image_response(await context.images.raw(finger), "image/png")
+
+        return await with_error_response("/frame", respond())
+
+    @app.get("/no-contact/{finger}", response_class=Response, responses=responses("image/png", "The mean image."))
+    async def background(
         finger: FingerName, number: Annotated[int | None, Query(ge=1, le=1_000_000)] = None
     ) -> Response:
-        """A stored no-contact image, the newest if not told which; its number is in the header x-sequence."""
+        """Return a stored background image, by default the newest; its number is in the header x-sequence."""
 
-        async def look() -> Response:
-            _check(finger)
-            found = await room.pictures.stored(finger, number)
-            told = {"x-serial": found.serial, "x-sequence": str(found.sequence), "x-captured-at-s": "0"}
-            return Response(found.content, media_type="image/png", headers=told)
+        async def respond() -> Response:
+            _check_finger(finger)
+            return _image_response(await context.images.background(finger, number), "image/png")
 
-        return await with_error_response("/no-contact", look())
+        return await with_error_response("/no-contact", respond())
 
-    @app.get("/picture/{finger}", response_class=Response, responses=answers("image/jpeg", "For people."))
+    @app.get("/picture/{finger}", response_class=Response, responses=responses("image/jpeg", "For display."))
     async def picture(finger: FingerName, overlay: Annotated[Literal["0", "1"], Query()] = "1") -> Response:
-        """The newest judged frame, with outline, thinned line and axis of the contact drawn over it."""
-        return await _picture(room, "/picture", finger, "image/jpeg", overlay == "1")
+        """Return the newest processed frame, with contour, skeleton and axis of the contact drawn over it."""
+
+        async def respond() -> Response:
+            _check_finger(finger)
+            return _image_response(await context.images.with_overlay(finger, overlay == "1"), "image/jpeg")
+
+        return await with_error_response("/picture", respond())
 
 
-async def _picture(room: RouteContext, path: str, finger: str, kind: str, overlay: bool = False) -> Response:
-    async def look() -> Response:
-        _check(finger)
-        found = await (room.pictures.raw(finger) if kind == "image/png" else room.pictures.drawn(finger, overlay))
-        told = {
-            "x-serial": found.serial,
-            "x-sequence": str(found.sequence),
-            "x-captured-at-s": f"{found.captured_at_s:.6f}",
-        }
-        return Response(found.content, media_type=kind, headers=told)
-
-    return await with_error_response(path, look())
+def _image_response(image: EncodedImage, media_type: str) -> Response:
+    headers = {
+        "x-serial": image.serial,
+        "x-sequence": str(image.sequence),
+        "x-captured-at-s": f"{image.captured_at_s:.6f}",
+    }
+    return Response(image.content, media_type=media_type, headers=headers)
 
 
-def _check(finger: str) -> None:
+def _check_finger(finger: str) -> None:
     if finger not in FINGERS:
-        raise HTTPException(404, f"no finger {finger!r}; there are: {', '.join(FINGERS)}")
+        raise HTTPException(404, f"no finger {finger!r}; choose from: {', '.join(FINGERS)}")
 
 
 async def _bad_parameter(request: Request, raised: Exception) -> Response:
-    """What is wrong with a parameter in the address, in one line."""
+    """Return in one line what is wrong with a parameter of the address."""
     problems = raised.errors() if isinstance(raised, RequestValidationError) else []
-    problem = problems[0] if problems else {"loc": ("request",), "msg": "not what is allowed"}
+    problem = problems[0] if problems else {"loc": ("request",), "msg": "invalid"}
     message = str(problem["msg"])
-    return error(422, f"{problem['loc'][-1]}: {message[:1].lower()}{message[1:]}")
+    return error_response(422, f"{problem['loc'][-1]}: {message[:1].lower()}{message[1:]}")

@@ -1,10 +1,8 @@
-"""The commands: bodies are checked to the last key before anything is asked of the daemon."""
+"""The POST routes: one for each request. The body is validated completely before the daemon is called."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
-from typing import Any, TypeVar
 
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
@@ -12,120 +10,65 @@ from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 
 from slipguard.config_errors import first_complaint
+from slipguard.daemon.api.requests import REQUESTS, CalibrateRequest, DaemonRequest
 from slipguard.errors import CommandRefused
-from slipguard.web import models as b
-from slipguard.web.disconnect import is_disconnected
-from slipguard.web.errors import error, error_responses, with_error_response
+from slipguard.web.connections import is_disconnected
+from slipguard.web.errors import error_response, error_responses, with_error_response
+from slipguard.web.models import CalibrationResponse, MessageResponse
 from slipguard.web.route_context import RouteContext
 
 BODY_MAX_BYTES = 4096
-"""No request of this API needs more."""
-BODY_S = 5.0
-"""A body that takes longer to come is not waited for."""
-B = TypeVar("B", bound=b.Body)
-Act = Callable[[B], Awaitable[Mapping[str, object]]]
+BODY_TIMEOUT_S = 5.0
+SECURITY: list[dict[str, list[str]]] = [{"token": []}, {"cookie": [], "session": []}]
+"""For TCP; the Unix socket needs neither."""
 
 
-def add_commands(app: FastAPI, room: RouteContext) -> None:
-    """One POST route for each command."""
-    control = room.control
-
-    async def calibrate(body: b.Calibrate) -> Mapping[str, object]:
-        return await control.calibrate(body.force, body.new_gel)
-
-    def add(
-        path: str, kind: type[B], act: Act[B], about: str, answer: type[b.MessageResponse] = b.MessageResponse
-    ) -> None:
-        _add(app, room, path, kind, act, about, answer)
-
-    add("/grasp", b.Grasp, lambda body: _said(control.grasp(body.force_n)), "Close on what is between the jaws.")
-    add(
-        "/lift",
-        b.Move,
-        lambda body: _said(control.lift(body.height_mm, body.speed_mm_s)),
-        "Lift what is held; the answer comes when the lift has begun.",
-    )
-    add(
-        "/lower",
-        b.Move,
-        lambda body: _said(control.lower(body.height_mm, body.speed_mm_s)),
-        "Lower what is held, by as much as it was lifted where no height is given.",
-    )
-    add("/guard", b.GuardSwitch, lambda body: _said(control.guard(body.on)), "Act on slip, or only watch.")
-    add(
-        "/gripper",
-        b.Jaws,
-        lambda body: _said(control.gripper(body.width_mm, body.force_n)),
-        "Move the jaws for another program; never opens a held object, never lowers its grip.",
-    )
-    add(
-        "/release",
-        b.Release,
-        lambda body: _said(control.release(body.width_mm)),
-        "Open the jaws, in every state: what is held drops.",
-    )
-    add("/clear", b.Nothing, lambda body: _said(control.clear()), "Leave a fault whose cause is gone.")
-    add(
-        "/no-contact",
-        b.GoBack,
-        lambda body: _said(control.go_back(body.finger, body.number)),
-        "Put an older no-contact image of a finger's sensor to use again.",
-    )
-    add("/calibrate", b.Calibrate, calibrate, "Take and store both fingers' no-contact images.", b.CalibrationResponse)
+def add_commands(app: FastAPI, context: RouteContext) -> None:
+    """Add `POST /<kind>` for each kind of request."""
+    for kind, model in REQUESTS.items():
+        _add_command(app, context, f"/{kind}", model)
 
 
-def _add(
-    app: FastAPI, room: RouteContext, path: str, kind: type[B], act: Act[B], about: str, answer: type[b.MessageResponse]
-) -> None:
-    async def endpoint(request: Request) -> Response:
-        async def do() -> Response:
-            raw = await _read(request)
+def _add_command(app: FastAPI, context: RouteContext, path: str, model: type[DaemonRequest]) -> None:
+    async def endpoint(http_request: Request) -> Response:
+        async def respond() -> Response:
+            raw = await _read_body(http_request)
             try:
-                body = kind.model_validate_json(raw or b"{}")
-            except ValidationError as wrong:
-                broken = wrong.errors(include_url=False)[0]["type"] == "json_invalid"
-                return error(400, "the body is not JSON") if broken else error(422, first_complaint(wrong, kind))
-            if is_disconnected(request.scope):
-                raise CommandRefused(f"{path} was given up by whoever asked for it, and is not done")
+                request = model.model_validate_json(raw or b"{}")
+            except ValidationError as invalid:
+                if invalid.errors(include_url=False)[0]["type"] == "json_invalid":
+                    return error_response(400, "the body is not JSON")
+                return error_response(422, first_complaint(invalid, model))
+            if is_disconnected(http_request.scope):
+                raise CommandRefused(f"{path}: the client closed the connection; the request was not executed")
             try:
-                return JSONResponse(dict(await act(body)))
+                return JSONResponse(dict(await context.daemon.submit(request)))
             finally:
-                room.forget()
+                context.invalidate()
 
-        return await with_error_response(path, do())
+        return await with_error_response(path, respond())
 
-    needed = any(field.is_required() for field in kind.model_fields.values())
+    body_schema = {"application/json": {"schema": model.model_json_schema()}}
+    body_required = any(field.is_required() for field in model.model_fields.values())
     app.post(
         path,
         name=path[1:],
-        description=about,
-        response_model=answer,
+        description=model.__doc__,
+        response_model=CalibrationResponse if model is CalibrateRequest else MessageResponse,
         responses=error_responses(400, 401, 408, 409, 413, 422),
-        openapi_extra={"requestBody": _described(kind, needed), "security": SECURITY},
+        openapi_extra={"requestBody": {"required": body_required, "content": body_schema}, "security": SECURITY},
     )(endpoint)
 
 
-SECURITY: list[dict[str, list[str]]] = [{"token": []}, {"cookie": [], "session": []}]
-"""On TCP; the Unix socket asks for neither."""
-
-
-def _described(kind: type[b.Body], needed: bool) -> dict[str, Any]:
-    return {"required": needed, "content": {"application/json": {"schema": kind.model_json_schema()}}}
-
-
-async def _read(request: Request) -> bytes:
-    """The body, as long as it is neither too large nor too slow."""
+async def _read_body(request: Request) -> bytes:
+    """Return the body. Raises HTTPException if it is too large or too slow."""
     body = b""
     try:
-        async with asyncio.timeout(BODY_S):
-            async for piece in request.stream():
-                body += piece
+        async with asyncio.timeout(BODY_TIMEOUT_S):
+            async for chunk in request.stream():
+                body += chunk
                 if len(body) > BODY_MAX_BYTES:
                     raise HTTPException(413, f"the body is larger than {BODY_MAX_BYTES} bytes")
     except TimeoutError:
-        raise HTTPException(408, f"the body did not come within {BODY_S:g} s") from None
+        raise HTTPException(408, f"the body was not received within {BODY_TIMEOUT_S:g} s") from None
     return body
-
-
-async def _said(answer: Awaitable[str]) -> dict[str, object]:
-    return {"said": await answer}

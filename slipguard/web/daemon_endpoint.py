@@ -1,4 +1,4 @@
-"""The daemon's end of the socket to its web process: questions in, answers and events out."""
+"""The daemon's end of the socket to its web process: receives calls, sends responses and events."""
 
 from __future__ import annotations
 
@@ -9,112 +9,126 @@ from dataclasses import asdict
 from typing import Any
 
 import structlog
+from pydantic import ValidationError
 
+from slipguard.config_errors import first_complaint
 from slipguard.daemon.api.daemon_api import DaemonApi
+from slipguard.daemon.api.requests import REQUESTS
 from slipguard.daemon.loop.event_log import Event
 from slipguard.errors import CommandRefused, SlipguardError
-from slipguard.web.protocol import COMMANDS, encode_finger_frame, encode_message, read_message
+from slipguard.web.protocol import encode_finger_frame, encode_message, read_message
 
-UNDER_WAY_MAX = 100
-SILENT_S = 10.0
-"""A web process asks for the state ten times a second, so one that says nothing for so long hangs."""
-START_S = 60.0
-"""... from its first word on; so long may that one take."""
+CONCURRENT_CALLS_MAX = 100
+SILENCE_MAX_S = 10.0
+"""A web process requests the state ten times per second, so one that is silent for longer is stuck."""
+START_MAX_S = 60.0
+"""The same until its first message."""
 TICK_S = 0.5
-BEHIND_MAX_BYTES = 16 * 1024 * 1024
-"""A web process that takes nothing for so long that this much waits for it hears no events."""
-SPOKEN = (*COMMANDS, "trouble")
-TEXTS = ("state", "tallies", "no_contacts")
-VIEWS = ("frame", "view", "no_contact")
+SEND_BUFFER_MAX_BYTES = 16 * 1024 * 1024
+"""Events are dropped while more than this waits for the web process."""
+JSON_METHODS = ("state", "counters", "backgrounds")
+FRAME_METHODS = ("frame", "processed_frame", "background")
 log = structlog.get_logger()
 
 
-async def answer(control: DaemonApi, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Answer until the other side is gone, or cancelled; what is under way then is finished or cancelled with it.
+async def serve_web_process(daemon: DaemonApi, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Respond until the web process closes the connection, or until cancelled; calls in progress are cancelled then.
 
-    Raises SlipguardError where the other side hangs, or says what is no message.
+    Raises SlipguardError if the web process is stuck, or sends an invalid message.
     """
-    under_way: set[asyncio.Task[None]] = set()
-    room = asyncio.Semaphore(UNDER_WAY_MAX)
+    in_progress: set[asyncio.Task[None]] = set()
+    free_calls = asyncio.Semaphore(CONCURRENT_CALLS_MAX)
 
-    def hear(event: Event) -> None:
-        if writer.is_closing() or writer.transport.get_write_buffer_size() >= BEHIND_MAX_BYTES:
+    def send_event(event: Event) -> None:
+        if writer.is_closing() or writer.transport.get_write_buffer_size() >= SEND_BUFFER_MAX_BYTES:
             return
         try:
             writer.write(b"".join(encode_message({"event": asdict(event)})))
-        except Exception as mistake:  # whoever told it, maybe in the middle of the loop's turn, has no part in this
-            log.warning("an event did not reach the web process", why=repr(mistake))
+        except Exception as bug:  # the event's sender may be the control loop: it must not fail here
+            log.warning("an event was not sent to the web process", why=repr(bug))
 
-    async def one(message: dict[str, Any]) -> None:
+    async def respond(message: dict[str, Any]) -> None:
         try:
-            for piece in await _answered(control, message):
+            for piece in await _response(daemon, message):
                 writer.write(piece)
         finally:
-            room.release()
+            free_calls.release()
 
-    async def take_all() -> None:
+    async def receive_all() -> None:
         while (received := await read_message(reader)) is not None:
-            pulse.beat()
-            await room.acquire()
-            task = asyncio.create_task(one(received[0]), name="web: answer")
-            under_way.add(task)
-            task.add_done_callback(under_way.discard)
+            silence.reset()
+            await free_calls.acquire()
+            task = asyncio.create_task(respond(received[0]), name="web: respond")
+            in_progress.add(task)
+            task.add_done_callback(in_progress.discard)
 
-    pulse = _Pulse()
-    deafen = control.listen(hear)
-    taking = asyncio.create_task(take_all(), name="web: questions")
-    hanging = asyncio.create_task(pulse.stop(room.locked), name="web: pulse")
+    silence = _SilenceTimer()
+    unsubscribe = daemon.subscribe(send_event)
+    receiving = asyncio.create_task(receive_all(), name="web: receive")
+    stuck = asyncio.create_task(silence.wait(free_calls.locked), name="web: silence")
     try:
-        await asyncio.wait((taking, hanging), return_when=asyncio.FIRST_COMPLETED)
-        if not taking.done():
-            raise SlipguardError("it hangs")
-        taking.result()
+        await asyncio.wait((receiving, stuck), return_when=asyncio.FIRST_COMPLETED)
+        if not receiving.done():
+            raise SlipguardError("it does not respond")
+        receiving.result()
     finally:
-        deafen()
-        for task in (*under_way, taking, hanging):
+        unsubscribe()
+        for task in (*in_progress, receiving, stuck):
             task.cancel()
-        await asyncio.gather(*under_way, taking, hanging, return_exceptions=True)
+        await asyncio.gather(*in_progress, receiving, stuck, return_exceptions=True)
 
 
-class _Pulse:
-    """How long nothing was heard, in ticks of our own: where the daemon itself stood still, nobody is blamed for it."""
+class _SilenceTimer:
+    """Counts ticks without a message. Ticks, so that a pause of the daemon itself does not count."""
 
     def __init__(self) -> None:
-        self._left = START_S / TICK_S
+        self._ticks_left = START_MAX_S / TICK_S
 
-    def beat(self) -> None:
-        """Something was heard."""
-        self._left = SILENT_S / TICK_S
+    def reset(self) -> None:
+        """Restart after a message."""
+        self._ticks_left = SILENCE_MAX_S / TICK_S
 
-    async def stop(self, busy: Callable[[], bool]) -> None:
-        """Until nothing was heard for too long, while we were not too `busy` to listen."""
-        while self._left > 0:
+    async def wait(self, busy: Callable[[], bool]) -> None:
+        """Return after too long a silence; ticks while `busy` do not count."""
+        while self._ticks_left > 0:
             await asyncio.sleep(TICK_S)
             if not busy():
-                self._left -= 1
+                self._ticks_left -= 1
 
 
-async def _answered(control: DaemonApi, message: dict[str, Any]) -> list[bytes | memoryview]:
-    number, what, told = message.get("id"), message.get("ask"), message.get("told")
-    behind: list[Any] = []
+async def _response(daemon: DaemonApi, message: dict[str, Any]) -> list[bytes | memoryview]:
+    number, method, arguments = message.get("id"), message.get("call"), message.get("arguments") or {}
+    data: list[Any] = []
+    result: object = None
     try:
-        if what in COMMANDS and not time.monotonic() < message.get("until_s", 0.0):
-            raise CommandRefused(f"{what} came to the daemon too late and is not done; ask again")
-        if what in TEXTS:
-            answer, behind = None, [await getattr(control, what)()]
-        elif what in VIEWS:
-            assert isinstance(told, dict)
-            answer, behind = encode_finger_frame(await getattr(control, what)(**told))
-        elif what in SPOKEN:
-            assert isinstance(told, dict)
-            answer = await getattr(control, what)(**told)
+        if method == "submit":
+            result = await _submit(daemon, arguments)
+        elif method == "health_problem":
+            result = await daemon.health_problem()
+        elif method in JSON_METHODS:
+            data = [await getattr(daemon, method)()]
+        elif method in FRAME_METHODS:
+            result, data = encode_finger_frame(await getattr(daemon, method)(**arguments))
         else:
-            raise SlipguardError(f"{what!r} is nothing that can be asked")
-        return encode_message({"id": number, "answer": answer}, *behind)
+            raise SlipguardError(f"the daemon has no method {method!r}")
+        return encode_message({"id": number, "result": result}, *data)
     except CommandRefused as refused:
         return encode_message({"id": number, "refused": str(refused)})
-    except SlipguardError as trouble:
-        return encode_message({"id": number, "trouble": str(trouble)})
-    except Exception as mistake:
-        log.exception("a question of the web process failed", asked=what)
-        return encode_message({"id": number, "mistake": type(mistake).__name__})
+    except SlipguardError as failed:
+        return encode_message({"id": number, "failed": str(failed)})
+    except Exception as bug:
+        log.exception("a call of the web process failed", method=method)
+        return encode_message({"id": number, "bug": type(bug).__name__})
+
+
+async def _submit(daemon: DaemonApi, arguments: dict[str, Any]) -> dict[str, object]:
+    kind, model = arguments.get("kind"), REQUESTS.get(arguments.get("kind", ""))
+    if model is None:
+        raise SlipguardError(f"unknown request {kind!r}; known: {', '.join(REQUESTS)}")
+    if not time.monotonic() < arguments.get("deliver_until_s", 0.0):
+        raise CommandRefused(f"{kind}: reached the daemon too late and was not executed; send it again")
+    try:
+        request = model.model_validate(arguments.get("fields"))
+    except ValidationError as invalid:
+        raise SlipguardError(f"{kind}: {first_complaint(invalid, model)}") from None
+    return dict(await daemon.submit(request))

@@ -1,4 +1,4 @@
-"""Every failure as {"error": one line} with its status, and how that is described in the OpenAPI document."""
+"""Errors of the API: each is {"error": one line} with an HTTP status, described in the OpenAPI document."""
 
 from __future__ import annotations
 
@@ -15,61 +15,64 @@ from starlette.types import Scope
 from slipguard.errors import CommandRefused, SlipguardError
 from slipguard.web.models import ErrorResponse
 
-MEANS = {
-    400: "The body is no JSON.",
-    401: "On TCP: neither the token nor the whole login of the page came with it.",
-    403: "On TCP: the request comes from a foreign page, or asks for another host.",
-    404: "There is no such thing.",
-    408: "The body did not come in time.",
-    409: "Refused as things stand; the state is unchanged.",
+STATUS_DESCRIPTIONS = {
+    400: "The body is not JSON.",
+    401: "TCP only: the token, or the page's cookie and session key, is missing or wrong.",
+    403: "TCP only: the request comes from another web page, or names another host.",
+    404: "Not found.",
+    408: "The body was not received in time.",
+    409: "Refused in the present state; nothing was changed.",
     413: "The body is too large.",
-    422: "Not what is allowed; the line says what is.",
-    500: "A mistake in the daemon; its log says more.",
-    503: "A device or the daemon is not well, or too many ask at once.",
+    422: "Invalid value; the text says what is allowed.",
+    500: "Internal error of the daemon; its log has the details.",
+    503: "A device or the daemon is not healthy, or there are too many requests.",
 }
 log = structlog.get_logger()
 
 
 def error_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """For `responses=` of a route; what the gate may say on TCP is added."""
-    return {status: {"description": MEANS[status], "model": ErrorResponse} for status in sorted({403, 503, *statuses})}
+    """Return `responses=` of a route for these statuses, and for those that any request may get."""
+    return {
+        status: {"description": STATUS_DESCRIPTIONS[status], "model": ErrorResponse}
+        for status in sorted({403, 503, *statuses})
+    }
 
 
-def error(status: int, text: str, headers: dict[str, str] | None = None) -> JSONResponse:
-    """The one form of all failures."""
+def error_response(status: int, text: str, headers: dict[str, str] | None = None) -> JSONResponse:
+    """Return an error in the form that all errors have."""
     return JSONResponse({"error": " ".join(text.split())}, status_code=status, headers=headers)
 
 
-async def with_error_response(path: str, answer: Awaitable[Response]) -> Response:
-    """The answer, or why there is none."""
+async def with_error_response(path: str, response: Awaitable[Response]) -> Response:
+    """Return the response, or the error response for the exception it raises."""
     try:
-        return await answer
+        return await response
     except CommandRefused as refused:
-        return error(409, str(refused))
-    except SlipguardError as trouble:
-        return error(503, str(trouble))
+        return error_response(409, str(refused))
+    except SlipguardError as failed:
+        return error_response(503, str(failed))
     except HTTPException:
         raise
-    except Exception as mistake:
+    except Exception as bug:
         log.exception("a request failed", path=path)
-        return error(500, f"{path} failed inside the daemon ({type(mistake).__name__}); its log says more")
+        return error_response(500, f"{path} failed inside the daemon ({type(bug).__name__}); see the daemon's log")
 
 
-async def http_error(request: Request, raised: Exception) -> Response:
-    """The framework's own errors (no such path, wrong method) in the same form."""
+async def handle_http_exception(request: Request, raised: Exception) -> Response:
+    """Return errors of the framework (unknown path, wrong method) in the same form."""
     status: Any = getattr(raised, "status_code", 500)
     detail = str(getattr(raised, "detail", ""))
     path = request.url.path
     if status == 404 and detail == "Not Found":
-        detail = f"no such path {path}; /openapi.json tells all there are"
+        detail = f"no such path {path}; /openapi.json lists all paths"
     elif status == 405:
-        detail = f"{request.method} {path} is not possible; what only tells takes GET, commands POST"
+        detail = f"{request.method} {path} is not possible; use GET to read and POST for commands"
         methods = {name for route in request.app.routes for name in _methods(route, request.scope)}
-        return error(status, detail, {"allow": ", ".join(sorted(methods))})
-    return error(status, detail, getattr(raised, "headers", None))
+        return error_response(status, detail, {"allow": ", ".join(sorted(methods))})
+    return error_response(status, detail, getattr(raised, "headers", None))
 
 
 def _methods(route: BaseRoute, scope: Scope) -> Iterable[str]:
-    """What a route takes at this path; two routes may share one."""
+    """Return the methods of a route if it matches this path; two routes may share a path."""
     matches = route.matches(dict(scope))[0] is not Match.NONE
     return (getattr(route, "methods", None) or ()) if matches else ()

@@ -1,4 +1,4 @@
-"""The API of a daemon: a process of its own beside the loop, on its Unix socket always, on TCP where that can be."""
+"""Runs the API in a web process of its own: on the Unix socket, and on TCP if configured."""
 
 from __future__ import annotations
 
@@ -15,25 +15,24 @@ from slipguard.cancellation import raise_if_cancelled
 from slipguard.daemon.api.daemon_api import DaemonApi
 from slipguard.daemon.loop.backoff import Backoff
 from slipguard.errors import ConfigError, SlipguardError
-from slipguard.web.daemon_endpoint import answer
+from slipguard.web.daemon_endpoint import serve_web_process
 from slipguard.web.protocol import encode_message
-from slipguard.web.sockets import UnixSocket, bind_tcp
-from slipguard.web.token import token_file
+from slipguard.web.sockets import UnixSocket, bind_tcp, token_file
 
-STOP_S = 4.0
-"""How long the web process may take to finish its answers when the daemon stops."""
-SEND_BYTES = 512 * 1024
-"""A frame goes out in one piece, so that the loop is woken for it once."""
+STOP_TIMEOUT_S = 4.0
+"""Time for the web process to finish its responses when the daemon stops."""
+EXIT_TIMEOUT_S = 1.0
+"""Time for the web process to exit after that; then it is killed."""
+SEND_BUFFER_BYTES = 512 * 1024
+"""Room for a whole frame, so that the loop wakes once to send it."""
 RETRY_S, RETRY_MAX_S = 0.5, 30.0
-WELL_S = 60.0
-"""A web process that lived so long was well: the next one comes after the first pause again."""
-GONE_S = 1.0
-"""... and to be gone once nobody talks to it any more."""
+HEALTHY_S = 60.0
+"""A web process that ran for longer is replaced after the shortest pause again."""
 
 
 @dataclass(frozen=True, slots=True)
 class TcpListener:
-    """A port that is listened at, and the token that commands need there."""
+    """A listening port, and the token for commands over it."""
 
     listening: socket.socket
     host: str
@@ -42,99 +41,103 @@ class TcpListener:
 
 
 async def run_api(
-    control: DaemonApi, unix: UnixSocket, listen: tuple[str, int] | None, token_at: Path, warn: Callable[[str], None]
+    daemon: DaemonApi, unix: UnixSocket, listen: tuple[str, int] | None, token_path: Path, warn: Callable[[str], None]
 ) -> None:
-    """Serve until cancelled, and close `unix`. A web process that ends is replaced; nobody's grip depends on it.
+    """Serve until cancelled, then close `unix`. A web process that ends is replaced; the grip does not depend on it.
 
-    listen: host and port for TCP too; None: none. A port that cannot be had is warned of, and done without.
-    token_at: where the token for TCP is written.
+    Args:
+        daemon: Handles the requests.
+        unix: The listening Unix socket.
+        listen: Host and port for TCP; None: no TCP. If the port is in use, a warning is given and TCP is not served.
+        token_path: The file for the TCP token.
+        warn: Called with each warning.
     """
     backoff = Backoff(RETRY_S, RETRY_MAX_S)
     with contextlib.ExitStack() as stack:
         stack.callback(unix.close)
-        tcp = _tcp(stack, listen, token_at, warn)
+        tcp = _open_tcp(stack, listen, token_path, warn)
         loop = asyncio.get_running_loop()
         while True:
-            began_s = loop.time()
+            started_s = loop.time()
             try:
-                why = f"exit status {await _until_it_ends(control, unix, tcp)}"
-            except Exception as trouble:  # whatever it is, it is no reason to let go of the loop
-                why = " ".join(f"{trouble}".split()) or type(trouble).__name__
+                reason = f"exit status {await _run_web_process(daemon, unix, tcp)}"
+            except Exception as failure:  # no failure of the web process may end the control loop
+                reason = " ".join(f"{failure}".split()) or type(failure).__name__
             raise_if_cancelled()
-            if loop.time() - began_s >= WELL_S:
+            if loop.time() - started_s >= HEALTHY_S:
                 backoff.reset()
-            warn(f"page and API ended ({why}) and are started again; the guard goes on")
+            warn(f"page and API stopped ({reason}) and are being restarted; the guard is not affected")
             await backoff.wait()
 
 
-def _tcp(
-    stack: contextlib.ExitStack, listen: tuple[str, int] | None, token_at: Path, warn: Callable[[str], None]
+def _open_tcp(
+    stack: contextlib.ExitStack, listen: tuple[str, int] | None, token_path: Path, warn: Callable[[str], None]
 ) -> TcpListener | None:
     if listen is None:
         return None
     host, port = listen
     try:
         listening = stack.enter_context(contextlib.closing(bind_tcp(host, port)))
-        token = stack.enter_context(token_file(token_at))
+        token = stack.enter_context(token_file(token_path))
     except (SlipguardError, ConfigError) as error:
-        warn(f"no page, and no commands over TCP: {error}; the Unix socket works")
+        warn(f"no page and no commands over TCP: {error}; the Unix socket works")
         return None
     if not ipaddress.ip_address(host).is_loopback:
-        warn(f"the page at {host}:{port} is open to the network, unencrypted: anybody may look, and read along")
+        warn(f"the page at {host}:{port} is open to the network without encryption: anyone there can read it")
     return TcpListener(listening, host, port, token)
 
 
-async def _until_it_ends(control: DaemonApi, unix: UnixSocket, tcp: TcpListener | None) -> int:
-    """Start the web process and answer it until it ends, with its exit status; it is ended where this is cancelled."""
-    ours, theirs = socket.socketpair()
-    served = [unix.listening] + ([] if tcp is None else [tcp.listening])
-    with theirs:
-        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
-        reader, writer = await asyncio.open_connection(sock=ours)
+async def _run_web_process(daemon: DaemonApi, unix: UnixSocket, tcp: TcpListener | None) -> int:
+    """Start the web process and respond to it until it ends; return its exit status. If cancelled, stop it."""
+    daemon_end, web_end = socket.socketpair()
+    listening = [unix.listening] + ([] if tcp is None else [tcp.listening])
+    with web_end:
+        daemon_end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+        reader, writer = await asyncio.open_connection(sock=daemon_end)
         try:
             process = await asyncio.create_subprocess_exec(
                 sys.executable,
-                "-P",  # the working directory of whoever started the daemon is no place to import from
+                "-P",  # do not import from the working directory
                 "-m",
                 "slipguard.web",
-                str(theirs.fileno()),
-                pass_fds=(theirs.fileno(), *(one.fileno() for one in served)),
+                str(web_end.fileno()),
+                pass_fds=(web_end.fileno(), *(one.fileno() for one in listening)),
                 stdin=asyncio.subprocess.DEVNULL,
-                process_group=0,  # a Ctrl-C at the terminal is for the daemon alone
+                process_group=0,  # a Ctrl-C at the terminal goes to the daemon only
             )
         except BaseException:
             writer.close()
             raise
-    writer.write(b"".join(encode_message(_first_words(unix, tcp))))
-    answering = asyncio.create_task(answer(control, reader, writer), name="web: answers")
+    writer.write(b"".join(encode_message(_first_message(unix, tcp))))
+    serving = asyncio.create_task(serve_web_process(daemon, reader, writer), name="web: serve")
     try:
-        await asyncio.shield(answering)
+        await asyncio.shield(serving)
     finally:
-        writer.write(b"".join(encode_message({"stop": True})))  # answers under way are still given
-        await asyncio.wait((answering,), timeout=STOP_S)
-        answering.cancel()
-        await asyncio.gather(answering, return_exceptions=True)
+        writer.write(b"".join(encode_message({"stop": True})))  # responses in progress are still sent
+        await asyncio.wait((serving,), timeout=STOP_TIMEOUT_S)
+        serving.cancel()
+        await asyncio.gather(serving, return_exceptions=True)
         writer.close()
-        ended = await end(process, GONE_S)
-    return ended
+        status = await wait_or_kill(process, EXIT_TIMEOUT_S)
+    return status
 
 
-async def end(process: asyncio.subprocess.Process, within_s: float) -> int:
-    """Wait for a process that should end by itself, and kill it after `within_s`; its exit status."""
+async def wait_or_kill(process: asyncio.subprocess.Process, timeout_s: float) -> int:
+    """Wait for a process to exit, and kill it after `timeout_s`; return its exit status."""
     try:
-        async with asyncio.timeout(within_s):
+        async with asyncio.timeout(timeout_s):
             return await process.wait()
     except TimeoutError:
-        process.kill()  # not before: a kill that meets a process just gone takes its status from who waits for it
+        process.kill()  # not earlier: killing a process that has just exited loses its exit status
         killed = asyncio.ensure_future(process.wait())
         try:
             return await asyncio.shield(killed)
         except asyncio.CancelledError:
-            await killed  # it is gone in no time, and else its transport would be left open
+            await killed  # returns at once; without it, the transport would stay open
             raise
 
 
-def _first_words(unix: UnixSocket, tcp: TcpListener | None) -> dict[str, object]:
+def _first_message(unix: UnixSocket, tcp: TcpListener | None) -> dict[str, object]:
     return {
         "unix_fd": unix.listening.fileno(),
         "tcp_fd": None if tcp is None else tcp.listening.fileno(),

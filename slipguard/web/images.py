@@ -1,4 +1,4 @@
-"""The newest picture of a finger, plain or with the contact drawn over it; made once for all who look."""
+"""The newest image of each finger, with or without the contact drawn over it; encoded once for all clients."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from slipguard.perception.rotation.skeleton import middle_line
 from slipguard.web.ttl_cache import TtlCache
 
 FINGERS = ("left", "right")
-FRAME_KEEP_S = 1 / 60
-KEEP_S = 0.1
-"""A newer picture is asked for after this time at the earliest."""
-QUALITY = 85
-OUTLINE_BGR = (80, 230, 255)
+FRAME_TTL_S = 1 / 60
+OVERLAY_TTL_S = 0.1
+"""A newer image is requested after this time at the earliest."""
+JPEG_QUALITY = 85
+CONTOUR_BGR = (80, 230, 255)
 SKELETON_BGR = (255, 255, 255)
 AXIS_BGR = (60, 60, 255)
 
 
 @dataclass(frozen=True, slots=True)
 class EncodedImage:
-    """A PNG or JPEG of 240 x 320, of frame `sequence`, taken at `captured_at_s` of the daemon's clock."""
+    """A PNG or JPEG of 240 x 320 pixels, of frame `sequence`. captured_at_s: on the daemon's clock."""
 
     content: bytes
     serial: str
@@ -41,89 +41,89 @@ class EncodedImage:
 
 
 class FingerImages:
-    """Of both fingers, encoded in a thread. All methods raise CommandRefused where there is no picture."""
+    """Images of both fingers, encoded in a thread. Methods raise CommandRefused if there is no image."""
 
-    def __init__(self, control: DaemonApi) -> None:
-        self._stored, self._one_stored = control.no_contact, asyncio.Lock()
-        self._frames = {name: TtlCache(partial(control.frame, name), FRAME_KEEP_S) for name in FINGERS}
-        self._views = {name: TtlCache(partial(control.view, name), KEEP_S) for name in FINGERS}
-        self._made: dict[tuple[str, str], tuple[FingerFrame, asyncio.Task[EncodedImage]]] = {}
-        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="slipguard-pictures")
+    def __init__(self, daemon: DaemonApi) -> None:
+        self._fetch_background, self._background_lock = daemon.background, asyncio.Lock()
+        self._frames = {name: TtlCache(partial(daemon.frame, name), FRAME_TTL_S) for name in FINGERS}
+        self._processed = {name: TtlCache(partial(daemon.processed_frame, name), OVERLAY_TTL_S) for name in FINGERS}
+        self._encoding: dict[tuple[str, str], tuple[FingerFrame, asyncio.Task[EncodedImage]]] = {}
+        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="slipguard-images")
 
     async def raw(self, finger: str) -> EncodedImage:
-        """The newest frame of `left` or `right` as it came, a PNG."""
-        return await self._once(finger, "png", await self._frames[finger].get(), png_of)
+        """Return the newest frame of `left` or `right` as it was captured, a PNG."""
+        return await self._encode_once(finger, "png", await self._frames[finger].get(), encode_png)
 
-    async def drawn(self, finger: str, overlay: bool) -> EncodedImage:
-        """The newest judged frame of `left` or `right`, a JPEG; with what was found in it where `overlay`."""
-        encode = overlaid_jpeg_of if overlay else jpeg_of
-        return await self._once(finger, encode.__name__, await self._views[finger].get(), encode)
+    async def with_overlay(self, finger: str, overlay: bool) -> EncodedImage:
+        """Return the newest processed frame of `left` or `right`, a JPEG; with its contact if `overlay`."""
+        encode = encode_jpeg_with_overlay if overlay else encode_jpeg
+        return await self._encode_once(finger, encode.__name__, await self._processed[finger].get(), encode)
 
-    async def stored(self, finger: str, number: int | None) -> EncodedImage:
-        """A stored no-contact image, the newest if not told which, a PNG; one after the other, for the disk is read."""
-        async with self._one_stored:
-            return await self._make(await self._stored(finger, number), png_of)
+    async def background(self, finger: str, number: int | None) -> EncodedImage:
+        """Return a stored background image, by default the newest, a PNG. One at a time, because it reads the disk."""
+        async with self._background_lock:
+            return await self._encode(await self._fetch_background(finger, number), encode_png)
 
-    async def _once(
-        self, finger: str, kind: str, view: FingerFrame, encode: Callable[[FingerFrame], bytes]
+    async def _encode_once(
+        self, finger: str, kind: str, frame: FingerFrame, encode: Callable[[FingerFrame], bytes]
     ) -> EncodedImage:
-        """Encode a view once, however many ask for it."""
-        of, making = self._made.get((finger, kind), (None, None))
-        if making is None or of is not view:
-            making = asyncio.create_task(self._make(view, encode), name=f"web: picture {finger}")
-            self._made[finger, kind] = view, making
-        return await asyncio.shield(making)
+        """Encode a frame once, also if several clients request it at the same time."""
+        encoded, task = self._encoding.get((finger, kind), (None, None))
+        if task is None or encoded is not frame:
+            task = asyncio.create_task(self._encode(frame, encode), name=f"web: image {finger}")
+            self._encoding[finger, kind] = frame, task
+        return await asyncio.shield(task)
 
-    async def _make(self, view: FingerFrame, encode: Callable[[FingerFrame], bytes]) -> EncodedImage:
-        content = await asyncio.get_running_loop().run_in_executor(self._pool, encode, view)
-        return EncodedImage(content, view.serial, view.frame.sequence, view.frame.captured_at_s)
-
-
-def png_of(view: FingerFrame) -> bytes:
-    """The frame without loss."""
-    return bytes(cv2.imencode(".png", view.frame.image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
+    async def _encode(self, frame: FingerFrame, encode: Callable[[FingerFrame], bytes]) -> EncodedImage:
+        content = await asyncio.get_running_loop().run_in_executor(self._pool, encode, frame)
+        return EncodedImage(content, frame.serial, frame.frame.sequence, frame.frame.captured_at_s)
 
 
-def jpeg_of(view: FingerFrame) -> bytes:
-    """The frame for people."""
-    return _jpeg(view.frame.image)
+def encode_png(frame: FingerFrame) -> bytes:
+    """Return the frame as a PNG, lossless."""
+    return bytes(cv2.imencode(".png", frame.frame.image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
 
 
-def overlaid_jpeg_of(view: FingerFrame) -> bytes:
-    """The frame with outline, thinned line and axis of its contact."""
-    return _jpeg(view.frame.image if view.contact is None else draw(view.frame.image, view.contact))
+def encode_jpeg(frame: FingerFrame) -> bytes:
+    """Return the frame as a JPEG, for display."""
+    return _jpeg(frame.frame.image)
+
+
+def encode_jpeg_with_overlay(frame: FingerFrame) -> bytes:
+    """Return the frame as a JPEG, with contour, skeleton and axis of its contact."""
+    return _jpeg(frame.frame.image if frame.contact is None else draw_contact(frame.frame.image, frame.contact))
 
 
 def _jpeg(image: NDArray[np.uint8]) -> bytes:
-    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes())
+    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes())
 
 
-def draw(image: NDArray[np.uint8], contact: ContactOverlay) -> NDArray[np.uint8]:
-    """A copy of a frame with what was found in it. image: (320, 240, 3) uint8 BGR."""
-    picture = image.copy()
+def draw_contact(image: NDArray[np.uint8], contact: ContactOverlay) -> NDArray[np.uint8]:
+    """Return a copy of a frame, (320, 240, 3) uint8 BGR, with its contact drawn over it."""
+    drawn = image.copy()
     patch = _patch(contact)
     mask = resize_mask_to_frame(patch.full_mask())
-    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(picture, outlines, -1, OUTLINE_BGR, 1)
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(drawn, contours, -1, CONTOUR_BGR, 1)
     rows, columns = np.nonzero(middle_line(patch).skeleton)
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
         x_px, y_px = patch.to_frame(column, row)
         row_px, column_px = round(y_px), round(x_px)
         if 0 <= row_px < FRAME_HEIGHT_PX and 0 <= column_px < FRAME_WIDTH_PX:
-            picture[row_px, column_px] = SKELETON_BGR
+            drawn[row_px, column_px] = SKELETON_BGR
     if contact.axis_deg is not None:
-        _draw_axis(picture, mask, contact.axis_deg)
-    return picture
+        _draw_axis(drawn, mask, contact.axis_deg)
+    return drawn
 
 
-def _draw_axis(picture: NDArray[np.uint8], mask: NDArray[np.uint8], axis_deg: float) -> None:
-    """A line through the contact's middle, as long as the contact reaches; angles are counter-clockwise, y is down."""
+def _draw_axis(image: NDArray[np.uint8], mask: NDArray[np.uint8], axis_deg: float) -> None:
+    """Draw the axis through the contact's center, as long as the contact; counter-clockwise angles, y points down."""
     rows, columns = np.nonzero(mask)
-    middle_x, middle_y = columns.mean(), rows.mean()
+    center_x, center_y = columns.mean(), rows.mean()
     right, down = math.cos(math.radians(axis_deg)), -math.sin(math.radians(axis_deg))
-    along = (columns - middle_x) * right + (rows - middle_y) * down
-    ends = [(round(middle_x + reach * right), round(middle_y + reach * down)) for reach in (along.min(), along.max())]
-    cv2.line(picture, ends[0], ends[1], AXIS_BGR, 1, cv2.LINE_AA)
+    along = (columns - center_x) * right + (rows - center_y) * down
+    ends = [(round(center_x + reach * right), round(center_y + reach * down)) for reach in (along.min(), along.max())]
+    cv2.line(image, ends[0], ends[1], AXIS_BGR, 1, cv2.LINE_AA)
 
 
 def _patch(contact: ContactOverlay) -> Patch:

@@ -1,6 +1,6 @@
-"""The live stream: ten states a second and every event, to whoever looks.
+"""The live stream: the state ten times per second and every event, to all connected pages.
 
-The daemon is asked once for all of them. Whoever cannot keep up loses messages; nobody waits for him.
+The daemon is called once for all clients. A slow client misses messages; it does not delay the others.
 """
 
 from __future__ import annotations
@@ -20,117 +20,117 @@ from slipguard.daemon.loop.ticker import Ticker
 from slipguard.errors import SlipguardError
 
 PERIOD_S = 0.1
-HISTORY = 600
-"""A minute of samples."""
-SEND_S = 10.0
-"""A client that takes nothing for so long is dropped."""
+HISTORY_SAMPLES = 600
+"""One minute."""
+SEND_TIMEOUT_S = 10.0
+"""A client that receives nothing for this time is disconnected."""
 log = structlog.get_logger()
 
 
 class LiveClient:
-    """What waits for one client: events, the oldest dropped where they are too many, and the newest state alone."""
+    """Messages waiting for one client: the newest events, and only the newest state."""
 
     def __init__(self) -> None:
         self._events: deque[str] = deque(maxlen=KEPT)
         self._state: str | None = None
-        self._news = asyncio.Event()
+        self._ready = asyncio.Event()
 
-    def tell(self, event: str) -> None:
-        """Leave an event for it."""
+    def add_event(self, event: str) -> None:
+        """Add an event."""
         self._events.append(event)
-        self._news.set()
+        self._ready.set()
 
-    def show(self, state: str) -> None:
-        """Leave a state for it, in place of one not yet taken."""
+    def set_state(self, state: str) -> None:
+        """Set the state to be sent; replaces one that was not sent yet."""
         self._state = state
-        self._news.set()
+        self._ready.set()
 
     async def next(self) -> list[str]:
-        """What there is, as soon as there is anything."""
-        await self._news.wait()
-        self._news.clear()
-        told = list(self._events)
+        """Wait for messages and return them."""
+        await self._ready.wait()
+        self._ready.clear()
+        messages = list(self._events)
         self._events.clear()
         if self._state is not None:
-            told.append(self._state)
+            messages.append(self._state)
             self._state = None
-        return told
+        return messages
 
 
 class LiveStream:
-    """state: asks the daemon, and gives a JSON object. Call `run`, and `hear` for each event."""
+    """fetch_state: returns the daemon's state, a JSON object. Call `run`, and `publish_event` for each event."""
 
-    def __init__(self, state: Callable[[], Awaitable[bytes]]) -> None:
-        self._state = state
-        self._samples: deque[dict[str, Any]] = deque(maxlen=HISTORY)
+    def __init__(self, fetch_state: Callable[[], Awaitable[bytes]]) -> None:
+        self._fetch_state = fetch_state
+        self._samples: deque[dict[str, Any]] = deque(maxlen=HISTORY_SAMPLES)
         self._events: deque[str] = deque(maxlen=KEPT)
-        self._listeners: set[LiveClient] = set()
+        self._clients: set[LiveClient] = set()
 
-    def hear(self, event: Event) -> None:
-        """Pass an event on at once."""
+    def publish_event(self, event: Event) -> None:
+        """Send an event to all clients."""
         text = json.dumps({"type": "event", "event": asdict(event)})
         self._events.append(text)
-        for listener in self._listeners:
-            listener.tell(text)
+        for client in self._clients:
+            client.add_event(text)
 
     async def run(self) -> None:
-        """Look ten times a second, until cancelled."""
+        """Fetch and publish the state ten times per second, until cancelled."""
         ticker = Ticker(PERIOD_S)
-        told: str | None = None
+        logged: str | None = None
         while True:
             await ticker.wait()
             try:
-                self.look(await self._state())
+                self.publish_state(await self._fetch_state())
             except SlipguardError:
-                continue  # a daemon that does not answer shows nothing new
-            except Exception as mistake:  # a page that stays as it is for ever would look alive
-                if repr(mistake) != told:
-                    told = repr(mistake)
-                    log.exception("the page has missed a state")
+                continue  # the daemon did not respond: there is no new state
+            except Exception as bug:  # without this, the page would keep showing an old state
+                if repr(bug) != logged:
+                    logged = repr(bug)
+                    log.exception("the live stream has missed a state")
 
-    def look(self, raw: bytes) -> None:
-        """Keep a sample of a state, a JSON object, and show the state to all."""
+    def publish_state(self, raw: bytes) -> None:
+        """Keep a sample of a state, a JSON object, for the history, and send the state to all clients."""
         sample = sample_of(json.loads(raw))
         self._samples.append(sample)
-        if not self._listeners:
+        if not self._clients:
             return
         text = f'{{"type": "state", "sample": {json.dumps(sample)}, "state": {raw.decode()}}}'
-        for listener in self._listeners:
-            listener.show(text)
+        for client in self._clients:
+            client.set_state(text)
 
     async def serve(self, socket: WebSocket) -> None:
-        """History, the events kept, then everything as it comes, until the client goes or takes nothing any more."""
-        listener = LiveClient()
+        """Send history, recent events, then all new messages, until the client disconnects or stops receiving."""
+        client = LiveClient()
         await socket.accept()
-        told = [json.dumps({"type": "history", "samples": list(self._samples)}), *self._events]
-        self._listeners.add(listener)
-        gone = asyncio.create_task(_gone(socket), name="live: client")
+        messages = [json.dumps({"type": "history", "samples": list(self._samples)}), *self._events]
+        self._clients.add(client)
+        disconnected = asyncio.create_task(_wait_for_disconnect(socket), name="live: client")
         try:
-            while not gone.done():
-                for text in told:
-                    async with asyncio.timeout(SEND_S):
+            while not disconnected.done():
+                for text in messages:
+                    async with asyncio.timeout(SEND_TIMEOUT_S):
                         await socket.send_text(text)
-                news = asyncio.create_task(listener.next(), name="live: news")
-                await asyncio.wait((news, gone), return_when=asyncio.FIRST_COMPLETED)
-                if not news.done():
-                    news.cancel()
+                next_messages = asyncio.create_task(client.next(), name="live: messages")
+                await asyncio.wait((next_messages, disconnected), return_when=asyncio.FIRST_COMPLETED)
+                if not next_messages.done():
+                    next_messages.cancel()
                     break
-                told = news.result()
+                messages = next_messages.result()
         except (TimeoutError, WebSocketDisconnect, RuntimeError):
             pass
         finally:
-            self._listeners.discard(listener)
-            gone.cancel()
+            self._clients.discard(client)
+            disconnected.cancel()
 
 
-async def _gone(socket: WebSocket) -> None:
-    """Until the client has gone; what it says is not listened to."""
+async def _wait_for_disconnect(socket: WebSocket) -> None:
+    """Return when the client has disconnected; messages from it are ignored."""
     while (await socket.receive())["type"] != "websocket.disconnect":
         pass
 
 
 def sample_of(state: dict[str, Any]) -> dict[str, Any]:
-    """What a minute's curves are drawn from; None where it is not known."""
+    """Return the values that the page's charts show, from a state; None for unknown values."""
     rotation, gripper = state.get("rotation") or {}, state.get("gripper") or {}
     return {
         "t_s": state.get("now_s"),

@@ -1,4 +1,4 @@
-"""Around every app: what a browser is told about its answers, and how many are answered at once."""
+"""Security headers on every response, and a limit of requests that are processed at the same time."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Callable
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from slipguard.web.errors import error
+from slipguard.web.errors import error_response
 
 CLIENTS_MAX = 64
-STRANGERS_MAX = 48
-"""Of them without token and cookie: the rest is kept for whoever may command."""
-STRANGE_STREAMS_MAX = 32
-"""Of those on the live stream, which nobody leaves by himself."""
+UNKNOWN_CLIENTS_MAX = 48
+"""Of these without token and cookie: the rest is reserved for clients that may send commands."""
+UNKNOWN_STREAMS_MAX = 32
+"""Of these on the live stream, which stays open."""
 HEADERS = {
     "content-security-policy": "default-src 'self'; img-src 'self' blob:; frame-ancestors 'none'; base-uri 'none'; "
     "form-action 'none'",
@@ -24,58 +24,58 @@ HEADERS = {
     "cross-origin-opener-policy": "same-origin",
     "cache-control": "no-store",
 }
-"""No foreign page may frame, embed or read anything of ours, and nothing is kept."""
+"""Another page may neither frame, embed nor read a response; browsers store none."""
 
 
 class ApiMiddleware:
-    """ASGI: adds the headers to every answer, and answers 503 beyond `clients_max` requests and streams at once.
+    """ASGI: adds the headers to every response, and responds 503 beyond `clients_max` requests and streams.
 
-    knows: whether a request's headers tell of somebody who may command; None: all may.
+    is_known: whether a request's headers show a client that may send commands; None: all may.
     """
 
     def __init__(
-        self, app: ASGIApp, knows: Callable[[Headers], bool] | None = None, clients_max: int = CLIENTS_MAX
+        self, app: ASGIApp, is_known: Callable[[Headers], bool] | None = None, clients_max: int = CLIENTS_MAX
     ) -> None:
-        self._app, self._knows, self._clients_max = app, knows, clients_max
-        self._clients, self._strangers, self._strange_streams = 0, 0, 0
+        self._app, self._is_known, self._clients_max = app, is_known, clients_max
+        self._clients, self._unknown_clients, self._unknown_streams = 0, 0, 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async def sending(message: Message) -> None:
+        async def send_with_headers(message: Message) -> None:
             if message["type"] in ("http.response.start", "websocket.http.response.start"):
                 MutableHeaders(raw=message.setdefault("headers", [])).update(HEADERS)
             await send(message)
 
-        strange = self._knows is not None and not self._knows(Headers(scope=scope))
-        streams = strange and scope["type"] == "websocket"
-        full = self._full(strange, streams)
-        if full is not None:
-            await refuse(503, full, scope, receive, sending)
+        unknown = self._is_known is not None and not self._is_known(Headers(scope=scope))
+        unknown_stream = unknown and scope["type"] == "websocket"
+        limit = self._exceeded_limit(unknown, unknown_stream)
+        if limit is not None:
+            await refuse(503, limit, scope, receive, send_with_headers)
             return
-        self._count(1, strange, streams)
+        self._count(1, unknown, unknown_stream)
         try:
-            await self._app(scope, receive, sending)
+            await self._app(scope, receive, send_with_headers)
         finally:
-            self._count(-1, strange, streams)
+            self._count(-1, unknown, unknown_stream)
 
-    def _full(self, strange: bool, streams: bool) -> str | None:
+    def _exceeded_limit(self, unknown: bool, unknown_stream: bool) -> str | None:
         if self._clients >= self._clients_max:
-            return f"{self._clients_max} clients are being answered already"
-        if strange and self._strangers >= STRANGERS_MAX:
-            return f"{STRANGERS_MAX} clients without the token are being answered already"
-        if streams and self._strange_streams >= STRANGE_STREAMS_MAX:
-            return f"{STRANGE_STREAMS_MAX} clients without the token hear the live stream already"
+            return f"too many clients: {self._clients_max} requests are being processed; try again later"
+        if unknown and self._unknown_clients >= UNKNOWN_CLIENTS_MAX:
+            return f"too many clients without the token: at most {UNKNOWN_CLIENTS_MAX} at a time; try again later"
+        if unknown_stream and self._unknown_streams >= UNKNOWN_STREAMS_MAX:
+            return f"too many live streams without the token: at most {UNKNOWN_STREAMS_MAX} at a time; close one"
         return None
 
-    def _count(self, one: int, strange: bool, streams: bool) -> None:
-        self._clients += one
-        self._strangers += one * strange
-        self._strange_streams += one * streams
+    def _count(self, change: int, unknown: bool, unknown_stream: bool) -> None:
+        self._clients += change
+        self._unknown_clients += change * unknown
+        self._unknown_streams += change * unknown_stream
 
 
-async def refuse(status: int, why: str, scope: Scope, receive: Receive, send: Send) -> None:
-    """Answer a request, or a WebSocket's opening, with an error and end the connection."""
+async def refuse(status: int, reason: str, scope: Scope, receive: Receive, send: Send) -> None:
+    """Respond to a request, or to a WebSocket's opening, with an error and close the connection."""
     if scope["type"] == "websocket" and "websocket.http.response" not in scope.get("extensions", {}):
-        await send({"type": "websocket.close", "code": 1008, "reason": why[:120]})
+        await send({"type": "websocket.close", "code": 1008, "reason": reason[:120]})
         return
-    asked = {"www-authenticate": "Bearer"} if status == 401 else {}
-    await error(status, why, asked | {"connection": "close"})(scope, receive, send)
+    headers = {"www-authenticate": "Bearer"} if status == 401 else {}
+    await error_response(status, reason, headers | {"connection": "close"})(scope, receive, send)

@@ -1,6 +1,6 @@
-"""How the daemon and its web process talk: messages of a JSON object and, behind it, bytes.
+"""Messages between the daemon and its web process: a JSON object, followed by binary data.
 
-JSON and no pickle, for the process that strangers talk to must not be able to make the daemon run code.
+JSON and not pickle, because network clients reach the web process: it must not be able to make the daemon execute code.
 """
 
 from __future__ import annotations
@@ -19,53 +19,51 @@ from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import SlipguardError
 from slipguard.perception.contact.patch import ClippedSides
 
-_HEAD = struct.Struct(">II")
+_HEADER = struct.Struct(">II")
 MESSAGE_MAX_BYTES = 4 * 1024 * 1024
-COMMANDS = ("grasp", "lift", "lower", "guard", "gripper", "release", "clear", "calibrate", "go_back")
-"""Of what can be asked, what changes something: such a message says `until_s`, of the monotonic clock."""
 IMAGE_BYTES = FRAME_HEIGHT_PX * FRAME_WIDTH_PX * 3
 
 
-def encode_message(message: Mapping[str, Any], *behind: bytes | memoryview) -> list[bytes | memoryview]:
-    """One message as it goes over the socket, in pieces: what is behind it is large, and not copied."""
+def encode_message(message: Mapping[str, Any], *data: bytes | memoryview) -> list[bytes | memoryview]:
+    """Return one message in pieces, so that the data, which is large, is not copied."""
     text = json.dumps(message, allow_nan=False).encode()
-    return [_HEAD.pack(len(text), sum(map(len, behind))) + text, *behind]
+    return [_HEADER.pack(len(text), sum(map(len, data))) + text, *data]
 
 
 async def read_message(reader: asyncio.StreamReader) -> tuple[dict[str, Any], bytes] | None:
-    """The next message; None where the other side is gone. Raises SlipguardError for what is no message."""
+    """Return the next message and its data; None if the connection is closed. Raises SlipguardError if it is invalid."""
     try:
-        text_bytes, behind_bytes = _HEAD.unpack(await reader.readexactly(_HEAD.size))
-        if text_bytes + behind_bytes > MESSAGE_MAX_BYTES:
-            raise SlipguardError(f"a message of {text_bytes + behind_bytes} bytes; at most {MESSAGE_MAX_BYTES}")
-        text, behind = await reader.readexactly(text_bytes), await reader.readexactly(behind_bytes)
+        text_bytes, data_bytes = _HEADER.unpack(await reader.readexactly(_HEADER.size))
+        if text_bytes + data_bytes > MESSAGE_MAX_BYTES:
+            raise SlipguardError(f"a message of {text_bytes + data_bytes} bytes; at most {MESSAGE_MAX_BYTES}")
+        text, data = await reader.readexactly(text_bytes), await reader.readexactly(data_bytes)
     except (asyncio.IncompleteReadError, ConnectionError):
         return None
     try:
-        message = json.loads(text, parse_constant=_no_number)
+        message = json.loads(text, parse_constant=_refuse_constant)
     except ValueError as error:
-        raise SlipguardError(f"a message that is none: {error}") from None
+        raise SlipguardError(f"a message is not JSON: {error}") from None
     if not isinstance(message, dict):
-        raise SlipguardError("a message that is no object")
-    return message, behind
+        raise SlipguardError("a message is not a JSON object")
+    return message, data
 
 
-def _no_number(text: str) -> float:
-    raise ValueError(f"{text} is no number")
+def _refuse_constant(text: str) -> float:
+    raise ValueError(f"{text} is not a number")
 
 
-def encode_finger_frame(view: FingerFrame) -> tuple[dict[str, Any], list[memoryview]]:
-    """A view as a message's object and what is behind it: the frame's pixels, then the mask's."""
-    told: dict[str, Any] = {
-        "serial": view.serial,
-        "sequence": view.frame.sequence,
-        "captured_at_s": view.frame.captured_at_s,
+def encode_finger_frame(finger_frame: FingerFrame) -> tuple[dict[str, Any], list[memoryview]]:
+    """Return a frame as a JSON object and binary data: the frame's pixels, then the mask's."""
+    fields: dict[str, Any] = {
+        "serial": finger_frame.serial,
+        "sequence": finger_frame.frame.sequence,
+        "captured_at_s": finger_frame.frame.captured_at_s,
     }
-    contact = view.contact
+    contact = finger_frame.contact
     if contact is None:
-        return told, [_pixels(view.frame.image)]
+        return fields, [_pixels(finger_frame.frame.image)]
     sides = contact.clipped
-    told["contact"] = {
+    fields["contact"] = {
         "shape": contact.mask.shape,
         "left_px": contact.left_px,
         "top_px": contact.top_px,
@@ -73,22 +71,22 @@ def encode_finger_frame(view: FingerFrame) -> tuple[dict[str, Any], list[memoryv
         "clipped": [sides.left, sides.top, sides.right, sides.bottom],
         "axis_deg": contact.axis_deg,
     }
-    return told, [_pixels(view.frame.image), _pixels(contact.mask)]
+    return fields, [_pixels(finger_frame.frame.image), _pixels(contact.mask)]
 
 
-def _pixels(picture: NDArray[np.uint8]) -> memoryview:
-    return np.ascontiguousarray(picture).data.cast("B")
+def _pixels(image: NDArray[np.uint8]) -> memoryview:
+    return np.ascontiguousarray(image).data.cast("B")
 
 
-def decode_finger_frame(told: Mapping[str, Any], pixels: bytes) -> FingerFrame:
-    """The view that `encode_finger_frame` packed."""
-    image = np.frombuffer(pixels, np.uint8, IMAGE_BYTES).reshape(FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3)
-    frame = Frame(image, told["captured_at_s"], told["sequence"])
-    contact = told.get("contact")
+def decode_finger_frame(fields: Mapping[str, Any], data: bytes) -> FingerFrame:
+    """Return the frame that `encode_finger_frame` encoded."""
+    image = np.frombuffer(data, np.uint8, IMAGE_BYTES).reshape(FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3)
+    frame = Frame(image, fields["captured_at_s"], fields["sequence"])
+    contact = fields.get("contact")
     if contact is None:
-        return FingerFrame(told["serial"], frame)
-    mask = np.frombuffer(pixels, np.uint8, offset=IMAGE_BYTES).reshape(contact["shape"])
+        return FingerFrame(fields["serial"], frame)
+    mask = np.frombuffer(data, np.uint8, offset=IMAGE_BYTES).reshape(contact["shape"])
     width, height = contact["image_size"]
     sides = ClippedSides(*contact["clipped"])
-    found = ContactOverlay(mask, contact["left_px"], contact["top_px"], (width, height), sides, contact["axis_deg"])
-    return FingerFrame(told["serial"], frame, found)
+    overlay = ContactOverlay(mask, contact["left_px"], contact["top_px"], (width, height), sides, contact["axis_deg"])
+    return FingerFrame(fields["serial"], frame, overlay)

@@ -1,4 +1,4 @@
-"""What the routes share: the door to the daemon, the live stream, the pictures, and who has access."""
+"""What the routes share: the daemon's API, caches of its responses, the live stream, images, and access control."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from slipguard.web.images import FingerImages
 from slipguard.web.live import PERIOD_S, LiveStream
 from slipguard.web.ttl_cache import TtlCache
 
-STORED_S = 1.0
-"""What is stored changes by a command only, or by somebody's hand."""
+BACKGROUNDS_TTL_S = 1.0
+"""Stored images change only by a request, or by hand in the state folder."""
 
 
 class RouteContext:
-    """access: None where no TCP port is listened at."""
+    """access: None if there is no TCP port."""
 
-    def __init__(self, control: DaemonApi, access: Access | None = None) -> None:
-        self.control = control
+    def __init__(self, daemon: DaemonApi, access: Access | None = None) -> None:
+        self.daemon = daemon
         self.access = access
-        self.state = TtlCache(control.state, PERIOD_S)
-        self.trouble = TtlCache(control.trouble, PERIOD_S)
-        self.tallies = TtlCache(control.tallies, PERIOD_S)
-        self.no_contacts = TtlCache(control.no_contacts, STORED_S)
-        self.pictures = FingerImages(control)
+        self.state = TtlCache(daemon.state, PERIOD_S)
+        self.health_problem = TtlCache(daemon.health_problem, PERIOD_S)
+        self.counters = TtlCache(daemon.counters, PERIOD_S)
+        self.backgrounds = TtlCache(daemon.backgrounds, BACKGROUNDS_TTL_S)
+        self.images = FingerImages(daemon)
         self.live = LiveStream(self.state.get)
 
-    def forget(self) -> None:
-        """What is asked for next is as it is from now on: something was changed."""
-        for shared in (self.state, self.trouble, self.no_contacts):
-            shared.forget()
+    def invalidate(self) -> None:
+        """Discard cached responses after a request, which may have changed them."""
+        for cache in (self.state, self.health_problem, self.backgrounds):
+            cache.invalidate()
 
     async def run(self) -> None:
-        """Keep the live stream going until cancelled."""
-        deafen = self.control.listen(self.live.hear)
+        """Run the live stream until cancelled."""
+        unsubscribe = self.daemon.subscribe(self.live.publish_event)
         try:
             await self.live.run()
         finally:
-            deafen()
+            unsubscribe()

@@ -1,4 +1,4 @@
-"""Serves the API on sockets already made, inside a running event loop, and leaves nothing behind."""
+"""Serves the API on listening sockets, inside a running event loop."""
 
 from __future__ import annotations
 
@@ -12,34 +12,37 @@ from starlette.types import ASGIApp
 
 from slipguard.web.access import AccessMiddleware
 from slipguard.web.app import make_app
+from slipguard.web.connections import TimeoutHttpProtocol
 from slipguard.web.middleware import ApiMiddleware
 from slipguard.web.route_context import RouteContext
-from slipguard.web.timeouts import TimeoutHttpProtocol
 
-GRACE_S = 1
-"""How long answers under way may take when the daemon stops."""
-IDLE_S = 5
-"""A connection on which nothing more is asked is closed."""
-MESSAGE_MAX_BYTES = 4096
-"""Nobody needs to say more on the live stream; what is said there is not listened to."""
+SHUTDOWN_TIMEOUT_S = 1
+"""Time for requests in progress when the daemon stops."""
+KEEP_ALIVE_S = 5
+"""An idle connection is closed after this time."""
+WEBSOCKET_MESSAGE_MAX_BYTES = 4096
+"""The live stream reads no messages from clients."""
 
 
 class _Server(uvicorn.Server):
-    """uvicorn without its own signal handlers: signals are the daemon's business."""
+    """uvicorn without its own signal handlers: the daemon handles signals."""
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         yield
 
 
-async def serve(room: RouteContext, unix: socket.socket, tcp: socket.socket | None = None) -> None:
-    """Serve until cancelled. tcp: only where the room has an `access`; commands need its token there."""
-    app = make_app(room)
-    servers = [(_server(ApiMiddleware(app)), unix)]
-    if tcp is not None and room.access is not None:
-        servers.append((_server(ApiMiddleware(AccessMiddleware(app, room.access), room.access.knows)), tcp))
-    live = asyncio.create_task(room.run(), name="web: live")
-    serving = [asyncio.create_task(server.serve(sockets=[at]), name="web: http") for server, at in servers]
+async def serve(context: RouteContext, unix: socket.socket, tcp: socket.socket | None = None) -> None:
+    """Serve until cancelled. tcp: served only if the context has an `access`; commands need its token there."""
+    app = make_app(context)
+    servers = [(_make_server(ApiMiddleware(app)), unix)]
+    if tcp is not None and context.access is not None:
+        protected = AccessMiddleware(app, context.access)
+        servers.append((_make_server(ApiMiddleware(protected, context.access.is_known)), tcp))
+    live = asyncio.create_task(context.run(), name="web: live")
+    serving = [
+        asyncio.create_task(server.serve(sockets=[listening]), name="web: http") for server, listening in servers
+    ]
     try:
         await asyncio.shield(asyncio.gather(*serving))
     except asyncio.CancelledError:
@@ -52,20 +55,20 @@ async def serve(room: RouteContext, unix: socket.socket, tcp: socket.socket | No
         await asyncio.gather(live, return_exceptions=True)
 
 
-def _server(app: ASGIApp) -> _Server:
+def _make_server(app: ASGIApp) -> _Server:
     return _Server(
         uvicorn.Config(
             app,
             http=TimeoutHttpProtocol,
             ws="websockets-sansio",
-            ws_max_size=MESSAGE_MAX_BYTES,
-            ws_per_message_deflate=False,  # it costs more time than loopback costs bytes
+            ws_max_size=WEBSOCKET_MESSAGE_MAX_BYTES,
+            ws_per_message_deflate=False,  # on loopback, compressing takes longer than sending
             log_config=None,
             log_level="critical",
             access_log=False,
             lifespan="off",
             server_header=False,
-            timeout_keep_alive=IDLE_S,
-            timeout_graceful_shutdown=GRACE_S,
+            timeout_keep_alive=KEEP_ALIVE_S,
+            timeout_graceful_shutdown=SHUTDOWN_TIMEOUT_S,
         )
     )

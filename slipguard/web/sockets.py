@@ -1,32 +1,35 @@
-"""The sockets the API listens at, made before any device is opened: the Unix socket, and the TCP port beside it."""
+"""The API's Unix socket and TCP port, opened before any device, and the token file for commands over TCP."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 import socket
 import stat
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from slipguard.errors import ConfigError, SlipguardError
 
 SOCKET_MODE = 0o660
-"""Owner and group may command the gripper."""
+"""Owner and group may send commands."""
 PATH_MAX_BYTES = 107
-"""`sun_path` of Linux, less its closing zero."""
+"""Linux, `sun_path` without its closing zero."""
+TOKEN_BYTES = 32
 
 
 @dataclass(frozen=True, slots=True)
 class UnixSocket:
-    """A socket that is listened at, and the file that leads to it."""
+    """A listening socket and its file."""
 
     listening: socket.socket
     path: Path
     inode: int
 
     def close(self) -> None:
-        """Stop listening, and remove the file unless another daemon has put its own in its place."""
+        """Close the socket, and remove the file unless another daemon has replaced it."""
         self.listening.close()
         with contextlib.suppress(OSError):
             if self.path.stat().st_ino == self.inode:
@@ -34,40 +37,42 @@ class UnixSocket:
 
 
 def bind(path: Path) -> UnixSocket:
-    """A Unix socket that only owner and group can use; a dead daemon's file is replaced.
+    """Open a Unix socket that only owner and group may use; the file of a dead daemon is replaced.
 
-    Raises ConfigError where it cannot be made, SlipguardError where another daemon listens there: one line.
+    Raises ConfigError if it cannot be created, SlipguardError if another daemon is listening there.
     """
     if len(os.fsencode(path)) > PATH_MAX_BYTES:
-        raise ConfigError(f"{_where(path)}: longer than the {PATH_MAX_BYTES} bytes a Unix socket's path may have")
+        raise ConfigError(
+            f"{_name(path)}: the path is longer than {PATH_MAX_BYTES} bytes, the maximum for a Unix socket"
+        )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _clear_stale(path)
+        _remove_stale(path)
         made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             made.bind(str(path))
-            path.chmod(SOCKET_MODE)  # before it listens, nobody can connect
+            path.chmod(SOCKET_MODE)  # before `listen`: until then, no client can connect
             made.setblocking(False)
-            made.listen()  # at once: a file that nobody listens at is taken for a dead daemon's
+            made.listen()  # at once: a socket that does not listen is taken for a dead daemon's
             return UnixSocket(made, path, path.stat().st_ino)
         except BaseException:
             made.close()
             raise
     except OSError as error:
-        raise ConfigError(f"{_where(path)}: cannot be made: {error.strerror}") from error
+        raise ConfigError(f"{_name(path)}: cannot be created: {error.strerror}") from error
 
 
-def _where(path: Path) -> str:
+def _name(path: Path) -> str:
     return f"the API's socket {path} (api.socket, or else in state.directory)"
 
 
-def _clear_stale(path: Path) -> None:
+def _remove_stale(path: Path) -> None:
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
         return
     if not stat.S_ISSOCK(mode):
-        raise ConfigError(f"{_where(path)}: is there already and is no socket; name another path")
+        raise ConfigError(f"{_name(path)}: the file exists and is not a socket; use another path")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(1.0)
         try:
@@ -75,11 +80,11 @@ def _clear_stale(path: Path) -> None:
         except ConnectionRefusedError:
             path.unlink()
             return
-    raise SlipguardError(f"another daemon listens at {path}; stop it first")
+    raise SlipguardError(f"another daemon is listening at {path}; stop it first")
 
 
 def bind_tcp(host: str, port: int) -> socket.socket:
-    """A listening TCP socket. Raises SlipguardError with the reason, such as that the port is taken."""
+    """Open a listening TCP socket. Raises SlipguardError with the reason, for example that the port is in use."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     made = socket.socket(family, socket.SOCK_STREAM)
     try:
@@ -90,4 +95,28 @@ def bind_tcp(host: str, port: int) -> socket.socket:
         return made
     except OSError as error:
         made.close()
-        raise SlipguardError(f"{host}:{port} cannot be listened at: {error.strerror}") from None
+        raise SlipguardError(f"cannot listen on {host}:{port}: {error.strerror}") from None
+
+
+@contextlib.contextmanager
+def token_file(path: Path) -> Iterator[str]:
+    """Provide a new token, in a file of mode 0600 during the block. Raises ConfigError if it cannot be written."""
+    token = secrets.token_hex(TOKEN_BYTES)
+    new = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        new.unlink(missing_ok=True)
+        with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600), "w") as file:
+            os.fchmod(file.fileno(), 0o600)
+            file.write(token + "\n")
+        new.replace(path)
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: the API's token cannot be written ({error.strerror}); check the folder and its permissions"
+        ) from error
+    try:
+        yield token
+    finally:
+        with contextlib.suppress(OSError, UnicodeDecodeError):
+            if path.read_text().strip() == token:  # another daemon may have replaced it
+                path.unlink()

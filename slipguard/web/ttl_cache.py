@@ -1,4 +1,4 @@
-"""One question to the daemon for all who ask at the same time."""
+"""A cache that combines simultaneous calls to the daemon into one."""
 
 from __future__ import annotations
 
@@ -10,32 +10,29 @@ T = TypeVar("T")
 
 
 class TtlCache(Generic[T]):
-    """What `ask` gives, asked again only when the last answer is older than `keep_s`, however many want it.
+    """Keeps the result of `fetch` for `ttl_s`. An exception goes to all callers that wait for it, and is not kept."""
 
-    A failure is told to all who waited for it, and not kept.
-    """
-
-    def __init__(self, ask: Callable[[], Awaitable[T]], keep_s: float) -> None:
-        self._ask, self._keep_s = ask, keep_s
-        self._asking: asyncio.Task[T] | None = None
-        self._asked_at_s = float("-inf")
+    def __init__(self, fetch: Callable[[], Awaitable[T]], ttl_s: float) -> None:
+        self._fetch, self._ttl_s = fetch, ttl_s
+        self._task: asyncio.Task[T] | None = None
+        self._started_at_s = float("-inf")
 
     async def get(self) -> T:
-        """The answer, at most `keep_s` old when asked for."""
+        """Return the result; its `fetch` started at most `ttl_s` ago."""
         now_s = asyncio.get_running_loop().time()
-        asking = self._asking
-        stale = asking is not None and asking.done() and (now_s - self._asked_at_s > self._keep_s or _failed(asking))
-        if asking is None or stale:
-            self._asked_at_s = now_s
-            asking = self._asking = asyncio.create_task(self._once(), name="web: ask the daemon")
-        return await asyncio.shield(asking)
+        task = self._task
+        expired = task is not None and task.done() and (now_s - self._started_at_s > self._ttl_s or _failed(task))
+        if task is None or expired:
+            self._started_at_s = now_s
+            task = self._task = asyncio.create_task(self._run(), name="web: call the daemon")
+        return await asyncio.shield(task)
 
-    def forget(self) -> None:
-        """The next one who asks gets what is so from now on."""
-        self._asking = None
+    def invalidate(self) -> None:
+        """Make the next `get` fetch."""
+        self._task = None
 
-    async def _once(self) -> T:
-        return await self._ask()
+    async def _run(self) -> T:
+        return await self._fetch()
 
 
 def _failed(task: asyncio.Task[T]) -> bool:

@@ -15,6 +15,7 @@ from threading import Event
 from typing import Any
 
 from slipguard.daemon.api.client import Client
+from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, ReleaseRequest
 from slipguard.errors import CommandRefused, SlipguardError
 
 PATIENCE_S = 90.0
@@ -115,7 +116,7 @@ class Daemon:
     def fresh(self) -> None:
         """Everything well, nothing held, an object between the open jaws."""
         self.well()
-        self.client.release()
+        self.client.submit(ReleaseRequest(confirm=True))
         self.until(lambda state: state["phase"] == "idle" and not state["gripper"]["moving"])
         self.order("fresh")
         self.until(lambda state: not state["waiting_for"])
@@ -128,10 +129,10 @@ class Daemon:
                 return
         self.fresh()
         try:
-            self.client.grasp()
+            self.client.submit(GraspRequest())
         except CommandRefused:  # it knows no no-contact images yet
-            self.client.calibrate()
-            self.client.grasp()
+            self.client.submit(CalibrateRequest())
+            self.client.submit(GraspRequest())
         self.until(lambda state: state["phase"] == "holding" and not state["gripper"]["moving"])
 
     @contextmanager

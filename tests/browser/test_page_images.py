@@ -12,6 +12,8 @@ from page_images import Shelf, misfits, nameless, pale
 from page_rig import Daemon
 from playwright.async_api import Page, expect
 
+from slipguard.daemon.api.requests import LiftRequest
+
 pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="session")]
 WIDTHS = {"desk": (1280, 800), "phone": (390, 844), "narrow": (320, 640)}
 THEMES = ("light", "dark")
@@ -37,7 +39,7 @@ async def test_holding_asking_and_fault(running: Daemon, look, shelf: Shelf) -> 
     running.held(anew=shelf.folder is not None)
     page = await look()
     if shelf.folder is not None:
-        running.client.lift()
+        running.client.submit(LiftRequest())
         running.until(lambda state: state["phase"] == "holding" and state["arm"]["height_mm"] > 39.0)
     await expect(page.locator("#phase")).to_have_text("Holding")
     await page.wait_for_timeout(MINUTE_FILLED_MS if shelf.folder else 0)

@@ -24,7 +24,7 @@ from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.run import build_service
 from slipguard.errors import SlipguardError
 from slipguard.tools.cell_process import CellProcess
-from slipguard.web.host import GONE_S, end, run_api
+from slipguard.web.host import EXIT_TIMEOUT_S, run_api, wait_or_kill
 from slipguard.web.sockets import bind, bind_tcp
 
 SETTLE_S = 1.5
@@ -156,7 +156,7 @@ async def _blocks(
                 got.update(json.loads(await clients.stdout.readline()))
     finally:
         clients.stdin.close()
-        await end(clients, GONE_S)
+        await wait_or_kill(clients, EXIT_TIMEOUT_S)
     alone, crowded = (spread_of_blocks(one) for one in found)
     decisions = sum(len(block) for one in found for block in one)
     return ApiLoadResult(options, decisions, alone, crowded, (lost[0], lost[1]), dict(got))

@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from slipguard.cli.interrupt import left_to_the_loop
+from slipguard.cli.interrupt import default_interrupts
 from slipguard.cli.progress import progress_bar
 from slipguard.daemon import logging as log
 from slipguard.errors import SlipguardError
@@ -38,7 +38,7 @@ def api_load(
     log.configure(level=logging.CRITICAL)
     if as_service:
         set_realtime_priority()
-    with progress_bar("API load") as show, left_to_the_loop():
+    with progress_bar("API load") as show, default_interrupts():
         found = asyncio.run(measure_api_load(options, show))
     told = f"p99 rises by {found.rise_ms:+.2f} ms; {found.allowed_ms:.2f} ms are allowed"
     if json:

@@ -17,7 +17,8 @@ from loop_doubles import FlatSensor, LoggedArm, LoggedGripper, Memory, Oracle, S
 from slipguard.config import Config, parse_config
 from slipguard.control.state import Phase
 from slipguard.control.step import control_step
-from slipguard.daemon.api.controls import Controls
+from slipguard.daemon.api.handlers import RequestHandlers
+from slipguard.daemon.api.requests import DaemonRequest, GraspRequest, LiftRequest, LowerRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.service import FINGERS, Controller, Service
 from slipguard.daemon.loop.virtual_time import run_virtual
@@ -95,7 +96,7 @@ class Cell:
             store=self.store,
             controller=self.controller,
         )
-        self.controls = Controls(self.service)
+        self.handlers = RequestHandlers(self.service)
         self.service.observers.append(self._watch)
 
     def _config(self) -> Config:
@@ -161,22 +162,26 @@ class Cell:
     async def ready(self) -> None:
         await self.until(lambda: not self.service.waiting_for)
 
+    async def submit(self, request: DaemonRequest) -> str:
+        """Submit a request; return the message of its response."""
+        return str((await self.handlers.submit(request))["message"])
+
     async def grasp(self) -> None:
         await self.ready()
-        await self.controls.grasp()
+        await self.submit(GraspRequest())
         await self.until(lambda: self.phase is not Phase.CLOSING)
         await self.until(self.steady)
 
     async def lift(self) -> None:
-        await self.controls.lift()
+        await self.submit(LiftRequest())
         await self.until(lambda: self.phase is not Phase.LIFTING, 20.0)
 
     async def lower(self) -> None:
-        await self.controls.lower()
+        await self.submit(LowerRequest())
         await self.until(lambda: self.phase is not Phase.LOWERING, 20.0)
 
     async def release(self) -> None:
-        await self.controls.release()
+        await self.submit(ReleaseRequest(confirm=True))
         await self.until(lambda: self.phase is Phase.IDLE)
 
 

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from loop_cell import Cell, play
 from loop_doubles import SHAPE
+from pydantic import ValidationError
 
 from slipguard.daemon.api.handlers import RequestHandlers
+from slipguard.daemon.api.requests import CalibrateRequest, RestoreBackgroundRequest
 from slipguard.daemon.store.calibration import BackgroundImage, BackgroundVersion
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.errors import CommandRefused
@@ -39,42 +41,43 @@ def with_history(tmp_path: Path, scene: Callable[[Cell, RequestHandlers, StateDi
 
 
 def test_all_that_is_stored_is_told(tmp_path: Path) -> None:
-    async def scene(cell: Cell, desk: RequestHandlers, store: StateDir) -> None:
-        told = json.loads(await desk.no_contacts())
+    async def scene(cell: Cell, handlers: RequestHandlers, store: StateDir) -> None:
+        told = json.loads(await handlers.backgrounds())
         assert {name: one["serial"] for name, one in told.items()} == {"left": "SIM-L", "right": "SIM-R"}
         assert [one["number"] for one in told["left"]["versions"]] == [1, 2]
         assert told["left"]["versions"][1]["level_bgr"] == [60.0, 60.0, 60.0]
-        newest, first = await desk.no_contact("left"), await desk.no_contact("left", 1)
+        newest, first = await handlers.background("left"), await handlers.background("left", 1)
         assert (newest.serial, newest.frame.sequence, int(newest.frame.image[0, 0, 0])) == ("SIM-L", 2, 60)
         assert (first.frame.sequence, int(first.frame.image[0, 0, 0])) == (1, 50)
         with pytest.raises(CommandRefused, match="SIM-L: no such no-contact image is stored; there are: 1, 2"):
-            await desk.no_contact("left", 7)
+            await handlers.background("left", 7)
         with pytest.raises(CommandRefused, match="no finger 'thumb'; there are: left, right"):
-            await desk.no_contact("thumb")
+            await handlers.background("thumb")
 
     with_history(tmp_path, scene)
 
 
 def test_an_older_one_is_put_to_use_again_and_the_pipeline_built_with_it(tmp_path: Path) -> None:
-    async def scene(cell: Cell, desk: RequestHandlers, store: StateDir) -> None:
-        assert await desk.go_back("left", 1) == "left (SIM-L): no-contact image 1 is in use again"
+    async def scene(cell: Cell, handlers: RequestHandlers, store: StateDir) -> None:
+        response = await handlers.submit(RestoreBackgroundRequest(finger="left", number=1))
+        assert response == {"message": "left (SIM-L): background image 1 is in use again"}
         known = store.load_background("SIM-L")
         assert known is not None
         assert int(known.image[0, 0, 0]) == 50
         assert {name: len(made) for name, made in cell.perceivers.items()} == {"left": 2, "right": 1}
         with pytest.raises(CommandRefused, match="no no-contact image 9 is stored"):
-            await desk.go_back("left", 9)
-        with pytest.raises(CommandRefused, match="no finger 'thumb'"):
-            await desk.go_back("thumb", 1)
+            await handlers.submit(RestoreBackgroundRequest(finger="left", number=9))
+        with pytest.raises(ValidationError):
+            RestoreBackgroundRequest.model_validate({"finger": "thumb", "number": 1})
 
     with_history(tmp_path, scene)
 
 
 def test_not_while_something_is_held(tmp_path: Path) -> None:
-    async def scene(cell: Cell, desk: RequestHandlers, store: StateDir) -> None:
+    async def scene(cell: Cell, handlers: RequestHandlers, store: StateDir) -> None:
         await cell.grasp()
         with pytest.raises(CommandRefused, match="cannot calibrate while holding; release first"):
-            await desk.go_back("left", 1)
+            await handlers.submit(RestoreBackgroundRequest(finger="left", number=1))
         assert len(store.background_versions("SIM-L")) == 2
 
     with_history(tmp_path, scene)
@@ -82,8 +85,8 @@ def test_not_while_something_is_held(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("new_gel", [False, True])
 def test_a_calibration_says_whether_the_gel_is_new(tmp_path: Path, new_gel: bool) -> None:
-    async def scene(cell: Cell, desk: RequestHandlers, store: StateDir) -> None:
-        await desk.calibrate(new_gel=new_gel)
+    async def scene(cell: Cell, handlers: RequestHandlers, store: StateDir) -> None:
+        await handlers.submit(CalibrateRequest(new_gel=new_gel))
         newest = store.background_versions("SIM-R")[-1]
         assert (newest.number, newest.new_gel) == (3, new_gel)
         first = store.first_of_gel("SIM-R")
@@ -96,10 +99,10 @@ def test_a_calibration_says_whether_the_gel_is_new(tmp_path: Path, new_gel: bool
 def test_a_store_without_a_past_has_none() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        desk = RequestHandlers(cell.service)
-        assert json.loads(await desk.no_contacts())["left"] == {"serial": "SIM-L", "versions": []}
-        with pytest.raises(CommandRefused, match="no sensor of the left finger was seen yet"):
-            await desk.go_back("left", 1)
+        handlers = RequestHandlers(cell.service)
+        assert json.loads(await handlers.backgrounds())["left"] == {"serial": "SIM-L", "versions": []}
+        with pytest.raises(CommandRefused, match="left finger: no sensor was found yet"):
+            await handlers.submit(RestoreBackgroundRequest(finger="left", number=1))
 
     play(Cell(), scene)
 
@@ -120,9 +123,9 @@ async def test_what_is_stored_is_read_in_a_thread_of_its_own(tmp_path: Path) -> 
     store = Noting(tmp_path)
     store.save_background("SIM-L", taken(50))
     threads.clear()
-    desk = RequestHandlers(Cell().service)
-    desk._service.store = store
-    desk._service.fingers["left"].serial = "SIM-L"
-    assert [one["number"] for one in json.loads(await desk.no_contacts())["left"]["versions"]] == [1]
-    assert (await desk.no_contact("left")).frame.sequence == 1
+    handlers = RequestHandlers(Cell().service)
+    handlers._service.store = store
+    handlers._service.fingers["left"].serial = "SIM-L"
+    assert [one["number"] for one in json.loads(await handlers.backgrounds())["left"]["versions"]] == [1]
+    assert (await handlers.background("left")).frame.sequence == 1
     assert threads == {"slipguard-images_0"}

@@ -11,6 +11,7 @@ from loop_cell import Cell, play
 
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.state import Phase
+from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, GuardRequest, MoveJawsRequest
 from slipguard.daemon.store.calibration import FRAMES, BackgroundImage, average_background
 from slipguard.errors import CommandRefused, ConfigError, InputError
 
@@ -50,9 +51,9 @@ def uncalibrated() -> Cell:
 def test_it_is_needed_before_the_first_grasp_and_used_from_then_on() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        with pytest.raises(CommandRefused, match=r"left finger \(SIM-L\) has no no-contact image; run `slipguard cal"):
-            await cell.controls.grasp()
-        taken = await cell.controls.calibrate()
+        with pytest.raises(CommandRefused, match=r"left finger \(SIM-L\) has no background image; run `slipguard cal"):
+            await cell.submit(GraspRequest())
+        taken = await cell.handlers.calibrate(CalibrateRequest())
         assert sorted(taken) == ["left", "right"]
         assert sorted(cell.store.kept) == ["SIM-L", "SIM-R"]
         assert cell.store.kept["SIM-L"] is taken["left"]
@@ -69,21 +70,21 @@ def test_it_is_refused_while_something_is_or_may_be_touched() -> None:
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
         await cell.ready()
-        await cell.controls.grasp()
+        await cell.submit(GraspRequest())
         with pytest.raises(CommandRefused, match="cannot calibrate while closing; release first"):
-            await cell.controls.calibrate()
+            await cell.submit(CalibrateRequest())
         await cell.until(cell.steady)
         with pytest.raises(CommandRefused, match="cannot calibrate while holding; release first"):
-            await cell.controls.calibrate()
+            await cell.submit(CalibrateRequest())
         await cell.release()
         cell.world.clear(cell.now_s)
-        await cell.controls.grasp()
+        await cell.submit(GraspRequest())
         await cell.until(lambda: cell.phase is Phase.IDLE)
         with pytest.raises(CommandRefused, match="open the jaws first"):
-            await cell.controls.calibrate()
+            await cell.submit(CalibrateRequest())
         await cell.release()
         await asyncio.sleep(0.2)
-        assert sorted(await cell.controls.calibrate()) == ["left", "right"]
+        assert sorted(await cell.handlers.calibrate(CalibrateRequest())) == ["left", "right"]
 
     play(Cell(), scene)
 
@@ -93,9 +94,9 @@ def test_it_is_refused_in_contact_unless_that_is_known_better() -> None:
         await cell.ready()
         cell.perceivers["left"][0].always_touched = True
         await asyncio.sleep(0.1)
-        with pytest.raises(CommandRefused, match="left finger is in contact; take the object away, or use --force"):
-            await cell.controls.calibrate()
-        await cell.controls.calibrate(force=True)
+        with pytest.raises(CommandRefused, match="left finger is in contact; remove the object, or use --force"):
+            await cell.submit(CalibrateRequest())
+        await cell.submit(CalibrateRequest(force=True))
 
     play(Cell(), scene)
 
@@ -103,13 +104,13 @@ def test_it_is_refused_in_contact_unless_that_is_known_better() -> None:
 def test_it_is_refused_while_the_gripper_is_held_by_another_program() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        await cell.controls.guard(False)
-        await cell.controls.gripper(0.0, 30.0)
+        await cell.submit(GuardRequest(on=False))
+        await cell.submit(MoveJawsRequest(width_mm=0.0, force_n=30.0))
         await cell.until(lambda: cell.truth.in_contact)
         await asyncio.sleep(0.3)
         assert cell.phase is Phase.IDLE
-        with pytest.raises(CommandRefused, match="moves, holds or is closed; open the jaws first"):
-            await cell.controls.calibrate()
+        with pytest.raises(CommandRefused, match="is moving, holding or closed; open the jaws first"):
+            await cell.submit(CalibrateRequest())
 
     play(Cell(guard={"mode": "guard"}), scene)
 
@@ -119,7 +120,7 @@ def test_a_moving_picture_stores_nothing() -> None:
         await cell.ready()
         cell.sensors["right"].pictures.flickers = True
         with pytest.raises(CommandRefused, match="right: the picture is not still"):
-            await cell.controls.calibrate()
+            await cell.submit(CalibrateRequest())
         assert cell.store.kept == {}
         assert all(finger.tap is None for finger in cell.service.fingers.values())
         assert not cell.service.waiting_for
@@ -132,13 +133,13 @@ def test_without_frames_it_is_refused(kind: str) -> None:
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
         await cell.ready()
-        asked = asyncio.create_task(cell.controls.calibrate())
+        asked = asyncio.create_task(cell.submit(CalibrateRequest()))
         await asyncio.sleep(0.1)
         cell.world.faults.fail("right", kind)
         with pytest.raises(CommandRefused, match=r"right: only \d+ of 30 frames came within 5 s"):
             await asked
         with pytest.raises(CommandRefused, match="no frames from right"):
-            await cell.controls.calibrate()
+            await cell.submit(CalibrateRequest())
         assert cell.store.kept == {}
 
     play(uncalibrated(), scene)
@@ -147,11 +148,15 @@ def test_without_frames_it_is_refused(kind: str) -> None:
 def test_nothing_may_close_while_it_goes_on() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        asked = asyncio.create_task(cell.controls.calibrate())
+        asked = asyncio.create_task(cell.submit(CalibrateRequest()))
         await asyncio.sleep(0.1)
-        for wish in (cell.controls.grasp(), cell.controls.gripper(0.0, 30.0), cell.controls.calibrate()):
-            with pytest.raises(CommandRefused, match="a calibration is under way"):
-                await wish
+        for request in (
+            cell.submit(GraspRequest()),
+            cell.submit(MoveJawsRequest(width_mm=0.0, force_n=30.0)),
+            cell.submit(CalibrateRequest()),
+        ):
+            with pytest.raises(CommandRefused, match="a calibration is running"):
+                await request
         await asked
         await cell.grasp()
 
@@ -161,7 +166,7 @@ def test_nothing_may_close_while_it_goes_on() -> None:
 def test_nothing_is_stored_if_something_was_gripped_meanwhile() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        asked = asyncio.create_task(cell.controls.calibrate())
+        asked = asyncio.create_task(cell.submit(CalibrateRequest()))
         await asyncio.sleep(0.1)
         await cell.service.request(ControlRequest(RequestKind.GRASP))
         with pytest.raises(CommandRefused, match="cannot calibrate while"):
@@ -179,7 +184,7 @@ def test_a_damaged_image_is_a_reason_not_to_grasp() -> None:
         await cell.ready()
         cell.store.load_background = damaged  # type: ignore[method-assign]
         with pytest.raises(CommandRefused, match="cannot be read; run `slipguard calibrate`"):
-            await cell.controls.grasp()
+            await cell.submit(GraspRequest())
 
     play(Cell(), scene)
 
@@ -198,7 +203,7 @@ def test_a_damaged_image_is_no_reason_against_a_new_one() -> None:
         for finger in cell.service.fingers.values():
             assert finger.newest is not None
             finger.newest = replace(finger.newest, estimate=replace(finger.newest.estimate, contact=True))
-        await cell.controls.calibrate()
+        await cell.submit(CalibrateRequest())
         cell.store.load_background = known  # type: ignore[method-assign]
         await cell.grasp()
 
@@ -207,7 +212,7 @@ def test_a_damaged_image_is_no_reason_against_a_new_one() -> None:
 
 @pytest.mark.parametrize(
     ("room", "stored", "told"),
-    [(0, {}, "of left .*; nothing was stored"), (1, {"left": 1}, "of right .*; the new one of left is stored and in")],
+    [(0, {}, "of left .*; nothing was stored"), (1, {"left": 1}, "of right .*; the new image of left is in use")],
 )
 def test_a_full_disk_is_told_with_what_is_stored_and_that_is_what_is_used(
     room: int, stored: dict[str, int], told: str
@@ -225,7 +230,7 @@ def test_a_full_disk_is_told_with_what_is_stored_and_that_is_what_is_used(
         before, made = dict(cell.store.kept), {name: len(one) for name, one in cell.perceivers.items()}
         cell.store.save_background = save  # type: ignore[method-assign]
         with pytest.raises(CommandRefused, match=told):
-            await cell.controls.calibrate()
+            await cell.submit(CalibrateRequest())
         await asyncio.sleep(0.5)
         used = {name: len(one) - made[name] for name, one in cell.perceivers.items() if len(one) > made[name]}
         assert used == stored

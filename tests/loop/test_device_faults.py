@@ -14,6 +14,7 @@ from loop_cell import Cell, play
 
 from slipguard.control.fault import FaultCode
 from slipguard.control.state import Phase
+from slipguard.daemon.api.requests import ClearRequest, GraspRequest, LiftRequest, LowerRequest, MoveJawsRequest
 from slipguard.errors import CommandRefused
 
 BRISK: dict[str, object] = {"lift_height_mm": 50.0, "lift_speed_mm_s": 80.0, "tuning": {"lower_speed_mm_s": 150.0}}
@@ -23,14 +24,14 @@ Reach = Callable[[Cell], Awaitable[None]]
 
 async def closing(cell: Cell) -> None:
     await cell.ready()
-    await cell.controls.grasp()
+    await cell.submit(GraspRequest())
     await asyncio.sleep(0.1)
     assert cell.phase is Phase.CLOSING
 
 
 async def lifting(cell: Cell) -> None:
     await cell.grasp()
-    await cell.controls.lift()
+    await cell.submit(LiftRequest())
     await asyncio.sleep(0.3)
     assert cell.phase is Phase.LIFTING
 
@@ -86,12 +87,12 @@ def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
             await asyncio.sleep(0.2)
             assert cell.truth.height_mm == height_mm
         with pytest.raises(CommandRefused, match=r"still there|not there|stop"):
-            await cell.controls.clear()
+            await cell.submit(ClearRequest())
         for device in devices:
             cell.world.faults.repair(device, kind)
         await asyncio.sleep(0.1)
         await cell.until(lambda: not cell.service.waiting_for and not cell.service.gripper.newest.moving)  # type: ignore[union-attr]
-        await cell.controls.clear()
+        await cell.submit(ClearRequest())
         await cell.until(lambda: cell.phase in (Phase.HOLDING, Phase.IDLE))
         if reach is closing and kind in STANDS:  # cut short: to be asked for again
             assert cell.phase is Phase.IDLE
@@ -115,7 +116,7 @@ def test_a_gripper_still_closing_is_not_declared_empty() -> None:
         cell.world.faults.repair("gripper")
         await asyncio.sleep(0.1)
         with pytest.raises(CommandRefused, match="the gripper is moving"):
-            await cell.controls.clear()
+            await cell.submit(ClearRequest())
 
     play(Cell("wrench", 1), scene)
 
@@ -178,7 +179,7 @@ def test_no_force_is_added_while_the_arm_is_stopped_for_a_person(kind: str) -> N
         swing(cell)
         await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
         with pytest.raises(CommandRefused, match="protective or emergency stop"):
-            await cell.controls.gripper(None, 120.0)
+            await cell.submit(MoveJawsRequest(force_n=120.0))
         await asyncio.sleep(2.0)
         assert cell.gripper.told[told:] == []
 
@@ -211,13 +212,13 @@ async def faulty(cell: Cell) -> None:
 
 async def referencing(cell: Cell) -> None:
     await cell.ready()
-    await cell.controls.grasp()
+    await cell.submit(GraspRequest())
     await cell.until(lambda: cell.phase is Phase.REFERENCE)
 
 
 async def lowering(cell: Cell) -> None:
     await holding(cell)
-    await cell.controls.lower()
+    await cell.submit(LowerRequest())
     await asyncio.sleep(0.2)
 
 
@@ -249,7 +250,7 @@ def test_the_height_of_an_arm_that_was_away_is_not_taken_for_the_old_one() -> No
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
         await cell.grasp()
-        await cell.controls.lift()
+        await cell.submit(LiftRequest())
         await asyncio.sleep(0.3)
         cell.world.faults.fail("arm", "disconnect")
         await asyncio.sleep(0.05)
@@ -259,12 +260,12 @@ def test_the_height_of_an_arm_that_was_away_is_not_taken_for_the_old_one() -> No
         await asyncio.sleep(1.0)
         lifts = [told for told in cell.arm.told if told[1] == "lift"]
         assert len(lifts) == 1
-        await cell.controls.clear()
+        await cell.submit(ClearRequest())
         await cell.until(cell.steady)
         with pytest.raises(CommandRefused, match="give a height"):
-            await cell.controls.lower()
+            await cell.submit(LowerRequest())
         height_mm = cell.truth.height_mm
-        await cell.controls.lower(height_mm)
+        await cell.submit(LowerRequest(height_mm=height_mm))
         await cell.until(lambda: cell.phase is Phase.HOLDING)
         assert cell.truth.height_mm == pytest.approx(0.0, abs=1.0)
 

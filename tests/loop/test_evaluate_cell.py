@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from slipguard.cli.app import run
 from slipguard.config import parse_config
 from slipguard.control.state import Phase
-from slipguard.daemon.api.controls import Controls
+from slipguard.daemon.api.handlers import RequestHandlers
+from slipguard.daemon.api.requests import CalibrateRequest
 from slipguard.daemon.loop.service import Service
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.daemon.loop.worker import StatedLatencyWorker
@@ -137,7 +138,7 @@ def state(tmp_path_factory: pytest.TempPathFactory) -> Path:
         running = asyncio.create_task(service.run())
         await asyncio.sleep(1.0)
         assert not service.waiting_for
-        await Controls(service).calibrate()
+        await RequestHandlers(service).submit(CalibrateRequest())
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)
 

@@ -8,6 +8,7 @@ import pytest
 from loop_cell import Cell, play
 
 from slipguard.control.state import Phase
+from slipguard.daemon.api.requests import GuardRequest, LiftRequest, LowerRequest, MoveJawsRequest
 from slipguard.errors import CommandRefused
 
 GUARD: dict[str, object] = {"mode": "guard"}
@@ -16,7 +17,7 @@ GRIP_N = 40.0
 
 async def gripped_by_another_program(cell: Cell) -> None:
     await cell.ready()
-    await cell.controls.gripper(0.0, GRIP_N)
+    await cell.submit(MoveJawsRequest(width_mm=0.0, force_n=GRIP_N))
     await cell.until(lambda: cell.phase is Phase.HOLDING)
 
 
@@ -45,12 +46,12 @@ def test_guarding_starts_by_itself_when_something_is_held() -> None:
 def test_guard_on_guards_what_is_held_after_guard_off() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        await cell.controls.guard(False)
-        await cell.controls.gripper(0.0, GRIP_N)
+        await cell.submit(GuardRequest(on=False))
+        await cell.submit(MoveJawsRequest(width_mm=0.0, force_n=GRIP_N))
         await cell.until(lambda: cell.truth.in_contact)
         await asyncio.sleep(1.0)
         assert cell.phase is Phase.IDLE
-        await cell.controls.guard(True)
+        await cell.submit(GuardRequest(on=True))
         await cell.until(lambda: cell.phase is Phase.HOLDING)
         await lifted_by_another_program(cell)
         assert cell.truth.dropped is None
@@ -62,7 +63,7 @@ def test_guard_on_guards_what_is_held_after_guard_off() -> None:
 def test_guard_off_only_watches() -> None:
     async def scene(cell: Cell) -> None:
         await gripped_by_another_program(cell)
-        await cell.controls.guard(False)
+        await cell.submit(GuardRequest(on=False))
         await lifted_by_another_program(cell)
         assert cell.truth.applied_n < GRIP_N + 1.0
 
@@ -75,15 +76,15 @@ def test_another_program_never_undercuts_the_guard() -> None:
         await lifted_by_another_program(cell)
         guarded_n = cell.truth.applied_n
         assert guarded_n > GRIP_N + 5.0
-        said = await cell.controls.gripper(None, 25.0)
+        said = await cell.submit(MoveJawsRequest(force_n=25.0))
         assert f"{guarded_n:.0f} N" in said
         with pytest.raises(CommandRefused, match="opening would drop it; use release"):
-            await cell.controls.gripper(80.0, 25.0)
+            await cell.submit(MoveJawsRequest(width_mm=80.0, force_n=25.0))
         with pytest.raises(CommandRefused, match="force_max_n"):
-            await cell.controls.gripper(None, 200.0)
+            await cell.submit(MoveJawsRequest(force_n=200.0))
         await asyncio.sleep(0.3)
         assert cell.truth.applied_n == pytest.approx(guarded_n)
-        await cell.controls.gripper(None, 125.0)
+        await cell.submit(MoveJawsRequest(force_n=125.0))
         await asyncio.sleep(0.3)
         assert cell.truth.applied_n >= 125.0
 
@@ -93,9 +94,9 @@ def test_another_program_never_undercuts_the_guard() -> None:
 def test_slipguard_does_not_move_an_arm_that_is_not_its_own() -> None:
     async def scene(cell: Cell) -> None:
         await gripped_by_another_program(cell)
-        for motion in (cell.controls.lift, cell.controls.lower):
+        for request in (LiftRequest(), LowerRequest()):
             with pytest.raises(CommandRefused, match="the arm belongs to another program"):
-                await motion()
+                await cell.submit(request)
         await cell.release()
         assert not cell.truth.in_contact
 
@@ -107,9 +108,9 @@ def test_the_jaws_move_freely_while_nothing_is_held() -> None:
         assert cell.world is not None
         cell.world.clear(cell.now_s)
         await cell.ready()
-        await cell.controls.gripper(30.0, 20.0)
+        await cell.submit(MoveJawsRequest(width_mm=30.0, force_n=20.0))
         await cell.until(lambda: abs(cell.width_mm - 30.0) < 0.5)
-        await cell.controls.gripper(60.0, 20.0)
+        await cell.submit(MoveJawsRequest(width_mm=60.0, force_n=20.0))
         await cell.until(lambda: abs(cell.width_mm - 60.0) < 0.5)
         assert cell.phase is Phase.IDLE
 

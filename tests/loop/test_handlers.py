@@ -14,9 +14,10 @@ from prometheus_client.parser import text_string_to_metric_families
 from slipguard.control.state import Phase
 from slipguard.daemon.api.daemon_api import FingerFrame
 from slipguard.daemon.api.handlers import RequestHandlers
+from slipguard.daemon.api.requests import ReleaseRequest
 from slipguard.daemon.loop.event_log import Event
 from slipguard.errors import CommandRefused
-from slipguard.web.metrics import exposition
+from slipguard.web.metrics import prometheus_text
 from slipguard.web.models import StateResponse
 
 
@@ -34,23 +35,23 @@ def test_a_grasp_and_a_fault_as_the_page_and_prometheus_see_them() -> None:
     heard: list[Event] = []
 
     async def scene(cell: Cell) -> None:
-        desk = RequestHandlers(cell.service)
+        handlers = RequestHandlers(cell.service)
         with pytest.raises(CommandRefused):
-            await desk.view("left")
+            await handlers.processed_frame("left")
         await cell.grasp()
-        told["state"], told["tallies"] = await desk.state(), await desk.tallies()
-        told["view"] = await desk.view("left")
+        told["state"], told["tallies"] = await handlers.state(), await handlers.counters()
+        told["view"] = await handlers.processed_frame("left")
         assert cell.world is not None
-        deafen = desk.listen(heard.append)
+        unsubscribe = handlers.subscribe(heard.append)
         before = len(heard)
         assert before > 0, "what was said before"
         cell.world.faults.fail("left", "stall")
         cell.world.faults.fail("right", "stall")
         await cell.until(lambda: cell.phase is Phase.FAULT)
-        deafen()
-        await desk.release()
+        unsubscribe()
+        await handlers.submit(ReleaseRequest(confirm=True))
         told["after"] = heard[before:]
-        told["faulty"] = exposition(await desk.state(), await desk.tallies())
+        told["faulty"] = prometheus_text(await handlers.state(), await handlers.counters())
 
     play(Cell("wrench", 1), scene)
     StateResponse.model_validate_json(told["state"])
@@ -62,7 +63,7 @@ def test_a_grasp_and_a_fault_as_the_page_and_prometheus_see_them() -> None:
     assert fault.what_to_do
     assert not any("releas" in event.text for event in told["after"]), "nothing is heard after that"
 
-    found = samples(exposition(told["state"], told["tallies"]))
+    found = samples(prometheus_text(told["state"], told["tallies"]))
     state = json.loads(told["state"])
     assert found["slipguard_force_newtons", ()] == pytest.approx(state["gripper"]["force_n"])
     assert found["slipguard_target_force_newtons", ()] == pytest.approx(state["target_force_n"])
@@ -92,15 +93,15 @@ def test_a_recorder_whose_thread_is_gone_is_not_said_to_record() -> None:
 
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        desk = RequestHandlers(cell.service)
+        handlers = RequestHandlers(cell.service)
         for dead in (False, True):
             recorder = SimpleNamespace(stopped=None, dead=dead, left_out=3)
-            desk.noting(lambda service, folder, made=recorder: made)(cell.service, Path())  # type: ignore[misc,arg-type]
-            told.append(json.loads(await desk.state())["recording"])
+            handlers.track_recorder(lambda service, folder, made=recorder: made)(cell.service, Path())  # type: ignore[misc,arg-type]
+            told.append(json.loads(await handlers.state())["recording"])
 
     cell = Cell("wrench", 1)
     assert cell.service.config.recording.enabled
     play(cell, scene)
     assert told[0] == {"state": "on", "why": None, "left_out": 3}
     assert told[1]["state"] == "stopped"
-    assert "the thread that records has ended" in told[1]["why"]
+    assert "the recorder thread has ended" in told[1]["why"]

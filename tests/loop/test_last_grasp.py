@@ -14,6 +14,7 @@ from slipguard.control.fault import Fault, FaultCode
 from slipguard.control.messages import Command, Observation
 from slipguard.control.state import GraspState, Phase, RememberedGrip
 from slipguard.control.step import ControlState
+from slipguard.daemon.api.requests import ClearRequest, MoveJawsRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.store.disk_writer import TRY_AGAIN_S
 from slipguard.daemon.store.last_grasp import LastGraspSaver, remembered
@@ -135,7 +136,7 @@ def test_a_force_counts_as_taken_once_the_gripper_says_so(tmp_path: Path) -> Non
         assert cell.service.state.target_n == pytest.approx(40.0, abs=0.85)
         assert (await noted(shelf)).taken
         cell.world.faults.fail("gripper", "timeout")
-        await cell.controls.gripper(None, 120.0)
+        await cell.submit(MoveJawsRequest(force_n=120.0))
         await asyncio.sleep(0.15)
         untaken = await noted(shelf)
         assert untaken.force_n == pytest.approx(120.0, abs=0.85)
@@ -174,14 +175,14 @@ def test_a_latched_fault_is_noted_until_it_is_cleared(tmp_path: Path) -> None:
         assert (old.phase, old.fault, old.remembered) == (Phase.FAULT, grasp.fault, None)
         cell.world.faults.repair("gripper")
         await cell.ready()
-        await cell.controls.clear()
+        await cell.submit(ClearRequest())
         await cell.until(cell.steady)
         assert await noted(shelf) == grip
         assert remembered(shelf).grasp.fault is None
         cell.world.clear(cell.now_s)
         await cell.until(lambda: cell.phase is Phase.FAULT)
         await cell.until(lambda: remembered(shelf).grasp.fault is not None)
-        await cell.controls.release()
+        await cell.submit(ReleaseRequest(confirm=True))
         await asyncio.sleep(0.1)
         assert remembered(shelf).grasp.fault is None
         await cell.until(lambda: cell.phase is Phase.IDLE)

@@ -9,6 +9,7 @@ from loop_cell import Cell, play
 
 from slipguard.control.state import Phase
 from slipguard.control.step import control_step
+from slipguard.daemon.api.requests import GraspRequest, LiftRequest
 from slipguard.daemon.loop.service import Controller
 from slipguard.errors import CommandRefused
 from slipguard.sim_lifts.unguarded import unguarded_tick
@@ -85,15 +86,15 @@ def test_it_is_not_lifted_before_the_firm_grip_is_there() -> None:
 
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        await cell.controls.grasp()
+        await cell.submit(GraspRequest())
         await cell.until(lambda: cell.phase is Phase.REFERENCE)
         holding = asyncio.Event()
         cell.service.observers.append(lambda decision: decision.phase is Phase.HOLDING and holding.set())
         await holding.wait()
         with pytest.raises(CommandRefused, match="the grip is not yet firm"):
-            await cell.controls.lift()
+            await cell.submit(LiftRequest())
         await cell.until(cell.steady)
-        await cell.controls.lift()
+        await cell.submit(LiftRequest())
         assert cell.truth.force_n >= 85.0
 
     play(Cell("ball", 1, guard=BRISK, blind=BLIND), scene)
@@ -103,7 +104,7 @@ def test_what_cannot_be_seen_turning_is_not_lifted_where_that_is_refused() -> No
     async def scene(cell: Cell) -> None:
         await cell.grasp()
         with pytest.raises(CommandRefused, match=r"the turn cannot be seen \(left finger: round contact"):
-            await cell.controls.lift()
+            await cell.submit(LiftRequest())
         assert cell.truth.applied_n < 45.0
         assert not [told for told in cell.arm.told if told[1] == "lift"]
         await cell.release()
@@ -129,7 +130,7 @@ def test_closing_on_nothing_ends_in_idle_and_can_be_tried_again() -> None:
         assert cell.world is not None
         cell.world.clear(cell.now_s)
         await cell.ready()
-        await cell.controls.grasp()
+        await cell.submit(GraspRequest())
         await cell.until(lambda: cell.phase is Phase.IDLE)
         assert "the gripper closed on nothing" in cell.says
         await cell.release()

@@ -11,6 +11,7 @@ import pytest
 from loop_cell import Cell, play, running
 
 from slipguard.control.state import Phase
+from slipguard.daemon.api.requests import ClearRequest, GuardRequest
 from slipguard.daemon.loop.actuator import ROUND_TRIPS
 from slipguard.daemon.loop.event_log import KEPT
 from slipguard.devices import Frame
@@ -72,7 +73,7 @@ def test_what_was_said_is_kept_up_to_a_limit() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
         for on in [False, True] * 40:
-            await cell.controls.guard(on)
+            await cell.submit(GuardRequest(on=on))
         assert len(cell.service.event_log.lines) == KEPT
 
     play(Cell(guard={"mode": "guard"}), scene)
@@ -136,7 +137,7 @@ def test_a_loop_blocked_for_long_is_a_fault() -> None:
         await cell.until(lambda: cell.phase is Phase.FAULT)
         assert cell.truth.in_contact
         await asyncio.sleep(0.5)
-        await cell.controls.clear()
+        await cell.submit(ClearRequest())
 
     play(Cell("wrench", 1), scene)
 

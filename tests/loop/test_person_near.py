@@ -8,6 +8,7 @@ import pytest
 from loop_cell import Cell, play
 
 from slipguard.control.state import Phase
+from slipguard.daemon.api.requests import ClearRequest, GraspRequest, LiftRequest, MoveJawsRequest, ReleaseRequest
 from slipguard.errors import DeviceTimeout
 
 BRISK = {"lift_speed_mm_s": 100.0, "tuning": {"lower_speed_mm_s": 60.0}}
@@ -20,7 +21,7 @@ def test_jaws_on_their_way_stand_and_close_only_when_asked_again(stop: str, lost
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
         await cell.ready()
-        await cell.controls.grasp()
+        await cell.submit(GraspRequest())
         await asyncio.sleep(0.05)
         cell.world.faults.fail("arm", stop)
         cell.gripper.failures = [DeviceTimeout("gripper: no answer within 50 ms")] * lost
@@ -32,7 +33,7 @@ def test_jaws_on_their_way_stand_and_close_only_when_asked_again(stop: str, lost
         assert [what for _, what, _ in cell.gripper.told] == ["hold", *["halt"] * (1 + lost)]
         cell.world.faults.repair("arm", stop)
         await asyncio.sleep(0.3)
-        await cell.controls.clear()
+        await cell.submit(ClearRequest())
         await asyncio.sleep(0.5)
         assert (cell.width_mm, cell.phase) == (width_mm, Phase.IDLE)
         await cell.grasp()
@@ -47,7 +48,7 @@ def test_a_force_that_rises_stays_where_it_is_until_the_stop_is_over(stop: str) 
         assert cell.world is not None
         await cell.grasp()
         before_n = cell.truth.force_n
-        await cell.controls.gripper(0.0, 120.0)
+        await cell.submit(MoveJawsRequest(width_mm=0.0, force_n=120.0))
         await cell.until(lambda: cell.truth.force_n > before_n + 1.0)
         cell.world.faults.fail("arm", stop)
         await asyncio.sleep(0.1)
@@ -58,7 +59,7 @@ def test_a_force_that_rises_stays_where_it_is_until_the_stop_is_over(stop: str) 
         cell.world.faults.repair("arm", stop)
         await cell.until(lambda: cell.truth.force_n > 110.0)
         await cell.until(lambda: cell.service.gripper.newest is not None and not cell.service.gripper.newest.moving)
-        await cell.controls.clear()
+        await cell.submit(ClearRequest())
         await cell.until(lambda: cell.phase is Phase.HOLDING)
 
     play(Cell("wrench", 1), scene)
@@ -67,11 +68,11 @@ def test_a_force_that_rises_stays_where_it_is_until_the_stop_is_over(stop: str) 
 def test_a_moving_arm_stands_before_the_jaws_open() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
-        await cell.controls.lift()
+        await cell.submit(LiftRequest())
         await cell.until(lambda: cell.truth.height_mm > 30.0)
         held_mm = cell.width_mm
         asked_s = cell.now_s
-        await cell.controls.release()
+        await cell.submit(ReleaseRequest(confirm=True))
         await cell.until(lambda: cell.width_mm > held_mm + 0.1)
         height_mm = cell.truth.height_mm
         await cell.until(lambda: cell.phase is Phase.IDLE)
@@ -86,7 +87,7 @@ def test_a_moving_arm_stands_before_the_jaws_open() -> None:
 def test_a_lost_stop_leaves_no_arm_moving_after_a_release() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
-        await cell.controls.lift()
+        await cell.submit(LiftRequest())
         await cell.until(lambda: cell.truth.height_mm > 30.0)
         stop, lost = cell.arm.stop, []
 
@@ -111,7 +112,7 @@ def test_a_release_that_is_stuck_is_not_followed_by_a_tightening() -> None:
         assert cell.world is not None
         await cell.grasp()
         cell.world.faults.fail("gripper", "timeout")
-        await cell.controls.release()
+        await cell.submit(ReleaseRequest(confirm=True))
         await asyncio.sleep(2.2)
         cell.world.faults.repair("gripper")
         await asyncio.sleep(0.3)

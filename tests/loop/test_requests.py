@@ -10,6 +10,7 @@ from loop_cell import Cell, play
 
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.state import Phase
+from slipguard.daemon.api.requests import GraspRequest, LiftRequest, MoveJawsRequest, ReleaseRequest
 from slipguard.errors import CommandRefused, DeviceTimeout
 
 
@@ -55,7 +56,7 @@ def test_a_refusal_of_the_gripper_is_told() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
         cell.gripper.failures = [CommandRefused("gripper: width_mm is 99; it must be 0 to 85")]
-        await cell.controls.gripper(50.0, 20.0)
+        await cell.submit(MoveJawsRequest(width_mm=50.0, force_n=20.0))
         await asyncio.sleep(0.1)
         assert cell.service.event_log.lines[-1] == "gripper: gripper: width_mm is 99; it must be 0 to 85"
 
@@ -66,13 +67,13 @@ def test_two_wishes_at_once_are_both_answered_in_order() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
         asked_s = cell.now_s
-        both = [cell.controls.grasp(), cell.controls.release()]
+        both = [cell.submit(GraspRequest()), cell.submit(ReleaseRequest(confirm=True))]
         first, second = await asyncio.gather(*both)
         assert first.startswith("closing with")
         assert second.startswith("releasing, as asked")
         assert cell.now_s - asked_s < 0.05
         await cell.until(lambda: cell.phase is Phase.IDLE)
-        twice = await asyncio.gather(cell.controls.grasp(), cell.controls.grasp(), return_exceptions=True)
+        twice = await asyncio.gather(cell.submit(GraspRequest()), cell.submit(GraspRequest()), return_exceptions=True)
         assert str(twice[0]).startswith("closing with")
         assert isinstance(twice[1], CommandRefused)
         assert str(twice[1]) == "cannot grasp while closing; release first"
@@ -118,7 +119,7 @@ def test_a_command_given_while_the_arm_is_away_is_not_obeyed_when_it_returns() -
         await cell.grasp()
         cell.world.faults.fail("arm", "timeout")
         await asyncio.sleep(0.1)
-        await cell.controls.lift()  # the arm is there, and does not answer
+        await cell.submit(LiftRequest())  # the arm is there, and does not answer
         cell.world.faults.fail("arm", "disconnect")
         await asyncio.sleep(3.0)
         cell.world.faults.repair("arm")

@@ -9,6 +9,7 @@ import pytest
 
 from slipguard.control.fault import FaultCode
 from slipguard.control.state import Phase
+from slipguard.daemon.api.requests import ClearRequest, GraspRequest, LiftRequest, MoveJawsRequest
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.errors import CommandRefused
 from tests.campaigns.faults.rig import CampaignCell
@@ -33,7 +34,7 @@ def play(scene: Callable[[CampaignCell], Awaitable[None]], guard: dict[str, obje
         rig.place()
         rig.start()
         await until(lambda: not rig.service.waiting_for)
-        await (rig.controls.grasp() if not guard else rig.controls.gripper(0.0, 40.0))
+        await (rig.submit(GraspRequest()) if not guard else rig.submit(MoveJawsRequest(width_mm=0.0, force_n=40.0)))
         await until(lambda: rig.service.firm)
         await asyncio.sleep(0.5)
         await scene(rig)
@@ -50,7 +51,7 @@ def test_a_force_on_its_way_when_the_daemon_was_killed_is_applied_after_all(arri
     async def scene(rig: CampaignCell) -> None:
         if not arrived:
             rig.world.faults.fail("gripper", "timeout")
-        await rig.controls.gripper(None, ASKED_N)
+        await rig.submit(MoveJawsRequest(force_n=ASKED_N))
         await asyncio.sleep(0.1)
         await rig.kill()
         await asyncio.sleep(DEAD_S)
@@ -84,10 +85,10 @@ def test_a_latched_fault_outlives_the_daemon() -> None:
         assert fault.code is FaultCode.GRIPPER_FAULT
         await asyncio.sleep(1.0)
         with pytest.raises(CommandRefused, match=r"a fault is latched \(gripper fault\); clear it first"):
-            await rig.controls.lift()
-        await rig.controls.clear()
+            await rig.submit(LiftRequest())
+        await rig.submit(ClearRequest())
         await until(lambda: rig.service.firm)
-        await rig.controls.lift()
+        await rig.submit(LiftRequest())
 
     lines = play(scene)
     assert sum("fault: gripper fault" in line for line in lines) == 2, "named by both daemons"
@@ -118,7 +119,7 @@ def test_what_does_not_come_back_with_the_daemon_stops_the_arm(gone: tuple[str, 
         await until(lambda: not rig.service.waiting_for)
         await asyncio.sleep(0.5)
         assert rig.service.phase is Phase.FAULT
-        await rig.controls.clear()
+        await rig.submit(ClearRequest())
         await until(lambda: rig.service.firm)
 
     play(scene, {"mode": "guard"})

@@ -16,11 +16,11 @@ def test_rates_ages_and_latencies_are_told() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
         await asyncio.sleep(3.0)
-        told["steady"] = json.loads(json.dumps(cell.controls.snapshot()))
+        told["steady"] = json.loads(json.dumps(cell.handlers.snapshot()))
         assert cell.world is not None
         cell.world.faults.fail("left", "stall")
         await asyncio.sleep(3.0)
-        told["stalled"] = json.loads(json.dumps(cell.controls.snapshot()))
+        told["stalled"] = json.loads(json.dumps(cell.handlers.snapshot()))
         told["now_s"] = cell.now_s
 
     play(Cell("wrench", 1, guard={"force_max_n": 120.0}, fps=30.0, latency_s=0.006), scene)

@@ -9,6 +9,7 @@ import pytest
 from loop_cell import Cell, play, running
 
 from slipguard.control.state import Phase
+from slipguard.daemon.api.requests import GraspRequest, ReleaseRequest
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.errors import CommandRefused
 from slipguard.sim.world import World
@@ -26,7 +27,7 @@ def test_a_device_missing_at_the_start_is_waited_for_by_name(device: str) -> Non
         (line,) = cell.service.waiting_for
         assert line.startswith(f"{device}: no ")
         with pytest.raises(CommandRefused, match=f"cannot grasp: not ready: {device}: (?!{device}: )"):
-            await cell.controls.grasp()
+            await cell.submit(GraspRequest())
         cell.world.faults.repair(device)
         await cell.until(lambda: not cell.service.waiting_for, 5.1)  # ten times the first pause is the longest
         await cell.grasp()
@@ -43,7 +44,7 @@ def test_with_no_device_at_all_the_service_waits_and_says_for_what() -> None:
         await asyncio.sleep(3.0)
         assert [line.split(":")[0] for line in cell.service.waiting_for] == list(DEVICES)
         assert cell.phase is Phase.IDLE
-        said = await cell.controls.release()
+        said = await cell.submit(ReleaseRequest(confirm=True))
         assert said == "releasing, as asked: when the arm stands, 0.5 s from now at the latest"
 
     play(Cell(), scene)
@@ -86,7 +87,7 @@ def test_what_is_asked_of_a_service_that_stops_is_refused() -> None:
         cell = Cell()
         async with running(cell):
             await cell.ready()
-            asked = [asyncio.create_task(cell.controls.grasp()) for _ in range(3)]
+            asked = [asyncio.create_task(cell.submit(GraspRequest())) for _ in range(3)]
             await asyncio.sleep(0)
         ends = await asyncio.gather(*asked, return_exceptions=True)
         assert str(ends[0]).startswith("closing")

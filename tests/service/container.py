@@ -127,7 +127,9 @@ class Container:
             newest = self.state()
             return newest and good(newest)
 
-        until(reached, otherwise, lambda: {key: newest.get(key) for key in ("phase", "fault", "waiting_for", "said")})
+        until(
+            reached, otherwise, lambda: {key: newest.get(key) for key in ("phase", "fault", "waiting_for", "messages")}
+        )
         return newest
 
     # --- what was written ---

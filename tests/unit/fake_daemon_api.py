@@ -1,4 +1,4 @@
-"""A daemon for the API to talk to: remembers what was asked, and refuses or breaks on demand."""
+"""A daemon API for tests: records the submitted requests, and refuses or fails on demand."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
-from slipguard.daemon.api.handlers import calibration_answer
+from slipguard.daemon.api.handlers import calibration_response
+from slipguard.daemon.api.requests import CalibrateRequest, DaemonRequest
 from slipguard.daemon.loop.event_log import Event
 from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.devices import Frame, GripperState
@@ -27,27 +28,20 @@ TOKEN = "f" * 64
 
 
 class FakeDaemonApi(DaemonApi):
+    """requests: those submitted. failure: raised by every method from now on. delay_s: duration of a request."""
+
     def __init__(self) -> None:
-        self.asked: list[tuple[object, ...]] = []
+        self.requests: list[DaemonRequest] = []
         self.failure: Exception | None = None
-        self.why: str | None = None
+        self.problem: str | None = None
         self.delay_s = 0.0
         self.frames = 0
-        self.looked = 0
-        self.began = asyncio.Event()
-        self.ears: list[Callable[[Event], None]] = []
+        self.state_calls = 0
+        self.started = asyncio.Event()
+        self.subscribers: list[Callable[[Event], None]] = []
         self.events: list[Event] = [Event(1.0, "info", "gripped")]
 
-    async def _note(self, *what: object) -> str:
-        self.asked.append(what)
-        self.began.set()
-        await asyncio.sleep(self.delay_s)
-        if self.failure is not None:
-            raise self.failure
-        return f"{what[0]}, as asked"
-
     def snapshot(self) -> dict[str, object]:
-        """What the state is made of."""
         return {
             "version": "0.1.0",
             "now_s": 12.5,
@@ -64,17 +58,17 @@ class FakeDaemonApi(DaemonApi):
             "devices": {},
             "waiting_for": [],
             "deadlines_missed": 0,
-            "said": ["gripped", "holding"],
+            "messages": ["gripped", "holding"],
         }
 
     async def state(self) -> bytes:
-        self.looked += 1
+        self.state_calls += 1
         return json.dumps(self.snapshot()).encode()
 
-    async def trouble(self) -> str | None:
-        return self.why
+    async def health_problem(self) -> str | None:
+        return self.problem
 
-    async def tallies(self) -> bytes:
+    async def counters(self) -> bytes:
         return b"{}"
 
     async def frame(self, finger: str) -> FingerFrame:
@@ -84,7 +78,7 @@ class FakeDaemonApi(DaemonApi):
         self.frames += 1
         return FingerFrame(f"D2000{1 + (finger == 'right')}", Frame(image, 12.25, self.frames))
 
-    async def view(self, finger: str) -> FingerFrame:
+    async def processed_frame(self, finger: str) -> FingerFrame:
         if self.failure is not None:
             raise self.failure
         self.frames += 1
@@ -93,67 +87,51 @@ class FakeDaemonApi(DaemonApi):
         contact = ContactOverlay(mask, 50, 60, (160, 213), ClippedSides(), 90.0)
         return FingerFrame("D20001", Frame(np.full((320, 240, 3), 90, np.uint8), 12.25, self.frames), contact)
 
-    async def grasp(self, force_n: float | None = None) -> str:
-        return await self._note("grasp", force_n)
+    async def submit(self, request: DaemonRequest) -> Mapping[str, object]:
+        self.requests.append(request)
+        self.started.set()
+        await asyncio.sleep(self.delay_s)
+        if self.failure is not None:
+            raise self.failure
+        if isinstance(request, CalibrateRequest):
+            image = np.full((320, 240, 3), 90, np.uint8)
+            return calibration_response({name: BackgroundImage(image, (2.9, 1.5, 2.4), 30) for name in FINGERS})
+        return {"message": f"{request.kind}: done"}
 
-    async def lift(self, height_mm: float | None = None, speed_mm_s: float | None = None) -> str:
-        return await self._note("lift", height_mm, speed_mm_s)
-
-    async def lower(self, height_mm: float | None = None, speed_mm_s: float | None = None) -> str:
-        return await self._note("lower", height_mm, speed_mm_s)
-
-    async def guard(self, on: bool) -> str:
-        return await self._note("guard", on)
-
-    async def gripper(self, width_mm: float | None = None, force_n: float | None = None) -> str:
-        return await self._note("gripper", width_mm, force_n)
-
-    async def release(self, width_mm: float | None = None) -> str:
-        return await self._note("release", width_mm)
-
-    async def clear(self) -> str:
-        return await self._note("clear")
-
-    async def calibrate(self, force: bool = False, new_gel: bool = False) -> Mapping[str, object]:
-        await self._note("calibrate", force, *(["new gel"] if new_gel else []))
-        image = np.full((320, 240, 3), 90, np.uint8)
-        return calibration_answer({name: BackgroundImage(image, (2.9, 1.5, 2.4), 30) for name in ("left", "right")})
-
-    async def go_back(self, finger: str, number: int) -> str:
-        return await self._note("go back", finger, number)
-
-    async def no_contacts(self) -> bytes:
-        told = {
+    async def backgrounds(self) -> bytes:
+        fields = {
             "created_at": "2026-11-20T12:00:00+00:00",
             "noise_bgr": [2.9, 1.5, 2.4],
             "level_bgr": [90.0, 91.0, 92.0],
+            "frames": 30,
+            "new_gel": False,
+            "copy_of": None,
         }
-        told |= {"frames": 30, "new_gel": False, "copy_of": None}
-        versions = [{"number": number} | told for number in (1, 2)]
+        versions = [{"number": number} | fields for number in (1, 2)]
         return json.dumps(
             {name: {"serial": f"SIM-{name[0].upper()}", "versions": versions} for name in FINGERS}
         ).encode()
 
-    async def no_contact(self, finger: str, number: int | None = None) -> FingerFrame:
+    async def background(self, finger: str, number: int | None = None) -> FingerFrame:
         if self.failure is not None:
             raise self.failure
-        picture = np.full((320, 240, 3), 90 + (number or 2) % 100, np.uint8)
-        return FingerFrame(f"SIM-{finger[0].upper()}", Frame(picture, 0.0, number or 2))
+        image = np.full((320, 240, 3), 90 + (number or 2) % 100, np.uint8)
+        return FingerFrame(f"SIM-{finger[0].upper()}", Frame(image, 0.0, number or 2))
 
-    def listen(self, hear: Callable[[Event], None]) -> Callable[[], None]:
+    def subscribe(self, on_event: Callable[[Event], None]) -> Callable[[], None]:
         for event in self.events:
-            hear(event)
-        self.ears.append(hear)
-        return lambda: self.ears.remove(hear)
+            on_event(event)
+        self.subscribers.append(on_event)
+        return lambda: self.subscribers.remove(on_event)
 
 
 @asynccontextmanager
-async def served(control: FakeDaemonApi, path: Path) -> AsyncIterator[Path]:
-    """The API on a real Unix socket, for as long as the block lasts."""
+async def served(daemon: FakeDaemonApi, path: Path) -> AsyncIterator[Path]:
+    """Serve the API on a real Unix socket during the block."""
     with closing(bind(path)) as unix:
-        serving = asyncio.create_task(serve(RouteContext(control), unix.listening), name="api")
+        serving = asyncio.create_task(serve(RouteContext(daemon), unix.listening), name="api")
         try:
-            await answering(serving, path)
+            await first_response(serving, path)
             yield path
         finally:
             serving.cancel()
@@ -161,29 +139,29 @@ async def served(control: FakeDaemonApi, path: Path) -> AsyncIterator[Path]:
 
 
 @asynccontextmanager
-async def served_on_tcp(control: FakeDaemonApi, folder: Path) -> AsyncIterator[tuple[int, Access]]:
-    """The API on a port of this machine as well; the port and who has access."""
+async def served_on_tcp(daemon: FakeDaemonApi, folder: Path) -> AsyncIterator[tuple[int, Access]]:
+    """Serve the API on a TCP port as well; provides the port and its access control."""
     with closing(bind(folder / "s")) as unix, closing(bind_tcp("127.0.0.1", 0)) as tcp:
         port = int(tcp.getsockname()[1])
         access = Access(TOKEN, ("127.0.0.1", port))
-        serving = asyncio.create_task(serve(RouteContext(control, access), unix.listening, tcp), name="api")
+        serving = asyncio.create_task(serve(RouteContext(daemon, access), unix.listening, tcp), name="api")
         try:
-            await answering(serving, folder / "s")
+            await first_response(serving, folder / "s")
             yield port, access
         finally:
             serving.cancel()
             await asyncio.gather(serving, return_exceptions=True)
 
 
-async def answering(serving: asyncio.Task[None], path: Path) -> None:
-    """Until the first answer; the sockets listen before anybody answers."""
+async def first_response(serving: asyncio.Task[None], path: Path) -> None:
+    """Wait for the first response: the sockets listen before the server is ready."""
     reader, writer = await asyncio.open_unix_connection(path)
     writer.write(b"GET /access HTTP/1.1\r\nhost: slipguard\r\nconnection: close\r\n\r\n")
-    answer = asyncio.create_task(reader.read(), name="first answer")
-    await asyncio.wait((answer, serving), return_when=asyncio.FIRST_COMPLETED)
+    response = asyncio.create_task(reader.read(), name="first response")
+    await asyncio.wait((response, serving), return_when=asyncio.FIRST_COMPLETED)
     writer.close()
     await writer.wait_closed()
-    if not answer.done():
-        answer.cancel()
+    if not response.done():
+        response.cancel()
         await serving
-        raise AssertionError("the server ended by itself")
+        raise AssertionError("the server stopped")

@@ -37,10 +37,10 @@ def free_port() -> int:
 
 
 @asynccontextmanager
-async def hosted(control: FakeDaemonApi, folder: Path) -> AsyncIterator[HostedApi]:
+async def hosted(daemon: FakeDaemonApi, folder: Path) -> AsyncIterator[HostedApi]:
     port = free_port()
     host = HostedApi(folder, port)
-    api = run_api(control, bind(host.socket), ("127.0.0.1", port), host.token_at, host.warnings.append)
+    api = run_api(daemon, bind(host.socket), ("127.0.0.1", port), host.token_at, host.warnings.append)
     serving = host.serving = asyncio.create_task(api, name="api")
     try:
         yield host

@@ -16,6 +16,7 @@ import numpy as np
 from cell_rig import Cell, Process, patient_config, patiently, pause, until, wait_for
 
 from slipguard.daemon.api.client import Client
+from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, LiftRequest, LowerRequest, ReleaseRequest
 
 LIFT_S = 4.5
 """A lift of 80 mm, with a stop for slip, and a moment of holding."""
@@ -83,11 +84,11 @@ def campaign(cell: Cell, kills: int, seed: int) -> Iterator[Kill]:
         with running(cell, 2 * number) as (process, client):
             wait_for(client, lambda state: not state["waiting_for"], "the devices are not ready")
             if not calibrated:
-                patiently(client.calibrate)
+                patiently(lambda: client.submit(CalibrateRequest()))
                 calibrated = True
-            patiently(client.grasp)
+            patiently(lambda: client.submit(GraspRequest()))
             wait_for(client, firm, "no grip")
-            patiently(client.lift)
+            patiently(lambda: client.submit(LiftRequest()))
             pause(at_s)
             phase = client.state()["phase"]
             before = cell.truth()[-1]
@@ -144,9 +145,9 @@ def put_down(cell: Cell, client: Client) -> None:
     wait_for(client, lambda state: not state["waiting_for"] and firm(state), "not firm")
     height_mm = cell.truth()[-1]["height"]
     if height_mm > 1.0:
-        patiently(lambda: client.lower(height_mm))
+        patiently(lambda: client.submit(LowerRequest(height_mm=height_mm)))
         wait_for(client, lambda state: firm(state) and cell.truth()[-1]["height"] < 1.0, "still up")
-    client.release()
+    client.submit(ReleaseRequest(confirm=True))
     wait_for(client, lambda state: state["phase"] == "idle" and state["gripper"]["width_mm"] > 80.0, "no release")
 
 

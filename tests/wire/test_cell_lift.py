@@ -16,6 +16,7 @@ from ur_scene import own_address
 
 from slipguard.cli.app import run
 from slipguard.daemon.api.client import Client
+from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, LiftRequest, LowerRequest, ReleaseRequest
 from slipguard.doctor import examine
 
 OPTIONS = ("--object", "wrench", "--seed", 0, "--fps", 30, "--height-mm", 80)
@@ -23,13 +24,13 @@ ROTATION_MAX_DEG = 25.0
 
 
 def grasp(client: Client) -> None:
-    patiently(client.calibrate)
-    patiently(client.grasp)
+    patiently(lambda: client.submit(CalibrateRequest()))
+    patiently(lambda: client.submit(GraspRequest()))
     wait_for(client, lambda state: state["phase"] == "holding" and not state["gripper"]["moving"], "no grip")
 
 
 def put_down(client: Client) -> None:
-    client.release()
+    client.submit(ReleaseRequest(confirm=True))
     wait_for(client, lambda state: state["phase"] == "idle" and state["gripper"]["width_mm"] > 80.0, "no release")
 
 
@@ -66,11 +67,11 @@ def test_a_lift_by_slipguard(
         assert "p50" in said["gripper", "round trip"]["seen"]
         assert "holding something" in said["gripper", "condition"]["seen"]
         assert said["arm", "program"]["status"] == "ok", "the script that runs is slipguard's own"
-        client.lift()
+        client.submit(LiftRequest())
         wait_for(client, lambda state: state["phase"] == "lifting", "no lift")
         wait_for(client, lambda state: state["phase"] == "holding", "the lift does not end")
         check(there)
-        client.lower()
+        client.submit(LowerRequest())
         wait_for(client, lambda state: state["phase"] == "holding" and state["arm"]["height_mm"] < 1.0, "still up")
         assert not there.events("let go"), "nobody had asked to open"
         put_down(client)

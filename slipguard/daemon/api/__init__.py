@@ -1,1 +1,1 @@
-"""Requests to the daemon and answers from it: handlers, snapshot, client, paths."""
+"""The daemon's local API, as seen from the loop: requests, their handlers, the state snapshot, and a client."""

@@ -1,4 +1,4 @@
-"""Talks to a running daemon, over its Unix socket or over TCP: synchronous, for the command line and for scripts."""
+"""Synchronous client of a running daemon, over its Unix socket or TCP, for the command line and for scripts."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typing import Any
 import httpx
 
 from slipguard.daemon.api.paths import running_socket
+from slipguard.daemon.api.requests import DaemonRequest
 from slipguard.errors import CommandRefused, InputError, SlipguardError
 
 TIMEOUT_S = 5.0
-CALIBRATE_TIMEOUT_S = 30.0
 NO_DAEMON = "no daemon is listening at {}: start it with `slipguard run`"
 
 
 @dataclass(frozen=True, slots=True)
 class SensorFrame:
-    """A finger's picture as the daemon has it. captured_at_s: of this machine's monotonic clock."""
+    """A frame of one finger. captured_at_s: on this machine's monotonic clock."""
 
     png: bytes
     serial: str
@@ -29,42 +29,46 @@ class SensorFrame:
 
 
 class DaemonNotRunning(SlipguardError):
-    """Nothing listens there."""
+    """No daemon is listening at the address."""
 
 
 @dataclass(frozen=True, slots=True)
 class TcpAddress:
-    """A daemon's address, such as http://127.0.0.1:8470, and the token that its commands need; None: look only."""
+    """A daemon's address, such as http://127.0.0.1:8470. token: needed for commands; None: read only."""
 
     url: str
     token: str | None = None
 
     def __post_init__(self) -> None:
         try:
-            good = httpx.URL(self.url).scheme == "http" and bool(httpx.URL(self.url).host)
+            valid = httpx.URL(self.url).scheme == "http" and bool(httpx.URL(self.url).host)
         except httpx.InvalidURL:
-            good = False
-        if not good:
-            raise InputError(f"{self.url!r} is no address of a daemon; such as http://127.0.0.1:8470 is needed")
+            valid = False
+        if not valid:
+            raise InputError(f"{self.url!r} is not a daemon address; use the form http://127.0.0.1:8470")
 
 
 class Client:
-    """One daemon. Every command returns the daemon's answer as a dict (`said`: one line).
+    """A connection to one daemon.
 
-    Raises NoDaemon, CommandRefused with the daemon's reason, or SlipguardError.
+    Raises:
+        DaemonNotRunning: No daemon is listening.
+        CommandRefused: The daemon refused a request; the text is its reason.
+        SlipguardError: Any other failure.
     """
 
-    def __init__(self, at: Path | TcpAddress | None = None, timeout_s: float = TIMEOUT_S) -> None:
-        """at: the Unix socket, or a TCP address; None: the socket of the daemon that runs on this machine."""
-        at = running_socket() if at is None else at
+    def __init__(self, address: Path | TcpAddress | None = None, timeout_s: float = TIMEOUT_S) -> None:
+        """address: a Unix socket or a TCP address; None: the socket of the daemon that runs on this machine."""
+        address = running_socket() if address is None else address
+        self._timeout_s = timeout_s
         self._unix: Path | None = None
-        if isinstance(at, TcpAddress):
-            self._where = at.url
-            headers = {} if at.token is None else {"authorization": f"Bearer {at.token}"}
-            self._http = httpx.Client(base_url=at.url, headers=headers, timeout=timeout_s, trust_env=False)
+        if isinstance(address, TcpAddress):
+            self._shown = address.url
+            headers = {} if address.token is None else {"authorization": f"Bearer {address.token}"}
+            self._http = httpx.Client(base_url=address.url, headers=headers, timeout=timeout_s, trust_env=False)
         else:
-            self._where, self._unix = str(at), at
-            transport = httpx.HTTPTransport(uds=str(at))
+            self._shown, self._unix = str(address), address
+            transport = httpx.HTTPTransport(uds=str(address))
             self._http = httpx.Client(
                 transport=transport, base_url="http://slipguard", timeout=timeout_s, trust_env=False
             )
@@ -82,76 +86,64 @@ class Client:
         self._http.close()
 
     def state(self) -> dict[str, Any]:
-        """Everything the daemon knows now."""
-        return self._ask("GET", "/state")
+        """Return the daemon's complete state."""
+        return self._json("GET", "/state")
 
     def healthz(self) -> dict[str, Any]:
-        """{"status": "ok"}; raises SlipguardError with the reason where the daemon is not well."""
-        return self._ask("GET", "/healthz")
+        """Return {"status": "ok"}. Raises SlipguardError with the reason if the daemon is not healthy."""
+        return self._json("GET", "/healthz")
 
-    def frame(self, finger: str) -> SensorFrame:
-        """The newest frame of `left` or `right`; the sensor stays the daemon's."""
-        return self._picture(f"/frame/{finger}")
-
-    def no_contacts(self) -> dict[str, Any]:
-        """What no-contact images are stored, by finger."""
-        return self._ask("GET", "/no-contact")
-
-    def no_contact(self, finger: str, number: int | None = None) -> SensorFrame:
-        """A stored no-contact image of `left` or `right`, the newest if not told which; `sequence` is its number."""
-        return self._picture(f"/no-contact/{finger}" + ("" if number is None else f"?number={number}"))
-
-    def _picture(self, path: str) -> SensorFrame:
-        response = self._respond("GET", path)
-        if response.is_error or response.headers.get("content-type") != "image/png":
-            _answer(response, self._where)
-            raise SlipguardError(f"what listens at {self._where} does not know {path}; is it an older slipguard?")
-        told = response.headers
-        return SensorFrame(response.content, told["x-serial"], int(told["x-sequence"]), float(told["x-captured-at-s"]))
-
-    def grasp(self, force_n: float | None = None) -> dict[str, Any]:
-        """Close on what is between the jaws."""
-        return self._post("/grasp", force_n=force_n)
-
-    def lift(self, height_mm: float | None = None, speed_mm_s: float | None = None) -> dict[str, Any]:
-        """Lift what is held; does not wait for the end."""
-        return self._post("/lift", height_mm=height_mm, speed_mm_s=speed_mm_s)
-
-    def lower(self, height_mm: float | None = None, speed_mm_s: float | None = None) -> dict[str, Any]:
-        """Lower what is held; does not wait for the end."""
-        return self._post("/lower", height_mm=height_mm, speed_mm_s=speed_mm_s)
-
-    def guard(self, on: bool) -> dict[str, Any]:
-        """Act on slip, or only watch."""
-        return self._post("/guard", on=on)
-
-    def gripper(self, width_mm: float | None = None, force_n: float | None = None) -> dict[str, Any]:
-        """Move the jaws; never opens a held object."""
-        return self._post("/gripper", width_mm=width_mm, force_n=force_n)
-
-    def release(self, width_mm: float | None = None) -> dict[str, Any]:
-        """Open the jaws: whatever is held drops."""
-        return self._post("/release", confirm=True, width_mm=width_mm)
-
-    def clear(self) -> dict[str, Any]:
-        """Leave a fault whose cause is gone."""
-        return self._post("/clear")
+    def submit(self, request: DaemonRequest) -> dict[str, Any]:
+        """Submit a request, such as `LiftRequest(height_mm=120)`; return the response, which has a `message`."""
+        fields = request.model_dump(mode="json", exclude_none=True)
+        return self._json("POST", f"/{request.kind}", fields, max(self._timeout_s, request.response_timeout_s))
 
     def page_link(self) -> dict[str, Any]:
-        """`url`: a link that gives the browser that opens it first control of the page."""
-        return self._post("/page-link")
+        """Return `url`: the link gives control over the operator page to the first browser that opens it."""
+        return self._json("POST", "/page-link", {})
 
-    def calibrate(self, *, force: bool = False, new_gel: bool = False) -> dict[str, Any]:
-        """Take and store both fingers' no-contact images."""
-        return self._ask("POST", "/calibrate", {"force": force, "new_gel": new_gel}, timeout_s=CALIBRATE_TIMEOUT_S)
+    def frame(self, finger: str) -> SensorFrame:
+        """Return the newest frame of `left` or `right`."""
+        return self._image(f"/frame/{finger}")
 
-    def go_back(self, finger: str, number: int) -> dict[str, Any]:
-        """Put an older no-contact image to use again."""
-        told: dict[str, object] = {"finger": finger, "number": number}
-        return self._ask("POST", "/no-contact", told, timeout_s=CALIBRATE_TIMEOUT_S)
+    def backgrounds(self) -> dict[str, Any]:
+        """Return the list of stored background images, by finger."""
+        return self._json("GET", "/no-contact")
 
-    def _knock(self) -> None:
-        """Raise NoDaemon where nothing listens; httpx leaves a socket open when it finds that out itself."""
+    def background(self, finger: str, number: int | None = None) -> SensorFrame:
+        """Return a stored background image of `left` or `right`, by default the newest; `sequence` is its number."""
+        return self._image(f"/no-contact/{finger}" + ("" if number is None else f"?number={number}"))
+
+    def _image(self, path: str) -> SensorFrame:
+        response = self._response("GET", path)
+        if response.is_error or response.headers.get("content-type") != "image/png":
+            _parse_json(response, self._shown)
+            raise SlipguardError(f"the daemon at {self._shown} sent no image for {path}; is it an older slipguard?")
+        headers = response.headers
+        return SensorFrame(
+            response.content, headers["x-serial"], int(headers["x-sequence"]), float(headers["x-captured-at-s"])
+        )
+
+    def _json(
+        self, method: str, path: str, body: dict[str, object] | None = None, timeout_s: float | None = None
+    ) -> dict[str, Any]:
+        return _parse_json(self._response(method, path, body, timeout_s), self._shown)
+
+    def _response(
+        self, method: str, path: str, body: dict[str, object] | None = None, timeout_s: float | None = None
+    ) -> httpx.Response:
+        self._check_listening()
+        try:
+            return self._http.request(method, path, json=body, timeout=timeout_s or self._timeout_s)
+        except httpx.TimeoutException:
+            raise SlipguardError(f"the daemon at {self._shown} did not respond to {path} in time") from None
+        except httpx.ConnectError:
+            raise DaemonNotRunning(NO_DAEMON.format(self._shown)) from None
+        except httpx.TransportError as error:
+            raise SlipguardError(f"the daemon at {self._shown} closed the connection: {error}") from None
+
+    def _check_listening(self) -> None:
+        """Raise DaemonNotRunning if no daemon listens; httpx would leave a socket open when it finds out."""
         if self._unix is None:
             return
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
@@ -160,44 +152,22 @@ class Client:
                 probe.connect(str(self._unix))
             except PermissionError:
                 raise SlipguardError(
-                    f"{self._where} belongs to another user; ask as that user or as root, with sudo"
+                    f"{self._shown} belongs to another user; run the command as that user or as root, with sudo"
                 ) from None
             except OSError:
-                raise DaemonNotRunning(NO_DAEMON.format(self._where)) from None
-
-    def _post(self, path: str, **body: object) -> dict[str, Any]:
-        return self._ask("POST", path, {key: value for key, value in body.items() if value is not None})
-
-    def _ask(
-        self, method: str, path: str, body: dict[str, object] | None = None, timeout_s: float | None = None
-    ) -> dict[str, Any]:
-        return _answer(self._respond(method, path, body, timeout_s), self._where)
-
-    def _respond(
-        self, method: str, path: str, body: dict[str, object] | None = None, timeout_s: float | None = None
-    ) -> httpx.Response:
-        self._knock()
-        timeout: Any = httpx.USE_CLIENT_DEFAULT if timeout_s is None else timeout_s
-        try:
-            return self._http.request(method, path, json=body, timeout=timeout)
-        except httpx.TimeoutException:
-            raise SlipguardError(f"the daemon at {self._where} did not answer {path} in time") from None
-        except httpx.ConnectError:
-            raise DaemonNotRunning(NO_DAEMON.format(self._where)) from None
-        except httpx.TransportError as error:
-            raise SlipguardError(f"the daemon at {self._where} broke off: {error}") from None
+                raise DaemonNotRunning(NO_DAEMON.format(self._shown)) from None
 
 
-def _answer(response: httpx.Response, where: str) -> dict[str, Any]:
-    """The answer's object; its `error` as an exception."""
+def _parse_json(response: httpx.Response, address: str) -> dict[str, Any]:
+    """Return the response's object; raise its `error` as an exception."""
     try:
-        answer = response.json()
+        content = response.json()
     except ValueError:
-        answer = None
-    if not isinstance(answer, dict):
-        raise SlipguardError(f"what listens at {where} is no slipguard daemon (HTTP {response.status_code})")
+        content = None
+    if not isinstance(content, dict):
+        raise SlipguardError(f"the server at {address} is not a slipguard daemon (HTTP {response.status_code})")
     if response.status_code == 409:
-        raise CommandRefused(str(answer.get("error")))
+        raise CommandRefused(str(content.get("error")))
     if response.is_error:
-        raise SlipguardError(str(answer.get("error", f"HTTP {response.status_code}")))
-    return answer
+        raise SlipguardError(str(content.get("error", f"HTTP {response.status_code}")))
+    return content

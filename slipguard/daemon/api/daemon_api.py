@@ -1,6 +1,6 @@
-"""What the local API may ask of the daemon: the one door between the web room and the guard.
+"""The interface between the web process and the daemon.
 
-Answers are plain values that can cross to another process: JSON text, pictures, one line.
+Its values can be sent to another process: JSON text, images, typed requests.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.daemon.api.requests import DaemonRequest
 from slipguard.daemon.loop.event_log import Event
 from slipguard.devices import Frame
 from slipguard.perception.contact.patch import ClippedSides
@@ -20,11 +21,11 @@ from slipguard.perception.contact.patch import ClippedSides
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactOverlay:
-    """The contact found in a picture: the part of `slipguard.perception.contact.patch.Patch` that can be drawn.
+    """The contact found in a frame, as far as it is drawn: see `slipguard.perception.contact.patch.Patch`.
 
-    mask: (h, w) uint8, 0 or 1, a crop of the network's picture. left_px, top_px: its first column and row there.
-    image_size: (width, height) of the network's picture. axis_deg: in the picture, axial, counter-clockwise as a
-    viewer sees it; None where it has none.
+    mask: (h, w) uint8, 0 or 1, a crop of the network's image. left_px, top_px: its first column and row there.
+    image_size: (width, height) of the network's image. axis_deg: in the image, axial, counter-clockwise as a viewer
+    sees it; None if the contact has no axis.
     """
 
     mask: NDArray[np.uint8]
@@ -37,7 +38,7 @@ class ContactOverlay:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingerFrame:
-    """A finger's newest judged frame and the contact in it; None: there is none."""
+    """A frame of one finger. contact: None if there is none, or if the frame was not processed."""
 
     serial: str
     frame: Frame
@@ -45,65 +46,40 @@ class FingerFrame:
 
 
 class DaemonApi(Protocol):
-    """Commands answer with one line and raise CommandRefused with the reason."""
+    """Methods raise CommandRefused with the reason if the daemon cannot do what is requested."""
 
     @abstractmethod
     async def state(self) -> bytes:
-        """Everything there is to know now, as a JSON object."""
+        """Return the complete state as a JSON object; see `slipguard.daemon.api.snapshot`."""
 
     @abstractmethod
-    async def trouble(self) -> str | None:
-        """Why the daemon is not well, in one line; None if it is."""
+    async def health_problem(self) -> str | None:
+        """Return in one line why the daemon is not healthy; None if it is."""
 
     @abstractmethod
-    async def tallies(self) -> bytes:
-        """What was counted and timed since the start, as a JSON object: see `slipguard.daemon.loop.loop_metrics`."""
+    async def counters(self) -> bytes:
+        """Return counts and times since the start as a JSON object; see `slipguard.daemon.loop.loop_metrics`."""
 
     @abstractmethod
     async def frame(self, finger: str) -> FingerFrame:
-        """A finger's newest frame, as it came; raises CommandRefused where there is none."""
+        """Return the newest frame of a finger, without a contact."""
 
     @abstractmethod
-    async def view(self, finger: str) -> FingerFrame:
-        """A finger's newest judged frame with what was found in it; raises CommandRefused where there is none."""
+    async def processed_frame(self, finger: str) -> FingerFrame:
+        """Return the newest processed frame of a finger and the contact found in it."""
 
     @abstractmethod
-    async def grasp(self, force_n: float | None = None) -> str: ...
+    async def submit(self, request: DaemonRequest) -> Mapping[str, object]:
+        """Execute a request; return its response, a JSON object with at least `message`."""
 
     @abstractmethod
-    async def lift(self, height_mm: float | None = None, speed_mm_s: float | None = None) -> str: ...
+    async def backgrounds(self) -> bytes:
+        """Return the stored background images as a JSON object; see `slipguard.daemon.store.background_history`."""
 
     @abstractmethod
-    async def lower(self, height_mm: float | None = None, speed_mm_s: float | None = None) -> str: ...
+    async def background(self, finger: str, number: int | None = None) -> FingerFrame:
+        """Return a stored background image, by default the newest; the frame's `sequence` is its number."""
 
     @abstractmethod
-    async def guard(self, on: bool) -> str: ...
-
-    @abstractmethod
-    async def gripper(self, width_mm: float | None = None, force_n: float | None = None) -> str: ...
-
-    @abstractmethod
-    async def release(self, width_mm: float | None = None) -> str: ...
-
-    @abstractmethod
-    async def clear(self) -> str: ...
-
-    @abstractmethod
-    async def calibrate(self, force: bool = False, new_gel: bool = False) -> Mapping[str, object]:
-        """Take both no-contact images; `said`, and by finger what they are like."""
-
-    @abstractmethod
-    async def go_back(self, finger: str, number: int) -> str:
-        """Put an older no-contact image of a finger's sensor to use again."""
-
-    @abstractmethod
-    async def no_contacts(self) -> bytes:
-        """What is stored of each finger's sensor, as a JSON object: see `slipguard.daemon.store.background_history`."""
-
-    @abstractmethod
-    async def no_contact(self, finger: str, number: int | None = None) -> FingerFrame:
-        """A stored no-contact image, the newest if not told which; its number is the frame's `sequence`."""
-
-    @abstractmethod
-    def listen(self, hear: Callable[[Event], None]) -> Callable[[], None]:
-        """Tell `hear` the newest events, oldest first, then each as it happens, until what is returned is called."""
+    def subscribe(self, on_event: Callable[[Event], None]) -> Callable[[], None]:
+        """Pass the newest events to `on_event`, oldest first, then each new one; return a function that ends this."""

@@ -1,4 +1,4 @@
-"""Answers what the local API asks, from the running service."""
+"""Handles requests from the local API: reads the running service and passes requests to its controller."""
 
 from __future__ import annotations
 
@@ -8,8 +8,18 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
-from slipguard.daemon.api.controls import Controls
+from slipguard.control.messages import ControlRequest, RequestKind
+from slipguard.daemon.api.background_capture import BackgroundCapture
 from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
+from slipguard.daemon.api.requests import (
+    CalibrateRequest,
+    DaemonRequest,
+    GraspRequest,
+    GuardRequest,
+    MoveJawsRequest,
+    RestoreBackgroundRequest,
+)
+from slipguard.daemon.api.snapshot import health_problem, snapshot
 from slipguard.daemon.loop.event_log import Event
 from slipguard.daemon.loop.finger import ProcessedFrame
 from slipguard.daemon.loop.loop_metrics import LoopMetrics
@@ -24,115 +34,117 @@ from slipguard.thread_priority import set_worker_priority
 
 
 class RequestHandlers(DaemonApi):
-    """One service's."""
+    """The API of one service. Methods raise CommandRefused with the reason."""
 
     def __init__(self, service: Service) -> None:
         self._service = service
-        self._controls = Controls(service)
+        self._capture = BackgroundCapture(service)
         self._recorder: Recorder | None = None
         self._metrics = LoopMetrics(service)
-        # One thread of its own: whoever looks at stored images keeps neither frames nor the gripper waiting.
-        self._reading = ThreadPoolExecutor(1, "slipguard-images", initializer=set_worker_priority)
-        self._judged: dict[str, ProcessedFrame] = {}
+        # A thread of its own, so that reading stored images delays neither frames nor the gripper.
+        self._disk_thread = ThreadPoolExecutor(1, "slipguard-images", initializer=set_worker_priority)
+        self._processed: dict[str, ProcessedFrame] = {}
         for name, finger in service.fingers.items():
-            finger.observers.append(partial(self._judged.__setitem__, name))
+            finger.observers.append(partial(self._processed.__setitem__, name))
 
     async def state(self) -> bytes:
-        """Everything there is to know now, as a JSON object."""
-        return json.dumps(self._controls.snapshot() | {"recording": self._recording()}).encode()
+        return json.dumps(self.snapshot()).encode()
 
-    def noting(self, make: Callable[[Service, Path], Recorder]) -> Callable[[Service, Path], Recorder]:
-        """`make`, with the newest recorder it made being told of."""
+    def snapshot(self) -> dict[str, object]:
+        """Return the complete state; does not wait."""
+        return snapshot(self._service) | {"recording": self._recording_state()}
 
-        def made(service: Service, folder: Path) -> Recorder:
+    def track_recorder(self, make: Callable[[Service, Path], Recorder]) -> Callable[[Service, Path], Recorder]:
+        """Return `make`, extended so that the state reports on the newest recorder."""
+
+        def make_and_track(service: Service, folder: Path) -> Recorder:
             self._recorder = make(service, folder)
             return self._recorder
 
-        return made
+        return make_and_track
 
-    def _recording(self) -> dict[str, object]:
+    def _recording_state(self) -> dict[str, object]:
         recorder = self._recorder
         if recorder is None or not self._service.config.recording.enabled:
             return {"state": "off", "why": None, "left_out": 0}
-        why = recorder.stopped or ("the thread that records has ended; restart the daemon" if recorder.dead else None)
+        why = recorder.stopped or ("the recorder thread has ended; restart the daemon" if recorder.dead else None)
         return {"state": "on" if why is None else "stopped", "why": why, "left_out": recorder.left_out}
 
-    async def trouble(self) -> str | None:
-        """Why the service is not well, in one line; None if it is."""
-        return self._controls.trouble()
+    async def health_problem(self) -> str | None:
+        return health_problem(self._service)
 
-    async def tallies(self) -> bytes:
-        """What was counted and timed since the start."""
+    async def counters(self) -> bytes:
         return json.dumps(self._metrics.as_dict()).encode()
 
     async def frame(self, finger: str) -> FingerFrame:
-        """Serial number and newest frame of a finger."""
-        return FingerFrame(*self._controls.frame(finger))
+        fingers = self._service.fingers
+        if finger not in fingers:
+            raise CommandRefused(f"no finger {finger!r}; choose from: {', '.join(fingers)}")
+        one = fingers[finger]
+        if one.newest_frame is None or one.serial is None:
+            raise CommandRefused(f"no frame of the {finger} finger: {one.health.reason}")
+        return FingerFrame(one.serial, one.newest_frame)
 
-    async def view(self, finger: str) -> FingerFrame:
-        """The newest judged frame and the contact in it; none of a sensor that is gone."""
-        serial, _ = self._controls.frame(finger)
-        judged = self._judged.get(finger)
-        if judged is None:
-            raise CommandRefused(f"no frame of the {finger} finger was judged yet; ask again in a second")
-        return FingerFrame(serial, judged.frame, self._contact(finger, judged))
+    async def processed_frame(self, finger: str) -> FingerFrame:
+        serial = (await self.frame(finger)).serial
+        processed = self._processed.get(finger)
+        if processed is None:
+            raise CommandRefused(f"no frame of the {finger} finger has been processed yet; try again in a second")
+        return FingerFrame(serial, processed.frame, self._contact(finger, processed))
 
-    def _contact(self, finger: str, judged: ProcessedFrame) -> ContactOverlay | None:
-        patch, estimate = judged.patch, judged.estimate
+    def _contact(self, finger: str, processed: ProcessedFrame) -> ContactOverlay | None:
+        patch, estimate = processed.patch, processed.estimate
         if patch is None or estimate is None or not estimate.contact:
             return None
-        told_deg, mounted_deg = estimate.orientation_deg, getattr(self._service.config, finger).mounting_deg
-        axis_deg = None if told_deg is None else wrap_axial_deg(told_deg - mounted_deg)
+        orientation_deg, mounting_deg = estimate.orientation_deg, getattr(self._service.config, finger).mounting_deg
+        axis_deg = None if orientation_deg is None else wrap_axial_deg(orientation_deg - mounting_deg)
         return ContactOverlay(patch.mask, patch.left_px, patch.top_px, patch.image_size, patch.clipped, axis_deg)
 
-    async def grasp(self, force_n: float | None = None) -> str:
-        return await self._controls.grasp(force_n)
+    async def submit(self, request: DaemonRequest) -> Mapping[str, object]:
+        match request:
+            case CalibrateRequest():
+                return calibration_response(await self.calibrate(request))
+            case RestoreBackgroundRequest():
+                return {"message": await self._capture.restore(request)}
+            case GraspRequest():
+                waiting = self._service.waiting_for
+                if waiting:
+                    raise CommandRefused(f"cannot grasp: not ready: {'; '.join(waiting)}")
+                self._capture.check_not_running()
+                await self._capture.check_calibrated()
+            case MoveJawsRequest():
+                self._capture.check_not_running()
+        return {"message": await self._service.request(controller_request(request))}
 
-    async def lift(self, height_mm: float | None = None, speed_mm_s: float | None = None) -> str:
-        return await self._controls.lift(height_mm, speed_mm_s)
+    async def calibrate(self, request: CalibrateRequest) -> dict[str, BackgroundImage]:
+        """Take and store the background images of both fingers; return them by finger."""
+        return await self._capture.calibrate(request)
 
-    async def lower(self, height_mm: float | None = None, speed_mm_s: float | None = None) -> str:
-        return await self._controls.lower(height_mm, speed_mm_s)
+    async def backgrounds(self) -> bytes:
+        return json.dumps(await history(self._service, self._disk_thread)).encode()
 
-    async def guard(self, on: bool) -> str:
-        return await self._controls.guard(on)
-
-    async def gripper(self, width_mm: float | None = None, force_n: float | None = None) -> str:
-        return await self._controls.gripper(width_mm, force_n)
-
-    async def release(self, width_mm: float | None = None) -> str:
-        return await self._controls.release(width_mm)
-
-    async def clear(self) -> str:
-        return await self._controls.clear()
-
-    async def calibrate(self, force: bool = False, new_gel: bool = False) -> Mapping[str, object]:
-        """Take both no-contact images; `said`, and by finger what they are like."""
-        return calibration_answer(await self._controls.calibrate(force=force, new_gel=new_gel))
-
-    async def go_back(self, finger: str, number: int) -> str:
-        return await self._controls.go_back(finger, number)
-
-    async def no_contacts(self) -> bytes:
-        """What is stored of each finger's sensor."""
-        return json.dumps(await history(self._service, self._reading)).encode()
-
-    async def no_contact(self, finger: str, number: int | None = None) -> FingerFrame:
-        """A stored no-contact image."""
-        serial, found, image = await stored_image(self._service, self._reading, finger, number)
+    async def background(self, finger: str, number: int | None = None) -> FingerFrame:
+        serial, found, image = await stored_image(self._service, self._disk_thread, finger, number)
         return FingerFrame(serial, Frame(image, 0.0, found))
 
-    def listen(self, hear: Callable[[Event], None]) -> Callable[[], None]:
-        """Tell the newest events, and from then on each as it happens."""
+    def subscribe(self, on_event: Callable[[Event], None]) -> Callable[[], None]:
         event_log = self._service.event_log
         for event in event_log.events:
-            hear(event)
-        event_log.listeners.append(hear)
-        return lambda: event_log.listeners.remove(hear)
+            on_event(event)
+        event_log.listeners.append(on_event)
+        return lambda: event_log.listeners.remove(on_event)
 
 
-def calibration_answer(taken: Mapping[str, BackgroundImage]) -> dict[str, object]:
-    """What a calibration says of the images it took, by finger."""
+def controller_request(request: DaemonRequest) -> ControlRequest:
+    """Convert a request of the API to the controller's form."""
+    kind = request.kind
+    if isinstance(request, GuardRequest):
+        kind = "guard on" if request.on else "guard off"
+    return ControlRequest(RequestKind(kind), **request.model_dump(exclude={"on", "confirm"}))
+
+
+def calibration_response(taken: Mapping[str, BackgroundImage]) -> dict[str, object]:
+    """Return the response to a calibration: properties of the new background images, by finger."""
     fingers = {
         name: {
             "frames": one.frames,
@@ -141,4 +153,4 @@ def calibration_answer(taken: Mapping[str, BackgroundImage]) -> dict[str, object
         }
         for name, one in taken.items()
     }
-    return {"said": f"no-contact images of {' and '.join(taken)} stored", "fingers": fingers}
+    return {"message": f"background images of {' and '.join(taken)} stored", "fingers": fingers}

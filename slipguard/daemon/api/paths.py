@@ -1,4 +1,4 @@
-"""Where a daemon's socket and token are, and which daemon on this machine is running."""
+"""Paths of a daemon's socket and token, and the search for a running daemon on this machine."""
 
 from __future__ import annotations
 
@@ -15,36 +15,37 @@ from slipguard.errors import InputError
 
 TOKEN_NAME = "token"
 SYSTEM_FOLDER = Path("/run/slipguard")
-"""Of the daemon that systemd runs."""
-KNOCK_S = 2.0
+"""Folder of the daemon that systemd runs."""
+CONNECT_TIMEOUT_S = 2.0
 
 
 def socket_path(config: Config) -> Path:
-    """Where the local API listens."""
+    """Return the path of the local API's Unix socket."""
     return config.api.socket or StateDir(config.state.directory).runtime_path / SOCKET_NAME
 
 
 def token_path(config: Config) -> Path:
-    """Where the token lies that commands over TCP need."""
+    """Return the path of the file with the token for commands over TCP."""
     return StateDir(config.state.directory).runtime_path / TOKEN_NAME
 
 
 def running_socket(config: Config | None = None, environ: Mapping[str, str] = os.environ) -> Path:
-    """Where to ask for a running daemon: at the configured socket; else at this user's own, else at the system's.
+    """Return the socket of the running daemon.
 
-    The first at which one listens; one that this user may not ask counts, for it has the devices. This user's own
-    where none listens. config: None: nothing is configured. Raises nothing.
+    A configured socket is returned as it is. Otherwise the first that accepts connections: this user's, then the
+    system's. A socket that this user may not open counts, because its daemon owns the devices. If none accepts
+    connections, this user's path is returned.
     """
     if config is not None and config.api.socket is not None:
         return config.api.socket
     own = socket_path(config) if config is not None else StateDir(environ=environ).runtime_path / SOCKET_NAME
-    return next((path for path in (own, SYSTEM_FOLDER / SOCKET_NAME) if _listens(path)), own)
+    return next((path for path in (own, SYSTEM_FOLDER / SOCKET_NAME) if _is_listening(path)), own)
 
 
 def token_for(url: str, file: Path | None = None, environ: Mapping[str, str] = os.environ) -> str | None:
-    """The token for a daemon at `url`: from `file`, else this user's own, else the system's; None where there is none.
+    """Return the token for the daemon at `url`: from `file`, else this user's, else the system's; None if missing.
 
-    A token that nobody named is given to this machine alone. Raises InputError where `file` cannot be read.
+    Without `file`, a token is only sent to this machine. Raises InputError if `file` cannot be read.
     """
     if file is not None:
         try:
@@ -54,7 +55,7 @@ def token_for(url: str, file: Path | None = None, environ: Mapping[str, str] = o
     try:
         host = urlsplit(url).hostname
     except ValueError:
-        return None  # no address at all, which whoever asks there will say
+        return None  # not an address; the client reports it
     if host not in ("127.0.0.1", "localhost", "::1"):
         return None
     for folder in (StateDir(environ=environ).runtime_path, SYSTEM_FOLDER):
@@ -63,12 +64,12 @@ def token_for(url: str, file: Path | None = None, environ: Mapping[str, str] = o
     return None
 
 
-def _listens(path: Path) -> bool:
+def _is_listening(path: Path) -> bool:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        probe.settimeout(KNOCK_S)
+        probe.settimeout(CONNECT_TIMEOUT_S)
         try:
             probe.connect(str(path))
-        except (PermissionError, TimeoutError, BlockingIOError):  # not for us, or busy
+        except (PermissionError, TimeoutError, BlockingIOError):  # another user's, or busy
             return True
         except OSError:
             return False

@@ -59,12 +59,12 @@ def snapshot(service: Service) -> dict[str, object]:
         "latency": _trips(service.latency_stats.latencies_s),
         "waiting_for": service.waiting_for,
         "deadlines_missed": service.deadlines_missed,
-        "said": service.event_log.lines[-10:],
+        "messages": service.event_log.lines[-10:],
     }
 
 
-def trouble(service: Service) -> str | None:
-    """Why the service is not well, in one line; None if it is."""
+def health_problem(service: Service) -> str | None:
+    """Return in one line why the service is not healthy; None if it is."""
     fault = service.state.fault
     if fault is not None:
         return str(fault)

@@ -123,7 +123,7 @@ export async function send(name, path, body) {
       signal: AbortSignal.timeout(ORDERS[name].patience_ms ?? PATIENCE_MS),
     });
     const told = await answer.json().catch(() => ({}));
-    if (answer.ok) return { ok: true, text: told.said ?? "done" };
+    if (answer.ok) return { ok: true, text: told.message ?? "done" };
     const text = told.error ?? `the daemon answered ${answer.status} without a word`;
     return { ok: false, text, forbidden: answer.status === 401 || answer.status === 403 };
   } catch (error) {

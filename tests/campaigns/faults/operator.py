@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
 
 from slipguard.control.state import Phase
+from slipguard.daemon.api.requests import (
+    ClearRequest,
+    DaemonRequest,
+    GraspRequest,
+    LiftRequest,
+    LowerRequest,
+    ReleaseRequest,
+)
 from slipguard.errors import CommandRefused
 from tests.campaigns.faults.rig import CampaignCell
 
@@ -31,32 +38,30 @@ class Operator:
                 await self._look()
 
     async def _look(self) -> None:
-        rig, controls, phase = self._rig, self._rig.controls, self._rig.service.phase
+        rig, phase = self._rig, self._rig.service.phase
         if phase is Phase.FAULT and rig.now_s - self._tried_s >= CLEARS_S:
             self._tried_s = rig.now_s
-            await _granted(controls.clear)
+            await self._granted(ClearRequest())
         elif phase is Phase.IDLE and not self._grasped:
-            self._grasped = await _granted(controls.grasp)
+            self._grasped = await self._granted(GraspRequest())
         elif phase is Phase.HOLDING and rig.service.firm:
             await self._go_on()
 
     async def _go_on(self) -> None:
         """Up, wait, down, open."""
-        controls = self._rig.controls
         if not self._lifted:
-            self._lifted = await _granted(controls.lift)
+            self._lifted = await self._granted(LiftRequest())
         elif self._rig.now_s - self._began_s < PUTS_DOWN_AFTER_S:
             return
         elif not self._lowered:
-            self._lowered = await _granted(lambda: controls.lower(max(self._rig.truth.height_mm, 1.0)))
+            self._lowered = await self._granted(LowerRequest(height_mm=max(self._rig.truth.height_mm, 1.0)))
         else:
             self.asked = True
-            await _granted(controls.release)
+            await self._granted(ReleaseRequest(confirm=True))
 
-
-async def _granted(command: Callable[[], Awaitable[str]]) -> bool:
-    try:
-        await command()
-    except CommandRefused:
-        return False
-    return True
+    async def _granted(self, request: DaemonRequest) -> bool:
+        try:
+            await self._rig.handlers.submit(request)
+        except CommandRefused:
+            return False
+        return True

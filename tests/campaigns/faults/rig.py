@@ -11,7 +11,7 @@ import numpy as np
 from slipguard.bench.grip.modeled_perception import SightError
 from slipguard.config import GROUP_OF, Config, parse_config
 from slipguard.control.step import control_step
-from slipguard.daemon.api.controls import Controls
+from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.loop.service import FINGERS, Service
 from slipguard.daemon.loop.worker import StatedLatencyWorker
 from slipguard.daemon.store.last_grasp import LastGraspSaver, remembered
@@ -81,7 +81,7 @@ class CampaignCell:
         """Start a daemon that knows what the last one left behind."""
         self._wire = CuttableLink()
         self.service = self._build(self._wire)
-        self.controls = Controls(self.service)
+        self.handlers = RequestHandlers(self.service)
         self._task = asyncio.create_task(self._run(self.service), name="service")
 
     async def kill(self) -> None:

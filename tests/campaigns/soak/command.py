@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slipguard.cli.interrupt import left_to_the_loop
+from slipguard.cli.interrupt import default_interrupts
 from slipguard.cli.progress import progress_bar
 from slipguard.errors import InputError
 from slipguard.thread_priority import set_realtime_priority
@@ -97,7 +97,7 @@ def _endure(
     settings = SoakSettings(length_s, virtual, seed=seed, page=page, recording=recording)
     with ExitStack() as open_things:
         file = open_things.enter_context(pulses.open("w")) if pulses is not None else None
-        open_things.enter_context(left_to_the_loop())
+        open_things.enter_context(default_interrupts())
         show = open_things.enter_context(progress_bar("soak"))
 
         def felt(pulse: ResourceSample, done: str) -> None:
@@ -124,7 +124,7 @@ def _compare(pairs: int, seed: int, json: bool) -> bool:
 
     from tests.campaigns.recording_cost import LOOP_SHARE_MAX, measure
 
-    with progress_bar("recording cost") as show, left_to_the_loop():
+    with progress_bar("recording cost") as show, default_interrupts():
         cost = asyncio.run(measure(pairs, seed, show))
     if json:
         print(jsonlib.dumps(asdict(cost) | {"good": cost.good}))

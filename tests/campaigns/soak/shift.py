@@ -9,11 +9,20 @@ from __future__ import annotations
 import asyncio
 import random
 from collections import Counter
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from dataclasses import replace
 
 from slipguard.control.state import Phase
-from slipguard.daemon.api.controls import Controls
+from slipguard.daemon.api.handlers import RequestHandlers
+from slipguard.daemon.api.requests import (
+    CalibrateRequest,
+    ClearRequest,
+    DaemonRequest,
+    GraspRequest,
+    LiftRequest,
+    LowerRequest,
+    ReleaseRequest,
+)
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.service import FINGERS, Service
 from slipguard.errors import CommandRefused
@@ -61,7 +70,7 @@ class WorkShift:
     def __init__(self, service: Service, world: World, seed: int, fps: float, *, calm: bool = False) -> None:
         self.counts: Counter[str] = Counter()
         self._service, self._world, self._fps, self._calm = service, world, fps, calm
-        self._controls = Controls(service)
+        self._handlers = RequestHandlers(service)
         self._random = random.Random(seed)
         self._seed = seed
         self._objects = object_names("test")
@@ -78,7 +87,7 @@ class WorkShift:
     async def start(self) -> None:
         """Wait for the devices and take the no-contact images."""
         await self._until(lambda: not self._service.waiting_for, BACK_S, "the devices are not ready")
-        await self._patiently(self._controls.calibrate)
+        await self._patiently(CalibrateRequest())
 
     async def cycle(self, number: int) -> None:
         """One object. Raises Stuck where something does not come to its end."""
@@ -91,7 +100,7 @@ class WorkShift:
             self.counts["refused"] += 1
         await self._end_fault()
         self.counts["dropped"] += self._world.truth(now()).dropped is not None
-        await self._patiently(self._controls.release)
+        await self._patiently(ReleaseRequest(confirm=True))
         await self._until(lambda: service.phase is Phase.IDLE, STEP_S, f"{name}: not released")
         self._world.clear(now())
         await self._bring_down()
@@ -106,12 +115,12 @@ class WorkShift:
         await self._until(lambda: not self._world.arm_state(now()).moving, STEP_S, "the arm does not come down")
 
     async def _carry(self, name: str) -> None:
-        service, controls = self._service, self._controls
-        await controls.grasp()
+        service, handlers = self._service, self._handlers
+        await handlers.submit(GraspRequest())
         await self._until(lambda: service.firm or self._over(), STEP_S, f"{name}: not gripped")
         if self._over():
             return
-        await controls.lift()
+        await handlers.submit(LiftRequest())
         await self._until(lambda: service.phase is not Phase.LIFTING, STEP_S, f"{name}: the lift does not end")
         self.counts["lifts"] += 1
         await asyncio.sleep(CALM_HOLD_S if self._calm else self._random.uniform(*HOLD_S))
@@ -119,7 +128,7 @@ class WorkShift:
             await self._trouble(*self._random.choice(HELD_TROUBLES))
         await self._until(lambda: service.firm or self._over(), STEP_S, f"{name}: not calm")
         if service.phase is Phase.HOLDING:
-            await controls.lower()
+            await handlers.submit(LowerRequest())
             await self._until(lambda: service.phase is not Phase.LOWERING, STEP_S, f"{name}: the lowering does not end")
 
     def _over(self) -> bool:
@@ -143,17 +152,17 @@ class WorkShift:
         while (fault := self._service.state.fault) is not None:
             if loop.time() > deadline_s:
                 raise WaitTimeout(f"faults for {BACK_S:g} s, each cleared; the last: {fault}")
-            await self._patiently(self._controls.clear)
+            await self._patiently(ClearRequest())
             self.counts[f"cleared: {fault.code}"] += 1
             await asyncio.sleep(LOOK_S)
 
-    async def _patiently(self, command: Callable[[], Awaitable[object]]) -> None:
-        """Give a command until it is not refused: a device, or a busy machine, may need a moment."""
+    async def _patiently(self, request: DaemonRequest) -> None:
+        """Repeat a request until it is not refused: a device, or a busy machine, may need a moment."""
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + BACK_S
         while True:
             try:
-                await command()
+                await self._handlers.submit(request)
                 return
             except CommandRefused as refusal:
                 if loop.time() > deadline_s:
@@ -166,7 +175,7 @@ class WorkShift:
         if chance < IDLE_TROUBLE:
             await self._trouble(self._random.choice(IDLE_TROUBLES), "disconnect")
         elif chance < IDLE_TROUBLE + CALIBRATION:
-            await self._patiently(lambda: self._controls.calibrate(force=True))
+            await self._patiently(CalibrateRequest(force=True))
             self.counts["calibrations"] += 1
         await asyncio.sleep(self._random.uniform(*REST_S))
 

@@ -12,6 +12,7 @@ import pytest
 from command_line import Ran, slipguard
 from fake_daemon_api import FakeDaemonApi, served
 
+from slipguard.daemon.api.requests import CalibrateRequest, DaemonRequest, RestoreBackgroundRequest
 from slipguard.daemon.store.calibration import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 
@@ -19,68 +20,66 @@ CONFIG = Path(__file__).parents[3] / "config.toml"
 
 
 @pytest.fixture
-def control() -> FakeDaemonApi:
+def daemon() -> FakeDaemonApi:
     return FakeDaemonApi()
 
 
-async def calibrate(capfd: pytest.CaptureFixture[str], control: FakeDaemonApi, folder: Path, *words: object) -> Ran:
-    async with served(control, folder / "s") as path:
+async def calibrate(capfd: pytest.CaptureFixture[str], daemon: FakeDaemonApi, folder: Path, *words: object) -> Ran:
+    async with served(daemon, folder / "s") as path:
         line = ("calibrate", "--config", CONFIG, "--socket", path, *words)
         return await asyncio.to_thread(slipguard, capfd, *line)
 
 
 @pytest.mark.parametrize(
-    ("words", "asked"),
+    ("words", "submitted"),
     [
-        ([], ("calibrate", False)),
-        (["--force"], ("calibrate", True)),
-        (["--new-gel"], ("calibrate", False, "new gel")),
-        (["--back-to", "1", "--finger", "left"], ("go back", "left", 1)),
+        ([], CalibrateRequest()),
+        (["--force"], CalibrateRequest(force=True)),
+        (["--new-gel"], CalibrateRequest(new_gel=True)),
+        (["--back-to", "1", "--finger", "left"], RestoreBackgroundRequest(finger="left", number=1)),
     ],
 )
 async def test_what_is_asked_reaches_the_daemon_and_what_is_stored_is_shown(
     words: list[str],
-    asked: tuple[object, ...],
-    control: FakeDaemonApi,
+    submitted: DaemonRequest,
+    daemon: FakeDaemonApi,
     tmp_path: Path,
     capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("COLUMNS", "120")
-    ran = await calibrate(capfd, control, tmp_path, *words)
+    ran = await calibrate(capfd, daemon, tmp_path, *words)
     assert (ran.code, ran.err) == (0, "")
-    assert control.asked == [asked]
+    assert daemon.requests == [submitted]
     assert ran.out.count("2026-11-20 12:00") == 2  # the newest of each finger
     assert "2.9 1.5 2.4" in ran.out
     assert "+0.0 +0.0 +0.0" in ran.out
 
 
 async def test_show_takes_nothing_and_shows_every_image(
-    control: FakeDaemonApi, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    daemon: FakeDaemonApi, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "120")
-    ran = await calibrate(capfd, control, tmp_path, "--show")
+    ran = await calibrate(capfd, daemon, tmp_path, "--show")
     assert ran.code == 0
-    assert control.asked == []
+    assert daemon.requests == []
     assert ran.out.count("2026-11-20 12:00") == 4
-    assert "nothing was taken" in ran.out
+    assert "no images were taken" in ran.out
 
 
 async def test_a_picture_of_them_is_drawn(
-    control: FakeDaemonApi, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    daemon: FakeDaemonApi, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    ran = await calibrate(capfd, control, tmp_path, "--plot", tmp_path / "gels.png")
+    ran = await calibrate(capfd, daemon, tmp_path, "--plot", tmp_path / "gels.png")
     assert ran.code == 0, ran.err
-    assert control.asked == []
+    assert daemon.requests == []
     drawn = cv2.imread(str(tmp_path / "gels.png"))
     assert drawn is not None
     assert drawn.std() > 10
 
 
-async def test_programs_get_all_of_it(
-    control: FakeDaemonApi, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    told = json.loads((await calibrate(capfd, control, tmp_path, "--json")).out)
+async def test_programs_get_all_of_it(daemon: FakeDaemonApi, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    told = json.loads((await calibrate(capfd, daemon, tmp_path, "--json")).out)
     assert set(told["fingers"]) == {"left", "right"}
     assert [one["number"] for one in told["stored"]["left"]["versions"]] == [1, 2]
 
@@ -99,6 +98,6 @@ def test_what_is_stored_is_shown_without_a_sensor_plugged_in(
 
 
 @pytest.mark.parametrize("words", [["--back-to", "2"], ["--finger", "left"]])
-def test_half_a_wish_is_refused(words: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+def test_back_to_needs_finger_and_the_reverse(words: list[str], capfd: pytest.CaptureFixture[str]) -> None:
     ran = slipguard(capfd, "calibrate", "--config", CONFIG, *words)
     assert "go together, such as `--back-to 3 --finger left`" in ran.complaint

@@ -19,6 +19,8 @@ WRONG = {
     "ctl guard": "on, off",
     "ctl guard maybe": "'maybe' is not one of 'on', 'off'",
     "ctl grasp --force-n much": "--force-n",
+    "ctl grasp --force-n 300": "invalid value for --force-n: 300: input should be less than or equal to 235",
+    "ctl lift --speed-mm-s 0": "invalid value for --speed-mm-s: 0: input should be greater than 0",
     "--sim --lifts 0": "at least one lift",
     "--sim --lifts -1": "at least one lift",
     "--sim --lifts many": "--lifts",
@@ -42,7 +44,7 @@ WRONG = {
     "bench --quick --model nowhere.onnx": "no such file",
     "version --verbose": "--verbose",
     "ctl gripper": "give --width-mm, --force-n or both",
-    "calibrate --back-to 1 --finger middle": "--finger middle: there are left and right",
+    "calibrate --back-to 1 --finger middle": "--finger middle: choose left or right",
 }
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from slipguard.cli.state_view import view
+from slipguard.cli.state_view import state_table
 from slipguard.config import parse_config
 from slipguard.daemon.api.snapshot import snapshot
 from slipguard.daemon.loop.worker import StatedLatencyWorker
@@ -50,14 +50,14 @@ HELD: dict[str, Any] = {
         "gripper": {"state": "error", "reason": "gripper: no answer within 50 ms"},
         "arm": {"state": "ready", "reason": None},
     },
-    "said": ["gripped", "slip", "slip", "slip"],
+    "messages": ["gripped", "slip", "slip", "slip"],
 }  # fmt: skip
 
 
 def shown(answer: dict[str, Any], width: int = 80) -> str:
     console = Console(width=width, highlight=False, color_system=None)
     with console.capture() as capture:
-        console.print(view(answer))
+        console.print(state_table(answer))
     text = capture.get()
     assert all(len(line) <= width for line in text.splitlines())
     return " ".join(text.split())
@@ -105,7 +105,7 @@ CHANGES: dict[str, tuple[dict[str, Any], str]] = {
     "on nothing": ({"gripper": HELD["gripper"] | {"closed_on_nothing": True}}, "closed on nothing"),
     "no arm": ({"arm": None}, "arm not known"),
     "stopped arm": ({"arm": HELD["arm"] | {"protective_stop": True}}, "protective stop"),
-    "new": ({"said": []}, "last events nothing yet"),
+    "new": ({"messages": []}, "last events nothing yet"),
 }
 
 

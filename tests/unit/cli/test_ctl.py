@@ -16,17 +16,28 @@ from slipguard.cli.ctl import app
 from slipguard.daemon.api import paths
 from slipguard.daemon.api.client import DaemonNotRunning
 from slipguard.daemon.api.paths import running_socket
+from slipguard.daemon.api.requests import (
+    CalibrateRequest,
+    ClearRequest,
+    DaemonRequest,
+    GraspRequest,
+    GuardRequest,
+    LiftRequest,
+    LowerRequest,
+    MoveJawsRequest,
+    ReleaseRequest,
+)
 from slipguard.errors import CommandRefused, InputError, SlipguardError
 
 
 @pytest.fixture
-def control() -> FakeDaemonApi:
+def daemon() -> FakeDaemonApi:
     return FakeDaemonApi()
 
 
-async def ctl(control: FakeDaemonApi, folder: Path, *words: str, typed: str | None = None) -> tuple[int, str]:
+async def ctl(daemon: FakeDaemonApi, folder: Path, *words: str, typed: str | None = None) -> tuple[int, str]:
     """Exit code and output of one command; errors of slipguard come through."""
-    async with served(control, folder / "s") as path:
+    async with served(daemon, folder / "s") as path:
         line = [words[0], "--socket", str(path), *words[1:]]
         result = await asyncio.to_thread(CliRunner().invoke, app, line, input=typed)
     if result.exception is not None and not isinstance(result.exception, SystemExit):
@@ -34,56 +45,56 @@ async def ctl(control: FakeDaemonApi, folder: Path, *words: str, typed: str | No
     return result.exit_code, result.output
 
 
-LINES = [
-    (["grasp", "--force-n", "30"], ("grasp", 30.0)),
-    (["lift", "--height-mm", "120", "--speed-mm-s", "20"], ("lift", 120.0, 20.0)),
-    (["lower"], ("lower", None, None)),
-    (["guard", "on"], ("guard", True)),
-    (["guard", "off"], ("guard", False)),
-    (["gripper", "--width-mm", "60"], ("gripper", 60.0, None)),
-    (["release", "--yes"], ("release", None)),
-    (["clear"], ("clear",)),
-    (["calibrate", "--force"], ("calibrate", True)),
-    (["calibrate", "--new-gel"], ("calibrate", False, "new gel")),
+COMMANDS: list[tuple[list[str], DaemonRequest]] = [
+    (["grasp", "--force-n", "30"], GraspRequest(force_n=30)),
+    (["lift", "--height-mm", "120", "--speed-mm-s", "20"], LiftRequest(height_mm=120, speed_mm_s=20)),
+    (["lower"], LowerRequest()),
+    (["guard", "on"], GuardRequest(on=True)),
+    (["guard", "off"], GuardRequest(on=False)),
+    (["gripper", "--width-mm", "60"], MoveJawsRequest(width_mm=60)),
+    (["release", "--yes"], ReleaseRequest(confirm=True)),
+    (["clear"], ClearRequest()),
+    (["calibrate", "--force"], CalibrateRequest(force=True)),
+    (["calibrate", "--new-gel"], CalibrateRequest(new_gel=True)),
 ]
 
 
-@pytest.mark.parametrize(("words", "asked"), LINES, ids=lambda value: " ".join(map(str, value)))
-async def test_commands(words: list[str], asked: tuple[object, ...], control: FakeDaemonApi, tmp_path: Path) -> None:
-    code, output = await ctl(control, tmp_path, *words)
+@pytest.mark.parametrize(("words", "submitted"), COMMANDS, ids=lambda value: " ".join(map(str, value)))
+async def test_commands(words: list[str], submitted: DaemonRequest, daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    code, output = await ctl(daemon, tmp_path, *words)
     assert code == 0
-    assert control.asked == [asked]
+    assert daemon.requests == [submitted]
     assert output.count("\n") == 1
-    code, output = await ctl(control, tmp_path, *words, "--json")
+    code, output = await ctl(daemon, tmp_path, *words, "--json")
     assert code == 0
-    assert "said" in json.loads(output)
+    assert "message" in json.loads(output)
 
 
-async def test_state_for_people_and_programs(control: FakeDaemonApi, tmp_path: Path) -> None:
-    _, output = await ctl(control, tmp_path, "state")
+async def test_state_for_people_and_programs(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    _, output = await ctl(daemon, tmp_path, "state")
     assert "holding" in output
     assert "gripped" in output
-    _, output = await ctl(control, tmp_path, "state", "--json")
-    assert json.loads(output) == control.snapshot()
+    _, output = await ctl(daemon, tmp_path, "state", "--json")
+    assert json.loads(output) == daemon.snapshot()
 
 
-async def test_a_release_is_asked_for_twice(control: FakeDaemonApi, tmp_path: Path) -> None:
-    code, _ = await ctl(control, tmp_path, "release", typed="n\n")
+async def test_a_release_is_asked_for_twice(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    code, _ = await ctl(daemon, tmp_path, "release", typed="n\n")
     assert code == 1
-    assert control.asked == []
-    code, output = await ctl(control, tmp_path, "release", typed="")
+    assert daemon.requests == []
+    code, output = await ctl(daemon, tmp_path, "release", typed="")
     assert code == 1
-    assert "nothing was opened" in output
-    assert control.asked == []
-    code, _ = await ctl(control, tmp_path, "release", typed="y\n")
+    assert "the jaws were not opened" in output
+    assert daemon.requests == []
+    code, _ = await ctl(daemon, tmp_path, "release", typed="y\n")
     assert code == 0
-    assert control.asked == [("release", None)]
+    assert daemon.requests == [ReleaseRequest(confirm=True)]
 
 
-async def test_a_refusal_comes_through(control: FakeDaemonApi, tmp_path: Path) -> None:
-    control.failure = CommandRefused("cannot lift while idle")
+async def test_a_refusal_comes_through(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    daemon.failure = CommandRefused("cannot lift while idle")
     with pytest.raises(CommandRefused, match="cannot lift while idle"):
-        await ctl(control, tmp_path, "lift")
+        await ctl(daemon, tmp_path, "lift")
 
 
 def test_without_a_daemon(tmp_path: Path) -> None:
@@ -105,10 +116,10 @@ def test_help_has_an_example(command: str) -> None:
     assert f"slipguard ctl {command}" in " ".join(output.split())
 
 
-async def test_the_refusal_is_one_line_and_exit_code_1(control: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_the_refusal_is_one_line_and_exit_code_1(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     """The whole program, in its own process."""
-    control.failure = CommandRefused("cannot clear: no fault is latched")
-    async with served(control, tmp_path / "s") as path:
+    daemon.failure = CommandRefused("cannot clear: no fault is latched")
+    async with served(daemon, tmp_path / "s") as path:
         process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "slipguard", "ctl", "clear", "--socket", str(path)),
             stdout=asyncio.subprocess.PIPE,
@@ -126,9 +137,9 @@ def test_where_the_daemon_is_looked_for(tmp_path: Path) -> None:
     assert running_socket(environ={"RUNTIME_DIRECTORY": "/run/x", "HOME": "/h"}) == Path("/run/x/slipguard.sock")
 
 
-async def over_tcp(folder: Path, control: FakeDaemonApi, *words: str, token: str | None = TOKEN) -> tuple[int, str]:
+async def over_tcp(folder: Path, daemon: FakeDaemonApi, *words: str, token: str | None = TOKEN) -> tuple[int, str]:
     """Exit code and output of one command over TCP; errors of slipguard come through."""
-    async with served_on_tcp(control, folder) as (port, _):
+    async with served_on_tcp(daemon, folder) as (port, _):
         line = ["--url", f"http://127.0.0.1:{port}"]
         if token is not None:
             (folder / "given").write_text(token + "\n")
@@ -149,33 +160,33 @@ def nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return own
 
 
-async def test_commands_over_tcp(control: FakeDaemonApi, nowhere: Path, tmp_path: Path) -> None:
-    assert (await over_tcp(tmp_path, control, "lift", "--height-mm", "30"))[0] == 0
-    assert (await over_tcp(tmp_path, control, "state"))[0] == 0
-    with pytest.raises(SlipguardError, match="this needs the token"):
-        await over_tcp(tmp_path, control, "release", "--yes", token="0" * 64)
-    with pytest.raises(SlipguardError, match="this needs the token"):
-        await over_tcp(tmp_path, control, "release", "--yes", token=None)
+async def test_commands_over_tcp(daemon: FakeDaemonApi, nowhere: Path, tmp_path: Path) -> None:
+    assert (await over_tcp(tmp_path, daemon, "lift", "--height-mm", "30"))[0] == 0
+    assert (await over_tcp(tmp_path, daemon, "state"))[0] == 0
+    with pytest.raises(SlipguardError, match="this request needs the token"):
+        await over_tcp(tmp_path, daemon, "release", "--yes", token="0" * 64)
+    with pytest.raises(SlipguardError, match="this request needs the token"):
+        await over_tcp(tmp_path, daemon, "release", "--yes", token=None)
     (nowhere / "token").write_text(TOKEN + "\n")
-    assert await over_tcp(tmp_path, control, "clear", token=None) == (0, "clear, as asked\n")
-    assert control.asked == [("lift", 30.0, None), ("clear",)]
+    assert await over_tcp(tmp_path, daemon, "clear", token=None) == (0, "clear: done\n")
+    assert daemon.requests == [LiftRequest(height_mm=30), ClearRequest()]
 
 
-async def test_a_link_to_the_page(control: FakeDaemonApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_link_to_the_page(daemon: FakeDaemonApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) or True)
-    _, output = await over_tcp(tmp_path, control, "page")
+    _, output = await over_tcp(tmp_path, daemon, "page")
     assert output.startswith("http://127.0.0.1:")
     assert "/login?token=" in output
     assert opened == []
-    _, output = await over_tcp(tmp_path, control, "page", "--open")
+    _, output = await over_tcp(tmp_path, daemon, "page", "--open")
     assert opened == [output.strip()]
     monkeypatch.setattr("webbrowser.open", lambda url: False)
     with pytest.raises(SlipguardError, match="no browser"):
-        await over_tcp(tmp_path, control, "page", "--open")
+        await over_tcp(tmp_path, daemon, "page", "--open")
     with pytest.raises(CommandRefused, match="page is not served"):
-        await ctl(control, tmp_path, "page")
+        await ctl(daemon, tmp_path, "page")
 
 
 def test_root_opens_no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -188,13 +199,13 @@ def test_root_opens_no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_whom_to_ask_is_said_once() -> None:
     for line, why in (
-        (["--url", "http://127.0.0.1:1", "--socket", "s", "state"], "one daemon at a time"),
-        (["--url", "http://127.0.0.1:1", "state", "--socket", "s"], "one daemon at a time"),
-        (["--token-file", "t", "state"], "--token-file is for --url"),
+        (["--url", "http://127.0.0.1:1", "--socket", "s", "state"], "cannot be combined"),
+        (["--url", "http://127.0.0.1:1", "state", "--socket", "s"], "cannot be combined"),
+        (["--token-file", "t", "state"], "--token-file needs --url"),
         (["--url", "http://127.0.0.1:1", "--token-file", "/nowhere/t", "state"], "cannot be read"),
-        (["--url", "127.0.0.1:1", "state"], "is no address"),
-        (["--url", "http://", "state"], "is no address"),
-        (["--url", "http://[::1", "state"], "is no address"),
+        (["--url", "127.0.0.1:1", "state"], "is not a daemon address"),
+        (["--url", "http://", "state"], "is not a daemon address"),
+        (["--url", "http://[::1", "state"], "is not a daemon address"),
         (["--url", "http://127.0.0.1:1", "state"], "no daemon is listening at http"),
     ):
         result = CliRunner().invoke(app, line)
@@ -211,7 +222,7 @@ def test_a_token_nobody_named_stays_on_this_machine(nowhere: Path) -> None:
         assert paths.token_for(foreign) is None
 
 
-async def test_a_socket_named_before_the_command_counts_too(control: FakeDaemonApi, tmp_path: Path) -> None:
-    async with served(control, tmp_path / "s") as path:
+async def test_a_socket_named_before_the_command_counts_too(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    async with served(daemon, tmp_path / "s") as path:
         result = await asyncio.to_thread(CliRunner().invoke, app, ["--socket", str(path), "clear"])
-    assert (result.exit_code, result.output) == (0, "clear, as asked\n")
+    assert (result.exit_code, result.output) == (0, "clear: done\n")

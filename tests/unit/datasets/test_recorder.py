@@ -73,8 +73,8 @@ async def test_a_recording_is_a_data_set(tmp_path: Path) -> None:
 
 
 async def test_a_daemon_is_asked_finger_by_finger(tmp_path: Path) -> None:
-    control = FakeDaemonApi()
-    async with served(control, tmp_path / "s") as path:
+    daemon = FakeDaemonApi()
+    async with served(daemon, tmp_path / "s") as path:
         with Client(path) as client:
             shots = from_daemon(client, ["left", "right"], 0.0)
             seen = [await anext(shots) for _ in range(4)]
@@ -85,9 +85,9 @@ async def test_a_daemon_is_asked_finger_by_finger(tmp_path: Path) -> None:
 
 async def test_a_finger_that_stays_away_ends_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dataset_record, "PATIENCE_S", 0.05)
-    control = FakeDaemonApi()
-    control.failure = CommandRefused("no frame of the left finger: unplugged")
-    async with served(control, tmp_path / "s") as path:
+    daemon = FakeDaemonApi()
+    daemon.failure = CommandRefused("no frame of the left finger: unplugged")
+    async with served(daemon, tmp_path / "s") as path:
         with Client(path) as client, pytest.raises(CommandRefused, match="unplugged"):
             await anext(from_daemon(client, ["left"], 0.01))
 

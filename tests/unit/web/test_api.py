@@ -18,91 +18,101 @@ from fake_daemon_api import FakeDaemonApi, served
 from pydantic import ValidationError
 
 from slipguard.daemon.api.client import Client, DaemonNotRunning
+from slipguard.daemon.api.requests import (
+    CalibrateRequest,
+    ClearRequest,
+    DaemonRequest,
+    GraspRequest,
+    GuardRequest,
+    LiftRequest,
+    LowerRequest,
+    MoveJawsRequest,
+    ReleaseRequest,
+    RestoreBackgroundRequest,
+)
 from slipguard.errors import CommandRefused, ConfigError, DeviceTimeout, SlipguardError
 from slipguard.web import serve
 from slipguard.web.app import make_app
-from slipguard.web.models import GoBack
 from slipguard.web.route_context import RouteContext
 from slipguard.web.sockets import bind
 
 
 @pytest.fixture
-def control() -> FakeDaemonApi:
+def daemon() -> FakeDaemonApi:
     return FakeDaemonApi()
 
 
-async def on_socket(control: FakeDaemonApi, folder: Path, ask: Callable[[Client], Any]) -> Any:
-    """What a client in another thread gets from the served control."""
+async def on_socket(daemon: FakeDaemonApi, folder: Path, ask: Callable[[Client], Any]) -> Any:
+    """What a client in another thread gets from the served daemon."""
 
     def ask_and_close(path: Path) -> Any:
         with Client(path) as client:
             return ask(client)
 
-    async with served(control, folder / "s") as path:
+    async with served(daemon, folder / "s") as path:
         return await asyncio.to_thread(ask_and_close, path)
 
 
-def in_memory(control: FakeDaemonApi) -> httpx.AsyncClient:
+def in_memory(daemon: FakeDaemonApi) -> httpx.AsyncClient:
     """A client of the app without a socket."""
-    return httpx.AsyncClient(
-        transport=httpx.ASGITransport(make_app(RouteContext(control))), base_url="http://slipguard"
-    )
+    return httpx.AsyncClient(transport=httpx.ASGITransport(make_app(RouteContext(daemon))), base_url="http://slipguard")
 
 
-COMMANDS = [
-    (lambda c: c.grasp(), ("grasp", None)),
-    (lambda c: c.grasp(30), ("grasp", 30.0)),
-    (lambda c: c.lift(), ("lift", None, None)),
-    (lambda c: c.lift(120, 25.5), ("lift", 120.0, 25.5)),
-    (lambda c: c.lower(10), ("lower", 10.0, None)),
-    (lambda c: c.guard(True), ("guard", True)),
-    (lambda c: c.guard(False), ("guard", False)),
-    (lambda c: c.gripper(60, 30), ("gripper", 60.0, 30.0)),
-    (lambda c: c.release(), ("release", None)),
-    (lambda c: c.release(50), ("release", 50.0)),
-    (lambda c: c.clear(), ("clear",)),
-    (lambda c: c.calibrate(), ("calibrate", False)),
-    (lambda c: c.calibrate(force=True), ("calibrate", True)),
+REQUESTS: list[DaemonRequest] = [
+    GraspRequest(),
+    GraspRequest(force_n=30),
+    LiftRequest(),
+    LiftRequest(height_mm=120, speed_mm_s=25.5),
+    LowerRequest(height_mm=10),
+    GuardRequest(on=True),
+    GuardRequest(on=False),
+    MoveJawsRequest(width_mm=60, force_n=30),
+    ReleaseRequest(confirm=True),
+    ReleaseRequest(confirm=True, width_mm=50),
+    ClearRequest(),
+    RestoreBackgroundRequest(finger="left", number=3),
+    CalibrateRequest(),
+    CalibrateRequest(force=True),
 ]
 
 
-@pytest.mark.parametrize(("ask", "asked"), COMMANDS)
-async def test_every_command_reaches_the_daemon(
-    ask: Callable[[Client], Any], asked: tuple[object, ...], control: FakeDaemonApi, tmp_path: Path
+@pytest.mark.parametrize("request_", REQUESTS, ids=repr)
+async def test_every_request_reaches_the_daemon_unchanged(
+    request_: DaemonRequest, daemon: FakeDaemonApi, tmp_path: Path
 ) -> None:
-    answer = await on_socket(control, tmp_path, ask)
-    assert control.asked == [asked]
-    if asked[0] == "calibrate":
-        assert answer["fingers"]["left"] == {"frames": 30, "noise_bgr": [2.9, 1.5, 2.4], "level_bgr": [90.0] * 3}
+    response = await on_socket(daemon, tmp_path, lambda client: client.submit(request_))
+    assert daemon.requests == [request_]
+    if isinstance(request_, CalibrateRequest):
+        assert response["fingers"]["left"] == {"frames": 30, "noise_bgr": [2.9, 1.5, 2.4], "level_bgr": [90.0] * 3}
     else:
-        assert answer == {"said": f"{asked[0]}, as asked"}
+        assert response == {"message": f"{request_.kind}: done"}
 
 
-async def test_state_and_health(control: FakeDaemonApi, tmp_path: Path) -> None:
-    assert await on_socket(control, tmp_path, Client.state) == control.snapshot()
-    assert await on_socket(control, tmp_path, Client.healthz) == {"status": "ok"}
-    control.why = "left: no frames"
+async def test_state_and_health(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    assert await on_socket(daemon, tmp_path, Client.state) == daemon.snapshot()
+    assert await on_socket(daemon, tmp_path, Client.healthz) == {"status": "ok"}
+    daemon.problem = "left: no frames"
     with pytest.raises(SlipguardError, match=r"^left: no frames$"):
-        await on_socket(control, tmp_path, Client.healthz)
+        await on_socket(daemon, tmp_path, Client.healthz)
 
 
-async def test_a_frame_comes_as_a_png_with_its_sensor_number_and_time(control: FakeDaemonApi, tmp_path: Path) -> None:
-    seen = await on_socket(control, tmp_path, lambda client: client.frame("right"))
+async def test_a_frame_comes_as_a_png_with_its_sensor_number_and_time(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    seen = await on_socket(daemon, tmp_path, lambda client: client.frame("right"))
     assert (seen.serial, seen.sequence, seen.captured_at_s) == ("D20002", 1, 12.25)
     image = cv2.imdecode(np.frombuffer(seen.png, np.uint8), cv2.IMREAD_COLOR)
     assert np.array_equal(image, np.random.default_rng(0).integers(0, 256, (320, 240, 3), np.uint8))
-    control.failure = CommandRefused("no frame of the right finger: it was unplugged")
+    daemon.failure = CommandRefused("no frame of the right finger: it was unplugged")
     with pytest.raises(CommandRefused, match="unplugged"):
-        await on_socket(control, tmp_path, lambda client: client.frame("right"))
+        await on_socket(daemon, tmp_path, lambda client: client.frame("right"))
 
 
-async def test_a_refusal_and_a_device_error_come_through_in_words(control: FakeDaemonApi, tmp_path: Path) -> None:
-    control.failure = CommandRefused("cannot lift while idle")
+async def test_a_refusal_and_a_device_error_come_through_in_words(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    daemon.failure = CommandRefused("cannot lift while idle")
     with pytest.raises(CommandRefused, match=r"^cannot lift while idle$"):
-        await on_socket(control, tmp_path, Client.lift)
-    control.failure = DeviceTimeout("gripper: no answer")
+        await on_socket(daemon, tmp_path, lambda client: client.submit(LiftRequest()))
+    daemon.failure = DeviceTimeout("gripper: no answer")
     with pytest.raises(SlipguardError, match=r"^gripper: no answer$"):
-        await on_socket(control, tmp_path, Client.grasp)
+        await on_socket(daemon, tmp_path, lambda client: client.submit(GraspRequest()))
 
 
 BAD = [
@@ -130,63 +140,65 @@ BAD = [
 
 @pytest.mark.parametrize(("method", "path", "body", "status", "says"), BAD)
 async def test_bad_requests_change_nothing_and_are_answered_in_one_line(
-    method: str, path: str, body: str, status: int, says: str, control: FakeDaemonApi
+    method: str, path: str, body: str, status: int, says: str, daemon: FakeDaemonApi
 ) -> None:
-    async with in_memory(control) as http:
+    async with in_memory(daemon) as http:
         response = await http.request(method, path, content=body.encode("latin-1"))
     assert response.status_code == status
     error = response.json()["error"]
     assert says in error
     assert "\n" not in error
-    assert control.asked == []
+    assert daemon.requests == []
 
 
-async def test_a_mistake_of_ours_is_one_line_too(control: FakeDaemonApi) -> None:
-    control.failure = KeyError("secret detail")
-    async with in_memory(control) as http:
+async def test_a_mistake_of_ours_is_one_line_too(daemon: FakeDaemonApi) -> None:
+    daemon.failure = KeyError("secret detail")
+    async with in_memory(daemon) as http:
         response = await http.post("/clear")
     assert response.status_code == 500
-    assert response.json() == {"error": "/clear failed inside the daemon (KeyError); its log says more"}
+    assert response.json() == {"error": "/clear failed inside the daemon (KeyError); see the daemon's log"}
 
 
-async def test_the_socket_is_for_owner_and_group_and_is_gone_afterwards(control: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_the_socket_is_for_owner_and_group_and_is_gone_afterwards(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     path = tmp_path / "run" / "s"
-    async with served(control, path):
+    async with served(daemon, path):
         assert stat.S_IMODE(path.stat().st_mode) == 0o660
     assert not path.exists()
 
 
-async def test_a_dead_daemons_socket_is_replaced_and_a_live_ones_is_not(control: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_a_dead_daemons_socket_is_replaced_and_a_live_ones_is_not(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     path = tmp_path / "s"
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(str(path))
-    async with served(control, path):
-        with pytest.raises(SlipguardError, match="another daemon listens at"):
+    async with served(daemon, path):
+        with pytest.raises(SlipguardError, match="another daemon is listening at"):
             bind(path)
-        assert await asyncio.to_thread(lambda: _state(path)) == control.snapshot()
+        assert await asyncio.to_thread(lambda: _state(path)) == daemon.snapshot()
 
 
 def test_sockets_that_cannot_be(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(ConfigError, match="no socket"):
+    with pytest.raises(ConfigError, match="not a socket"):
         bind(tmp_path / "file")
     assert (tmp_path / "file").read_text() == "mine"
-    with pytest.raises(ConfigError, match="cannot be made"):
+    with pytest.raises(ConfigError, match="cannot be created"):
         bind(tmp_path / "file" / "s")
     with pytest.raises(ConfigError, match="107 bytes"):
         bind(tmp_path / ("x" * 120))
 
 
 async def test_stopping_waits_for_a_short_answer_and_not_for_an_idle_client(
-    control: FakeDaemonApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    daemon: FakeDaemonApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(serve, "GRACE_S", 20)  # a busy machine is slow, and the idle client must not be waited for
-    control.delay_s = 0.3
-    async with served(control, tmp_path / "s") as path:
+    monkeypatch.setattr(
+        serve, "SHUTDOWN_TIMEOUT_S", 20
+    )  # a busy machine is slow, and the idle client must not be waited for
+    daemon.delay_s = 0.3
+    async with served(daemon, tmp_path / "s") as path:
         _, idle = await asyncio.open_unix_connection(path)
         asking = asyncio.create_task(asyncio.to_thread(lambda: _clear(path)))
-        await control.began.wait()
-    assert await asking == {"said": "clear, as asked"}
+        await daemon.started.wait()
+    assert await asking == {"message": "clear: done"}
     idle.close()
     await idle.wait_closed()
 
@@ -209,18 +221,18 @@ async def test_a_stranger_on_the_socket_is_not_believed(tmp_path: Path) -> None:
         await writer.wait_closed()
 
     async with await asyncio.start_unix_server(stranger, tmp_path / "s"):
-        with pytest.raises(SlipguardError, match="is no slipguard daemon"):
+        with pytest.raises(SlipguardError, match="is not a slipguard daemon"):
             await asyncio.to_thread(lambda: _state(tmp_path / "s"))
 
 
-async def test_many_clients_at_once(control: FakeDaemonApi, tmp_path: Path) -> None:
-    async with served(control, tmp_path / "s") as path:
+async def test_many_clients_at_once(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    async with served(daemon, tmp_path / "s") as path:
         transport = httpx.AsyncHTTPTransport(uds=str(path))
         async with httpx.AsyncClient(transport=transport, base_url="http://slipguard") as http:
             answers = await asyncio.gather(*(http.post("/lift", json={"height_mm": n}) for n in range(1, 51)))
     assert [answer.status_code for answer in answers] == [200] * 50
-    assert sorted(asked[1] for asked in control.asked) == [float(n) for n in range(1, 51)]  # type: ignore[type-var]
-    assert json.loads(answers[0].content) == {"said": "lift, as asked"}
+    assert sorted(request.height_mm for request in daemon.requests) == [float(n) for n in range(1, 51)]  # type: ignore[attr-defined]
+    assert json.loads(answers[0].content) == {"message": "lift: done"}
 
 
 def _state(path: Path) -> dict[str, Any]:
@@ -230,7 +242,7 @@ def _state(path: Path) -> dict[str, Any]:
 
 def _clear(path: Path) -> dict[str, Any]:
     with Client(path) as client:
-        return client.clear()
+        return client.submit(ClearRequest())
 
 
 @pytest.mark.parametrize(
@@ -239,7 +251,7 @@ def _clear(path: Path) -> dict[str, Any]:
 def test_a_whole_number_is_one_however_it_is_written(number: str, taken: bool) -> None:
     body = '{"finger": "left", "number": %s}' % number  # noqa: UP031
     if taken:
-        assert GoBack.model_validate_json(body) == GoBack(finger="left", number=3)
+        assert RestoreBackgroundRequest.model_validate_json(body) == RestoreBackgroundRequest(finger="left", number=3)
     else:
         with pytest.raises(ValidationError):
-            GoBack.model_validate_json(body)
+            RestoreBackgroundRequest.model_validate_json(body)

@@ -14,15 +14,16 @@ from fake_daemon_api import TOKEN, FakeDaemonApi, served_on_tcp
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
+from slipguard.daemon.api.requests import ClearRequest
 from slipguard.errors import ConfigError
-from slipguard.web.access import CODE_S, CODES_MAX, Access
-from slipguard.web.token import token_file
+from slipguard.web.access import LINK_VALID_S, LINKS_MAX, Access
+from slipguard.web.sockets import token_file
 
 BEARER = {"authorization": f"Bearer {TOKEN}"}
 
 
 @pytest.fixture
-def control() -> FakeDaemonApi:
+def daemon() -> FakeDaemonApi:
     return FakeDaemonApi()
 
 
@@ -54,9 +55,9 @@ REFUSED = [
 ]
 
 
-async def test_commands_that_are_not_ours_change_nothing(control: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_commands_that_are_not_ours_change_nothing(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     commands = [("/release", {"confirm": True}), ("/page-link", None)]
-    async with served_on_tcp(control, tmp_path) as (port, _):
+    async with served_on_tcp(daemon, tmp_path) as (port, _):
         for headers, status in REFUSED:
             told = {name: value.format(port=port).encode() for name, value in headers.items()}
             for path, body in commands:
@@ -65,24 +66,24 @@ async def test_commands_that_are_not_ours_change_nothing(control: FakeDaemonApi,
                 assert set(answer.json()) == {"error"}
                 assert "\n" not in answer.json()["error"]
                 assert not any(name.startswith("access-control") for name in answer.headers)
-    assert control.asked == []
+    assert daemon.requests == []
 
 
-async def test_ours_are_done(control: FakeDaemonApi, tmp_path: Path) -> None:
-    async with served_on_tcp(control, tmp_path) as (port, _):
+async def test_ours_are_done(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    async with served_on_tcp(daemon, tmp_path) as (port, _):
         for host in (f"127.0.0.1:{port}", f"localhost:{port}"):
             for more in ({}, {"origin": f"http://{host}"}, {"sec-fetch-site": "same-origin"}):
                 answer = await ask(port, "POST", "/release", BEARER | {"host": host} | more, json={"confirm": True})
-                assert answer.json() == {"said": "release, as asked"}
-    assert len(control.asked) == 6
+                assert answer.json() == {"message": "release: done"}
+    assert len(daemon.requests) == 6
 
 
 READS = ("/state", "/healthz", "/access", "/picture/left", "/frame/left", "/metrics", "/openapi.json", "/")
 
 
 @pytest.mark.parametrize("path", READS)
-async def test_what_only_tells_needs_no_token_but_our_name(path: str, control: FakeDaemonApi, tmp_path: Path) -> None:
-    async with served_on_tcp(control, tmp_path) as (port, _):
+async def test_what_only_tells_needs_no_token_but_our_name(path: str, daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    async with served_on_tcp(daemon, tmp_path) as (port, _):
         assert (await ask(port, "GET", path)).status_code == 200
         for headers in (
             {"host": f"evil.example:{port}"},
@@ -93,8 +94,8 @@ async def test_what_only_tells_needs_no_token_but_our_name(path: str, control: F
             assert (await ask(port, "GET", path, headers)).status_code == 403, headers
 
 
-async def test_no_page_may_frame_or_embed_ours(control: FakeDaemonApi, tmp_path: Path) -> None:
-    async with served_on_tcp(control, tmp_path) as (port, _):
+async def test_no_page_may_frame_or_embed_ours(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    async with served_on_tcp(daemon, tmp_path) as (port, _):
         for path in ("/", "/picture/left", "/nowhere"):
             told = (await ask(port, "GET", path)).headers
             assert "frame-ancestors 'none'" in told["content-security-policy"]
@@ -103,14 +104,14 @@ async def test_no_page_may_frame_or_embed_ours(control: FakeDaemonApi, tmp_path:
             assert told["x-content-type-options"] == "nosniff"
 
 
-async def test_a_link_gives_control_once_and_to_a_browser_of_ours(control: FakeDaemonApi, tmp_path: Path) -> None:
-    async with served_on_tcp(control, tmp_path) as (port, access):
+async def test_a_link_gives_control_once_and_to_a_browser_of_ours(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    async with served_on_tcp(daemon, tmp_path) as (port, access):
         url = (await ask(port, "POST", "/page-link", BEARER)).json()["url"]
         async with httpx.AsyncClient(trust_env=False) as browser:
             assert (await browser.get(f"http://127.0.0.1:{port}/access")).json() == {"control": False}
             answer = await browser.get(url)
-            assert (answer.status_code, answer.headers["location"]) == (303, f"/#session={access.session}")
-            session = {"x-slipguard-session": access.session}
+            assert (answer.status_code, answer.headers["location"]) == (303, f"/#session={access.session_key}")
+            session = {"x-slipguard-session": access.session_key}
             for word in ("HttpOnly", "SameSite=strict", "Path=/"):
                 assert word in answer.headers["set-cookie"]
             assert TOKEN not in answer.headers["set-cookie"]
@@ -121,7 +122,7 @@ async def test_a_link_gives_control_once_and_to_a_browser_of_ours(control: FakeD
             assert told.json() == {"control": True}
             origin = {"origin": f"http://127.0.0.1:{port}"}
             done = await browser.post(f"http://127.0.0.1:{port}/clear", headers=origin | session)
-            assert done.json() == {"said": "clear, as asked"}
+            assert done.json() == {"message": "clear: done"}
             foreign = await browser.post(
                 f"http://127.0.0.1:{port}/clear", headers={"origin": "http://127.0.0.1:1"} | session
             )
@@ -136,25 +137,25 @@ async def test_a_link_gives_control_once_and_to_a_browser_of_ours(control: FakeD
         assert (shown.status_code, shown.headers["content-type"]) == (401, "text/html; charset=utf-8")
         assert "set-cookie" not in shown.headers
         assert "slipguard ctl page" in shown.text
-    assert control.asked == [("clear",)]
+    assert daemon.requests == [ClearRequest()]
 
 
 def test_links_end() -> None:
     now_s = [0.0]
     access = Access(TOKEN, ("127.0.0.1", 8470), lambda: now_s[0])
-    codes = [access.link().partition("token=")[2] for _ in range(CODES_MAX + 1)]
+    codes = [access.make_link().partition("token=")[2] for _ in range(LINKS_MAX + 1)]
     assert access.redeem(codes[0]) is None, "the oldest of too many"
     assert access.redeem(codes[1]) is not None
     assert access.redeem(codes[1]) is None
-    now_s[0] = CODE_S
+    now_s[0] = LINK_VALID_S
     assert access.redeem(codes[2]) is None
     assert access.redeem("") is None
 
 
 def test_links_name_an_address_that_can_be_opened() -> None:
-    assert Access(TOKEN, ("127.0.0.1", 8470)).link().startswith("http://127.0.0.1:8470/login?token=")
-    assert Access(TOKEN, ("::1", 8470)).link().startswith("http://[::1]:8470/login?token=")
-    assert Access(TOKEN, ("0.0.0.0", 8470)).link().startswith(f"http://{os.uname().nodename}:8470/login?token=")
+    assert Access(TOKEN, ("127.0.0.1", 8470)).make_link().startswith("http://127.0.0.1:8470/login?token=")
+    assert Access(TOKEN, ("::1", 8470)).make_link().startswith("http://[::1]:8470/login?token=")
+    assert Access(TOKEN, ("0.0.0.0", 8470)).make_link().startswith(f"http://{os.uname().nodename}:8470/login?token=")
 
 
 HOSTS = [
@@ -179,12 +180,12 @@ def test_names_that_are_ours(listening: str, asked: str, ours: bool) -> None:
     from starlette.datastructures import Headers
 
     access = Access(TOKEN, (listening, 8470))
-    objection = access.objection({"type": "http", "method": "GET"}, Headers({"host": asked}))
+    objection = access.find_objection({"type": "http", "method": "GET"}, Headers({"host": asked}))
     assert (objection is None) is ours, objection
 
 
-async def test_two_hosts_are_none(control: FakeDaemonApi, tmp_path: Path) -> None:
-    async with served_on_tcp(control, tmp_path) as (port, _):
+async def test_two_hosts_are_none(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    async with served_on_tcp(daemon, tmp_path) as (port, _):
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         own = f"host: 127.0.0.1:{port}\r\n"
         writer.write(f"GET /state HTTP/1.1\r\n{own}host: evil\r\nconnection: close\r\n\r\n".encode())
@@ -193,8 +194,8 @@ async def test_two_hosts_are_none(control: FakeDaemonApi, tmp_path: Path) -> Non
         await writer.wait_closed()
 
 
-async def test_a_foreign_page_gets_no_live_stream(control: FakeDaemonApi, tmp_path: Path) -> None:
-    async with served_on_tcp(control, tmp_path) as (port, _):
+async def test_a_foreign_page_gets_no_live_stream(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    async with served_on_tcp(daemon, tmp_path) as (port, _):
         url = f"ws://127.0.0.1:{port}/live"
         for foreign in ("http://evil.example", "null", "http://127.0.0.1:1"):
             with pytest.raises(InvalidStatus, match="403"):

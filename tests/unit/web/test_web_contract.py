@@ -15,8 +15,8 @@ from fake_daemon_api import TOKEN, FakeDaemonApi, served_on_tcp
 
 async def test_every_route_keeps_its_word(tmp_path: Path, pytestconfig: pytest.Config) -> None:
     """No server error; statuses, types, headers and bodies as described; bad requests refused; the token asked for."""
-    control = FakeDaemonApi()
-    async with served_on_tcp(control, tmp_path) as (port, _):
+    daemon = FakeDaemonApi()
+    async with served_on_tcp(daemon, tmp_path) as (port, _):
         trial = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "schemathesis.cli", "run", f"http://127.0.0.1:{port}/openapi.json"),
             *("--header", f"Authorization: Bearer {TOKEN}", "--checks", "all", "--seed", "1", "--no-color"),
@@ -28,4 +28,12 @@ async def test_every_route_keeps_its_word(tmp_path: Path, pytestconfig: pytest.C
         )
         said, _ = await trial.communicate()
     assert trial.returncode == 0, said.decode()
-    assert {what for what, *_ in control.asked} >= {"grasp", "lift", "lower", "guard", "gripper", "release", "clear"}
+    assert {request.kind for request in daemon.requests} >= {
+        "grasp",
+        "lift",
+        "lower",
+        "guard",
+        "gripper",
+        "release",
+        "clear",
+    }

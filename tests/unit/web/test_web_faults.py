@@ -14,10 +14,11 @@ import pytest
 from fake_daemon_api import FakeDaemonApi
 from hosted_api import hosted, web_process
 
+from slipguard.daemon.api.requests import ClearRequest
 from slipguard.daemon.loop.event_log import Event
 from slipguard.tools.waiting import wait_until
 from slipguard.web import daemon_endpoint, host
-from slipguard.web.daemon_endpoint import answer
+from slipguard.web.daemon_endpoint import serve_web_process
 from slipguard.web.sockets import bind
 
 GARBAGE = "#!{}\nimport os, sys, time\nos.write(int(sys.argv[4]), b'x' * 64)\ntime.sleep(600)\n"
@@ -30,41 +31,41 @@ async def test_garbage_and_a_process_that_cannot_be_started_end_nothing(
     speaking = tmp_path / "speaking"
     speaking.write_text(GARBAGE.format(sys.executable))
     speaking.chmod(0o755)
-    control = FakeDaemonApi()
+    daemon = FakeDaemonApi()
     monkeypatch.setattr(sys, "executable", str(speaking))
-    async with hosted(control, tmp_path / "served") as served:
+    async with hosted(daemon, tmp_path / "served") as served:
         await wait_until(served.serving, lambda: len(served.warnings) == 1, 30.0, "no word of the garbage")
         monkeypatch.setattr(sys, "executable", str(tmp_path / "nowhere"))
         await wait_until(served.serving, lambda: len(served.warnings) == 2, 30.0, "no word of the failed start")
         monkeypatch.undo()
         with served.client() as client:
-            assert await asyncio.to_thread(client.clear) == {"said": "clear, as asked"}
+            assert await asyncio.to_thread(client.submit, ClearRequest()) == {"message": "clear: done"}
         garbage, nowhere = served.warnings
-        assert garbage.startswith("page and API ended (a message of ")
+        assert garbage.startswith("page and API stopped (a message of ")
         assert "No such file" in nowhere
-        assert len(control.ears) == 1
+        assert len(daemon.subscribers) == 1
         assert not any("\n" in line for line in served.warnings)
 
 
 async def test_a_web_process_that_hangs_is_replaced_and_does_nothing_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(daemon_endpoint, "SILENT_S", 2.0)
-    control = FakeDaemonApi()
-    async with hosted(control, tmp_path) as served:
+    monkeypatch.setattr(daemon_endpoint, "SILENCE_MAX_S", 2.0)
+    daemon = FakeDaemonApi()
+    async with hosted(daemon, tmp_path) as served:
         with served.client() as client:
             await asyncio.to_thread(client.state)
             hanging = web_process()
             os.kill(hanging, signal.SIGSTOP)
             asking = asyncio.create_task(asyncio.to_thread(client.state))
             await wait_until(served.serving, lambda: len(served.warnings) == 1, 30.0, "it is not noticed")
-            assert "(it hangs)" in served.warnings[0]
+            assert "(it does not respond)" in served.warnings[0]
             await asyncio.gather(asking, return_exceptions=True)
         with pytest.raises(ProcessLookupError):
             os.kill(hanging, 0)
         with served.client() as client:
-            assert await asyncio.to_thread(client.clear) == {"said": "clear, as asked"}
-    assert control.asked == [("clear",)]
+            assert await asyncio.to_thread(client.submit, ClearRequest()) == {"message": "clear: done"}
+    assert daemon.requests == [ClearRequest()]
 
 
 @pytest.mark.parametrize(("well_s", "told"), [(0.0, ["reset", "wait"] * 2), (1e9, ["wait"] * 2)])
@@ -89,20 +90,20 @@ async def test_who_was_well_for_long_is_replaced_after_the_first_pause(
         raise OSError("no more processes")
 
     monkeypatch.setattr(host, "Backoff", Pauses)
-    monkeypatch.setattr(host, "WELL_S", well_s)
-    monkeypatch.setattr(host, "_until_it_ends", fails)
+    monkeypatch.setattr(host, "HEALTHY_S", well_s)
+    monkeypatch.setattr(host, "_run_web_process", fails)
     with pytest.raises(asyncio.CancelledError):
         await host.run_api(FakeDaemonApi(), bind(tmp_path / "s"), None, tmp_path / "token", lambda line: None)
     assert found == told
 
 
 async def test_an_event_that_cannot_be_told_harms_nobody() -> None:
-    control = FakeDaemonApi()
+    daemon = FakeDaemonApi()
     ours, theirs = socket.socketpair()
     reader, writer = await asyncio.open_connection(sock=ours)
-    answers = asyncio.create_task(answer(control, reader, writer))
-    await wait_until(answers, lambda: bool(control.ears), 5.0, "nobody listens")
-    hear = control.ears[0]
+    answers = asyncio.create_task(serve_web_process(daemon, reader, writer))
+    await wait_until(answers, lambda: bool(daemon.subscribers), 5.0, "nobody listens")
+    hear = daemon.subscribers[0]
     hear(Event(math.nan, "info", "no time at all"))
     theirs.close()
     for _ in range(3):
@@ -111,4 +112,4 @@ async def test_an_event_that_cannot_be_told_harms_nobody() -> None:
     await answers
     writer.close()
     hear(Event(2.0, "info", "it is closed"))
-    assert control.ears == []
+    assert daemon.subscribers == []

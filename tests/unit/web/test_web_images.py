@@ -19,7 +19,7 @@ from slipguard.errors import CommandRefused
 from slipguard.perception.contact.patch import ClippedSides
 from slipguard.web import images as pictures_module
 from slipguard.web.app import make_app
-from slipguard.web.images import AXIS_BGR, OUTLINE_BGR, SKELETON_BGR, FingerImages, draw
+from slipguard.web.images import AXIS_BGR, CONTOUR_BGR, SKELETON_BGR, FingerImages, draw_contact
 from slipguard.web.route_context import RouteContext
 
 GREY = np.full((320, 240, 3), 90, np.uint8)
@@ -44,9 +44,9 @@ def points(picture: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArray[
 
 @pytest.mark.parametrize("angle_deg", [0.0, 30.0, -60.0, 90.0])
 def test_axis_line_and_outline_lie_on_the_contact(angle_deg: float) -> None:
-    picture = draw(GREY, contact_of(bar(angle_deg), angle_deg))
+    picture = draw_contact(GREY, contact_of(bar(angle_deg), angle_deg))
     middle = np.array([(30 + 50) * 1.5 - 0.5, (50 + 50) * 320 / 213 - 0.5])
-    outline, skeleton = points(picture, OUTLINE_BGR), points(picture, SKELETON_BGR)
+    outline, skeleton = points(picture, CONTOUR_BGR), points(picture, SKELETON_BGR)
     assert np.abs(outline.mean(axis=0) - middle).max() < 4.0
     reach = np.hypot(*(outline - middle).T)
     assert 38.0 < reach.max() < 52.0, "the bar is 60 network pixels long, 90 of the frame"
@@ -60,43 +60,43 @@ def test_axis_line_and_outline_lie_on_the_contact(angle_deg: float) -> None:
 
 
 def test_without_an_axis_only_line_and_outline() -> None:
-    picture = draw(GREY, contact_of(bar(0.0), None))
+    picture = draw_contact(GREY, contact_of(bar(0.0), None))
     assert points(picture, AXIS_BGR).size == 0
-    assert points(picture, OUTLINE_BGR).size > 0
+    assert points(picture, CONTOUR_BGR).size > 0
     assert points(picture, SKELETON_BGR).size > 0
 
 
 def test_a_contact_at_the_very_edge_can_be_drawn() -> None:
     mask = np.ones((213, 160), np.uint8)
-    draw(GREY, ContactOverlay(mask, 0, 0, (160, 213), ClippedSides(True, True, True, True), 45.0))
+    draw_contact(GREY, ContactOverlay(mask, 0, 0, (160, 213), ClippedSides(True, True, True, True), 45.0))
 
 
 async def test_drawn_once_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    control, drawn = FakeDaemonApi(), []
+    daemon, drawn = FakeDaemonApi(), []
 
     def counting(view: FingerFrame) -> bytes:
         drawn.append(view.frame.sequence)
         return b"jpeg"
 
-    monkeypatch.setattr(pictures_module, "overlaid_jpeg_of", counting)
-    pictures = FingerImages(control)
-    found = await asyncio.gather(*(pictures.drawn("left", overlay=True) for _ in range(50)))
+    monkeypatch.setattr(pictures_module, "encode_jpeg_with_overlay", counting)
+    pictures = FingerImages(daemon)
+    found = await asyncio.gather(*(pictures.with_overlay("left", overlay=True) for _ in range(50)))
     assert drawn == [1]
     assert {one.sequence for one in found} == {1}
-    await asyncio.sleep(2 * pictures_module.KEEP_S)
-    assert (await pictures.drawn("left", overlay=True)).sequence == 2
-    control.failure = CommandRefused("no frame of the left finger: unplugged")
-    await asyncio.sleep(2 * pictures_module.KEEP_S)
+    await asyncio.sleep(2 * pictures_module.OVERLAY_TTL_S)
+    assert (await pictures.with_overlay("left", overlay=True)).sequence == 2
+    daemon.failure = CommandRefused("no frame of the left finger: unplugged")
+    await asyncio.sleep(2 * pictures_module.OVERLAY_TTL_S)
     with pytest.raises(CommandRefused, match="unplugged"):
-        await pictures.drawn("left", overlay=True)
-    control.failure = None
-    assert (await pictures.drawn("left", overlay=True)).sequence == 3, "a refusal is not kept"
+        await pictures.with_overlay("left", overlay=True)
+    daemon.failure = None
+    assert (await pictures.with_overlay("left", overlay=True)).sequence == 3, "a refusal is not kept"
 
 
 async def test_over_http(tmp_path: Path) -> None:
-    control = FakeDaemonApi()
+    daemon = FakeDaemonApi()
     async with (
-        served_on_tcp(control, tmp_path) as (port, _),
+        served_on_tcp(daemon, tmp_path) as (port, _),
         httpx.AsyncClient(base_url=f"http://127.0.0.1:{port}", trust_env=False) as http,
     ):
         told = await http.get("/picture/left")
@@ -110,15 +110,15 @@ async def test_over_http(tmp_path: Path) -> None:
         assert np.ptp(shown) > 100
         assert (await http.get("/picture/middle")).status_code == 404
         assert (await http.get("/picture/left", params={"overlay": "2"})).status_code == 422
-        await asyncio.sleep(2 * pictures_module.KEEP_S)
-        control.failure = CommandRefused("no frame of the left finger: unplugged")
+        await asyncio.sleep(2 * pictures_module.OVERLAY_TTL_S)
+        daemon.failure = CommandRefused("no frame of the left finger: unplugged")
         refused = await http.get("/picture/left")
-        assert (refused.status_code, refused.json()["error"]) == (409, str(control.failure))
+        assert (refused.status_code, refused.json()["error"]) == (409, str(daemon.failure))
 
 
 def test_a_view_without_contact_is_the_frame() -> None:
-    plain = pictures_module.overlaid_jpeg_of(FingerFrame("D1", Frame(GREY, 0.0, 1)))
-    assert plain == pictures_module.jpeg_of(FingerFrame("D1", Frame(GREY, 0.0, 1), contact_of(bar(0.0), 0.0)))
+    plain = pictures_module.encode_jpeg_with_overlay(FingerFrame("D1", Frame(GREY, 0.0, 1)))
+    assert plain == pictures_module.encode_jpeg(FingerFrame("D1", Frame(GREY, 0.0, 1), contact_of(bar(0.0), 0.0)))
 
 
 async def test_many_who_look_at_what_is_stored_ask_the_daemon_as_one() -> None:
@@ -126,21 +126,21 @@ async def test_many_who_look_at_what_is_stored_ask_the_daemon_as_one() -> None:
     asked: Counter[str] = Counter()
 
     class Counting(FakeDaemonApi):
-        async def trouble(self) -> str | None:
+        async def health_problem(self) -> str | None:
             asked["trouble"] += 1
-            return await super().trouble()
+            return await super().health_problem()
 
-        async def no_contacts(self) -> bytes:
+        async def backgrounds(self) -> bytes:
             asked["no_contacts"] += 1
-            return await super().no_contacts()
+            return await super().backgrounds()
 
-        async def no_contact(self, finger: str, number: int | None = None) -> FingerFrame:
+        async def background(self, finger: str, number: int | None = None) -> FingerFrame:
             nonlocal at_once, most
             at_once += 1
             most = max(most, at_once)
             await asyncio.sleep(0.01)
             at_once -= 1
-            return await super().no_contact(finger, number)
+            return await super().background(finger, number)
 
     room = RouteContext(Counting())
     transport = httpx.ASGITransport(make_app(room))

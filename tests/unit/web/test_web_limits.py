@@ -13,7 +13,7 @@ from fake_daemon_api import FakeDaemonApi, served_on_tcp
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
-from slipguard.web import commands, middleware, serve, timeouts
+from slipguard.web import commands, connections, middleware, serve
 from slipguard.web.middleware import ApiMiddleware
 
 
@@ -35,9 +35,9 @@ async def closed_after_s(port: int, *pieces: bytes, pause_s: float = 0.05) -> tu
 
 
 async def test_who_never_ends_a_request_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(timeouts, "REQUEST_S", 0.4)
-    monkeypatch.setattr(commands, "BODY_S", 0.4)
-    monkeypatch.setattr(serve, "IDLE_S", 1)
+    monkeypatch.setattr(connections, "REQUEST_TIMEOUT_S", 0.4)
+    monkeypatch.setattr(commands, "BODY_TIMEOUT_S", 0.4)
+    monkeypatch.setattr(serve, "KEEP_ALIVE_S", 1)
     async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, access):
         silent = closed_after_s(port)
         drops = closed_after_s(port, *[b"x"] * 30)
@@ -53,23 +53,23 @@ async def test_who_never_ends_a_request_is_not_waited_for(monkeypatch: pytest.Mo
     assert found[3][1].count(b"200 OK") == 1
     assert found[4][1].count(b"200 OK") == 1
     assert b"408" in found[5][1]
-    assert b"did not come within" in found[5][1]
+    assert b"was not received within" in found[5][1]
 
 
 async def test_a_request_under_way_is_not_cut_off(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(timeouts, "REQUEST_S", 0.2)
-    control = FakeDaemonApi()
-    control.delay_s = 0.6
-    async with served_on_tcp(control, tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
+    monkeypatch.setattr(connections, "REQUEST_TIMEOUT_S", 0.2)
+    daemon = FakeDaemonApi()
+    daemon.delay_s = 0.6
+    async with served_on_tcp(daemon, tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
         token = {"authorization": f"Bearer {access._token}"}
         answer = await http.post(f"http://127.0.0.1:{port}/clear", headers=token)
-        assert answer.json() == {"said": "clear, as asked"}
+        assert answer.json() == {"message": "clear: done"}
 
 
 async def test_one_connection_too_many_ends_the_one_silent_for_longest(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(timeouts, "CONNECTIONS_MAX", 5)
+    monkeypatch.setattr(connections, "CONNECTIONS_MAX", 5)
     async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, _), httpx.AsyncClient(trust_env=False) as http:
         held = []
         for _ in range(5):
@@ -91,26 +91,26 @@ async def test_one_connection_too_many_ends_the_one_silent_for_longest(
 async def test_too_many_connections_that_are_being_answered_are_told_so(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(timeouts, "CONNECTIONS_MAX", 1)
-    control = FakeDaemonApi()
-    control.delay_s = 3.0
-    async with served_on_tcp(control, tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
+    monkeypatch.setattr(connections, "CONNECTIONS_MAX", 1)
+    daemon = FakeDaemonApi()
+    daemon.delay_s = 3.0
+    async with served_on_tcp(daemon, tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
         token = {"authorization": f"Bearer {access._token}"}
         asking = asyncio.create_task(http.post(f"http://127.0.0.1:{port}/clear", headers=token))
-        await control.began.wait()
+        await daemon.started.wait()
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         said = await reader.read()
         assert said.startswith(b"HTTP/1.1 503 ")
         assert json.loads(said.partition(b"\r\n\r\n")[2]) == {"error": "too many connections"}
         writer.close()
         await writer.wait_closed()
-        assert (await asking).json() == {"said": "clear, as asked"}
+        assert (await asking).json() == {"message": "clear: done"}
 
 
 async def test_whoever_may_command_finds_a_place_among_strangers(tmp_path: Path) -> None:
     async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, access), contextlib.AsyncExitStack() as stack:
         live = f"ws://127.0.0.1:{port}/live"
-        for _ in range(middleware.STRANGE_STREAMS_MAX):
+        for _ in range(middleware.UNKNOWN_STREAMS_MAX):
             await stack.enter_async_context(connect(live))
         with pytest.raises(InvalidStatus, match="503"):
             await stack.enter_async_context(connect(live))
@@ -133,7 +133,7 @@ async def test_strangers_take_no_more_than_their_places() -> None:
         scope = {"type": "http", "headers": []}
         under_way = [
             asyncio.create_task(guarded(scope, None, None))  # type: ignore[arg-type]
-            for _ in range(middleware.STRANGERS_MAX)
+            for _ in range(middleware.UNKNOWN_CLIENTS_MAX)
         ]
         await asyncio.sleep(0)
         assert (await http.get("/state")).status_code == 503
@@ -167,4 +167,10 @@ async def test_too_many_at_once_are_told_so() -> None:
         said.append(message)
 
     await ApiMiddleware(app, clients_max=0)({"type": "websocket"}, None, send)  # type: ignore[arg-type, dict-item]
-    assert said == [{"type": "websocket.close", "code": 1008, "reason": "0 clients are being answered already"}]
+    assert said == [
+        {
+            "type": "websocket.close",
+            "code": 1008,
+            "reason": "too many clients: 0 requests are being processed; try again later",
+        }
+    ]

@@ -19,7 +19,7 @@ from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.errors import SlipguardError
 from slipguard.web import live as live_module
 from slipguard.web.daemon_proxy import DaemonInternalError
-from slipguard.web.live import HISTORY, LiveStream
+from slipguard.web.live import HISTORY_SAMPLES, LiveStream
 
 
 class Client:
@@ -47,12 +47,12 @@ class Client:
         return [message for message in self.got if message["type"] == kind]
 
 
-def played(control: FakeDaemonApi, scene: Any) -> None:
+def played(daemon: FakeDaemonApi, scene: Any) -> None:
     """Run a scene with the stream on, on a virtual clock."""
 
     async def main() -> None:
-        live = LiveStream(control.state)
-        control.listen(live.hear)
+        live = LiveStream(daemon.state)
+        daemon.subscribe(live.publish_event)
         running = asyncio.create_task(live.run())
         try:
             await scene(live)
@@ -64,29 +64,29 @@ def played(control: FakeDaemonApi, scene: Any) -> None:
 
 
 def test_history_then_events_then_states_at_ten_a_second() -> None:
-    control = FakeDaemonApi()
+    daemon = FakeDaemonApi()
     client = Client()
 
     async def scene(live: LiveStream) -> None:
         await asyncio.sleep(90.05)
         serving = asyncio.create_task(live.serve(client))  # type: ignore[arg-type]
         await asyncio.sleep(1.0)
-        live.hear(Event(5.0, "fault", "object lost", "clear it", "object lost"))
+        live.publish_event(Event(5.0, "fault", "object lost", "clear it", "object lost"))
         await asyncio.sleep(0.01)
         client.gone.set()
         await serving
 
-    played(control, scene)
+    played(daemon, scene)
     assert [message["type"] for message in client.got[:3]] == ["history", "event", "state"]
     samples = client.got[0]["samples"]
-    assert len(samples) == HISTORY == 600
+    assert len(samples) == HISTORY_SAMPLES == 600
     known = {
         "t_s": 12.5, "rotation_deg": 1.5, "sigma_deg": 0.25, "force_n": 40.25, "target_n": 40.0, "phase": "holding",
         "slipping": False,
     }  # fmt: skip
     assert samples[0] == known
     assert len(client.told("state")) == 10
-    assert client.told("state")[0]["state"] == control.snapshot()
+    assert client.told("state")[0]["state"] == daemon.snapshot()
     assert client.told("state")[0]["sample"] == known
     assert client.got[-1]["event"]["what_to_do"] == "clear it"
     assert [message["event"]["text"] for message in client.told("event")] == ["gripped", "object lost"]
@@ -94,14 +94,14 @@ def test_history_then_events_then_states_at_ten_a_second() -> None:
 
 def test_a_slow_client_loses_messages_and_delays_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     slow, quick = Client(), Client()
-    monkeypatch.setattr(live_module, "SEND_S", 60.0)
+    monkeypatch.setattr(live_module, "SEND_TIMEOUT_S", 60.0)
 
     async def scene(live: LiveStream) -> None:
         serving = [asyncio.create_task(live.serve(one)) for one in (slow, quick)]  # type: ignore[arg-type]
         await asyncio.sleep(0.05)
         slow.taking.clear()
         for number in range(3 * KEPT):
-            live.hear(Event(float(number), "info", f"event {number}"))
+            live.publish_event(Event(float(number), "info", f"event {number}"))
             await asyncio.sleep(0.1)
         slow.taking.set()
         await asyncio.sleep(0.05)
@@ -124,33 +124,33 @@ def test_a_client_that_takes_nothing_is_dropped() -> None:
     async def scene(live: LiveStream) -> None:
         stuck.taking.clear()
         await live.serve(stuck)  # type: ignore[arg-type]
-        assert not live._listeners
+        assert not live._clients
 
     played(FakeDaemonApi(), scene)
     assert stuck.got == []
 
 
 def test_the_daemon_is_asked_once_for_all_and_may_fail() -> None:
-    control = FakeDaemonApi()
+    daemon = FakeDaemonApi()
     clients = [Client() for _ in range(20)]
     asked: list[int] = []
 
     async def scene(live: LiveStream) -> None:
         serving = [asyncio.create_task(live.serve(one)) for one in clients]  # type: ignore[arg-type]
         await asyncio.sleep(1.05)
-        asked.append(control.looked)
+        asked.append(daemon.state_calls)
         for one in clients:
             one.gone.set()
         await asyncio.gather(*serving)
 
-    played(control, scene)
+    played(daemon, scene)
     assert asked == [10]
     assert all(len(one.told("state")) == 10 for one in clients)
 
     class Silent(FakeDaemonApi):
         async def state(self) -> bytes:
-            self.looked += 1
-            if self.looked < 5:
+            self.state_calls += 1
+            if self.state_calls < 5:
                 raise SlipguardError("the daemon did not answer")
             return json.dumps(self.snapshot()).encode()
 
@@ -169,10 +169,10 @@ def test_the_daemon_is_asked_once_for_all_and_may_fail() -> None:
 def test_a_mistake_in_one_state_ends_nothing_and_is_said_once() -> None:
     class Mistaken(FakeDaemonApi):
         async def state(self) -> bytes:
-            self.looked += 1
-            if self.looked < 3:
+            self.state_calls += 1
+            if self.state_calls < 3:
                 raise DaemonInternalError("KeyError in the daemon")
-            return b"[]" if self.looked == 3 else json.dumps(self.snapshot()).encode()
+            return b"[]" if self.state_calls == 3 else json.dumps(self.snapshot()).encode()
 
     client = Client()
 
@@ -186,16 +186,16 @@ def test_a_mistake_in_one_state_ends_nothing_and_is_said_once() -> None:
     with capture_logs() as said:
         played(Mistaken(), scene)
     assert len(client.told("state")) == 7
-    assert [line["event"] for line in said] == 2 * ["the page has missed a state"]
+    assert [line["event"] for line in said] == 2 * ["the live stream has missed a state"]
 
 
 async def test_over_a_real_socket_and_what_clients_say_is_not_listened_to(tmp_path: Path) -> None:
-    control = FakeDaemonApi()
-    async with served_on_tcp(control, tmp_path) as (port, _), connect(f"ws://127.0.0.1:{port}/live") as socket:
+    daemon = FakeDaemonApi()
+    async with served_on_tcp(daemon, tmp_path) as (port, _), connect(f"ws://127.0.0.1:{port}/live") as socket:
         kinds = [json.loads(await socket.recv())["type"] for _ in range(4)]
         assert kinds == ["history", "event", "state", "state"]
         await socket.send('{"release": true}')
-        for hear in control.ears:
+        for hear in daemon.subscribers:
             hear(Event(2.0, "warning", "a line"))
         while (message := json.loads(await socket.recv()))["type"] != "event":
             pass
@@ -206,5 +206,5 @@ async def test_over_a_real_socket_and_what_clients_say_is_not_listened_to(tmp_pa
             "what_to_do": None,
             "code": None,
         }
-    assert control.asked == []
-    assert control.ears == []
+    assert daemon.requests == []
+    assert daemon.subscribers == []

@@ -17,6 +17,7 @@ from hosted_api import free_port, hosted, web_process
 
 from slipguard.daemon.api.client import Client, TcpAddress
 from slipguard.daemon.api.daemon_api import ContactOverlay, FingerFrame
+from slipguard.daemon.api.requests import CalibrateRequest, ClearRequest, GraspRequest, LiftRequest, ReleaseRequest
 from slipguard.devices import Frame
 from slipguard.errors import CommandRefused, DeviceTimeout, SlipguardError
 from slipguard.perception.contact.patch import ClippedSides
@@ -32,74 +33,76 @@ from slipguard.web.sockets import bind, bind_tcp
 
 
 async def test_everything_goes_through_and_failures_keep_their_words(tmp_path: Path) -> None:
-    control = FakeDaemonApi()
-    async with hosted(control, tmp_path) as host:
+    daemon = FakeDaemonApi()
+    async with hosted(daemon, tmp_path) as host:
         with host.client() as client:
-            assert await asyncio.to_thread(client.state) == control.snapshot()
+            assert await asyncio.to_thread(client.state) == daemon.snapshot()
             assert await asyncio.to_thread(client.healthz) == {"status": "ok"}
-            assert (await asyncio.to_thread(client.lift, 120.0, 20.0)) == {"said": "lift, as asked"}
-            assert "fingers" in await asyncio.to_thread(client.calibrate)
+            assert (await asyncio.to_thread(client.submit, LiftRequest(height_mm=120.0, speed_mm_s=20.0))) == {
+                "message": "lift: done"
+            }
+            assert "fingers" in await asyncio.to_thread(client.submit, CalibrateRequest())
             assert (await asyncio.to_thread(client.frame, "right")).serial == "D20002"
-            control.failure = CommandRefused("cannot lift while idle")
+            daemon.failure = CommandRefused("cannot lift while idle")
             with pytest.raises(CommandRefused, match=r"^cannot lift while idle$"):
-                await asyncio.to_thread(client.lift)
-            control.failure = DeviceTimeout("gripper: no answer")
+                await asyncio.to_thread(client.submit, LiftRequest())
+            daemon.failure = DeviceTimeout("gripper: no answer")
             with pytest.raises(SlipguardError, match=r"^gripper: no answer$"):
-                await asyncio.to_thread(client.grasp)
-            control.failure = KeyError("secret detail")
+                await asyncio.to_thread(client.submit, GraspRequest())
+            daemon.failure = KeyError("secret detail")
             with pytest.raises(SlipguardError, match="failed inside the daemon") as raised:
-                await asyncio.to_thread(client.grasp)
+                await asyncio.to_thread(client.submit, GraspRequest())
             assert "secret" not in str(raised.value)
-        control.failure = None
+        daemon.failure = None
         with host.over_tcp() as client:
-            assert await asyncio.to_thread(client.clear) == {"said": "clear, as asked"}
+            assert await asyncio.to_thread(client.submit, ClearRequest()) == {"message": "clear: done"}
             assert (await asyncio.to_thread(client.page_link))["url"].startswith(f"{host.url}/login?token=")
         with Client(TcpAddress(host.url)) as client, pytest.raises(SlipguardError, match="needs the token"):
-            await asyncio.to_thread(client.release)
-    assert [asked[0] for asked in control.asked] == ["lift", "calibrate", "lift", "grasp", "grasp", "clear"]
+            await asyncio.to_thread(client.submit, ReleaseRequest(confirm=True))
+    assert [request.kind for request in daemon.requests] == ["lift", "calibrate", "lift", "grasp", "grasp", "clear"]
     assert host.warnings == []
 
 
 async def test_a_killed_web_process_is_replaced_and_nobody_is_turned_away(tmp_path: Path) -> None:
-    control = FakeDaemonApi()
-    async with hosted(control, tmp_path) as host:
+    daemon = FakeDaemonApi()
+    async with hosted(daemon, tmp_path) as host:
         with host.client() as client:
             await asyncio.to_thread(client.state)
         os.kill(web_process(), signal.SIGKILL)
         with host.client() as client:
-            assert await asyncio.to_thread(client.clear) == {"said": "clear, as asked"}
+            assert await asyncio.to_thread(client.submit, ClearRequest()) == {"message": "clear: done"}
         assert len(host.warnings) == 1
-        assert "the guard goes on" in host.warnings[0]
-        assert len(control.ears) == 1, "the first one's ears are taken off"
+        assert "the guard is not affected" in host.warnings[0]
+        assert len(daemon.subscribers) == 1, "the first one's ears are taken off"
 
 
 async def test_stopping_finishes_what_was_asked(tmp_path: Path) -> None:
-    control = FakeDaemonApi()
-    control.delay_s = 0.3
+    daemon = FakeDaemonApi()
+    daemon.delay_s = 0.3
     with Client(tmp_path / "s", timeout_s=20.0) as client:
-        async with hosted(control, tmp_path):
-            asking = asyncio.create_task(asyncio.to_thread(client.clear))
-            await control.began.wait()
-        assert await asking == {"said": "clear, as asked"}
+        async with hosted(daemon, tmp_path):
+            asking = asyncio.create_task(asyncio.to_thread(client.submit, ClearRequest()))
+            await daemon.started.wait()
+        assert await asking == {"message": "clear: done"}
 
 
 async def test_a_taken_port_is_done_without(tmp_path: Path) -> None:
-    control = FakeDaemonApi()
+    daemon = FakeDaemonApi()
     (tmp_path / "own").mkdir()
     with closing(bind_tcp("127.0.0.1", 0)) as taken:
         port = int(taken.getsockname()[1])
         warnings: list[str] = []
         unix = bind(tmp_path / "own" / "s")
-        api = run_api(control, unix, ("127.0.0.1", port), tmp_path / "own" / "token", warnings.append)
+        api = run_api(daemon, unix, ("127.0.0.1", port), tmp_path / "own" / "token", warnings.append)
         serving = asyncio.create_task(api)
         with Client(tmp_path / "own" / "s", timeout_s=20.0) as client:
-            assert await asyncio.to_thread(client.state) == control.snapshot()
+            assert await asyncio.to_thread(client.state) == daemon.snapshot()
             with pytest.raises(CommandRefused, match="page is not served"):
                 await asyncio.to_thread(client.page_link)
         assert not (tmp_path / "own" / "token").exists()
         serving.cancel()
         await asyncio.gather(serving, return_exceptions=True)
-    assert [f"127.0.0.1:{port} cannot be listened at" in line for line in warnings] == [True]
+    assert [f"cannot listen on 127.0.0.1:{port}" in line for line in warnings] == [True]
 
 
 async def test_an_open_port_is_warned_of(tmp_path: Path) -> None:
@@ -138,9 +141,9 @@ async def test_a_daemon_that_is_gone_is_followed(tmp_path: Path) -> None:
 
 async def test_messages_that_are_none() -> None:
     for sent, why in (
-        (b"\x00\x00\x00\x02\x00\x00\x00\x00[]", "no object"),
-        (b"\x00\x00\x00\x03\x00\x00\x00\x00{a}", "is none"),
-        (b'\x00\x00\x00\x09\x00\x00\x00\x00{"a":NaN}', "NaN is no number"),
+        (b"\x00\x00\x00\x02\x00\x00\x00\x00[]", "not a JSON object"),
+        (b"\x00\x00\x00\x03\x00\x00\x00\x00{a}", "is not JSON"),
+        (b'\x00\x00\x00\x09\x00\x00\x00\x00{"a":NaN}', "NaN is not a number"),
         ((MESSAGE_MAX_BYTES + 1).to_bytes(4, "big") + b"\x00" * 4, "bytes; at most"),
     ):
         reader = asyncio.StreamReader()

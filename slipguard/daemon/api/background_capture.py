@@ -1,0 +1,160 @@
+"""Takes, stores and restores the background images of both fingers while the daemon runs."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+
+from slipguard.control.state import Phase
+from slipguard.daemon.api.requests import CalibrateRequest, RestoreBackgroundRequest
+from slipguard.daemon.loop.finger import Finger
+from slipguard.daemon.loop.service import Service
+from slipguard.daemon.store.calibration import (
+    TIMEOUT_S,
+    BackgroundArchive,
+    BackgroundImage,
+    average_background,
+    collect,
+)
+from slipguard.devices import Frame
+from slipguard.errors import CommandRefused, InputError, SlipguardError
+
+
+class BackgroundCapture:
+    """One calibration at a time; refused while an object is or may be touched. Methods raise CommandRefused."""
+
+    def __init__(self, service: Service) -> None:
+        self._service = service
+        self._lock = asyncio.Lock()
+
+    def check_not_running(self) -> None:
+        """Raise CommandRefused while a calibration is running."""
+        if self._lock.locked():
+            raise CommandRefused("a calibration is running; try again in a second")
+
+    async def check_calibrated(self) -> None:
+        """Raise CommandRefused if a finger has no background image, or a damaged one."""
+        for name, finger in self._service.fingers.items():
+            try:
+                calibrated = await self._has_background(finger)
+            except InputError as error:
+                raise CommandRefused(f"cannot grasp: {error}") from None
+            if not calibrated:
+                raise CommandRefused(
+                    f"cannot grasp: {name} finger ({finger.serial}) has no background image; run `slipguard calibrate`"
+                )
+
+    async def calibrate(self, request: CalibrateRequest) -> dict[str, BackgroundImage]:
+        """Take and store the background images of both fingers; return them by finger."""
+        self.check_not_running()
+        async with self._lock:
+            self._check_idle()
+            for name, finger in self._service.fingers.items():
+                newest = finger.newest
+                in_contact = newest is not None and newest.estimate.contact
+                if in_contact and not request.force and await self._contact_is_reliable(finger):
+                    raise CommandRefused(
+                        f"cannot calibrate: {name} finger is in contact; remove the object, or use --force "
+                        "if the light has changed"
+                    )
+            taken = await self._take()
+            self._check_idle()
+            await self._store(taken, request.new_gel)
+            await self._wait_for_estimates()
+            return taken
+
+    async def restore(self, request: RestoreBackgroundRequest) -> str:
+        """Use an older background image again; return a message."""
+        name, number = request.finger, request.number
+        finger, store = self._service.fingers[name], self._service.store
+        if finger.serial is None or not isinstance(store, BackgroundArchive):
+            raise CommandRefused(f"{name} finger: no sensor was found yet: {finger.health.reason}")
+        self.check_not_running()
+        async with self._lock:
+            self._check_idle()
+            try:
+                await asyncio.to_thread(store.go_back, finger.serial, number)
+            except InputError as error:
+                raise CommandRefused(str(error)) from None
+            finger.renew_pipeline()
+            await self._wait_for_estimates()
+        return f"{name} ({finger.serial}): background image {number} is in use again"
+
+    def _check_idle(self) -> None:
+        service = self._service
+        if service.phase is not Phase.IDLE:
+            raise CommandRefused(f"cannot calibrate while {service.phase}; release first")
+        gripper = service.gripper.newest
+        if gripper is not None and (gripper.holding or gripper.moving or gripper.closed_on_nothing):
+            raise CommandRefused("cannot calibrate: the gripper is moving, holding or closed; open the jaws first")
+        missing = [name for name, finger in service.fingers.items() if not finger.health.ready]
+        if missing:
+            raise CommandRefused(f"cannot calibrate: no frames from {' and '.join(missing)}; check the sensors")
+
+    async def _has_background(self, finger: Finger) -> bool:
+        """Return whether a background image is stored. Raises InputError if it is damaged."""
+        if finger.serial is None:
+            return False
+        # In a thread: reading the file would block the loop.
+        return await asyncio.to_thread(self._service.store.load_background, finger.serial) is not None
+
+    async def _contact_is_reliable(self, finger: Finger) -> bool:
+        """Return whether the finger can detect contact: not without a good background image."""
+        try:
+            return await self._has_background(finger)
+        except InputError:
+            return False
+
+    async def _take(self) -> dict[str, BackgroundImage]:
+        """Take one background image per finger, at the same time."""
+        fingers = self._service.fingers
+        taps: dict[str, asyncio.Queue[Frame]] = {name: asyncio.Queue(maxsize=4) for name in fingers}
+        try:
+            for name, finger in fingers.items():
+                finger.tap = taps[name]
+            images = await asyncio.gather(*(collect(tap, name) for name, tap in taps.items()), return_exceptions=True)
+        finally:
+            for finger in fingers.values():
+                finger.tap = None
+        taken = {}
+        for name, result in zip(fingers, images, strict=True):
+            if isinstance(result, BaseException):
+                raise result
+            taken[name] = await asyncio.to_thread(average_background, result, name)
+        return taken
+
+    async def _store(self, taken: Mapping[str, BackgroundImage], new_gel: bool) -> None:
+        """Store all images. If a write fails, the error says which images are stored.
+
+        A finger whose image is stored uses it at once: the image is good, and a restart would use it too.
+        """
+        fingers, store = self._service.fingers, self._service.store
+        stored: list[str] = []
+        name = ""
+        try:
+            for name, finger in fingers.items():
+                if finger.serial is not None:
+                    if isinstance(store, BackgroundArchive):
+                        await asyncio.to_thread(store.save_background, finger.serial, taken[name], new_gel=new_gel)
+                    else:
+                        await asyncio.to_thread(store.save_background, finger.serial, taken[name])
+                    stored.append(name)
+        except (SlipguardError, OSError) as error:
+            others = f"the new image of {' and '.join(stored)} is in use" if stored else "nothing was stored"
+            raise CommandRefused(
+                f"the background image of {name} could not be stored ({error}); {others}; calibrate again"
+            ) from None
+        finally:
+            for one in stored:
+                fingers[one].renew_pipeline()
+
+    async def _wait_for_estimates(self) -> None:
+        """Wait for the first estimates with the new images."""
+        try:
+            async with asyncio.timeout(TIMEOUT_S):
+                for finger in self._service.fingers.values():
+                    await finger.answered.wait()
+        except TimeoutError:
+            raise CommandRefused(
+                f"the background images are stored, but no frame arrived within {TIMEOUT_S:g} s; check the sensors"
+            ) from None

@@ -1,0 +1,132 @@
+"""Requests to the daemon. Each is defined once, here.
+
+The same object is the HTTP body, the argument of the client, and the argument of the handler.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
+
+CALIBRATION_TIMEOUT_S = 30.0
+
+Force = Annotated[float, Field(gt=0.0, le=235.0, description="Newtons per finger.")]
+Height = Annotated[float, Field(gt=0.0, le=2000.0, description="Millimeters.")]
+Speed = Annotated[float, Field(gt=0.0, le=250.0, description="Millimeters per second.")]
+Width = Annotated[float, Field(ge=0.0, le=200.0, description="Millimeters between the jaws.")]
+
+
+class DaemonRequest(BaseModel):
+    """Base of all requests. Unknown keys, infinite numbers and numbers in quotes are refused.
+
+    kind: the request's name; its HTTP route is `POST /<kind>`. response_timeout_s: how long the daemon may take.
+    An optional field that is None takes its value from the configuration.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+    kind: ClassVar[str]
+    response_timeout_s: ClassVar[float] = 5.0
+
+
+class GraspRequest(DaemonRequest):
+    """Close on the object between the jaws."""
+
+    kind = "grasp"
+    force_n: Force | None = None
+
+
+class LiftRequest(DaemonRequest):
+    """Lift the held object. The response comes when the lift has begun."""
+
+    kind = "lift"
+    height_mm: Height | None = None
+    speed_mm_s: Speed | None = None
+
+
+class LowerRequest(DaemonRequest):
+    """Lower the held object, by default by the height it was lifted."""
+
+    kind = "lower"
+    height_mm: Height | None = None
+    speed_mm_s: Speed | None = None
+
+
+class GuardRequest(DaemonRequest):
+    """Switch the guard: on, it tightens when the object slips; off, it only reports."""
+
+    kind = "guard"
+    on: bool
+
+
+class MoveJawsRequest(DaemonRequest):
+    """Move the jaws for another program. Never opens on a held object and never lowers its grip force."""
+
+    kind = "gripper"
+    width_mm: Width | None = None
+    force_n: Force | None = None
+
+
+class ReleaseRequest(DaemonRequest):
+    """Open the jaws, in every state. A held object drops, so `confirm` must be true."""
+
+    kind = "release"
+    confirm: Annotated[bool, Field(json_schema_extra={"const": True})]
+    width_mm: Width | None = None
+
+    @field_validator("confirm")
+    @classmethod
+    def _check_confirmed(cls, confirm: bool) -> bool:
+        if not confirm:
+            raise ValueError("must be true: a held object drops when the jaws open")
+        return confirm
+
+
+class ClearRequest(DaemonRequest):
+    """Clear a latched fault whose cause is gone."""
+
+    kind = "clear"
+
+
+class CalibrateRequest(DaemonRequest):
+    """Take and store the background images of both fingers.
+
+    force: also if a stored image indicates contact (the light may have changed). new_gel: the gels were replaced; their
+    wear is counted from this image on.
+    """
+
+    kind = "calibrate"
+    response_timeout_s = CALIBRATION_TIMEOUT_S
+    force: bool = False
+    new_gel: bool = False
+
+
+def _integer(number: object) -> object:
+    """Convert 3.0 to 3: JSON does not distinguish them."""
+    return int(number) if isinstance(number, float) and number.is_integer() else number
+
+
+class RestoreBackgroundRequest(DaemonRequest):
+    """Use an older background image of a finger's sensor again, given by its number."""
+
+    kind = "no-contact"
+    response_timeout_s = CALIBRATION_TIMEOUT_S
+    finger: Literal["left", "right"]
+    number: Annotated[int, Field(ge=1, le=1_000_000), BeforeValidator(_integer)]
+
+
+REQUESTS: dict[str, type[DaemonRequest]] = {
+    request.kind: request
+    for request in (
+        GraspRequest,
+        LiftRequest,
+        LowerRequest,
+        GuardRequest,
+        MoveJawsRequest,
+        ReleaseRequest,
+        ClearRequest,
+        RestoreBackgroundRequest,
+        CalibrateRequest,
+    )
+}
+"""All requests by their kind."""

@@ -1,0 +1,108 @@
+"""Timeouts and limits of HTTP connections, and detection of clients that have disconnected.
+
+uvicorn waits without limit for a request that arrives byte by byte; a few hundred of those would use up the process's
+file descriptors.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import select
+from functools import partial
+from typing import Any
+
+from starlette.types import ASGIApp, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+REQUEST_TIMEOUT_S = 10.0
+"""From the first byte, or the start of the connection, to the end of the request's headers."""
+CONNECTIONS_MAX = 128
+"""One more closes the connection that has been idle longest; it is refused only if none is idle."""
+TOO_MANY_BODY = b'{"error": "too many connections"}'
+TOO_MANY_HEAD = (
+    b"HTTP/1.1 503 Service Unavailable\r\nconnection: close\r\ncontent-type: application/json\r\ncontent-length: "
+)
+_DISCONNECTED_KEY = "slipguard.disconnected"
+
+
+class TimeoutHttpProtocol(H11Protocol):
+    """uvicorn's HTTP/1.1 with a request timeout and a limit of connections."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._timeout: asyncio.TimerHandle | None = None
+        self._received_at_s = 0.0
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self.app = track_disconnect(self.app, transport)
+        self._received_at_s = self.loop.time()
+        if len(self.connections) > CONNECTIONS_MAX and not self._close_longest_idle():
+            transport.write(TOO_MANY_HEAD + f"{len(TOO_MANY_BODY)}\r\n\r\n".encode() + TOO_MANY_BODY)
+            transport.close()
+            return
+        self._start_timeout()
+
+    def data_received(self, data: bytes) -> None:
+        self._received_at_s = self.loop.time()
+        super().data_received(data)
+        upgraded = self.transport.get_protocol() is not self
+        if upgraded or self._responding:
+            self._cancel_timeout()
+        elif self._timeout is None and not self.transport.is_closing():
+            self._start_timeout()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._cancel_timeout()
+        super().connection_lost(exc)
+
+    @property
+    def _responding(self) -> bool:
+        return self.cycle is not None and not self.cycle.response_complete
+
+    def _close_longest_idle(self) -> bool:
+        """Close the connection that has been idle longest; return False if none is idle.
+
+        Without this, idle connections could lock out the operator.
+        """
+        others = [one for one in self.connections if isinstance(one, TimeoutHttpProtocol) and one is not self]
+        idle = [one for one in others if not one._responding and not one.transport.is_closing()]
+        if not idle:
+            return False
+        min(idle, key=lambda one: one._received_at_s).transport.abort()
+        return True
+
+    def _start_timeout(self) -> None:
+        self._timeout = self.loop.call_later(REQUEST_TIMEOUT_S, self.transport.abort)
+
+    def _cancel_timeout(self) -> None:
+        if self._timeout is not None:
+            self._timeout.cancel()
+            self._timeout = None
+
+
+def track_disconnect(app: ASGIApp, transport: asyncio.Transport) -> ASGIApp:
+    """Return the ASGI app of one connection, extended so that `is_disconnected` works for its requests."""
+
+    async def tracked(scope: Scope, receive: Receive, send: Send) -> None:
+        await app({**scope, _DISCONNECTED_KEY: partial(_hung_up, transport)}, receive, send)
+
+    return tracked
+
+
+def is_disconnected(scope: Scope) -> bool:
+    """Return whether the client of a request has closed its connection; False if that is unknown.
+
+    A web process that was suspended, or has just started, finds old requests whose clients have gone. Such a request
+    must not be executed. The request's bytes arrive before the news of the disconnect, so the kernel is asked.
+    """
+    disconnected = scope.get(_DISCONNECTED_KEY)
+    return disconnected is not None and disconnected()
+
+
+def _hung_up(transport: asyncio.Transport) -> bool:
+    if transport.is_closing():
+        return True
+    poll = select.poll()
+    poll.register(transport.get_extra_info("socket").fileno(), select.POLLRDHUP)
+    return bool(poll.poll(0))
