@@ -1,4 +1,4 @@
-"""`python -m tests.campaigns`: long measurements that only the developers of slipguard run."""
+"""`python -m tests.campaigns`: long measurements for the developers of slipguard."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Rendered frames kept whole, with what was pressed, so that labels and resolutions compare on the same ones."""
+"""Rendered frames stored at full resolution with their truth, so that labels and resolutions share the same frames."""
 
 from __future__ import annotations
 
@@ -20,14 +20,20 @@ from slipguard.sim.contact_label import label, outlined
 from slipguard.sim.gel_camera import GelTruth
 
 HELD_OUT = ("battery", "bolt", "coin", "cone", "egg", "gear", "pen", "tee")
-"""Training objects left out of these trainings: what the variants are scored on."""
+"""Training objects left out of these trainings; the variants are scored on them."""
 CONTACT = "contact"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
-    """frame, background: (N, 320, 240, 3) uint8; moved_mm: (N, 320, 240) float16; touching: (N, 320, 240) bool;
-    press_mm: (N,) float32."""
+class StoredFrames:
+    """N rendered frames with their truth.
+
+    Attributes:
+        frame, background: (N, 320, 240, 3) uint8.
+        moved_mm: (N, 320, 240) float16, gel displacement.
+        touching: (N, 320, 240) bool, contact.
+        press_mm: (N,) float32, indentation.
+    """
 
     frame: NDArray[np.uint8]
     background: NDArray[np.uint8]
@@ -39,7 +45,7 @@ class Drawn:
         return len(self.frame)
 
     def masks(self, wanted: float | str) -> NDArray[np.uint8]:
-        """Labels (N, 320, 240) uint8, 0 or 1, of that share of the deepest press, or of the `CONTACT` itself."""
+        """Return labels (N, 320, 240) uint8, 0 or 1, for a share of the deepest press, or for `CONTACT`."""
         out = np.zeros(self.touching.shape, np.uint8)
         for index in range(len(self)):
             if isinstance(wanted, str):
@@ -50,28 +56,30 @@ class Drawn:
                 out[index] = label(GelTruth(self.frame[index], self.touching[index], moved_mm, press_mm), wanted)
         return out
 
-    def first(self, count: int) -> Drawn:
-        """The first `count` of them."""
-        return Drawn(*(getattr(self, name)[:count] for name in self.__slots__))
+    def first(self, count: int) -> StoredFrames:
+        """Return the first `count` frames."""
+        return StoredFrames(*(getattr(self, name)[:count] for name in self.__slots__))
 
     def at(self, size: tuple[int, int], masks: NDArray[np.uint8]) -> RenderedFrames:
-        """Frames and labels area-averaged to (width, height)."""
+        """Return frames and labels, area-averaged to (width, height)."""
         return RenderedFrames(*(_smaller(a, size) for a in (self.frame, self.background, masks * np.uint8(255))))
 
 
-def training_frames(work: Path, count: int, progress: Callable[[int], None]) -> Drawn:
-    """`count` frames of the training distribution without the `HELD_OUT` objects, kept in `work`."""
+def training_frames(work: Path, count: int, progress: Callable[[int], None]) -> StoredFrames:
+    """Return `count` frames of the training distribution without the `HELD_OUT` objects, stored in `work`."""
     every = (render_sample(seed) for seed in itertools.count())
-    return _kept(work / f"drawn-{count}", (s for s in every if s.view.object_name not in HELD_OUT), count, progress)
+    return _stored(work / f"drawn-{count}", (s for s in every if s.view.object_name not in HELD_OUT), count, progress)
 
 
-def held_out_frames(work: Path, count: int, progress: Callable[[int], None]) -> Drawn:
-    """`count` presses of the `HELD_OUT` objects, kept in `work`."""
+def held_out_frames(work: Path, count: int, progress: Callable[[int], None]) -> StoredFrames:
+    """Return `count` presses of the `HELD_OUT` objects, stored in `work`."""
     presses = (press_of(HELD_OUT[n % len(HELD_OUT)], VALIDATION_SEED + n) for n in itertools.count())
-    return _kept(work / f"held-out-{count}", presses, count, progress)
+    return _stored(work / f"held-out-{count}", presses, count, progress)
 
 
-def _kept(folder: Path, samples: Iterator[RenderedSample], count: int, progress: Callable[[int], None]) -> Drawn:
+def _stored(
+    folder: Path, samples: Iterator[RenderedSample], count: int, progress: Callable[[int], None]
+) -> StoredFrames:
     folder.mkdir(parents=True, exist_ok=True)
     note = folder / "done.json"
     done = note.is_file()
@@ -94,7 +102,7 @@ def _kept(folder: Path, samples: Iterator[RenderedSample], count: int, progress:
             part[index] = value
         progress(index + 1)
     note.write_text(json.dumps({"frames": count}))
-    return Drawn(*parts)
+    return StoredFrames(*parts)
 
 
 def _smaller(images: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:

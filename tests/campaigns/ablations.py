@@ -1,8 +1,7 @@
-"""What each choice in the small network is worth: variants trained alike on a short schedule, one choice changed each.
+"""The value of each design choice of the small network: variants with one choice changed, on the same short schedule.
 
-`python -m tests.campaigns.ablations --work build/ablations --real DIR --backgrounds DIR` trains what is not in the work
-folder yet and prints one table. Scored on presses of objects that none of these trainings saw, at frame size, each
-against its own label, and on the tuning part of real frames.
+The variants are scored on presses of objects left out of these trainings, at frame size, each against its own label,
+and on the tuning part of the real frames.
 """
 
 from __future__ import annotations
@@ -12,12 +11,11 @@ import time
 import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
 import torch
-import typer
 from numpy.typing import NDArray
 from rich.console import Console
 
@@ -29,18 +27,18 @@ from slipguard.training.int8 import CALIBRATION_FRAMES, CONVOLUTIONS, quantised
 from slipguard.training.onnx_file import session
 from slipguard.training.small_network import Exported, Inputs, SmallNet
 from slipguard.training.train import TrainSettings, probabilities, real_scores, train
-from tests.campaigns.ablation_frames import CONTACT, Drawn, held_out_frames, training_frames
+from tests.campaigns.ablation_frames import CONTACT, StoredFrames, held_out_frames, training_frames
 
-FRAMES, HELD_OUT_FRAMES = 3000, 240
+HELD_OUT_FRAMES = 240
 CROP_MARGIN_PX, CROP_STEP_PX = 12, 16
-"""Round the patch that is known, at network resolution; crops are a multiple of the network's strides."""
+"""Margin around the known patch, at network resolution; crop sides are multiples of the network's stride."""
 TIMED_ROUNDS = 150
 THRESHOLD = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One choice changed. size: (width, height); mask: the label, a share of the deepest press or the contact."""
+    """One choice changed. size: (width, height); mask: label threshold as a share of the deepest press, or CONTACT."""
 
     name: str
     mask: float | str = PRESS_SHARE
@@ -50,7 +48,7 @@ class Variant:
     settings: TrainSettings = field(default=TrainSettings(epochs=2, patterns=300, zoom_share=0.1, threads=1))
 
     def net(self) -> SmallNet:
-        """The network of this variant, untrained."""
+        """Return the untrained network of this variant."""
         return SmallNet(self.widths, self.inputs)
 
 
@@ -63,20 +61,20 @@ VARIANTS = (
     Variant("input: frame alone", inputs="frame"),
     Variant("channels: 8-16-32-48", widths=(8, 16, 32, 48)),
     Variant("channels: 24-48-96-144", widths=(24, 48, 96, 144)),
-    Variant("no view of the whole picture: 16-32-64", widths=(16, 32, 64, 0)),
+    Variant("no global context: 16-32-64", widths=(16, 32, 64, 0)),
     Variant("resolution: 96×128", size=(96, 128)),
     Variant("resolution: 240×320", size=(240, 320)),
 )
 
 
-def scores(net: SmallNet, variant: Variant, drawn: Drawn, real: list[RealFrame]) -> dict[str, float]:
-    """Dice and IoU over held-out presses at frame size, IoU of each group of real frames."""
+def scores(net: SmallNet, variant: Variant, drawn: StoredFrames, real: list[RealFrame]) -> dict[str, float]:
+    """Return Dice and IoU over held-out presses at frame size, and the IoU of each group of real frames."""
     masks = drawn.masks(variant.mask)
     shown = drawn.at(variant.size, masks)
     found = [
-        dice_and_iou(answer, truth > 0)
+        dice_and_iou(probability, truth > 0)
         for start in range(0, len(drawn), 40)
-        for answer, truth in zip(
+        for probability, truth in zip(
             probabilities(net, shown.frame[start : start + 40], shown.background[start : start + 40], True).numpy(),
             masks[start : start + 40],
             strict=True,
@@ -88,13 +86,13 @@ def scores(net: SmallNet, variant: Variant, drawn: Drawn, real: list[RealFrame])
 
 
 def dice_and_iou(probability: NDArray[np.float32], truth: NDArray[np.bool_]) -> tuple[float, float]:
-    """Of a probability map of any size against a mask at frame size."""
+    """Return Dice and IoU of a probability map of any size against a mask at frame size."""
     mask = np.asarray(cv2.resize(probability, (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)) > THRESHOLD)
     return dice(mask, truth), iou(mask, truth)
 
 
-def written(net: SmallNet, size: tuple[int, int], path: Path) -> Path:
-    """The network as an ONNX file that takes pictures of that (width, height)."""
+def export_network(net: SmallNet, size: tuple[int, int], path: Path) -> Path:
+    """Write the network as an ONNX file for images of that (width, height) and return its path."""
     image = torch.zeros((1, size[1], size[0], 3), dtype=torch.uint8)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -110,8 +108,8 @@ def written(net: SmallNet, size: tuple[int, int], path: Path) -> Path:
     return path
 
 
-def in_int8(path: Path, frames: RenderedFrames) -> Path:
-    """The same network in int8, ranges calibrated on rendered frames."""
+def export_int8(path: Path, frames: RenderedFrames) -> Path:
+    """Write the same network in int8, ranges calibrated on rendered frames, and return its path."""
     out, known = path.with_suffix(".int8.onnx"), np.ones(1, np.float32)
     sample = (
         {"frame": frame[None].copy(), "background": background[None].copy(), "background_known": known}
@@ -121,23 +119,23 @@ def in_int8(path: Path, frames: RenderedFrames) -> Path:
     return out
 
 
-def answer(network: Any, frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Probability (H, W) of one picture; a network that sees the frame alone is given no more."""
+def run_network(network: Any, frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return the probability map (H, W) of one image; only the inputs that the network has are passed."""
     feed = {"frame": frame[None], "background": background[None], "background_known": np.ones(1, np.float32)}
     asked = {port.name for port in network.get_inputs()}
     probability: NDArray[np.float32] = network.run(None, {k: v for k, v in feed.items() if k in asked})[0][0, 0]
     return probability
 
 
-def on_whole(network: Any, shown: RenderedFrames, masks: NDArray[np.uint8]) -> tuple[float, float]:
-    """Mean Dice and IoU of an ONNX network."""
+def score_full_frames(network: Any, shown: RenderedFrames, masks: NDArray[np.uint8]) -> tuple[float, float]:
+    """Return the mean Dice and IoU of an ONNX network."""
     pairs = zip(shown.frame, shown.background, masks, strict=True)
-    found = [dice_and_iou(answer(network, f, b), m > 0) for f, b, m in pairs if m.any()]
+    found = [dice_and_iou(run_network(network, f, b), m > 0) for f, b, m in pairs if m.any()]
     return float(np.mean([d for d, _ in found])), float(np.mean([i for _, i in found]))
 
 
-def on_crops(net: SmallNet, shown: RenderedFrames, masks: NDArray[np.uint8]) -> tuple[float, float, float]:
-    """Mean Dice, mean IoU and mean share of the picture when the network sees the known patch's crop alone."""
+def score_crops(net: SmallNet, shown: RenderedFrames, masks: NDArray[np.uint8]) -> tuple[float, float, float]:
+    """Return mean Dice, mean IoU and the mean crop area as a share of the image, with a crop around the known patch."""
     found, shares = [], []
     for frame, background, small, mask in zip(shown.frame, shown.background, shown.label, masks, strict=True):
         if not mask.any():
@@ -151,7 +149,7 @@ def on_crops(net: SmallNet, shown: RenderedFrames, masks: NDArray[np.uint8]) -> 
 
 
 def _crop(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """The box of a mask with its margin, grown to whole steps where the picture allows."""
+    """Return the bounding box of a mask with its margin, enlarged to whole steps where the image allows."""
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
     parts = []
     for low, high, full in (
@@ -166,35 +164,24 @@ def _crop(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
 
 
 def median_ms(networks: dict[str, Path], sizes: dict[str, tuple[int, int]]) -> dict[str, float]:
-    """Median processor time of each network, taken turn by turn so that a busy machine is unfair to none."""
+    """Return each network's median processor time; the networks alternate, so other load affects all alike."""
     sessions = {name: session(path) for name, path in networks.items()}
     rng = np.random.default_rng(0)
-    pictures = {size: rng.integers(0, 255, (size[1], size[0], 3), np.uint8) for size in set(sizes.values())}
+    images = {size: rng.integers(0, 255, (size[1], size[0], 3), np.uint8) for size in set(sizes.values())}
     spent: dict[str, list[float]] = {name: [] for name in networks}
     for _ in range(TIMED_ROUNDS):
         for name, network in sessions.items():
-            picture = pictures[sizes[name]]
+            image = images[sizes[name]]
             start_s = time.thread_time()
-            answer(network, picture, picture)
+            run_network(network, image, image)
             spent[name].append(1e3 * (time.thread_time() - start_s))
     return {name: float(np.median(values)) for name, values in spent.items()}
 
 
-def main(
-    work: Annotated[Path, typer.Option(help="Folder for frames, weights and results; a stopped run goes on.")],
-    real: Annotated[
-        Path | None, typer.Option(help="Folder of labelled real frames; only the tuning part is used.")
-    ] = None,
-    backgrounds: Annotated[Path | None, typer.Option(help="Folder of real no-contact images to train on.")] = None,
-    frames: Annotated[int, typer.Option(min=64, help="Training frames of each variant.")] = FRAMES,
-    epochs: Annotated[int, typer.Option(min=1, help="Passes over them.")] = 2,
-    seeds: Annotated[int, typer.Option(min=1, help="Trainings of each variant, seeds 0, 1, ...")] = 1,
-    bfloat16: Annotated[bool, typer.Option(help="Half precision, as in `slipguard train`.")] = False,
+def compare_variants(
+    work: Path, real: Path | None, backgrounds: Path | None, frames: int, epochs: int, seeds: int, bfloat16: bool
 ) -> None:
-    """Train every variant, measure, print a table in Markdown.
-
-    Example: `python -m tests.campaigns.ablations --work build/ablations --real DIR --backgrounds DIR`
-    """
+    """Train every variant that is not in `work` yet, measure all, print a table in Markdown."""
     console = Console()
     work.mkdir(parents=True, exist_ok=True)
     with console.status("rendering"):
@@ -215,7 +202,7 @@ def main(
             with console.status(f"{variant.name}, seed {seed}"):
                 if not kept.is_file():
                     net = _trained(variant, settings, shown, folder, unpressed)
-                    written(net, variant.size, folder / "net.onnx")
+                    export_network(net, variant.size, folder / "net.onnx")
                     kept.write_text(json.dumps(scores(net, variant, drawn, labelled)))
             found.append(json.loads(kept.read_text()))
             files.setdefault(variant.name, folder / "net.onnx")
@@ -224,19 +211,19 @@ def main(
     base = VARIANTS[0]
     masks = drawn.masks(base.mask)
     held_out = drawn.at(base.size, masks)
-    eight = "int8, as shipped else"
+    int8_name = "int8, otherwise as shipped"
     calibration = shown.first(CALIBRATION_FRAMES)
-    files[eight] = in_int8(files[base.name], calibration.at(base.size, calibration.masks(base.mask)))
-    overlap = on_whole(session(files[eight]), held_out, masks)
-    rows.append({"name": eight, "dice": overlap[0], "iou": overlap[1]})
+    files[int8_name] = export_int8(files[base.name], calibration.at(base.size, calibration.masks(base.mask)))
+    overlap = score_full_frames(session(files[int8_name]), held_out, masks)
+    rows.append({"name": int8_name, "dice": overlap[0], "iou": overlap[1]})
     net = base.net()
     net.load_state_dict(torch.load(files[base.name].parent / "weights.pt", weights_only=True))
-    crops = on_crops(net, held_out, masks)
+    crops = score_crops(net, held_out, masks)
     rows.append(
-        {"name": f"on the known patch's crop ({crops[2]:.0%} of the picture)", "dice": crops[0], "iou": crops[1]}
+        {"name": f"crop around the known patch ({crops[2]:.0%} of the image)", "dice": crops[0], "iou": crops[1]}
     )
     side = (round(base.size[0] * crops[2] ** 0.5 / 8) * 8, round(base.size[1] * crops[2] ** 0.5 / 8) * 8)
-    files[rows[-1]["name"]] = written(net, side, work / "crop.onnx")
+    files[rows[-1]["name"]] = export_network(net, side, work / "crop.onnx")
     sizes = {variant.name: variant.size for variant in VARIANTS} | {rows[-1]["name"]: side}
     times = median_ms(files, {name: sizes.get(name, base.size) for name in files})
     for row in rows:
@@ -245,7 +232,11 @@ def main(
 
 
 def _trained(
-    variant: Variant, settings: TrainSettings, shown: Drawn, folder: Path, unpressed: list[NDArray[np.uint8]] | None
+    variant: Variant,
+    settings: TrainSettings,
+    shown: StoredFrames,
+    folder: Path,
+    unpressed: list[NDArray[np.uint8]] | None,
 ) -> SmallNet:
     frames = shown.at(variant.size, shown.masks(variant.mask))
     few = RenderedFrames(frames.frame[:50], frames.background[:50], frames.label[:50])
@@ -257,14 +248,10 @@ def _trained(
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Markdown: time against the first row's, Dice and IoU of held-out presses, IoU of real groups."""
+    """Return a Markdown table: time relative to the first row, Dice and IoU of held-out presses, IoU of real groups."""
     keys = list(dict.fromkeys(key for row in rows for key in row if key not in ("name", "time")))
     lines = [f"| variant | time | {' | '.join(keys)} |", "|---" * (len(keys) + 2) + "|"]
     for row in rows:
         cells = [f"{row[key]:.3f}" if key in row else "–" for key in keys]
         lines.append(f"| {row['name']} | {row['time']:.2f} | {' | '.join(cells)} |")
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,18 +1,24 @@
-"""The campaigns' commands on one typer application."""
+"""The campaigns' command line. A campaign's module is imported by its command only: some need torch."""
 
 from __future__ import annotations
+
+import json as jsonlib
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
 from slipguard.cli import app as product
-from tests.campaigns.api_load_command import api_load
+from tests.campaigns.api_load import api_load
 from tests.campaigns.faults.command import faults
+from tests.campaigns.recording_cost import recording_cost
 from tests.campaigns.soak.command import soak
 
 app = typer.Typer(name="campaigns", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
-app.command()(soak)
-app.command()(faults)
-app.command()(api_load)
+for campaign in (soak, faults, api_load, recording_cost):
+    app.command()(campaign)
+Model = Annotated[Path | None, typer.Option(help="Segmentation network (.onnx); default: the shipped one.")]
 
 
 @app.callback()
@@ -21,6 +27,85 @@ def top() -> None:
 
     Example: `python -m tests.campaigns soak --hours 8`, `python -m tests.campaigns faults --runs 1000`
     """
+
+
+@app.command()
+def ablations(
+    work: Annotated[Path, typer.Option(help="Folder for frames, weights and results; an interrupted run continues.")],
+    real: Annotated[
+        Path | None, typer.Option(help="Folder of labeled real frames; only its tuning part is used.")
+    ] = None,
+    backgrounds: Annotated[Path | None, typer.Option(help="Folder of real background images to train on.")] = None,
+    frames: Annotated[int, typer.Option(min=64, help="Training frames of each variant.")] = 3000,
+    epochs: Annotated[int, typer.Option(min=1, help="Training epochs.")] = 2,
+    seeds: Annotated[int, typer.Option(min=1, help="Trainings of each variant, seeds 0, 1, ...")] = 1,
+    bfloat16: Annotated[bool, typer.Option(help="Train with half precision, as `slipguard train` does.")] = False,
+) -> None:
+    """Train variants of the small network, one design choice changed each, and print a Markdown table.
+
+    Example: `python -m tests.campaigns ablations --work build/ablations --real DIR --backgrounds DIR`
+    """
+    from tests.campaigns.ablations import compare_variants
+
+    compare_variants(work, real, backgrounds, frames, epochs, seeds, bfloat16)
+
+
+@app.command()
+def fit_renderer(
+    folder: Annotated[Path, typer.Argument(help="Folder with NN.png, background.png and circles.csv (file,cx,cy,r).")],
+    rounds: Annotated[int, typer.Option(min=1, help="Rounds of the fit.")] = 20,
+    sheet: Annotated[Path | None, typer.Option(help="PNG of real and rendered images and their differences.")] = None,
+) -> None:
+    """Fit the renderer's optics to real presses of a ball; report the correlation with held-out presses.
+
+    Example: `python -m tests.campaigns fit-renderer real_digit/taxim_sphere --sheet sheet.png`
+    """
+    from tests.campaigns.fit_renderer import fit_and_report
+
+    fit_and_report(folder, rounds, sheet)
+
+
+@app.command()
+def fit_sigma(
+    grasps: Annotated[int, typer.Option(min=1, help="Rendered grasps of each training object.")] = 2,
+    real: Annotated[
+        Path | None, typer.Option(help="Folder with anytouch2_force2/, to fit to real presses too.")
+    ] = None,
+    model: Model = None,
+) -> None:
+    """Fit the constants of the texture estimate's sigma to rotations of known size.
+
+    Run it again when the network or the renderer has changed. The constants are in
+    `slipguard/perception/rotation/texture_sigma.py`.
+
+    Example: `python -m tests.campaigns fit-sigma --grasps 2 --real real_digit`
+    """
+    from tests.campaigns.fit_sigma import fit_and_report
+
+    fit_and_report(grasps, real, model)
+
+
+@app.command()
+def network_table(
+    models: Annotated[list[Path], typer.Argument(help="ONNX files that keep the model contract.")],
+    grasps: Annotated[int, typer.Option(min=1, help="Grasps of each test object.")] = 2,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object per network.")] = False,
+) -> None:
+    """Compare networks on rendered grasps of the test objects: Dice, IoU, time, false contacts.
+
+    Example: `python -m tests.campaigns network-table models/*.onnx`
+    """
+    from slipguard.perception.contact.segmenter import Segmenter
+    from tests.campaigns.network_table import HEADER, compare_networks, grasp_frames
+
+    networks = [(path.stem, Segmenter(path)) for path in models]
+    rows = compare_networks(networks, grasp_frames(range(grasps)))
+    if json:
+        for row in rows:
+            print(jsonlib.dumps(asdict(row)))
+        return
+    print(f"{rows[0].frames} frames with contact, {rows[0].untouched} without; {grasps} grasps of each object")
+    print(HEADER, *rows, sep="\n")
 
 
 def run(arguments: list[str] | None = None) -> int:

@@ -1,15 +1,12 @@
-"""How far to trust the turn by relief: the constants of its sigma, fitted to turns whose size is known.
+"""A fit of the constants of the texture estimate's sigma to rotations of known size.
 
-`python -m tests.campaigns.fit_sigma [--grasps N] [--real DIR] [--model FILE]` prints what is in use, what fits, and how
-many errors lie within one and two sigmas. Rendered turns of the training objects; with `--real` also the tuning part
-of real presses, turned and relit, and of real frames that shear without turning, each kind with its share of the
-weight. To be run again when the network or the renderer has changed; the constants stand in
+The rotations are rendered grasps of the training objects; with real data also the tuning part of real presses, rotated
+and relit, and of real frames that shear without rotating. Each kind has its share of the weight. The constants are in
 `slipguard.perception.rotation.texture_sigma`.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,8 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.datasets import rendered_grasps as sequences
-from slipguard.datasets.rendered_grasps import FRAME_S, GraspFrame
+from slipguard.datasets.rendered_grasps import FRAME_S, GraspFrame, RenderedGrasp, render_grasp
 from slipguard.devices import Frame
 from slipguard.evaluation.rotated_presses import PX_PER_MM, press_images, rotated_grasp
 from slipguard.perception.contact.patch import Patch, find_patch
@@ -39,33 +35,31 @@ SEED = 7400
 FRAME_PX = 2.0
 MIN_AREA_PX = 200.0
 DEGREES_OF_FREEDOM = 5.0
-"""Errors have heavier tails than a Gaussian: a single bad grasp must not set the constants for all."""
+"""Errors have heavier tails than a Gaussian: a single bad grasp must not determine the constants."""
 STEPS = (0.8, 0.4, 0.15, 0.05, 0.02)
 HEADROOM = (1.25, 1.25, 1.7, 1.7)
-"""The shares are made larger than what fits best by this: two sigmas shall hold 93 % of the errors of unknown objects,
-and what deforms those differs more from object to object than noise does."""
+"""Factors on the best fit: two sigmas shall cover 93 % of the errors of unknown objects, whose deformation differs more
+between objects than noise does."""
 KINDS = {"rendered": 0.6, "relit": 0.25, "sheared": 0.15}
-"""What a kind of turns weighs where all are there."""
+"""Weight of each kind of rotation when all are present."""
 SHEARED_NOISE_BGR = (1.5, 0.95, 1.3)
-"""Of `anytouch2_force2`: from what differs between neighbouring frames away from the contact."""
+"""Of `anytouch2_force2`: from differences of neighboring frames away from the contact."""
 SHEARED_LAST = "f0132"
 SHEARED_FRAMES, SHEARED_STEP = 14, 3
 
 
 @dataclass(frozen=True, slots=True)
 class RotationSample:
-    """One measured turn: its error, and the fit that told it. kind: one of `KINDS`."""
+    """One measured rotation: its error and the texture fit behind it. kind: one of `KINDS`."""
 
     grasp: str
     error_deg: float
-    answer: TextureFit
+    fit: TextureFit
     kind: str = "rendered"
 
 
-def samples(
-    grasps: Iterable[sequences.RenderedGrasp], segmenter: Segmenter, kind: str = "rendered"
-) -> Iterator[RotationSample]:
-    """Every turn by relief since the last still frame, frame after frame, of some grasps."""
+def samples(grasps: Iterable[RenderedGrasp], segmenter: Segmenter, kind: str = "rendered") -> Iterator[RotationSample]:
+    """Yield every texture rotation since the last still frame, frame by frame, of some grasps."""
     for number, grasp in enumerate(grasps):
         start = next((k for k, shot in enumerate(grasp.shots) if shot.compared), 0) - 1
         reader = TextureMapReader(grasp.background, grasp.noise_bgr)
@@ -80,17 +74,17 @@ def samples(
             patch = _patch(segmenter, grasp, k)
             if reference is None or patch is None or not grasp.shots[k].compared:
                 continue
-            relief = reader.read(grasp.shots[k].frame.image, patch)
-            answer = fit_texture(reference, relief, replace(pose, rotation_deg=pose.rotation_deg + rate))
-            if answer.declined is not None:
+            texture = reader.read(grasp.shots[k].frame.image, patch)
+            fit = fit_texture(reference, texture, replace(pose, rotation_deg=pose.rotation_deg + rate))
+            if fit.declined is not None:
                 continue
-            rate, pose = answer.pose.rotation_deg - pose.rotation_deg, answer.pose
-            error = answer.pose.rotation_deg - grasp.shots[k].rotation_deg
-            yield RotationSample(f"{kind} {grasp.object_name} {number}", error, answer, kind)
+            rate, pose = fit.pose.rotation_deg - pose.rotation_deg, fit.pose
+            error = fit.pose.rotation_deg - grasp.shots[k].rotation_deg
+            yield RotationSample(f"{kind} {grasp.object_name} {number}", error, fit, kind)
 
 
-def sheared(folder: Path) -> Iterator[sequences.RenderedGrasp]:
-    """Stretches of real frames in which a contact is sheared and not turned, tuning part of `anytouch2_force2`."""
+def sheared(folder: Path) -> Iterator[RenderedGrasp]:
+    """Yield series of real frames in which a contact shears but does not rotate, tuning part of `anytouch2_force2`."""
     background = read_gel_image(folder / "anytouch2_force2" / "background.png")
     paths = sorted((folder / "anytouch2_force2" / "frames").glob("*.png"))
     images = [read_gel_image(path) for path in paths if path.stem <= SHEARED_LAST]
@@ -99,14 +93,14 @@ def sheared(folder: Path) -> Iterator[sequences.RenderedGrasp]:
             GraspFrame(Frame(image, k * FRAME_S, k), True, 0.0, k > 0, None)
             for k, image in enumerate(images[begin : begin + SHEARED_FRAMES])
         ]
-        yield sequences.RenderedGrasp(f"from {begin}", True, background, SHEARED_NOISE_BGR, PX_PER_MM, tuple(shots))
+        yield RenderedGrasp(f"from {begin}", True, background, SHEARED_NOISE_BGR, PX_PER_MM, tuple(shots))
 
 
 def fitted(found: Sequence[RotationSample]) -> tuple[float, ...]:
-    """The shares of sigma's parts under which the errors are likeliest, every grasp of a kind alike."""
+    """Return the shares of sigma's parts that maximize the likelihood; grasps of one kind have equal weights."""
     error, parts, weight = _table(found)
     best = np.log(np.array(shares()))
-    cost = _surprise(best, error, parts, weight)
+    cost = _negative_log_likelihood(best, error, parts, weight)
     for step in STEPS:
         improved = True
         while improved:
@@ -115,29 +109,29 @@ def fitted(found: Sequence[RotationSample]) -> tuple[float, ...]:
                 for way in (-step, step):
                     other = best.copy()
                     other[axis] = max(other[axis] + way, math.log(1e-3))
-                    now = _surprise(other, error, parts, weight)
+                    now = _negative_log_likelihood(other, error, parts, weight)
                     if now < cost - 1e-6:
                         best, cost, improved = other, now, True
     return tuple((np.array(HEADROOM) * np.exp(best)).tolist())
 
 
 def within(found: Sequence[RotationSample], sigmas: float) -> float:
-    """Share of the errors, every grasp alike, within so many sigmas as they are in use."""
+    """Return the share of errors within a number of sigmas with the constants in use; grasps have equal weights."""
     _, _, weight = _table(found)
-    inside = np.array([abs(one.error_deg) <= sigmas * sigma_deg(one.answer) for one in found])
+    inside = np.array([abs(one.error_deg) <= sigmas * sigma_deg(one.fit) for one in found])
     return float(weight @ inside)
 
 
-def _patch(segmenter: Segmenter, grasp: sequences.RenderedGrasp, index: int) -> Patch | None:
+def _patch(segmenter: Segmenter, grasp: RenderedGrasp, index: int) -> Patch | None:
     probability = segmenter.segment(grasp.shots[index].frame.image, grasp.background)
     frame_px = FRAME_PX * 120.0 / probability.shape[1]
     return find_patch(probability, segmenter.threshold, MIN_AREA_PX, frame_px)
 
 
 def _table(found: Sequence[RotationSample]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Errors, the (n, 4) parts of sigma before their shares, and weights that add up to 1."""
+    """Return errors, the (n, 4) parts of sigma before their shares, and weights that add up to 1."""
     error = np.array([one.error_deg for one in found])
-    parts = np.array([parts_deg(one.answer) for one in found])
+    parts = np.array([parts_deg(one.fit) for one in found])
     _, place, count = np.unique([one.grasp for one in found], return_inverse=True, return_counts=True)
     weight = 1.0 / count[place]
     kind = np.array([one.kind for one in found])
@@ -146,46 +140,33 @@ def _table(found: Sequence[RotationSample]) -> tuple[NDArray[np.float64], NDArra
     return error, parts, weight / weight.sum()
 
 
-def _surprise(
+def _negative_log_likelihood(
     logs: NDArray[np.float64], error: NDArray[np.float64], parts: NDArray[np.float64], weight: NDArray[np.float64]
 ) -> float:
-    """Negative log likelihood of Student's t, per error."""
+    """Return the negative log likelihood per error, Student's t."""
     square = (parts**2) @ np.exp(2.0 * logs) + FLOOR_DEG**2
     half = (DEGREES_OF_FREEDOM + 1.0) / 2.0
     return float(weight @ (0.5 * np.log(square) + half * np.log1p(error**2 / square / DEGREES_OF_FREEDOM)))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """The command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--grasps", type=int, default=2, help="grasps of each training object")
-    parser.add_argument("--real", type=Path, default=None, help="folder with anytouch2_force2/; none if left out")
-    parser.add_argument("--model", type=Path, default=None, help="segmentation network; the shipped one if left out")
-    chosen = parser.parse_args(arguments)
-    segmenter = Segmenter(chosen.model)
-    grasps = (
-        sequences.render_grasp(name, SEED + number) for number in range(chosen.grasps) for name in object_names("train")
-    )
-    found = list(samples(grasps, segmenter))
-    print(f"{len(found)} turns of {len({one.grasp for one in found})} grasps, training objects, seeds from {SEED}")
-    if chosen.real is not None:
-        tuning = [press for press in press_images(chosen.real) if press.part == "tune" and press.readable]
+def fit_and_report(grasps: int, real: Path | None, model: Path | None) -> None:
+    """Measure rotations of known size, fit the constants, print both sets and how many errors lie within sigma."""
+    segmenter = Segmenter(model)
+    rendered = (render_grasp(name, SEED + number) for number in range(grasps) for name in object_names("train"))
+    found = list(samples(rendered, segmenter))
+    print(f"{len(found)} rotations of {len({one.grasp for one in found})} grasps, training objects, seeds from {SEED}")
+    if real is not None:
+        tuning = [press for press in press_images(real) if press.part == "tune" and press.readable]
         found += samples((rotated_grasp(press, "relit", SEED) for press in tuning), segmenter, "relit")
-        found += samples(sheared(chosen.real), segmenter, "sheared")
+        found += samples(sheared(real), segmenter, "sheared")
     for word, constants in (("in use", shares()), ("fitted", fitted(found))):
-        print(
-            f"{word}: "
-            + ", ".join(f"{n} {c:.3g}" for n, c in zip(("SPREAD", "NOISE", "GROWTH", "MISFIT"), constants, strict=True))
-        )
+        named = zip(("SPREAD", "NOISE", "GROWTH", "MISFIT"), constants, strict=True)
+        print(f"{word}: " + ", ".join(f"{name} {constant:.3g}" for name, constant in named))
     for kind in KINDS:
         some = [one for one in found if one.kind == kind]
         if some:
             held = [within(some, sigmas) for sigmas in (1.0, 2.0, 5.0)]
             print(f"{kind}: within 1 sigma {held[0]:.3f}, 2 sigma {held[1]:.3f}, 5 sigma {held[2]:.4f} of {len(some)}")
-    worst = max(found, key=lambda one: abs(one.error_deg) / sigma_deg(one.answer))
-    print(f"worst: {worst.grasp}, {worst.error_deg:+.2f} degrees at sigma {sigma_deg(worst.answer):.2f}")
+    worst = max(found, key=lambda one: abs(one.error_deg) / sigma_deg(one.fit))
+    print(f"worst: {worst.grasp}, {worst.error_deg:+.2f} degrees at sigma {sigma_deg(worst.fit):.2f}")
     print(f"root mean square error {math.sqrt(sum(one.error_deg**2 for one in found) / len(found)):.3f} degrees")
-
-
-if __name__ == "__main__":
-    main()

@@ -12,7 +12,7 @@ from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import ClearRequest, GraspRequest, LiftRequest, MoveJawsRequest
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.errors import CommandRefused
-from tests.campaigns.faults.rig import CampaignCell
+from tests.campaigns.faults.campaign_cell import CampaignCell
 
 DEAD_S = 0.5
 ASKED_N = 130.0

@@ -18,8 +18,8 @@ def test_two_clients_for_a_moment(capfd: pytest.CaptureFixture[str]) -> None:
     found = json.loads(told.out)
     assert code == int(found["rise_ms"] > found["allowed_ms"]), told.err
     assert found["decisions"] > 20
-    assert found["got"]["answers 200"] >= 1
-    assert found["got"]["live messages"] >= 1
+    assert found["received"]["responses 200"] >= 1
+    assert found["received"]["live messages"] >= 1
 
 
 def test_a_short_one(capfd: pytest.CaptureFixture[str]) -> None:

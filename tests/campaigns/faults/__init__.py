@@ -1,1 +1,1 @@
-"""The fault campaign: the whole daemon on virtual time, with whatever can go wrong, again and again."""
+"""The fault campaign: the whole daemon on virtual time, with random faults, many times."""

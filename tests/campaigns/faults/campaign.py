@@ -1,4 +1,4 @@
-"""Many runs with faults, and what they come to."""
+"""Many runs with faults and their totals."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from tests.campaigns.faults.trial import TrialResult, trial
 
 
 @dataclass(slots=True)
-class KindTally:
-    """One kind in all runs. runs: with it; due: where it could be seen; named_s: how long each took to be named."""
+class FaultTally:
+    """One fault in all runs. runs: with it; due: where it was observable; named_s: times until the log named it."""
 
     runs: int = 0
     due: int = 0
@@ -23,11 +23,11 @@ class KindTally:
     named_s: list[float] = field(default_factory=list)
 
     def as_json(self) -> dict[str, object]:
-        """The same in figures."""
+        """Return the JSON form."""
         in_order = sorted(self.named_s)
         return {
             "runs": self.runs,
-            "could_be_seen": self.due,
+            "observable": self.due,
             "unnamed": self.unnamed,
             "named_s_median": round(in_order[len(in_order) // 2], 3) if in_order else None,
             "named_s_max": round(in_order[-1], 3) if in_order else None,
@@ -35,8 +35,8 @@ class KindTally:
 
 
 @dataclass(slots=True)
-class Campaign:
-    """What all runs came to. failures: the runs in which anything happened that must not."""
+class CampaignResult:
+    """Totals of all runs. failures: the runs in which a safety rule was broken."""
 
     runs: int = 0
     drops: int = 0
@@ -46,32 +46,32 @@ class Campaign:
     unnamed_faults: int = 0
     crashes: int = 0
     leaked_tasks: int = 0
-    kinds: dict[str, KindTally] = field(default_factory=lambda: {name: KindTally() for name in KINDS})
+    kinds: dict[str, FaultTally] = field(default_factory=lambda: {name: FaultTally() for name in KINDS})
     failures: list[TrialResult] = field(default_factory=list)
 
-    def count(self, outcome: TrialResult) -> None:
-        """One run more."""
+    def count(self, result: TrialResult) -> None:
+        """Add one run."""
         self.runs += 1
-        self.drops += outcome.dropped is not None
-        self.drops_avoidable += outcome.avoidable
-        self.openings += outcome.openings
-        self.presses += outcome.presses
-        self.unnamed_faults += len(outcome.unnamed)
-        self.crashes += len(outcome.crashes)
-        self.leaked_tasks += len(outcome.leaked)
-        for plan in outcome.plans:
+        self.drops += result.dropped is not None
+        self.drops_avoidable += result.avoidable
+        self.openings += result.openings
+        self.presses += result.presses
+        self.unnamed_faults += len(result.unnamed)
+        self.crashes += len(result.crashes)
+        self.leaked_tasks += len(result.leaked)
+        for plan in result.plans:
             self.kinds[plan.kind.name].runs += 1
-        for name in outcome.due:
+        for name in result.due:
             self.kinds[name].due += 1
-        for name in outcome.unnamed:
+        for name in result.unnamed:
             self.kinds[name].unnamed += 1
-        for name, after_s in outcome.named:
+        for name, after_s in result.named:
             self.kinds[name].named_s.append(after_s)
-        if outcome.failed:
-            self.failures.append(outcome)
+        if result.failed:
+            self.failures.append(result)
 
     def as_json(self) -> dict[str, object]:
-        """The figures; the failed runs by seed."""
+        """Return the JSON form; failed runs by seed."""
         return {
             "runs": self.runs,
             "drops_avoidable": self.drops_avoidable,
@@ -81,23 +81,23 @@ class Campaign:
             "crashes": self.crashes,
             "leaked_tasks": self.leaked_tasks,
             "drops": self.drops,
-            "failed_seeds": [outcome.seed for outcome in self.failures],
+            "failed_seeds": [result.seed for result in self.failures],
             "kinds": {name: tally.as_json() for name, tally in self.kinds.items()},
         }
 
 
-def campaign(
+def run_campaign(
     runs: int, seed: int, workers: Workers | None = None, progress: Callable[[int], None] = lambda done: None
-) -> Campaign:
-    """Runs `seed` to `seed + runs - 1`."""
-    found = Campaign()
-    for outcome in each(quiet_trial, range(seed, seed + runs), workers, named=_named, progress=progress):
-        found.count(outcome)
+) -> CampaignResult:
+    """Run the seeds `seed` to `seed + runs - 1`."""
+    found = CampaignResult()
+    for result in each(quiet_trial, range(seed, seed + runs), workers, named=_named, progress=progress):
+        found.count(result)
     return found
 
 
 def quiet_trial(seed: int) -> TrialResult:
-    """One run whose log is looked at, not printed."""
+    """Return one run without printing its log."""
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
     try:
         return trial(seed)

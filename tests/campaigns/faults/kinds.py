@@ -1,4 +1,4 @@
-"""What can go wrong, how it begins and ends, and by which words the log must name it."""
+"""The faults of the campaign: when they begin and end, and the words by which the log must name them."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ CAMERA_RANK = ("disconnect", "stall", "corrupt", "frozen", "stamps_ahead", "stam
 GRIPPER_RANK = ("disconnect", "timeout", "wrong_echo", "late", "fault")
 ARM_RANK = ("disconnect", "timeout", "emergency_stop", "protective_stop", "stuck")
 RANKS = {"left": CAMERA_RANK, "right": CAMERA_RANK, "gripper": GRIPPER_RANK, "arm": ARM_RANK}
-"""By device: of two faults at once only the first can be seen."""
+"""Faults of a device by severity: of two at once only the first is observable."""
 LAST_S = 9.0
-"""No fault begins later: a run has time to show what it does."""
-FOR_EVER = 0.2
-"""This share of the faults is never mended."""
+"""Latest begin of a fault, so that its effect falls into the run."""
+PERMANENT_SHARE = 0.2
+"""Share of the faults that are never repaired."""
 
 _OLD = "newest frame is"
 _CAMERA_WORDS = {
@@ -47,7 +47,7 @@ _ARM_WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class FaultKind:
-    """One way to fail. device: of the simulated world's fault board, or `loop`, `daemon`, `object`."""
+    """One kind of fault. device: a device of `InjectedFaults`, or `loop`, `daemon`, `object`."""
 
     device: str
     fault: str
@@ -55,12 +55,12 @@ class FaultKind:
 
     @property
     def name(self) -> str:
-        """For people: device and fault."""
+        """Device and fault, for display."""
         return f"{self.device}.{self.fault}"
 
     @property
-    def needs_a_name(self) -> bool:
-        """False for what a stream bears in silence, as cameras do it now and then."""
+    def must_be_named(self) -> bool:
+        """False for faults that are normal for a camera now and then."""
         return bool(self.words.pattern)
 
 
@@ -79,15 +79,17 @@ def _kinds() -> dict[str, FaultKind]:
 
 
 KINDS = _kinds()
-MOMENTS = frozenset({"loop.late", "daemon.killed", "object.taken"})
-"""What happens, rather than lasts."""
+INSTANTANEOUS = frozenset({"loop.late", "daemon.killed", "object.taken"})
+"""Faults that happen at one moment."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedFault:
-    """One fault of one run. at_s: from the run's start; for_s: infinite if it is never mended.
+    """One fault of one run.
 
-    Of a late loop and a killed daemon for_s is how long nothing runs.
+    Attributes:
+        at_s: from the start of the run.
+        for_s: duration, infinite if never repaired; for a late loop and a killed daemon, how long nothing runs.
     """
 
     kind: FaultKind
@@ -96,8 +98,8 @@ class PlannedFault:
 
     @property
     def lasts(self) -> bool:
-        """It goes on for a while and then ends by itself."""
-        return self.kind.name not in MOMENTS and bool(np.isfinite(self.for_s))
+        """Whether it lasts for a while and then ends."""
+        return self.kind.name not in INSTANTANEOUS and bool(np.isfinite(self.for_s))
 
     def __str__(self) -> str:
         ends = "" if np.isinf(self.for_s) else f" for {self.for_s:.2f} s"
@@ -105,7 +107,7 @@ class PlannedFault:
 
 
 def draw(rng: np.random.Generator, seed: int) -> tuple[PlannedFault, ...]:
-    """One to three different faults, at random times; the first goes through all kinds as the seed does."""
+    """Return one to three different faults at random times; the first kind follows from the seed."""
     names = list(KINDS)
     count = int(rng.integers(1, 4))
     others = rng.permutation([name for name in names if name != names[seed % len(names)]])
@@ -119,5 +121,5 @@ def _plan(kind: FaultKind, rng: np.random.Generator) -> PlannedFault:
         return PlannedFault(kind, at_s, float(rng.uniform(0.55, 1.5)))
     if kind.device == "daemon":
         return PlannedFault(kind, at_s, float(rng.uniform(0.2, 2.0)))
-    ever = rng.random() < FOR_EVER or kind.name in MOMENTS
+    ever = rng.random() < PERMANENT_SHARE or kind.name in INSTANTANEOUS
     return PlannedFault(kind, at_s, float("inf") if ever else float(rng.uniform(0.3, 3.0)))

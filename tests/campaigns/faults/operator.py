@@ -1,4 +1,4 @@
-"""The person at the cell: grasps, lifts, holds, puts down, lets go; clears what can be cleared. Never in a hurry."""
+"""A simulated operator: grasps, lifts, holds, lowers and releases, and clears faults."""
 
 from __future__ import annotations
 
@@ -14,54 +14,54 @@ from slipguard.daemon.api.requests import (
     ReleaseRequest,
 )
 from slipguard.errors import CommandRefused
-from tests.campaigns.faults.rig import CampaignCell
+from tests.campaigns.faults.campaign_cell import CampaignCell
 
-LOOKS_S = 0.1
-CLEARS_S = 0.6
-PUTS_DOWN_AFTER_S = 10.5
+POLL_S = 0.1
+CLEAR_S = 0.6
+LOWER_AFTER_S = 10.5
 
 
 class Operator:
-    """asked: the jaws have been asked to open."""
+    """Operates one cell. release_requested: the operator has requested the jaws to open."""
 
-    def __init__(self, rig: CampaignCell, began_s: float) -> None:
-        self.asked = False
-        self._rig, self._began_s = rig, began_s
+    def __init__(self, cell: CampaignCell, began_s: float) -> None:
+        self.release_requested = False
+        self._cell, self._began_s = cell, began_s
         self._grasped = self._lifted = self._lowered = False
-        self._tried_s = 0.0
+        self._cleared_s = 0.0
 
     async def work(self) -> None:
-        """Until cancelled."""
+        """Work until cancelled."""
         while True:
-            await asyncio.sleep(LOOKS_S)
-            if self._rig.alive and not self.asked:
-                await self._look()
+            await asyncio.sleep(POLL_S)
+            if self._cell.alive and not self.release_requested:
+                await self._act()
 
-    async def _look(self) -> None:
-        rig, phase = self._rig, self._rig.service.phase
-        if phase is Phase.FAULT and rig.now_s - self._tried_s >= CLEARS_S:
-            self._tried_s = rig.now_s
-            await self._granted(ClearRequest())
+    async def _act(self) -> None:
+        cell, phase = self._cell, self._cell.service.phase
+        if phase is Phase.FAULT and cell.now_s - self._cleared_s >= CLEAR_S:
+            self._cleared_s = cell.now_s
+            await self._accepted(ClearRequest())
         elif phase is Phase.IDLE and not self._grasped:
-            self._grasped = await self._granted(GraspRequest())
-        elif phase is Phase.HOLDING and rig.service.firm:
-            await self._go_on()
+            self._grasped = await self._accepted(GraspRequest())
+        elif phase is Phase.HOLDING and cell.service.firm:
+            await self._proceed()
 
-    async def _go_on(self) -> None:
-        """Up, wait, down, open."""
+    async def _proceed(self) -> None:
+        """Lift, wait, lower, release."""
         if not self._lifted:
-            self._lifted = await self._granted(LiftRequest())
-        elif self._rig.now_s - self._began_s < PUTS_DOWN_AFTER_S:
+            self._lifted = await self._accepted(LiftRequest())
+        elif self._cell.now_s - self._began_s < LOWER_AFTER_S:
             return
         elif not self._lowered:
-            self._lowered = await self._granted(LowerRequest(height_mm=max(self._rig.truth.height_mm, 1.0)))
+            self._lowered = await self._accepted(LowerRequest(height_mm=max(self._cell.truth.height_mm, 1.0)))
         else:
-            self.asked = True
-            await self._granted(ReleaseRequest(confirm=True))
+            self.release_requested = True
+            await self._accepted(ReleaseRequest(confirm=True))
 
-    async def _granted(self, request: DaemonRequest) -> bool:
+    async def _accepted(self, request: DaemonRequest) -> bool:
         try:
-            await self._rig.handlers.submit(request)
+            await self._cell.handlers.submit(request)
         except CommandRefused:
             return False
         return True

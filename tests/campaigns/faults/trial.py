@@ -1,4 +1,4 @@
-"""One run: an object is gripped, lifted, held and put down, and one to three things go wrong meanwhile."""
+"""One run: an object is gripped, lifted, held and lowered while one to three faults occur."""
 
 from __future__ import annotations
 
@@ -12,34 +12,38 @@ from slipguard.control.state import Phase
 from slipguard.daemon.loop.virtual_time import VirtualTimeLoop, run_virtual
 from slipguard.sim.catalogue import object_names
 from slipguard.sim.world import World
-from tests.campaigns.faults.kinds import MOMENTS, PlannedFault, draw
-from tests.campaigns.faults.naming import WatchedFault, holding
+from tests.campaigns.faults.campaign_cell import CampaignCell
+from tests.campaigns.faults.detection import MonitoredFault, holding
+from tests.campaigns.faults.kinds import INSTANTANEOUS, PlannedFault, draw
 from tests.campaigns.faults.operator import Operator
-from tests.campaigns.faults.rig import CampaignCell
 
 TICK_S = 0.01
 RUN_S = 16.0
 AFTER_S = 3.0
-"""What a held object would do is looked at for so long."""
+"""How long a held object is simulated further to see whether it stays."""
 LOOSER_N = 0.01
 WIDER_MM = 0.01
-HINDERED_S = 1.0
-"""A drop so soon after a fault that keeps the guard from seeing or gripping is not the law's."""
-NEAR = frozenset({"arm.protective_stop", "arm.emergency_stop"})
-"""Stops in which a person may be near: nothing may press harder."""
+IMPAIRED_S = 1.0
+"""A drop this soon after a fault that impairs sensing or gripping is not the controller's fault."""
+PERSON_NEARBY = frozenset({"arm.protective_stop", "arm.emergency_stop"})
+"""Stops in which a person may be near the gripper: the force must not rise."""
 HALTED_S = 0.15
-"""The jaws rest so long after such a stop began, or after what kept slipguard from halting them has ended."""
+"""The jaws rest this long after such a stop began, or after a fault that kept slipguard from halting them ended."""
 HARMLESS = frozenset({"duplicate", "late", "stuck"})
-"""Faults that keep the guard from nothing: it still sees, grips and stops."""
+"""Faults that do not impair sensing, gripping or stopping."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrialResult:
-    """What came of one run. named: kind and how long it took to be named; unnamed: which were not, in time.
+    """The result of one run.
 
-    avoidable: dropped, though holding still would have kept it, or the guard could have. openings: how often the jaws
-    opened or loosened unasked. presses: for how many ticks of an arm's own stop the force rose. lines: the log, with
-    its times.
+    Attributes:
+        avoidable: dropped, although holding still would have kept it, or the guard could have.
+        openings: how often the jaws opened or loosened without a request.
+        presses: for how many ticks of a protective or emergency stop the force rose.
+        named: fault and how long it took to be named.
+        unnamed: faults not named in time.
+        lines: the log, with times.
     """
 
     seed: int
@@ -58,27 +62,27 @@ class TrialResult:
 
     @property
     def failed(self) -> bool:
-        """Whether anything happened that must not."""
+        """Whether a safety rule was broken."""
         return bool(self.avoidable or self.openings or self.presses or self.unnamed or self.crashes or self.leaked)
 
 
 @dataclass
 class _Trial:
-    rig: CampaignCell
-    person: Operator
+    cell: CampaignCell
+    operator: Operator
     plans: tuple[PlannedFault, ...]
     began_s: float
-    watched: list[WatchedFault] = field(default_factory=list)
+    monitored: list[MonitoredFault] = field(default_factory=list)
     before: list[World] = field(default_factory=list)
-    """The world as it was when a fault began."""
+    """The world when each fault began."""
     openings: int = 0
     presses: int = 0
-    near_s: float = np.inf
-    """Since when a person may be near, with nothing that keeps slipguard from halting the jaws."""
-    near_n: float = np.inf
-    looked_s: float = -np.inf
+    nearby_since_s: float = np.inf
+    """Since when a person may be near, without a fault that keeps slipguard from halting the jaws."""
+    nearby_force_n: float = np.inf
+    checked_s: float = -np.inf
     taken: bool = False
-    hindered_s: float = -np.inf
+    impaired_s: float = -np.inf
     tightest_n: float = 0.0
     narrowest_mm: float = np.inf
     dropped: str | None = None
@@ -86,103 +90,109 @@ class _Trial:
 
     @property
     def over(self) -> bool:
-        """Let go of, and everything that was to go wrong has."""
-        begun = len(self.watched) == len(self.plans)
-        lasting = any(one.active and one.plan.lasts for one in self.watched)
-        return begun and not lasting and self.person.asked and self.rig.alive and self.rig.service.phase is Phase.IDLE
+        """Whether the object was released and all faults have occurred."""
+        begun = len(self.monitored) == len(self.plans)
+        lasting = any(one.active and one.plan.lasts for one in self.monitored)
+        return (
+            begun
+            and not lasting
+            and self.operator.release_requested
+            and self.cell.alive
+            and self.cell.service.phase is Phase.IDLE
+        )
 
-    async def go_wrong(self, plan: PlannedFault) -> None:
-        """One fault from beginning to end."""
-        rig, kind = self.rig, plan.kind
-        await asyncio.sleep(self.began_s + plan.at_s - rig.now_s)
-        watched = WatchedFault(plan, rig.now_s, held=holding(rig))
-        self.watched.append(watched)
-        self.before.append(copy.deepcopy(rig.world))
-        self._hinder(plan)
+    async def inject(self, plan: PlannedFault) -> None:
+        """Run one fault from begin to end."""
+        cell, kind = self.cell, plan.kind
+        await asyncio.sleep(self.began_s + plan.at_s - cell.now_s)
+        fault = MonitoredFault(plan, cell.now_s, held=holding(cell))
+        self.monitored.append(fault)
+        self.before.append(copy.deepcopy(cell.world))
+        self._impair(plan)
         if kind.name == "loop.late":
             loop = asyncio.get_running_loop()
             assert isinstance(loop, VirtualTimeLoop)
             loop.stand_still(plan.for_s)
         elif kind.name == "daemon.killed":
-            await rig.kill()
+            await cell.kill()
             await asyncio.sleep(plan.for_s)
-            rig.start()
-            self._hinder(plan)
+            cell.start()
+            self._impair(plan)
         elif kind.name == "object.taken":
             self.taken = True
-            rig.world.clear(rig.now_s)
+            cell.world.clear(cell.now_s)
         else:
             self._switch(plan, on=True)
         if plan.lasts:
             await asyncio.sleep(plan.for_s)
             self._switch(plan, on=False)
-            self._hinder(plan)
-            watched.active = False
+            self._impair(plan)
+            fault.active = False
 
     def _switch(self, plan: PlannedFault, *, on: bool) -> None:
-        device, fault = plan.kind.device, plan.kind.fault
-        if fault == "mirrored":
-            (self.rig.mirrored.add if on else self.rig.mirrored.discard)(device)
-            if device in self.rig.sights:
-                self.rig.sights[device].mirrored = on
+        device, kind = plan.kind.device, plan.kind.fault
+        if kind == "mirrored":
+            (self.cell.mirrored.add if on else self.cell.mirrored.discard)(device)
+            if device in self.cell.perception:
+                self.cell.perception[device].mirrored = on
         elif on:
-            self.rig.world.faults.fail(device, fault)
+            self.cell.world.faults.fail(device, kind)
         else:
-            self.rig.world.faults.repair(device, fault)
+            self.cell.world.faults.repair(device, kind)
 
-    def _hinder(self, plan: PlannedFault) -> None:
+    def _impair(self, plan: PlannedFault) -> None:
         if plan.kind.fault not in HARMLESS or plan.kind.name == "loop.late":
-            self.hindered_s = self.rig.now_s
+            self.impaired_s = self.cell.now_s
 
-    def look(self) -> None:
-        """Once a tick: the grip against what it was, every fault against what was said."""
-        rig, truth = self.rig, self.rig.truth
-        for watched in self.watched:
-            watched.look(rig, TICK_S)
+    def check(self) -> None:
+        """Check the grip and the monitored faults, once per tick."""
+        cell, truth = self.cell, self.cell.truth
+        for fault in self.monitored:
+            fault.update(cell, TICK_S)
         if any(
             one.active and one.plan.kind.fault not in HARMLESS
-            for one in self.watched
-            if one.plan.kind.name not in MOMENTS
+            for one in self.monitored
+            if one.plan.kind.name not in INSTANTANEOUS
         ):
-            self.hindered_s = rig.now_s
-        if self.person.asked or self.taken or self.dropped is not None:
+            self.impaired_s = cell.now_s
+        if self.operator.release_requested or self.taken or self.dropped is not None:
             return
         if truth.dropped is not None:
             self._drop(truth.dropped)
             return
-        width_mm = rig.world.gripper_state(rig.now_s).width_mm
+        width_mm = cell.world.gripper_state(cell.now_s).width_mm
         looser = truth.force_n < self.tightest_n - LOOSER_N
         wider = truth.in_contact and width_mm > self.narrowest_mm + WIDER_MM
         self.openings += looser or wider
-        self._look_near(truth.force_n)
+        self._check_nearby(truth.force_n)
         self.tightest_n, self.narrowest_mm = max(self.tightest_n, truth.force_n), min(self.narrowest_mm, width_mm)
 
-    def _look_near(self, force_n: float) -> None:
-        """The force against what it was when the arm's own stop had just halted the jaws."""
-        now_s, stood_still = self.rig.now_s, self.rig.now_s - self.looked_s > 2 * TICK_S
-        self.looked_s = now_s
-        active = {one.plan.kind.name for one in self.watched if one.active} - MOMENTS
-        hindered = any(name.startswith(("gripper.", "arm.")) for name in active - NEAR)
-        if not active & NEAR or hindered or stood_still or not self.rig.alive:
-            self.near_s = self.near_n = np.inf
+    def _check_nearby(self, force_n: float) -> None:
+        """Compare the force with that when a protective or emergency stop had just halted the jaws."""
+        now_s, paused = self.cell.now_s, self.cell.now_s - self.checked_s > 2 * TICK_S
+        self.checked_s = now_s
+        active = {one.plan.kind.name for one in self.monitored if one.active} - INSTANTANEOUS
+        impaired = any(name.startswith(("gripper.", "arm.")) for name in active - PERSON_NEARBY)
+        if not active & PERSON_NEARBY or impaired or paused or not self.cell.alive:
+            self.nearby_since_s = self.nearby_force_n = np.inf
             return
-        self.near_s = min(self.near_s, now_s)
-        if now_s - self.near_s < HALTED_S:
+        self.nearby_since_s = min(self.nearby_since_s, now_s)
+        if now_s - self.nearby_since_s < HALTED_S:
             return
-        self.near_n = min(self.near_n, force_n)
-        self.presses += force_n > self.near_n + LOOSER_N
+        self.nearby_force_n = min(self.nearby_force_n, force_n)
+        self.presses += force_n > self.nearby_force_n + LOOSER_N
 
     def _drop(self, why: str) -> None:
-        """Would it have stayed if nothing had moved since one of the faults, or was the guard free to hold it?"""
+        """Record a drop; avoidable if holding still since a fault would have kept it, or the guard was not impaired."""
         self.dropped = why
-        rig = self.rig
-        within = rig.truth.needed_force_n <= rig.params.guard.force_max_n
-        free = rig.now_s - self.hindered_s > HINDERED_S
-        self.avoidable = (free and within) or any(_stays(world, rig.now_s) for world in self.before)
+        cell = self.cell
+        within = cell.truth.needed_force_n <= cell.params.guard.force_max_n
+        free = cell.now_s - self.impaired_s > IMPAIRED_S
+        self.avoidable = (free and within) or any(_stays(world, cell.now_s) for world in self.before)
 
 
 def _stays(world: World, until_s: float) -> bool:
-    """Whether the object would still be there had the arm been stopped and the grip kept from then on."""
+    """Return whether the object would have stayed with the arm stopped and the grip kept."""
     for device in ("left", "right", "gripper", "arm"):
         world.faults.repair(device)
     begun_s = world.truth(0.0).time_s
@@ -191,7 +201,7 @@ def _stays(world: World, until_s: float) -> bool:
 
 
 def trial(seed: int) -> TrialResult:
-    """The run of that seed, always the same."""
+    """Return the run of a seed; it is deterministic."""
     rng = np.random.default_rng([seed, 5])
     names = object_names("test")
     object_name = names[int(rng.integers(len(names)))]
@@ -204,43 +214,45 @@ async def _run(seed: int, object_name: str, guard: dict[str, object], plans: tup
     began_s = loop.time()
     before = asyncio.all_tasks()
 
-    def heard(line: str) -> None:
+    def on_line(line: str) -> None:
         lines.append(f"{loop.time() - began_s:6.2f} {line}")
-        for watched in run.watched:
-            watched.hear(line)
+        for fault in run.monitored:
+            fault.read_line(line)
 
-    rig = CampaignCell(object_name, seed, guard, heard)
-    loop.set_exception_handler(lambda _, context: rig.crashes.append(str(context.get("exception", context["message"]))))
-    run = _Trial(rig, Operator(rig, began_s), plans, began_s)
-    rig.place()
-    rig.start()
-    tasks = [asyncio.create_task(run.person.work(), name="person")]
-    tasks += [asyncio.create_task(run.go_wrong(plan), name=plan.kind.name) for plan in plans]
+    cell = CampaignCell(object_name, seed, guard, on_line)
+    loop.set_exception_handler(
+        lambda _, context: cell.crashes.append(str(context.get("exception", context["message"])))
+    )
+    run = _Trial(cell, Operator(cell, began_s), plans, began_s)
+    cell.place()
+    cell.start()
+    tasks = [asyncio.create_task(run.operator.work(), name="operator")]
+    tasks += [asyncio.create_task(run.inject(plan), name=plan.kind.name) for plan in plans]
     while loop.time() - began_s < RUN_S:
         await asyncio.sleep(TICK_S)
-        run.look()
-        if rig.crashes or run.over:
+        run.check()
+        if cell.crashes or run.over:
             break
     for task in tasks:
         task.cancel()
     ends = await asyncio.gather(*tasks, return_exceptions=True)
-    rig.crashes += [repr(end) for end in ends if isinstance(end, Exception)]
-    await rig.stop()
+    cell.crashes += [repr(end) for end in ends if isinstance(end, Exception)]
+    await cell.stop()
     await asyncio.sleep(0)
     left = [one.get_name() for one in asyncio.all_tasks() - before if not one.done()]
-    asked = 1 if run.person.asked else 0
+    asked = 1 if run.operator.release_requested else 0
     return TrialResult(
         seed,
         object_name,
         plans,
         run.dropped,
         run.avoidable,
-        run.openings + max(0, rig.releases - asked * rig.releases),
+        run.openings + max(0, cell.releases - asked * cell.releases),
         run.presses,
-        tuple((one.plan.kind.name, one.named_after_s) for one in run.watched if one.named_after_s is not None),
-        tuple(one.plan.kind.name for one in run.watched if one.unnamed),
-        tuple(one.plan.kind.name for one in run.watched if one.due),
-        tuple(rig.crashes),
+        tuple((one.plan.kind.name, one.named_after_s) for one in run.monitored if one.named_after_s is not None),
+        tuple(one.plan.kind.name for one in run.monitored if one.unnamed),
+        tuple(one.plan.kind.name for one in run.monitored if one.due),
+        tuple(cell.crashes),
         tuple(left),
         tuple(lines),
     )

@@ -1,4 +1,4 @@
-"""What a process holds on to at one moment: memory, tasks, threads, descriptors, children, files. Linux only."""
+"""The resources of a process at one moment: memory, tasks, threads, descriptors, children, files. Linux only."""
 
 from __future__ import annotations
 
@@ -18,10 +18,14 @@ MB = 2**20
 
 @dataclass(frozen=True, slots=True)
 class ResourceSample:
-    """rss_mb: of this process; children_mb: of its children together. blocks: memory blocks that Python has allocated.
+    """The resources at one moment.
 
-    files: open descriptors. state_files: files in the state directory outside the recordings. ring_*, kept_*: of the
-    recordings' two folders.
+    Attributes:
+        rss_mb, children_mb: resident memory of this process, and of its children together.
+        blocks: memory blocks allocated by Python.
+        files: open descriptors.
+        state_files: files in the state directory outside the recordings.
+        ring_files, ring_mb, kept_mb: of the two folders of recordings.
     """
 
     at_s: float
@@ -39,19 +43,19 @@ class ResourceSample:
 
 
 def return_freed_memory() -> None:
-    """Give freed memory back to the system: what is resident afterwards is held. Nothing where there is no glibc."""
+    """Return freed memory to the system, so that resident memory is memory in use. Does nothing without glibc."""
     with contextlib.suppress(OSError, AttributeError):
         _libc().malloc_trim(0)
 
 
 @functools.cache
 def _libc() -> ctypes.CDLL:
-    """Opened once: each time it is, it leaves a class of a hundred blocks to the garbage collector."""
+    """Load libc once: each load leaves a class of a hundred blocks to the garbage collector."""
     return ctypes.CDLL("libc.so.6")
 
 
-def feel(at_s: float, state: Path, recordings: Path) -> ResourceSample:
-    """Take the pulse of this process; call it in the event loop's thread."""
+def take_sample(at_s: float, state: Path, recordings: Path) -> ResourceSample:
+    """Return the resources of this process; call it in the event loop's thread."""
     children = child_processes()
     ring, kept = _sizes(recordings / "ring"), _sizes(recordings / "kept")
     return ResourceSample(
@@ -71,7 +75,7 @@ def feel(at_s: float, state: Path, recordings: Path) -> ResourceSample:
 
 
 def child_processes() -> list[int]:
-    """Process ids of the children of this process."""
+    """Return the process ids of the children of this process."""
     return [int(one) for path in Path("/proc/self/task").glob("*/children") for one in _text(path).split()]
 
 
@@ -81,7 +85,7 @@ def _resident_mb(process: str) -> float:
 
 
 def _text(path: Path) -> str:
-    """Nothing of a process or thread that has just ended."""
+    """Return the text of a file, empty if its process or thread has just ended."""
     with contextlib.suppress(OSError):
         return path.read_text()
     return ""
@@ -90,6 +94,6 @@ def _text(path: Path) -> str:
 def _sizes(folder: Path) -> list[int]:
     sizes = []
     for path in folder.glob("*"):
-        with contextlib.suppress(FileNotFoundError):  # the ring deletes while we look
+        with contextlib.suppress(FileNotFoundError):  # the ring deletes files meanwhile
             sizes.append(path.stat().st_size)
     return sizes

@@ -31,37 +31,39 @@ from slipguard.perception.pipeline import Pipeline
 from slipguard.recording.recorder import Recorder
 from slipguard.sim.world import World, WorldSettings
 from slipguard.sim_lifts.campaign import CampaignSettings, run_campaign
-from tests.campaigns.soak import checks as verdict
-from tests.campaigns.soak.fake_perception import WorldTruthPerception
-from tests.campaigns.soak.page import PageProcess, look
-from tests.campaigns.soak.resources import ResourceSample, feel, return_freed_memory
+from tests.campaigns.soak.checks import SoakCheck, StorageLimits, WorkDone, check_soak
+from tests.campaigns.soak.page_client import PageProcess, open_page
+from tests.campaigns.soak.resources import ResourceSample, return_freed_memory, take_sample
 from tests.campaigns.soak.settings import KEPT_MAX_MB, RING_MAX_MB, RING_S, SoakSettings, soak_config
-from tests.campaigns.soak.shift import WorkShift, place_object
+from tests.campaigns.soak.truth_perception import WorldTruthPerception
+from tests.campaigns.soak.work_shift import WorkShift, place_object
 
 STATED_LATENCY_S = 0.006
 WORLD_STEP_S = 2e-3
-DRAWN_LIFT_FIRST_S, DRAWN_LIFT_EVERY_S = 60.0, 1800.0
-VIRTUAL_PICTURE_EVERY_S = 1.0
-PULSES = 100
+RENDERED_LIFT_FIRST_S, RENDERED_LIFT_EVERY_S = 60.0, 1800.0
+VIRTUAL_IMAGE_EVERY_S = 1.0
+SAMPLES = 100
 TRACED_SHARE = 0.1
-"""How much of the end runs with every allocation traced; that makes it half as fast."""
+"""Share at the end that runs with every allocation traced, at half the speed."""
 BACKLOG_MAX = 200
-PAGE_THERE_S = 60.0
-PACE_S = 0.25
+PAGE_TIMEOUT_S = 60.0
+REAL_WAIT_S = 0.25
 TOP = 8
 
 
 @dataclass(slots=True)
-class Soak:
-    """What was found. grown: by line of code, bytes that the last `traced_s` allocated and did not let go of.
+class SoakResult:
+    """The result of a soak.
 
-    left_out: values that the recorder had no room for.
+    Attributes:
+        grown: bytes allocated in the last `traced_s` and not freed, by line of code.
+        left_out: values that the recorder had no room for.
     """
 
     settings: SoakSettings
-    findings: list[verdict.SoakCheck] = field(default_factory=list)
+    checks: list[SoakCheck] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
-    pulses: list[ResourceSample] = field(default_factory=list)
+    samples: list[ResourceSample] = field(default_factory=list)
     grown: dict[str, int] = field(default_factory=dict)
     traced_s: float = 0.0
     left_out: int = 0
@@ -69,55 +71,59 @@ class Soak:
 
     @property
     def good(self) -> bool:
-        """Whether every figure is within what is allowed."""
-        return bool(self.findings) and all(one.good for one in self.findings)
+        """Whether every check passed."""
+        return bool(self.checks) and all(one.good for one in self.checks)
 
 
-async def soak(settings: SoakSettings, tell: Callable[[ResourceSample, str], None]) -> Soak:
-    """Run it; tell: each look, and what was done so far.
+async def run_soak(settings: SoakSettings, report: Callable[[ResourceSample, str], None]) -> SoakResult:
+    """Run a soak.
 
-    Raises Stuck where the daemon does not get on any more, SlipguardError where it is ended from outside.
+    Args:
+        report: called with each resource sample and the progress so far.
+
+    Raises:
+        WaitTimeout: the daemon does not proceed.
+        SlipguardError: it was ended from outside.
     """
-    found = Soak(settings)
+    found = SoakResult(settings)
     began_s = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="slipguard-soak-") as folder:
-        run = _SoakRun(settings, soak_config(settings, Path(folder)), found, tell)
-        before = run.pulse()
-        await root.run(run.config, world=run.world, beside=run.day, build=run.build, recorder=run.record)
+        run = _SoakRun(settings, soak_config(settings, Path(folder)), found, report)
+        before = run.sample()
+        await root.run(run.config, world=run.world, beside=run.work, build=run.build, recorder=run.record)
         if not run.over:
-            raise SlipguardError("the soak was ended before its time")
-        await asyncio.get_running_loop().shutdown_default_executor()  # idle threads end with the loop, not the daemon
-        after = run.pulse()
-    limits = verdict.StorageLimits(round(RING_S / SEGMENT_S), RING_MAX_MB, KEPT_MAX_MB)
-    beats = round(settings.length_s * 1e3 / run.config.loop.period_ms)
-    found.findings = verdict.check_soak(found.pulses, before, after, limits, run.work(), run.missed, beats)
+            raise SlipguardError("the soak was ended early")
+        await asyncio.get_running_loop().shutdown_default_executor()  # idle threads end with the loop
+        after = run.sample()
+    limits = StorageLimits(round(RING_S / SEGMENT_S), RING_MAX_MB, KEPT_MAX_MB)
+    deadlines = round(settings.length_s * 1e3 / run.config.loop.period_ms)
+    found.checks = check_soak(found.samples, before, after, limits, run.work_done(), run.missed, deadlines)
     found.took_s = time.monotonic() - began_s
     return found
 
 
 class _SoakRun:
-    """One soak on its way."""
+    """A running soak."""
 
     def __init__(
-        self, settings: SoakSettings, config: Config, found: Soak, tell: Callable[[ResourceSample, str], None]
+        self, settings: SoakSettings, config: Config, found: SoakResult, report: Callable[[ResourceSample, str], None]
     ) -> None:
         self.config = config
         self.world = World(WorldSettings(step_s=WORLD_STEP_S), seed=settings.seed)
         self.missed = 0
         self._recording_stops = 0
         self.over = False
-        self._settings, self._found, self._tell = settings, found, tell
+        self._settings, self._found, self._report = settings, found, report
         self._recorder: Recorder | None = None
         self._began_s = asyncio.get_running_loop().time()
-        place_object(
-            self.world, "bar", settings.seed, settings.fps, self._began_s
-        )  # the cameras' rate, before they run
+        # Sets the frame rate of the cameras before they start.
+        place_object(self.world, "bar", settings.seed, settings.fps, self._began_s)
         self.world.clear(self._began_s)
         self._traced: tracemalloc.Snapshot | None = None
         self._page: Counter[str] = Counter()
 
     def build(self, config: Config, *, world: object) -> Service:
-        """The service as ever; on the virtual clock with stated latency, and the truth where something is touched."""
+        """Build the service; on the virtual clock with a fixed latency and perception from the world's truth in contact."""
         if not self._settings.virtual:
             return root.build_service(config, world=world)
         rng = np.random.default_rng(self._settings.seed)
@@ -131,52 +137,52 @@ class _SoakRun:
         )
 
     def record(self, service: Service, folder: Path) -> Recorder:
-        """The usual recorder."""
+        """Make the usual recorder."""
         self._recorder = make_recorder(service, folder)
         return self._recorder
 
-    def pulse(self) -> ResourceSample:
-        """Now. On the virtual clock garbage is collected before: on the real one the loop would wait for that."""
+    def sample(self) -> ResourceSample:
+        """Return the resources now, after garbage collection; not on the real clock, where the loop would wait for it."""
         if self._settings.virtual:
             gc.collect()
         at_s = asyncio.get_running_loop().time() - self._began_s
-        return feel(at_s, StateDir(self.config.state.directory).path, root.recordings_path(self.config))
+        return take_sample(at_s, StateDir(self.config.state.directory).path, root.recordings_path(self.config))
 
-    def work(self) -> verdict.WorkDone:
-        """What was done."""
+    def work_done(self) -> WorkDone:
+        """Return the work done."""
         counts, recorded, pages = self._found.counts, self._settings.recording, self._settings.page
-        return verdict.WorkDone(
+        return WorkDone(
             lifts=counts.get("lifts", 0),
             dropped=counts.get("dropped", 0),
             calibrations=1 + counts.get("calibrations", 0),
             recording_stops=self._recording_stops if recorded else None,
             left_out=self._found.left_out if recorded else None,
-            pictures=self._page["pictures"] if pages else None,
+            images=self._page["images"] if pages else None,
             connections_lost=self._page["connections lost"] if pages else None,
         )
 
-    async def day(self, service: Service) -> None:
-        """Shift work until the time is over; then the daemon is ended as systemd ends it."""
+    async def work(self, service: Service) -> None:
+        """Work until the time is over, then end the daemon as systemd does."""
         loop = asyncio.get_running_loop()
         shift = WorkShift(service, self.world, self._settings.seed, self._settings.fps)
-        tasks = [asyncio.create_task(one) for one in self._beside(shift)]
+        tasks = [asyncio.create_task(one) for one in self._background_work(shift)]
         page = PageProcess() if self._settings.page and not self._settings.virtual else None
         try:
             if page is not None:
                 await page.open(paths.socket_path(self.config))
             if self._settings.page and self._settings.virtual:
-                await self._page_there()
+                await self._wait_for_page()
             await shift.start()
-            pulse_at_s = 0.0
+            sample_at_s = 0.0
             number = 0
             while (at_s := loop.time() - self._began_s) < self._settings.length_s:
                 await shift.cycle(number)
                 number += 1
                 self._trace(at_s)
-                if self._settings.virtual and at_s >= pulse_at_s:
+                if self._settings.virtual and at_s >= sample_at_s:
                     return_freed_memory()
-                    self._look(shift)
-                    pulse_at_s = at_s + self._settings.length_s / PULSES
+                    self._take_sample(shift)
+                    sample_at_s = at_s + self._settings.length_s / SAMPLES
         finally:
             for task in tasks:
                 task.cancel()
@@ -192,58 +198,59 @@ class _SoakRun:
         os.kill(os.getpid(), signal.SIGTERM)
         await loop.create_future()
 
-    def _look(self, shift: WorkShift) -> None:
-        self._found.pulses.append(self.pulse())
-        self._tell(self._found.pulses[-1], f"{shift.counts['cycles']} cycles")
+    def _take_sample(self, shift: WorkShift) -> None:
+        self._found.samples.append(self.sample())
+        self._report(self._found.samples[-1], f"{shift.counts['cycles']} cycles")
 
-    async def _look_again(self, shift: WorkShift) -> None:
-        """On the real clock, whatever is held: a cycle takes most of a minute. Freed memory is given back in a thread,
-        for the loop does not wait.
+    async def _take_samples(self, shift: WorkShift) -> None:
+        """Take samples on the real clock, also during a cycle, which takes most of a minute.
+
+        Freed memory is returned in a thread so that the loop does not wait.
         """
         while True:
             await asyncio.to_thread(return_freed_memory)
-            self._look(shift)
-            await asyncio.sleep(self._settings.length_s / PULSES)
+            self._take_sample(shift)
+            await asyncio.sleep(self._settings.length_s / SAMPLES)
 
-    def _beside(self, shift: WorkShift) -> Iterator[Coroutine[None, None, None]]:
-        """What else goes on in this process."""
+    def _background_work(self, shift: WorkShift) -> Iterator[Coroutine[None, None, None]]:
+        """Yield the concurrent tasks of this process."""
         if not self._settings.virtual:
-            yield self._look_again(shift)
+            yield self._take_samples(shift)
         else:
-            yield self._drawn_lifts(shift)
-            yield self._keep_pace()
+            yield self._rendered_lifts(shift)
+            yield self._wait_for_recorder()
             if self._settings.page:
-                yield look(paths.socket_path(self.config), self._page, VIRTUAL_PICTURE_EVERY_S)
+                yield open_page(paths.socket_path(self.config), self._page, VIRTUAL_IMAGE_EVERY_S)
 
-    async def _drawn_lifts(self, shift: WorkShift) -> None:
-        """Now and then a second daemon in this process: pictures drawn, looked at by the network, one lift, the end."""
+    async def _rendered_lifts(self, shift: WorkShift) -> None:
+        """Now and then run a second daemon in this process for one lift, with rendered images and the network."""
         number = 0
-        await asyncio.sleep(DRAWN_LIFT_FIRST_S)
+        await asyncio.sleep(RENDERED_LIFT_FIRST_S)
         while True:
             settings = CampaignSettings(seed=self._settings.seed + number, lifts=1, realtime=False)
             await run_campaign(settings, lambda live: None)
-            shift.counts["drawn lifts by a second daemon"] += 1
+            shift.counts["rendered lifts by a second daemon"] += 1
             number += 1
-            await asyncio.sleep(DRAWN_LIFT_EVERY_S)
+            await asyncio.sleep(RENDERED_LIFT_EVERY_S)
 
-    async def _page_there(self) -> None:
-        """The web process starts on the real clock: until it has answered, the virtual one goes no faster."""
-        nobody_wakes = threading.Event()
-        given_up_s = asyncio.get_running_loop().time() + PAGE_THERE_S
-        while not self._page["history"] and asyncio.get_running_loop().time() < given_up_s:
-            nobody_wakes.wait(PACE_S)
-            await asyncio.sleep(PACE_S)
+    async def _wait_for_page(self) -> None:
+        """Hold the virtual clock back until the web process, which starts on the real clock, has responded."""
+        real_time = threading.Event()
+        deadline_s = asyncio.get_running_loop().time() + PAGE_TIMEOUT_S
+        while not self._page["history"] and asyncio.get_running_loop().time() < deadline_s:
+            real_time.wait(REAL_WAIT_S)
+            await asyncio.sleep(REAL_WAIT_S)
 
-    async def _keep_pace(self) -> None:
-        """The recorder's thread lives on the real clock: the virtual one waits for it."""
-        nobody_wakes = threading.Event()
+    async def _wait_for_recorder(self) -> None:
+        """Hold the virtual clock back while the recorder's thread, on the real clock, lags behind."""
+        real_time = threading.Event()
         while True:
             while self._recorder is not None and self._recorder.backlog > BACKLOG_MAX:
-                nobody_wakes.wait(0.001)
-            await asyncio.sleep(PACE_S)
+                real_time.wait(0.001)
+            await asyncio.sleep(REAL_WAIT_S)
 
     def _trace(self, at_s: float) -> None:
-        """From the last tenth on every allocation is traced; the first moments of that are the measure."""
+        """Trace every allocation in the last tenth; its first half is warm-up, then the baseline is taken."""
         if not self._settings.virtual or at_s < (1.0 - TRACED_SHARE) * self._settings.length_s:
             return
         if not tracemalloc.is_tracing():
@@ -264,7 +271,7 @@ class _SoakRun:
 
 
 def _short(where: str) -> str:
-    """Without the folder that packages lie in."""
+    """Return a path without the folder that contains its package."""
     for folder in sorted(sys.path, key=len, reverse=True):
         if folder and where.startswith(folder):
             return where[len(folder) :].lstrip("/")

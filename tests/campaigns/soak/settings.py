@@ -1,4 +1,4 @@
-"""What a soak is asked for, and the configuration that follows from it."""
+"""The options of a soak and the configuration that follows from them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from slipguard.config import Config, parse_config
 from slipguard.daemon.loop.service import FINGERS
 
 VIRTUAL_LOOP = {"period_ms": 50.0, "poll_ms": 200.0}
-"""Less often than usual: what is allocated for a turn of the loop, a frame or a question is the same."""
+"""Longer periods than usual: the allocations per cycle, frame and request are the same."""
 RING_S, RING_MAX_MB, KEPT_MAX_MB = 600.0, 100, 50
-"""The usual time, and so little room that both folders reach their limits within the hours."""
+"""The default ring duration, and sizes so small that both folders reach their limits within hours."""
 
 
 @dataclass(frozen=True, slots=True)
 class SoakSettings:
-    """length_s: on the daemon's clock. virtual: that is the virtual one. page: one is open all the time."""
+    """length_s: on the daemon's clock. virtual: virtual clock. page: an operator page is open all the time."""
 
     length_s: float
     virtual: bool
@@ -26,12 +26,12 @@ class SoakSettings:
 
     @property
     def fps(self) -> float:
-        """A quarter of the cameras' rate on the virtual clock, where a frame costs as much as on the real one."""
+        """A quarter of the cameras' rate on the virtual clock, where a frame takes as long to process as on the real one."""
         return 15.0 if self.virtual else 60.0
 
 
 def soak_config(settings: SoakSettings, folder: Path) -> Config:
-    """The fakes and every default; the recordings' limits are small enough to be reached."""
+    """Return a configuration with the fakes, defaults, and recording limits small enough to be reached."""
     draw = "plain" if settings.virtual else "process"
     raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": draw}} for name in FINGERS}
     raw["guard"] = {"lift_height_mm": 100.0, "lift_speed_mm_s": 80.0, "tuning": {"lower_speed_mm_s": 150.0}}

@@ -26,7 +26,7 @@ def test_variants_are_trained_measured_and_tabled(
     monkeypatch.setattr(ablations, "VARIANTS", variants)
     monkeypatch.setattr(ablations, "HELD_OUT_FRAMES", 8)
     monkeypatch.setattr(ablations, "TIMED_ROUNDS", 3)
-    ablations.main(tmp_path, frames=16, epochs=1)
+    ablations.compare_variants(tmp_path, None, None, 16, 1, 1, False)
     first = capsys.readouterr().out
     rows = [line.split("|")[1:-1] for line in first.splitlines() if line.startswith("| ")]
     assert [row[0].strip().split(" (")[0] for row in rows] == [
@@ -34,12 +34,12 @@ def test_variants_are_trained_measured_and_tabled(
         "as shipped",
         "small",
         "frame alone",
-        "int8, as shipped else",
-        "on the known patch's crop",
+        "int8, otherwise as shipped",
+        "crop around the known patch",
     ]
     assert all(0.0 <= float(row[2]) <= 1.0 for row in rows[1:])
     weights = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/weights.pt")}
-    ablations.main(tmp_path, frames=16, epochs=1)
+    ablations.compare_variants(tmp_path, None, None, 16, 1, 1, False)
     assert weights == {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/weights.pt")}, "trained again"
     assert len(weights) == 3
 

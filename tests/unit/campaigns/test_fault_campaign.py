@@ -16,10 +16,10 @@ from slipguard.daemon.loop import device_alerts as bulletin
 from slipguard.daemon.loop.service import Service
 from slipguard.sim.injected_faults import KINDS as ON_THE_BOARD
 from tests.campaigns.command_line import run
-from tests.campaigns.faults import rig, trial
-from tests.campaigns.faults.campaign import Campaign, campaign
+from tests.campaigns.faults import campaign_cell, trial
+from tests.campaigns.faults.campaign import CampaignResult, run_campaign
+from tests.campaigns.faults.command import describe
 from tests.campaigns.faults.kinds import KINDS, PlannedFault, draw
-from tests.campaigns.faults.report import why
 from tests.campaigns.faults.trial import TrialResult
 
 
@@ -33,9 +33,9 @@ def with_plans(monkeypatch: pytest.MonkeyPatch, *plans: tuple[str, float, float]
 
 
 def test_a_few_runs() -> None:
-    found = campaign(4, 1000)
+    found = run_campaign(4, 1000)
     assert found.runs == 4
-    assert not found.failures, [why(outcome) for outcome in found.failures]
+    assert not found.failures, [describe(result) for result in found.failures]
 
 
 def test_every_kind_of_fault_is_drawn_and_every_fault_of_the_fakes_is_a_kind() -> None:
@@ -50,70 +50,70 @@ def test_the_same_seed_is_the_same_run() -> None:
     assert trial.trial(20) == trial.trial(20)
 
 
-def test_an_object_taken_and_a_stuck_arm_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    outcome = with_plans(monkeypatch, ("arm.stuck", 0.9, np.inf), ("object.taken", 6.0, np.inf))
-    assert set(outcome.due) == {"arm.stuck", "object.taken"}
-    assert not outcome.failed
-    assert any("arm stuck" in line for line in outcome.lines)
+def test_a_removed_object_and_a_stuck_arm_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = with_plans(monkeypatch, ("arm.stuck", 0.9, np.inf), ("object.taken", 6.0, np.inf))
+    assert set(result.due) == {"arm.stuck", "object.taken"}
+    assert not result.failed
+    assert any("arm stuck" in line for line in result.lines)
 
 
 # Broken products: the campaign must see it.
 
 
-def test_it_sees_jaws_that_open(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_detects_jaws_that_open(monkeypatch: pytest.MonkeyPatch) -> None:
     def opens(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, Command]:
         state, command = control_step(state, observation, params)
         return state, replace(command, release_width_mm=60.0) if command.fault is not None else command
 
-    monkeypatch.setattr(rig, "control_step", opens)
-    outcome = with_plans(monkeypatch, ("arm.timeout", 3.0, np.inf))
-    assert outcome.openings
-    assert outcome.failed
+    monkeypatch.setattr(campaign_cell, "control_step", opens)
+    result = with_plans(monkeypatch, ("arm.timeout", 3.0, np.inf))
+    assert result.openings
+    assert result.failed
 
 
-def test_it_sees_jaws_that_go_on_in_a_stop_of_the_arm(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_detects_jaws_that_go_on_in_a_stop_of_the_arm(monkeypatch: pytest.MonkeyPatch) -> None:
     def goes_on(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, Command]:
         state, command = control_step(state, observation, params)
         return state, replace(command, halt=False)
 
     plan = ("arm.emergency_stop", 0.3, np.inf)
     assert with_plans(monkeypatch, plan).presses == 0
-    monkeypatch.setattr(rig, "control_step", goes_on)
-    outcome = with_plans(monkeypatch, plan)
-    assert outcome.presses
-    assert outcome.failed
-    assert "pressed harder" in why(outcome)
+    monkeypatch.setattr(campaign_cell, "control_step", goes_on)
+    result = with_plans(monkeypatch, plan)
+    assert result.presses
+    assert result.failed
+    assert "pressed harder" in describe(result)
 
 
-def test_it_sees_a_drop_that_holding_would_have_prevented(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_detects_a_drop_that_holding_would_have_prevented(monkeypatch: pytest.MonkeyPatch) -> None:
     def lets_slip(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, Command]:
         state, command = control_step(state, observation, params)
         late = observation.arm is not None and observation.arm.height_mm > 140.0
         return state, replace(command, release_width_mm=70.0) if late else command
 
-    monkeypatch.setattr(rig, "control_step", lets_slip)
-    monkeypatch.setitem(rig.LIFT, "lift_height_mm", 150.0)
-    outcome = with_plans(monkeypatch, ("left.stall", 1.2, np.inf), seed=23)
-    assert outcome.dropped is not None
-    assert outcome.avoidable
+    monkeypatch.setattr(campaign_cell, "control_step", lets_slip)
+    monkeypatch.setitem(campaign_cell.LIFT, "lift_height_mm", 150.0)
+    result = with_plans(monkeypatch, ("left.stall", 1.2, np.inf), seed=23)
+    assert result.dropped is not None
+    assert result.avoidable
 
 
-def test_it_sees_a_fault_that_is_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_detects_a_fault_that_is_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bulletin.DeviceAlerts, "look", lambda self, *observation: None)
-    outcome = with_plans(monkeypatch, ("left.corrupt", 4.0, np.inf))
-    assert outcome.unnamed == ("left.corrupt",)
+    result = with_plans(monkeypatch, ("left.corrupt", 4.0, np.inf))
+    assert result.unnamed == ("left.corrupt",)
 
 
-def test_it_sees_a_crash(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_detects_a_crash(monkeypatch: pytest.MonkeyPatch) -> None:
     def breaks(self: Service, now_s: float) -> None:
         raise ZeroDivisionError("of all things")
 
     monkeypatch.setattr(Service, "_rotation", breaks)
-    outcome = with_plans(monkeypatch, ("left.corrupt", 4.0, np.inf))
-    assert any("of all things" in crash for crash in outcome.crashes)
+    result = with_plans(monkeypatch, ("left.corrupt", 4.0, np.inf))
+    assert any("of all things" in crash for crash in result.crashes)
 
 
-def test_it_sees_a_task_that_is_left_over(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_detects_a_task_that_is_left_over(monkeypatch: pytest.MonkeyPatch) -> None:
     kept = []
     built = Service.run
 
@@ -124,8 +124,8 @@ def test_it_sees_a_task_that_is_left_over(monkeypatch: pytest.MonkeyPatch) -> No
         await built(self)
 
     monkeypatch.setattr(Service, "run", leaks)
-    outcome = with_plans(monkeypatch, ("left.duplicate", 1.0, 1.0))
-    assert outcome.leaked == ("forgotten",)
+    result = with_plans(monkeypatch, ("left.duplicate", 1.0, 1.0))
+    assert result.leaked == ("forgotten",)
 
 
 def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -150,17 +150,17 @@ def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
 
 
 def test_an_empty_campaign_has_nothing_to_show() -> None:
-    assert Campaign().as_json()["runs"] == 0
+    assert CampaignResult().as_json()["runs"] == 0
 
 
-def test_each_kind_is_told_with_how_long_it_took() -> None:
-    found = Campaign()
+def test_each_kind_is_listed_with_the_time_until_it_was_named() -> None:
+    found = CampaignResult()
     for seed, named_s in ((1, 0.1), (2, 0.3), (3, 0.4)):
         plans = planned(("arm.timeout", 1.0, np.inf))
         found.count(TrialResult(seed, "cap", plans, named=(("arm.timeout", named_s),), due=("arm.timeout",)))
     kinds = found.as_json()["kinds"]
     assert isinstance(kinds, dict)
     assert kinds["arm.timeout"] == {
-        "runs": 3, "could_be_seen": 3, "unnamed": 0, "named_s_median": 0.3, "named_s_max": 0.4,
+        "runs": 3, "observable": 3, "unnamed": 0, "named_s_median": 0.3, "named_s_max": 0.4,
     }  # fmt: skip
     assert kinds["arm.stuck"]["named_s_max"] is None

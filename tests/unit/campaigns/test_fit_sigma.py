@@ -16,8 +16,8 @@ def drawn(count: int, spread_share: float, seed: int) -> list[RotationSample]:
     out = []
     for k in range(count):
         spread = float(np.exp(rng.uniform(np.log(0.05), np.log(1.0))))
-        answer = TextureFit(TexturePose(), spread, 0.0, float(rng.uniform(0.01, 0.05)), 8.0, 1.0, 0.0, 50.0)
-        out.append(RotationSample(f"grasp {k % 20}", float(rng.normal(0.0, spread_share * spread)), answer))
+        fit = TextureFit(TexturePose(), spread, 0.0, float(rng.uniform(0.01, 0.05)), 8.0, 1.0, 0.0, 50.0)
+        out.append(RotationSample(f"grasp {k % 20}", float(rng.normal(0.0, spread_share * spread)), fit))
     return out
 
 
@@ -30,6 +30,6 @@ def test_shares_within_are_counted_by_grasp() -> None:
     found = drawn(400, 0.2, 2)
     assert within(found, 100.0) == pytest.approx(1.0)
     assert within(found, 1e-9) == pytest.approx(0.0, abs=0.01)
-    wrong = [RotationSample("far off", 9.0, found[0].answer)] * 5
+    wrong = [RotationSample("far off", 9.0, found[0].fit)] * 5
     assert within(found + wrong, 3.0) == pytest.approx(20 / 21, abs=0.01)
-    assert sigma_deg(wrong[0].answer) < 1.0
+    assert sigma_deg(wrong[0].fit) < 1.0

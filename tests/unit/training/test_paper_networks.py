@@ -207,15 +207,17 @@ def test_misuse_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], l
     assert said in ran.complaint
 
 
-def test_a_table_puts_networks_side_by_side(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from slipguard.training.paper import table
+def test_the_comparison_table_scores_a_network(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from slipguard.perception.contact.segmenter import Segmenter
+    from tests.campaigns import network_table
+    from tests.campaigns.command_line import run as run_campaign
 
     rng = np.random.default_rng(1)
     image = rng.integers(0, 256, (320, 240, 3)).astype(np.uint8)
     mask = np.zeros((320, 240), np.bool_)
-    frames = [table.Known(image, image, mask), table.Known(image, image, ~mask)]
-    (line,) = table.rows([trained / "net.onnx"], frames)
-    assert (line.name, line.frames, line.untouched) == ("net", 1, 1)
-    assert 0.0 <= line.iou[0] <= line.dice[0] <= 1.0
-    assert table.main([str(trained / "nowhere.onnx"), "--grasps", "0"]) == 1
+    frames = [network_table.LabeledFrame(image, image, mask), network_table.LabeledFrame(image, image, ~mask)]
+    (row,) = network_table.compare_networks([("net", Segmenter(trained / "net.onnx"))], frames)
+    assert (row.name, row.frames, row.untouched) == ("net", 1, 1)
+    assert 0.0 <= row.iou[0] <= row.dice[0] <= 1.0
+    assert run_campaign(["network-table", str(trained / "nowhere.onnx"), "--grasps", "1"]) == 2
     assert capsys.readouterr().err.startswith("slipguard: ")

@@ -1,7 +1,7 @@
-"""An open operator's page without a browser: the live stream heard, both fingers' pictures fetched.
+"""An operator page without a browser: it reads the live stream and fetches both fingers' images.
 
-`python -m tests.campaigns.soak.page SOCKET` keeps one open until its
-standard input ends, then prints what it got as JSON.
+`python -m tests.campaigns.soak.page_client SOCKET` keeps one open until its standard input ends, then prints what it
+received as JSON.
 """
 
 from __future__ import annotations
@@ -18,49 +18,49 @@ from websockets.asyncio.client import unix_connect
 from websockets.exceptions import ConnectionClosed
 
 FINGERS = ("left", "right")
-PICTURE_EVERY_S = 0.1
+IMAGE_EVERY_S = 0.1
 AGAIN_S = 1.0
 
 
-async def look(socket: Path, got: Counter[str], picture_every_s: float = PICTURE_EVERY_S) -> None:
-    """Look until cancelled; got: messages by type, pictures, refusals and lost connections."""
+async def open_page(socket: Path, received: Counter[str], image_every_s: float = IMAGE_EVERY_S) -> None:
+    """Keep a page open until cancelled; count messages by type, images, refusals and lost connections in `received`."""
     async with asyncio.TaskGroup() as group:
-        group.create_task(_listen(socket, got), name="page: live")
+        group.create_task(_listen(socket, received), name="page: live")
         for finger in FINGERS:
-            group.create_task(_pictures(socket, finger, got, picture_every_s), name=f"page: {finger}")
+            group.create_task(_images(socket, finger, received, image_every_s), name=f"page: {finger}")
 
 
-async def _listen(socket: Path, got: Counter[str]) -> None:
+async def _listen(socket: Path, received: Counter[str]) -> None:
     while True:
         try:
-            # No time-outs: on a virtual clock they are over before another process has had its turn.
-            patient = unix_connect(
+            # No timeouts: on a virtual clock they would expire before another process runs.
+            connection = unix_connect(
                 str(socket), uri="ws://slipguard/live", max_size=None, open_timeout=None, ping_interval=None
             )
-            async with patient as live:
+            async with connection as live:
                 async for message in live:
-                    got[json.loads(message)["type"]] += 1
+                    received[json.loads(message)["type"]] += 1
         except (OSError, ConnectionClosed):
-            got["connections lost"] += 1
+            received["connections lost"] += 1
         await asyncio.sleep(AGAIN_S)
 
 
-async def _pictures(socket: Path, finger: str, got: Counter[str], every_s: float) -> None:
+async def _images(socket: Path, finger: str, received: Counter[str], every_s: float) -> None:
     while True:
         try:
             reader, writer = await asyncio.open_unix_connection(socket)
             with contextlib.closing(writer):
                 while True:
                     status = await _get(reader, writer, f"/picture/{finger}")
-                    got["pictures" if status == HTTPStatus.OK else f"answers {status}"] += 1
+                    received["images" if status == HTTPStatus.OK else f"responses {status}"] += 1
                     await asyncio.sleep(every_s)
         except (OSError, EOFError):
-            got["connections lost"] += 1
+            received["connections lost"] += 1
             await asyncio.sleep(AGAIN_S)
 
 
 async def _get(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, path: str) -> int:
-    """Ask once over a connection that stays open, read the whole answer; its status."""
+    """Send one request on a persistent connection, read the whole response, return its status."""
     writer.write(f"GET {path} HTTP/1.1\r\nHost: slipguard\r\n\r\n".encode())
     head = (await reader.readuntil(b"\r\n\r\n")).decode("latin-1").lower()
     length = next(line for line in head.splitlines() if line.startswith("content-length:"))
@@ -68,30 +68,30 @@ async def _get(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, path:
     return int(head.split()[1])
 
 
-async def _until_told(socket: Path) -> None:
-    got: Counter[str] = Counter()
-    page = asyncio.create_task(look(socket, got))
+async def _main(socket: Path) -> None:
+    received: Counter[str] = Counter()
+    page = asyncio.create_task(open_page(socket, received))
     await asyncio.to_thread(sys.stdin.read)
     page.cancel()
     with contextlib.suppress(asyncio.CancelledError):
         await page
-    print(json.dumps(got))
+    print(json.dumps(received))
 
 
 class PageProcess:
-    """A page in a process of its own, as a browser would be."""
+    """A page in a process of its own, like a browser."""
 
     async def open(self, socket: Path) -> None:
-        """Begin to look."""
+        """Start the process."""
         self._process = await asyncio.create_subprocess_exec(
             sys.executable, "-m", __name__, str(socket), stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE
         )
 
     async def close(self) -> Counter[str]:
-        """End it; what it got."""
-        told, _ = await self._process.communicate(b"")  # without any input Python 3.11 leaves its pipe open
-        return Counter(json.loads(told or b"{}"))
+        """End the process and return what it received."""
+        output, _ = await self._process.communicate(b"")  # without input, Python 3.11 leaves the pipe open
+        return Counter(json.loads(output or b"{}"))
 
 
 if __name__ == "__main__":
-    asyncio.run(_until_told(Path(sys.argv[1])))
+    asyncio.run(_main(Path(sys.argv[1])))

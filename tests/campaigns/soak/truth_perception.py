@@ -1,4 +1,4 @@
-"""A finger's perceiver for hours of virtual time: real where nothing is touched, the truth with noise where it is."""
+"""Perception for hours of virtual time: the real pipeline without contact, the world's truth with noise in contact."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ NOISE_MM = 0.03
 STABLE_FRAMES = 5
 AREA_PX = 4000
 ALPHA, BETA = 0.5, 0.15
-"""Turn and rate gain of the tracker's filter."""
+"""Rotation and rate gain of the tracking filter."""
 
 
 class WorldTruthPerception:
-    """Asks `pipeline` of frames without contact; of others it knows what the world does, within `SIGMA_DEG`.
+    """Runs `pipeline` on frames without contact; in contact it estimates from the world's truth, within `SIGMA_DEG`.
 
-    sign: +1 for the left finger, -1 for the right one, which sees every turn mirrored. now: the loop's time, s.
+    Args:
+        sign: +1 for the left finger, -1 for the right one, which sees every rotation mirrored.
+        now: return the loop's time, s.
     """
 
     def __init__(
@@ -35,15 +37,15 @@ class WorldTruthPerception:
 
     @property
     def last_patch(self) -> Patch | None:
-        """None with contact: nobody has looked for its outline."""
+        """None in contact: there is no segmentation."""
         return self._pipeline.last_patch
 
     def keep_estimate(self, captured_at_s: float) -> None:
-        """A frame that is not handed in, the other finger's having shown that nothing turns."""
+        """Record a frame that is skipped because the other finger shows no rotation."""
         self._pipeline.keep_estimate(captured_at_s)
 
     def reset_reference(self) -> None:
-        """Take a new one from the next stable contact."""
+        """Take a new reference from the next stable contact."""
         self._pipeline.reset_reference()
         self._forget()
 
@@ -53,7 +55,7 @@ class WorldTruthPerception:
         self._rotation_deg = self._rate_deg_s = self._tracked_s = 0.0
 
     def process(self, frame: Frame) -> Estimate:
-        """One frame. Raises FrameCorrupt as the pipeline does."""
+        """Return the estimate of one frame. Raises FrameCorrupt as the pipeline does."""
         truth = self._world.truth(self._now())
         if not truth.in_contact:
             self._stable = 0

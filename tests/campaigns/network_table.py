@@ -1,0 +1,109 @@
+"""Networks side by side on rendered grasps that none of them was trained on.
+
+Each file runs as in the product: the whole 240x320 frame as input, one thread, the output enlarged to the frame and cut
+at the network's own threshold. The frames are those of `slipguard bench`: rendered grasps of the ten test objects.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.datasets.mask_scores import dice, iou
+from slipguard.datasets.rendered_grasps import render_grasp
+from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.sim.catalogue import object_names
+from slipguard.tools.parallel import Workers, each
+
+EVERY = 6
+"""Use every sixth frame of a grasp: neighboring frames hardly differ."""
+FALSE_CONTACT_PX = 160
+"""Of 76,800 pixels: a larger contact area on an untouched gel is a false contact."""
+HEADER = "| network | Dice | IoU | ms a frame, one thread | false contacts |\n|---|---|---|---|---|"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabeledFrame:
+    """A frame and its label. image, background: (320, 240, 3) uint8 BGR; mask: (320, 240) bool."""
+
+    image: NDArray[np.uint8]
+    background: NDArray[np.uint8]
+    mask: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkComparison:
+    """One network's scores: mean and standard deviation over the frames with contact; times over all frames.
+
+    Attributes:
+        ms: processor time of the one thread, which other load on the machine changes little.
+        false_contacts: how many of the `untouched` frames.
+    """
+
+    name: str
+    frames: int
+    dice: tuple[float, float]
+    iou: tuple[float, float]
+    ms: tuple[float, float]
+    false_contacts: int
+    untouched: int
+
+    def __str__(self) -> str:
+        pairs = [f"{mean:.3f} ± {sd:.3f}" for mean, sd in (self.dice, self.iou)]
+        time_ms = f"{self.ms[0]:.1f} ± {self.ms[1]:.1f}"
+        return f"| {' | '.join([self.name, *pairs, time_ms, f'{self.false_contacts} of {self.untouched}'])} |"
+
+
+def grasp_frames(seeds: Sequence[int], workers: Workers | None = None) -> list[LabeledFrame]:
+    """Return frames of one grasp of each test object for each seed."""
+    grasps = [(name, seed) for seed in seeds for name in object_names("test")]
+    return [frame for frames in each(_labeled, grasps, workers) for frame in frames]
+
+
+def compare_networks(
+    networks: Sequence[tuple[str, Segmenter]], frames: Sequence[LabeledFrame]
+) -> list[NetworkComparison]:
+    """Run every (name, network) on every frame, frame by frame, so that all meet the same state of the machine."""
+    scores = [_Scores() for _ in networks]
+    for frame in frames:
+        for (_, segmenter), score in zip(networks, scores, strict=True):
+            score.add(segmenter, frame)
+    return [score.summary(name) for (name, _), score in zip(networks, scores, strict=True)]
+
+
+class _Scores:
+    def __init__(self) -> None:
+        self._overlaps: list[tuple[float, float]] = []
+        self._times_ms: list[float] = []
+        self._false = self._untouched = 0
+
+    def add(self, segmenter: Segmenter, frame: LabeledFrame) -> None:
+        began_s = time.thread_time()
+        probability = segmenter.segment(frame.image, frame.background)
+        self._times_ms.append((time.thread_time() - began_s) * 1e3)
+        mask = np.asarray(cv2.resize(probability, frame.mask.shape[::-1]) > segmenter.threshold)
+        if frame.mask.any():
+            self._overlaps.append((dice(mask, frame.mask), iou(mask, frame.mask)))
+        else:
+            self._untouched += 1
+            self._false += int(mask.sum()) > FALSE_CONTACT_PX
+
+    def summary(self, name: str) -> NetworkComparison:
+        mean, sd = np.mean(self._overlaps, 0), np.std(self._overlaps, 0)
+        ms = float(np.mean(self._times_ms)), float(np.std(self._times_ms))
+        dices, ious = ((float(mean[k]), float(sd[k])) for k in (0, 1))
+        return NetworkComparison(name, len(self._overlaps), dices, ious, ms, self._false, self._untouched)
+
+
+def _labeled(which: tuple[str, int]) -> list[LabeledFrame]:
+    grasp = render_grasp(*which, with_masks=True)
+    return [
+        LabeledFrame(shot.frame.image, grasp.background, np.asarray(shot.mask > 0))
+        for shot in grasp.shots[::EVERY]
+        if shot.mask is not None
+    ]
