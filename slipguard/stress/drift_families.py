@@ -22,37 +22,52 @@ from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.sensor_unit import LightChange, random_unit
 from slipguard.stress.product_functions import FRAME_S, MAP_PX, THRESHOLD, ProductFunctions
-from slipguard.stress.shapes import ELONGATED, ShapePose, roughness, soft
+from slipguard.stress.shapes import ELONGATED, ShapePose, probability_map, roughness
 from slipguard.stress.trial_family import FamilyResults, TrialFamily, TrialFunction
 
-DRIFT = "drift of the tracked turn"
+DRIFT = "drift of the tracked rotation"
+HOLDING = "drift of the whole pipeline"
 DRIFT_DEG = 0.1
-STRETCH_FRAMES = 1000
-"""The object swings there and back over every seam within so many frames."""
+SWING_FRAMES = 1000
+"""Period of the swing, which crosses every multiple of 90 degrees; also the frames of one trial."""
 SWING_DEG = 200.0
 REFERENCE_DEG = 37
 VARIANTS = 3
-"""Every whole degree is drawn so many times, each with another wrong outline."""
+"""Drawings of every whole degree, each with another contour error."""
 ROUGH_PX = 0.2
-"""Of the outline, network pixels; the shipped network's is about 0.3."""
+"""Contour error in network pixels; that of the shipped network is about 0.3."""
 MIN_AREA_PX = 200.0
 SHAPE = ELONGATED["hook"]
-_NO_PICTURE: NDArray[np.uint8] = np.zeros((1, 1, 3), np.uint8)
+_NO_IMAGE: NDArray[np.uint8] = np.zeros((1, 1, 3), np.uint8)
+
+OBJECTS = ("coin", "key")
+"""Round with texture, and with an axis. Both are pressed until they differ from their reference."""
+HELD_FRAMES = 36_000
+"""Ten minutes of each object."""
+CYCLE_FRAMES = 600
+"""In ten seconds the force rises, rests, falls and rests: long enough for frames to be skipped."""
+MOVING_FRAMES = 60
+TRIAL_FRAMES = 20
+DEPTH_SHARES = (0.3, 1.1)
+"""Smallest and largest depth, as a share of the object's depth at 40 N."""
+SHEAR_MM = 1.2
+LIGHT_LEVELS, LIGHT_PERIOD_S = 3.0, 240.0
+UNIT_SEED = 8100
 
 
 class _RotatedContacts:
-    """The contact turned to whole degrees, with its axes: drawn when first asked for."""
+    """The contact rotated to whole degrees, with its axes; drawn on first use."""
 
     def __init__(self, product: ProductFunctions) -> None:
         self._product = product
         self._known: dict[tuple[int, int], tuple[Patch, dict[str, AxisEstimate]]] = {}
 
     def at(self, angle_deg: int, variant: int) -> tuple[Patch, dict[str, AxisEstimate]]:
-        """variant: 0 for a clean outline. The same for the same numbers."""
+        """Return patch and axes; variant 0 has no contour error. Equal arguments give equal results."""
         key = (angle_deg % 360, variant)
         if key not in self._known:
             rough = roughness(np.random.default_rng(key), ROUGH_PX if variant else 0.0)
-            shown = soft(SHAPE, ShapePose(float(key[0])), rough)
+            shown = probability_map(SHAPE, ShapePose(float(key[0])), rough)
             patch = self._product.find_patch(shown, THRESHOLD, MIN_AREA_PX, MAP_PX)
             if patch is None:
                 raise ValueError(f"no patch at {angle_deg} degrees")
@@ -60,30 +75,30 @@ class _RotatedContacts:
         return self._known[key]
 
 
-def _begin_tracking(product: ProductFunctions) -> TrialFunction:
+def _begin_drift(product: ProductFunctions) -> TrialFunction:
     contacts = _RotatedContacts(product)
-    # Outlines alone: reliefs, keys and left-out frames are those of the family `holding`.
+    # Contours only. Texture, further references and skipped frames belong to the family `holding`.
     meter = RotationMeter(PerceptionSettings(reference="first", estimator="registration"), MAP_PX)
     meter.tracker = product.tracker()
     frame = 0
 
-    def measured(angle_deg: int, variant: int) -> RotationEstimate:
+    def measure(angle_deg: int, variant: int) -> RotationEstimate:
         patch, axes = contacts.at(angle_deg, variant)
 
         def axes_of(every: bool) -> Mapping[str, AxisEstimate]:
             return axes
 
-        return meter.measure(_NO_PICTURE, patch, axes_of, frame * FRAME_S, StageTimer(None))[0]
+        return meter.measure(_NO_IMAGE, patch, axes_of, frame * FRAME_S, StageTimer(None))[0]
 
     def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
         nonlocal frame
         if frame == 0:
-            results.call("meter", measured, REFERENCE_DEG, 0)
+            results.call("meter", measure, REFERENCE_DEG, 0)
         errors = []
-        for variant in rng.integers(1, VARIANTS + 1, STRETCH_FRAMES):
+        for variant in rng.integers(1, VARIANTS + 1, SWING_FRAMES):
             frame += 1
-            truth = round(SWING_DEG * math.sin(2.0 * math.pi * frame / STRETCH_FRAMES))
-            rotation = results.call("meter", measured, REFERENCE_DEG + truth, int(variant))
+            truth = round(SWING_DEG * math.sin(2.0 * math.pi * frame / SWING_FRAMES))
+            rotation = results.call("meter", measure, REFERENCE_DEG + truth, int(variant))
             if rotation is None:
                 return
             error = results.check_angle("meter", rotation.rotation_deg, rotation.sigma_deg, float(truth), axial=False)
@@ -95,37 +110,9 @@ def _begin_tracking(product: ProductFunctions) -> TrialFunction:
     return trial
 
 
-TRACKING = TrialFamily(
-    "drift",
-    "a million frames that swing over every seam, through registration and track",
-    1000,
-    270.0,
-    _begin_tracking,
-    STRETCH_FRAMES,
-    continuous=True,
-    min_answered_share=0.95,
-)
-
-
-HOLDING = "drift of the whole pipeline"
-OBJECTS = ("coin", "key")
-"""Round with a texture, and with an axis; both are pressed until they look unlike their reference, and take a key."""
-HELD_FRAMES = 36_000
-"""Ten minutes of each."""
-CYCLE_FRAMES = 600
-"""In ten seconds the force rises, rests, falls and rests again: long enough for frames to be left out."""
-MOVING_FRAMES = 60
-TRIAL_FRAMES = 20
-SHARES = (0.3, 1.1)
-"""The press at either end, of the object's at 40 N."""
-SHEAR_MM = 1.2
-LIGHT_LEVELS, LIGHT_PERIOD_S = 3.0, 240.0
-UNIT_SEED = 8100
-
-
 @dataclass(slots=True)
-class _HeldContact:
-    """One contact. rotations_deg: of the cycle under way. first_deg: mean of the first whole cycle."""
+class _HeldObject:
+    """An object that is held. rotations_deg: estimates of the current cycle. first_deg: mean of the first cycle."""
 
     name: str
     camera: GelCamera
@@ -134,25 +121,25 @@ class _HeldContact:
     rotations_deg: list[float] = field(default_factory=list)
     first_deg: float | None = None
 
-    def image(self) -> Frame:
-        """The next frame; the object does not turn, whatever else changes."""
+    def next_frame(self) -> Frame:
+        """Return the next frame. The object does not rotate while force, shear and light change."""
         now_s = self.frame * FRAME_S
         if self.frame % 60 == 0:
             level = LIGHT_LEVELS * math.sin(2.0 * math.pi * now_s / LIGHT_PERIOD_S)
             self.camera.set_light(LightChange(1.0, (level, -0.5 * level, 0.7 * level)))
-        part = _pressed(self.frame % CYCLE_FRAMES)
-        depth_mm = find_object(self.name).press_mm * (SHARES[0] + part * (SHARES[1] - SHARES[0]))
-        view = GelView(self.name, 0.4, -0.3 - SHEAR_MM * part, 25.0, depth_mm)
+        force = _force_share(self.frame % CYCLE_FRAMES)
+        depth_mm = find_object(self.name).press_mm * (DEPTH_SHARES[0] + force * (DEPTH_SHARES[1] - DEPTH_SHARES[0]))
+        view = GelView(self.name, 0.4, -0.3 - SHEAR_MM * force, 25.0, depth_mm)
         self.frame += 1
         return Frame(self.camera.draw(view), now_s, self.frame)
 
 
-def _pressed(at: int) -> float:
-    """How far the force has risen, 0 to 1, at this frame of a cycle."""
+def _force_share(frame: int) -> float:
+    """Return the force at a frame of the cycle, from 0 to 1."""
     half = CYCLE_FRAMES // 2
-    risen = min((at % half) / MOVING_FRAMES, 1.0)
+    risen = min((frame % half) / MOVING_FRAMES, 1.0)
     risen = risen * risen * (3.0 - 2.0 * risen)
-    return risen if at < half else 1.0 - risen
+    return risen if frame < half else 1.0 - risen
 
 
 def _begin_holding(product: ProductFunctions) -> TrialFunction:
@@ -160,21 +147,18 @@ def _begin_holding(product: ProductFunctions) -> TrialFunction:
     held = []
     for number, name in enumerate(OBJECTS):
         camera = GelCamera(random_unit(np.random.default_rng(UNIT_SEED + number)), seed=UNIT_SEED + number)
-        unit = camera.unit
-        pipeline = product.pipeline(
-            segmenter, PerceptionSettings(), camera.no_contact(), unit.noise_bgr, unit.px_per_mm
-        )
-        held.append(_HeldContact(name, camera, pipeline))
+        sensor = (camera.no_contact(), camera.unit.noise_bgr, camera.unit.px_per_mm)
+        held.append(_HeldObject(name, camera, product.pipeline(segmenter, PerceptionSettings(), *sensor)))
 
     def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
         one = held[seed % len(held)]
         for _ in range(TRIAL_FRAMES):
-            answer = results.call("pipeline", one.pipeline.process, one.image())
-            if answer is None:
+            estimate = results.call("pipeline", one.pipeline.process, one.next_frame())
+            if estimate is None:
                 return
-            results.check_angle(one.name, answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
-            if answer.angle_deg is not None and math.isfinite(answer.angle_deg):
-                one.rotations_deg.append(answer.angle_deg)
+            results.check_angle(one.name, estimate.angle_deg, estimate.sigma_deg, 0.0, axial=False)
+            if estimate.angle_deg is not None and math.isfinite(estimate.angle_deg):
+                one.rotations_deg.append(estimate.angle_deg)
             if one.frame % CYCLE_FRAMES == 0 and one.rotations_deg:
                 mean = float(np.mean(one.rotations_deg))
                 one.rotations_deg.clear()
@@ -184,13 +168,12 @@ def _begin_holding(product: ProductFunctions) -> TrialFunction:
     return trial
 
 
+DRIFTING = TrialFamily(
+    "drift", "a million frames that swing across ±90°, through registration and tracker", 1000, 270.0, _begin_drift,
+    SWING_FRAMES, continuous=True, min_answered_share=0.95,
+)  # fmt: skip
 HOLD = TrialFamily(
-    "holding",
-    "a coin and a key drawn and held, ten minutes each, while force, shear and light come and go",
-    len(OBJECTS) * HELD_FRAMES // TRIAL_FRAMES,
-    50.0,
-    _begin_holding,
-    TRIAL_FRAMES,
-    continuous=True,
+    "holding", "a coin and a key held for ten minutes each while force, shear and light change",
+    len(OBJECTS) * HELD_FRAMES // TRIAL_FRAMES, 50.0, _begin_holding, TRIAL_FRAMES, continuous=True,
     min_answered_share=0.8,
-)
+)  # fmt: skip

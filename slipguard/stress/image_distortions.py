@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
-Spoil = Callable[[Image, float, np.random.Generator], Image]
-"""(image (320, 240, 3) uint8 BGR, strength 0..1, random numbers) to a picture of the same shape and type."""
+Distortion = Callable[[Image, float, np.random.Generator], Image]
+"""(image (320, 240, 3) uint8 BGR, strength 0..1, random numbers) to an image of the same shape and type."""
 
 
 def _clipped(levels: NDArray[np.floating]) -> Image:
@@ -36,7 +36,7 @@ def _slope(image: Image, strength: float, rng: np.random.Generator) -> Image:
 
 
 def _lamp(image: Image, strength: float, rng: np.random.Generator) -> Image:
-    """One colour fails, or blinds."""
+    """One color channel fails or saturates."""
     out = image.astype(np.float64)
     channel = int(rng.integers(3))
     out[..., channel] += strength * ((0.0, 255.0)[int(rng.integers(2))] - out[..., channel])
@@ -44,7 +44,7 @@ def _lamp(image: Image, strength: float, rng: np.random.Generator) -> Image:
 
 
 def _swapped(image: Image, strength: float, rng: np.random.Generator) -> Image:
-    """Colours in another order; the weakest is the usual mistake, RGB for BGR."""
+    """Swap color channels; the smallest strength is the usual mistake, RGB for BGR."""
     orders = ((2, 1, 0), (1, 0, 2), (0, 2, 1), (1, 2, 0), (2, 0, 1))
     return np.ascontiguousarray(image[..., orders[min(int(strength * 5), 4)]])
 
@@ -68,19 +68,19 @@ def _lines(image: Image, strength: float, rng: np.random.Generator) -> Image:
 
 def _spot(image: Image, strength: float, rng: np.random.Generator) -> Image:
     out = image.copy()
-    centre = (int(rng.integers(240)), int(rng.integers(320)))
+    center = (int(rng.integers(240)), int(rng.integers(320)))
     level = int(rng.choice((0, 255)))
-    cv2.circle(out, centre, int(4 + 200 * strength), (level, level, level), -1)
+    cv2.circle(out, center, int(4 + 200 * strength), (level, level, level), -1)
     return out
 
 
 def _saturated(image: Image, strength: float, rng: np.random.Generator) -> Image:
-    """Everything above a level is white: an exposure too long."""
+    """Saturate values above a level: the exposure is too long."""
     return np.where(image > int(255 - 254 * strength), 255, image).astype(np.uint8)
 
 
 def _crushed(image: Image, strength: float, rng: np.random.Generator) -> Image:
-    """Everything below a level is black."""
+    """Clip values below a level to black."""
     return np.where(image < int(254 * strength), 0, image).astype(np.uint8)
 
 
@@ -108,13 +108,13 @@ def _negative(image: Image, strength: float, rng: np.random.Generator) -> Image:
     return _clipped(image + strength * (255.0 - 2.0 * image))
 
 
-SPOILS: dict[str, Spoil] = {
+DISTORTIONS: dict[str, Distortion] = {
     "gain": _gain,
     "offset": _offset,
     "gamma": _gamma,
     "slope": _slope,
     "lamp": _lamp,
-    "swapped colours": _swapped,
+    "swapped colors": _swapped,
     "hot pixels": _hot,
     "dead lines": _lines,
     "spot": _spot,
@@ -128,8 +128,8 @@ SPOILS: dict[str, Spoil] = {
 }
 
 
-def nonsense(rng: np.random.Generator) -> Image:
-    """A picture that shows no gel at all."""
+def unrelated_image(rng: np.random.Generator) -> Image:
+    """Return an image that does not show a gel."""
     kind = int(rng.integers(6))
     shape = (320, 240, 3)
     if kind == 0:
@@ -152,7 +152,7 @@ def nonsense(rng: np.random.Generator) -> Image:
 
 
 def malformed(rng: np.random.Generator) -> object:
-    """What is no picture of a DIGIT: other shapes, types, or nothing."""
+    """Return an object that is not a DIGIT image: another shape, another type, or None."""
     good = np.full((320, 240, 3), 96, np.uint8)
     odd: tuple[Callable[[], object], ...] = (
         lambda: None, lambda: good[..., 0], lambda: good[..., :1], lambda: np.dstack([good, good])[..., :4],

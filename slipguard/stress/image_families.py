@@ -16,21 +16,22 @@ from slipguard.sim.catalogue import find_object, object_names
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.sensor_unit import SensorUnit
-from slipguard.stress.image_distortions import SPOILS, Image, malformed, nonsense
-from slipguard.stress.product_functions import FRAME_S, PX_PER_MM, ProductFunctions, ScriptedImagePipeline
+from slipguard.stress.image_distortions import DISTORTIONS, Image, malformed, unrelated_image
+from slipguard.stress.product_functions import FRAME_S, PX_PER_MM, ProductFunctions, ScriptedPipeline
 from slipguard.stress.textured_surfaces import (
     LEVEL,
+    Heights,
     LedLights,
     Surface,
     ball,
-    contact,
-    drawn,
+    contact_map,
     gear,
     heights,
     lettered,
     nut,
     plate,
     ring,
+    shaded_image,
 )
 from slipguard.stress.trial_family import FamilyResults, TrialFamily, TrialFunction
 
@@ -42,10 +43,19 @@ STEP_DEG = 4.0
 NOISE_LEVELS = (0.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 STRENGTHS = (0.03, 0.06, 0.12, 0.25, 0.5, 0.75, 1.0)
 
+TEXTURE_NOISE_LEVELS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0)
+WITH_TEXTURE: tuple[Surface, ...] = (lettered, plate, gear)
+WITHOUT_TEXTURE: tuple[Surface, ...] = (ball, ring)
+TEXTURE_FRAMES = 6
+UNSEEN: tuple[Surface, ...] = (gear, nut, lettered, plate)
+UNSEEN_S = (2.0 * FRAME_S, 0.05, 0.1, 0.25, 0.5, 2.0)
+UNSEEN_MAX_DEG = 80.0
+"""Beyond 90 degrees an axis is ambiguous."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RotatedGrasp:
-    """One object held still and then turned by `STEP_DEG` a frame."""
+    """Frames of an object that rests and then rotates by `STEP_DEG` per frame."""
 
     background: Image
     noise_bgr: NoiseBgr
@@ -54,125 +64,191 @@ class RotatedGrasp:
 
 
 @cache
-def grasp(number: int) -> RotatedGrasp:
-    """The same grasp for the same number: an object with an axis, anywhere, pressed lightly or hard."""
+def rotated_grasp(number: int) -> RotatedGrasp:
+    """Return a grasp of an object with an axis, at a random place and depth; a function of its number."""
     rng = np.random.default_rng(np.random.SeedSequence([number, 77]))
-    things = [find_object(name) for name in object_names("train")]
-    readable = [thing for thing in things if thing.axial]
-    thing = readable[number % len(readable)]
+    with_axis = [one for one in map(find_object, object_names("train")) if one.axial]
+    held = with_axis[number % len(with_axis)]
     camera = GelCamera(SensorUnit.default(), seed=number)
     x, y, start = rng.uniform(-2, 2), rng.uniform(-3, 3), rng.uniform(-180, 180)
-    depth = thing.press_mm * rng.uniform(0.5, 1.0)
-    way = float(rng.choice((-1.0, 1.0)))
-    rotations = [0.0] * STILL_FRAMES + [way * STEP_DEG * (k + 1) for k in range(ROTATED_FRAMES)]
-    frames = [camera.draw(GelView(thing.name, x, y, start + rotation, depth)) for rotation in rotations]
+    depth = held.press_mm * rng.uniform(0.5, 1.0)
+    direction = float(rng.choice((-1.0, 1.0)))
+    rotations = [0.0] * STILL_FRAMES + [direction * STEP_DEG * (k + 1) for k in range(ROTATED_FRAMES)]
+    frames = [camera.draw(GelView(held.name, x, y, start + rotation, depth)) for rotation in rotations]
     return RotatedGrasp(camera.no_contact(), camera.unit.noise_bgr, tuple(frames), tuple(rotations))
 
 
 def _begin_images(product: ProductFunctions) -> TrialFunction:
     segmenter = product.segmenter()
-    spoils = list(SPOILS.items())
+    distortions = list(DISTORTIONS.items())
     settings = PerceptionSettings()
 
-    def pipeline(background: Image | None, noise_bgr: NoiseBgr | None, results: FamilyResults) -> Any:
-        """A new pipeline, or None where it refuses a spoiled no-contact image."""
+    def open_pipeline(background: Image | None, noise_bgr: NoiseBgr | None, results: FamilyResults) -> Any:
+        """Return a new pipeline; None if it refuses a distorted background image."""
         return results.call("pipeline", product.pipeline, segmenter, settings, background, noise_bgr, PX_PER_MM)
 
     def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
         kind, seed = seed % 4, seed // 4
-        shown = grasp(int(rng.integers(GRASPS)))
-        noise_bgr: NoiseBgr | None = shown.noise_bgr
+        grasp = rotated_grasp(int(rng.integers(GRASPS)))
+        background: Image | None = grasp.background
+        noise_bgr: NoiseBgr | None = grasp.noise_bgr
         if kind == 0:
             level = NOISE_LEVELS[seed % len(NOISE_LEVELS)]
-            spoiled = [SPOILS["noise"](image, level / 64.0, rng) for image in shown.frames]
-            error = _watch(
-                pipeline(shown.background, noise_bgr, results), spoiled, shown.rotations_deg, results, "noise"
-            )
+            noisy = [DISTORTIONS["noise"](image, level / 64.0, rng) for image in grasp.frames]
+            pipeline = open_pipeline(background, noise_bgr, results)
+            error = _check_frames(pipeline, noisy, grasp.rotations_deg, results, "noise")
             results.add_curve_point("frame noise/pipeline", level, error)
             return
-        name, spoil = spoils[seed % len(spoils)]
-        strength = STRENGTHS[seed // len(spoils) % len(STRENGTHS)]
-        draw = int(rng.integers(2**31))  # the same in every frame: a state of the sensor, not a flicker
-        frames = [spoil(image, strength, np.random.default_rng(draw)) for image in shown.frames]
-        background: Image | None = shown.background
-        if kind == 1:  # from the calibration on, which measures the noise too
-            background = spoil(shown.background, strength, np.random.default_rng(draw))
-            noise_bgr = _measured_noise(frames[:STILL_FRAMES])
-        elif kind == 2:  # since the reference was taken
-            frames[:STILL_FRAMES] = shown.frames[:STILL_FRAMES]
-        elif rng.random() < 0.5:  # in each frame anew
-            frames = [spoil(image, strength, rng) for image in shown.frames]
-        else:  # not calibrated at all
+        name, distort = distortions[seed % len(distortions)]
+        strength = STRENGTHS[seed // len(distortions) % len(STRENGTHS)]
+        draw = int(rng.integers(2**31))  # equal in every frame: a permanent state of the sensor
+        frames = [distort(image, strength, np.random.default_rng(draw)) for image in grasp.frames]
+        if kind == 1:  # already distorted during calibration, which also measures the noise
+            background = distort(grasp.background, strength, np.random.default_rng(draw))
+            noise_bgr = _measure_noise(frames[:STILL_FRAMES])
+        elif kind == 2:  # distorted after the reference was taken
+            frames[:STILL_FRAMES] = grasp.frames[:STILL_FRAMES]
+        elif rng.random() < 0.5:  # distorted differently in each frame
+            frames = [distort(image, strength, rng) for image in grasp.frames]
+        else:  # not calibrated
             background = noise_bgr = None
-        _watch(pipeline(background, noise_bgr, results), frames, shown.rotations_deg, results, name)
+        _check_frames(open_pipeline(background, noise_bgr, results), frames, grasp.rotations_deg, results, name)
         if rng.random() < 0.25:
-            _look_at_nonsense(pipeline(shown.background, noise_bgr, results), shown, rng, results)
+            _check_unrelated_images(open_pipeline(grasp.background, noise_bgr, results), grasp, rng, results)
 
     return trial
 
 
-def _measured_noise(still: Sequence[Image]) -> NoiseBgr:
-    """As the calibration measures it: neighbouring frames differ by the noise alone."""
+def _measure_noise(still: Sequence[Image]) -> NoiseBgr:
+    """Return the noise as the calibration measures it, from differences of consecutive frames."""
     b, g, r = np.diff(np.stack(still).astype(np.float32), axis=0).std(axis=(0, 1, 2)) / np.sqrt(2.0)
     return float(b), float(g), float(r)
 
 
-def _watch(
+def _check_frames(
     pipeline: Any, frames: Sequence[Image], rotations_deg: Sequence[float], results: FamilyResults, label: str
 ) -> float | None:
-    """Feed frames and judge every answer against the turn since the reference; the last one's error, None: declined."""
-    error = None
-    since_deg: float | None = None
+    """Check each estimate against the rotation since the reference; return the last error, None if declined."""
     if pipeline is None:
         return None
+    error = None
+    reference_deg: float | None = None
     for k, (image, truth) in enumerate(zip(frames, rotations_deg, strict=True)):
-        answer = results.call(f"pipeline, {label}", pipeline.process, Frame(image, k * FRAME_S, k))
-        if since_deg is None and pipeline.has_reference:
-            since_deg = truth
+        estimate = results.call(f"pipeline, {label}", pipeline.process, Frame(image, k * FRAME_S, k))
+        if reference_deg is None and pipeline.has_reference:
+            reference_deg = truth
         error = None
-        if answer is not None:
-            rotation = truth - (since_deg or 0.0)
-            results.check_finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
-            error = results.check_angle(f"pipeline, {label}", answer.angle_deg, answer.sigma_deg, rotation, axial=False)
+        if estimate is not None:
+            error = results.check_rotation(f"pipeline, {label}", estimate, truth - (reference_deg or 0.0))
     return error
 
 
-def _look_at_nonsense(pipeline: Any, shown: RotatedGrasp, rng: np.random.Generator, results: FamilyResults) -> None:
-    """After a reference: pictures of nothing and things that are no pictures; no turn may be claimed."""
+def _check_unrelated_images(
+    pipeline: Any, grasp: RotatedGrasp, rng: np.random.Generator, results: FamilyResults
+) -> None:
+    """After a reference, process images without a gel and objects that are not images: no rotation may be estimated."""
     if pipeline is None:
         return
     for k in range(STILL_FRAMES):
-        results.call("pipeline", pipeline.process, Frame(shown.frames[k], k * FRAME_S, k))
+        results.call("pipeline", pipeline.process, Frame(grasp.frames[k], k * FRAME_S, k))
     for k in range(STILL_FRAMES, STILL_FRAMES + 4):
-        image = nonsense(rng) if k % 2 else cast(Image, malformed(rng))
-        answer = results.call("pipeline, no picture", pipeline.process, Frame(image, k * FRAME_S, k))
-        if answer is not None:
-            results.check_angle("pipeline, no picture", answer.angle_deg, answer.sigma_deg, None, axial=False)
+        image = unrelated_image(rng) if k % 2 else cast(Image, malformed(rng))
+        estimate = results.call("pipeline, no gel image", pipeline.process, Frame(image, k * FRAME_S, k))
+        if estimate is not None:
+            results.check_angle("pipeline, no gel image", estimate.angle_deg, estimate.sigma_deg, None, axial=False)
 
 
-IMAGES = TrialFamily(
-    "pictures",
-    "extreme light, hot pixels, saturated frames, swapped colours, nonsense",
-    10_000,
-    85.0,
-    _begin_images,
-    min_answered_share=0.3,
-)
+@dataclass(frozen=True, slots=True)
+class _TexturedContact:
+    """A textured surface at `at` (x, y in frame pixels), pressed into a gel under these lights."""
+
+    pipeline: ScriptedPipeline
+    lights: LedLights
+    noise: float
+    at: tuple[float, float]
+    start_deg: float
+    rng: np.random.Generator
+    results: FamilyResults
+
+    def heights(
+        self, surface: Surface, rotation_deg: float, shift_px: tuple[float, float] = (0.0, 0.0), force: float = 1.0
+    ) -> Heights:
+        center = (self.at[0] + shift_px[0], self.at[1] + shift_px[1])
+        return heights(surface, self.start_deg + rotation_deg, center, force)
+
+    def image(self, height: Heights) -> Image:
+        return shaded_image(height, self.lights, self.noise, self.rng)
+
+    def check(
+        self, label: str, height: Heights, truth_deg: float | None, image: Image | None = None, after_s: float = FRAME_S
+    ) -> float | None:
+        """Process the next frame and check its estimate; return its error, None if declined."""
+        shown = self.image(height) if image is None else image
+        estimate = self.results.call("pipeline", self.pipeline.process, contact_map(height), shown, after_s)
+        return None if estimate is None else self.results.check_rotation(label, estimate, truth_deg)
+
+    def check_distorted_images(self) -> None:
+        """Distort the image of an object at rest while the map stays: no confident rotation may be estimated."""
+        height = self.heights(lettered, 0.0)
+        distort = list(DISTORTIONS.values())[int(self.rng.integers(len(DISTORTIONS)))]
+        strength = float(self.rng.uniform(0.0, 1.0))
+        for k in range(TEXTURE_FRAMES):
+            image = self.image(height)
+            if k >= 2:
+                last = k == TEXTURE_FRAMES - 1
+                image = unrelated_image(self.rng) if last else distort(image, strength, self.rng)
+            self.check("pipeline, distorted", height, 0.0, image)
+
+    def check_unseen_rotation(self, surface: Surface) -> None:
+        """Rotate the object during a gap by up to what a fall allows: estimated correctly, or declined."""
+        gap_s = float(self.rng.choice(UNSEEN_S))
+        largest_deg = min(0.5 * ACCELERATION_DEG_S2 * gap_s**2, UNSEEN_MAX_DEG)
+        rotation_deg = float(self.rng.uniform(-1.0, 1.0)) * largest_deg
+        for k in range(TEXTURE_FRAMES):
+            truth_deg = 0.0 if k < 2 else rotation_deg
+            height = self.heights(surface, truth_deg)
+            self.check(f"{surface.__name__}, unseen", height, truth_deg, after_s=gap_s if k == 2 else FRAME_S)
+
+    def check_rotating(self, surface: Surface, *, visible: bool) -> float | None:
+        """Rotate, shift and press the object harder; return the last error, None if declined."""
+        direction = float(self.rng.choice((-1.0, 1.0)))
+        steps = int(self.rng.integers(2, 9))
+        shift_x, shift_y = self.rng.uniform(-14, 14, 2)
+        last_force = float(self.rng.uniform(0.85, 1.7))
+        error: float | None = None
+        for k in range(steps + 1):
+            part, rotation_deg = k / steps, direction * STEP_DEG * k
+            shift_px = (part * shift_x, part * shift_y)
+            height = self.heights(surface, rotation_deg, shift_px, 1.0 + part * (last_force - 1.0))
+            error = self.check(surface.__name__, height, rotation_deg if visible else None)
+        return error
 
 
-NOISES = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0)
-TEXTURE_STEP_DEG = 4.0
-TELLING: tuple[Surface, ...] = (lettered, plate, gear)
-ROUND: tuple[Surface, ...] = (ball, ring)
-TEXTURE_FRAMES = 6
-LEFT: tuple[Surface, ...] = (gear, nut, lettered, plate)
-LEFT_S = (2.0 * FRAME_S, 0.05, 0.1, 0.25, 0.5, 2.0)
-LEFT_MAX_DEG = 80.0
-"""Beyond a right angle an axis is another turn's."""
+def _begin_textures(product: ProductFunctions) -> TrialFunction:
+    background = np.full((320, 240, 3), round(LEVEL), np.uint8)
+
+    def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
+        seed, kind = divmod(seed, 5)
+        lights, noise = _random_lights(rng), TEXTURE_NOISE_LEVELS[seed % len(TEXTURE_NOISE_LEVELS)]
+        at = (float(rng.uniform(90, 150)), float(rng.uniform(110, 210)))
+        start_deg = float(rng.uniform(-180, 180))
+        pipeline = ScriptedPipeline(product, background=background)
+        contact = _TexturedContact(pipeline, lights, noise, at, start_deg, rng, results)
+        if kind == 4:
+            contact.check_unseen_rotation(UNSEEN[seed % len(UNSEEN)])
+        elif kind == 3:
+            contact.check_distorted_images()
+        elif kind == 2:
+            contact.check_rotating(WITHOUT_TEXTURE[seed % len(WITHOUT_TEXTURE)], visible=False)
+        else:
+            error = contact.check_rotating(WITH_TEXTURE[seed % len(WITH_TEXTURE)], visible=True)
+            results.add_curve_point("relief noise/pipeline", noise, error)
+
+    return trial
 
 
 def _random_lights(rng: np.random.Generator) -> LedLights:
-    """Lights as they differ from unit to unit, some in the other sense of rotation."""
+    """Return lights as they differ between sensor units, some in reverse order."""
     azimuths = np.array([270.0, 150.0, 30.0]) + rng.normal(0.0, 8.0, 3)
     if rng.random() < 0.25:
         azimuths = 180.0 - azimuths
@@ -181,82 +257,11 @@ def _random_lights(rng: np.random.Generator) -> LedLights:
     return LedLights((b, g, r), (float(azimuths[0]), float(azimuths[1]), float(azimuths[2])), (right, up))
 
 
-def _begin_textures(product: ProductFunctions) -> TrialFunction:
-    background = np.full((320, 240, 3), round(LEVEL), np.uint8)
-
-    def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
-        seed, kind = divmod(seed, 5)
-        finger = ScriptedImagePipeline(product, background)
-        lights, noise = _random_lights(rng), NOISES[seed % len(NOISES)]
-        at = (float(rng.uniform(90, 150)), float(rng.uniform(110, 210)))
-        start = float(rng.uniform(-180, 180))
-        if kind == 3:
-            _spoiled(finger, lights, noise, at, start, rng, results)
-            return
-        if kind == 4:
-            _left(finger, LEFT[seed % len(LEFT)], lights, noise, at, start, rng, results)
-            return
-        surface = TELLING[seed % len(TELLING)] if kind < 2 else ROUND[seed % len(ROUND)]
-        way = float(rng.choice((-1.0, 1.0)))
-        steps = int(rng.integers(2, 9))
-        shift_x, shift_y = rng.uniform(-14, 14, 2)
-        grown = float(rng.uniform(0.85, 1.7))
-        error: float | None = None
-        for k in range(steps + 1):
-            part = k / steps
-            there = (at[0] + part * shift_x, at[1] + part * shift_y)
-            height = heights(surface, start + way * TEXTURE_STEP_DEG * k, there, 1.0 + part * (grown - 1.0))
-            answer = results.call("pipeline", finger.see, drawn(height, lights, noise, rng), contact(height))
-            if answer is None:
-                return
-            results.check_finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
-            truth = None if kind == 2 else way * TEXTURE_STEP_DEG * k
-            error = results.check_angle(surface.__name__, answer.angle_deg, answer.sigma_deg, truth, axial=False)
-        if kind < 2:
-            results.add_curve_point("relief noise/pipeline", noise, error)
-
-    return trial
-
-
-def _spoiled(
-    finger: ScriptedImagePipeline, lights: LedLights, noise: float, at: tuple[float, float], start: float,
-    rng: np.random.Generator, results: FamilyResults,
-) -> None:  # fmt: skip
-    """Held still while the picture goes bad, over the network's head: no confident turn comes of it."""
-    height = heights(lettered, start, at, 1.0)
-    spoil = list(SPOILS.values())[int(rng.integers(len(SPOILS)))]
-    strength = float(rng.uniform(0.0, 1.0))
-    for k in range(TEXTURE_FRAMES):
-        image = drawn(height, lights, noise, rng)
-        if k >= 2:
-            image = nonsense(rng) if k == TEXTURE_FRAMES - 1 else spoil(image, strength, rng)
-        answer = results.call("pipeline, spoiled", finger.see, image, contact(height))
-        if answer is not None:
-            results.check_angle("pipeline, spoiled", answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
-
-
-def _left(
-    finger: ScriptedImagePipeline, surface: Surface, lights: LedLights, noise: float, at: tuple[float, float], start: float,
-    rng: np.random.Generator, results: FamilyResults,
-) -> None:  # fmt: skip
-    """Held still, out of sight, and turned meanwhile by up to what can fall: told, or the count is known to be lost."""
-    gap_s = float(rng.choice(LEFT_S))
-    rotation = float(rng.uniform(-1.0, 1.0)) * min(0.5 * ACCELERATION_DEG_S2 * gap_s**2, LEFT_MAX_DEG)
-    for k in range(TEXTURE_FRAMES):
-        truth = 0.0 if k < 2 else rotation
-        height = heights(surface, start + truth, at, 1.0)
-        image = drawn(height, lights, noise, rng)
-        answer = results.call("pipeline", finger.see, image, contact(height), gap_s if k == 2 else FRAME_S)
-        if answer is None:
-            return
-        results.check_angle(f"{surface.__name__}, left", answer.angle_deg, answer.sigma_deg, truth, axial=False)
-
-
+IMAGES = TrialFamily(
+    "pictures", "extreme light, hot pixels, saturated frames, swapped colors, unrelated images", 10_000, 85.0,
+    _begin_images, min_answered_share=0.3,
+)  # fmt: skip
 TEXTURES = TrialFamily(
-    "relief",
-    "reliefs turned, grown, shifted, spoiled and left unseen under lights that stay",
-    6_000,
-    100.0,
-    _begin_textures,
-    min_answered_share=0.45,
-)
+    "relief", "textured surfaces rotated, shifted, distorted, pressed harder, and rotated while unseen", 6_000, 100.0,
+    _begin_textures, min_answered_share=0.45,
+)  # fmt: skip

@@ -1,13 +1,21 @@
-"""Trial families on masks: every degenerate mask through the whole chain, and a million random ones."""
+"""Trial families on masks: every degenerate mask through the whole pipeline, and a million random ones."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
-from slipguard.stress.map_checks import Map, check_laid_over_itself, check_rotated, check_thinning, patch_of
-from slipguard.stress.masks import Mask, degenerate, rotated, scattered
-from slipguard.stress.product_functions import MAP_PX, MAP_WIDTH_PX, THRESHOLD, ProductFunctions, ScriptedPipeline
+from slipguard.stress.map_checks import (
+    Map,
+    check_registration_with_itself,
+    check_sequence,
+    check_symmetry,
+    check_thinning,
+    find_checked_patch,
+    rotate_and_mirror,
+)
+from slipguard.stress.masks import Mask, degenerate_masks, random_mask
+from slipguard.stress.product_functions import MAP_WIDTH_PX, THRESHOLD, ProductFunctions, ScriptedPipeline
 from slipguard.stress.trial_family import FamilyResults, TrialFamily, TrialFunction
 
 STYLES = 3
@@ -16,7 +24,7 @@ STEADY_FRAMES = 6
 
 
 def as_map(mask: Mask, style: int) -> Map:
-    """A probability map whose mask this is (blurred: nearly)."""
+    """Return a probability map with this mask (approximately, if blurred)."""
     if style == 0:
         return mask.astype(np.float32)
     if style == 1:
@@ -26,62 +34,48 @@ def as_map(mask: Mask, style: int) -> Map:
 
 
 def _begin_degenerate(product: ProductFunctions) -> TrialFunction:
-    masks = list(degenerate().values())
+    masks = list(degenerate_masks().values())
 
     def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
         seed, number = divmod(seed, len(masks))
         style, which = divmod(seed, 8)
-        mask = np.asarray(rotated(masks[number], which), np.uint8)
+        mask = np.asarray(rotate_and_mirror(masks[number], which), np.uint8)
         check_thinning(mask, product, results)
         probability = as_map(mask, style % STYLES)
         for min_area_px in (1.0, 200.0):
-            check_rotated(probability, int(rng.integers(1, 8)), min_area_px, MAP_PX, product, results)
-        patch = patch_of(probability, 1.0, MAP_PX, product, results)
+            check_symmetry(probability, int(rng.integers(1, 8)), min_area_px, product, results)
+        patch = find_checked_patch(probability, 1.0, product, results)
         if patch is not None:
-            check_laid_over_itself(patch, product, results)
+            check_registration_with_itself(patch, product, results)
         if max(mask.shape) == 160:
-            _hold(probability if mask.shape[1] == MAP_WIDTH_PX else probability.T, product, results)
+            _check_at_rest(probability if mask.shape[1] == MAP_WIDTH_PX else probability.T, product, results)
 
     return trial
 
 
-def _hold(probability: Map, product: ProductFunctions, results: FamilyResults) -> None:
-    """Held still, blinded by a full and an empty map, and seen again: it has not turned at any time."""
+def _check_at_rest(probability: Map, product: ProductFunctions, results: FamilyResults) -> None:
+    """Show the map at rest, then a full and an empty map, then the map again: the rotation stays zero."""
     probability = np.ascontiguousarray(probability)
-    finger = ScriptedPipeline(product, "stable")
-    blinded = [np.ones_like(probability), np.zeros_like(probability), probability]
-    for shown in [probability] * STEADY_FRAMES + blinded:
-        answer = results.call("pipeline", finger.see, shown)
-        if answer is None:
-            return
-        results.check_finite("pipeline", answer.orientation_deg, answer.rate_deg_s, *(answer.shift_mm or ()))
-        results.check_angle("pipeline", answer.angle_deg, answer.sigma_deg, 0.0, axial=False)
+    interruption = [np.ones_like(probability), np.zeros_like(probability), probability]
+    shown = [probability] * STEADY_FRAMES + interruption
+    check_sequence(ScriptedPipeline(product, "stable"), ((one, 0.0) for one in shown), results)
 
 
 def _begin_random(product: ProductFunctions) -> TrialFunction:
     def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
-        mask = scattered(rng)
+        mask = random_mask(rng)
         check_thinning(mask, product, results)
         probability = as_map(mask, int(rng.choice((0, 2))))
-        check_rotated(probability, int(rng.integers(1, 8)), float(rng.choice((1, 100))), MAP_PX, product, results)
+        check_symmetry(probability, int(rng.integers(1, 8)), float(rng.choice((1, 100))), product, results)
 
     return trial
 
 
-DEGENERATE_MASKS = len(degenerate())
 DEGENERATE = TrialFamily(
-    "degenerate",
-    "every mask that is hardly one, turned eight ways",
-    DEGENERATE_MASKS * 8 * STYLES,
-    30.0,
-    _begin_degenerate,
-    min_answered_share=0.2,
-)
+    "degenerate", "degenerate masks in eight orientations", len(degenerate_masks()) * 8 * STYLES, 30.0,
+    _begin_degenerate, min_answered_share=0.2,
+)  # fmt: skip
 RANDOM = TrialFamily(
-    "random",
-    "random masks: thinned as OpenCV does, read alike in mirrors",
-    1_000_000,
-    1.8,
-    _begin_random,
+    "random", "random masks: thinning as in OpenCV, symmetric axes", 1_000_000, 1.8, _begin_random,
     min_answered_share=0.8,
-)
+)  # fmt: skip

@@ -1,4 +1,4 @@
-"""Masks that break things: every degenerate one we can name, and random ones of many kinds."""
+"""Masks that are hard for estimators: named degenerate ones, and random ones of many kinds."""
 
 from __future__ import annotations
 
@@ -10,26 +10,10 @@ Mask = NDArray[np.uint8]
 WIDTH, HEIGHT = 120, 160
 
 
-def opencv_thinned(mask: Mask) -> Mask:
-    """What `thin` must equal, pixel for pixel."""
-    grey = np.where(mask > 0, 255, 0).astype(np.uint8)
-    return np.asarray(cv2.ximgproc.thinning(grey, thinningType=cv2.ximgproc.THINNING_GUOHALL) > 0, np.uint8)
-
-
-def rotated(array: NDArray[np.generic], which: int) -> NDArray[np.generic]:
-    """One of the eight ways to turn and mirror a picture: which & 4 mirrors left-right, then quarter turns ccw."""
-    return np.ascontiguousarray(np.rot90(np.fliplr(array) if which & 4 else array, which & 3))
-
-
-def rotated_axis_deg(angle_deg: float, which: int) -> float:
-    """The axis of a picture after `turned`, not wrapped."""
-    return (-angle_deg if which & 4 else angle_deg) + 90.0 * (which & 3)
-
-
-def degenerate() -> dict[str, Mask]:
-    """Masks of (160, 120), one of (320, 240) with 10,000 components."""
+def degenerate_masks() -> dict[str, Mask]:
+    """Return masks by name: (160, 120) uint8, 0 or 1; one is (320, 240), with 10,000 components."""
     masks = {"empty": _empty(), "full": _empty() + 1}
-    masks |= _points() | _lines() | _patterns() | _bodies()
+    masks |= _points() | _lines() | _patterns() | _solids()
     return {name: np.asarray(mask, np.uint8) for name, mask in masks.items()}
 
 
@@ -78,7 +62,7 @@ def _lines() -> dict[str, Mask]:
         "short two rows": _at((slice(80, 82), slice(20, 100))),
         "frame's border": _at((0, whole), (-1, whole), (whole, 0), (whole, -1)),
         "border 5 wide": 1 - _at((slice(5, -5), slice(5, -5))),
-        "cross hairs": _at((80, whole), (whole, 60)),
+        "crosshairs": _at((80, whole), (whole, 60)),
         "L along the edges": _at((0, whole), (whole, 0)),
     }
     for width in (1, 2, 3):
@@ -90,8 +74,8 @@ def _lines() -> dict[str, Mask]:
 def _patterns() -> dict[str, Mask]:
     y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
     tall, wide = np.mgrid[0:320, 0:240]
-    crowd = ((tall % 3 == 0) & (wide % 2 == 0)).astype(np.uint8)
-    crowd[:, 1::2] = 0
+    components = ((tall % 3 == 0) & (wide % 2 == 0)).astype(np.uint8)
+    components[:, 1::2] = 0
     r = np.hypot(x - 60.0, y - 80.0)
     spiral = (np.sin(r / 2.5 + np.arctan2(y - 80.0, x - 60.0)) > 0.3) & (r < 55)
     return {
@@ -100,10 +84,10 @@ def _patterns() -> dict[str, Mask]:
         "checkerboard 7": ((x // 7 + y // 7) % 2).astype(np.uint8),
         "stripes across": (y % 2).astype(np.uint8),
         "stripes along": (x % 2).astype(np.uint8),
-        "stripes 4 askew": ((x + 2 * y) // 9 % 2).astype(np.uint8),
+        "oblique stripes": ((x + 2 * y) // 9 % 2).astype(np.uint8),
         "grid of dots": ((x % 2 == 0) & (y % 2 == 0)).astype(np.uint8),
         "grid of blobs": ((x % 10 < 6) & (y % 10 < 6)).astype(np.uint8),
-        "10,000 components": crowd,
+        "10,000 components": components,
         "comb": ((y > 120) | (x % 2 == 0)).astype(np.uint8),
         "spiral": spiral.astype(np.uint8),
         "rings": ((r.astype(int) // 4) % 2).astype(np.uint8),
@@ -111,7 +95,7 @@ def _patterns() -> dict[str, Mask]:
     }
 
 
-def _bodies() -> dict[str, Mask]:
+def _solids() -> dict[str, Mask]:
     hole = _empty() + 1
     hole[80, 60] = 0
     two_halves = _empty() + 1
@@ -133,13 +117,13 @@ def _bodies() -> dict[str, Mask]:
         "bar along the edge": _at((slice(20, 140), slice(0, 8))),
         "bar 3 from the edge": _at((slice(20, 140), slice(3, 11))),
         "cross": _at((slice(70, 90), slice(20, 100)), (slice(40, 120), slice(50, 70))),
-        "two equal bodies": _at((slice(20, 50), slice(20, 50)), (slice(110, 140), slice(70, 100))),
-        "body and crumbs": _at((slice(40, 90), slice(40, 60)), *[(k, k) for k in range(100, 119, 3)]),
+        "two equal solids": _at((slice(20, 50), slice(20, 50)), (slice(110, 140), slice(70, 100))),
+        "solid and fragments": _at((slice(40, 90), slice(40, 60)), *[(k, k) for k in range(100, 119, 3)]),
     }
 
 
-def scattered(rng: np.random.Generator) -> Mask:
-    """One random mask: noise, blob, ellipses, polygons, lines or a single row or column; one in fifty full size."""
+def random_mask(rng: np.random.Generator) -> Mask:
+    """Return a random mask: noise, blob, ellipses, polygons, lines, or a single row or column; 2 % are full size."""
     kind = int(rng.integers(7))
     largest = 160 if rng.random() < 0.02 else 48
     height, width = (int(v) for v in rng.integers(1, largest + 1, 2))
@@ -153,14 +137,14 @@ def scattered(rng: np.random.Generator) -> Mask:
         return (noise > np.quantile(noise, rng.uniform(0.1, 0.9))).astype(np.uint8)
     mask = np.zeros((height, width), np.uint8)
     for _ in range(int(rng.integers(1, 4))):
-        centre = (int(rng.integers(-2, width + 2)), int(rng.integers(-2, height + 2)))
+        center = (int(rng.integers(-2, width + 2)), int(rng.integers(-2, height + 2)))
         if kind == 2:
             axes = (int(rng.integers(1, 25)), int(rng.integers(1, 12)))
-            cv2.ellipse(mask, centre, axes, float(rng.uniform(0, 180)), 0, 360, 1, -1)
+            cv2.ellipse(mask, center, axes, float(rng.uniform(0, 180)), 0, 360, 1, -1)
         elif kind == 3:
             corners = rng.integers(-6, largest + 6, (int(rng.integers(3, 7)), 2))
             cv2.fillPoly(mask, [corners.astype(np.int32)], 1)
         else:
             end = (int(rng.integers(0, width)), int(rng.integers(0, height)))
-            cv2.line(mask, centre, end, 1, int(rng.integers(1, 7)))
+            cv2.line(mask, center, end, 1, int(rng.integers(1, 7)))
     return 1 - mask if rng.random() < 0.1 else mask

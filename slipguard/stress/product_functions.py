@@ -1,4 +1,4 @@
-"""What is put under stress: the functions of the product, each replaceable, and a network that answers as told."""
+"""The product's functions under test, each replaceable, and the whole pipeline behind a scripted network."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FRAME_S = 1.0 / 60.0
 
 @dataclass(frozen=True, slots=True)
 class ProductFunctions:
-    """The product's own functions; a test hands in broken ones to see that they are caught."""
+    """The product's functions. Tests replace some of them with faulty ones to show that the trials detect it."""
 
     find_patch: Callable[[NDArray[np.float32], float, float, float], Patch | None] = find_patch
     estimate: Callable[[Patch, str], AxisEstimate] = estimate
@@ -44,7 +44,7 @@ class ProductFunctions:
 
 
 class ScriptedSegmenter:
-    """A segmenter that answers with the map it was given last: (160, 120) float32."""
+    """A segmenter that returns the probability map in `map`: (160, 120) float32."""
 
     threshold = THRESHOLD
     input_size = (MAP_WIDTH_PX, MAP_HEIGHT_PX)
@@ -57,39 +57,35 @@ class ScriptedSegmenter:
 
 
 class ScriptedPipeline:
-    """The whole pipeline behind a scripted network: maps in, estimates out."""
+    """The whole pipeline behind a scripted network: probability maps, and images where texture matters, to estimates.
 
-    def __init__(self, product: ProductFunctions, reference: str = "first", estimator: str = "fused") -> None:
+    Args:
+        background: (320, 240, 3) uint8 image without contact; None for trials in which only the maps matter.
+    """
+
+    def __init__(
+        self, product: ProductFunctions, reference: str = "first", background: NDArray[np.uint8] | None = None
+    ) -> None:
         self._segmenter = ScriptedSegmenter()
-        choices = {"reference": reference, "estimator": estimator, "skip_unchanged": False}
-        settings = PerceptionSettings.model_validate(choices)
-        self._pipeline = product.pipeline(self._segmenter, settings, None, None, PX_PER_MM)
-        self._image: NDArray[np.uint8] = np.full((FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3), 96, np.uint8)
-        self._frames = 0
-
-    def see(self, probability: NDArray[np.float32], at_s: float | None = None) -> Estimate:
-        """The estimate of the next frame; without a time 1/60 s after the last one. Errors are the pipeline's."""
-        self._frames += 1
-        self._segmenter.map = probability
-        when_s = self._frames * FRAME_S if at_s is None else at_s
-        answer: Estimate = self._pipeline.process(Frame(self._image, when_s, self._frames))
-        return answer
-
-
-class ScriptedImagePipeline:
-    """The same with a no-contact image, and pictures in which the relief of the contact can be seen."""
-
-    def __init__(self, product: ProductFunctions, background: NDArray[np.uint8]) -> None:
-        self._segmenter = ScriptedSegmenter()
-        settings = PerceptionSettings(reference="first", skip_unchanged=False)
+        settings = PerceptionSettings.model_validate({"reference": reference, "skip_unchanged": False})
         self._pipeline = product.pipeline(self._segmenter, settings, background, None, PX_PER_MM)
+        self._image: NDArray[np.uint8] = np.full((FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3), 96, np.uint8)
         self._frames = 0
         self._now_s = 0.0
 
-    def see(self, image: NDArray[np.uint8], probability: NDArray[np.float32], after_s: float = FRAME_S) -> Estimate:
-        """The estimate of a frame so long after the last one. Errors are the pipeline's."""
+    def process(
+        self, probability: NDArray[np.float32], image: NDArray[np.uint8] | None = None, after_s: float = FRAME_S
+    ) -> Estimate:
+        """Return the estimate of a frame captured `after_s` after the last one; errors are the pipeline's."""
+        return self.process_at(self._now_s + after_s, probability, image)
+
+    def process_at(
+        self, now_s: float, probability: NDArray[np.float32], image: NDArray[np.uint8] | None = None
+    ) -> Estimate:
+        """Return the estimate of a frame captured at `now_s`; errors are the pipeline's."""
         self._frames += 1
-        self._now_s += after_s
+        self._now_s = now_s
         self._segmenter.map = probability
-        answer: Estimate = self._pipeline.process(Frame(image, self._now_s, self._frames))
-        return answer
+        frame = Frame(self._image if image is None else image, now_s, self._frames)
+        estimated: Estimate = self._pipeline.process(frame)
+        return estimated

@@ -11,27 +11,29 @@ from functools import partial
 import numpy as np
 
 from slipguard.errors import InputError
-from slipguard.stress.drift_families import HOLD, TRACKING
+from slipguard.stress.drift_families import DRIFTING, HOLD
 from slipguard.stress.image_families import IMAGES, TEXTURES
 from slipguard.stress.mask_families import DEGENERATE, RANDOM
 from slipguard.stress.numeric_families import FLOATS, FUSION, TIMES
 from slipguard.stress.product_functions import ProductFunctions
-from slipguard.stress.shape_families import EQUIVARIANCE, NOISE, ROUNDS, SEAMS
+from slipguard.stress.shape_families import EQUIVARIANCE, NOISE, ROUND, SEAMS
 from slipguard.stress.trial_family import FamilyResults, TrialFailure, TrialFamily, TrialFunction, generator
 from slipguard.tools.parallel import Workers, each
 
 FAMILIES: tuple[TrialFamily, ...] = (
-    DEGENERATE, RANDOM, EQUIVARIANCE, NOISE, SEAMS, ROUNDS, FLOATS, FUSION, TIMES, TRACKING, HOLD, TEXTURES, IMAGES,
+    DEGENERATE, RANDOM, EQUIVARIANCE, NOISE, SEAMS, ROUND, FLOATS, FUSION, TIMES, DRIFTING, HOLD, TEXTURES, IMAGES,
 )  # fmt: skip
 
 
-JUDGED_FROM = 60
-"""So many trials or frames of a family, in any order of the list, tell whether it answers often enough."""
+MIN_JUDGED_TRIALS = 60
+"""From this many trials or frames on, the share of answered estimates of a family is checked."""
+BATCH_MS = 10_000.0
+"""Estimated time of one batch: short, so that all cores stay busy to the end and an interrupt loses little."""
 
 
 @dataclass(frozen=True, slots=True)
 class StressOutcome:
-    """All that was tried. families and notes go together."""
+    """Results of a run: `results[k]` belongs to `families[k]`."""
 
     seed: int
     spent_s: float
@@ -44,46 +46,48 @@ class StressOutcome:
 
     @property
     def rarely_answering(self) -> tuple[TrialFailure, ...]:
-        """The families that answered less often than they must."""
+        """One failure for each family in which too many estimates were declined."""
         found = []
         for family, results in zip(self.families, self.results, strict=True):
-            asked = results.answers + results.declined
-            if (
-                family.min_answered_share
-                and results.tried >= JUDGED_FROM
-                and (not asked or results.answers < family.min_answered_share * asked)
-            ):
-                what = f"told {results.answers:,} of {asked:,} that were asked, at least {family.min_answered_share:.0%} is promised"
+            share = family.min_answered_share
+            possible = results.answers + results.declined
+            too_few = not possible or results.answers < share * possible
+            if share and results.tried >= MIN_JUDGED_TRIALS and too_few:
+                what = f"estimated {results.answers:,} of {possible:,}, the minimum is {share:.0%}"
                 found.append(TrialFailure(family.name, "limit", self.seed, what))
         return tuple(found)
 
 
-def chosen(names: Sequence[str]) -> tuple[TrialFamily, ...]:
-    """The families of these names, all for none. Raises InputError that lists the names."""
+def select_families(names: Sequence[str]) -> tuple[TrialFamily, ...]:
+    """Return the families of these names, or all families if there are no names.
+
+    Raises:
+        InputError: If a name is unknown; the message lists the known ones.
+    """
     known = {family.name: family for family in FAMILIES}
     for name in names:
         if name not in known:
-            raise InputError(f"--only {name}: there are {', '.join(known)}")
+            raise InputError(f"--only {name}: unknown family. Choose from {', '.join(known)}")
     return tuple(known[name] for name in dict.fromkeys(names)) or FAMILIES
 
 
 def full_hours(families: Sequence[TrialFamily]) -> float:
-    """About how long the full list takes on one core."""
+    """Return the estimated time of the full list on one core, in hours."""
     return sum(family.full * family.cost_ms for family in families) / 3.6e6
 
 
 def schedule(families: Sequence[TrialFamily]) -> Iterator[tuple[int, int]]:
-    """(index of the family, number of its trial) for the full list; every family gets the same share of the time.
+    """Yield (index of the family, trial number) for the full list; every family gets the same share of the time.
 
-    Time is reckoned by `cost_ms`, not measured: the order is the same on every machine.
+    The time is that of `cost_ms`, not measured, so that the order is the same on every machine.
     """
-    rotations = [(family.cost_ms, index, 0) for index, family in enumerate(families)]
-    heapq.heapify(rotations)
-    while rotations:
-        used_ms, index, number = heapq.heappop(rotations)
+    queue = [(family.cost_ms, index, 0) for index, family in enumerate(families)]
+    heapq.heapify(queue)
+    while queue:
+        used_ms, index, number = heapq.heappop(queue)
         yield index, number
         if number + 1 < families[index].full:
-            heapq.heappush(rotations, (used_ms + families[index].cost_ms, index, number + 1))
+            heapq.heappush(queue, (used_ms + families[index].cost_ms, index, number + 1))
 
 
 def run(
@@ -94,15 +98,14 @@ def run(
     progress: Callable[[float, str], None] | None = None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> StressOutcome:
-    """Run the list from its start until `seconds` are over, each family at least once.
+    """Run the list from its start for `seconds`, each family at least once.
 
-    Trial k of a family has the seed `seed + k`. progress: called with the share of the time that is over and the name
-    of the family that runs.
+    Trial k of a family has the seed `seed + k`. progress: called with the share of the time and the family's name.
     """
     product = ProductFunctions() if product is None else product
     results = tuple(FamilyResults(family.name) for family in families)
     started_s = clock()
-    with np.errstate(all="ignore"):  # what comes out is checked; an overflow on the way is no failure by itself
+    with np.errstate(all="ignore"):  # results are checked; an intermediate overflow is not a failure
         begun: dict[int, TrialFunction] = {}
         for index, number in schedule(families):
             spent_s = clock() - started_s
@@ -113,19 +116,15 @@ def run(
                 progress(min(spent_s / seconds, 1.0), family.name)
             if index not in begun:
                 begun[index] = family.begin(product)
-            try_one(family, begun[index], seed, number, results[index])
+            _run_trial(family, begun[index], seed, number, results[index])
     return StressOutcome(seed, clock() - started_s, tuple(families), results)
 
 
-def try_one(family: TrialFamily, trial: TrialFunction, seed: int, number: int, results: FamilyResults) -> None:
-    """Trial `number` of a run that began at `seed`; what it lets through is a crash too."""
+def _run_trial(family: TrialFamily, trial: TrialFunction, seed: int, number: int, results: FamilyResults) -> None:
+    """Run trial `number` of a run that began at `seed`; an exception that it does not catch is a crash, too."""
     results.seed = seed if family.continuous else seed + number
     results.call("trial", trial, generator(family.name, seed + number), seed + number, results)
     results.tried += family.frames
-
-
-PART_MS = 10_000.0
-"""How long a part takes, as reckoned: many parts keep all cores busy to the end, and little is lost by an interrupt."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,16 +139,16 @@ class TrialBatch:
         return f"{self.family.name}, trials {self.first} to {self.after - 1}"
 
 
-def parts(families: Sequence[TrialFamily]) -> list[TrialBatch]:
-    """The list cut up; every family gets on by the same share, one whose trials go on from each other is not cut."""
-    cut: list[TrialBatch] = []
+def batches(families: Sequence[TrialFamily]) -> list[TrialBatch]:
+    """Split the full list into batches, ordered so that all families progress alike; a continuous one is not split."""
+    found: list[TrialBatch] = []
     for family in families:
-        size = family.full if family.continuous else max(1, round(PART_MS / family.cost_ms))
-        cut += [TrialBatch(family, first, min(first + size, family.full)) for first in range(0, family.full, size)]
-    return sorted(cut, key=lambda part: part.first / part.family.full)
+        size = family.full if family.continuous else max(1, round(BATCH_MS / family.cost_ms))
+        found += [TrialBatch(family, first, min(first + size, family.full)) for first in range(0, family.full, size)]
+    return sorted(found, key=lambda batch: batch.first / batch.family.full)
 
 
-def run_whole(
+def run_full_list(
     families: Sequence[TrialFamily],
     seed: int,
     product: ProductFunctions | None = None,
@@ -157,27 +156,27 @@ def run_whole(
     progress: Callable[[float, str], None] = lambda share, name: None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Iterator[StressOutcome]:
-    """Try all of it; yields all that has been found so far after each part, and so at last everything.
+    """Run the full list in batches; yield the results so far after each batch, and so finally all of them.
 
-    Trial k of a family has the seed `seed + k`, whoever tries it. progress: called with the share done and the name of
-    the family of the part that is through.
+    Trial k of a family has the seed `seed + k`, in whichever process it runs. progress: called with the share done and
+    the family's name.
     """
     started_s = clock()
     found = {family.name: FamilyResults(family.name) for family in families}
-    cut = parts(families)
-    all_ms = sum(family.full * family.cost_ms for family in families)
+    split = batches(families)
+    total_ms = sum(family.full * family.cost_ms for family in families)
     done_ms = 0.0
-    for part, results in zip(cut, each(partial(_tried, seed, product), cut, workers), strict=True):
-        found[part.family.name].merge(results)
-        done_ms += (part.after - part.first) * part.family.cost_ms
-        progress(done_ms / all_ms, part.family.name)
+    for batch, results in zip(split, each(partial(_run_batch, seed, product), split, workers), strict=True):
+        found[batch.family.name].merge(results)
+        done_ms += (batch.after - batch.first) * batch.family.cost_ms
+        progress(done_ms / total_ms, batch.family.name)
         yield StressOutcome(seed, clock() - started_s, tuple(families), tuple(found.values()))
 
 
-def _tried(seed: int, product: ProductFunctions | None, part: TrialBatch) -> FamilyResults:
-    results = FamilyResults(part.family.name)
+def _run_batch(seed: int, product: ProductFunctions | None, batch: TrialBatch) -> FamilyResults:
+    results = FamilyResults(batch.family.name)
     with np.errstate(all="ignore"):  # as in `run`
-        trial = part.family.begin(ProductFunctions() if product is None else product)
-        for number in range(part.first, part.after):
-            try_one(part.family, trial, seed, number, results)
+        trial = batch.family.begin(ProductFunctions() if product is None else product)
+        for number in range(batch.first, batch.after):
+            _run_trial(batch.family, trial, seed, number, results)
     return results

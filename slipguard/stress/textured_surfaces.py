@@ -14,17 +14,18 @@ from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 Image = NDArray[np.uint8]
 Heights = NDArray[np.float32]
 Surface = Callable[[Heights, Heights], Heights]
-"""Object coordinates (right, up, frame pixels) to heights, frame pixels."""
+"""Maps object coordinates (right, up, in frame pixels) to heights in frame pixels."""
 LEVEL = 100.0
 STRENGTH = 60.0
 PRESSED_PX = 3.0
-"""The scripted network calls contact what lies higher than this."""
+"""The scripted network reports contact above this height."""
 
 
 @dataclass(frozen=True, slots=True)
 class LedLights:
-    """Three lights: strengths and azimuths (degrees counter-clockwise) of blue, green, red; uneven: relative change of
-    their strength from the picture's middle to its edge, right and up.
+    """Blue, green and red light: strengths, azimuths (degrees counter-clockwise) and unevenness.
+
+    uneven: relative change of the strength from the center of the image to its right and upper edge.
     """
 
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -33,12 +34,12 @@ class LedLights:
 
 
 def ball(u: Heights, v: Heights) -> Heights:
-    """Round, without texture."""
+    """A round contact without texture."""
     return np.asarray(12.0 * np.exp(-(u * u + v * v) / (2.0 * 26.0**2)), np.float32)
 
 
 def ring(u: Heights, v: Heights) -> Heights:
-    """A round bead of a ring, without texture."""
+    """A ring with a round profile, without texture."""
     return np.asarray(9.0 * np.exp(-((np.hypot(u, v) - 34.0) ** 2) / (2.0 * 9.0**2)), np.float32)
 
 
@@ -50,20 +51,20 @@ def lettered(u: Heights, v: Heights) -> Heights:
 
 
 def plate(u: Heights, v: Heights) -> Heights:
-    """A flat, oblong face with soft edges."""
+    """A flat, elongated face with soft edges."""
     away = np.hypot(np.maximum(np.abs(u) - 38, 0), np.maximum(np.abs(v) - 14, 0))
     return np.asarray(9.0 * np.exp(-away * away / 120.0), np.float32)
 
 
 def gear(u: Heights, v: Heights) -> Heights:
-    """Twelve ribs around: it repeats every 30 degrees."""
+    """A gear with twelve teeth: its period is 30 degrees."""
     radius = np.hypot(u, v)
     ribs = 3.0 * np.cos(12 * np.arctan2(v, u)) * np.exp(-((radius - 40.0) ** 2) / 120.0)
     return np.asarray(ball(u, v) + ribs, np.float32)
 
 
 def nut(u: Heights, v: Heights) -> Heights:
-    """A hexagon's face with a hole: it repeats every 60 degrees."""
+    """A hexagonal nut with a hole: its period is 60 degrees."""
     sides = [np.abs(u * math.cos(a) + v * math.sin(a)) for a in np.radians((0.0, 60.0, 120.0))]
     away = np.maximum(np.maximum(np.maximum(sides[0], sides[1]), sides[2]) - 32.0, 0.0)
     hole = np.exp(-(u * u + v * v) / (2.0 * 11.0**2))
@@ -71,15 +72,15 @@ def nut(u: Heights, v: Heights) -> Heights:
 
 
 def heights(surface: Surface, rotation_deg: float, at: tuple[float, float], force: float) -> Heights:
-    """A surface turned counter-clockwise about `at` (frame pixels right and down), (320, 240) float32."""
+    """Return the heights of a surface rotated counter-clockwise about `at` (x, y in frame pixels), (320, 240)."""
     rows, columns = np.mgrid[0:FRAME_HEIGHT_PX, 0:FRAME_WIDTH_PX].astype(np.float32)
     x, y = columns - np.float32(at[0]), np.float32(at[1]) - rows
     c, s = np.float32(math.cos(math.radians(rotation_deg))), np.float32(math.sin(math.radians(rotation_deg)))
     return np.asarray(np.float32(force) * surface(c * x + s * y, c * y - s * x), np.float32)
 
 
-def drawn(height: Heights, lights: LedLights, noise: float, rng: np.random.Generator) -> Image:
-    """The frame of a pressed surface: what slopes towards a light is brighter in its colour."""
+def shaded_image(height: Heights, lights: LedLights, noise: float, rng: np.random.Generator) -> Image:
+    """Return the camera image of a pressed surface: a slope towards a light is brighter in its color."""
     down, right = np.gradient(height)
     y, x = np.mgrid[1.0:-1.0:320j, -1.0:1.0:240j]
     even = 1.0 + lights.uneven[0] * x + lights.uneven[1] * y
@@ -89,6 +90,6 @@ def drawn(height: Heights, lights: LedLights, noise: float, rng: np.random.Gener
     return np.asarray(np.clip(np.rint(levels), 0, 255), np.uint8)
 
 
-def contact(height: Heights) -> NDArray[np.float32]:
-    """What a network would answer, (160, 120) float32."""
+def contact_map(height: Heights) -> NDArray[np.float32]:
+    """Return the probability map of the contact, (160, 120) float32."""
     return np.asarray(1.0 / (1.0 + np.exp(PRESSED_PX - height[::2, ::2])), np.float32)

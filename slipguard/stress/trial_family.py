@@ -1,4 +1,4 @@
-"""Trial families and their results: what was tried, what failed, how large the errors were."""
+"""Trial families and their results: what was tried, what failed, and how large the errors were."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from slipguard.errors import SlipguardError
+from slipguard.perception.estimate import Estimate
 from slipguard.stress.product_functions import ProductFunctions
 
 FailureKind = Literal["crash", "nan", "confident wrong", "limit"]
-FAILURE_KINDS: tuple[FailureKind, ...] = ("crash", "nan", "confident wrong", "limit")
 WRONG_DEG = 3.0
-"""Errors below this are never counted as confident and wrong."""
+"""Smaller errors never count as confident and wrong."""
 WRONG_SIGMAS = 5.0
 CLAIM_SIGMAS = 3.0
-"""A turn claimed where there is none to see counts from this many of its own sigmas on."""
+"""Where no rotation is visible, an estimated rotation of more than this many of its own sigmas is wrong."""
 KEPT_FAILURES = 20
 
 Result = TypeVar("Result")
@@ -28,7 +28,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class TrialFailure:
-    """One thing that went wrong. seed: `slipguard stress --only FAMILY --seed SEED` shows it again."""
+    """One failed check. `slipguard stress --only FAMILY --seed SEED` reproduces it."""
 
     family: str
     kind: FailureKind
@@ -38,14 +38,14 @@ class TrialFailure:
 
 @dataclass(slots=True)
 class CurvePoint:
-    """Errors (degrees, without sign) of all trials at one place of a sweep, and how many gave no answer."""
+    """Absolute errors in degrees of all trials at one level of a sweep, and the number of declined estimates."""
 
     errors_deg: list[float] = field(default_factory=list)
     declined: int = 0
 
 
 class FamilyResults:
-    """What one family's trials found. `seed` is that of the trial now running."""
+    """Results of the trials of one family. `seed` is the seed of the current trial."""
 
     def __init__(self, family: str) -> None:
         self.family = family
@@ -61,23 +61,23 @@ class FamilyResults:
         self.curves: dict[str, dict[float, CurvePoint]] = {}
 
     def add_failure(self, kind: FailureKind, what: str) -> None:
-        """Count a failure; the first of each kind and the first `KEPT_FAILURES` of all are kept with their seeds."""
+        """Count a failure. The first of each kind and the first `KEPT_FAILURES` are kept with their seeds."""
         self.counts[kind] += 1
         if self.counts[kind] == 1 or len(self.failures) < KEPT_FAILURES:
             self.failures.append(TrialFailure(self.family, kind, self.seed, what))
 
     def call(self, what: str, function: Callable[..., Result], *arguments: object) -> Result | None:
-        """The function's result. None after an error: one of `slipguard.errors` is an answer, any other a crash."""
+        """Return the function's result; None if it raised. A `SlipguardError` is allowed, any other is a crash."""
         try:
             return function(*arguments)
         except SlipguardError:
             return None
         except Exception as error:
-            self.add_failure("crash", f"{what}: {_place(error)}")
+            self.add_failure("crash", f"{what}: {_location(error)}")
             return None
 
     def check_finite(self, what: str, *values: float | None) -> bool:
-        """Whether all values that are given are finite; counts a NaN or an infinity."""
+        """Return whether all values that are not None are finite, and count a failure if not."""
         for value in values:
             if value is not None and not math.isfinite(value):
                 self.add_failure("nan", f"{what} is {value}")
@@ -85,17 +85,16 @@ class FamilyResults:
         return True
 
     def check_angle(
-        self,
-        label: str,
-        angle_deg: float | None,
-        sigma_deg: float | None,
-        truth_deg: float | None,
-        *,
-        axial: bool,
+        self, label: str, angle_deg: float | None, sigma_deg: float | None, truth_deg: float | None, *, axial: bool
     ) -> float | None:
-        """Judge one answer; its error in degrees without sign, or None where there is none to judge.
+        """Check one estimate against the truth.
 
-        truth_deg None: there is no turn to see, and none may be claimed. axial: angles equal modulo half a turn.
+        Args:
+            truth_deg: None if no rotation is visible, so that none may be estimated with confidence.
+            axial: Whether angles are equal modulo 180 degrees.
+
+        Returns:
+            The absolute error in degrees; None if the estimate was declined, is invalid, or has no truth.
         """
         if angle_deg is None or sigma_deg is None:
             self.declined += 1
@@ -112,7 +111,7 @@ class FamilyResults:
         error = abs(math.remainder(error, 180.0) if axial else error)
         sigmas = CLAIM_SIGMAS if truth_deg is None else WRONG_SIGMAS
         if error > WRONG_DEG and error > sigmas * sigma_deg:
-            truth = "no turn to see" if truth_deg is None else f"true {truth_deg:+.2f}°"
+            truth = "no rotation is visible" if truth_deg is None else f"true {truth_deg:+.2f}°"
             self.add_failure("confident wrong", f"{label}: {angle_deg:+.2f}° ± {sigma_deg:.2f}°, {truth}")
         if truth_deg is None:
             return None
@@ -120,24 +119,29 @@ class FamilyResults:
         self.worst_sigmas[label] = max(self.worst_sigmas.get(label, 0.0), error / sigma_deg)
         return error
 
+    def check_rotation(self, label: str, estimate: Estimate, truth_deg: float | None) -> float | None:
+        """Check the rotation of a pipeline's estimate, as `check_angle` does, and that its other fields are finite."""
+        self.check_finite("pipeline", estimate.orientation_deg, estimate.rate_deg_s, *(estimate.shift_mm or ()))
+        return self.check_angle(label, estimate.angle_deg, estimate.sigma_deg, truth_deg, axial=False)
+
     def check_limit(self, what: str, value: float, at_most: float) -> None:
-        """Keep the largest value, and count one above the promise (or not finite) as a failure."""
+        """Keep the largest value, and count a failure if it exceeds the specified limit or is not finite."""
         if not self.check_finite(what, value):
             return
         self.promises[what] = max(self.promises.get(what, 0.0), float(value))
         if value > at_most:
-            self.add_failure("limit", f"{what} is {value:.4g}, at most {at_most:g} is promised")
+            self.add_failure("limit", f"{what} is {value:.4g}, the limit is {at_most:g}")
 
     def add_curve_point(self, curve: str, level: float, error_deg: float | None) -> None:
-        """One error of a sweep; None where there was no answer."""
-        at = self.curves.setdefault(curve, {}).setdefault(level, CurvePoint())
+        """Add one error of a sweep; None for a declined estimate."""
+        point = self.curves.setdefault(curve, {}).setdefault(level, CurvePoint())
         if error_deg is None:
-            at.declined += 1
+            point.declined += 1
         else:
-            at.errors_deg.append(error_deg)
+            point.errors_deg.append(error_deg)
 
     def merge(self, later: FamilyResults) -> None:
-        """Take in what later trials of the same family found."""
+        """Add the results of later trials of the same family."""
         self.tried += later.tried
         self.answers += later.answers
         self.declined += later.declined
@@ -153,25 +157,29 @@ class FamilyResults:
             for what, value in others.items():
                 mine[what] = max(mine.get(what, value), value)
         for curve, levels in later.curves.items():
-            for place, level in levels.items():
-                at = self.curves.setdefault(curve, {}).setdefault(place, CurvePoint())
-                at.errors_deg += level.errors_deg
-                at.declined += level.declined
+            for level, added in levels.items():
+                point = self.curves.setdefault(curve, {}).setdefault(level, CurvePoint())
+                point.errors_deg += added.errors_deg
+                point.declined += added.declined
 
 
 TrialFunction = Callable[[np.random.Generator, int, FamilyResults], None]
-"""Runs one trial: its own random numbers, its seed (which picks the case where cases are listed), the notes."""
+"""Runs one trial: (random numbers, seed, results). The seed selects the case where a family has a list of cases."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrialFamily:
     """Trials of one kind, each a pure function of its seed.
 
-    full: trials in the full list. cost_ms: what one trial takes on one core of a 2.5 GHz server; it sets the order in
-    which families take turns, and the hours stated for the full list. begin: makes the trial function.
-    frames: what one trial counts for (a stretch of frames counts each). continuous: each trial goes on where the last
-    one ended, so that a failure is reproduced from the first seed on. told: the least share of what is asked that must
-    be answered, for an estimator that says nothing is never wrong; judged once enough has been tried.
+    Attributes:
+        full: Number of trials in the full list.
+        cost_ms: Time of one trial on one core of a 2.5 GHz server. It sets the order of the families and the
+            stated duration of the full list.
+        begin: Makes the trial function.
+        frames: Number of frames in one trial; each counts as one trial in the report.
+        continuous: Whether each trial continues the one before; a failure is then reproduced from the first seed on.
+        min_answered_share: Smallest allowed share of estimates that are not declined: an estimator that always
+            declines is never wrong.
     """
 
     name: str
@@ -185,12 +193,12 @@ class TrialFamily:
 
 
 def generator(family: str, seed: int) -> np.random.Generator:
-    """The random numbers of one trial."""
+    """Return the random number generator of one trial."""
     return np.random.default_rng(np.random.SeedSequence([seed, *family.encode()]))
 
 
-def _place(error: Exception) -> str:
-    """Type, first line, and where it was raised."""
+def _location(error: Exception) -> str:
+    """Return an exception's type, the first line of its message, and where it was raised."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next

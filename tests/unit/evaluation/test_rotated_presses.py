@@ -12,7 +12,7 @@ import pytest
 from slipguard.cli.app import run
 from slipguard.errors import InputError
 from slipguard.evaluation.rotated_presses import PressImage, press_images, rotated_difference, rotated_grasp
-from slipguard.stress.textured_surfaces import LEVEL, LedLights, contact, drawn, heights, lettered
+from slipguard.stress.textured_surfaces import LEVEL, LedLights, contact_map, heights, lettered, shaded_image
 
 
 @pytest.fixture(scope="module")
@@ -25,8 +25,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     height = heights(lettered, 10.0, (120.0, 160.0), 1.0)
     rng = np.random.default_rng(3)
     still = np.full((320, 240, 3), LEVEL) + np.linspace(-20, 20, 240)[None, :, None] * np.array([1.0, 0.5, -1.0])
-    image = np.clip(drawn(height, LedLights(), 1.0, rng) - LEVEL + still, 0, 255).astype(np.uint8)
-    mask = np.where(cv2.resize(contact(height), (240, 320)) > 0.5, 255, 0).astype(np.uint8)
+    image = np.clip(shaded_image(height, LedLights(), 1.0, rng) - LEVEL + still, 0, 255).astype(np.uint8)
+    mask = np.where(cv2.resize(contact_map(height), (240, 320)) > 0.5, 255, 0).astype(np.uint8)
     cv2.imwrite(str(home / "background.png"), still.astype(np.uint8))
     for name in ("f0012.png", "f0140.png"):
         cv2.imwrite(str(home / "frames" / name), image)
@@ -49,8 +49,8 @@ def test_presses_are_split_into_parts(folder: Path) -> None:
 def test_relit_is_what_the_lights_would_show(press: PressImage) -> None:
     for rotation in (25.0, -70.0):
         height = heights(lettered, 10.0 + rotation, press.centre_px, 1.0)
-        true = drawn(height, LedLights(), 0.0, np.random.default_rng(0)).astype(np.float32) - LEVEL
-        inside = cv2.erode(np.asarray(contact(height) > 0.5, np.uint8), np.ones((9, 9), np.uint8))
+        true = shaded_image(height, LedLights(), 0.0, np.random.default_rng(0)).astype(np.float32) - LEVEL
+        inside = cv2.erode(np.asarray(contact_map(height) > 0.5, np.uint8), np.ones((9, 9), np.uint8))
         inside = cv2.resize(inside, (240, 320), interpolation=cv2.INTER_NEAREST) > 0
         relit = rotated_difference(press, rotation, "relit")[inside]
         rigid = rotated_difference(press, rotation, "rigid")[inside]

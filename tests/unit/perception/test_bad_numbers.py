@@ -21,8 +21,8 @@ from slipguard.perception.quality.image_quality import UNLIKE
 from slipguard.perception.rotation.axis import estimate
 from slipguard.perception.rotation.tracker import RATE_STALE_S, RotationEstimate, RotationTracker
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.stress.image_distortions import SPOILS
-from slipguard.stress.image_families import grasp
+from slipguard.stress.image_distortions import DISTORTIONS
+from slipguard.stress.image_families import rotated_grasp
 
 
 def rotating(tracker: RotationTracker, from_s: float, rate_deg_s: float, frames: int) -> float | None:
@@ -150,7 +150,7 @@ def test_light_may_drift_but_the_picture_must_be_the_units_own() -> None:
 
 @pytest.mark.parametrize("order", [(2, 1, 0), (1, 0, 2), (0, 2, 1), (1, 2, 0), (2, 0, 1)])
 def test_swapped_colours_are_seen_even_under_a_large_contact(order: tuple[int, int, int]) -> None:
-    shown = grasp(2)
+    shown = rotated_grasp(2)
     gate = ContactGate(shown.background)
     near = near_patch(np.pad(np.ones((120, 100), np.uint8), ((20, 20), (10, 10))))
     for image in shown.frames:
@@ -170,7 +170,7 @@ def test_a_contact_under_a_glare_or_a_dead_spot_shows_no_outline(level: int) -> 
 
 
 def test_light_that_changes_after_the_reference_makes_turns_less_certain() -> None:
-    shown = grasp(2)
+    shown = rotated_grasp(2)
     slope = np.linspace(-9.0, 9.0, 320)[:, None, None]
 
     def last(tilt: float) -> tuple[float, float]:
@@ -188,7 +188,7 @@ def test_light_that_changes_after_the_reference_makes_turns_less_certain() -> No
 
 
 def test_a_turn_in_an_almost_dark_picture_is_measured_not_skipped() -> None:
-    shown = grasp(0)
+    shown = rotated_grasp(0)
     dark = [np.asarray(image // 16, np.uint8) for image in shown.frames]
     background = np.asarray(shown.background // 16, np.uint8)
     pipeline = Pipeline(Segmenter(), PerceptionSettings(), background, DEFAULT_NOISE_BGR, 18.5)
@@ -216,11 +216,12 @@ def test_light_may_change_evenly_only_so_far(levels: int, fit: bool) -> None:
 
 @pytest.mark.parametrize(("what", "strength"), [("swapped colours", 1.0), ("negative", 0.5), ("crushed", 0.5)])
 def test_a_camera_with_another_light_tells_no_turn_and_takes_no_reference(what: str, strength: float) -> None:
-    shown = grasp(0)
+    shown = rotated_grasp(0)
     pipeline = Pipeline(Segmenter(), PerceptionSettings(), shown.background, None, 18.5)
     rng = np.random.default_rng(0)
     answers = [
-        pipeline.process(Frame(SPOILS[what](image, strength, rng), k / 60, k)) for k, image in enumerate(shown.frames)
+        pipeline.process(Frame(DISTORTIONS[what](image, strength, rng), k / 60, k))
+        for k, image in enumerate(shown.frames)
     ]
     assert {answer.declined for answer in answers if answer.contact} <= {UNLIKE}
     assert not [answer for answer in answers if answer.angle_deg is not None]

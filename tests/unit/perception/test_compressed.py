@@ -19,7 +19,7 @@ from slipguard.sim.catalogue import find_object, object_names
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.sensor_unit import random_unit
-from slipguard.stress.image_families import IMAGES, grasp
+from slipguard.stress.image_families import IMAGES, rotated_grasp
 from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.trial_family import FamilyResults, generator
 
@@ -61,7 +61,7 @@ def test_a_picture_without_detail_is_not_called_compressed() -> None:
 
 @pytest.mark.parametrize("spoiled_background", [True, False])
 def test_a_coarsely_compressed_contact_tells_no_turn_and_a_finer_one_does(spoiled_background: bool) -> None:
-    shown = grasp(12)
+    shown = rotated_grasp(12)
     for quality, declined in ((16, True), (75, False)):
         background = packed(shown.background, quality) if spoiled_background else shown.background
         pipeline = Pipeline(Segmenter(), PerceptionSettings(), background, shown.noise_bgr, 18.5)

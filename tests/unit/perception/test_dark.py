@@ -12,7 +12,7 @@ from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.quality.image_quality import DARK
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.stress.image_families import grasp
+from slipguard.stress.image_families import rotated_grasp
 
 Image = NDArray[np.uint8]
 
@@ -23,7 +23,7 @@ def lit(image: Image, exponent: float, gain: float = 1.0) -> Image:
 
 def seen(exponent: float, gain: float) -> list[Estimate]:
     """An egg that turns by 20 degrees, calibrated in the same light."""
-    shown = grasp(0)
+    shown = rotated_grasp(0)
     pipeline = Pipeline(Segmenter(), PerceptionSettings(), lit(shown.background, exponent, gain), shown.noise_bgr, 18.5)
     frames = (Frame(lit(image, exponent, gain), k / 60, k) for k, image in enumerate(shown.frames))
     return [pipeline.process(frame) for frame in frames]

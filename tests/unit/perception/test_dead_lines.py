@@ -15,8 +15,8 @@ from slipguard.perception.quality.dead_lines import DeadLines
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.sensor_unit import random_unit
-from slipguard.stress.image_distortions import SPOILS
-from slipguard.stress.image_families import IMAGES, Image, grasp
+from slipguard.stress.image_distortions import DISTORTIONS
+from slipguard.stress.image_families import IMAGES, Image, rotated_grasp
 from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.trial_family import FamilyResults, generator
 
@@ -33,7 +33,7 @@ def with_lines(image: Image) -> Image:
 
 
 def test_stuck_lines_are_found_and_drawn_from_their_neighbours() -> None:
-    sound = grasp(3).background
+    sound = rotated_grasp(3).background
     lines = DeadLines(with_lines(sound))
     assert lines.rows == tuple(ROWS)
     assert lines.columns == tuple(COLUMNS)
@@ -56,10 +56,10 @@ def test_a_sound_unit_has_none_and_its_frames_are_not_copied(unit: int) -> None:
     assert lines.filled(no_contact) is no_contact
 
 
-@pytest.mark.parametrize("spoil", sorted(set(SPOILS) - {"dead lines"}))
+@pytest.mark.parametrize("spoil", sorted(set(DISTORTIONS) - {"dead lines"}))
 @pytest.mark.parametrize("strength", [0.03, 0.25, 1.0])
 def test_other_flaws_are_not_taken_for_stuck_lines(spoil: str, strength: float) -> None:
-    lines = DeadLines(SPOILS[spoil](grasp(1).background, strength, np.random.default_rng(4)))
+    lines = DeadLines(DISTORTIONS[spoil](rotated_grasp(1).background, strength, np.random.default_rng(4)))
     assert (lines.rows, lines.columns) == ((), ())
 
 
@@ -70,7 +70,7 @@ def test_a_picture_of_nothing_but_lines_is_left_as_it_is() -> None:
 
 
 def test_what_is_no_picture_is_refused_before_lines_are_drawn() -> None:
-    lines = DeadLines(with_lines(grasp(3).background))
+    lines = DeadLines(with_lines(rotated_grasp(3).background))
     with pytest.raises(FrameCorrupt, match="expected"):
         lines.filled(np.zeros((160, 120, 3), np.uint8))
 
@@ -90,7 +90,7 @@ def drawn_over(image: Image) -> NDArray[np.uint8]:
 
 
 def test_a_turn_is_told_under_many_stuck_lines_and_the_mask_has_no_gaps() -> None:
-    shown = grasp(12)
+    shown = rotated_grasp(12)
     segmenter = Segmenter()
     told = []
     for spoil in (np.copy, drawn_over):

@@ -16,7 +16,7 @@ from slipguard.perception.quality.image_quality import FEW_LEVELS
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.sensor_unit import random_unit
-from slipguard.stress.image_families import IMAGES, grasp
+from slipguard.stress.image_families import IMAGES, rotated_grasp
 from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.trial_family import FamilyResults, generator
 
@@ -46,7 +46,7 @@ def test_an_even_picture_has_no_steps() -> None:
 
 
 def test_a_contact_in_few_levels_tells_no_turn_and_one_in_64_does() -> None:
-    shown = grasp(12)
+    shown = rotated_grasp(12)
     for step, declined in ((16, True), (4, False)):
         pipeline = Pipeline(Segmenter(), PerceptionSettings(), stepped(shown.background, step), shown.noise_bgr, 18.5)
         answers = [pipeline.process(Frame(stepped(image, step), k / 60, k)) for k, image in enumerate(shown.frames)]

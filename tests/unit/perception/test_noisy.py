@@ -13,8 +13,8 @@ from slipguard.perception.quality.noisy import noisy
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.sensor_unit import random_unit
-from slipguard.stress.image_distortions import SPOILS
-from slipguard.stress.image_families import IMAGES, grasp
+from slipguard.stress.image_distortions import DISTORTIONS
+from slipguard.stress.image_families import IMAGES, rotated_grasp
 from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.trial_family import FamilyResults, generator
 
@@ -24,8 +24,8 @@ def test_noise_is_seen_and_a_healthy_unit_has_little(number: int) -> None:
     rng = np.random.default_rng(number)
     image = GelCamera(random_unit(rng), seed=number).no_contact()
     assert not noisy(image)
-    assert not noisy(SPOILS["noise"](image, 7 / 64, rng))
-    assert noisy(SPOILS["noise"](image, 13 / 64, rng))
+    assert not noisy(DISTORTIONS["noise"](image, 7 / 64, rng))
+    assert noisy(DISTORTIONS["noise"](image, 13 / 64, rng))
 
 
 def test_edges_are_no_noise() -> None:
@@ -35,10 +35,10 @@ def test_edges_are_no_noise() -> None:
 
 
 def test_a_contact_in_noise_tells_no_turn_and_a_grainy_one_does() -> None:
-    shown, rng = grasp(12), np.random.default_rng(0)
+    shown, rng = rotated_grasp(12), np.random.default_rng(0)
     for level, declined in ((16.0, True), (4.0, False)):
         pipeline = Pipeline(Segmenter(), PerceptionSettings(), shown.background, shown.noise_bgr, 18.5)
-        frames = [SPOILS["noise"](image, level / 64.0, rng) for image in shown.frames]
+        frames = [DISTORTIONS["noise"](image, level / 64.0, rng) for image in shown.frames]
         answers = [pipeline.process(Frame(image, k / 60, k)) for k, image in enumerate(frames)]
         assert pipeline.has_reference is not declined
         if declined:

@@ -13,7 +13,7 @@ from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.quality.image_quality import BLURRED
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.stress.image_families import grasp
+from slipguard.stress.image_families import rotated_grasp
 
 NEAR = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
 
@@ -29,7 +29,7 @@ def noisy(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 @pytest.mark.parametrize("number", [12, 17, 20])
 def test_a_blurred_faint_contact_tells_no_turn_and_makes_no_reference(number: int) -> None:
-    shown = grasp(number)
+    shown = rotated_grasp(number)
     pipeline = Pipeline(Segmenter(), PerceptionSettings(), shown.background, shown.noise_bgr, 18.5)
     answers = [pipeline.process(Frame(blurred(one, 9.3), k / 60, k)) for k, one in enumerate(shown.frames)]
     assert {answer.declined for answer in answers if answer.contact} == {BLURRED}
@@ -41,7 +41,7 @@ def test_a_blurred_faint_contact_tells_no_turn_and_makes_no_reference(number: in
 
 @pytest.mark.parametrize("sigma_px", [0.0, 1.5, 3.0, 9.0, 15.0])
 def test_noise_does_not_hide_that_the_gel_is_out_of_focus(sigma_px: float) -> None:
-    background = grasp(0).background
+    background = rotated_grasp(0).background
     image = noisy(blurred(background, sigma_px) if sigma_px else background)
     assert ContactGate(background).out_of_focus(block_means(image), NEAR) == (sigma_px > 5.0)
 
@@ -49,21 +49,21 @@ def test_noise_does_not_hide_that_the_gel_is_out_of_focus(sigma_px: float) -> No
 @pytest.mark.parametrize("gain", [0.7, 0.85, 1.3])
 @pytest.mark.parametrize("offset", [-20.0, 0.0, 20.0])
 def test_another_light_is_not_out_of_focus(gain: float, offset: float) -> None:
-    background = grasp(0).background
+    background = rotated_grasp(0).background
     lit = np.clip(np.rint(background * gain + offset), 0, 255).astype(np.uint8)
     assert not ContactGate(background).out_of_focus(block_means(noisy(lit)), NEAR)
 
 
 @pytest.mark.parametrize("quality", [90, 50, 20])
 def test_a_compressed_picture_is_not_out_of_focus(quality: int) -> None:
-    shown = grasp(0)
+    shown = rotated_grasp(0)
     packed = cv2.imencode(".jpg", shown.frames[0], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     image = np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), np.uint8)
     assert not ContactGate(shown.background).out_of_focus(block_means(image), NEAR)
 
 
 def test_where_the_gel_is_hardly_seen_nothing_is_said_of_the_focus() -> None:
-    background = grasp(0).background
+    background = rotated_grasp(0).background
     blocks = block_means(blurred(background, 12.0))
     assert ContactGate(background).out_of_focus(blocks, NEAR)
     assert not ContactGate(None).out_of_focus(blocks, NEAR)

@@ -29,13 +29,13 @@ from slipguard.stress.textured_surfaces import (
     Heights,
     LedLights,
     Surface,
-    contact,
-    drawn,
+    contact_map,
     gear,
     heights,
     lettered,
     nut,
     plate,
+    shaded_image,
 )
 
 BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
@@ -77,8 +77,8 @@ def oblong_gear(u: Heights, v: Heights) -> Heights:
 )  # fmt: skip
 def test_the_step_of_what_repeats_itself(surface: Surface, repeats_deg: float | None) -> None:
     height = heights(surface, 20.0, AT, 1.0)
-    image = drawn(height, LedLights(), 2.0, np.random.default_rng(1))
-    patch = find_patch(contact(height), 0.5, 100, 2.0)
+    image = shaded_image(height, LedLights(), 2.0, np.random.default_rng(1))
+    patch = find_patch(contact_map(height), 0.5, 100, 2.0)
     assert patch is not None
     reader = TextureMapReader(BACKGROUND)
     reader.learn(image, patch)
@@ -123,8 +123,8 @@ class Held:
         self._frames += 1
         self.now_s += after_s
         height = heights(self._surface, 15.0 + rotation_deg, AT, 1.0)
-        self._segmenter.map = contact(height)
-        image = drawn(height, LedLights(), 2.0, np.random.default_rng(self._frames))
+        self._segmenter.map = contact_map(height)
+        image = shaded_image(height, LedLights(), 2.0, np.random.default_rng(self._frames))
         return self.pipe.process(Frame(image, self.now_s, self._frames))
 
 

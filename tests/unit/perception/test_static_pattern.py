@@ -20,7 +20,7 @@ from slipguard.perception.rotation.texture_registration import (
 from slipguard.perception.rotation.texture_sigma import sigma_deg
 from slipguard.stress.image_families import IMAGES
 from slipguard.stress.product_functions import ProductFunctions
-from slipguard.stress.textured_surfaces import LedLights, contact, drawn, heights, lettered
+from slipguard.stress.textured_surfaces import LedLights, contact_map, heights, lettered, shaded_image
 from slipguard.stress.trial_family import FamilyResults, generator
 
 ROTATIONS_DEG = (2.0, 4.0, 8.0, 12.0)
@@ -29,9 +29,9 @@ ROTATIONS_DEG = (2.0, 4.0, 8.0, 12.0)
 def seen(rotation_deg: float, levels: float) -> tuple[NDArray[np.uint8], Patch]:
     """Letters that turn under dirt that stays where it is."""
     height = heights(lettered, 15.0 + rotation_deg, (120.0, 160.0), 1.0)
-    patch = find_patch(contact(height), 0.5, 100, 2.0)
+    patch = find_patch(contact_map(height), 0.5, 100, 2.0)
     assert patch is not None
-    clean = drawn(height, LedLights(), 0.0, np.random.default_rng(0)).astype(np.float64)
+    clean = shaded_image(height, LedLights(), 0.0, np.random.default_rng(0)).astype(np.float64)
     rng = np.random.default_rng(5)
     dirt = cv2.GaussianBlur(rng.standard_normal((320, 240, 3)), (0, 0), 4.0)
     noise = 2.0 * np.random.default_rng(int(10 * rotation_deg)).standard_normal(clean.shape)

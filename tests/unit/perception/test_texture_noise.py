@@ -17,7 +17,16 @@ from slipguard.perception.rotation.texture_registration import (
 from slipguard.perception.rotation.texture_sigma import parts_deg, sigma_deg
 from slipguard.sim.camera_noise import CameraNoise
 from slipguard.sim.sensor_unit import NOISE_STD_BGR
-from slipguard.stress.textured_surfaces import Heights, LedLights, Surface, contact, drawn, heights, lettered, plate
+from slipguard.stress.textured_surfaces import (
+    Heights,
+    LedLights,
+    Surface,
+    contact_map,
+    heights,
+    lettered,
+    plate,
+    shaded_image,
+)
 
 BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
 NO_STRIPES = (0.0, 0.0, 0.0)
@@ -26,9 +35,9 @@ NO_STRIPES = (0.0, 0.0, 0.0)
 def seen(surface: Surface, rotation_deg: float, noise: CameraNoise) -> tuple[NDArray[np.uint8], Patch]:
     """A frame with the sensor's own noise, and its patch."""
     height = heights(surface, 15.0 + rotation_deg, (120.0, 160.0), 1.0)
-    patch = find_patch(contact(height), 0.5, 100, 2.0)
+    patch = find_patch(contact_map(height), 0.5, 100, 2.0)
     assert patch is not None
-    clean = drawn(height, LedLights(), 0.0, np.random.default_rng(0)).astype(np.float32)
+    clean = shaded_image(height, LedLights(), 0.0, np.random.default_rng(0)).astype(np.float32)
     return np.clip(np.rint(clean + noise.next()), 0, 255).astype(np.uint8), patch
 
 

@@ -11,7 +11,16 @@ from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.rotation.texture_map import TextureMapReader
 from slipguard.perception.rotation.texture_registration import make_texture_template
 from slipguard.perception.rotation.texture_tracker import TextureTracker, TrackedTexture
-from slipguard.stress.textured_surfaces import Heights, LedLights, Surface, contact, drawn, heights, lettered, plate
+from slipguard.stress.textured_surfaces import (
+    Heights,
+    LedLights,
+    Surface,
+    contact_map,
+    heights,
+    lettered,
+    plate,
+    shaded_image,
+)
 
 BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
 NOISE = 2.0
@@ -49,9 +58,9 @@ class Held:
     def _shown(self, surface: Surface, rotation_deg: float, at: tuple[float, float]) -> tuple[np.ndarray, Patch]:
         self._frames += 1
         height = heights(surface, self._way_deg + rotation_deg, at, 1.0)
-        patch = find_patch(contact(height), 0.5, 100, 2.0)
+        patch = find_patch(contact_map(height), 0.5, 100, 2.0)
         assert patch is not None
-        return drawn(height, LedLights(), NOISE, np.random.default_rng(self._frames)), patch
+        return shaded_image(height, LedLights(), NOISE, np.random.default_rng(self._frames)), patch
 
 
 def shaft(u: Heights, v: Heights) -> Heights:
