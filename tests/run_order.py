@@ -1,7 +1,7 @@
 """Which tests a plain `python -m pytest` runs, in how many processes, and in which order.
 
-Tests that compute share all cores. Tests that wait for emulated devices run one after the other in a process of their
-own. Tests of real time run last, alone, so that no other test takes the cores from them.
+Tests that compute share all cores. Of the tests that wait for emulated devices, those of one folder run one after the
+other. Tests of real time run last, alone, so that no other test takes the cores from them.
 """
 
 from __future__ import annotations
@@ -77,15 +77,15 @@ def _has(name: str) -> bool:
 
 
 def make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Give each process one file at a time, and the tests of real time to the last one that is left."""
+    """Give each process one file or serial folder at a time, and the tests of real time to the last process."""
     from xdist.scheduler import LoadScopeScheduling
 
     class RealTimeLast(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             if nodeid.endswith(f"@{REALTIME}"):
                 return REALTIME
-            path = nodeid.partition("::")[0]
-            return "one after the other" if SERIAL_FOLDERS & set(Path(path).parts) else path
+            path = Path(nodeid.partition("::")[0])
+            return str(path.parent if SERIAL_FOLDERS & set(path.parts) else path)
 
         def _reschedule(self, node: WorkerController) -> None:
             if list(self.workqueue) != [REALTIME] or node.shutting_down:

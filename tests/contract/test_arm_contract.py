@@ -65,6 +65,7 @@ async def test_heights_are_relative_to_where_the_arm_was_opened(rig: ArmRig, arm
     assert (await first_value(arm.state)).height_mm == pytest.approx(0.0, abs=0.1)
 
 
+@pytest.mark.realtime
 async def test_a_lift_starts_and_does_not_wait(arm: Arm) -> None:
     before_s = asyncio.get_running_loop().time()
     assert await arm.lift(30.0, 100.0) == pytest.approx(100.0)

@@ -53,6 +53,7 @@ async def failure(sensor: TactileSensor) -> DeviceError:
                 return error
 
 
+@pytest.mark.realtime
 async def test_frames_are_portrait_images_read_only_and_fresh(rig: SensorRig) -> None:
     known = rig.sensor.serial
     await rig.sensor.open()
@@ -76,6 +77,7 @@ async def test_no_frame_is_repeated_and_time_advances(rig: SensorRig) -> None:
         assert not np.array_equal(after.image, before.image)
 
 
+@pytest.mark.realtime
 async def test_the_newest_frame_wins(rig: SensorRig) -> None:
     await rig.sensor.open()
     before = await good_frame(rig.sensor)

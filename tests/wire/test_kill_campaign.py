@@ -19,6 +19,7 @@ SHORT = 20
 OPTIONS = ("--object", "wrench", "--seed", 0, "--fps", 30, "--height-mm", 80)
 
 
+@pytest.mark.campaign
 def test_the_object_is_still_held_and_soon_guarded_again(
     request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

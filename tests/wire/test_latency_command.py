@@ -11,6 +11,7 @@ from slipguard.cli.app import run
 from tests.campaigns.command_line import run as run_campaign
 
 
+@pytest.mark.campaign
 def test_two_clients_for_a_moment(capfd: pytest.CaptureFixture[str]) -> None:
     """Whether a moment's p99 rises is chance; that both were served and the verdict is that of the figures is not."""
     code = run_campaign(["api-load", "--clients", "2", "--pairs", "1", "--block-s", "1.5", "--fps", "30", "--json"])
@@ -22,6 +23,7 @@ def test_two_clients_for_a_moment(capfd: pytest.CaptureFixture[str]) -> None:
     assert found["received"]["live messages"] >= 1
 
 
+@pytest.mark.realtime
 def test_a_short_one(capfd: pytest.CaptureFixture[str]) -> None:
     assert run(["latency", "--commands", "4", "--fps", "30", "--baud", "115200", "--json"]) == 0
     found = json.loads(capfd.readouterr().out)

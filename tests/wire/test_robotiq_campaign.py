@@ -18,6 +18,7 @@ HANG_S = 0.5
 """Of the driver's own time: what the machine kept the whole process from running is taken off, and printed."""
 
 
+@pytest.mark.campaign
 async def test_no_state_is_wrong_no_grip_opens_and_nothing_hangs(
     request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

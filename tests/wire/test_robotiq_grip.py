@@ -47,6 +47,7 @@ async def test_only_a_release_activates(tmp_path: Path) -> None:
     await emulator.stop()
 
 
+@pytest.mark.realtime
 async def test_closing_the_connection_does_not_wait_for_an_activation(tmp_path: Path) -> None:
     emulator = quick(tmp_path, quick=1.0)
     await emulator.start()

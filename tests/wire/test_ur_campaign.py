@@ -173,6 +173,7 @@ def report(series: str, rounds: list[Round]) -> str:
     return "\n".join(lines)
 
 
+@pytest.mark.campaign
 async def test_the_driver_lives_through_every_fault_and_the_arm_stops(
     controller: Controller, request: pytest.FixtureRequest
 ) -> None:

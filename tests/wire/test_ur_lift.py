@@ -268,6 +268,7 @@ async def test_without_a_controller_open_names_the_port() -> None:
     assert arm._worker.pid is None
 
 
+@pytest.mark.realtime
 async def test_a_controller_that_accepts_and_says_nothing_does_not_hold_the_loop(controller: UrEmulator) -> None:
     controller.control("fault silence")
     arm = lifting(HOST)

@@ -138,6 +138,7 @@ def short(grasp: RenderedGrasp, count: int = 12) -> RenderedGrasp:
     return replace(grasp, shots=grasp.shots[:2] + grasp.shots[start : start + count])
 
 
+@pytest.mark.realtime
 def test_a_tally_of_one_grasp_fills_a_row() -> None:
     grasp = short(render_grasp("key", 2, with_masks=True))
     subject = next(one for one in ours(None, every=False) if one.estimator == "fused")

@@ -87,6 +87,7 @@ def test_a_spared_finger_is_cheaper_and_no_slip_is_overlooked(monkeypatch: pytes
     assert abs(worth.error_added_deg or 0.0) < 0.3
 
 
+@pytest.mark.realtime
 def test_a_minute_is_held_with_most_frames_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(minute, "LIFTED_S", 1.0)
     monkeypatch.setattr(minute, "MINUTE_S", 4.0)
@@ -98,6 +99,7 @@ def test_a_minute_is_held_with_most_frames_left_out(monkeypatch: pytest.MonkeyPa
     assert np.mean(held.errors_deg) < 0.5
 
 
+@pytest.mark.realtime
 def test_remembered_answers_cost_what_they_cost() -> None:
     network = CachedSegmenter(Segmenter())
     image = render_grasp("bar", 2).shots[20].frame.image
