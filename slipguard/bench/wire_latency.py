@@ -85,7 +85,7 @@ class _CommandTimes:
     """What the daemon's side knows of one command. Times of the loop's clock."""
 
     probe: ForceProbe
-    handed_at_s: float
+    received_at_s: float
     ready_at_s: float
     decided_at_s: float
     called_at_s: float = 0.0
@@ -106,7 +106,7 @@ async def measure(options: LatencyOptions, tell: Callable[[str, float], None]) -
             running = asyncio.create_task(service.run(), name="service")
             try:
                 seen = await _probe(service, probe, options.commands, running, tell)
-                frames = sum(finger.counts.frames for finger in service.fingers.values())
+                frames = sum(finger.capture.counts.frames for finger in service.fingers.values())
             finally:
                 running.cancel()
                 await asyncio.gather(running, return_exceptions=True)
@@ -141,7 +141,7 @@ async def _probe(
             answers = [finger.newest for finger in service.fingers.values() if finger.newest is not None]
             newest = max(answers, key=lambda one: one.ready_at_s)
             now_s = asyncio.get_running_loop().time()
-            seen.append(_CommandTimes(probe.probes[-1], newest.handed_at_s, newest.ready_at_s, now_s))
+            seen.append(_CommandTimes(probe.probes[-1], newest.received_at_s, newest.ready_at_s, now_s))
 
     def called(since_handed_s: float) -> None:
         if seen and not seen[-1].called_at_s:
@@ -194,7 +194,7 @@ def _evaluate(
             if one.called_at_s <= entry["last_byte_s"] < ends_s
         }
         if one.called_at_s and {STOP, GO} <= set(last):
-            daemon = (one.probe.captured_at_s, one.handed_at_s, one.ready_at_s, one.decided_at_s, one.called_at_s)
+            daemon = (one.probe.captured_at_s, one.received_at_s, one.ready_at_s, one.decided_at_s, one.called_at_s)
             rows.append((*daemon, last[STOP] - wire_s, last[GO] - wire_s, last[GO]))
     if not rows:
         raise SlipguardError("no command arrived at the emulated gripper")

@@ -97,10 +97,10 @@ async def _without_daemon(
 ) -> tuple[dict[str, Any], StoredImages, dict[str, bytes]]:
     """Do the same without a daemon: opens the sensors if they are needed."""
     from slipguard.daemon.api.handlers import RequestHandlers
-    from slipguard.daemon.run import sensors_alone
+    from slipguard.daemon.run import sensors_without_daemon
     from slipguard.tools.background_plot import png_of
 
-    async with sensors_alone(settings, look_only=request is None) as service:
+    async with sensors_without_daemon(settings, stored_only=request is None) as service:
         handlers = RequestHandlers(service)
         response = dict(await handlers.submit(request)) if request is not None else {}
         stored: StoredImages = jsonlib.loads(await handlers.backgrounds())

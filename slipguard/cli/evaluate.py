@@ -231,7 +231,9 @@ def _on_cell(
     settings = read_config(config)
     service, lens = build_service(settings), read_intrinsics(intrinsics)
     service.observers.append(
-        LastGraspSaver(StateDir(settings.state.directory), service.event_log.info, service.event_log.warning).decided
+        LastGraspSaver(
+            StateDir(settings.state.directory), service.event_log.info, service.event_log.warning
+        ).add_decision
     )
     with in_the_daemons_place(socket_path(settings)):
         external = nullcontext() if camera is None else ExternalCamera(camera, lens)

@@ -15,6 +15,7 @@ from slipguard.cli.interrupt import default_interrupts
 
 if TYPE_CHECKING:
     from slipguard.config import Config
+    from slipguard.daemon.run import ServeApi
 
 USUAL_FILE = Path("config.toml")
 ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The configuration file.")]
@@ -49,13 +50,26 @@ def run(
     if sim:
         from slipguard.sim_lifts.sim_daemon import run_simulated_cell
 
-        daemon = run_simulated_cell(settings)
+        daemon = run_simulated_cell(settings, bind_api)
     else:
-        daemon = root.run(settings, reread=lambda: read_config(config))
+        daemon = root.run(settings, bind_api, read_config=lambda: read_config(config))
     if sys.__stderr__ is not None:
         faulthandler.enable(sys.__stderr__)  # where a loop hangs that systemd's watchdog ends is worth a look
     with default_interrupts():
         asyncio.run(daemon)
+
+
+def bind_api(config: Config) -> ServeApi:
+    """Claim the daemon's socket, and return what serves API and page on it.
+
+    Raises SlipguardError if another daemon has the socket, ConfigError if it cannot be made.
+    """
+    from slipguard.daemon.api.paths import socket_path, token_path
+    from slipguard.web.host import run_api
+    from slipguard.web.sockets import bind
+
+    unix = bind(socket_path(config))
+    return lambda api, warning: run_api(api, unix, config.api.address, token_path(config), warning)
 
 
 def check(

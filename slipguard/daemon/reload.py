@@ -19,8 +19,8 @@ import structlog
 from slipguard.config import GROUP_OF, Config
 from slipguard.control.state import Phase
 from slipguard.daemon import logging as logs
+from slipguard.daemon.lifecycle import notify_systemd
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.systemd_notify import notify
 from slipguard.errors import SlipguardError
 
 AT_REST = frozenset({Phase.IDLE, Phase.HOLDING, Phase.FAULT})
@@ -107,7 +107,7 @@ class Reloader:
 
     async def reload(self) -> bool:
         """Whether the file's configuration is now the one in use."""
-        notify(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
+        notify_systemd(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
         try:
             new = await asyncio.to_thread(self._read)
             return self._take_up(new)
@@ -119,7 +119,7 @@ class Reloader:
             self._refuse(f"reading it failed ({type(error).__name__})")
             return False
         finally:
-            notify(f"READY=1\nSTATUS={self._service.phase.value}")
+            notify_systemd(f"READY=1\nSTATUS={self._service.phase.value}")
 
     def _take_up(self, new: Config) -> bool:
         """Without a pause, so that no turn of the loop sees half of it."""

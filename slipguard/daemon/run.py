@@ -1,4 +1,4 @@
-"""The composition root: from a configuration to a running guard, its API and its signals."""
+"""Build the daemon from a configuration and run it: the service, its API, its stores and its signals."""
 
 from __future__ import annotations
 
@@ -19,19 +19,18 @@ import structlog
 from slipguard import __version__
 from slipguard.config import GROUP_OF, Config
 from slipguard.control.step import control_step
+from slipguard.daemon.api.daemon_api import DaemonApi
 from slipguard.daemon.api.handlers import RequestHandlers
-from slipguard.daemon.api.paths import socket_path, token_path
-from slipguard.daemon.loop.finger import PerceptionPipeline
+from slipguard.daemon.lifecycle import Shutdown
+from slipguard.daemon.loop.device_health import NOT_TRIED
+from slipguard.daemon.loop.finger import PerceptionPipeline, ThreadWorker, Worker
 from slipguard.daemon.loop.gel_monitor import GelMonitor
 from slipguard.daemon.loop.service import FINGERS, Controller, Service
-from slipguard.daemon.loop.worker import ThreadWorker, Worker
 from slipguard.daemon.reload import Reloader
-from slipguard.daemon.shutdown import Shutdown
-from slipguard.daemon.store.calibration import BackgroundImage
-from slipguard.daemon.store.last_grasp import LastGraspSaver, remembered
-from slipguard.daemon.store.last_reference import ReferenceSaver, recall
+from slipguard.daemon.store.background_images import BackgroundImage
+from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
+from slipguard.daemon.store.last_reference import REFERENCES, ReferenceSaver, ReferenceStore, restore_reference
 from slipguard.daemon.store.recording import make_recorder, record
-from slipguard.daemon.store.reference_store import REFERENCES, ReferenceStore
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import DriverContext
 from slipguard.errors import DeviceTimeout, InputError
@@ -41,17 +40,20 @@ from slipguard.perception.stored_reference import ResumingPipeline
 from slipguard.recording.recorder import Recorder
 from slipguard.registry import load_driver
 from slipguard.thread_priority import set_worker_priority
-from slipguard.web.host import run_api
-from slipguard.web.sockets import bind
 
 SWITCH_S = 0.0005
-"""A thread in Python code gives way after this time. Python's usual 5 ms would keep the loop waiting for a worker."""
-FIRST_ANSWER_S = 10.0
+"""Python threads give way after this time. Python's default of 5 ms would make the loop wait for a worker."""
+FIRST_RESPONSE_S = 10.0
 log = structlog.get_logger()
+
+ServeApi = Callable[[DaemonApi, Callable[[str], None]], Coroutine[None, None, None]]
+"""Serves the API from these handlers until cancelled; the second argument receives warnings."""
+BindApi = Callable[[Config], ServeApi]
+"""Claims the daemon's socket. Raises SlipguardError if another daemon has it."""
 
 
 def recordings_path(config: Config) -> Path:
-    """Where recordings lie."""
+    """Return the folder of the recordings."""
     return config.recording.directory or StateDir(config.state.directory).path / "recordings"
 
 
@@ -61,14 +63,22 @@ def build_service(
     world: object | None = None,
     make_worker: Callable[[str], Worker] = ThreadWorker,
     controller: Controller = control_step,
-    around: Callable[[str, Pipeline], PerceptionPipeline] = lambda finger, pipeline: pipeline,
+    wrap_pipeline: Callable[[str, Pipeline], PerceptionPipeline] = lambda finger, pipeline: pipeline,
 ) -> Service:
-    """Build all devices and the guard around them; touches no hardware.
+    """Build all devices and the service; opens no device.
 
-    world: what the fakes share. controller: what decides. around: put around each finger's pipeline.
-    Raises ConfigError or ModelError.
+    Args:
+        config: The checked configuration.
+        world: The simulated world that the fakes share; None on a real cell.
+        make_worker: Makes the worker of each finger.
+        controller: The control step.
+        wrap_pipeline: Replaces or wraps each finger's pipeline.
+
+    Raises:
+        ConfigError: A driver is not available.
+        ModelError: The segmentation network cannot be loaded.
     """
-    # Both hold for the whole process: one core for each finger, and the loop never far from its turn.
+    # Both settings hold for the whole process: one core per finger, and the loop never waits long for a thread.
     cv2.setNumThreads(1)
     sys.setswitchinterval(SWITCH_S)
     state_dir = StateDir(config.state.directory)
@@ -94,8 +104,8 @@ def build_service(
                 mounting_deg=section.mounting_deg,
                 timer=time.perf_counter,
             )
-            recall(pipeline, references, name, serial, asyncio.get_running_loop().time())
-            return around(name, pipeline)
+            restore_reference(pipeline, references, name, serial, asyncio.get_running_loop().time())
+            return wrap_pipeline(name, pipeline)
 
         return make
 
@@ -108,85 +118,93 @@ def build_service(
         make_pipeline={name: pipeline_maker(name) for name in FINGERS},
         store=state_dir,
         controller=controller,
-        memory=remembered(state_dir),
+        memory=restore_control_state(state_dir),
     )
 
 
 def _stored_background(store: StateDir, serial: str) -> BackgroundImage | None:
-    """The unit's image; a damaged one counts as none, so that the sensor runs and can be calibrated anew."""
+    """Return the unit's background image; None if it is missing or damaged, so that the sensor can be calibrated."""
     try:
         return store.load_background(serial)
     except InputError as error:
-        log.error("no-contact image", why=str(error))
+        log.error("background image not used", reason=str(error))
         return None
 
 
 async def run(
     config: Config,
+    bind_api: BindApi,
     *,
     world: object | None = None,
-    beside: Callable[[Service], Coroutine[None, None, None]] | None = None,
+    extra_task: Callable[[Service], Coroutine[None, None, None]] | None = None,
     build: Callable[..., Service] = build_service,
     recorder: Callable[[Service, Path], Recorder] = make_recorder,
-    reread: Callable[[], Config] | None = None,
+    read_config: Callable[[], Config] | None = None,
 ) -> None:
-    """Guard until SIGINT or SIGTERM, with the local API; the grip stays as it is at the end.
+    """Guard until SIGINT or SIGTERM and serve the API; the grip stays as it is at the end.
 
-    beside: what else runs as long as the service does. build, recorder: make the service and what records it.
-    reread: gives the configuration that SIGHUP asks to take up; None: SIGHUP ends the process.
+    Args:
+        config: The checked configuration.
+        bind_api: Claims the socket and returns what serves the API on it (see `slipguard.cli.run`).
+        world: The simulated world that the fakes share; None on a real cell.
+        extra_task: Runs as long as the service does.
+        build: Makes the service.
+        recorder: Makes the recorder of a service.
+        read_config: Reads the configuration again on SIGHUP; None: SIGHUP ends the process.
     """
     service = build(config, world=world)
-    kept = StateDir(config.state.directory)
-    service.observers.append(LastGraspSaver(kept, service.event_log.info, service.event_log.warning).decided)
-    shelf = ReferenceStore(kept.path / REFERENCES)
-    service.observers.append(
-        ReferenceSaver(shelf, service.fingers, service.event_log.info, service.event_log.warning).decided
-    )
-    desk = RequestHandlers(service)
-    path = socket_path(config)
-    unix = bind(path)  # before any device is opened: a second daemon must not touch what the first one owns
-    log.info("slipguard starts", version=__version__, mode=config.guard.mode, socket=str(path))
-    stop, hung_up, changed = asyncio.Event(), asyncio.Event(), asyncio.Event()
-    loop, ending = asyncio.get_running_loop(), Shutdown()
+    _add_savers(service, StateDir(config.state.directory))
+    gels = GelMonitor(service)
+    handlers = RequestHandlers(service, gels)
+    serve_api = bind_api(config)  # before any device is opened: a second daemon must not touch the first one's devices
+    log.info("slipguard starts", version=__version__, mode=config.guard.mode)
+    stop, hangup, changed = asyncio.Event(), asyncio.Event(), asyncio.Event()
+    loop, shutdown = asyncio.get_running_loop(), Shutdown()
     loop.set_default_executor(ThreadPoolExecutor(thread_name_prefix="slipguard", initializer=set_worker_priority))
-    handlers = {signal.SIGINT: stop.set, signal.SIGTERM: stop.set}
-    if reread is not None:
-        handlers[signal.SIGHUP] = hung_up.set
-    for number, handler in handlers.items():
+    signals = {signal.SIGINT: stop.set, signal.SIGTERM: stop.set}
+    if read_config is not None:
+        signals[signal.SIGHUP] = hangup.set
+    for number, handler in signals.items():
         loop.add_signal_handler(number, handler)
 
     async def until_stopped() -> None:
         await stop.wait()
-        ending.begin()
+        shutdown.begin()
         raise _Stopped
 
     try:
         gc.collect()
-        gc.freeze()  # else a full collection stops the loop for 50 ms, to look at what stays anyway
+        gc.freeze()  # otherwise a full collection would stop the loop for 50 ms to inspect permanent objects
         async with asyncio.TaskGroup() as group:
             group.create_task(service.run(), name="service")
-            group.create_task(
-                run_api(desk, unix, config.api.address, token_path(config), service.event_log.warning), name="api"
-            )
+            group.create_task(serve_api(handlers, service.event_log.warning), name="api")
             group.create_task(until_stopped(), name="signals")
-            group.create_task(GelMonitor(service).run(), name="gels")
-            group.create_task(_recordings(service, desk.track_recorder(recorder), changed), name="recorder")
-            if reread is not None:
-                reloader = Reloader(service, reread, changed.set)
-                group.create_task(_reload_on(hung_up, reloader), name="reload")
-            if beside is not None:
-                group.create_task(beside(service), name="beside")
+            group.create_task(gels.run(), name="gels")
+            group.create_task(_record(service, handlers.track_recorder(recorder), changed), name="recorder")
+            if read_config is not None:
+                reloader = Reloader(service, read_config, changed.set)
+                group.create_task(_reload_on(hangup, reloader), name="reload")
+            if extra_task is not None:
+                group.create_task(extra_task(service), name="extra")
     except* _Stopped:
         log.info("slipguard stops; the grip stays as it is")
     finally:
-        ending.over()
+        shutdown.end()
         gc.unfreeze()
-        for number in handlers:
+        for number in signals:
             loop.remove_signal_handler(number)
 
 
-async def _recordings(service: Service, make: Callable[[Service, Path], Recorder], changed: asyncio.Event) -> None:
-    """Record as configured; a changed configuration begins a new file, for each must replay by the one in it."""
+def _add_savers(service: Service, state_dir: StateDir) -> None:
+    """Keep the grip, the fault and the fingers' references on the disk, for a restart."""
+    info, warning = service.event_log.info, service.event_log.warning
+    service.observers.append(LastGraspSaver(state_dir, info, warning).add_decision)
+    references = ReferenceStore(state_dir.path / REFERENCES)
+    service.observers.append(ReferenceSaver(references, service.fingers, info, warning).add_decision)
+
+
+async def _record(service: Service, make: Callable[[Service, Path], Recorder], changed: asyncio.Event) -> None:
+    """Record as configured. A changed configuration starts a new file, because each file replays with its own."""
     while True:
         changed.clear()
         async with asyncio.TaskGroup() as group:
@@ -199,33 +217,34 @@ async def _recordings(service: Service, make: Callable[[Service, Path], Recorder
                 recording.cancel()
 
 
-async def _reload_on(hung_up: asyncio.Event, reloader: Reloader) -> None:
+async def _reload_on(hangup: asyncio.Event, reloader: Reloader) -> None:
     while True:
-        await hung_up.wait()
-        hung_up.clear()
+        await hangup.wait()
+        hangup.clear()
         await reloader.reload()
 
 
 @contextlib.asynccontextmanager
-async def sensors_alone(config: Config, *, look_only: bool = False) -> AsyncIterator[Service]:
-    """Both sensors open and the gripper asked, without a daemon; the arm is left alone.
+async def sensors_without_daemon(config: Config, *, stored_only: bool = False) -> AsyncIterator[Service]:
+    """Open both sensors and poll the gripper without a daemon; the arm is not used.
 
-    look_only: what is stored is enough, so sensors whose serial numbers are known need not be there.
-    Raises CommandRefused or DeviceTimeout with the reason.
+    stored_only: do not open sensors whose serial numbers are configured, because stored images are sufficient.
+    Raises DeviceTimeout if a sensor delivers no frame.
     """
     service = build_service(config)
-    if look_only and all(finger.sensor.serial for finger in service.fingers.values()):
-        for finger in service.fingers.values():
-            finger.serial = finger.sensor.serial
+    fingers = service.fingers.values()
+    if stored_only and all(finger.capture.sensor.serial for finger in fingers):
+        for finger in fingers:
+            finger.capture.assume_serial(finger.capture.sensor.serial)
         try:
             yield service
         finally:
             service.close()
         return
-    tasks = [asyncio.create_task(finger.run(), name=name) for name, finger in service.fingers.items()]
+    tasks = [asyncio.create_task(finger.run(), name=finger.name) for finger in fingers]
     tasks.append(asyncio.create_task(service.gripper.run(), name="gripper"))
     try:
-        await _first_answers(service)
+        await _first_responses(service)
         yield service
     finally:
         for task in tasks:
@@ -234,17 +253,17 @@ async def sensors_alone(config: Config, *, look_only: bool = False) -> AsyncIter
         service.close()
 
 
-async def _first_answers(service: Service) -> None:
-    """Until both fingers see and the gripper has answered; a gripper that is not there is no hindrance."""
+async def _first_responses(service: Service) -> None:
+    """Wait until both fingers have frames and the gripper was tried; a missing gripper is no obstacle."""
     loop = asyncio.get_running_loop()
-    deadline_s = loop.time() + FIRST_ANSWER_S
+    deadline_s = loop.time() + FIRST_RESPONSE_S
     while True:
-        missing = [one.health.message for one in service.fingers.values() if not one.health.ready]
-        gripper_known = service.gripper.health.ready or service.gripper.health.reason != "not tried yet"
-        if not missing and gripper_known:
+        missing = [finger.health.message for finger in service.fingers.values() if not finger.health.ready]
+        gripper_tried = service.gripper.health.ready or service.gripper.health.reason != NOT_TRIED
+        if not missing and gripper_tried:
             return
         if loop.time() > deadline_s:
-            raise DeviceTimeout("; ".join(missing) or "gripper: no answer")
+            raise DeviceTimeout("; ".join(missing) or f"gripper: no response within {FIRST_RESPONSE_S:g} s")
         await asyncio.sleep(0.02)
 
 

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from slipguard import __version__
-from slipguard.daemon.loop.gel_condition import GelStatus
+from slipguard.daemon.loop.gel_monitor import GelStatus
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import GripperState
 from slipguard.diagnosis import CheckResult, note, ok, problem

@@ -17,8 +17,7 @@ from slipguard.daemon import logging as log
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, GuardRequest, LiftRequest
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.loop.virtual_time import run_virtual
-from slipguard.daemon.loop.worker import StatedLatencyWorker
+from slipguard.daemon.loop.virtual_time import FixedLatencyWorker, run_virtual
 from slipguard.daemon.run import build_service
 from slipguard.errors import CommandRefused, SlipguardError
 from slipguard.evaluation.intrinsics import Intrinsics
@@ -116,7 +115,7 @@ async def _record(task: SimulatedLift) -> None:
         service = build_service(
             parse_config(raw, where="the simulated experiment", sim=True),
             world=world,
-            make_worker=lambda name: StatedLatencyWorker(STATED_LATENCY_S),
+            make_worker=lambda name: FixedLatencyWorker(STATED_LATENCY_S),
         )
         running = asyncio.create_task(service.run())
         try:

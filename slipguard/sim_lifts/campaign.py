@@ -15,8 +15,9 @@ from slipguard.control.step import control_step
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, LiftRequest, LowerRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
+from slipguard.daemon.loop.finger import ThreadWorker, Worker
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.loop.worker import StatedLatencyWorker, ThreadWorker, Worker
+from slipguard.daemon.loop.virtual_time import FixedLatencyWorker
 from slipguard.daemon.run import build_service
 from slipguard.errors import CommandRefused
 from slipguard.evaluation.single_estimators import PatchRecorder, TimedPatch, rotations_by_estimator
@@ -93,7 +94,7 @@ async def run_campaign(settings: CampaignSettings, show: Callable[[LiftProgress]
         world = World(seed=settings.seed)
 
         def make_worker(name: str) -> Worker:
-            return ThreadWorker(name) if settings.realtime else StatedLatencyWorker(STATED_LATENCY_S)
+            return ThreadWorker(name) if settings.realtime else FixedLatencyWorker(STATED_LATENCY_S)
 
         controller = control_step if settings.guarded else unguarded_tick
         patches: list[TimedPatch] = []
@@ -102,7 +103,7 @@ async def run_campaign(settings: CampaignSettings, show: Callable[[LiftProgress]
             world=world,
             make_worker=make_worker,
             controller=controller,
-            around=lambda finger, pipeline: PatchRecorder(finger, pipeline, patches),
+            wrap_pipeline=lambda finger, pipeline: PatchRecorder(finger, pipeline, patches),
         )
         running = asyncio.create_task(service.run(), name="service")
         try:

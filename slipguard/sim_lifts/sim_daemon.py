@@ -21,8 +21,8 @@ ROOM_MM = 60.0
 log = structlog.get_logger()
 
 
-async def run_simulated_cell(config: Config) -> None:
-    """Run the daemon on a fresh world until it is stopped."""
+async def run_simulated_cell(config: Config, bind_api: root.BindApi) -> None:
+    """Run the daemon in a new simulated world until it is stopped. bind_api: see `slipguard.daemon.run`."""
     world = World(seed=0)
 
     async def stagehand(service: Service) -> None:
@@ -39,7 +39,7 @@ async def run_simulated_cell(config: Config) -> None:
             log.info("an object lies between the jaws", object=name)
             touched = False
 
-    await root.run(config, world=world, beside=stagehand)
+    await root.run(config, bind_api, world=world, extra_task=stagehand)
 
 
 def _open(service: Service) -> bool:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from slipguard.cancellation import raise_if_cancelled
 from slipguard.daemon.api.daemon_api import DaemonApi
-from slipguard.daemon.loop.backoff import Backoff
+from slipguard.daemon.loop.async_tools import Backoff
 from slipguard.errors import ConfigError, SlipguardError
 from slipguard.web.daemon_endpoint import serve_web_process
 from slipguard.web.protocol import encode_message

@@ -15,8 +15,8 @@ from typing import Any
 import structlog
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from slipguard.daemon.loop.async_tools import Ticker
 from slipguard.daemon.loop.event_log import KEPT, Event
-from slipguard.daemon.loop.ticker import Ticker
 from slipguard.errors import SlipguardError
 
 PERIOD_S = 0.1

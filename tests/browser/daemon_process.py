@@ -17,6 +17,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+from slipguard.cli.run import bind_api
 from slipguard.config import read_config
 from slipguard.daemon import logging as log
 from slipguard.daemon import run as root
@@ -86,7 +87,7 @@ class Stage:
         self.place()
         while self.again:
             self.again = False
-            asyncio.run(root.run(self.config, world=self.world, beside=self.listen))
+            asyncio.run(root.run(self.config, bind_api, world=self.world, extra_task=self.listen))
 
 
 if __name__ == "__main__":

@@ -20,9 +20,9 @@ from slipguard.control.step import control_step
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import DaemonRequest, GraspRequest, LiftRequest, LowerRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
+from slipguard.daemon.loop.finger import ThreadWorker, Worker
 from slipguard.daemon.loop.service import FINGERS, Controller, Service
 from slipguard.daemon.loop.virtual_time import run_virtual
-from slipguard.daemon.loop.worker import ThreadWorker, Worker
 from slipguard.devices import DriverContext
 from slipguard.sim.catalogue import find_object
 from slipguard.sim.cell import WorldTruth

@@ -15,9 +15,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.daemon.loop.worker import StatedLatencyWorker
-from slipguard.daemon.store.calibration import BackgroundImage
+from slipguard.daemon.loop.virtual_time import FixedLatencyWorker
+from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
 from slipguard.devices import DriverContext, Frame
+from slipguard.errors import InputError
 from slipguard.frame_stream import SHAPE
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.cell import WorldTruth
@@ -184,14 +185,23 @@ class Memory:
         blank = np.zeros(SHAPE, np.uint8)
         self.kept = {serial: BackgroundImage(blank, (2.0, 2.0, 2.0), 30) for serial in serials}
 
-    def load_background(self, serial: str) -> BackgroundImage | None:
+    def load_background(self, serial: str, number: int | None = None) -> BackgroundImage | None:
         return self.kept.get(serial)
 
-    def save_background(self, serial: str, taken: BackgroundImage) -> None:
+    def first_of_gel(self, serial: str) -> BackgroundImage | None:
+        return self.kept.get(serial)
+
+    def save_background(self, serial: str, taken: BackgroundImage, *, new_gel: bool = False) -> None:
         self.kept[serial] = taken
 
+    def go_back(self, serial: str, number: int) -> BackgroundImage:
+        raise InputError(f"{serial}: older images are not kept here")
 
-class Shelf(StatedLatencyWorker):
+    def background_versions(self, serial: str) -> list[BackgroundVersion]:
+        return []
+
+
+class Shelf(FixedLatencyWorker):
     """A worker of stated latency that knows whether it was closed."""
 
     closed = False

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import CalibrateRequest, RestoreBackgroundRequest
-from slipguard.daemon.store.calibration import BackgroundImage, BackgroundVersion
+from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.errors import CommandRefused
 
@@ -49,9 +49,9 @@ def test_all_that_is_stored_is_told(tmp_path: Path) -> None:
         newest, first = await handlers.background("left"), await handlers.background("left", 1)
         assert (newest.serial, newest.frame.sequence, int(newest.frame.image[0, 0, 0])) == ("SIM-L", 2, 60)
         assert (first.frame.sequence, int(first.frame.image[0, 0, 0])) == (1, 50)
-        with pytest.raises(CommandRefused, match="SIM-L: no such no-contact image is stored; there are: 1, 2"):
+        with pytest.raises(CommandRefused, match="SIM-L: background image 7 not found; stored numbers: 1, 2"):
             await handlers.background("left", 7)
-        with pytest.raises(CommandRefused, match="no finger 'thumb'; there are: left, right"):
+        with pytest.raises(CommandRefused, match="no finger 'thumb'; choose from: left, right"):
             await handlers.background("thumb")
 
     with_history(tmp_path, scene)
@@ -96,13 +96,14 @@ def test_a_calibration_says_whether_the_gel_is_new(tmp_path: Path, new_gel: bool
     with_history(tmp_path, scene)
 
 
-def test_a_store_without_a_past_has_none() -> None:
+def test_a_sensor_that_was_not_opened_has_no_versions() -> None:
     async def scene(cell: Cell) -> None:
-        await cell.ready()
         handlers = RequestHandlers(cell.service)
-        assert json.loads(await handlers.backgrounds())["left"] == {"serial": "SIM-L", "versions": []}
+        assert json.loads(await handlers.backgrounds())["left"] == {"serial": None, "versions": []}
         with pytest.raises(CommandRefused, match="left finger: no sensor was found yet"):
             await handlers.submit(RestoreBackgroundRequest(finger="left", number=1))
+        await cell.ready()
+        assert json.loads(await handlers.backgrounds())["left"] == {"serial": "SIM-L", "versions": []}
 
     play(Cell(), scene)
 
@@ -125,7 +126,7 @@ async def test_what_is_stored_is_read_in_a_thread_of_its_own(tmp_path: Path) -> 
     threads.clear()
     handlers = RequestHandlers(Cell().service)
     handlers._service.store = store
-    handlers._service.fingers["left"].serial = "SIM-L"
+    handlers._service.fingers["left"].capture.assume_serial("SIM-L")
     assert [one["number"] for one in json.loads(await handlers.backgrounds())["left"]["versions"]] == [1]
     assert (await handlers.background("left")).frame.sequence == 1
     assert threads == {"slipguard-images_0"}

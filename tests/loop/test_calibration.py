@@ -12,7 +12,7 @@ from loop_cell import Cell, play
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, GuardRequest, MoveJawsRequest
-from slipguard.daemon.store.calibration import FRAMES, BackgroundImage, average_background
+from slipguard.daemon.store.background_images import FRAMES, BackgroundImage, average_background
 from slipguard.errors import CommandRefused, ConfigError, InputError
 
 
@@ -31,7 +31,7 @@ def test_the_mean_and_the_noise_of_a_still_gel() -> None:
 
 def test_a_picture_that_trembles_is_refused() -> None:
     images = [image + np.uint8(20 * (index % 2)) for index, image in enumerate(still())]
-    with pytest.raises(CommandRefused, match=r"left: the picture is not still \(noise"):
+    with pytest.raises(CommandRefused, match=r"left: the image is not still \(noise"):
         average_background(images, "left")
 
 
@@ -119,10 +119,10 @@ def test_a_moving_picture_stores_nothing() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
         cell.sensors["right"].pictures.flickers = True
-        with pytest.raises(CommandRefused, match="right: the picture is not still"):
+        with pytest.raises(CommandRefused, match="right: the image is not still"):
             await cell.submit(CalibrateRequest())
         assert cell.store.kept == {}
-        assert all(finger.tap is None for finger in cell.service.fingers.values())
+        assert all(finger.capture._copies is None for finger in cell.service.fingers.values())
         assert not cell.service.waiting_for
 
     play(uncalibrated(), scene)
@@ -136,7 +136,7 @@ def test_without_frames_it_is_refused(kind: str) -> None:
         asked = asyncio.create_task(cell.submit(CalibrateRequest()))
         await asyncio.sleep(0.1)
         cell.world.faults.fail("right", kind)
-        with pytest.raises(CommandRefused, match=r"right: only \d+ of 30 frames came within 5 s"):
+        with pytest.raises(CommandRefused, match=r"right: received \d+ of 30 frames within 5 s"):
             await asked
         with pytest.raises(CommandRefused, match="no frames from right"):
             await cell.submit(CalibrateRequest())
@@ -221,7 +221,7 @@ def test_a_full_disk_is_told_with_what_is_stored_and_that_is_what_is_used(
         await cell.ready()
         really_save, asked = cell.store.save_background, list[str]()
 
-        def save(serial: str, taken: BackgroundImage) -> None:
+        def save(serial: str, taken: BackgroundImage, *, new_gel: bool = False) -> None:
             asked.append(serial)
             if len(asked) > room:
                 raise ConfigError("no_contact-0002.png: cannot be written (No space left on device)")

@@ -9,6 +9,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
+from slipguard.cli.run import bind_api
 from slipguard.config import parse_config
 from slipguard.daemon import run as root
 from slipguard.sim.world import World, WorldSettings
@@ -30,7 +31,10 @@ def test_no_collection_of_garbage_looks_at_what_stays(tmp_path: Path) -> None:
     async def main() -> None:
         async with asyncio.timeout(30.0):
             await root.run(
-                parse_config(told, where="test", sim=True), world=World(WorldSettings(), seed=0), beside=beside
+                parse_config(told, where="test", sim=True),
+                bind_api,
+                world=World(WorldSettings(), seed=0),
+                extra_task=beside,
             )
 
     asyncio.run(main())

@@ -20,8 +20,7 @@ from slipguard.control.state import Phase
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import CalibrateRequest
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.loop.virtual_time import run_virtual
-from slipguard.daemon.loop.worker import StatedLatencyWorker
+from slipguard.daemon.loop.virtual_time import FixedLatencyWorker, run_virtual
 from slipguard.daemon.run import build_service
 from slipguard.errors import SlipguardError
 from slipguard.evaluation import on_cell
@@ -125,7 +124,7 @@ def service_of(world: World, state: Path) -> Service:
     raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in ("left", "right")}
     raw["state"] = {"directory": str(state)}
     config = parse_config(raw, where="test", sim=True)
-    return build_service(config, world=world, make_worker=lambda name: StatedLatencyWorker(0.006))
+    return build_service(config, world=world, make_worker=lambda name: FixedLatencyWorker(0.006))
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,9 @@ from loop_cell import Cell
 
 from slipguard.daemon.loop import gel_monitor as gel_monitor
 from slipguard.daemon.loop.finger import ProcessedFrame
-from slipguard.daemon.loop.gel_condition import GelStatus
-from slipguard.daemon.loop.gel_monitor import GelMonitor
+from slipguard.daemon.loop.gel_monitor import GelMonitor, GelStatus
 from slipguard.daemon.loop.virtual_time import run_virtual
-from slipguard.daemon.store.calibration import BackgroundImage
+from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import Frame, GripperState
 from slipguard.perception.estimate import Estimate
@@ -50,7 +49,7 @@ class Bench:
         else:
             self.service.store = store
         self.finger = self.service.fingers["left"]
-        self.finger.serial = "SIM-L"
+        self.finger.capture.assume_serial("SIM-L")
         self.service.gripper.newest = OPEN
         self.said: list[str] = []
         self.service.event_log.listeners.append(lambda event: self.said.append(event.line))
@@ -66,7 +65,7 @@ class Bench:
             await asyncio.sleep(1.0)
             estimate = Estimate(second, self.now_s, self.now_s, contact, 4000 * contact, "oracle")
             frame = Frame(noisy, self.now_s, second)
-            self.watch.judged("left", ProcessedFrame(frame, self.now_s, False, renewed and second == 0, estimate))
+            self.watch.add_frame("left", ProcessedFrame(frame, self.now_s, False, renewed and second == 0, estimate))
         await asyncio.sleep(1.0)
 
 
@@ -86,10 +85,10 @@ def play(scene: Callable[[Bench], Coroutine[Any, Any, None]], store: Any = None)
 
 def test_a_gel_as_it_was_is_fine_and_nothing_is_said() -> None:
     async def scene(bench: Bench) -> None:
-        assert bench.finger.gel is None
+        assert "left" not in bench.watch.conditions
         await bench.show(gel(), 300.0)
-        assert bench.finger.gel is not None
-        assert bench.finger.gel.status is GelStatus.OK
+        assert "left" in bench.watch.conditions
+        assert bench.watch.conditions["left"].status is GelStatus.OK
         assert bench.said == []
 
     play(scene)
@@ -99,13 +98,13 @@ def test_a_cut_is_said_once_with_its_size_and_what_to_do() -> None:
     async def scene(bench: Bench) -> None:
         await bench.show(cut(gel()), 150.0)
         assert bench.said == []  # two minutes agree; three are needed
-        assert bench.finger.gel is not None
-        assert bench.finger.gel.status is GelStatus.WORN
+        assert "left" in bench.watch.conditions
+        assert bench.watch.conditions["left"].status is GelStatus.WORN
         await bench.show(cut(gel()), 600.0)
         (line,) = bench.said
-        assert line.startswith("left (SIM-L): a lasting mark since the gel's first no-contact image, ")
-        assert "grey levels at 90, 150 px; clean the gel; where they stay it is worn: replace it, then" in line
-        assert 0.5 <= bench.finger.gel.marked_mm2 <= 1.5
+        assert line.startswith("left (SIM-L): 1 lasting mark since the gel's first background image, ")
+        assert "gray levels at x = 90, y = 150 px; clean the gel; if the marks stay, replace it and run" in line
+        assert 0.5 <= bench.watch.conditions["left"].marked_mm2 <= 1.5
 
     play(scene)
 
@@ -115,15 +114,15 @@ def test_light_that_drifts_is_said_with_figures_and_no_more_after_a_calibration(
         warmer = np.clip(gel() + np.array([0.0, -4.0, 18.0]), 0, 255)
         await bench.show(warmer, 600.0)
         (line,) = bench.said
-        assert "red +18 grey levels" in line
+        assert "red +18 gray levels" in line
         await bench.show(gel(), 300.0)
         await bench.show(warmer, 300.0)
         assert len(bench.said) == 1  # it comes and goes
-        assert line.endswith("; jaws open and empty: `slipguard calibrate`")
+        assert line.endswith("; open and empty the jaws and run `slipguard calibrate`")
         bench.cell.store.kept["SIM-L"] = BackgroundImage(warmer.astype(np.uint8), NOISE_BGR, 30)
         await bench.show(warmer, 300.0, renewed=True)
-        assert bench.finger.gel is not None
-        assert bench.finger.gel.status is GelStatus.OK
+        assert "left" in bench.watch.conditions
+        assert bench.watch.conditions["left"].status is GelStatus.OK
         assert len(bench.said) == 1
 
     play(scene)
@@ -150,7 +149,7 @@ def test_nothing_is_compared_while_an_object_may_be_held() -> None:
         guard = bench.service._guard
         bench.service._guard = replace(guard, grasp=replace(guard.grasp, phase=Phase.HOLDING))
         await bench.show(cut(gel()), 300.0)
-        assert bench.finger.gel is None
+        assert "left" not in bench.watch.conditions
 
     play(scene)
 
@@ -165,10 +164,10 @@ def test_wear_does_not_hide_behind_the_next_calibration_but_a_new_gel_begins_ane
 
     async def scene(bench: Bench) -> None:
         await bench.show(cut(gel()), 300.0)
-        assert bench.finger.gel is not None
-        assert bench.finger.gel.status is (GelStatus.OK if new_gel else GelStatus.WORN)
+        assert "left" in bench.watch.conditions
+        assert bench.watch.conditions["left"].status is (GelStatus.OK if new_gel else GelStatus.WORN)
         assert len(bench.said) == (0 if new_gel else 1)
-        assert bench.finger.gel.light.marks == ()
+        assert bench.watch.conditions["left"].light.marks == ()
 
     play(scene, store)
 
@@ -179,7 +178,7 @@ def test_contact_without_end_is_said_where_the_jaws_are_open() -> None:
         assert bench.said == []
         await bench.show(gel(), 1000.0, contact=True)
         assert len(bench.said) == 1
-        assert "left: contact for 10 minutes with the jaws open" in bench.said[0]
+        assert "left: contact for 10 minutes with open jaws" in bench.said[0]
         bench.service.gripper.newest = None
         await bench.show(gel(), 1000.0, contact=True, renewed=True)
         assert len(bench.said) == 1
@@ -195,9 +194,9 @@ def test_a_comparison_that_fails_ends_nothing(monkeypatch: pytest.MonkeyPatch) -
 
     async def scene(bench: Bench) -> None:
         await bench.show(gel(), 200.0)
-        assert bench.finger.gel is None
+        assert "left" not in bench.watch.conditions
         monkeypatch.undo()
         await bench.show(gel(), 100.0)
-        assert bench.finger.gel is not None
+        assert "left" in bench.watch.conditions
 
     play(scene)

@@ -16,8 +16,8 @@ from slipguard.control.state import GraspState, Phase, RememberedGrip
 from slipguard.control.step import ControlState
 from slipguard.daemon.api.requests import ClearRequest, MoveJawsRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
-from slipguard.daemon.store.disk_writer import TRY_AGAIN_S
-from slipguard.daemon.store.last_grasp import LastGraspSaver, remembered
+from slipguard.daemon.store.disk_writer import RETRY_S
+from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
 from slipguard.daemon.store.state_dir import LastGrasp, StateDir
 from slipguard.errors import ConfigError
 
@@ -26,7 +26,7 @@ def test_the_grip_is_noted_down_tightened_and_forgotten(tmp_path: Path) -> None:
     shelf = StateDir(tmp_path)
 
     async def scene(cell: Cell) -> None:
-        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).decided)
+        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).add_decision)
         await cell.grasp()
         await asyncio.sleep(0.1)
         first = shelf.load_last_grasp()
@@ -37,7 +37,9 @@ def test_the_grip_is_noted_down_tightened_and_forgotten(tmp_path: Path) -> None:
         tightened = shelf.load_last_grasp()
         assert tightened is not None
         assert tightened.force_n == cell.service.state.target_n > first.force_n
-        assert remembered(shelf).grasp.remembered == RememberedGrip(tightened.force_n, tightened.width_mm, applied=True)
+        assert restore_control_state(shelf).grasp.remembered == RememberedGrip(
+            tightened.force_n, tightened.width_mm, applied=True
+        )
         await cell.lower()
         await cell.release()
         await asyncio.sleep(0.1)
@@ -63,7 +65,7 @@ def test_a_grip_that_does_not_change_for_hours_does_not_grow_old(tmp_path: Path)
         await cell.grasp()
         held = decisions[-1]
         for minutes in range(0, 21, 4):
-            keeper.decided(replace(held, now_s=held.now_s + 60.0 * minutes))
+            keeper.add_decision(replace(held, now_s=held.now_s + 60.0 * minutes))
             await asyncio.sleep(0.1)
         assert shelf.writes == 3, "at 0, 8 and 16 minutes"
 
@@ -78,13 +80,13 @@ def test_a_disk_that_fails_is_said_and_keeps_nothing_from_going_on() -> None:
         def load_last_grasp(self) -> LastGrasp | None:
             return None
 
-        def forget_last_grasp(self) -> None:
+        def delete_last_grasp(self) -> None:
             raise OSError(30, "Read-only file system")
 
     said: list[str] = []
 
     async def scene(cell: Cell) -> None:
-        cell.service.observers.append(LastGraspSaver(Full(), said.append, said.append).decided)
+        cell.service.observers.append(LastGraspSaver(Full(), said.append, said.append).add_decision)
         await cell.grasp()
         await asyncio.sleep(0.2)
 
@@ -106,21 +108,21 @@ def test_a_disk_that_is_mended_gets_the_grip_though_the_force_has_not_changed(tm
     shelf, said = Mended(tmp_path), list[str]()
 
     async def scene(cell: Cell) -> None:
-        cell.service.observers.append(LastGraspSaver(shelf, said.append, said.append).decided)
+        cell.service.observers.append(LastGraspSaver(shelf, said.append, said.append).add_decision)
         await cell.grasp()
         await cell.until(lambda: shelf.writes > 0)
         before, force_n = shelf.writes, cell.service.state.target_n
         await asyncio.sleep(1.0)
         assert (shelf.writes, before) == (1, 1), "not at once again"
-        await asyncio.sleep(3 * TRY_AGAIN_S)
+        await asyncio.sleep(3 * RETRY_S)
         last = shelf.load_last_grasp()
         assert last is not None
         assert last.force_n == force_n == cell.service.state.target_n
 
     play(Cell("wrench", 1), scene)
     assert [line.partition(" for a restart")[0] for line in said] == [
-        "the grip could not be noted down",
-        "the grip can be noted down",
+        "the grip could not be saved",
+        "the grip can be saved",
     ]
 
 
@@ -130,7 +132,7 @@ def test_a_force_counts_as_taken_once_the_gripper_says_so(tmp_path: Path) -> Non
 
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
-        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).decided)
+        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).add_decision)
         await cell.grasp()
         await asyncio.sleep(0.1)
         assert cell.service.state.target_n == pytest.approx(40.0, abs=0.85)
@@ -152,7 +154,7 @@ def test_a_force_counts_as_taken_once_the_gripper_says_so(tmp_path: Path) -> Non
 async def noted(shelf: StateDir) -> RememberedGrip:
     """What a daemon started now would know of the grip."""
     await asyncio.sleep(0.05)
-    grip = remembered(shelf).grasp.remembered
+    grip = restore_control_state(shelf).grasp.remembered
     assert grip is not None
     return grip
 
@@ -162,29 +164,29 @@ def test_a_latched_fault_is_noted_until_it_is_cleared(tmp_path: Path) -> None:
 
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
-        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).decided)
+        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).add_decision)
         await cell.grasp()
         grip = await noted(shelf)
         cell.world.faults.fail("gripper", "disconnect")
         await cell.until(lambda: cell.phase is Phase.FAULT)
         await asyncio.sleep(0.1)
-        grasp = remembered(shelf).grasp
+        grasp = restore_control_state(shelf).grasp
         assert (grasp.phase, grasp.fault) == (Phase.FAULT, cell.service.state.fault)
         assert grasp.remembered == grip, "as it was when the gripper was last heard"
-        old = remembered(shelf, datetime.now(UTC) + timedelta(days=3)).grasp
+        old = restore_control_state(shelf, datetime.now(UTC) + timedelta(days=3)).grasp
         assert (old.phase, old.fault, old.remembered) == (Phase.FAULT, grasp.fault, None)
         cell.world.faults.repair("gripper")
         await cell.ready()
         await cell.submit(ClearRequest())
         await cell.until(cell.steady)
         assert await noted(shelf) == grip
-        assert remembered(shelf).grasp.fault is None
+        assert restore_control_state(shelf).grasp.fault is None
         cell.world.clear(cell.now_s)
         await cell.until(lambda: cell.phase is Phase.FAULT)
-        await cell.until(lambda: remembered(shelf).grasp.fault is not None)
+        await cell.until(lambda: restore_control_state(shelf).grasp.fault is not None)
         await cell.submit(ReleaseRequest(confirm=True))
         await asyncio.sleep(0.1)
-        assert remembered(shelf).grasp.fault is None
+        assert restore_control_state(shelf).grasp.fault is None
         await cell.until(lambda: cell.phase is Phase.IDLE)
         await asyncio.sleep(0.1)
         assert shelf.load_last_grasp() is None
@@ -201,14 +203,14 @@ def test_a_fault_without_a_gripper_is_noted_with_the_grip_of_before_the_restart(
         keeper = LastGraspSaver(shelf, list[str]().append, list[str]().append)
         before = ControlState(GraspState(remembered=grip, person_near=True))
         rotation = Decision(1.0, Phase.IDLE, Observation(1.0), Command(), before)
-        keeper.decided(rotation)
+        keeper.add_decision(rotation)
         await asyncio.sleep(0.1)
         assert shelf.load_last_grasp() is None, "nothing is known yet"
-        keeper.decided(replace(rotation, phase=Phase.FAULT, command=Command(fault=fault)))
+        keeper.add_decision(replace(rotation, phase=Phase.FAULT, command=Command(fault=fault)))
         await asyncio.sleep(0.1)
 
     asyncio.run(scene())
-    assert remembered(shelf).grasp == GraspState(Phase.FAULT, remembered=grip, person_near=True, fault=fault)
+    assert restore_control_state(shelf).grasp == GraspState(Phase.FAULT, remembered=grip, person_near=True, fault=fault)
 
 
 def test_what_was_to_be_let_go_is_noted_with_its_fault(tmp_path: Path) -> None:
@@ -218,11 +220,11 @@ def test_what_was_to_be_let_go_is_noted_with_its_fault(tmp_path: Path) -> None:
     async def scene() -> None:
         keeper = LastGraspSaver(shelf, list[str]().append, list[str]().append)
         grasp = GraspState(Phase.FAULT, release_requested=True, closing_interrupted=True, fault=fault)
-        keeper.decided(Decision(1.0, Phase.FAULT, Observation(1.0), Command(fault=fault), ControlState(grasp)))
+        keeper.add_decision(Decision(1.0, Phase.FAULT, Observation(1.0), Command(fault=fault), ControlState(grasp)))
         await asyncio.sleep(0.1)
 
     asyncio.run(scene())
-    assert remembered(shelf).grasp == GraspState(
+    assert restore_control_state(shelf).grasp == GraspState(
         Phase.FAULT, release_requested=True, closing_interrupted=True, fault=fault
     )
 
@@ -238,15 +240,15 @@ def test_what_was_to_be_let_go_is_noted_with_its_fault(tmp_path: Path) -> None:
 )
 def test_a_damaged_note_counts_as_none(tmp_path: Path, content: str) -> None:
     (tmp_path / "last_grasp.json").write_text(content)
-    assert remembered(StateDir(tmp_path)) == ControlState()
+    assert restore_control_state(StateDir(tmp_path)) == ControlState()
 
 
 def test_an_old_note_counts_as_none(tmp_path: Path) -> None:
     shelf, now = StateDir(tmp_path), datetime.now(UTC)
     shelf.save_last_grasp(LastGrasp(saved_at=now - timedelta(hours=2), force_n=90.0, width_mm=18.0))
-    assert remembered(shelf, now) == ControlState()
+    assert restore_control_state(shelf, now) == ControlState()
     shelf.save_last_grasp(LastGrasp(saved_at=now - timedelta(minutes=2), force_n=90.0, width_mm=18.0))
-    assert remembered(shelf, now) == ControlState(GraspState(remembered=RememberedGrip(90.0, 18.0)))
+    assert restore_control_state(shelf, now) == ControlState(GraspState(remembered=RememberedGrip(90.0, 18.0)))
 
 
 def test_a_stop_for_a_person_is_remembered_until_the_arm_is_heard(tmp_path: Path) -> None:
@@ -255,13 +257,13 @@ def test_a_stop_for_a_person_is_remembered_until_the_arm_is_heard(tmp_path: Path
 
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
-        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).decided)
+        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).add_decision)
         await cell.grasp()
         cell.world.faults.fail("arm", "protective_stop")
         await asyncio.sleep(0.3)
-        assert remembered(shelf).grasp.person_near
+        assert restore_control_state(shelf).grasp.person_near
         cell.world.faults.repair("arm")
         await asyncio.sleep(0.3)
-        assert not remembered(shelf).grasp.person_near
+        assert not restore_control_state(shelf).grasp.person_near
 
     play(Cell("wrench", 1), scene)

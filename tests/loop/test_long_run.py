@@ -91,7 +91,7 @@ def test_the_newest_frame_wins_when_the_worker_is_slow() -> None:
             steps = np.diff(judged[name])
             assert (steps >= 3).all()  # 50 ms of work, a frame every 16.7 ms
             assert (steps <= 5).all()
-            assert finger.counts.late > 50
+            assert finger.capture.counts.late > 50
             assert finger.captured_at_s is not None
             assert cell.now_s - finger.captured_at_s < 0.17
 
@@ -106,7 +106,7 @@ def test_an_answer_under_way_when_a_new_reference_is_asked_for_does_not_count() 
         under_way = oracle.sequence
         finger.reset_reference()
         assert finger.newest is None
-        await finger.answered.wait()
+        await finger.has_estimate.wait()
         assert finger.newest is not None
         assert finger.newest.estimate.sequence > under_way
         assert finger.newest.estimate.angle_deg is None

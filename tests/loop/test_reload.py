@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from loop_cell import Cell, play
 
+from slipguard.cli.run import bind_api
 from slipguard.config import Config, parse_config
 from slipguard.control.state import Phase
 from slipguard.daemon import run as root
@@ -187,10 +188,11 @@ def test_sighup_reads_the_file_and_begins_a_new_recording(tmp_path: Path) -> Non
         async with asyncio.timeout(30.0):
             await root.run(
                 config(**asked),
+                bind_api,
                 world=World(WorldSettings(), seed=0),
-                beside=beside,
+                extra_task=beside,
                 recorder=recorder,
-                reread=lambda: config(**newer),
+                read_config=lambda: config(**newer),
             )
 
     asyncio.run(main())

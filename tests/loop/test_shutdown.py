@@ -17,15 +17,14 @@ from loop_cell import Cell
 from structlog.testing import capture_logs
 
 from slipguard.config import parse_config
+from slipguard.daemon import lifecycle
 from slipguard.daemon import run as root
-from slipguard.daemon import shutdown as ending_module
+from slipguard.daemon.lifecycle import CANCEL_AGAIN_S, EXIT_S, Shutdown
 from slipguard.daemon.loop.actuator import Actuator
 from slipguard.daemon.loop.virtual_time import run_virtual
-from slipguard.daemon.shutdown import AGAIN_S, LEAVE_S, Shutdown
 from slipguard.devices import DriverContext, Frame
 from slipguard.errors import DeviceLost, DeviceTimeout
 from slipguard.sim.world import World, WorldSettings
-from slipguard.web.sockets import UnixSocket
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
 
 ROTATIONS = range(16)
@@ -95,7 +94,7 @@ def test_a_device_that_swallows_a_cancellation_is_let_go(rotation: int, there: b
 def test_so_is_a_sensor(rotation: int, there: bool) -> None:
     def sensed() -> Coroutine[Any, Any, None]:
         finger = Cell().service.fingers["left"]
-        finger.sensor = Careless(there)  # type: ignore[assignment]
+        finger.capture.sensor = Careless(there)  # type: ignore[assignment]
         return finger.run()
 
     assert ended_when_cancelled_at(rotation, sensed)
@@ -123,12 +122,10 @@ async def one_that_stays() -> None:
 
 
 def test_a_task_that_goes_on_is_named_and_cancelled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def idle(control: object, unix: UnixSocket, *others: object) -> None:
-        with contextlib.closing(unix):
-            await asyncio.Event().wait()
+    async def idle(*handlers: object) -> None:  # the real API would be disturbed in its last responses
+        await asyncio.Event().wait()
 
-    monkeypatch.setattr(ending_module, "AGAIN_S", 0.05)
-    monkeypatch.setattr(root, "run_api", idle)  # the real one would be disturbed in its last answers
+    monkeypatch.setattr(lifecycle, "CANCEL_AGAIN_S", 0.05)
 
     async def beside(service: Any) -> None:
         asyncio.get_running_loop().call_later(0.01, os.kill, os.getpid(), signal.SIGTERM)
@@ -137,18 +134,18 @@ def test_a_task_that_goes_on_is_named_and_cancelled_again(tmp_path: Path, monkey
     async def main() -> None:
         async with asyncio.timeout(30.0):
             config = parse_config({"state": {"directory": str(tmp_path)}}, where="test", sim=True)
-            await root.run(config, world=World(WorldSettings(), seed=0), beside=beside)
+            await root.run(config, lambda _: idle, world=World(WorldSettings(), seed=0), extra_task=beside)
 
     structlog.reset_defaults()
     with capture_logs() as said:
         asyncio.run(main())
     (line,) = [line for line in said if "cancelled again" in line["event"]]
-    assert "beside" in line["tasks"]
+    assert "extra" in line["tasks"]
     assert said[-1]["event"] == "slipguard stops; the grip stays as it is"
 
 
 async def test_what_heeds_nothing_is_left_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ending_module, "LEAVE_S", 0.05)
+    monkeypatch.setattr(lifecycle, "EXIT_S", 0.05)
     left, codes = threading.Event(), list[int]()
 
     def leave(code: int) -> None:
@@ -160,23 +157,23 @@ async def test_what_heeds_nothing_is_left_behind(monkeypatch: pytest.MonkeyPatch
     with capture_logs() as said:
         ending.begin()
         assert left.wait(30.0), "the loop stands still meanwhile"
-    ending.over()
+    ending.end()
     assert codes == [1]
-    assert "left behind" in said[-1]["event"]
+    assert "process exits" in said[-1]["event"]
 
 
 async def test_what_has_ended_is_not_left() -> None:
     codes: list[int] = []
-    Shutdown(codes.append).over()
+    Shutdown(codes.append).end()
     ending = Shutdown(codes.append)
     ending.begin()
-    ending.over()
-    assert ending._last is not None
-    ending._last.join(30.0)
+    ending.end()
+    assert ending._exit_timer is not None
+    ending._exit_timer.join(30.0)
     assert codes == []
 
 
 def test_systemd_waits_longer() -> None:
     unit = (Path(__file__).parents[2] / "systemd" / "slipguard.service").read_text()
     stop_s = next(float(line.partition("=")[2]) for line in unit.splitlines() if line.startswith("TimeoutStopSec="))
-    assert AGAIN_S < LEAVE_S < stop_s
+    assert CANCEL_AGAIN_S < EXIT_S < stop_s

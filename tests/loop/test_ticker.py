@@ -6,11 +6,9 @@ import asyncio
 
 import pytest
 
-from slipguard.daemon.loop.backoff import Backoff
-from slipguard.daemon.loop.latest import Latest
-from slipguard.daemon.loop.ticker import Ticker
-from slipguard.daemon.loop.virtual_time import run_virtual
-from slipguard.daemon.loop.worker import StatedLatencyWorker, ThreadWorker
+from slipguard.daemon.loop.async_tools import Backoff, LatestValue, Ticker
+from slipguard.daemon.loop.finger import ThreadWorker
+from slipguard.daemon.loop.virtual_time import FixedLatencyWorker, run_virtual
 
 
 def test_thirty_thousand_ticks_neither_drift_nor_miss() -> None:
@@ -68,7 +66,7 @@ def test_a_period_must_be_a_positive_time(period_s: float) -> None:
 
 
 async def test_only_the_newest_value_is_taken() -> None:
-    slot: Latest[int] = Latest()
+    slot: LatestValue[int] = LatestValue()
     assert slot.take() is None
     for value in (1, 2, 3):
         slot.put(value)
@@ -98,7 +96,7 @@ def test_stated_latency_passes_on_the_virtual_clock() -> None:
     async def scenario() -> tuple[int, float]:
         loop = asyncio.get_running_loop()
         start_s = loop.time()
-        result = await StatedLatencyWorker(0.006).run(lambda value: value + 1, 1)
+        result = await FixedLatencyWorker(0.006).run(lambda value: value + 1, 1)
         return result, loop.time() - start_s
 
     result, elapsed_s = run_virtual(scenario())

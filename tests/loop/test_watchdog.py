@@ -12,7 +12,7 @@ from loop_cell import Cell, play
 from slipguard.control.messages import Command, Observation
 from slipguard.control.params import GuardParams
 from slipguard.control.step import ControlState, control_step
-from slipguard.daemon.systemd_notify import notify, watchdog_period_s
+from slipguard.daemon.lifecycle import notify_systemd, watchdog_period_s
 
 WATCHDOG_S = 3.0
 
@@ -86,6 +86,6 @@ def test_without_a_sensible_time_nothing_is_fed(raw: str, monkeypatch: pytest.Mo
 
 def test_without_systemd_nobody_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    assert notify("READY=1") is False
+    assert notify_systemd("READY=1") is False
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
-    assert notify("READY=1") is False
+    assert notify_systemd("READY=1") is False

@@ -15,7 +15,7 @@ from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFra
 from slipguard.daemon.api.handlers import calibration_response
 from slipguard.daemon.api.requests import CalibrateRequest, DaemonRequest
 from slipguard.daemon.loop.event_log import Event
-from slipguard.daemon.store.calibration import BackgroundImage
+from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.devices import Frame, GripperState
 from slipguard.perception.contact.patch import ClippedSides
 from slipguard.web.access import Access

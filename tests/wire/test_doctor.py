@@ -20,7 +20,7 @@ from cell_rig import Cell, cell
 from ur_scene import own_address
 
 from slipguard.cli.app import run
-from slipguard.daemon.store.calibration import BackgroundImage
+from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.doctor import gripper, sensor
 from slipguard_drivers.ur5 import diagnostics as arm_look

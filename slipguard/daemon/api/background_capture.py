@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Mapping
 
 from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import CalibrateRequest, RestoreBackgroundRequest
 from slipguard.daemon.loop.finger import Finger
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.store.calibration import (
-    TIMEOUT_S,
-    BackgroundArchive,
-    BackgroundImage,
-    average_background,
-    collect,
-)
-from slipguard.devices import Frame
+from slipguard.daemon.store.background_images import TIMEOUT_S, BackgroundImage, average_background, collect_images
 from slipguard.errors import CommandRefused, InputError, SlipguardError
 
 
@@ -67,7 +61,7 @@ class BackgroundCapture:
         """Use an older background image again; return a message."""
         name, number = request.finger, request.number
         finger, store = self._service.fingers[name], self._service.store
-        if finger.serial is None or not isinstance(store, BackgroundArchive):
+        if finger.serial is None:
             raise CommandRefused(f"{name} finger: no sensor was found yet: {finger.health.reason}")
         self.check_not_running()
         async with self._lock:
@@ -108,14 +102,10 @@ class BackgroundCapture:
     async def _take(self) -> dict[str, BackgroundImage]:
         """Take one background image per finger, at the same time."""
         fingers = self._service.fingers
-        taps: dict[str, asyncio.Queue[Frame]] = {name: asyncio.Queue(maxsize=4) for name in fingers}
-        try:
-            for name, finger in fingers.items():
-                finger.tap = taps[name]
-            images = await asyncio.gather(*(collect(tap, name) for name, tap in taps.items()), return_exceptions=True)
-        finally:
-            for finger in fingers.values():
-                finger.tap = None
+        with contextlib.ExitStack() as copying:
+            copies = {name: copying.enter_context(finger.capture.copy_frames()) for name, finger in fingers.items()}
+            collecting = (collect_images(frames, name) for name, frames in copies.items())
+            images = await asyncio.gather(*collecting, return_exceptions=True)
         taken = {}
         for name, result in zip(fingers, images, strict=True):
             if isinstance(result, BaseException):
@@ -134,10 +124,7 @@ class BackgroundCapture:
         try:
             for name, finger in fingers.items():
                 if finger.serial is not None:
-                    if isinstance(store, BackgroundArchive):
-                        await asyncio.to_thread(store.save_background, finger.serial, taken[name], new_gel=new_gel)
-                    else:
-                        await asyncio.to_thread(store.save_background, finger.serial, taken[name])
+                    await asyncio.to_thread(store.save_background, finger.serial, taken[name], new_gel=new_gel)
                     stored.append(name)
         except (SlipguardError, OSError) as error:
             others = f"the new image of {' and '.join(stored)} is in use" if stored else "nothing was stored"
@@ -153,7 +140,7 @@ class BackgroundCapture:
         try:
             async with asyncio.timeout(TIMEOUT_S):
                 for finger in self._service.fingers.values():
-                    await finger.answered.wait()
+                    await finger.has_estimate.wait()
         except TimeoutError:
             raise CommandRefused(
                 f"the background images are stored, but no frame arrived within {TIMEOUT_S:g} s; check the sensors"

@@ -21,11 +21,11 @@ from slipguard.daemon.api.requests import (
 )
 from slipguard.daemon.api.snapshot import health_problem, snapshot
 from slipguard.daemon.loop.event_log import Event
-from slipguard.daemon.loop.finger import ProcessedFrame
+from slipguard.daemon.loop.finger import Finger, ProcessedFrame
+from slipguard.daemon.loop.gel_monitor import GelMonitor
 from slipguard.daemon.loop.loop_metrics import LoopMetrics
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.store.background_history import history, stored_image
-from slipguard.daemon.store.calibration import BackgroundImage
+from slipguard.daemon.store.background_images import BackgroundImage, find_background, list_backgrounds
 from slipguard.devices import Frame
 from slipguard.errors import CommandRefused
 from slipguard.perception.rotation.axial_angle import wrap_axial_deg
@@ -36,8 +36,8 @@ from slipguard.thread_priority import set_worker_priority
 class RequestHandlers(DaemonApi):
     """The API of one service. Methods raise CommandRefused with the reason."""
 
-    def __init__(self, service: Service) -> None:
-        self._service = service
+    def __init__(self, service: Service, gels: GelMonitor | None = None) -> None:
+        self._service, self._gels = service, gels
         self._capture = BackgroundCapture(service)
         self._recorder: Recorder | None = None
         self._metrics = LoopMetrics(service)
@@ -52,7 +52,8 @@ class RequestHandlers(DaemonApi):
 
     def snapshot(self) -> dict[str, object]:
         """Return the complete state; does not wait."""
-        return snapshot(self._service) | {"recording": self._recording_state()}
+        gels = {} if self._gels is None else self._gels.conditions
+        return snapshot(self._service, gels) | {"recording": self._recording_state()}
 
     def track_recorder(self, make: Callable[[Service, Path], Recorder]) -> Callable[[Service, Path], Recorder]:
         """Return `make`, extended so that the state reports on the newest recorder."""
@@ -77,13 +78,17 @@ class RequestHandlers(DaemonApi):
         return json.dumps(self._metrics.as_dict()).encode()
 
     async def frame(self, finger: str) -> FingerFrame:
-        fingers = self._service.fingers
-        if finger not in fingers:
-            raise CommandRefused(f"no finger {finger!r}; choose from: {', '.join(fingers)}")
-        one = fingers[finger]
-        if one.newest_frame is None or one.serial is None:
+        one = self._finger(finger)
+        newest = one.capture.newest_frame
+        if newest is None or one.serial is None:
             raise CommandRefused(f"no frame of the {finger} finger: {one.health.reason}")
-        return FingerFrame(one.serial, one.newest_frame)
+        return FingerFrame(one.serial, newest)
+
+    def _finger(self, name: str) -> Finger:
+        fingers = self._service.fingers
+        if name not in fingers:
+            raise CommandRefused(f"no finger {name!r}; choose from: {', '.join(fingers)}")
+        return fingers[name]
 
     async def processed_frame(self, finger: str) -> FingerFrame:
         serial = (await self.frame(finger)).serial
@@ -121,10 +126,12 @@ class RequestHandlers(DaemonApi):
         return await self._capture.calibrate(request)
 
     async def backgrounds(self) -> bytes:
-        return json.dumps(await history(self._service, self._disk_thread)).encode()
+        service = self._service
+        return json.dumps(await list_backgrounds(service.fingers, service.store, self._disk_thread)).encode()
 
     async def background(self, finger: str, number: int | None = None) -> FingerFrame:
-        serial, found, image = await stored_image(self._service, self._disk_thread, finger, number)
+        store = self._service.store
+        serial, found, image = await find_background(self._finger(finger), store, self._disk_thread, number)
         return FingerFrame(serial, Frame(image, 0.0, found))
 
     def subscribe(self, on_event: Callable[[Event], None]) -> Callable[[], None]:

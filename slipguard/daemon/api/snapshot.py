@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 
 from slipguard import __version__
+from slipguard.daemon.loop.gel_monitor import GelCondition
 from slipguard.daemon.loop.service import Service
 
 
-def snapshot(service: Service) -> dict[str, object]:
+def snapshot(service: Service, gels: Mapping[str, GelCondition]) -> dict[str, object]:
     """State of the grasp, of each device, and what was said last. Times are of the monotonic clock.
 
     now_s: when the loop last took its turn. limits: what the configuration asks for and allows.
@@ -45,9 +46,9 @@ def snapshot(service: Service) -> dict[str, object]:
                 "estimate": _plain(finger.newest.estimate) if finger.newest is not None else None,
                 "frames_per_s": service.latency_stats.frames_per_s[name],
                 "age_s": _plain(getattr(observation, name).age_s) if observation is not None else None,
-                "counts": _plain(finger.counts),
-                "remarks": list(finger.sensor.remarks),
-                "gel": _plain(finger.gel),
+                "counts": _plain(finger.capture.counts),
+                "remarks": list(finger.capture.sensor.remarks),
+                "gel": _plain(gels.get(name)),
             }
             for name, finger in service.fingers.items()
         },

@@ -8,9 +8,8 @@ from collections.abc import Awaitable, Callable
 from typing import Generic, Protocol, TypeGuard, TypeVar
 
 from slipguard.cancellation import raise_if_cancelled
-from slipguard.daemon.loop.backoff import Backoff
-from slipguard.daemon.loop.health import Health
-from slipguard.daemon.loop.latest import Latest
+from slipguard.daemon.loop.async_tools import Backoff, LatestValue
+from slipguard.daemon.loop.device_health import Health
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost
 
 S_co = TypeVar("S_co", covariant=True)
@@ -58,7 +57,7 @@ class Actuator(Generic[S]):
         self._device = device
         self._poll_s = poll_s
         self._backoff = Backoff(retry_s / 5, longest_s=retry_s / 2)  # what is held or moved waits for it
-        self._commands: Latest[Action] = Latest()
+        self._commands: LatestValue[Action] = LatestValue()
         self._firm = False
         """Only a firm command may replace what was commanded last."""
         self._wake = asyncio.Event()

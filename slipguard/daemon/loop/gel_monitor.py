@@ -1,14 +1,16 @@
-"""Watches each gel while nothing touches it: how its light has drifted since it was calibrated, and what has worn.
+"""Monitor each gel while nothing touches it: drift of its light since the calibration, and wear.
 
-An observer takes one untouched frame in two seconds; thirty of them are averaged and compared beside the loop, once a
-minute. The light is compared with the newest no-contact image, marks with the first one of this gel, so that wear does
-not hide behind the next calibration. Only what three minutes in a row agree on is said, and said once.
+One untouched frame every two seconds is sampled; thirty of them are averaged and compared once a minute, outside the
+loop. The light is compared with the newest background image. Marks are compared with the first background image of
+this gel, so that a new calibration does not hide wear. A change is logged once, after three equal comparisons in a row.
 """
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from functools import partial
 
 import cv2
@@ -18,9 +20,8 @@ from numpy.typing import NDArray
 
 from slipguard.control.state import Phase
 from slipguard.daemon.loop.finger import ProcessedFrame
-from slipguard.daemon.loop.gel_condition import GelStatus, describe_gel
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.store.calibration import BackgroundArchive, BackgroundImage, Store
+from slipguard.daemon.store.background_images import BackgroundImage, BackgroundStore
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import SlipguardError
 from slipguard.perception.quality.gel_wear import GelChange, compare_gel
@@ -30,15 +31,69 @@ FRAMES = 30
 CONFIRMED = 3
 """Comparisons in a row that must agree."""
 RECOVERY_S = 5.0
-"""The gel takes some seconds to come back after it was pressed."""
+"""The gel needs some seconds to recover after it was pressed."""
 TOUCHED_S = 600.0
-"""Contact for so long with the jaws open and at rest is no touch: something sticks, or the light has gone far."""
+"""Contact for this long with open jaws at rest is no touch: something sticks to the gel, or the light has changed."""
+LEVEL_MAX = 15.0
+"""Gray levels, as `UNEVEN_MAX`: each is half of the difference that the contact gate accepts (see
+`slipguard.perception.contact.gate`). Frames of two real units, minutes apart, differ by up to 5.4 evenly."""
+UNEVEN_MAX = 4.0
+WORN_MM2 = 0.3
+"""A spot of 0.6 mm. Rendered drifts of up to 15 levels leave marks of 0.07 mm2 at most, real ones none."""
 log = structlog.get_logger()
 
 
+class GelStatus(StrEnum):
+    """ok: unchanged. drifted: calibrate again. marked: small lasting marks. worn: clean it, or replace it."""
+
+    OK = "ok"
+    DRIFTED = "drifted"
+    MARKED = "marked"
+    WORN = "worn"
+
+
+@dataclass(frozen=True, slots=True)
+class GelCondition:
+    """light: since the newest background image. wear: since the first one of this gel. action: empty if it is ok."""
+
+    status: GelStatus
+    light: GelChange
+    wear: GelChange
+    marked_mm2: float
+    observed: str
+    action: str
+
+
+def assess_gel(light: GelChange, wear: GelChange, px_per_mm: float) -> GelCondition:
+    """Return the condition that follows from two comparisons; wear outranks drift."""
+    marked_mm2 = wear.marked_px / px_per_mm**2
+    marks = "1 lasting mark" if len(wear.marks) == 1 else f"{len(wear.marks)} lasting marks"
+    if marked_mm2 >= WORN_MM2:
+        first = wear.marks[0]
+        observed = (
+            f"{marks} since the gel's first background image, total area {marked_mm2:.1f} mm² (limit {WORN_MM2:g}); "
+            f"the strongest has {first.levels:.0f} gray levels at x = {first.x_px:.0f}, y = {first.y_px:.0f} px"
+        )
+        action = "clean the gel; if the marks stay, replace it and run `slipguard calibrate --new-gel`"
+        return GelCondition(GelStatus.WORN, light, wear, marked_mm2, observed, action)
+    brightest = max(light.level_bgr, key=abs)
+    if abs(brightest) > LEVEL_MAX or light.uneven_levels > UNEVEN_MAX:
+        blue, green, red = light.level_bgr
+        observed = (
+            f"the light has changed since the background image: blue {blue:+.0f}, green {green:+.0f}, red {red:+.0f} "
+            f"gray levels (limit {LEVEL_MAX:g}), unevenly by {light.uneven_levels:.1f} (limit {UNEVEN_MAX:g})"
+        )
+        action = "open and empty the jaws and run `slipguard calibrate`"
+        return GelCondition(GelStatus.DRIFTED, light, wear, marked_mm2, observed, action)
+    if wear.marks:
+        observed = f"{marks}, total area {marked_mm2:.2f} mm²"
+        return GelCondition(GelStatus.MARKED, light, wear, marked_mm2, observed, "clean the gel when convenient")
+    return GelCondition(GelStatus.OK, light, wear, marked_mm2, "unchanged", "")
+
+
 @dataclass(slots=True)
-class _Window:
-    """What one finger has shown since the last comparison."""
+class _SampleWindow:
+    """One finger's samples since the last comparison."""
 
     total: NDArray[np.float32] = field(
         default_factory=lambda: np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3), np.float32)
@@ -46,105 +101,108 @@ class _Window:
     frames: int = 0
     sampled_s: float = float("-inf")
     touched_s: float = float("-inf")
-    """When the newest frame with contact was taken."""
+    """Capture time of the newest frame with contact."""
     touch_began_s: float | None = None
-    touch_told: bool = False
+    touch_logged: bool = False
     agreeing: int = 0
     newest: GelStatus = GelStatus.OK
-    told: set[GelStatus] = field(default_factory=set)
-    """Since the last calibration: light that comes and goes is said once."""
+    logged: set[GelStatus] = field(default_factory=set)
+    """Since the last calibration, so that light that comes and goes is logged once."""
 
 
 class GelMonitor:
-    """One service's; what it finds is the fingers' `gel`."""
+    """Monitors both gels of one service."""
 
     def __init__(self, service: Service) -> None:
         self._service = service
-        self._windows = {name: _Window() for name in service.fingers}
-        self._full: asyncio.Queue[tuple[str, NDArray[np.float32]]] = asyncio.Queue()
+        self._windows = {name: _SampleWindow() for name in service.fingers}
+        self._conditions: dict[str, GelCondition] = {}
+        self._averages: asyncio.Queue[tuple[str, NDArray[np.float32]]] = asyncio.Queue()
+
+    @property
+    def conditions(self) -> Mapping[str, GelCondition]:
+        """By finger, the newest comparison; a finger is missing until its first one."""
+        return self._conditions
 
     async def run(self) -> None:
-        """Watch until cancelled."""
-        service = self._service
-        watching = [(finger, partial(self.judged, name)) for name, finger in service.fingers.items()]
-        for finger, observer in watching:
+        """Monitor until cancelled."""
+        observed = [(finger, partial(self.add_frame, name)) for name, finger in self._service.fingers.items()]
+        for finger, observer in observed:
             finger.observers.append(observer)
         try:
             while True:
-                name, mean = await self._full.get()
+                name, mean = await self._averages.get()
                 await self._compare(name, mean)
         finally:
-            for finger, observer in watching:
+            for finger, observer in observed:
                 finger.observers.remove(observer)
 
-    def judged(self, name: str, processed: ProcessedFrame) -> None:
-        """One frame: some microseconds, and a tenth of a millisecond for one in `SAMPLE_S`."""
+    def add_frame(self, name: str, processed: ProcessedFrame) -> None:
+        """Take one frame of a finger into account. Takes microseconds; every `SAMPLE_S` a tenth of a millisecond."""
         window, now_s = self._windows[name], processed.frame.captured_at_s
         if processed.new_pipeline:
-            self._windows[name] = window = _Window()
-            self._service.fingers[name].gel = None
+            self._windows[name] = window = _SampleWindow()
+            self._conditions.pop(name, None)
         if processed.estimate is None:
             return
         if processed.estimate.contact:
             window.touched_s = now_s
-            self._touched(name, window, now_s)
+            self._check_lasting_contact(name, window, now_s)
             return
         window.touch_began_s = None
-        rests = self._service.phase is Phase.IDLE and now_s - window.touched_s >= RECOVERY_S
-        if rests and now_s - window.sampled_s >= SAMPLE_S:
+        at_rest = self._service.phase is Phase.IDLE and now_s - window.touched_s >= RECOVERY_S
+        if at_rest and now_s - window.sampled_s >= SAMPLE_S:
             window.sampled_s = now_s
             cv2.accumulate(np.ascontiguousarray(processed.frame.image), window.total)
             window.frames += 1
             if window.frames == FRAMES:
-                self._full.put_nowait((name, window.total / np.float32(FRAMES)))
+                self._averages.put_nowait((name, window.total / np.float32(FRAMES)))
                 window.total, window.frames = np.zeros_like(window.total), 0
 
-    def _touched(self, name: str, window: _Window, now_s: float) -> None:
-        """Contact that never ends, with the jaws open: no comparison can be made then."""
+    def _check_lasting_contact(self, name: str, window: _SampleWindow, now_s: float) -> None:
+        """Log contact that does not end although the jaws are open; no comparison is possible then."""
         gripper = self._service.gripper.newest
         open_and_at_rest = gripper is not None and not (gripper.holding or gripper.moving or gripper.closed_on_nothing)
         if self._service.phase is not Phase.IDLE or not open_and_at_rest:
             window.touch_began_s = None
             return
         window.touch_began_s = now_s if window.touch_began_s is None else window.touch_began_s
-        if now_s - window.touch_began_s >= TOUCHED_S and not window.touch_told:
-            window.touch_told = True
+        if now_s - window.touch_began_s >= TOUCHED_S and not window.touch_logged:
+            window.touch_logged = True
             self._service.event_log.warning(
-                f"{name}: contact for {TOUCHED_S / 60:.0f} minutes with the jaws open; look whether something sticks "
-                "to the gel; if not, its light has changed: `slipguard calibrate --force`"
+                f"{name}: contact for {TOUCHED_S / 60:.0f} minutes with open jaws; check whether something sticks to "
+                "the gel; if not, its light has changed: run `slipguard calibrate --force`"
             )
 
     async def _compare(self, name: str, mean: NDArray[np.float32]) -> None:
-        finger, store = self._service.fingers[name], self._service.store
-        serial, window = finger.serial, self._windows[name]
+        finger, config, window = self._service.fingers[name], self._service.config, self._windows[name]
+        serial = finger.serial
         if serial is None:
             return
-        settings = self._service.config
-        px_per_mm, gate_sigma = getattr(settings, name).px_per_mm, settings.perception.gate_sigma
+        px_per_mm, gate_sigma = getattr(config, name).px_per_mm, config.perception.gate_sigma
         try:
-            compared = await asyncio.to_thread(_compared, store, serial, mean, gate_sigma)
-        except SlipguardError:  # a damaged or missing image is said elsewhere
+            compared = await asyncio.to_thread(_compare_with_stored, self._service.store, serial, mean, gate_sigma)
+        except SlipguardError:  # a damaged or missing image is reported elsewhere
             return
-        except Exception:  # the guard must not end with it
-            log.exception("gel not compared", finger=name)
+        except Exception:  # the guard must go on
+            log.exception("gel comparison failed", finger=name)
             return
-        if compared is None or window is not self._windows[name]:  # calibrated meanwhile
+        if compared is None or window is not self._windows[name]:  # calibrated in the meantime
             return
-        gel = describe_gel(*compared, px_per_mm)
-        finger.gel = gel
+        self._conditions[name] = gel = assess_gel(*compared, px_per_mm)
         window.agreeing = window.agreeing + 1 if gel.status is window.newest else 1
         window.newest = gel.status
         worse = gel.status in (GelStatus.DRIFTED, GelStatus.WORN)
-        if worse and window.agreeing >= CONFIRMED and gel.status not in window.told:
-            window.told.add(gel.status)
+        if worse and window.agreeing >= CONFIRMED and gel.status not in window.logged:
+            window.logged.add(gel.status)
             self._service.event_log.warning(f"{name} ({serial}): {gel.observed}; {gel.action}")
 
 
-def _compared(
-    store: Store, serial: str, mean: NDArray[np.float32], gate_sigma: float
+def _compare_with_stored(
+    store: BackgroundStore, serial: str, mean: NDArray[np.float32], gate_sigma: float
 ) -> tuple[GelChange, GelChange] | None:
-    newest = store.load_background(serial)
-    first = store.first_of_gel(serial) if isinstance(store, BackgroundArchive) else newest
+    """Return the change since the newest background image and since the first one of the gel; None if there is none."""
+    newest, first = store.load_background(serial), store.first_of_gel(serial)
     if newest is None or first is None:
         return None
 

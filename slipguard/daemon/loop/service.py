@@ -18,16 +18,14 @@ from slipguard.control.messages import ArmLift, Command, Condition, ControlReque
 from slipguard.control.params import GuardParams
 from slipguard.control.state import GraspState, Phase, gripper_at_rest
 from slipguard.control.step import ControlState, control_step
+from slipguard.daemon.lifecycle import notify_systemd, watchdog_period_s
 from slipguard.daemon.loop.actuator import Actuator
-from slipguard.daemon.loop.decision import Decision
-from slipguard.daemon.loop.device_alerts import DeviceAlerts, troubles
+from slipguard.daemon.loop.async_tools import Ticker
+from slipguard.daemon.loop.decision import Decision, LatencyStats
+from slipguard.daemon.loop.device_health import DeviceAlerts, find_problems
 from slipguard.daemon.loop.event_log import EventLog
-from slipguard.daemon.loop.finger import Finger, PerceptionPipeline, TimedEstimate
-from slipguard.daemon.loop.latency_stats import LatencyStats
-from slipguard.daemon.loop.ticker import Ticker
-from slipguard.daemon.loop.worker import Worker
-from slipguard.daemon.store.calibration import Store
-from slipguard.daemon.systemd_notify import notify, watchdog_period_s
+from slipguard.daemon.loop.finger import Finger, PerceptionPipeline, TimedEstimate, Worker
+from slipguard.daemon.store.background_images import BackgroundStore
 from slipguard.devices import Arm, ArmState, Gripper, GripperState, TactileSensor
 from slipguard.errors import CommandRefused
 from slipguard.perception.estimate import Estimate
@@ -59,15 +57,15 @@ class Service:
         arm: Arm,
         make_worker: Callable[[str], Worker],
         make_pipeline: Mapping[str, Callable[[str], PerceptionPipeline]],
-        store: Store,
+        store: BackgroundStore,
         controller: Controller = control_step,
         memory: ControlState | None = None,
     ) -> None:
         self.config = config
         self.store = store
         self.latency_stats = LatencyStats(FINGERS)
-        self.observers: list[Callable[[Decision], None]] = [self.latency_stats.decided]
-        self.hold_observers: list[Callable[[float], None]] = [self.latency_stats.held]
+        self.observers: list[Callable[[Decision], None]] = [self.latency_stats.add_decision]
+        self.hold_observers: list[Callable[[float], None]] = [self.latency_stats.add_hold]
         """Called as a hold goes to the gripper, with the seconds since the frame that caused it was handed over."""
         self.event_log = EventLog()
         self.deadlines_missed = 0
@@ -85,8 +83,8 @@ class Service:
         }
         if config.perception.skip_second_finger:
             left, right = (self.fingers[name] for name in FINGERS)
-            left.other, right.other = right, left
-            left.refresh_s = right.refresh_s = config.perception.refresh_s
+            left.skip_frames_after(right, config.perception.refresh_s)
+            right.skip_frames_after(left, config.perception.refresh_s)
         self.gripper: Actuator[GripperState] = Actuator(
             "gripper", gripper, poll_s, retry_s, self._wake.set, self.event_log.warning
         )
@@ -160,7 +158,7 @@ class Service:
                     group.create_task(device.run(), name=name)
                 group.create_task(self._decide(), name="decide")
         finally:
-            notify("STOPPING=1")
+            notify_systemd("STOPPING=1")
             self.close()
             while (waiting := self._next_request()) is not None:
                 waiting[1].set_exception(CommandRefused(f"{waiting[0].kind}: slipguard is stopping"))
@@ -175,14 +173,14 @@ class Service:
         ticker = Ticker(self.config.loop.period_ms / 1e3)
         feed_every_s = watchdog_period_s()
         feed_at_s = loop.time()
-        notify("READY=1")
+        notify_systemd("READY=1")
         while True:
             await ticker.wait(self._wake)
             self._wake.clear()
             self.deadlines_missed = ticker.missed
             self._rotation(loop.time())
             if feed_every_s is not None and loop.time() >= feed_at_s:
-                notify("WATCHDOG=1")
+                notify_systemd("WATCHDOG=1")
                 feed_at_s = loop.time() + feed_every_s
 
     def _rotation(self, now_s: float) -> None:
@@ -193,9 +191,9 @@ class Service:
         self._guard, command = self._controller(before, observation, self.config.guard)
         self.observation = observation
         news = self._news()
-        self._issue(command, max((one.handed_at_s for one in news.values()), default=now_s))
+        self._issue(command, max((one.received_at_s for one in news.values()), default=now_s))
         done_s = asyncio.get_running_loop().time()
-        found_needless = tuple(done_s - one.handed_at_s for one in news.values())
+        found_needless = tuple(done_s - one.received_at_s for one in news.values())
         decision = Decision(
             now_s,
             self.phase,
@@ -207,8 +205,8 @@ class Service:
             found_needless if command.hold_force_n is None else (),
         )
         self._tell(before.grasp.phase, command, answer)
-        self._device_alerts.look(
-            now_s, troubles(observation, self.devices), self.phase, self.config.guard.tuning.cycle_timeout_s
+        self._device_alerts.update(
+            now_s, find_problems(observation, self.devices), self.phase, self.config.guard.tuning.cycle_timeout_s
         )
         for observer in self.observers:
             observer(decision)
@@ -257,12 +255,12 @@ class Service:
             self._decided_on[name] = newest
         return news
 
-    def _issue(self, command: Command, handed_at_s: float) -> None:
+    def _issue(self, command: Command, received_at_s: float) -> None:
         gripper, arm = self._gripper_device, self._arm_device
 
         async def hold(force_n: float) -> None:
             for observer in self.hold_observers:
-                observer(asyncio.get_running_loop().time() - handed_at_s)
+                observer(asyncio.get_running_loop().time() - received_at_s)
             await gripper.hold(force_n)
 
         if command.release_width_mm is not None:
@@ -293,7 +291,7 @@ class Service:
         self._last_fault = command.fault
         if self.phase is not before:
             log.info("phase", now=self.phase.value, before=before.value)
-            notify(f"STATUS={self.phase.value}")
+            notify_systemd(f"STATUS={self.phase.value}")
         if answer is None or answer.done():
             return
         if command.refused is not None:

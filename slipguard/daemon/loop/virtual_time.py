@@ -1,7 +1,7 @@
 """An event loop whose clock jumps to the next deadline instead of waiting for it.
 
-The same coroutines run unchanged: an hour of guarding takes seconds, and twice the same seed gives twice the same
-result. Work handed to an executor is done on the spot, so nothing depends on how fast the machine is.
+The same coroutines run unchanged: an hour of guarding takes seconds, and the same seed always gives the same result.
+Executors run their work immediately in the loop's thread, so nothing depends on the speed of the machine.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ import selectors
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
+A = TypeVar("A")
 T = TypeVar("T")
 
 
 class _JumpingSelector(selectors.DefaultSelector):  # type: ignore[misc, unused-ignore]
-    """Polls its files without waiting; where the loop would have waited, moves its clock instead."""
+    """Polls its files without waiting, and advances its clock where the loop would have waited."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -32,7 +33,7 @@ class _JumpingSelector(selectors.DefaultSelector):  # type: ignore[misc, unused-
 
 
 class VirtualTimeLoop(asyncio.SelectorEventLoop):
-    """`time()` starts at `start_s` and moves only when every task waits for a later moment."""
+    """Virtual clock: starts at `start_s`, and advances only when every task waits."""
 
     def __init__(self, start_s: float = 1000.0) -> None:
         self._jumping = _JumpingSelector()
@@ -42,15 +43,15 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         self._clock_resolution = 1e-9
 
     def time(self) -> float:
-        """Virtual seconds."""
+        """Return the virtual time in seconds."""
         return self._jumping.now_s
 
     def stand_still(self, for_s: float) -> None:
-        """Let time pass while nothing runs, as when the machine is busy with something else."""
+        """Advance the time while nothing runs, as on a machine that is busy with other programs."""
         self._jumping.now_s += for_s
 
     def run_in_executor(self, executor: Any, func: Callable[..., T], *args: Any) -> asyncio.Future[T]:  # type: ignore[override]
-        """Call `func` now, in this thread, and return its finished future."""
+        """Call `func` now, in this thread, and return a finished future."""
         future: asyncio.Future[T] = self.create_future()
         try:
             future.set_result(func(*args))
@@ -60,6 +61,25 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
 
 
 def run_virtual(main: Coroutine[Any, Any, T], start_s: float = 1000.0) -> T:
-    """Run `main` to its end on a fresh virtual clock."""
+    """Run `main` to its end on a new virtual clock and return its result."""
     with asyncio.Runner(loop_factory=lambda: VirtualTimeLoop(start_s)) as runner:
         return runner.run(main)
+
+
+class FixedLatencyWorker:
+    """A worker (see `slipguard.daemon.loop.finger`) for the virtual clock, on which a computation takes no time.
+
+    Calls `work` at once and returns its result `latency_s` later on the loop's clock.
+    """
+
+    def __init__(self, latency_s: float) -> None:
+        self.latency_s = latency_s
+
+    async def run(self, work: Callable[[A], T], argument: A) -> T:
+        deadline_s = asyncio.get_running_loop().time() + self.latency_s
+        result = work(argument)
+        await asyncio.sleep(max(0.0, deadline_s - asyncio.get_running_loop().time()))
+        return result
+
+    def close(self) -> None:
+        """Do nothing: there is no thread."""

@@ -1,138 +1,222 @@
-"""Keeps each finger's reference and last turn on a shelf while something is held, and says what came of an old one."""
+"""Each finger's reference frame and last rotation, kept on the disk while something is held, for a restart.
+
+    <state>/references/left.png     the reference frame, 320 x 240
+    <state>/references/left.json    serial number, when it was saved, rotation, sha256 of the image
+
+Each file is replaced as a whole, the .json last. An image whose sha256 differs from the .json is not used.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Annotated, Literal
 
+import cv2
+import numpy as np
 import structlog
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from slipguard.atomic_file import write_whole
 from slipguard.control.state import AT_STAKE, Phase
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.finger import Finger, PerceptionPipeline
 from slipguard.daemon.store.disk_writer import DiskWriter
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
 from slipguard.perception.stored_reference import ResumingPipeline, StoredReference
 
-ROTATION_DEG = 1.0
-"""A turn that has grown by less is not worth a write,"""
-AGAIN_S = 300.0
-"""... but after this time it is: a reference's age tells it from somebody else's."""
+REFERENCES = "references"
+"""Folder in the state directory."""
+VALID_FOR = timedelta(hours=1)
+"""An older reference probably belongs to another object."""
+ROTATION_STEP_DEG = 1.0
+"""A smaller change of the rotation is not written, ..."""
+REFRESH_S = 300.0
+"""... unless the last write is older than this: the age of a reference decides whether it is used."""
+Rotation = Annotated[float, Field(ge=-1e6, le=1e6)]
 log = structlog.get_logger()
 
 
-class Shelf(Protocol):
-    """Where references are kept, as `ReferenceShelf`; writing may raise OSError, `load` InputError."""
+class _ReferenceFacts(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    def save(self, finger: str, serial: str, known: StoredReference) -> None: ...
+    format: Literal[1] = 1
+    serial: str
+    saved_at: datetime
+    rotation_deg: Rotation
+    earlier_rotation_deg: Rotation
+    sha256: str
 
-    def rotation(self, finger: str, serial: str, known: StoredReference) -> None: ...
 
-    def load(self, finger: str, serial: str) -> StoredReference | None: ...
+class ReferenceStore:
+    """One reference per finger, in a folder that is made by the first write. Writing raises OSError."""
 
-    def forget(self) -> None: ...
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._sha256: dict[str, str] = {}
+
+    def save(self, finger: str, serial: str, known: StoredReference) -> None:
+        """Store a new reference. After a failure the finger has no stored reference."""
+        self._sha256.pop(finger, None)
+        png = cv2.imencode(".png", known.image)[1].tobytes()
+        write_whole(self._folder / f"{finger}.png", png)
+        self._sha256[finger] = hashlib.sha256(png).hexdigest()
+        self.save_rotation(finger, serial, known)
+
+    def save_rotation(self, finger: str, serial: str, known: StoredReference) -> None:
+        """Store the rotation since the reference that was saved or loaded last; if there is none, save it first."""
+        if finger not in self._sha256:
+            self.save(finger, serial, known)
+            return
+        facts = _ReferenceFacts(
+            serial=serial,
+            saved_at=datetime.now(UTC),
+            rotation_deg=known.rotation_deg,
+            earlier_rotation_deg=known.earlier_rotation_deg,
+            sha256=self._sha256[finger],
+        )
+        write_whole(self._folder / f"{finger}.json", facts.model_dump_json(indent=2).encode())
+
+    def load(self, finger: str, serial: str, now: datetime | None = None) -> StoredReference | None:
+        """Return the reference of a finger with this sensor; None if there is none or it is too old.
+
+        Raises InputError if it is damaged.
+        """
+        path = self._folder / f"{finger}.json"
+        if not path.exists():
+            return None
+        try:
+            facts = _ReferenceFacts.model_validate_json(path.read_bytes())
+            png = path.with_suffix(".png").read_bytes()
+        except (OSError, ValidationError) as error:
+            raise InputError(f"{path}: cannot be read; a new reference will be taken") from error
+        if facts.serial != serial or (now or datetime.now(UTC)) - facts.saved_at > VALID_FOR:
+            return None
+        image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+        intact = hashlib.sha256(png).hexdigest() == facts.sha256
+        if not intact or image is None or image.shape != (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3):
+            raise InputError(f"{path.with_suffix('.png')}: not the image that was stored; a new one will be taken")
+        pixels = np.asarray(image, np.uint8)
+        pixels.setflags(write=False)
+        self._sha256[finger] = facts.sha256
+        return StoredReference(pixels, facts.rotation_deg, facts.earlier_rotation_deg)
+
+    def delete_all(self) -> None:
+        """Delete the references of all fingers, because nothing is held any more."""
+        self._sha256.clear()
+        for path in self._folder.glob("*.json"):
+            path.unlink(missing_ok=True)
 
 
-def recall(pipeline: ResumingPipeline, shelf: Shelf, finger: str, serial: str, now_s: float) -> None:
-    """Let a new pipeline go on with the finger's old reference, if there is a good one; a damaged one is said."""
+def restore_reference(
+    pipeline: ResumingPipeline, store: ReferenceStore, finger: str, serial: str, now_s: float
+) -> None:
+    """Let a new pipeline resume from the finger's stored reference, if there is a good one; log a damaged one."""
     try:
-        known = shelf.load(finger, serial)
+        known = store.load(finger, serial)
         if known is not None:
             pipeline.recall(known, now_s)
     except InputError as error:
-        log.error("last reference", why=str(error))
+        log.error("stored reference not used", reason=str(error))
 
 
 @dataclass(frozen=True, slots=True)
-class _Kept:
-    """What the shelf holds of a finger."""
+class _SavedReference:
+    """The stored reference of one finger."""
 
     serial: str
     known: StoredReference
-    noted_at_s: float
+    saved_at_s: float
 
 
 class ReferenceSaver:
-    """Watches decisions and keeps the shelf up to date, in a thread: the loop never waits for the disk.
+    """Observes decisions and saves the references in a thread, so that the loop never waits for the disk.
 
-    fingers: whose pipelines are looked at; one that is no `ResumingPipeline` has nothing to keep. warn: told of a disk
-    that fails; say: of all else.
+    Args:
+        store: Where references are stored.
+        fingers: Whose references are saved; a pipeline that is no `ResumingPipeline` has none.
+        info: Receives what became of a stored reference, and the recovery of the disk.
+        warning: Receives failures of the disk.
     """
 
     def __init__(
         self,
-        shelf: Shelf,
+        store: ReferenceStore,
         fingers: Mapping[str, Finger],
-        say: Callable[[str], None],
-        warn: Callable[[str], None],
+        info: Callable[[str], None],
+        warning: Callable[[str], None],
     ) -> None:
-        self._shelf, self._fingers, self._say = shelf, fingers, say
-        self._kept: dict[str, _Kept] = {}
+        self._store, self._fingers, self._info = store, fingers, info
+        self._saved: dict[str, _SavedReference] = {}
         self._empty = False
-        self._told: dict[str, PerceptionPipeline] = {}
-        self._disk = DiskWriter("last reference", "the references", say, warn)
+        self._reported: dict[str, PerceptionPipeline] = {}
+        self._disk = DiskWriter("last reference", "the references", info, warning)
 
-    def decided(self, decision: Decision) -> None:
-        """To be called after every turn of the loop."""
+    def add_decision(self, decision: Decision) -> None:
+        """Save what has changed; to be called after every cycle of the loop."""
         for name, finger in self._fingers.items():
-            self._tell(name, finger)
+            self._report_restored(name, finger)
         gripper = decision.observation.gripper
         if gripper is None or self._disk.busy or (self._disk.failed and not self._disk.due):
-            return  # not known, or the disk cannot: a later turn will do
+            return  # a later cycle will do
         if self._disk.failed:
-            self._kept, self._empty = {}, False  # nobody knows what of it is on the shelf: all is written again
+            self._saved, self._empty = {}, False  # what was written is not known: write all again
         if decision.phase in AT_STAKE or decision.phase is Phase.FAULT:
             new = {
-                name: kept
+                name: changed
                 for name, finger in self._fingers.items()
-                if (kept := self._news(name, finger, decision.now_s))
+                if (changed := self._changed(name, finger, decision.now_s))
             }
             if gripper.holding and new:
                 self._empty = False
-                before, self._kept = self._kept, {**self._kept, **new}
+                before, self._saved = self._saved, {**self._saved, **new}
                 self._disk.begin(lambda: self._save(new, before))
         elif not gripper.holding and not self._empty:
             self._empty = True
-            self._kept = {}
-            self._disk.begin(self._shelf.forget)
+            self._saved = {}
+            self._disk.begin(self._store.delete_all)
 
-    def _tell(self, name: str, finger: Finger) -> None:
+    def _report_restored(self, name: str, finger: Finger) -> None:
         pipeline = finger.pipeline
-        if not isinstance(pipeline, ResumingPipeline) or self._told.get(name) is pipeline:
+        if not isinstance(pipeline, ResumingPipeline) or self._reported.get(name) is pipeline:
             return
         if pipeline.stored_reference_state == "matches":
-            self._say(f"{name} finger: goes on with the reference of before the restart")
+            self._info(f"{name} finger: continues with the reference from before the restart")
         elif pipeline.stored_reference_state == "differs":
-            self._say(
-                f"{name} finger: does not see what it saw before the restart: a new reference, counted from "
-                f"{pipeline.earlier_rotation_deg:.0f}°"
+            self._info(
+                f"{name} finger: the contact differs from before the restart; continues from "
+                f"{pipeline.earlier_rotation_deg:.0f}° with a new reference"
             )
         if pipeline.stored_reference_state in ("matches", "differs"):
-            self._told[name] = pipeline
+            self._reported[name] = pipeline
 
-    def _news(self, name: str, finger: Finger, now_s: float) -> _Kept | None:
-        """What is worth writing of a finger."""
+    def _changed(self, name: str, finger: Finger, now_s: float) -> _SavedReference | None:
+        """Return what has to be written of a finger; None if nothing."""
         pipeline, newest = finger.pipeline, finger.newest
         if not isinstance(pipeline, ResumingPipeline) or newest is None or finger.serial is None:
             return None
-        image, rotation_deg = pipeline.reference_image, newest.estimate.angle_deg
-        if image is None or rotation_deg is None:
+        image, angle_deg = pipeline.reference_image, newest.estimate.angle_deg
+        if image is None or angle_deg is None:
             return None
-        known = StoredReference(image, rotation_deg - pipeline.earlier_rotation_deg, pipeline.earlier_rotation_deg)
-        before = self._kept.get(name)
+        earlier_deg = pipeline.earlier_rotation_deg
+        known = StoredReference(image, angle_deg - earlier_deg, earlier_deg)
+        before = self._saved.get(name)
         if (
             before is not None
             and before.known.image is image
-            and abs(known.rotation_deg - before.known.rotation_deg) < ROTATION_DEG
-            and now_s - before.noted_at_s < AGAIN_S
+            and abs(known.rotation_deg - before.known.rotation_deg) < ROTATION_STEP_DEG
+            and now_s - before.saved_at_s < REFRESH_S
         ):
             return None
-        return _Kept(finger.serial, known, now_s)
+        return _SavedReference(finger.serial, known, now_s)
 
-    def _save(self, new: Mapping[str, _Kept], before: Mapping[str, _Kept]) -> None:
-        for name, kept in new.items():
-            if name in before and before[name].known.image is kept.known.image:
-                self._shelf.rotation(name, kept.serial, kept.known)
+    def _save(self, new: Mapping[str, _SavedReference], before: Mapping[str, _SavedReference]) -> None:
+        for name, saved in new.items():
+            if name in before and before[name].known.image is saved.known.image:
+                self._store.save_rotation(name, saved.serial, saved.known)
             else:
-                self._shelf.save(name, kept.serial, kept.known)
+                self._store.save(name, saved.serial, saved.known)

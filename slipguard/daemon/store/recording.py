@@ -119,7 +119,7 @@ class RecordingObserver:
         self._recorder.hand(
             RecordedFrame(
                 finger,
-                processed.judged_at_s,
+                processed.processed_at_s,
                 told,
                 frame.image if pictured else None,
                 patch.full_mask() if patch is not None else None,

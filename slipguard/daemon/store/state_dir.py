@@ -26,7 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from slipguard.atomic_file import write_whole
 from slipguard.config_errors import first_complaint
 from slipguard.control.fault import Fault
-from slipguard.daemon.store.calibration import BackgroundImage, BackgroundVersion
+from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import ConfigError, InputError
 
@@ -226,7 +226,7 @@ class StateDir:
         path = self.path / "last_grasp.json"
         return _read(path, LastGrasp) if path.exists() else None
 
-    def forget_last_grasp(self) -> None:
+    def delete_last_grasp(self) -> None:
         """Nothing is held any more."""
         (self.path / "last_grasp.json").unlink(missing_ok=True)
 

@@ -15,9 +15,9 @@ from slipguard.config import GROUP_OF, Config, parse_config
 from slipguard.control.step import control_step
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.loop.service import FINGERS, Service
-from slipguard.daemon.loop.worker import StatedLatencyWorker
-from slipguard.daemon.store.calibration import BackgroundImage
-from slipguard.daemon.store.last_grasp import LastGraspSaver, remembered
+from slipguard.daemon.loop.virtual_time import FixedLatencyWorker
+from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
+from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
 from slipguard.daemon.store.state_dir import LastGrasp
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Arm, DriverContext, Gripper, TactileSensor
 from slipguard.registry import load_driver
@@ -92,12 +92,22 @@ class MemoryState:
         blank = np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3), np.uint8)
         self._image = BackgroundImage(blank, (2.0, 2.0, 2.0), 30)
 
-    def load_background(self, serial: str) -> BackgroundImage | None:
+    def load_background(self, serial: str, number: int | None = None) -> BackgroundImage | None:
         """Return the background image."""
         return self._image
 
-    def save_background(self, serial: str, taken: BackgroundImage) -> None:
+    first_of_gel = load_background
+
+    def save_background(self, serial: str, taken: BackgroundImage, *, new_gel: bool = False) -> None:
         """Do nothing: the campaign does not calibrate."""
+
+    def go_back(self, serial: str, number: int) -> BackgroundImage:
+        """Return the background image."""
+        return self._image
+
+    def background_versions(self, serial: str) -> list[BackgroundVersion]:
+        """Return no versions."""
+        return []
 
     def save_last_grasp(self, last: LastGrasp) -> None:
         """Store the last grasp."""
@@ -107,7 +117,7 @@ class MemoryState:
         """Return the stored grasp."""
         return self._last
 
-    def forget_last_grasp(self) -> None:
+    def delete_last_grasp(self) -> None:
         """Delete the stored grasp."""
         self._last = None
 
@@ -206,13 +216,15 @@ class CampaignCell:
             sensors={name: cast(TactileSensor, LinkedDevice(devices[name], link)) for name in FINGERS},
             gripper=cast(Gripper, LinkedDevice(devices["gripper"], link, count_releases)),
             arm=cast(Arm, LinkedDevice(devices["arm"], link)),
-            make_worker=lambda name: StatedLatencyWorker(LATENCY_S),
+            make_worker=lambda name: FixedLatencyWorker(LATENCY_S),
             make_pipeline={name: maker(name) for name in FINGERS},
             store=self._state,
             controller=control_step,
-            memory=remembered(self._state),
+            memory=restore_control_state(self._state),
         )
-        service.observers.append(LastGraspSaver(self._state, service.event_log.info, service.event_log.warning).decided)
+        service.observers.append(
+            LastGraspSaver(self._state, service.event_log.info, service.event_log.warning).add_decision
+        )
         service.event_log.listeners.append(lambda event: self._on_line(event.line))
         return service
 

@@ -33,12 +33,12 @@ _GRIPPER_WORDS = {
     "disconnect": "no gripper answers|connection is (gone|not open)",
     "timeout": "no answer",
     "wrong_echo": "something else than was asked",
-    "late": "newest answer is|no answer for",
+    "late": "newest response is|no answer for",
     "fault": "internal fault",
 }
 _ARM_WORDS = {
     "disconnect": "no arm answers|connection is (gone|not open)|no state for",
-    "timeout": "no state for|newest answer is",
+    "timeout": "no state for|newest response is",
     "protective_stop": "protective stop",
     "emergency_stop": "emergency stop",
     "stuck": "arm stuck",

@@ -18,12 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
+from slipguard.cli.run import bind_api
 from slipguard.config import Config
 from slipguard.daemon import run as root
 from slipguard.daemon.api import paths
 from slipguard.daemon.loop.finger import PerceptionPipeline
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.loop.worker import StatedLatencyWorker
+from slipguard.daemon.loop.virtual_time import FixedLatencyWorker
 from slipguard.daemon.store.recording import SEGMENT_S, make_recorder
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.errors import SlipguardError
@@ -90,7 +91,7 @@ async def run_soak(settings: SoakSettings, report: Callable[[ResourceSample, str
     with tempfile.TemporaryDirectory(prefix="slipguard-soak-") as folder:
         run = _SoakRun(settings, soak_config(settings, Path(folder)), found, report)
         before = run.sample()
-        await root.run(run.config, world=run.world, beside=run.work, build=run.build, recorder=run.record)
+        await root.run(run.config, bind_api, world=run.world, extra_task=run.work, build=run.build, recorder=run.record)
         if not run.over:
             raise SlipguardError("the soak was ended early")
         await asyncio.get_running_loop().shutdown_default_executor()  # idle threads end with the loop
@@ -133,7 +134,7 @@ class _SoakRun:
             return WorldTruthPerception(pipeline, self.world, 1 if finger == "left" else -1, rng, now)
 
         return root.build_service(
-            config, world=world, make_worker=lambda name: StatedLatencyWorker(STATED_LATENCY_S), around=around
+            config, world=world, make_worker=lambda name: FixedLatencyWorker(STATED_LATENCY_S), wrap_pipeline=around
         )
 
     def record(self, service: Service, folder: Path) -> Recorder:

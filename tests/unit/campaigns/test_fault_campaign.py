@@ -12,7 +12,7 @@ import pytest
 from slipguard.control.messages import Command, Observation
 from slipguard.control.params import GuardParams
 from slipguard.control.step import ControlState, control_step
-from slipguard.daemon.loop import device_alerts as bulletin
+from slipguard.daemon.loop import device_health
 from slipguard.daemon.loop.service import Service
 from slipguard.sim.injected_faults import KINDS as ON_THE_BOARD
 from tests.campaigns.command_line import run
@@ -99,7 +99,7 @@ def test_it_detects_a_drop_that_holding_would_have_prevented(monkeypatch: pytest
 
 
 def test_it_detects_a_fault_that_is_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bulletin.DeviceAlerts, "look", lambda self, *observation: None)
+    monkeypatch.setattr(device_health.DeviceAlerts, "update", lambda self, *observation: None)
     result = with_plans(monkeypatch, ("left.corrupt", 4.0, np.inf))
     assert result.unnamed == ("left.corrupt",)
 

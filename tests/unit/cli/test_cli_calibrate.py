@@ -13,7 +13,7 @@ from command_line import Ran, slipguard
 from fake_daemon_api import FakeDaemonApi, served
 
 from slipguard.daemon.api.requests import CalibrateRequest, DaemonRequest, RestoreBackgroundRequest
-from slipguard.daemon.store.calibration import BackgroundImage
+from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 
 CONFIG = Path(__file__).parents[3] / "config.toml"

@@ -14,7 +14,7 @@ from command_line import slipguard
 from slipguard.config import parse_config
 from slipguard.daemon.loop.finger import Finger
 from slipguard.daemon.run import build_service
-from slipguard.daemon.store.calibration import BackgroundImage
+from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import Frame
 from slipguard.sim.world import World
@@ -52,7 +52,7 @@ def test_the_finger_runs_without_its_damaged_image(
     service = build_service(config, world=World(seed=0))
     try:
         finger = service.fingers["left"]
-        finger.serial = "SIM-L"
+        finger.capture.assume_serial("SIM-L")
         asyncio.run(_renew(finger))
         assert finger.pipeline is not None
         finger.pipeline.process(Frame(image, 0.0, 0))

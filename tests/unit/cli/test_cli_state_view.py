@@ -12,7 +12,7 @@ from rich.console import Console
 from slipguard.cli.state_view import state_table
 from slipguard.config import parse_config
 from slipguard.daemon.api.snapshot import snapshot
-from slipguard.daemon.loop.worker import StatedLatencyWorker
+from slipguard.daemon.loop.virtual_time import FixedLatencyWorker
 from slipguard.daemon.run import build_service
 from slipguard.sim.world import World
 
@@ -121,9 +121,9 @@ def test_a_service_that_has_just_started_can_be_shown() -> None:
         service = build_service(
             parse_config(raw, where="test", sim=True),
             world=World(seed=0),
-            make_worker=lambda name: StatedLatencyWorker(0.006),
+            make_worker=lambda name: FixedLatencyWorker(0.006),
         )
-        answer: dict[str, Any] = json.loads(json.dumps(snapshot(service)))
+        answer: dict[str, Any] = json.loads(json.dumps(snapshot(service, {})))
         return answer
 
     text = shown(asyncio.run(main()))

@@ -9,8 +9,7 @@ from observations import arm, gripper, observation
 
 from slipguard.control.messages import Condition, FingerHealth, Observation
 from slipguard.control.state import Phase
-from slipguard.daemon.loop.device_alerts import DeviceAlerts, troubles
-from slipguard.daemon.loop.health import Health
+from slipguard.daemon.loop.device_health import DeviceAlerts, Health, find_problems
 
 TICK_S = 0.01
 
@@ -20,7 +19,7 @@ class Listener:
         self.said: list[tuple[float, str]] = []
         self.now_s = 100.0
         self.warned: list[str] = []
-        self.bulletin = DeviceAlerts(self._say, self._warn)
+        self.alerts = DeviceAlerts(self._say, self._warn)
 
     def _say(self, line: str) -> None:
         self.said.append((round(self.now_s, 2), line))
@@ -32,7 +31,7 @@ class Listener:
     def look(self, why: str | None, seconds: float, phase: Phase = Phase.HOLDING) -> None:
         for _ in range(round(seconds / TICK_S)):
             self.now_s += TICK_S
-            self.bulletin.look(self.now_s, {"left": why}, phase, 0.5)
+            self.alerts.update(self.now_s, {"left": why}, phase, 0.5)
 
     @property
     def lines(self) -> list[str]:
@@ -54,7 +53,7 @@ def test_trouble_that_lasts_is_said_once_and_so_is_its_end() -> None:
     listener.look(None, 0.4)
     assert len(listener.said) == 1
     listener.look(None, 0.2)
-    assert listener.lines[1:] == ["left: well again"]
+    assert listener.lines[1:] == ["left: works again"]
     assert listener.warned == ["left: no frame for 260 ms"]
     listener.look(None, 3.0)
     assert len(listener.said) == 2
@@ -113,7 +112,7 @@ def found(view: Observation, **not_ready: str) -> dict[str, str | None]:
     for name, why in not_ready.items():
         devices[name].set_disconnected(why)
     holders = {name: type("One", (), {"health": health})() for name, health in devices.items()}
-    return {name: why for name, why in troubles(view, holders).items() if why is not None}
+    return {name: why for name, why in find_problems(view, holders).items() if why is not None}
 
 
 def test_what_is_wrong_in_words() -> None:
@@ -125,11 +124,11 @@ def test_what_is_wrong_in_words() -> None:
     ahead = FingerHealth(Condition.STALE, -5.0)
     assert found(replace(fine, right=ahead)) == {"right": "its newest frame is 5.00 s ahead of the clock"}
     assert found(replace(fine, left=FingerHealth(Condition.STALE, float("inf")))) == {}
-    assert found(replace(fine, gripper=gripper(fault="overcurrent", at_s=10.0))) == {"gripper": "says: overcurrent"}
+    assert found(replace(fine, gripper=gripper(fault="overcurrent", at_s=10.0))) == {"gripper": "reports: overcurrent"}
     assert found(replace(fine, gripper=gripper(at_s=9.8), arm=arm(at_s=9.86))) == {
-        "gripper": "its newest answer is 0.20 s old"
+        "gripper": "its newest response is 0.20 s old"
     }
-    assert found(replace(fine, arm=arm(at_s=9.8))) == {"arm": "its newest answer is 0.20 s old"}
+    assert found(replace(fine, arm=arm(at_s=9.8))) == {"arm": "its newest response is 0.20 s old"}
     assert found(replace(fine, arm=arm(at_s=10.0, protective=True))) == {"arm": "in protective stop"}
     assert found(replace(fine, arm=arm(at_s=10.0, protective=True, emergency=True))) == {"arm": "in emergency stop"}
     assert found(replace(fine, gripper=None, arm=None)) == {}

@@ -16,8 +16,7 @@ from drawn_masks import drawn
 
 from slipguard.atomic_file import write_whole as really_write
 from slipguard.control.state import Phase
-from slipguard.daemon.store.last_reference import ReferenceSaver, recall
-from slipguard.daemon.store.reference_store import GOOD_FOR, ReferenceStore
+from slipguard.daemon.store.last_reference import VALID_FOR, ReferenceSaver, ReferenceStore, restore_reference
 from slipguard.errors import InputError
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stored_reference import ResumingPipeline, StoredReference
@@ -51,7 +50,7 @@ def decision(phase: Phase, holding: bool = True, now_s: float = 0.0) -> Any:
 async def settled(keeper: ReferenceSaver, *decisions: Any) -> None:
     """However long the disk takes."""
     for one in decisions:
-        keeper.decided(one)
+        keeper.add_decision(one)
         await wait_until(None, lambda: not keeper._disk.busy, 60.0, "the disk does not get done")
 
 
@@ -78,7 +77,7 @@ async def test_a_restart_goes_on_with_the_reference_and_says_so(tmp_path: Path) 
     assert written["rotation_deg"] == pytest.approx(12.0, abs=0.5)
 
     new = Finger(pipeline())
-    recall(new.pipeline, ReferenceStore(tmp_path), "left", "D1", 0.0)
+    restore_reference(new.pipeline, ReferenceStore(tmp_path), "left", "D1", 0.0)
     assert new.pipeline.stored_reference_state == "waiting"
     keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": new}, said.append, said.append)  # type: ignore[dict-item]
     new.sees(15.0)
@@ -95,7 +94,7 @@ async def test_what_does_not_match_is_said_with_the_turn_it_counts_from(tmp_path
     said: list[str] = []
     ReferenceStore(tmp_path).save("left", "D1", StoredReference(IMAGE, 12.0))
     finger = Finger(pipeline())
-    recall(finger.pipeline, ReferenceStore(tmp_path), "left", "D1", 0.0)
+    restore_reference(finger.pipeline, ReferenceStore(tmp_path), "left", "D1", 0.0)
     keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
     finger.sees(0.0, 20)
     await settled(keeper, decision(Phase.HOLDING), decision(Phase.HOLDING))
@@ -115,13 +114,13 @@ async def test_a_full_disk_is_said_once(tmp_path: Path) -> None:
     keeper = ReferenceSaver(Full(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
     finger.sees(0.0)
     await settled(keeper, *[decision(Phase.HOLDING)] * 4)
-    assert said == ["the references could not be noted down for a restart: No space left on device"]
+    assert said == ["the references could not be saved for a restart: No space left on device"]
 
 
 async def test_a_disk_that_is_mended_takes_the_references_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("slipguard.daemon.store.disk_writer.TRY_AGAIN_S", 3600.0)
+    monkeypatch.setattr("slipguard.daemon.store.disk_writer.RETRY_S", 3600.0)
     disk = {"full": True, "writes": 0}
 
     def write_whole(path: Path, content: bytes) -> None:
@@ -130,7 +129,7 @@ async def test_a_disk_that_is_mended_takes_the_references_again(
             raise OSError(28, "No space left on device")
         really_write(path, content)
 
-    monkeypatch.setattr("slipguard.daemon.store.reference_store.write_whole", write_whole)
+    monkeypatch.setattr("slipguard.daemon.store.last_reference.write_whole", write_whole)
     said: list[str] = []
     finger = Finger(pipeline())
     keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
@@ -143,8 +142,8 @@ async def test_a_disk_that_is_mended_takes_the_references_again(
     known = ReferenceStore(tmp_path).load("left", "D1")
     assert known is not None
     assert said == [
-        "the references could not be noted down for a restart: No space left on device",
-        "the references can be noted down for a restart again",
+        "the references could not be saved for a restart: No space left on device",
+        "the references can be saved for a restart again",
     ]
     disk["full"] = True
     await settled(keeper, *[decision(Phase.IDLE, holding=False)] * 2)
@@ -158,7 +157,7 @@ def test_a_turn_never_goes_with_the_picture_of_another_reference(
     shelf.rotation("left", "D1", StoredReference(IMAGE, 7.0))  # never saved before: as if it were
     new = StoredReference(IMAGE[::-1].copy(), 0.0)
     with monkeypatch.context() as failing:
-        failing.setattr("slipguard.daemon.store.reference_store.write_whole", fails)
+        failing.setattr("slipguard.daemon.store.last_reference.write_whole", fails)
         with pytest.raises(OSError, match="No space left"):
             shelf.save("left", "D1", new)
     old = ReferenceStore(tmp_path).load("left", "D1")
@@ -183,7 +182,7 @@ def test_only_the_same_sensor_and_not_for_long(tmp_path: Path) -> None:
     assert (known.rotation_deg, known.earlier_rotation_deg) == (7.0, 1.0)
     assert shelf.load("left", "D2") is None
     assert shelf.load("right", "D1") is None
-    assert shelf.load("left", "D1", datetime.now(UTC) + GOOD_FOR + timedelta(seconds=1)) is None
+    assert shelf.load("left", "D1", datetime.now(UTC) + VALID_FOR + timedelta(seconds=1)) is None
 
 
 @pytest.mark.parametrize("damage", ["no json", "half a picture", "no picture", "another picture"])
@@ -203,5 +202,5 @@ def test_a_damaged_one_counts_as_none(tmp_path: Path, damage: str) -> None:
     with pytest.raises(InputError):
         ReferenceStore(tmp_path).load("left", "D1")
     pipe = pipeline()
-    recall(pipe, ReferenceStore(tmp_path), "left", "D1", 0.0)
+    restore_reference(pipe, ReferenceStore(tmp_path), "left", "D1", 0.0)
     assert pipe.stored_reference_state is None

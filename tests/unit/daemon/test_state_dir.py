@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slipguard.daemon.store.calibration import BackgroundImage
+from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.state_dir import KEPT, LastGrasp, StateDir, default_state_path
 from slipguard.errors import ConfigError, InputError
 
@@ -134,9 +134,9 @@ def test_a_failed_write_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: p
 def test_the_last_grasp_can_be_forgotten_and_damage_is_named(tmp_path: Path) -> None:
     state = StateDir(tmp_path)
     assert state.load_last_grasp() is None
-    state.forget_last_grasp()
+    state.delete_last_grasp()
     state.save_last_grasp(LastGrasp(saved_at=datetime.now(UTC), force_n=40.0, width_mm=18.0))
-    state.forget_last_grasp()
+    state.delete_last_grasp()
     assert state.load_last_grasp() is None
     (tmp_path / "last_grasp.json").write_text('{"force_n": "NaN"}')
     with pytest.raises(InputError, match=r"last_grasp\.json: damaged"):

@@ -205,13 +205,13 @@ def test_a_finger_that_the_daemon_spares_keeps_its_count() -> None:
     seen = [held.see(0.0) for _ in range(3)][-1]
     none = cast(Any, None)  # no frame comes of a sensor here, and none goes to a worker
     finger, other = (Finger(name, none, none, lambda _: held.pipe, 1.0, lambda: None) for name in ("left", "right"))
-    finger.other, finger.refresh_s = other, 0.25
+    finger.skip_frames_after(other, 0.25)
     finger.newest = TimedEstimate(seen, seen.captured_at_s, seen.captured_at_s)
     picture = np.zeros((320, 240, 3), np.uint8)
     for k in range(1, 13):
         at_s = held.now_s + k * FRAME_S
         other.newest = TimedEstimate(replace(seen, captured_at_s=at_s, skipped=UNCHANGED), at_s, at_s)
-        spared = finger._spared(Frame(picture, at_s, k), held.pipe)
+        spared = finger._kept_estimate(Frame(picture, at_s, k), held.pipe)
         assert spared is not None
         finger.newest = TimedEstimate(spared, at_s, at_s)
     assert held.see(0.5, 13.0 * FRAME_S).angle_deg == pytest.approx(0.5, abs=0.3)

@@ -1,0 +1,143 @@
+"""Capture from one sensor: open it, keep its newest frame, open it again after a loss."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+from slipguard.cancellation import raise_if_cancelled
+from slipguard.daemon.loop.async_tools import Backoff, LatestValue
+from slipguard.daemon.loop.device_health import Health
+from slipguard.devices import Frame, TactileSensor
+from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen, SlipguardError
+
+REOPEN_S = 2.0
+"""A connected sensor that delivers no good frame for this time is closed and opened again."""
+
+
+@dataclass(slots=True)
+class FrameCounts:
+    """What happened to the frames of one sensor since the start."""
+
+    frames: int = 0
+    corrupt: int = 0
+    frozen: int = 0
+    stalled: int = 0
+    missed: int = 0
+    """Counted by the camera, but never received."""
+    late: int = 0
+    """Replaced by a newer frame before the pipeline was free."""
+    skipped: dict[str, int] = field(default_factory=dict)
+    """By reason: frames for which the previous estimate was kept."""
+
+    def add_error(self, error: DeviceError) -> None:
+        """Count a frame that did not arrive or arrived damaged."""
+        self.corrupt += isinstance(error, FrameCorrupt)
+        self.frozen += isinstance(error, FrameFrozen)
+        self.stalled += isinstance(error, DeviceTimeout)
+
+    def add_skipped(self, reason: str) -> None:
+        """Count a frame for which the previous estimate was kept."""
+        self.skipped[reason] = self.skipped.get(reason, 0) + 1
+
+
+class SensorCapture:
+    """Captures until cancelled; a missing sensor is retried.
+
+    Args:
+        retry_s: First pause before a missing sensor is tried again.
+        on_open: Called with the sensor's serial number each time it has been opened, before its first frame.
+        on_change: Called after each change of health.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        sensor: TactileSensor,
+        retry_s: float,
+        on_open: Callable[[str], None],
+        on_change: Callable[[], None],
+    ) -> None:
+        self.name = name
+        self.sensor = sensor
+        self.health = Health(name)
+        self.counts = FrameCounts()
+        self.serial: str | None = None
+        """Of the sensor opened last; None before that."""
+        self.newest_frame: Frame | None = None
+        """The last good frame; None while the sensor is gone."""
+        self.frames: LatestValue[tuple[Frame, float]] = LatestValue()
+        """The newest frame not yet processed, and the loop time at which it was received."""
+        self.streaming = False
+        self._copies: asyncio.Queue[Frame] | None = None
+        self._backoff = Backoff(retry_s, longest_s=2 * retry_s)  # a cable pushed in again is noticed within a second
+        self._on_open, self._on_change = on_open, on_change
+
+    def assume_serial(self, serial: str) -> None:
+        """Use this serial number without opening the sensor."""
+        self.serial = serial
+
+    @contextlib.contextmanager
+    def copy_frames(self, size: int = 4) -> Iterator[asyncio.Queue[Frame]]:
+        """Copy every good frame into a queue of this size as well; a frame that does not fit is left out."""
+        queue: asyncio.Queue[Frame] = asyncio.Queue(size)
+        self._copies = queue
+        try:
+            yield queue
+        finally:
+            self._copies = None
+
+    async def run(self) -> None:
+        """Capture until cancelled. After a loss, retry after a pause."""
+        while True:
+            try:
+                await self._stream()
+            except SlipguardError as error:
+                self.streaming = False
+                self.newest_frame = None
+                self.health.set_disconnected(str(error))
+                self._on_change()
+                await self.sensor.close()
+                raise_if_cancelled()
+                await self._backoff.wait()
+
+    def refuse_frame(self, reason: str) -> None:
+        """Count a frame that was received but cannot be processed."""
+        self.counts.corrupt += 1
+        self._report_error(reason)
+
+    def _report_error(self, reason: str) -> None:
+        self.health.set_error(reason)
+        self._on_change()
+
+    async def _stream(self) -> None:
+        """Receive frames until the sensor is gone or has delivered no good frame for `REOPEN_S`."""
+        await self.sensor.open()
+        self.serial = self.sensor.serial
+        self._on_open(self.serial)
+        self.streaming = True
+        loop = asyncio.get_running_loop()
+        received_at_s = loop.time()
+        sequence: int | None = None
+        while True:
+            raise_if_cancelled()
+            try:
+                frame = await self.sensor.next_frame()
+            except (FrameCorrupt, FrameFrozen, DeviceTimeout) as error:
+                self.counts.add_error(error)
+                self._report_error(str(error))
+                if loop.time() - received_at_s > REOPEN_S:
+                    raise
+                continue
+            received_at_s = loop.time()
+            self._backoff.reset()
+            self.counts.frames += 1
+            self.counts.missed += max(0, frame.sequence - sequence - 1) if sequence is not None else 0
+            sequence = frame.sequence
+            self.newest_frame = frame
+            if self._copies is not None and not self._copies.full():
+                self._copies.put_nowait(frame)
+            self.frames.put((frame, received_at_s))
+            self.counts.late = self.frames.overwritten
