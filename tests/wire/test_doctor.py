@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import gc
 import json
-import os
+import subprocess
+import sys
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -76,12 +76,18 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def ask(capfd: pytest.CaptureFixture[str], config: Path) -> Told:
-    """`slipguard doctor --json`, and nothing but JSON on stdout."""
+    """Run `slipguard doctor --json`."""
     capfd.readouterr()
     code = run(["doctor", "--config", str(config), "--json"])
     said = capfd.readouterr()
-    assert "Traceback" not in said.out + said.err
-    answer = json.loads(said.out)
+    return understood(code, said.out, said.err)
+
+
+def understood(code: int, out: str, err: str) -> Told:
+    """Check what every report of the doctor has in common; stdout holds nothing but JSON."""
+    assert "Traceback" not in out + err
+    assert out.startswith("{"), f"exit code {code}, no JSON but {out!r}; on stderr: {err!r}"
+    answer = json.loads(out)
     lines = {
         (one["subject"], one["check"]): (one["status"], one["observed"], one["action"]) for one in answer["checks"]
     }
@@ -112,20 +118,18 @@ def failing(there: Cell, fault: str) -> Iterator[None]:
         there.order("clear")
 
 
-@contextmanager
-def as_nobody() -> Iterator[None]:
-    """Root may do everything; another user is needed to be denied something."""
-    group, groups = os.getgid(), os.getgroups()
-    os.setgroups([])
-    os.setresgid(NOBODY, NOBODY, group)
-    gc.collect()  # what earlier tests left must not be cleared away as nobody
-    os.setresuid(NOBODY, NOBODY, 0)
-    try:
-        yield
-    finally:
-        os.setresuid(0, 0, 0)
-        os.setresgid(group, group, group)
-        os.setgroups(groups)
+AS_NOBODY = f"""
+import contextlib, io, os, sys
+from slipguard.cli.app import run
+words = sys.argv[1:]
+with contextlib.redirect_stdout(io.StringIO()):
+    run(words)  # what it imports, it imports as root
+os.setgroups([])
+os.setresgid({NOBODY}, {NOBODY}, {NOBODY})
+os.setresuid({NOBODY}, {NOBODY}, {NOBODY})
+sys.exit(run(words))
+"""
+"""Root may do everything, so the doctor runs as a user without rights, in a process of its own."""
 
 
 def test_all_present(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
@@ -163,7 +167,7 @@ def test_people_see_a_table_that_fits(there: Cell, capfd: pytest.CaptureFixture[
 def test_none_present(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     told = ask(capfd, with_change(there, str(there.folder), str(there.folder / "nowhere")))
     assert told.problem == {"left", "right", "gripper"}
-    assert "start whatever serves the frames" in told.line("left", "sensor")
+    assert "start the program that serves the frames" in told.line("left", "sensor")
     assert "no such device -> plug the adapter in" in told.line("gripper", "port")
 
 
@@ -187,10 +191,10 @@ def test_one_unplugged(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.extras("root")
-def test_no_permission(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
-    ask(capfd, there.config)  # whatever it imports, it has imported as root
-    with as_nobody():
-        told = ask(capfd, there.config)
+def test_no_permission(there: Cell) -> None:
+    command = [sys.executable, "-c", AS_NOBODY, "doctor", "--config", str(there.config), "--json"]
+    ran = subprocess.run(command, cwd="/", capture_output=True, text=True, timeout=60.0, check=False)
+    told = understood(ran.returncode, ran.stdout, ran.stderr)
     assert {"left", "right", "gripper"} <= told.problem
     assert "arm" not in told.problem
     assert "access is denied" in told.line("left", "sensor")

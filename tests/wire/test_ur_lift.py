@@ -47,6 +47,11 @@ def dashboard_orders(controller: UrEmulator) -> list[object]:
     return [event["asked"] for event in controller.events("dashboard") if event["asked"] in ("stop", "pause", "play")]
 
 
+def saw_no_program(arm: LiftModeArm) -> bool:
+    """Whether the driver has received that no program runs. No person starts one within the 8 ms of a packet."""
+    return arm._monitor.stopped_at_s > arm._taken_at_s
+
+
 async def test_the_watchdog_is_armed_before_anything_moves(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     assert told(controller)[:2] == ["watchdog at 2 Hz", "movel in a thread"]
@@ -137,6 +142,7 @@ async def test_a_stop_of_an_arm_never_taken_stops_nobody(controller: UrEmulator)
     assert dashboard_orders(controller) == []
 
 
+@pytest.mark.realtime
 async def test_what_starts_after_our_script_has_ended_is_somebody_elses(
     controller: UrEmulator, arm: LiftModeArm
 ) -> None:
@@ -145,7 +151,7 @@ async def test_what_starts_after_our_script_has_ended_is_somebody_elses(
     os.kill(arm._worker.pid, signal.SIGKILL)
     await lost(arm)
     assert await until(lambda: controller.state()["runtime"] == "stopped")
-    await asyncio.sleep(0.05)  # nobody's hand is quicker
+    assert await until(lambda: saw_no_program(arm))
     controller.control("panel play")
     assert "a program is on" in await refusal(arm, "a program is on")
     with pytest.raises(DeviceLost):
@@ -185,11 +191,12 @@ async def test_late_packets_are_no_loss(controller: UrEmulator, arm: LiftModeArm
     assert await rests(controller)
 
 
+@pytest.mark.realtime
 async def test_a_stop_at_the_panel_gives_the_arm_away(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     orders = dashboard_orders(controller)
     controller.control("panel stop")
-    await asyncio.sleep(0.05)  # nobody's hand is quicker
+    assert await until(lambda: saw_no_program(arm))
     controller.control("panel play")
     assert "script" in await lost(arm)
     words = "a program is on (PLAYING shuttle.urp)"
