@@ -1,13 +1,92 @@
-"""A minute of holding through pipelines: mean time a frame, processor time, turn error."""
+"""A minute of holding, rendered, and what it costs each pipeline."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from slipguard.bench.minute import HoldingScene
+import numpy as np
+
 from slipguard.bench.pipelines import BenchPipeline
+from slipguard.datasets.rendered_grasps import FRAME_S, GraspFrame, RenderedGrasp
+from slipguard.devices import Frame
+from slipguard.sim.catalogue import find_object
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.sensor_unit import LightChange, random_unit
+
+MINUTE_S = 60.0
+EMPTY_S, CLOSED_S, STILL_S = 0.4, 0.5, 1.5
+LIFTED_S = 4.0
+"""Until then the arm's motion shakes the object by `SHAKE_MM`."""
+SHAKE_MM, SHAKE_HZ = 0.02, 7.0
+LET_GO_S = 59.5
+_ROTATIONS = ((1.5, 2.1, 8.0, 0.15), (20.0, 23.0, 1.5, 0.0), (40.0, 40.4, 6.0, 0.10))
+"""From, to (s), degrees, and the share by which the press grows: a slip, a creep, a quicker slip."""
+DRIFT_LEVELS = 1.5
+"""How much the light changes over the minute, grey levels."""
+
+
+@dataclass(frozen=True, slots=True)
+class HoldingScene:
+    """One grasp of 60 s at 60 frames a second; `shots` draws it anew each time, the same for the same seed.
+
+    press: depth as a share of the object's at 40 N. sign: -1 for the finger opposite, which sees turns the other way.
+    """
+
+    object_name: str = "wrench"
+    seed: int = 6000
+    press: float = 0.6
+    sign: float = 1.0
+
+    def scene(self) -> RenderedGrasp:
+        """What a pipeline must know of the sensor; without shots."""
+        unit = random_unit(np.random.default_rng(self.seed))
+        background = GelCamera(unit, seed=self.seed).no_contact()
+        return RenderedGrasp(self.object_name, True, background, unit.noise_bgr, unit.px_per_mm, ())
+
+    def shots(self) -> Iterator[GraspFrame]:
+        """All 3600 frames with their truth."""
+        rng = np.random.default_rng(self.seed)
+        camera = GelCamera(random_unit(rng), seed=self.seed)
+        x_mm, y_mm, start_deg = float(rng.uniform(-1, 1)), float(rng.uniform(-1, 1)), float(rng.uniform(-180, 180))
+        press_mm = self.press * find_object(self.object_name).press_mm
+        offset = rng.uniform(-3.0, 3.0, 3)
+        drift = rng.choice([-1.0, 1.0], 3) * DRIFT_LEVELS / MINUTE_S
+        for index in range(round(MINUTE_S / FRAME_S)):
+            now_s = index * FRAME_S
+            if index % 60 == 0:
+                b, g, r = offset + drift * now_s
+                camera.set_light(LightChange(1.0, (float(b), float(g), float(r))))
+            rotation_deg, rate_deg_s, grown = _motion(now_s)
+            rotation_deg, rate_deg_s = self.sign * rotation_deg, self.sign * rate_deg_s
+            view = GelView(
+                self.object_name, x_mm, y_mm, start_deg + rotation_deg, press_mm * grown, rate_deg_s=rate_deg_s
+            )
+            if STILL_S <= now_s < LIFTED_S:
+                view = replace(view, y_mm=y_mm + SHAKE_MM * float(np.sin(2.0 * np.pi * SHAKE_HZ * now_s)))
+            if now_s < CLOSED_S:
+                part = (now_s - EMPTY_S) / (CLOSED_S - EMPTY_S)
+                view = replace(view, depth_mm=press_mm * max(part, 0.0))
+            if now_s > LET_GO_S:
+                view = replace(view, depth_mm=0.0)
+            in_contact = view.depth_mm > 0.0
+            compared = in_contact and now_s > STILL_S
+            yield GraspFrame(Frame(camera.draw(view), now_s, index), in_contact, rotation_deg, compared, None)
+
+
+def _motion(now_s: float) -> tuple[float, float, float]:
+    """Turn, rate and depth of the press relative to the first one."""
+    rotation_deg, rate_deg_s, grown = 0.0, 0.0, 1.0
+    for begin_s, end_s, way_deg, growth in _ROTATIONS:
+        part = min(max((now_s - begin_s) / (end_s - begin_s), 0.0), 1.0)
+        rotation_deg += way_deg * part * part * (3.0 - 2.0 * part)
+        rate_deg_s += way_deg * 6.0 * part * (1.0 - part) / (end_s - begin_s)
+        grown *= 1.0 + growth * part
+    return rotation_deg, rate_deg_s, grown
+
 
 EVERY_UNSKIPPED = 10
 """Without skipping all frames cost alike: of a pipeline that skips nothing only so many-th frames are run."""

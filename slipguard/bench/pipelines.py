@@ -1,4 +1,4 @@
-"""What is benched: networks, estimators and skipping put together, each opened afresh for a grasp."""
+"""Pipelines to compare: networks, estimators and skipping combined; a new instance for each grasp."""
 
 from __future__ import annotations
 
@@ -10,11 +10,8 @@ from typing import Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.bench.cached_segmenter import CachedSegmenter
-from slipguard.bench.classical import BackgroundSubtraction
-from slipguard.bench.clock import CLOCK
-from slipguard.bench.paper import FrameNetwork, PaperPipeline
-from slipguard.bench.peer import PEER_MODEL
+from slipguard.bench.comparison_pipelines import BackgroundSubtraction, FrameNetwork, PaperPipeline
+from slipguard.bench.segmentation_cache import CLOCK, CachedSegmenter
 from slipguard.datasets.rendered_grasps import RenderedGrasp
 from slipguard.devices import Frame
 from slipguard.errors import ModelError
@@ -25,6 +22,7 @@ from slipguard.perception.settings import ALL_SKIPS, EstimatorName, PerceptionSe
 
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
 NO_SKIP = Skips(no_contact=False, unchanged=False, round=False)
+PEER_MODEL = "peer-deeplabv3plus-resnet18-timing.onnx"
 Kind = Literal["ours", "paper", "subtraction"]
 
 

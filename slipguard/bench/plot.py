@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from slipguard.bench.rows import PUBLISHED, BenchReport, BenchRow
+from slipguard.bench.results import PUBLISHED, BenchReport, BenchRow
 from slipguard.tools.plotting import figure, save
 
 STAGES = ("gate", "segment", "regions", "relief", "angle", "thin", "register", "reference", "track")

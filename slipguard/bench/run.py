@@ -10,13 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from slipguard.bench.error_tally import PipelineResults
-from slipguard.bench.holding import HoldingResult, hold
-from slipguard.bench.minute import HoldingScene
+from slipguard.bench.holding import HoldingResult, HoldingScene, hold
+from slipguard.bench.pipeline_results import PipelineResults
 from slipguard.bench.pipelines import NO_SKIP, BenchPipeline, large, network_files, ours, without_network
-from slipguard.bench.rows import BenchReport, BenchRow, machine, on_the_front
-from slipguard.bench.skipping import skips
-from slipguard.bench.thinning import thinning
+from slipguard.bench.results import BenchReport, BenchRow, machine, on_the_front
+from slipguard.bench.skip_values import skips
+from slipguard.bench.thinning_times import thinning
 from slipguard.datasets.rendered_grasps import EXTRA_PLAIN, STILL_FRAMES, RenderedGrasp, render_grasp
 from slipguard.perception.settings import ALL_SKIPS, PerceptionSettings
 from slipguard.sim.catalogue import object_names
@@ -98,7 +97,7 @@ def bench(options: BenchOptions, on_progress: Callable[[str, float], None] = lam
 
 def large_stand_in() -> list[BenchPipeline]:
     """The paper's network in shape, for times alone."""
-    from slipguard.bench.peer import PEER_MODEL
+    from slipguard.bench.pipelines import PEER_MODEL
     from slipguard.perception.contact.segmenter import default_model_path
 
     return large(default_model_path().with_name(PEER_MODEL))

@@ -1,8 +1,4 @@
-"""How long from a frame's time stamp to the command's last byte on the serial line, stage by stage.
-
-The daemon runs here, the emulated cell in a process of its own; both read CLOCK_MONOTONIC, so the log of the emulated
-gripper says when each byte of a command went over the wire.
-"""
+"""Latency from a frame's time stamp to the last byte of the command on the serial line, stage by stage."""
 
 from __future__ import annotations
 
@@ -10,19 +6,22 @@ import asyncio
 import json
 import math
 import os
+import random
 import tempfile
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.bench.force_probe import ForceProbe, ProbingController
 from slipguard.config import Config, parse_config
+from slipguard.control.messages import Command, Observation
+from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
+from slipguard.control.step import ControlState, control_step
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest
 from slipguard.daemon.loop.decision import Decision
@@ -31,6 +30,51 @@ from slipguard.daemon.run import build_service
 from slipguard.errors import SlipguardError
 from slipguard.tools.cell_process import CellProcess
 from slipguard.tools.waiting import wait_until
+
+STEP_N = 0.85
+"""A little more than one count of the force register (0.843 N)."""
+PAUSE_S = (0.12, 0.20)
+"""Between two commands, drawn anew each time: at no fixed phase to cameras and polls, and the gripper comes to rest."""
+
+
+@dataclass(slots=True)
+class ForceProbe:
+    """One command: the force, when the frame behind it was exposed, and when it was decided on."""
+
+    force_n: float
+    captured_at_s: float
+    decided_at_s: float
+
+
+@dataclass(slots=True)
+class ProbingController:
+    """To be given to a service in place of `control_step`. left: how many commands are still to be given."""
+
+    left: int
+    probes: list[ForceProbe] = field(default_factory=list)
+    _due_s: float = 0.0
+    _captured_at_s: float = 0.0
+    _random: random.Random = field(default_factory=lambda: random.Random(0))
+
+    def __call__(
+        self, state: ControlState, observation: Observation, params: GuardParams
+    ) -> tuple[ControlState, Command]:
+        """One tick."""
+        state, command = control_step(state, observation, params)
+        fused = observation.fused
+        if fused is None or fused.captured_at_s <= self._captured_at_s:
+            return state, command
+        self._captured_at_s = fused.captured_at_s
+        force_n = state.grasp.target_n + STEP_N
+        calm = state.grasp.phase is Phase.HOLDING and state.grasp.slip is None and command.hold_force_n is None
+        if not calm or self.left <= 0 or observation.now_s < self._due_s or force_n > observation.gripper_limits_n[1]:
+            return state, command
+        self.left -= 1
+        self._due_s = observation.now_s + self._random.uniform(*PAUSE_S)
+        self.probes.append(ForceProbe(force_n, fused.captured_at_s, observation.now_s))
+        grasp = replace(state.grasp, target_n=force_n, commanded_s=observation.now_s)
+        return replace(state, grasp=grasp), replace(command, hold_force_n=force_n)
+
 
 HOST = f"127.90.{os.getpid() >> 8 & 255}.{os.getpid() % 254 + 1}"
 """Every address of 127/8 is this machine; one of our own, for two measurements may run at once."""

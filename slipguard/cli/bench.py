@@ -42,8 +42,7 @@ def bench(
         raise InputError("--grip tries the grip law with the shipped network: no --model, --models or --table")
     from rich.console import Console
 
-    from slipguard.bench import run
-    from slipguard.bench import table as tables
+    from slipguard.bench import run, tables
     from slipguard.bench.plot import picture
     from slipguard.cli.progress import progress_bar
     from slipguard.tools.parallel import Workers

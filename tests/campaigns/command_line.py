@@ -108,6 +108,35 @@ def network_table(
     print(HEADER, *rows, sep="\n")
 
 
+@app.command()
+def fit_perception_errors(
+    grasps: Annotated[int, typer.Option(min=1, help="Rendered grasps of each test object.")] = 5,
+) -> None:
+    """Measure the pipeline's errors for each test object and print the error model of `slipguard bench --grip`.
+
+    Run it again when the network or an estimator has changed. The table belongs into
+    `slipguard/bench/grip/perception_model.py`.
+
+    Example: `python -m tests.campaigns fit-perception-errors`
+    """
+    from tests.campaigns.fit_perception_errors import error_table
+
+    print(error_table(grasps))
+
+
+@app.command()
+def make_timing_network(path: Annotated[Path, typer.Argument(help="The .onnx file to write.")]) -> None:
+    """Write the network with the layers of the paper's and arbitrary weights, which `slipguard bench` times.
+
+    Needs the package onnx (`pip install 'slipguard[train]'`).
+
+    Example: `python -m tests.campaigns make-timing-network models/peer-deeplabv3plus-resnet18-timing.onnx`
+    """
+    from tests.campaigns.timing_network import write_timing_network
+
+    write_timing_network(path)
+
+
 def run(arguments: list[str] | None = None) -> int:
     """Run one campaign and return its exit code; expected failures are one line on stderr."""
     return product.run(arguments, app, "python -m tests.campaigns")

@@ -1,4 +1,4 @@
-"""The figures of the error model, by object: printed by `python -m slipguard.bench.grip.fit` (five grasps each)."""
+"""The figures of the error model, by object: printed by `python -m tests.campaigns fit-perception-errors` (five grasps each)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """What the cameras would say, without drawing anything: the truth with the errors that the pipeline makes.
 
-The errors were fitted to the estimates of `slipguard bench`'s grasps, object by object (`slipguard.bench.grip.fit`): an
+The errors were fitted to the estimates of `slipguard bench`'s grasps, object by object (`python -m tests.campaigns fit-perception-errors`): an
 error that grows with the turn, drawn once a grasp; noise that is drawn each frame; frames without an answer.
 """
 

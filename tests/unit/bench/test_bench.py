@@ -15,17 +15,20 @@ import pytest
 from numpy.typing import NDArray
 from rich.console import Console
 
-from slipguard.bench import table
-from slipguard.bench.axes import AxialRotation, axis_of_points
-from slipguard.bench.classical import BackgroundSubtraction
-from slipguard.bench.error_tally import GraspErrors, PipelineResults, quarters, within_se
-from slipguard.bench.minute import HoldingScene
-from slipguard.bench.paper import FrameNetwork, PaperPipeline
-from slipguard.bench.peer import PEER_MODEL
-from slipguard.bench.pipelines import BenchPipeline, network_files, ours
+from slipguard.bench import tables as table
+from slipguard.bench.comparison_pipelines import (
+    AxialRotation,
+    BackgroundSubtraction,
+    FrameNetwork,
+    PaperPipeline,
+    axis_of_points,
+)
+from slipguard.bench.holding import HoldingScene
+from slipguard.bench.pipeline_results import GraspErrors, PipelineResults, quarters, within_se
+from slipguard.bench.pipelines import PEER_MODEL, BenchPipeline, network_files, ours
 from slipguard.bench.plot import picture
-from slipguard.bench.rows import BenchReport, BenchRow, SkipResult, ThinningResult, on_the_front
-from slipguard.bench.thinning import thinning
+from slipguard.bench.results import BenchReport, BenchRow, SkipResult, ThinningResult, on_the_front
+from slipguard.bench.thinning_times import thinning
 from slipguard.datasets.mask_scores import dice
 from slipguard.datasets.rendered_grasps import EMPTY_FRAMES, ROTATION_DEG, RenderedGrasp, render_grasp
 from slipguard.devices import Frame

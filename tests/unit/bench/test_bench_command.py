@@ -10,8 +10,8 @@ import pytest
 
 from slipguard.bench import pipelines as subjects
 from slipguard.bench import run as bench
-from slipguard.bench import skipping
-from slipguard.bench.minute import HoldingScene
+from slipguard.bench import skip_values
+from slipguard.bench.holding import HoldingScene
 from slipguard.cli.app import run
 from slipguard.tools.parallel import Workers
 
@@ -24,7 +24,7 @@ def _one_object(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "names", lambda split: ("bar",))
     monkeypatch.setattr(bench, "EXTRA_PLAIN", ())
     monkeypatch.setattr(bench, "LARGE_FRAMES_QUICK", 2)
-    monkeypatch.setattr(skipping, "QUICK_ONSETS", skipping.QUICK_ONSETS[:1])
+    monkeypatch.setattr(skip_values, "QUICK_ONSETS", skip_values.QUICK_ONSETS[:1])
     whole = HoldingScene.shots
     monkeypatch.setattr(HoldingScene, "shots", lambda self: islice(whole(self), 240))
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from slipguard.bench.error_tally import GraspErrors, PipelineResults
 from slipguard.bench.holding import HoldingResult
+from slipguard.bench.pipeline_results import GraspErrors, PipelineResults
 from slipguard.bench.pipelines import BenchPipeline, ours
 from slipguard.bench.run import _row
 from slipguard.datasets.rendered_grasps import GraspFrame

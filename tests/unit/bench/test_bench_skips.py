@@ -8,17 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slipguard.bench import minute, skipping
-from slipguard.bench import second_finger as second
-from slipguard.bench.cached_segmenter import CachedSegmenter
-from slipguard.bench.clock import CLOCK
-from slipguard.bench.cropping import CroppedSegmenter
-from slipguard.bench.holding import hold
-from slipguard.bench.minute import HoldingScene
-from slipguard.bench.onset import SlipOnset
+from slipguard.bench import holding, skip_values
+from slipguard.bench.holding import HoldingScene, hold
 from slipguard.bench.pipelines import NO_SKIP, BenchPipeline, ours
+from slipguard.bench.segmentation_cache import CLOCK, CachedSegmenter
+from slipguard.bench.slip_onset import SlipOnset
 from slipguard.control.slip_baselines import SlipMemory
-from slipguard.datasets.mask_scores import dice
 from slipguard.datasets.rendered_grasps import render_grasp
 from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
@@ -45,53 +40,39 @@ def test_how_much_later_a_slip_is_seen_is_measured_for_the_gate_too(monkeypatch:
         asked.append(process.__self__._skips)
         return next(answers)
 
-    monkeypatch.setattr(skipping, "first_seen", first_seen)
-    tried = skipping._OnsetTrial(SlipOnset("key", 7000, 60.0), default())
-    assert skipping._later(tried) == skipping._OnsetDelay(no_contact=2, unchanged=0)
+    monkeypatch.setattr(skip_values, "first_seen", first_seen)
+    tried = skip_values._OnsetTrial(SlipOnset("key", 7000, 60.0), default())
+    assert skip_values._later(tried) == skip_values._OnsetDelay(no_contact=2, unchanged=0)
     assert asked == [ALL_SKIPS, Skips(no_contact=False), Skips(unchanged=False)]
-    later = skipping._later(tried)
+    later = skip_values._later(tried)
     assert later.no_contact is None
     assert later.unchanged is not None
     assert later.unchanged > 90
-    worth = skipping._no_contact(default(), 1, [None, later.unchanged, 0])
+    worth = skip_values._no_contact(default(), 1, [None, later.unchanged, 0])
     assert worth.frames_later == later.unchanged
     assert worth.how.endswith("2 slips after rest (1 that nobody sees aside)")
-    assert skipping._most([None]) is None
+    assert skip_values._most([None]) is None
 
 
 @pytest.mark.extras("onnx")
-def test_a_crop_shows_what_the_whole_shows() -> None:
-    whole = Segmenter()
-    cropped = CroppedSegmenter(whole)
-    grasp = render_grasp("ball", 4100)
-    assert cropped.segment(grasp.shots[0].frame.image, grasp.background).shape == (160, 120)
-    cut = 0
-    for shot in [shot for shot in grasp.shots if shot.compared][:10]:
-        plain = whole.segment(shot.frame.image, grasp.background) > whole.threshold
-        part = cropped.segment(shot.frame.image, grasp.background)
-        cut += not part.all() and cropped._window() is not None
-        assert dice(part > whole.threshold, plain) > 0.9
-    assert cut
-
-
 def test_a_spared_finger_is_cheaper_and_no_slip_is_overlooked(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(minute, "LIFTED_S", 1.0)
-    monkeypatch.setattr(minute, "MINUTE_S", 4.0)
-    monkeypatch.setattr(minute, "_ROTATIONS", ((3.0, 3.4, 8.0, 0.1),))
-    worth = second.second_finger(default())
+    monkeypatch.setattr(holding, "LIFTED_S", 1.0)
+    monkeypatch.setattr(holding, "MINUTE_S", 4.0)
+    monkeypatch.setattr(holding, "_ROTATIONS", ((3.0, 3.4, 8.0, 0.1),))
+    worth = skip_values.second_finger(default())
     assert worth.frames_later is not None
     assert worth.frames_later <= 1
-    monkeypatch.setattr(second, "look", lambda detector, fused, law: Blind(detector))
-    assert second.second_finger(default()).frames_later is None
+    monkeypatch.setattr(skip_values, "look", lambda detector, fused, law: Blind(detector))
+    assert skip_values.second_finger(default()).frames_later is None
     assert not worth.how.startswith("0 of")
     assert abs(worth.error_added_deg or 0.0) < 0.3
 
 
 @pytest.mark.realtime
 def test_a_minute_is_held_with_most_frames_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(minute, "LIFTED_S", 1.0)
-    monkeypatch.setattr(minute, "MINUTE_S", 4.0)
-    monkeypatch.setattr(minute, "_ROTATIONS", ())
+    monkeypatch.setattr(holding, "LIFTED_S", 1.0)
+    monkeypatch.setattr(holding, "MINUTE_S", 4.0)
+    monkeypatch.setattr(holding, "_ROTATIONS", ())
     held = hold([default()], HoldingScene())[default().name]
     assert held.frames == 240
     assert held.skipped["unchanged"] > 60

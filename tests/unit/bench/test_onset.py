@@ -6,7 +6,7 @@ from functools import cache
 
 import pytest
 
-from slipguard.bench.onset import SlipOnset, first_seen, later_by
+from slipguard.bench.slip_onset import SlipOnset, first_seen, later_by
 from slipguard.datasets.rendered_grasps import RenderedGrasp
 from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter

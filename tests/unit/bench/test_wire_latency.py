@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from slipguard.bench.force_probe import STEP_N, ForceProbe, ProbingController
-from slipguard.bench.wire_latency import OWN, STAGES, TOTAL, LatencyOptions, _CommandTimes, _evaluate
+from slipguard.bench.wire_latency import (
+    OWN,
+    STAGES,
+    STEP_N,
+    TOTAL,
+    ForceProbe,
+    LatencyOptions,
+    ProbingController,
+    _CommandTimes,
+    _evaluate,
+)
 from slipguard.control.messages import Observation
 from slipguard.control.params import GuardParams
 from slipguard.control.step import ControlState

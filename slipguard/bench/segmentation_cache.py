@@ -1,14 +1,32 @@
-"""A network whose answers for the frames of a grasp are kept, so that several estimators share them."""
+"""A cache of network outputs for the frames of a grasp, shared by several estimators."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.bench.clock import CLOCK
+
+class BenchClock:
+    """Seconds, as `time.perf_counter`, plus what was added."""
+
+    def __init__(self) -> None:
+        self._ahead_s = 0.0
+
+    def __call__(self) -> float:
+        """Now."""
+        return time.perf_counter() + self._ahead_s
+
+    def add(self, spent_s: float) -> None:
+        """As if so much more time had passed."""
+        self._ahead_s += spent_s
+
+
+CLOCK = BenchClock()
+
 
 Image = NDArray[np.uint8]
 Answer = NDArray[np.float32]

@@ -1,4 +1,4 @@
-"""What a bench finds: one row a pipeline, what each skip is worth, and the whole as a public JSON object."""
+"""Results of a bench: one row per pipeline, the value of each skip, and the whole as a public JSON object."""
 
 from __future__ import annotations
 

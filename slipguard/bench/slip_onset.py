@@ -1,7 +1,4 @@
-"""When a slip is seen: the same frames through a pipeline that skips and one that does not, by the grip law's eye.
-
-A slip begins after rest, the case that skipping could spoil: quick or slow, turning or sliding.
-"""
+"""How many frames later a slip is detected if frames are skipped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A bench for people: tables for the terminal, and a table in Markdown for the models' card."""
+"""Tables of a bench for the terminal, and a Markdown table for the model card."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from slipguard.bench.rows import PUBLISHED, BenchReport, BenchRow
+from slipguard.bench.results import PUBLISHED, BenchReport, BenchRow
 from slipguard.errors import InputError
 
 BEGIN, END = "<!-- bench table: begin -->", "<!-- bench table: end -->"

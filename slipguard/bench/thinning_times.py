@@ -1,4 +1,4 @@
-"""This thinning beside OpenCV's and scikit-image's, on masks of real size and on crops."""
+"""Times of slipguard's thinning, OpenCV's and scikit-image's."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from skimage.morphology import skeletonize
 from skimage.morphology import thin as skimage_thin
 
-from slipguard.bench.rows import ThinningResult
+from slipguard.bench.results import ThinningResult
 from slipguard.perception.rotation.thinning import thin
 
 MARGIN_PX = 2

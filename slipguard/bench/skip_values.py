@@ -1,21 +1,24 @@
-"""What each skip is worth: time saved, error added, and how much later a slip is seen."""
+"""The value of each skip: time saved, error added, and delay of the slip detection."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import time
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from slipguard.bench.cropping import known_patch
-from slipguard.bench.error_tally import PipelineResults
-from slipguard.bench.holding import HoldingResult, hold
-from slipguard.bench.minute import HoldingScene
-from slipguard.bench.onset import ROTATION_RATES_DEG_S, SLIDE_RATES_MM_S, SlipOnset, first_seen, later_by
+from slipguard.bench.holding import HoldingResult, HoldingScene, hold
+from slipguard.bench.pipeline_results import PipelineResults
 from slipguard.bench.pipelines import BenchPipeline
-from slipguard.bench.rows import SkipResult
-from slipguard.bench.second_finger import second_finger
+from slipguard.bench.results import SkipResult
+from slipguard.bench.slip_onset import PARAMS, ROTATION_RATES_DEG_S, SLIDE_RATES_MM_S, SlipOnset, first_seen, later_by
+from slipguard.control.finger_fusion import fuse
+from slipguard.control.slip_baselines import SlipMemory
+from slipguard.control.slip_detector import look
 from slipguard.datasets.rendered_grasps import ROUND_PLAIN, render_grasp
-from slipguard.perception.settings import ALL_SKIPS, Skips
+from slipguard.perception.contact.second_finger import repeat_estimate, second_finger_can_skip
+from slipguard.perception.estimate import Estimate
+from slipguard.perception.settings import ALL_SKIPS, PerceptionSettings, Skips
 from slipguard.sim.catalogue import find_object, object_names
 from slipguard.tools.parallel import Workers, each
 
@@ -69,8 +72,6 @@ def skips(
     ]
     if not quick:
         found.append(second_finger(default))
-        cropped = known_patch(default)
-        found += [cropped] if cropped is not None else []
     return tuple(found)
 
 
@@ -151,3 +152,63 @@ def _round(default: BenchPipeline, objects: tuple[str, ...]) -> SkipResult:
     saved = float(np.median(spent[False].busy_ms) - np.median(spent[True].busy_ms))
     how = f"{len(spent[True].busy_ms)} frames of plain round contacts; {differ} answers differ"
     return SkipResult("round: no thinning", True, saved, None, None, None, how)
+
+
+SURER, OTHER = HoldingScene("wrench", 6000), HoldingScene("wrench", 6005, press=0.25, sign=-1.0)
+"""The other finger's contact is faint: often too faint to tell an unchanged picture."""
+
+
+@dataclass(slots=True)
+class _FingerRun:
+    """spent_s: on the second finger. seen: frames on which the law saw slip begin."""
+
+    spent_s: list[float] = field(default_factory=list)
+    errors_deg: list[float] = field(default_factory=list)
+    seen: list[int] = field(default_factory=list)
+    spared: int = 0
+
+
+def second_finger(default: BenchPipeline) -> SkipResult:
+    """The minute with both fingers looked at, and with the second one spared."""
+    runs = {True: _FingerRun(), False: _FingerRun()}
+    surer = default.open(SURER.scene())
+    others = {spare: default.open(OTHER.scene()) for spare in runs}
+    detectors, slipping = dict.fromkeys(runs, SlipMemory()), dict.fromkeys(runs, False)
+    last: dict[bool, Estimate | None] = dict.fromkeys(runs)
+    refresh_s = PerceptionSettings().refresh_s
+    for index, (shot, beside) in enumerate(zip(SURER.shots(), OTHER.shots(), strict=True)):
+        left = surer.process(shot.frame)
+        for spare, run in runs.items():
+            own, frame = last[spare], beside.frame
+            start_s = time.process_time()
+            if spare and own is not None and second_finger_can_skip(own, left, frame.captured_at_s, refresh_s):
+                right = repeat_estimate(own, frame.captured_at_s, frame.sequence)
+                run.spared += 1
+            else:
+                right = others[spare].process(frame)
+            run.spent_s.append(time.process_time() - start_s)
+            last[spare] = right
+            fused = fuse(left, right)
+            if fused is None:
+                continue
+            if shot.compared and fused.rotation_deg is not None:
+                run.errors_deg.append(abs(fused.rotation_deg - shot.rotation_deg))
+            sight = look(detectors[spare], fused, PARAMS)
+            detectors[spare] = sight.detector
+            if sight.slipping and not slipping[spare]:
+                run.seen.append(index)
+            slipping[spare] = sight.slipping
+    spared, plain = runs[True], runs[False]
+    saved_ms = 1e3 * (float(np.mean(plain.spent_s)) - float(np.mean(spared.spent_s)))
+    later = [one - other for one, other in zip(spared.seen, plain.seen, strict=False)]
+    if len(spared.seen) < len(plain.seen):
+        later.append(len(plain.spent_s))
+    return SkipResult(
+        "second finger adds nothing: its last answer",
+        True,
+        saved_ms * len(plain.spent_s) / max(spared.spared, 1),
+        saved_ms,
+        float(np.mean(spared.errors_deg) - np.mean(plain.errors_deg)),
+        max(later, default=None),
+        f"{spared.spared} of {len(plain.spent_s)} frames of the finger that is pressed less; {len(plain.seen)} slips",
+    )

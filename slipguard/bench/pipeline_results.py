@@ -1,4 +1,4 @@
-"""What one pipeline did over grasps, added up: picklable, so that grasps may be measured anywhere."""
+"""Times, errors and mask overlaps of one pipeline over many grasps; picklable."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.bench.clock import CLOCK
 from slipguard.bench.pipelines import BenchPipeline, FrameProcessor
-from slipguard.bench.rows import BenchRow, mean, quantile
+from slipguard.bench.results import BenchRow, mean, quantile
+from slipguard.bench.segmentation_cache import CLOCK
 from slipguard.datasets.mask_scores import dice, iou
 from slipguard.datasets.rendered_grasps import EXTRA_PLAIN, ROUND_PLAIN, ROUND_TEXTURED, GraspFrame, RenderedGrasp
 from slipguard.perception.estimate import Estimate

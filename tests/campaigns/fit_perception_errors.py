@@ -1,7 +1,4 @@
-"""How the shipped pipeline errs, object by object: the grasps of `slipguard bench`, measured again frame by frame.
-
-`python -m slipguard.bench.grip.fit` prints the table that `errors.py` holds.
-"""
+"""A fit of the error model of `slipguard bench --grip` to the errors of the shipped pipeline, object by object."""
 
 from __future__ import annotations
 
@@ -16,35 +13,35 @@ from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
 
 SMALL_DEG, LARGE_DEG = 3.0, 5.0
-"""An error within the first turn of so much comes with the motion; beyond the second it grows with the turn."""
+"""The offset is measured below the first rotation, the error proportional to the rotation beyond the second."""
 
-SHORTEST = 10
-"""A grasp with fewer answers tells nothing."""
+MIN_ESTIMATES = 10
+"""Grasps with fewer estimates are not used."""
 MEDIAN_OF_A_DIFFERENCE = 0.954
-"""Of two normal values, over one standard deviation."""
+"""Median absolute difference of two normal values, in standard deviations."""
 
 
-def fitted(object_name: str, grasps: int = FULL_GRASPS) -> SightError:
-    """The errors of one object, over so many of the bench's grasps."""
+def fit_errors(object_name: str, grasps: int = FULL_GRASPS) -> SightError:
+    """Return the error model of one object, fitted to grasps of the bench."""
     slopes, offsets, noises, sigmas = [], [], [], []
-    asked = declined = 0
+    compared_frames = declined = 0
     for k in range(grasps):
         grasp = render_grasp(object_name, SEED + k)
         pipeline = Pipeline(segmenter(), PerceptionSettings(), grasp.background, grasp.noise_bgr, grasp.px_per_mm)
         found = [(shot, pipeline.process(shot.frame)) for shot in grasp.shots]
         compared = [(shot, estimate) for shot, estimate in found if shot.compared]
-        told = [
+        estimated = [
             (shot.rotation_deg, estimate.angle_deg - shot.rotation_deg, estimate.sigma_deg or 0.0)
             for shot, estimate in compared
             if estimate.angle_deg is not None
         ]
-        asked, declined = asked + len(compared), declined + len(compared) - len(told)
-        if len(told) < SHORTEST:
+        compared_frames, declined = compared_frames + len(compared), declined + len(compared) - len(estimated)
+        if len(estimated) < MIN_ESTIMATES:
             continue
-        rotation, error, sigma = np.asarray(told).T
+        rotation, error, sigma = np.asarray(estimated).T
         noises.append(float(np.median(np.abs(np.diff(error)))) / MEDIAN_OF_A_DIFFERENCE)
         near, far = np.abs(rotation) < SMALL_DEG, np.abs(rotation) > LARGE_DEG
-        if near.any():  # where a slip is noticed; a long turn's sigma comes too late to matter
+        if near.any():  # the sigma of small rotations decides when slip is detected
             sigmas.append(float(np.median(sigma[near])))
             offsets.append(float(np.mean(error[near])))
         if far.any():
@@ -54,7 +51,7 @@ def fitted(object_name: str, grasps: int = FULL_GRASPS) -> SightError:
         bias_per_deg=_rms(slopes),
         bias_deg=_rms(offsets),
         sigma_deg=float(np.median(sigmas)) if sigmas else SightError().sigma_deg,
-        declined=declined / max(asked, 1),
+        declined=declined / max(compared_frames, 1),
     )
 
 
@@ -62,17 +59,13 @@ def _rms(values: list[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if values else 0.0
 
 
-def table() -> str:
-    """The figures of every test object, as Python."""
+def error_table(grasps: int) -> str:
+    """Return the error model of every test object, as Python."""
     lines = []
     for name in TEST_OBJECTS:
-        error = fitted(name)
+        error = fit_errors(name, grasps)
         lines.append(
             f'    "{name}": SightError({error.noise_deg:.3f}, {error.bias_per_deg:.4f}, {error.bias_deg:.3f}, '
             f"{error.sigma_deg:.3f}, {error.declined:.4f}),"
         )
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    print(table())

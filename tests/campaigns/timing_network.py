@@ -1,66 +1,32 @@
-"""The paper's network in shape alone: DeepLabV3+ with a ResNet18 encoder, for timing beside ours.
+"""A network with the layers of the paper's, for timing: DeepLabV3+ with a ResNet18 encoder and arbitrary weights.
 
-The layers and sizes are those of segmentation-models-pytorch's DeepLabV3Plus("resnet18"), normalisation folded into the
-convolutions as onnxruntime does. The weights are made up: waves that the graph itself computes from a few numbers,
-so the file is small; onnxruntime computes them once, when the session opens, and then runs on dense weights as it
-would on learnt ones. Nothing can be said of its accuracy. Made with
-`python -m slipguard.bench.peer FILE` (train extra).
+Layers and sizes are those of segmentation-models-pytorch's DeepLabV3Plus("resnet18") with the normalization folded into
+the convolutions, as onnxruntime does. The graph computes its weights as sines of a few numbers, which keeps the file
+small; onnxruntime computes them once, when the session opens, and then runs on dense weights as for trained ones. The
+network's output has no meaning.
 """
 
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
-import onnxruntime as ort
 from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
-from slipguard.errors import ModelError
-from slipguard.perception.contact.segmenter import default_model_path
 
 if TYPE_CHECKING:
     import onnx
 
-PEER_MODEL = "peer-deeplabv3plus-resnet18-timing.onnx"
 _STAGES = ((64, 1, 1), (128, 2, 1), (256, 2, 1), (512, 1, 2))
 """Channels, stride and dilation of ResNet18's four stages at output stride 16."""
 _RATES = (12, 24, 36)
-_MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-
-
-class Peer:
-    """The paper's two stages: segmentation at 240 x 320 in float32 on one thread, thinning by OpenCV."""
-
-    def __init__(self, path: Path | None = None) -> None:
-        path = default_model_path().with_name(PEER_MODEL) if path is None else path
-        options = ort.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = 1
-        options.log_severity_level = 3
-        try:
-            self._session: Any = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        except Exception as error:
-            raise ModelError(
-                f"{path}: the peer network cannot be opened; make it with python -m slipguard.bench.peer"
-            ) from error
-
-    def run(self, image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Segment `image`, thin `mask` in place of the senseless answer; both at frame size. Returns the skeleton."""
-        mean, std = np.asarray(_MEAN, np.float32), np.asarray(_STD, np.float32)
-        rgb = (image[..., ::-1].astype(np.float32) / np.float32(255.0) - mean) / std
-        answer = self._session.run(None, {"image": np.ascontiguousarray(rgb.transpose(2, 0, 1)[None])})[0]
-        if not np.isfinite(answer).all():
-            raise ModelError("the peer network's answer is not finite; make its file again")
-        thinned = cv2.ximgproc.thinning(mask * np.uint8(255), thinningType=cv2.ximgproc.THINNING_GUOHALL)
-        return np.asarray(thinned, np.uint8)
 
 
 class _Graph:
-    """Collects nodes; every method appends one layer and returns the name of its output."""
+    """A list of nodes; each method appends one layer and returns the name of its output."""
 
     def __init__(self) -> None:
         from onnx import helper, numpy_helper
@@ -83,7 +49,7 @@ class _Graph:
         return f"c{self._count}"
 
     def waves(self, shape: tuple[int, ...], amplitude: float) -> str:
-        """Weights: a sine of whole numbers, dense, of mean about 0, without a period that matters."""
+        """Append weights: the sine of consecutive integers, dense, with a mean of about 0."""
         count = math.prod(shape)
         numbers = self.node("Range", [self.constant(0.0), self.constant(float(count)), self.constant(1.0)])
         phase = self.node("Mul", [numbers, self.constant(1.2345 + 0.0007 * self._count)])
@@ -132,8 +98,8 @@ class _Graph:
         return self.node("Resize", [x, "", scales], mode="linear", coordinate_transformation_mode="align_corners")
 
 
-def make_peer(path: Path) -> None:
-    """Write the timing network to `path`. Needs the package `onnx` (train extra)."""
+def write_timing_network(path: Path) -> None:
+    """Write the network to `path`. Needs the package `onnx` (train extra)."""
     import onnx
     from onnx import TensorProto, helper
 
@@ -169,7 +135,3 @@ def make_peer(path: Path) -> None:
     model.metadata_props.add(key="purpose", value="timing only: made-up weights")
     onnx.checker.check_model(model)
     path.write_bytes(model.SerializeToString())
-
-
-if __name__ == "__main__":
-    make_peer(Path(sys.argv[1]))

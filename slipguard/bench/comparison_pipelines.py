@@ -1,21 +1,103 @@
-"""The paper's pipeline, as published: one of its networks, OpenCV's thinning, a line through all of the skeleton."""
+"""Pipelines to compare slipguard with: the paper's, and background subtraction without a network."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from slipguard.bench.axes import AxialRotation, axis_of_points
-from slipguard.bench.cached_segmenter import SegmentationCache
+from slipguard.bench.segmentation_cache import SegmentationCache
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import ModelError
 from slipguard.perception.estimate import Estimate
+from slipguard.perception.rotation.axial_angle import axial_difference_deg, wrap_axial_deg
+
+MIN_AREA_PX = 200
+
+
+class AxialRotation:
+    """The turn since the first axis, the smaller way round: an axis that jumps does not spoil what comes after."""
+
+    def __init__(self) -> None:
+        self._first_deg: float | None = None
+
+    def estimate(self, frame: Frame, axis_deg: float, area_px: int, method: str) -> Estimate:
+        """What a pipeline without sigmas says of a frame; axis_deg NaN where there is none."""
+        rotation_deg = None
+        if math.isfinite(axis_deg) and area_px >= MIN_AREA_PX:
+            if self._first_deg is None:
+                self._first_deg = axis_deg
+            rotation_deg = axial_difference_deg(axis_deg, self._first_deg)
+        return Estimate(
+            sequence=frame.sequence,
+            captured_at_s=frame.captured_at_s,
+            measured_at_s=frame.captured_at_s,
+            contact=area_px >= MIN_AREA_PX,
+            contact_area_px=area_px,
+            method=method,
+            angle_deg=rotation_deg,
+            declined=None if rotation_deg is not None else "no axis",
+        )
+
+
+def axis_of_points(x: NDArray[np.intp], y: NDArray[np.intp]) -> float:
+    """Direction of largest spread of pixels (right, down), degrees counter-clockwise as seen."""
+    dx, dy = x - x.mean(), y - y.mean()
+    return wrap_axial_deg(-math.degrees(math.atan2(2.0 * float(dx @ dy), float(dx @ dx - dy @ dy))) / 2.0)
+
+
+def axis_of_ellipse(mask: NDArray[np.uint8]) -> float:
+    """Long axis of an ellipse fitted to the longest outline; NaN where there is none."""
+    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    longest = max(outlines, key=len, default=None)
+    if longest is None or len(longest) < 5:
+        return math.nan
+    _, (first, second), rotated = cv2.fitEllipse(longest)
+    return wrap_axial_deg(-rotated if first >= second else -rotated - 90.0)
+
+
+LEAST_LEVELS = 10.0
+"""A threshold below this many grey levels would follow the noise."""
+BLUR_PX = 2.0
+_DISC = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))
+
+
+class BackgroundSubtraction:
+    """Turn since the first frame by PCA of the mask or an ellipse round it; no sigma."""
+
+    def __init__(self, background: NDArray[np.uint8], axis: Literal["pca", "ellipse"]) -> None:
+        self._background = background.astype(np.float32)
+        self._axis: Literal["pca", "ellipse"] = axis
+        self._rotation = AxialRotation()
+        self.last_mask: NDArray[np.uint8] = np.zeros(background.shape[:2], np.uint8)
+
+    def process(self, frame: Frame) -> Estimate:
+        """Largest region that differs from the no-contact image, an even change of light aside."""
+        change = frame.image.astype(np.float32) - self._background
+        change -= np.median(change[::8, ::8], axis=(0, 1))
+        strength = cv2.GaussianBlur(np.abs(change).max(axis=2), (0, 0), BLUR_PX)
+        levels = np.asarray(np.clip(strength, 0, 255), np.uint8)
+        otsu, _ = cv2.threshold(levels, 0, 255, cv2.THRESH_OTSU)
+        above = np.asarray(strength > max(otsu, LEAST_LEVELS), np.uint8)
+        closed = np.asarray(cv2.morphologyEx(above, cv2.MORPH_CLOSE, _DISC), np.uint8)
+        count, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
+        if count < 2:
+            self.last_mask = np.zeros_like(closed)
+            return self._rotation.estimate(frame, math.nan, 0, self._axis)
+        largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+        self.last_mask = np.asarray(labels == largest, np.uint8)
+        if self._axis == "ellipse":
+            angle_deg = axis_of_ellipse(self.last_mask)
+        else:
+            y, x = np.nonzero(self.last_mask)
+            angle_deg = axis_of_points(x, y)
+        return self._rotation.estimate(frame, angle_deg, int(stats[largest, cv2.CC_STAT_AREA]), self._axis)
+
 
 MIN_AREA_PX = 200
 MEAN_RGB, STD_RGB = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
