@@ -11,7 +11,15 @@ from typing import Any
 
 import pytest
 from realtime import RealTime
-from run_order import CLOSING_LINE, REAL_DATA_VARIABLE, choose_workers, make_scheduler, need_what_it_names, select
+from run_order import (
+    CLOSING_LINE,
+    REAL_DATA_VARIABLE,
+    choose_workers,
+    make_scheduler,
+    need_what_it_names,
+    select,
+    set_list_file,
+)
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as slipguard's own main does; before numpy is imported
 
@@ -65,6 +73,11 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     select(config, items)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: Any) -> None:
+    set_list_file(node)
 
 
 @pytest.hookimpl(optionalhook=True)

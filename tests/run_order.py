@@ -45,9 +45,9 @@ def select(config: pytest.Config, items: list[pytest.Item]) -> None:
     if config.option.whole_suite and not config.option.markexpr:
         items[:] = [item for item in items if not any(item.get_closest_marker(name) for name in ON_DEMAND)]
     items.sort(key=_rank)
-    for item in items:
-        if item.get_closest_marker(REALTIME) and os.environ.get("PYTEST_XDIST_WORKER"):
-            item._nodeid += f"@{REALTIME}"  # as `--dist loadgroup` does: the scheduler knows names only
+    if hasattr(config, "workerinput"):
+        names = [item.nodeid for item in items if item.get_closest_marker(REALTIME)]
+        Path(config.workerinput[REALTIME]).write_text("\n".join(names))
 
 
 def _rank(item: pytest.Item) -> int:
@@ -76,13 +76,23 @@ def _has(name: str) -> bool:
     return shutil.which(name) is not None or importlib.util.find_spec(name) is not None
 
 
+def set_list_file(node: WorkerController) -> None:
+    """Name the file in which a worker lists its tests of real time: the scheduler knows the tests by name only."""
+    node.workerinput[REALTIME] = str(node.config._tmp_path_factory.getbasetemp() / REALTIME)
+
+
 def make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Give each process one file or serial folder at a time, and the tests of real time to the last process."""
     from xdist.scheduler import LoadScopeScheduling
 
     class RealTimeLast(LoadScopeScheduling):
+        def schedule(self) -> None:
+            listed = config._tmp_path_factory.getbasetemp() / REALTIME
+            self.realtime = set(listed.read_text().splitlines())
+            super().schedule()
+
         def _split_scope(self, nodeid: str) -> str:
-            if nodeid.endswith(f"@{REALTIME}"):
+            if nodeid in self.realtime:
                 return REALTIME
             path = Path(nodeid.partition("::")[0])
             return str(path.parent if SERIAL_FOLDERS & set(path.parts) else path)
