@@ -14,8 +14,8 @@ from playwright.async_api import Browser, ConsoleMessage, Page, async_playwright
 
 sys.path.append(str(Path(__file__).parent))
 
-from page_images import Shelf
-from page_rig import Daemon, daemon
+from page_images import PageScreenshots
+from page_rig import DaemonProcess, daemon
 
 VARIABLE = "SLIPGUARD_CHROMIUM"
 NAMES = ("chromium", "chromium-browser", "google-chrome")
@@ -23,7 +23,7 @@ QUIET = (
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--no-proxy-server",
 )  # fmt: skip
-PATIENCE_MS = 45_000
+TIMEOUT_MS = 45_000
 Open = Callable[..., Awaitable[Page]]
 
 
@@ -35,7 +35,7 @@ def chromium() -> str:
 
 
 @pytest.fixture(scope="session")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaemonProcess]:
     """One daemon for all tests here; each begins with `fresh` or `held`."""
     with daemon(tmp_path_factory.mktemp("page")) as made:
         yield made
@@ -44,7 +44,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
 @pytest_asyncio.fixture(scope="session", loop_scope="session")
 async def browser() -> AsyncIterator[Browser]:
     """Started once."""
-    expect.set_options(timeout=PATIENCE_MS)
+    expect.set_options(timeout=TIMEOUT_MS)
     async with async_playwright() as playwright:
         started = await playwright.chromium.launch(executable_path=chromium(), args=QUIET)
         yield started
@@ -52,7 +52,7 @@ async def browser() -> AsyncIterator[Browser]:
 
 
 @pytest_asyncio.fixture(loop_scope="session")
-async def look(browser: Browser, running: Daemon) -> AsyncIterator[Open]:
+async def open_page(browser: Browser, running: DaemonProcess) -> AsyncIterator[Open]:
     """Opens the page in a window of its own: `await look(control=False)`.
 
     At the end nothing may have gone wrong in it: no error in its console but `expected` ones, and nothing asked of any
@@ -70,7 +70,7 @@ async def look(browser: Browser, running: Daemon) -> AsyncIterator[Open]:
                 wrong.append(f"{message.type}: {message.text} ({asked_for})")
 
         context = await browser.new_context(viewport={"width": 1280, "height": 800})
-        context.set_default_timeout(PATIENCE_MS)
+        context.set_default_timeout(TIMEOUT_MS)
         contexts.append(context)
         page = await context.new_page()
         page.on("console", heard)
@@ -91,7 +91,7 @@ async def look(browser: Browser, running: Daemon) -> AsyncIterator[Open]:
 
 
 @pytest.fixture(scope="session")
-def shelf(pytestconfig: pytest.Config) -> Shelf:
-    """Where pictures of the page are put, if anywhere (`--page-pictures DIR`)."""
-    named = pytestconfig.getoption("--page-pictures")
-    return Shelf(None if named is None else Path(named))
+def screenshots(pytestconfig: pytest.Config) -> PageScreenshots:
+    """Where pictures of the page are put, if anywhere (`--page-images DIR`)."""
+    named = pytestconfig.getoption("--page-images")
+    return PageScreenshots(None if named is None else Path(named))

@@ -40,7 +40,7 @@ CONTRAST = """() => {
   while (walker.nextNode()) {
     const element = walker.currentNode.parentElement;
     const text = walker.currentNode.textContent.trim();
-    if (!text || !element.checkVisibility() || element.closest(".unseen, script, noscript")) continue;
+    if (!text || !element.checkVisibility() || element.closest(".visually-hidden, script, noscript")) continue;
     const under = ground(element);
     found.push([ratio(over(parse(getComputedStyle(element).color), under), under), text]);
   }
@@ -58,30 +58,30 @@ CONTRAST = """() => {
 }"""
 """[contrast to its ground, text] of every text that is seen (WCAG 2.2, 1.4.3)."""
 
-SMALL = """(least) => [...document.querySelectorAll("button, a[href], label.tick, input[type=number]")]
+SMALL = """(least) => [...document.querySelectorAll("button, a[href], label.checkbox, input[type=number]")]
   .filter((one) => one.checkVisibility() && !one.classList.contains("skip"))
   .map((one) => [one.getBoundingClientRect(), one.id || one.textContent.trim()])
   .filter(([box]) => box.height && (box.width < least || box.height < least))
   .map(([box, name]) => `${name}: ${box.width} x ${box.height}`)"""
 
 WIDE = """() => [...document.querySelectorAll("body *")]
-  .filter((one) => one.checkVisibility() && !one.closest(".unseen, .skip"))
+  .filter((one) => one.checkVisibility() && !one.closest(".visually-hidden, .skip"))
   .filter((one) => one.getBoundingClientRect().right > innerWidth + 0.5)
   .map((one) => one.id || one.className || one.tagName)"""
 
-CUT = """() => [...document.querySelectorAll("button, .figures div, .now, .picture p, .pill")]
+CUT = """() => [...document.querySelectorAll("button, .figures div, .now, .image p, .pill")]
   .filter((one) => one.checkVisibility() && one.scrollWidth > one.clientWidth + 1)
   .map((one) => one.id || one.textContent.trim())"""
 
 NAMED_ROLES = {"button", "checkbox", "spinbutton", "textbox", "link", "image", "dialog", "region"}
 
 
-async def pale(page: Page, least_contrast: float = 4.5) -> list[str]:
+async def low_contrast_texts(page: Page, least_contrast: float = 4.5) -> list[str]:
     """Texts that are hard to read."""
     return [f"contrast {ratio:.2f}: {text}" for ratio, text in await page.evaluate(CONTRAST) if ratio < least_contrast]
 
 
-async def misfits(page: Page, least_px: float = 44.0) -> list[str]:
+async def layout_problems(page: Page, least_px: float = 44.0) -> list[str]:
     """What is hard to hit, runs over the edge or out of its box."""
     small = [f"small: {one}" for one in await page.evaluate(SMALL, least_px)]
     wide = [f"beyond the edge: {one}" for one in await page.evaluate(WIDE)]
@@ -89,7 +89,7 @@ async def misfits(page: Page, least_px: float = 44.0) -> list[str]:
     return small + wide + cut
 
 
-async def nameless(page: Page) -> list[str]:
+async def unnamed_elements(page: Page) -> list[str]:
     """What a screen reader meets without a name, as the browser itself tells it."""
     session = await page.context.new_cdp_session(page)
     tree: dict[str, Any] = await session.send("Accessibility.getFullAXTree")
@@ -104,7 +104,7 @@ async def nameless(page: Page) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class Shelf:
+class PageScreenshots:
     """Takes pictures of a page, where a folder was named for them."""
 
     folder: Path | None
@@ -114,5 +114,5 @@ class Shelf:
         if self.folder is None:
             return
         self.folder.mkdir(parents=True, exist_ok=True)
-        asking = await page.locator("#ask").is_visible()
+        asking = await page.locator("#dialog").is_visible()
         await page.screenshot(path=self.folder / f"{name}.png", full_page=not asking)

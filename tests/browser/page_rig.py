@@ -18,7 +18,7 @@ from slipguard.daemon.api.client import Client
 from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, ReleaseRequest
 from slipguard.errors import CommandRefused, SlipguardError
 
-PATIENCE_S = 90.0
+TIMEOUT_S = 90.0
 CONFIG = """
 [left]
 driver = "fake"
@@ -55,7 +55,7 @@ tighten_effect_timeout_s = 10
 pause = Event().wait
 
 
-class Daemon:
+class DaemonProcess:
     """The process, and a client on its Unix socket. url: of the page."""
 
     def __init__(self, folder: Path) -> None:
@@ -99,7 +99,7 @@ class Daemon:
 
     def until(self, reached: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """The first state that is as it should be."""
-        ends_s = time.monotonic() + PATIENCE_S
+        ends_s = time.monotonic() + TIMEOUT_S
         while True:
             state = self.state()
             if state and reached(state):
@@ -121,9 +121,9 @@ class Daemon:
         self.order("fresh")
         self.until(lambda state: not state["waiting_for"])
 
-    def held(self, anew: bool = True) -> None:
+    def held(self, again: bool = True) -> None:
         """The object gripped, with both fingers' no-contact images known; anew: just now, on the table."""
-        if not anew:
+        if not again:
             state = self.well()
             if state["phase"] == "holding" and state["guarding"]:
                 return
@@ -149,7 +149,7 @@ class Daemon:
         self.client.close()
         self._process.send_signal(signal.SIGTERM)
         try:
-            assert self._process.wait(PATIENCE_S) == 0, self.log
+            assert self._process.wait(TIMEOUT_S) == 0, self.log
             assert "Traceback" not in self.log, self.log
         finally:
             self._process.kill()
@@ -160,9 +160,9 @@ class Daemon:
 
 
 @contextmanager
-def daemon(folder: Path) -> Iterator[Daemon]:
+def daemon(folder: Path) -> Iterator[DaemonProcess]:
     """A daemon, all its devices ready; ended at the end."""
-    made = Daemon(folder)
+    made = DaemonProcess(folder)
     try:
         made.until(lambda state: not state["waiting_for"])
         yield made

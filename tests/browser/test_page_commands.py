@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from page_rig import Daemon
+from page_rig import DaemonProcess
 from playwright.async_api import Page, expect
 
 pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="session")]
@@ -11,7 +11,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="session")]
 DOUBLE_CLICK_MS = 150
 DOUBLE_CLICK = """ms => new Promise(done => {
   document.querySelector("#do-guard").click();
-  const again = () => document.querySelector("#ask-yes").dispatchEvent(new MouseEvent("click", {bubbles: true}));
+  const again = () => document.querySelector("#dialog-confirm").dispatchEvent(new MouseEvent("click", {bubbles: true}));
   setTimeout(() => done(again()), ms);
 })"""
 """Both halves by the page's own clock, so that a busy machine does not part them."""
@@ -20,10 +20,10 @@ AGAIN_AT_ONCE = """async () => {
   const wait = ms => new Promise(done => setTimeout(done, ms));
   press("#do-lift");
   await wait(300);
-  press("#ask-no");
+  press("#dialog-cancel");
   press("#do-lift");
   await wait(250);
-  return !document.querySelector("#ask-yes").disabled;
+  return !document.querySelector("#dialog-confirm").disabled;
 }"""
 """Closed and asked again in one turn of the page: that it closed is told only after the second asking."""
 COLOURS = """(canvas) => {
@@ -36,22 +36,22 @@ COLOURS = """(canvas) => {
 async def give(page: Page, name: str) -> None:
     """Press a button and say yes to its question."""
     await page.click(f"#do-{name}")
-    await expect(page.locator("#ask-no")).to_be_focused()
-    await page.click("#ask-yes")
-    await expect(page.locator("#ask")).to_be_hidden()
+    await expect(page.locator("#dialog-cancel")).to_be_focused()
+    await page.click("#dialog-confirm")
+    await expect(page.locator("#dialog")).to_be_hidden()
 
 
-async def test_a_lift_from_calibration_to_release(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+async def test_a_lift_from_calibration_to_release(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.fresh()
-    page = await look()
+    page = await open_page()
     phase, figures = page.locator("#phase"), page.locator(".figures")
     await expect(phase).to_have_text("Idle")
     await expect(page.locator("#do-lift")).to_have_attribute("aria-disabled", "true")
     await expect(page.locator("#hint-lift")).to_have_text("only while holding")
     await give(page, "calibrate")
-    await expect(page.locator("#said")).to_contain_text("no-contact images")
+    await expect(page.locator("#message")).to_contain_text("background images")
     await give(page, "grasp")
-    await expect(page.locator("#said")).to_have_text("closing with 40 N")
+    await expect(page.locator("#message")).to_have_text("closing with 40 N")
     await expect(phase).to_have_text("Holding")
     await expect(figures).to_contain_text("40 N")
     await expect(page.locator("#events")).to_contain_text("gripped")
@@ -71,37 +71,37 @@ async def test_a_lift_from_calibration_to_release(running: Daemon, look) -> None
     await expect(page.locator("#events")).to_contain_text("released")
 
 
-async def release(running: Daemon, page: Page) -> None:
+async def release(running: DaemonProcess, page: Page) -> None:
     """Neither a double click nor the Enter key opens the jaws: the box must be ticked first."""
     await page.dblclick("#do-release")
-    yes = page.locator("#ask-yes")
-    await expect(page.locator("#ask-what")).to_have_text("This opens the jaws: what is held drops.")
-    await expect(page.locator("#ask-no")).to_be_focused()
-    await expect(page.locator("#ask-now")).to_contain_text("tick the box")
+    yes = page.locator("#dialog-confirm")
+    await expect(page.locator("#dialog-text")).to_have_text("This opens the jaws: a held object drops.")
+    await expect(page.locator("#dialog-cancel")).to_be_focused()
+    await expect(page.locator("#dialog-state")).to_contain_text("check the box")
     await expect(yes).to_be_disabled()
-    await page.locator("#ask-tick").press("Enter")
+    await page.locator("#dialog-checkbox").press("Enter")
     assert running.state()["phase"] == "holding"
-    await page.check("#ask-tick")
+    await page.check("#dialog-checkbox")
     await expect(yes).to_be_enabled()
-    await page.uncheck("#ask-tick")
+    await page.uncheck("#dialog-checkbox")
     await expect(yes).to_be_disabled()
-    await page.check("#ask-tick")
+    await page.check("#dialog-checkbox")
     assert running.state()["phase"] == "holding"
     await yes.dblclick()
-    await expect(page.locator("#ask")).to_be_hidden()
+    await expect(page.locator("#dialog")).to_be_hidden()
     running.until(lambda state: state["phase"] == "idle")
 
 
-async def test_a_double_click_gives_one_command(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
-    running.held(anew=False)
-    page = await look()
+async def test_a_double_click_gives_one_command(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+    running.held(again=False)
+    page = await open_page()
     asked: list[str] = []
     page.on("request", lambda request: request.method == "POST" and asked.append(request.url))
     await page.evaluate(DOUBLE_CLICK, DOUBLE_CLICK_MS)
     await page.wait_for_timeout(100)
     assert not asked, "the second half of a double click must not say yes, wherever it falls"
-    await expect(page.locator("#ask-yes")).to_be_enabled()
-    await page.locator("#ask-yes").dblclick()
+    await expect(page.locator("#dialog-confirm")).to_be_enabled()
+    await page.locator("#dialog-confirm").dblclick()
     await expect(page.locator("#do-guard .label")).to_have_text("Guard on")
     assert len(asked) == 1
     assert running.state()["guarding"] is False
@@ -110,40 +110,42 @@ async def test_a_double_click_gives_one_command(running: Daemon, look) -> None: 
     await expect(page.locator("#do-guard .label")).to_have_text("Guard off")
 
 
-async def test_a_question_asked_anew_at_once_can_be_answered_and_not_too_early(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
-    running.held(anew=False)
-    page = await look()
+async def test_a_question_asked_anew_at_once_can_be_answered_and_not_too_early(
+    running: DaemonProcess, open_page
+) -> None:  # type: ignore[no-untyped-def]
+    running.held(again=False)
+    page = await open_page()
     early = await page.evaluate(AGAIN_AT_ONCE)
     assert early is False, "the first question's time must not arm the second"
-    await expect(page.locator("#ask")).to_be_visible()
-    await expect(page.locator("#ask-yes")).to_be_enabled()
-    await page.click("#ask-no")
-    await expect(page.locator("#ask")).to_be_hidden()
+    await expect(page.locator("#dialog")).to_be_visible()
+    await expect(page.locator("#dialog-confirm")).to_be_enabled()
+    await page.click("#dialog-cancel")
+    await expect(page.locator("#dialog")).to_be_hidden()
 
 
-async def test_a_refusal_is_shown_in_the_daemons_words(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+async def test_a_refusal_is_shown_in_the_daemons_words(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.held()
-    page = await look(expected=("status of 409",))
+    page = await open_page(expected=("status of 409",))
     await page.click("#do-lower")
-    await page.fill("#ask-height_mm", "9999")
-    await page.click("#ask-yes")
-    assert await page.locator("#ask-height_mm").evaluate("one => one.validity.rangeOverflow")
-    await page.click("#ask-no")
+    await page.fill("#field-height_mm", "9999")
+    await page.click("#dialog-confirm")
+    assert await page.locator("#field-height_mm").evaluate("one => one.validity.rangeOverflow")
+    await page.click("#dialog-cancel")
     await page.click("#do-grasp", force=True)
-    await expect(page.locator("#said")).to_have_text("Grasp is not possible: only when nothing is held")
+    await expect(page.locator("#message")).to_have_text("Grasp is not possible: only when nothing is held")
     await page.click("#do-lower")
-    await expect(page.locator("#ask-yes")).to_be_enabled()
-    await page.click("#ask-yes")
-    refused = page.locator("#ask-answer")
+    await expect(page.locator("#dialog-confirm")).to_be_enabled()
+    await page.click("#dialog-confirm")
+    refused = page.locator("#dialog-error")
     await expect(refused).to_contain_text("give a height")
-    await expect(page.locator("#ask")).to_be_visible()
-    await page.click("#ask-no")
-    await expect(page.locator("#said")).to_contain_text("give a height")
+    await expect(page.locator("#dialog")).to_be_visible()
+    await page.click("#dialog-cancel")
+    await expect(page.locator("#message")).to_contain_text("give a height")
 
 
-async def test_everything_by_keyboard(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
-    running.held(anew=False)
-    page = await look()
+async def test_everything_by_keyboard(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+    running.held(again=False)
+    page = await open_page()
     keyboard, focus = page.keyboard, page.locator(":focus")
     seen = []
     for _ in range(9):
@@ -152,22 +154,22 @@ async def test_everything_by_keyboard(running: Daemon, look) -> None:  # type: i
         ring = await focus.evaluate("one => parseFloat(getComputedStyle(one).outlineWidth)")
         assert ring >= 2.0, f"{seen[-1]}: no visible focus"
     names = ["grasp", "lift", "lower", "guard", "clear", "calibrate", "release"]
-    assert seen == ["To the commands", *(f"do-{name}" for name in names), "overlay"]
+    assert seen == ["Skip to commands", *(f"do-{name}" for name in names), "overlay"]
     at_mm = running.state()["arm"]["height_mm"]
     await page.focus("#do-lift")
     await keyboard.press("Enter")
-    await expect(page.locator("#ask-no")).to_be_focused()
+    await expect(page.locator("#dialog-cancel")).to_be_focused()
     await keyboard.press("Escape")
-    await expect(page.locator("#ask")).to_be_hidden()
+    await expect(page.locator("#dialog")).to_be_hidden()
     await expect(page.locator("#do-lift")).to_be_focused()
     await keyboard.press("Enter")
-    await expect(page.locator("#ask-yes")).to_be_enabled()
+    await expect(page.locator("#dialog-confirm")).to_be_enabled()
     await keyboard.press("Shift+Tab")
     await keyboard.press("Enter")
-    await expect(page.locator("#ask-height_mm")).to_have_value("45")
+    await expect(page.locator("#field-height_mm")).to_have_value("45")
     await keyboard.press("Tab")
     await keyboard.press("Tab")
-    await expect(page.locator("#ask-yes")).to_be_focused()
+    await expect(page.locator("#dialog-confirm")).to_be_focused()
     await keyboard.press("Enter")
-    await expect(page.locator("#said")).to_have_text("lifting by 45 mm")
+    await expect(page.locator("#message")).to_have_text("lifting by 45 mm")
     running.until(lambda state: state["phase"] == "holding" and state["arm"]["height_mm"] > at_mm + 44.0)

@@ -1,6 +1,6 @@
 """The page can be read, hit and heard by everybody: both themes, from a phone to a desk, in every state.
 
-`pytest tests/browser/test_page_images.py --page-pictures DIR` keeps pictures of it to look at.
+`pytest tests/browser/test_page_images.py --page-images DIR` keeps pictures of it to look at.
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from __future__ import annotations
 import re
 
 import pytest
-from page_images import Shelf, misfits, nameless, pale
-from page_rig import Daemon
+from page_images import PageScreenshots, layout_problems, low_contrast_texts, unnamed_elements
+from page_rig import DaemonProcess
 from playwright.async_api import Page, expect
 
 from slipguard.daemon.api.requests import LiftRequest
@@ -22,61 +22,61 @@ MINUTE_FILLED_MS = 25_000
 """A picture of the charts with something in them."""
 
 
-async def check(page: Page, shelf: Shelf, name: str) -> None:
+async def check(page: Page, screenshots: PageScreenshots, name: str) -> None:
     """To be read in both themes, to be hit at every width; pictures of the usual widths in both."""
     for kind, (width, height) in WIDTHS.items():
         await page.set_viewport_size({"width": width, "height": height})
-        for theme in THEMES if kind == "desk" or shelf.folder else THEMES[:1]:
+        for theme in THEMES if kind == "desk" or screenshots.folder else THEMES[:1]:
             await page.emulate_media(color_scheme=theme, reduced_motion="reduce")
             await page.wait_for_timeout(SETTLED_MS)
-            assert not await pale(page) + await misfits(page), f"{name}, {theme}, {kind}"
+            assert not await low_contrast_texts(page) + await layout_problems(page), f"{name}, {theme}, {kind}"
             if kind != "narrow":
-                await shelf.keep(page, f"{name}-{kind}-{theme}")
-    assert not await nameless(page), name
+                await screenshots.keep(page, f"{name}-{kind}-{theme}")
+    assert not await unnamed_elements(page), name
 
 
-async def test_holding_asking_and_fault(running: Daemon, look, shelf: Shelf) -> None:  # type: ignore[no-untyped-def]
-    running.held(anew=shelf.folder is not None)
-    page = await look()
-    if shelf.folder is not None:
+async def test_holding_asking_and_fault(running: DaemonProcess, open_page, screenshots: PageScreenshots) -> None:  # type: ignore[no-untyped-def]
+    running.held(again=screenshots.folder is not None)
+    page = await open_page()
+    if screenshots.folder is not None:
         running.client.submit(LiftRequest())
         running.until(lambda state: state["phase"] == "holding" and state["arm"]["height_mm"] > 39.0)
     await expect(page.locator("#phase")).to_have_text("Holding")
-    await page.wait_for_timeout(MINUTE_FILLED_MS if shelf.folder else 0)
-    await check(page, shelf, "holding")
+    await page.wait_for_timeout(MINUTE_FILLED_MS if screenshots.folder else 0)
+    await check(page, screenshots, "holding")
     await page.click("#do-release")
-    await check(page, shelf, "asking")
+    await check(page, screenshots, "asking")
     await page.keyboard.press("Escape")
     running.order("fail arm protective_stop")
     await expect(page.locator("#fault")).to_be_visible()
-    await check(page, shelf, "fault")
+    await check(page, screenshots, "fault")
 
 
-async def test_not_ready_lost_and_looking_only(running: Daemon, look, shelf: Shelf) -> None:  # type: ignore[no-untyped-def]
+async def test_not_ready_lost_and_looking_only(running: DaemonProcess, open_page, screenshots: PageScreenshots) -> None:  # type: ignore[no-untyped-def]
     running.fresh()
-    page = await look(control=False)
+    page = await open_page(control=False)
     running.order("fail left disconnect")
     await expect(page.locator("#phase")).to_have_text("Not ready")
-    await check(page, shelf, "read-only-not-ready")
+    await check(page, screenshots, "read-only-not-ready")
     with running.frozen():
         await expect(page.locator("#phase")).to_have_text("No connection")
-        await check(page, shelf, "lost")
+        await check(page, screenshots, "lost")
 
 
-async def test_headings_landmarks_and_pictures_in_words(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
-    running.held(anew=False)
-    page = await look()
+async def test_headings_landmarks_and_pictures_in_words(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+    running.held(again=False)
+    page = await open_page()
     headings = page.get_by_role("heading")
     assert await headings.all_text_contents() == [
-        "slipguard", "Fingers", "Last minute", "Devices", "Pace", "What happened",
+        "slipguard", "Fingers", "Last minute", "Devices", "Timing", "Events",
     ]  # fmt: skip
-    for region in ("State", "Commands", "Fingers", "Last minute", "Devices", "Pace", "What happened"):
+    for region in ("State", "Commands", "Fingers", "Last minute", "Devices", "Timing", "Events"):
         await expect(page.get_by_role("region", name=region, exact=True)).to_have_count(1)
     await expect(page.get_by_role("main")).to_have_count(1)
-    rotation = page.get_by_role("img", name="Turn over the last minute")
-    await expect(page.get_by_role("img", name="Grip per finger over the last minute")).to_have_count(1)
-    await expect(page.get_by_role("img", name="Gel picture of the left finger, contact, turn")).to_be_visible()
-    await expect(page.get_by_role("button", name="Release")).to_have_accessible_description("opens: what is held drops")
+    rotation = page.get_by_role("img", name="Rotation over the last minute")
+    await expect(page.get_by_role("img", name="Grip force per finger over the last minute")).to_have_count(1)
+    await expect(page.get_by_role("img", name="Gel image of the left finger, contact, rotation")).to_be_visible()
+    await expect(page.get_by_role("button", name="Release")).to_have_accessible_description("opens: the object drops")
     await page.emulate_media(reduced_motion="reduce")
     await expect(page.locator("#do-release")).to_have_css("transition-duration", "0s")
     await expect(rotation).to_have_attribute("aria-label", re.compile("±"))

@@ -7,7 +7,7 @@ from itertools import product
 from typing import Any
 
 import pytest
-from page_rig import Daemon
+from page_rig import DaemonProcess
 
 from slipguard.control.fault import Fault, FaultCode
 from slipguard.control.messages import Command, ControlRequest, Observation, RequestKind
@@ -22,11 +22,11 @@ KINDS = {
     "grasp": RequestKind.GRASP, "lift": RequestKind.LIFT, "lower": RequestKind.LOWER, "clear": RequestKind.CLEAR,
 }  # fmt: skip
 ASK = """async (cases) => {
-  const { guards, hindrance } = await import("/page/permissions.js");
+  const { isGuarding, blockedReason } = await import("/page/permissions.js");
   const names = ["grasp", "lift", "lower", "clear", "guard", "release"];
   return cases.map((state) => {
     const view = { live: true, control: true, state };
-    return [guards(state), Object.fromEntries(names.map((name) => [name, hindrance(name, view)]))];
+    return [isGuarding(state), Object.fromEntries(names.map((name) => [name, blockedReason(name, view)]))];
   });
 }"""
 
@@ -76,8 +76,8 @@ def granted(state: GraspState, observation: Observation, params: GuardParams, ki
     return answer(state, Command(), replace(observation, request=ControlRequest(kind)), params)[1].refused is None
 
 
-async def test_what_the_law_grants_the_page_lets_ask(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
-    page = await look(control=False)
+async def test_what_the_law_grants_the_page_lets_ask(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+    page = await open_page(control=False)
     every = cases()
     spared = 0
     for case, (guards, forbidden) in zip(every, await page.evaluate(ASK, [told(*case) for case in every]), strict=True):

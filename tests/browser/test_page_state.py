@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from page_rig import Daemon
+from page_rig import DaemonProcess
 from playwright.async_api import Page, expect
 
 pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="session")]
@@ -25,9 +25,9 @@ HIDE = """(hidden) => {
 }"""
 
 
-async def test_a_fault_appears_with_what_to_do_and_is_cleared(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
-    running.held(anew=False)
-    page = await look()
+async def test_a_fault_appears_with_what_to_do_and_is_cleared(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+    running.held(again=False)
+    page = await open_page()
     await page.evaluate(COUNT_SPOKEN)
     await page.wait_for_timeout(1000)
     assert await page.evaluate("window.spoken") == [], "nothing new happened, so nothing may be said"
@@ -39,21 +39,21 @@ async def test_a_fault_appears_with_what_to_do_and_is_cleared(running: Daemon, l
     await expect(page.locator("#detail")).to_have_text(re.compile(r"the grip is kept: \d+ N"))
     await expect(page.locator("#events li.fault").first).to_contain_text("arm in protective stop")
     await expect(page.locator("#hint-lift")).to_have_text("clear the fault first")
-    await expect(page.locator("#arm-moves")).to_have_text("protective stop")
+    await expect(page.locator("#arm-motion")).to_have_text("protective stop")
     spoken = await page.evaluate("window.spoken")
     assert len(spoken) < 12, spoken
     running.order("mend")
     running.until(lambda state: not state["arm"]["protective_stop"])
     await page.click("#do-clear")
-    await expect(page.locator("#ask-what")).to_contain_text("The grip stays as it is")
-    await page.click("#ask-yes")
+    await expect(page.locator("#dialog-text")).to_contain_text("The grip does not change")
+    await page.click("#dialog-confirm")
     await expect(page.locator("#phase")).to_have_text("Holding")
     await expect(page.locator("#fault")).to_be_hidden()
 
 
-async def test_a_sensor_that_is_gone_is_named_and_its_picture_is_not_shown(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+async def test_a_sensor_that_is_gone_is_named_and_its_picture_is_not_shown(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.fresh()
-    page = await look()
+    page = await open_page()
     running.order("fail left disconnect")
     await expect(page.locator("#phase")).to_have_text("Not ready")
     await expect(page.locator("#finger-left .missing")).to_contain_text("plug it in")
@@ -68,16 +68,16 @@ async def test_a_sensor_that_is_gone_is_named_and_its_picture_is_not_shown(runni
     await expect(page.locator("#finger-left .stale")).to_contain_text("no new frame for")
 
 
-async def test_a_restart_is_survived_and_the_old_login_is_not(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
-    running.held(anew=False)
-    page = await look(
+async def test_a_restart_is_survived_and_the_old_login_is_not(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+    running.held(again=False)
+    page = await open_page(
         expected=("ERR_CONNECTION_REFUSED", "ERR_EMPTY_RESPONSE", "ERR_CONNECTION_RESET", "closed before")
     )
-    lost = page.locator("#connection", has_text="lost since")
+    lost = page.locator("#connection", has_text="offline since")
     running.order("again")
     await lost.wait_for(state="attached")
     await expect(page.locator("#connection")).to_have_text("live")
-    await expect(page.locator("#login-title")).to_contain_text("ended with a restart")
+    await expect(page.locator("#login-title")).to_contain_text("Access has expired")
     await expect(page.locator("#login")).to_contain_text("slipguard ctl page")
     await expect(page.locator("#hint-release")).to_have_text("read only")
     await page.goto(running.client.page_link()["url"])
@@ -86,30 +86,30 @@ async def test_a_restart_is_survived_and_the_old_login_is_not(running: Daemon, l
     await expect(page.locator("#phase")).to_have_text("Holding")
 
 
-async def test_without_a_connection_nothing_is_shown_as_if_it_were_so(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
-    running.held(anew=False)
-    page = await look()
+async def test_without_a_connection_nothing_is_shown_as_if_it_were_so(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+    running.held(again=False)
+    page = await open_page()
     await expect(page.locator("#force")).to_have_text(re.compile(r"^\d+ N$"))
     await expect(page.locator("#finger-left canvas")).to_be_visible()
     await page.click("#do-release")
-    await page.check("#ask-tick")
+    await page.check("#dialog-checkbox")
     with running.frozen():
         await expect(page.locator("#phase")).to_have_text("No connection")
         await expect(page.locator("#detail")).to_contain_text("last known: Holding")
-        await expect(page.locator("#ask-yes")).to_be_disabled()
-        await expect(page.locator("#ask-now")).to_contain_text("no connection")
+        await expect(page.locator("#dialog-confirm")).to_be_disabled()
+        await expect(page.locator("#dialog-state")).to_contain_text("no connection")
         await page.keyboard.press("Escape")
         for figure in ("rotation", "force", "height"):
             await expect(page.locator(f"#{figure}")).to_have_text("–")
-        await expect(page.locator("#finger-left .stale")).to_have_text("last picture, not live")
+        await expect(page.locator("#finger-left .stale")).to_have_text("last image, not live")
         await expect(page.locator("#hint-release")).to_have_text("no connection")
         await expect(page.locator("#devices .health").first).to_have_text("not known")
     await expect(page.locator("#connection")).to_have_text("live")
 
 
-async def test_a_page_that_nobody_looks_at_asks_for_no_pictures(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+async def test_a_page_that_nobody_looks_at_asks_for_no_pictures(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.well()
-    page: Page = await look()
+    page: Page = await open_page()
     asked: list[str] = []
     page.on("request", lambda request: "/picture/" in request.url and asked.append(request.url))
     await page.wait_for_timeout(700)
@@ -123,12 +123,12 @@ async def test_a_page_that_nobody_looks_at_asks_for_no_pictures(running: Daemon,
         await page.evaluate(HIDE, False)
 
 
-async def test_a_browser_that_is_not_logged_in_may_only_look(running: Daemon, look) -> None:  # type: ignore[no-untyped-def]
+async def test_a_browser_that_is_not_logged_in_may_only_look(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.well()
-    page = await look(control=False)
-    await expect(page.locator("#login-title")).to_have_text("This page may look, not command")
+    page = await open_page(control=False)
+    await expect(page.locator("#login-title")).to_have_text("This page is read-only")
     for button in await page.locator("#buttons button").all():
         await expect(button).to_have_attribute("aria-disabled", "true")
     await page.click("#do-release", force=True)
-    await expect(page.locator("#ask")).to_be_hidden()
-    await expect(page.locator("#said")).to_have_text("Release is not possible: read only")
+    await expect(page.locator("#dialog")).to_be_hidden()
+    await expect(page.locator("#message")).to_have_text("Release is not possible: read only")

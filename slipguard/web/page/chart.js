@@ -1,4 +1,4 @@
-// Draws one minute of numbers on a canvas: sharp on every screen, in the page's own colours.
+// Draws one minute of numbers on a canvas, sharp at every screen resolution, in the page's colors.
 
 import { GAP_S, SPAN_S } from "./history.js";
 
@@ -6,9 +6,9 @@ const LEFT = 46;
 const RIGHT = 10;
 const TOP = 8;
 const BOTTOM = 22;
-const MARK_COLOURS = { fault: "--fault-line", warning: "--slip-line" };
+const MARK_COLORS = { fault: "--fault-line", warning: "--slip-line" };
 
-/** Round steps of 1, 2 or 5 between low and high, at most `most` of them. */
+/** Return ticks at steps of 1, 2 or 5 between low and high, at most `most` of them. */
 export function ticks(low, high, most) {
   const rough = (high - low) / most;
   const power = 10 ** Math.floor(Math.log10(rough));
@@ -18,31 +18,31 @@ export function ticks(low, high, most) {
   return found.map((value) => Math.round(value / step) * step);
 }
 
-/** A canvas that shows plots; `draw` may be called as often as there is news. */
+/** A canvas that shows plots; `draw` may be called at any rate. */
 export class Chart {
   constructor(canvas) {
     this.canvas = canvas;
     this.plot = null;
-    this.asked = false;
-    new ResizeObserver(() => this.ask()).observe(canvas);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.ask());
+    this.scheduled = false;
+    new ResizeObserver(() => this.schedule()).observe(canvas);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.schedule());
   }
 
   /**
-   * plot: {now_s, low, high, unit, live, shades: [{from_s, to_s, colour}], marks: [{at_s, level}],
-   * levels: [{value, colour, label}], bands: [{points: [t_s, low, high][], colour}],
-   * lines: [{points: [t_s, value][], colour, dash}]}; colours are names of custom properties.
+   * plot: {now_s, low, high, unit, live, shades: [{from_s, to_s, color}], marks: [{at_s, level}],
+   * levels: [{value, color, label}], bands: [{points: [t_s, low, high][], color}],
+   * lines: [{points: [t_s, value][], color, dash}]}; colors are names of custom properties.
    */
   draw(plot) {
     this.plot = plot;
-    this.ask();
+    this.schedule();
   }
 
-  ask() {
-    if (this.asked || !this.plot) return;
-    this.asked = true;
+  schedule() {
+    if (this.scheduled || !this.plot) return;
+    this.scheduled = true;
     requestAnimationFrame(() => {
-      this.asked = false;
+      this.scheduled = false;
       this.paint();
     });
   }
@@ -59,13 +59,13 @@ export class Chart {
     }
     const pen = canvas.getContext("2d");
     const style = getComputedStyle(canvas);
-    const colour = (name) => style.getPropertyValue(name).trim();
+    const color = (name) => style.getPropertyValue(name).trim();
     pen.setTransform(scale, 0, 0, scale, 0, 0);
     pen.clearRect(0, 0, width, height);
     pen.font = `12px ${style.fontFamily}`;
     const x = (t_s) => LEFT + ((t_s - plot.now_s + SPAN_S) / SPAN_S) * (width - LEFT - RIGHT);
     const y = (value) => TOP + ((plot.high - value) / (plot.high - plot.low)) * (height - TOP - BOTTOM);
-    const place = { pen, x, y, width, height, colour };
+    const place = { pen, x, y, width, height, color };
     paintAxes(place, plot);
     pen.save();
     pen.beginPath();
@@ -80,10 +80,10 @@ export class Chart {
   }
 }
 
-function paintAxes({ pen, x, y, width, height, colour }, plot) {
+function paintAxes({ pen, x, y, width, height, color }, plot) {
   pen.lineWidth = 1;
-  pen.fillStyle = colour("--soft");
-  pen.strokeStyle = colour("--line");
+  pen.fillStyle = color("--soft");
+  pen.strokeStyle = color("--line");
   pen.textBaseline = "middle";
   pen.textAlign = "right";
   for (const value of ticks(plot.low, plot.high, Math.max(2, Math.floor(height / 40)))) {
@@ -103,13 +103,13 @@ function paintAxes({ pen, x, y, width, height, colour }, plot) {
   }
 }
 
-function paintBehind({ pen, x, y, width, height, colour }, plot) {
+function paintBehind({ pen, x, y, width, height, color }, plot) {
   for (const shade of plot.shades) {
-    pen.fillStyle = colour(shade.colour);
+    pen.fillStyle = color(shade.color);
     pen.fillRect(x(shade.from_s), TOP, Math.max(4, x(shade.to_s) - x(shade.from_s)), height - TOP - BOTTOM);
   }
   for (const mark of plot.marks) {
-    pen.strokeStyle = colour(MARK_COLOURS[mark.level]);
+    pen.strokeStyle = color(MARK_COLORS[mark.level]);
     pen.lineWidth = 2;
     pen.setLineDash([]);
     pen.beginPath();
@@ -118,7 +118,7 @@ function paintBehind({ pen, x, y, width, height, colour }, plot) {
     pen.stroke();
   }
   for (const level of plot.levels) {
-    pen.strokeStyle = colour(level.colour);
+    pen.strokeStyle = color(level.color);
     pen.lineWidth = 1.5;
     pen.setLineDash([2, 4]);
     pen.beginPath();
@@ -129,8 +129,8 @@ function paintBehind({ pen, x, y, width, height, colour }, plot) {
   }
 }
 
-/** Pieces without gaps: a point that is not told, or comes late, ends one. */
-function pieces(points) {
+/** Split points into segments without gaps; an unknown or late point ends a segment. */
+function segments(points) {
   const found = [];
   let last = null;
   for (const point of points) {
@@ -145,35 +145,35 @@ function pieces(points) {
   return found;
 }
 
-function paintBand({ pen, x, y, colour }, band) {
-  pen.fillStyle = colour(band.colour);
-  for (const piece of pieces(band.points)) {
+function paintBand({ pen, x, y, color }, band) {
+  pen.fillStyle = color(band.color);
+  for (const segment of segments(band.points)) {
     pen.beginPath();
-    for (const [t_s, low] of piece) pen.lineTo(x(t_s), y(low));
-    for (const [t_s, , high] of piece.toReversed()) pen.lineTo(x(t_s), y(high));
+    for (const [t_s, low] of segment) pen.lineTo(x(t_s), y(low));
+    for (const [t_s, , high] of segment.toReversed()) pen.lineTo(x(t_s), y(high));
     pen.closePath();
     pen.fill();
   }
 }
 
-function paintLine({ pen, x, y, colour }, line) {
-  pen.strokeStyle = colour(line.colour);
+function paintLine({ pen, x, y, color }, line) {
+  pen.strokeStyle = color(line.color);
   pen.lineWidth = 2.25;
   pen.lineJoin = "round";
   pen.lineCap = line.dash ? "butt" : "round";
   pen.setLineDash(line.dash ?? []);
-  for (const piece of pieces(line.points)) {
+  for (const segment of segments(line.points)) {
     pen.beginPath();
-    pen.moveTo(x(piece[0][0]), y(piece[0][1]));
-    for (const [t_s, value] of piece) pen.lineTo(x(t_s) + 0.01, y(value));
+    pen.moveTo(x(segment[0][0]), y(segment[0][1]));
+    for (const [t_s, value] of segment) pen.lineTo(x(t_s) + 0.01, y(value));
     pen.stroke();
   }
   pen.setLineDash([]);
 }
 
-function paintLabels({ pen, y, width, height, colour }, plot) {
+function paintLabels({ pen, y, width, height, color }, plot) {
   if (!plot.lines.some((line) => line.points.some((point) => point[1] !== null && point[1] !== undefined))) {
-    pen.fillStyle = colour("--soft");
+    pen.fillStyle = color("--soft");
     pen.textAlign = "center";
     pen.font = pen.font.replace("12px", "14px");
     pen.fillText("not measured in the last minute", (LEFT + width - RIGHT) / 2, (TOP + height - BOTTOM) / 2 - 12);

@@ -1,133 +1,133 @@
-// What can be asked of the daemon: the words of each button, of its question, and the request it sends.
+// The commands: label of each button, text and fields of its dialog, and the request it sends.
 
-import { guards } from "./permissions.js";
+import { isGuarding } from "./permissions.js";
 import { sessionHeaders } from "./session.js";
 import { plain } from "./format.js";
 
-const height = { name: "height_mm", label: "Height", unit: "mm", min: 1, max: 2000, step: 5 };
+const HEIGHT = { name: "height_mm", label: "Height", unit: "mm", min: 1, max: 2000, step: 5 };
+const TIMEOUT_MS = 10000;
 
 /**
- * By name: label and hint of the button; title, what, yes and no of the question; optional fields (numbers; empty:
- * left to the daemon), tick (must be ticked; with `body` it is only an option), and the request's path and body.
+ * By name. form(state) returns: label and hint of the button; title, text, confirm and cancel of the dialog; optional
+ * fields (numbers; an empty one uses the daemon's default); an optional checkbox (required, or an option with `body`);
+ * path and body of the request.
  */
-export const ORDERS = {
+export const COMMANDS = {
   grasp: {
-    order: (state) => ({
+    form: (state) => ({
       label: "Grasp",
       hint: `close with ${plain(state.limits.first_force_n)} N`,
       title: "Close the jaws?",
-      what: "The jaws close on what is between them. Keep your hands out.",
-      yes: "Close the jaws",
+      text: "The jaws close on the object between them. Keep your hands out.",
+      confirm: "Close the jaws",
       fields: [
         {
           name: "force_n", label: "Force per finger", unit: "N", min: 1, max: state.limits.force_max_n, step: 5,
-          usual: state.limits.first_force_n,
+          initial: state.limits.first_force_n,
         },
       ],
       path: "/grasp",
     }),
   },
   lift: {
-    order: (state) => ({
+    form: (state) => ({
       label: "Lift",
       hint: `up by ${plain(state.limits.lift_height_mm)} mm`,
       title: "Lift the arm?",
-      what: "The arm lifts what is held. Keep clear of it.",
-      yes: "Lift",
-      fields: [{ ...height, usual: state.limits.lift_height_mm }],
+      text: "The arm lifts the held object. Keep clear of it.",
+      confirm: "Lift",
+      fields: [{ ...HEIGHT, initial: state.limits.lift_height_mm }],
       path: "/lift",
     }),
   },
   lower: {
-    order: () => ({
+    form: () => ({
       label: "Lower",
       hint: "back down",
       title: "Lower the arm?",
-      what: "The arm goes down to where the lift began, or by the height you give. Keep clear of it.",
-      yes: "Lower",
-      fields: [{ ...height, label: "Height (empty: to where the lift began)", usual: null }],
+      text: "The arm moves down to where the lift began, or by the height you enter. Keep clear of it.",
+      confirm: "Lower",
+      fields: [{ ...HEIGHT, label: "Height (empty: to where the lift began)", initial: null }],
       path: "/lower",
     }),
   },
   guard: {
-    order: (state) =>
-      guards(state)
+    form: (state) =>
+      isGuarding(state)
         ? {
             label: "Guard off",
-            hint: "slip is then only shown",
-            title: "Stop guarding?",
-            what: "Slip is then only shown: nothing tightens the grip, nothing stops the arm.",
-            yes: "Stop guarding",
+            hint: "then slip is only shown",
+            title: "Switch the guard off?",
+            text: "Slip is then only shown: the grip is not tightened, and the arm is not stopped.",
+            confirm: "Switch off",
             path: "/guard",
             body: { on: false },
           }
         : {
             label: "Guard on",
             hint: "act on slip",
-            title: "Guard what is held?",
-            what: "From now on the grip is tightened, and the arm stopped, when the object slips.",
-            yes: "Guard",
+            title: "Switch the guard on?",
+            text: "When the object slips, the grip is tightened and the arm is stopped.",
+            confirm: "Switch on",
             path: "/guard",
             body: { on: true },
           },
   },
   clear: {
-    order: (state) => ({
+    form: (state) => ({
       label: "Clear fault",
-      hint: "once its cause is gone",
+      hint: "after its cause is gone",
       title: "Clear the fault?",
-      what: state.fault
-        ? `${state.fault.code}: ${state.fault.observed}. First: ${state.fault.what_to_do}. The grip stays as it is.`
-        : "The grip stays as it is.",
-      yes: "Clear the fault",
+      text: state.fault
+        ? `${state.fault.code}: ${state.fault.observed}. First: ${state.fault.what_to_do}. The grip does not change.`
+        : "The grip does not change.",
+      confirm: "Clear the fault",
       path: "/clear",
     }),
   },
   calibrate: {
-    patience_ms: 40000,
-    order: () => ({
+    timeout_ms: 40000,
+    form: () => ({
       label: "Calibrate",
       hint: "jaws open and empty",
-      title: "Take no-contact images?",
-      what: "The jaws must be open and empty: nothing may touch the gels. Moves nothing, takes a few seconds.",
-      yes: "Take the images",
-      tick: { label: "Also where contact is seen: the light or the gel has changed", body: { force: true } },
+      title: "Take background images?",
+      text: "The jaws must be open and empty: nothing may touch the gels. Nothing moves; it takes a few seconds.",
+      confirm: "Take the images",
+      checkbox: { label: "Also if contact is detected (the light or the gel has changed)", body: { force: true } },
       path: "/calibrate",
     }),
   },
   release: {
     danger: true,
-    order: () => ({
+    form: () => ({
       label: "Release",
-      hint: "opens: what is held drops",
+      hint: "opens: the object drops",
       title: "Open the jaws?",
-      what: "This opens the jaws: what is held drops.",
-      yes: "Open the jaws",
-      no: "Keep the grip",
-      tick: { label: "Yes: it may drop, or it is supported", must: true },
+      text: "This opens the jaws: a held object drops.",
+      confirm: "Open the jaws",
+      cancel: "Keep the grip",
+      checkbox: { label: "Yes: it may drop, or it is supported", required: true },
       path: "/release",
       body: { confirm: true },
     }),
   },
 };
 
-const PATIENCE_MS = 10000;
-
-/** Ask the daemon. Returns {ok, text, forbidden}: what it said, or why it was not done, in one line. */
+/** Send a request. Returns {ok, text, forbidden}: the daemon's message, or the reason of the failure. */
 export async function send(name, path, body) {
   try {
-    const answer = await fetch(path, {
+    const response = await fetch(path, {
       method: "POST",
       headers: { "content-type": "application/json", ...sessionHeaders() },
       body: JSON.stringify(body),
-      signal: AbortSignal.timeout(ORDERS[name].patience_ms ?? PATIENCE_MS),
+      signal: AbortSignal.timeout(COMMANDS[name].timeout_ms ?? TIMEOUT_MS),
     });
-    const told = await answer.json().catch(() => ({}));
-    if (answer.ok) return { ok: true, text: told.message ?? "done" };
-    const text = told.error ?? `the daemon answered ${answer.status} without a word`;
-    return { ok: false, text, forbidden: answer.status === 401 || answer.status === 403 };
+    const content = await response.json().catch(() => ({}));
+    if (response.ok) return { ok: true, text: content.message ?? "done" };
+    const text = content.error ?? `the daemon responded with status ${response.status} and no reason`;
+    return { ok: false, text, forbidden: response.status === 401 || response.status === 403 };
   } catch (error) {
-    const why = error.name === "TimeoutError" ? "the daemon did not answer in time" : "the connection broke";
-    return { ok: false, text: `${why}: whether it was done is not known; look at the state before you ask again` };
+    const reason = error.name === "TimeoutError" ? "no response from the daemon in time" : "the connection was lost";
+    return { ok: false, text: `${reason}: the command may have been executed; check the state before you repeat it` };
   }
 }

@@ -1,10 +1,10 @@
-// Devices, pace and events: what an engineer looks at after the first glance.
+// Devices, timing and events: details for an engineer.
 
 import { byId, make, setRows, setText } from "./dom.js";
-import { armWords, clock, deviceName, gripperWords, withoutName } from "./format.js";
+import { armText, deviceName, gripperText, timeText, withoutName } from "./format.js";
 
-export const EVENTS_KEPT = 50;
-const COUNTED = {
+export const EVENTS_MAX = 50;
+const COUNT_NAMES = {
   frames: "frames",
   corrupt: "damaged",
   frozen: "frozen",
@@ -13,113 +13,115 @@ const COUNTED = {
   late: "too late",
 };
 
-const REPEATED_MS = 20000;
-const REMARK = /^(left|right|gripper|arm)( finger)?: /;
-const RETRIED = "It is tried again by itself. More is said by: slipguard doctor";
+const REPEAT_MS = 20000;
+const DEVICE_MESSAGE = /^(left|right|gripper|arm)( finger)?: /;
+const RETRY_NOTE = "slipguard keeps trying to connect. For more information run: slipguard doctor";
 
-/** Each device in a line: how it is, why, and what to do; nothing of the past where the connection is lost. */
+/** Show state, reason and advice of each device; without a connection, only that they are unknown. */
 export function showDevices(state, live) {
   const rows = Object.entries(state.devices).map(([name, health]) => {
     if (!live) return [name, "not known", ""];
-    const help = health.state === "disconnected" ? [RETRIED] : [];
-    const words = [withoutName(name, health.reason), ...help, ...does(state, name)].filter(Boolean);
-    return [name, health.state, words.join(". ")];
+    const advice = health.state === "disconnected" ? [RETRY_NOTE] : [];
+    const texts = [withoutName(name, health.reason), ...advice, ...deviceTexts(state, name)].filter(Boolean);
+    return [name, health.state, texts.join(". ")];
   });
-  setRows(byId("devices"), rows, (name, health, why) => {
+  setRows(byId("devices"), rows, (name, health, reason) => {
     const item = make("li", {}, make("b", { textContent: deviceName(name) }), " ");
     item.append(make("span", { className: `health ${health}`, textContent: health }));
-    if (why) item.append(make("p", { textContent: why }));
+    if (reason) item.append(make("p", { textContent: reason }));
     return [item];
   });
 }
 
-/** What a device that is there does or remarks. */
-function does(state, name) {
+/** Return what a connected device is doing or reports. */
+function deviceTexts(state, name) {
   const finger = state.fingers[name];
   if (finger) {
     const gel = finger.gel && finger.gel.action ? [`gel ${finger.gel.status}: ${finger.gel.observed}; ${finger.gel.action}`] : [];
     return [finger.serial, ...finger.remarks, ...gel];
   }
-  if (name === "gripper") return state.gripper ? [gripperWords(state.gripper)] : [];
-  return state.arm ? [armWords(state.arm)] : [];
+  if (name === "gripper") return state.gripper ? [gripperText(state.gripper)] : [];
+  return state.arm ? [armText(state.arm)] : [];
 }
 
-/** How fast everything is, and what was left out of each finger's frames. */
-export function showPace(state) {
+/** Show latencies, and the counts of each finger's frames. */
+export function showTiming(state) {
   setRows(
-    byId("times"),
+    byId("latencies"),
     [
       ["frame to decision", ...milliseconds(state.latency)],
-      ["gripper's answer", ...milliseconds(state.round_trips.gripper)],
-      ["arm's answer", ...milliseconds(state.round_trips.arm)],
+      ["gripper response", ...milliseconds(state.round_trips.gripper)],
+      ["arm response", ...milliseconds(state.round_trips.arm)],
     ],
     tableRow,
   );
   const { left, right } = state.fingers;
-  const kinds = (finger) => ({ ...finger.counts, ...finger.counts.skipped, skipped: 0 });
-  const counts = [kinds(left), kinds(right)];
+  const countsOf = (finger) => ({ ...finger.counts, ...finger.counts.skipped, skipped: 0 });
+  const counts = [countsOf(left), countsOf(right)];
   const names = [...new Set(counts.flatMap(Object.keys))];
-  const told = names.filter((name) => name === "frames" || counts.some((one) => one[name]));
-  const rows = told.map((name) => [COUNTED[name] ?? `skipped: ${name}`, ...counts.map((one) => String(one[name] ?? 0))]);
+  const shown = names.filter((name) => name === "frames" || counts.some((one) => one[name]));
+  const rows = shown.map((name) => [COUNT_NAMES[name] ?? `skipped: ${name}`, ...counts.map((one) => String(one[name] ?? 0))]);
   setRows(byId("counts"), rows, tableRow);
   setText(byId("missed"), String(state.deadlines_missed));
 }
 
-function tableRow(what, ...cells) {
-  const head = make("th", { scope: "row", textContent: what });
+function tableRow(name, ...cells) {
+  const head = make("th", { scope: "row", textContent: name });
   return [make("tr", {}, head, ...cells.map((text) => make("td", { textContent: text })))];
 }
 
-function milliseconds(trips) {
-  return trips ? [trips.p50_ms.toFixed(1), trips.p99_ms.toFixed(1)] : ["–", "–"];
+function milliseconds(latency) {
+  return latency ? [latency.p50_ms.toFixed(1), latency.p99_ms.toFixed(1)] : ["–", "–"];
 }
 
-/** The newest events, newest first; what comes again and again is told once, with its newest figures, and counted. */
+/** The newest events, newest first. A repeated event is shown once, with its newest figures and a count. */
 export class Events {
   constructor() {
     this.list = byId("events");
-    this.kept = [];
+    this.events = [];
   }
 
-  /** Forget all. */
+  /** Remove all events. */
   clear() {
-    this.kept = [];
+    this.events = [];
     this.show();
   }
 
-  /** One more; `at` is a Date. */
+  /** Add an event; `at` is a Date. */
   add(event, at) {
-    if (event.level === "fault") this.kept = this.kept.filter((one) => one.text !== `${event.text}; ${event.what_to_do}`);
-    const again = this.kept.findIndex((one, index) => tellsAgain(event, one, index, at));
-    const times = again < 0 ? 1 : this.kept.splice(again, 1)[0].times + 1;
-    this.kept.unshift({ ...event, at, times });
-    this.kept.length = Math.min(this.kept.length, EVENTS_KEPT);
+    if (event.level === "fault") {
+      this.events = this.events.filter((one) => one.text !== `${event.text}; ${event.what_to_do}`);
+    }
+    const repeated = this.events.findIndex((one, index) => isRepeat(event, one, index, at));
+    const times = repeated < 0 ? 1 : this.events.splice(repeated, 1)[0].times + 1;
+    this.events.unshift({ ...event, at, times });
+    this.events.length = Math.min(this.events.length, EVENTS_MAX);
     this.show();
   }
 
   show() {
-    byId("no-events").hidden = this.kept.length > 0;
-    this.list.hidden = this.kept.length === 0;
+    byId("no-events").hidden = this.events.length > 0;
+    this.list.hidden = this.events.length === 0;
     this.list.replaceChildren(
-      ...this.kept.map((event) => {
+      ...this.events.map((event) => {
         const text = event.times > 1 ? `${event.text} (×${event.times})` : event.text;
         const item = make("li", { className: event.level });
-        item.append(make("time", { textContent: clock(event.at), dateTime: event.at.toISOString() }));
-        const words = make("div", {});
-        if (event.level !== "info") words.append(make("b", { className: "level", textContent: event.level }), " ");
-        words.append(text);
-        if (event.what_to_do) words.append(make("p", { className: "do", textContent: event.what_to_do }));
-        item.append(words);
+        item.append(make("time", { textContent: timeText(event.at), dateTime: event.at.toISOString() }));
+        const content = make("div", {});
+        if (event.level !== "info") content.append(make("b", { className: "level", textContent: event.level }), " ");
+        content.append(text);
+        if (event.what_to_do) content.append(make("p", { className: "do", textContent: event.what_to_do }));
+        item.append(content);
         return item;
       }),
     );
   }
 }
 
-/** Whether an event only tells one of the newest again: the last one, or a device's remark, whatever its figures. */
-function tellsAgain(event, one, index, at) {
+/** Return whether an event repeats the last one, or a recent message of a device with other figures. */
+function isRepeat(event, one, index, at) {
   if (event.level === "fault" || event.level !== one.level) return false;
-  if (!REMARK.test(event.text)) return index === 0 && event.text === one.text;
-  const words = (text) => text.replace(/[\d.]+/g, "#");
-  return at - one.at < REPEATED_MS && words(event.text) === words(one.text);
+  if (!DEVICE_MESSAGE.test(event.text)) return index === 0 && event.text === one.text;
+  const withoutFigures = (text) => text.replace(/[\d.]+/g, "#");
+  return at - one.at < REPEAT_MS && withoutFigures(event.text) === withoutFigures(one.text);
 }

@@ -1,29 +1,29 @@
-// Numbers and states in words, as `slipguard ctl state` says them.
+// Numbers and states as text, in the terms of `slipguard ctl state`.
 
 const MINUS = "\u2212";
 
-/** A number with its sign: "+1.2", "−0.4"; "0.0" has none. */
+/** Format a number with its sign: "+1.2", "−0.4"; "0.0" without. */
 export function signed(value, digits = 1) {
   const text = Math.abs(value).toFixed(digits);
   if (Number(text) === 0) return text;
   return (value < 0 ? MINUS : "+") + text;
 }
 
-/** A number without plus: "62", "−3". */
+/** Format a number without a plus: "62", "−3". */
 export function plain(value, digits = 0) {
   return signed(value, digits).replace("+", "");
 }
 
-/** "0.4 s", "12 s", "3 min", "2 h 5 min". */
-export function span(seconds) {
+/** Format a duration: "0.4 s", "12 s", "3 min", "2 h 5 min". */
+export function durationText(seconds) {
   if (seconds < 10) return `${seconds.toFixed(1)} s`;
   if (seconds < 120) return `${Math.round(seconds)} s`;
   const minutes = Math.round(seconds / 60);
   return minutes < 120 ? `${minutes} min` : `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
 }
 
-/** Wall-clock time of a Date: "14:03:09". */
-export function clock(date) {
+/** Format the time of a Date: "14:03:09". */
+export function timeText(date) {
   return date.toLocaleTimeString("en-GB");
 }
 
@@ -36,9 +36,9 @@ const PHASES = {
   lowering: ["Lowering", "move"],
   released: ["Opening", "move"],
 };
-const AT_STAKE = new Set(["closing", "reference", "lifting", "holding", "lowering"]);
+const HOLDING_PHASES = new Set(["closing", "reference", "lifting", "holding", "lowering"]);
 
-/** What is so, for somebody two metres away: {word, detail, tone}; tone: idle hold move slip warn fault. */
+/** Summarize the state, readable from two meters: {word, detail, tone}; tone: idle hold move slip warn fault. */
 export function headline(state) {
   const gripper = state.gripper;
   if (state.phase === "fault") {
@@ -48,15 +48,17 @@ export function headline(state) {
   const [word, tone] = PHASES[state.phase] ?? [state.phase, "idle"];
   const notes = [];
   if (state.slipping) notes.push(gripper ? `tightening, ${plain(gripper.force_n)} N now` : "tightening");
-  if (state.phase === "idle") notes.push(gripper && gripper.holding ? "something is held, not guarded" : "nothing is held");
-  if (state.phase === "reference") notes.push("looking how it lies");
+  if (state.phase === "idle") notes.push(gripper && gripper.holding ? "an object is held, not guarded" : "nothing is held");
+  if (state.phase === "reference") notes.push("taking the reference");
   if (state.guarding) {
-    if (AT_STAKE.has(state.phase)) notes.push("guarding");
+    if (HOLDING_PHASES.has(state.phase)) notes.push("guarding");
   } else notes.push("NOT guarding: slip is only shown");
   if (state.mode === "guard") notes.push("another program moves the arm");
-  if (state.no_rotation_reason && AT_STAKE.has(state.phase)) notes.push(`the turn cannot be seen (${state.no_rotation_reason})`);
+  if (state.no_rotation_reason && HOLDING_PHASES.has(state.phase)) {
+    notes.push(`no rotation estimate (${state.no_rotation_reason})`);
+  }
   if (state.slipping) return { word: "Slipping", detail: `${word.toLowerCase()}; ${notes.join("; ")}`, tone: "slip" };
-  const waiting = waits(state);
+  const waiting = waitingTexts(state);
   if (waiting.length && state.phase === "idle") {
     return { word: "Not ready", detail: waiting.join("; "), tone: "warn" };
   }
@@ -66,57 +68,58 @@ export function headline(state) {
 
 function faultDetail(state) {
   const { arm, gripper } = state;
-  const moves = arm && arm.moving ? "the arm is still moving" : "the arm is stopped";
-  const way = state.putting_down ? "the arm puts it down" : arm ? moves : "the arm is not heard";
-  if (!gripper) return `${way}, the gripper is not heard`;
-  return gripper.holding ? `${way}, the grip is kept: ${plain(gripper.force_n)} N` : way;
+  const motion = arm && arm.moving ? "the arm is still moving" : "the arm is stopped";
+  const armState = state.putting_down ? "the arm is putting the object down" : arm ? motion : "the arm is not connected";
+  if (!gripper) return `${armState}, the gripper is not connected`;
+  return gripper.holding ? `${armState}, the grip is kept: ${plain(gripper.force_n)} N` : armState;
 }
 
-/** The turn of one finger or of both in words. */
-export function turnWords(rotation_deg, sigma_deg) {
-  return rotation_deg === null || rotation_deg === undefined ? "not told" : `${signed(rotation_deg)}° ± ${sigma_deg.toFixed(1)}°`;
+/** Format a rotation, of one finger or of both. */
+export function rotationText(rotation_deg, sigma_deg) {
+  if (rotation_deg === null || rotation_deg === undefined) return "no estimate";
+  return `${signed(rotation_deg)}° ± ${sigma_deg.toFixed(1)}°`;
 }
 
-/** {force, target, budget} of a state in newtons; null where not known. */
+/** Return the forces of a state in newtons; null if unknown. */
 export function forces(state) {
   return {
     force_n: state.gripper ? state.gripper.force_n : null,
     target_n: state.target_force_n ?? null,
-    budget_n: state.limits ? state.limits.force_max_n : null,
+    limit_n: state.limits ? state.limits.force_max_n : null,
   };
 }
 
-/** What people call a device. */
+/** Return the display name of a device. */
 export function deviceName(name) {
   const fingers = { left: "left finger", right: "right finger" };
   return fingers[name] ?? name;
 }
 
-/** A device's own words without its name before them: they stand beside it. */
+/** Remove a device's name from the start of its message, where the name is displayed beside it. */
 export function withoutName(name, text) {
   return text && text.startsWith(`${name}: `) ? text.slice(name.length + 2) : text;
 }
 
-/** What the daemon waits for, each device named once. */
-function waits(state) {
+/** Return what the daemon is waiting for, with each device named once. */
+function waitingTexts(state) {
   return (state.waiting_for ?? []).map((line) => {
-    const [name, ...why] = line.split(": ");
-    return `${deviceName(name)}: ${withoutName(name, why.join(": "))}`;
+    const [name, ...reason] = line.split(": ");
+    return `${deviceName(name)}: ${withoutName(name, reason.join(": "))}`;
   });
 }
 
-/** What the gripper does, in a few words. */
-export function gripperWords(gripper) {
+/** Describe the gripper's state in a few words. */
+export function gripperText(gripper) {
   if (gripper.fault) return `fault: ${gripper.fault}`;
   if (!gripper.active) return "not activated";
-  const apart = `jaws ${plain(gripper.width_mm)} mm apart`;
-  if (gripper.moving) return `moving, ${apart}`;
-  if (gripper.closed_on_nothing) return `closed on nothing, ${apart}`;
-  return gripper.holding ? `holding, ${apart}` : `empty, ${apart}`;
+  const width = `jaws ${plain(gripper.width_mm)} mm apart`;
+  if (gripper.moving) return `moving, ${width}`;
+  if (gripper.closed_on_nothing) return `closed on nothing, ${width}`;
+  return gripper.holding ? `holding, ${width}` : `empty, ${width}`;
 }
 
-/** What the arm does, in a few words. */
-export function armWords(arm) {
+/** Describe the arm's state in a few words. */
+export function armText(arm) {
   if (arm.emergency_stop) return "emergency stop";
   if (arm.protective_stop) return "protective stop";
   return arm.moving ? `moving, ${plain(arm.speed_mm_s)} mm/s` : "at rest";

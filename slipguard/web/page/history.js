@@ -1,27 +1,27 @@
-// The last minute of samples and marks, and what it says in one sentence.
+// The samples and marks of the last minute, and a summary in one sentence.
 
 import { plain, signed } from "./format.js";
 
 export const SPAN_S = 60;
-export const GAP_S = 0.35; // samples come every 0.1 s; further apart there was none
+export const GAP_S = 0.35; // samples come every 0.1 s; a longer distance is a gap
 
-/** A minute of samples, oldest first; times are the daemon's. */
+/** One minute of samples, oldest first; times are on the daemon's clock. */
 export class History {
   constructor() {
     this.samples = [];
     this.marks = [];
   }
 
-  /** All anew: what the daemon remembers of the minute before this page was there. */
+  /** Replace all samples by the daemon's history from before this page was opened. */
   replace(samples) {
-    const seen = this.samples.filter((one) => one.slipping);
+    const slipping = this.samples.filter((one) => one.slipping);
     this.samples = [...samples];
     for (const one of this.samples) {
-      one.slipping ??= seen.some((other) => Math.abs(other.t_s - one.t_s) < 0.06);
+      one.slipping ??= slipping.some((other) => Math.abs(other.t_s - one.t_s) < 0.06);
     }
   }
 
-  /** One more; one that is not later than the newest is left out, and a clock that began anew begins all anew. */
+  /** Add a sample; ignored if it is not newer than the newest. If the clock has restarted, start over. */
   add(sample) {
     const last = this.samples.at(-1);
     if (last && sample.t_s < last.t_s - SPAN_S) this.samples = [];
@@ -32,17 +32,17 @@ export class History {
     this.marks = this.marks.filter((mark) => mark.at_s >= oldest);
   }
 
-  /** An event to be marked in the charts. */
+  /** Add an event that the charts mark. */
   mark(at_s, level) {
     this.marks.push({ at_s, level });
   }
 
-  /** When the newest sample was taken; 0 where there is none. */
+  /** Return the time of the newest sample; 0 if there is none. */
   get now_s() {
     return this.samples.at(-1)?.t_s ?? 0;
   }
 
-  /** Stretches [from_s, to_s] in which `holds` was true of the samples. */
+  /** Return the periods [from_s, to_s] in which `holds` is true for the samples. */
   stretches(holds) {
     const found = [];
     let open = null;
@@ -55,12 +55,12 @@ export class History {
   }
 }
 
-/** "−0.3° to +4.1°, known 80 %" of the values of a key; null where it was never known. */
+/** Summarize the values of a key: "−0.3° to +4.1°, known 80 %"; null if all are unknown. */
 export function summary(samples, key, unit, signs) {
   const values = samples.map((one) => one[key]).filter((value) => value !== null && value !== undefined);
   if (!values.length) return null;
-  const word = signs ? (value) => signed(value) : (value) => plain(value);
-  const [low, high] = [word(Math.min(...values)), word(Math.max(...values))];
+  const format = signs ? (value) => signed(value) : (value) => plain(value);
+  const [low, high] = [format(Math.min(...values)), format(Math.max(...values))];
   const range = low === high ? `${low}${unit} throughout` : `${low}${unit} to ${high}${unit}`;
   const share = Math.round((100 * values.length) / samples.length);
   return share < 100 ? `${range}, known ${share} %` : range;

@@ -1,27 +1,26 @@
-// The daemon's live stream: connects by itself again, and says when what is shown is no longer so.
+// The live stream of the daemon: reconnects by itself, and reports when the shown state is out of date.
 
-const SILENT_MS = 1500; // states come every 100 ms
-const DEAD_MS = 6000; // a connection that gives nothing for so long is given up
-const PAUSES_MS = [300, 600, 1200, 2500];
+const OFFLINE_MS = 1500; // states come every 100 ms
+const RECONNECT_MS = 6000; // a connection without messages for this time is replaced
+const RETRY_MS = [300, 600, 1200, 2500];
 
 /**
- * Calls on.history(samples), on.state(state, sample), on.event(event) as they come, and on.lost() and on.opened()
- * when the connection goes and comes. A connection that gives nothing counts as gone.
+ * Calls on.history(samples), on.state(state, sample) and on.event(event) for each message, and on.opened() and
+ * on.offline() when the connection is opened or lost. A connection without messages counts as lost.
  */
-export class Live {
+export class LiveStream {
   constructor(on) {
     this.on = on;
     this.socket = null;
     this.tries = 0;
-    this.heardAt = -Infinity;
+    this.receivedAt = -Infinity;
     this.openedAt = 0;
-    this.toldOf_s = null;
+    this.newest_s = null;
     this.live = false;
     this.timer = 0;
-    setInterval(() => this.look(), 250);
-    for (const name of ["online", "visibilitychange"]) {
-      (name === "online" ? window : document).addEventListener(name, () => this.hurry());
-    }
+    setInterval(() => this.check(), 250);
+    window.addEventListener("online", () => this.reconnectNow());
+    document.addEventListener("visibilitychange", () => this.reconnectNow());
     this.connect();
   }
 
@@ -35,54 +34,54 @@ export class Live {
       if (socket === this.socket) this.on.opened();
     };
     socket.onmessage = (message) => {
-      if (socket === this.socket) this.take(JSON.parse(message.data));
+      if (socket === this.socket) this.receive(JSON.parse(message.data));
     };
     socket.onclose = () => {
-      if (socket === this.socket) this.again();
+      if (socket === this.socket) this.reconnectLater();
     };
   }
 
-  take(message) {
+  receive(message) {
     if (message.type === "history") this.on.history(message.samples);
     else if (message.type === "event") this.on.event(message.event);
     else if (message.type === "state") {
-      if (message.sample.t_s === this.toldOf_s && this.toldOf_s !== null) return; // the loop stands still
-      this.toldOf_s = message.sample.t_s;
-      this.heardAt = performance.now();
+      if (message.sample.t_s === this.newest_s && this.newest_s !== null) return; // the control loop does not run
+      this.newest_s = message.sample.t_s;
+      this.receivedAt = performance.now();
       this.tries = 0;
       this.live = true;
       this.on.state(message.state, message.sample);
     }
   }
 
-  again() {
+  reconnectLater() {
     this.socket = null;
-    this.lose();
-    const pause = PAUSES_MS[Math.min(this.tries, PAUSES_MS.length - 1)];
+    this.setOffline();
+    const pause = RETRY_MS[Math.min(this.tries, RETRY_MS.length - 1)];
     this.tries += 1;
     this.timer = setTimeout(() => this.connect(), pause);
   }
 
-  lose() {
+  setOffline() {
     if (!this.live) return;
     this.live = false;
-    this.on.lost();
+    this.on.offline();
   }
 
-  look() {
+  check() {
     const now = performance.now();
-    if (now - this.heardAt > SILENT_MS) this.lose();
-    if (this.socket && now - Math.max(this.heardAt, this.openedAt) > DEAD_MS) {
+    if (now - this.receivedAt > OFFLINE_MS) this.setOffline();
+    if (this.socket && now - Math.max(this.receivedAt, this.openedAt) > RECONNECT_MS) {
       const dead = this.socket;
-      this.again();
+      this.reconnectLater();
       dead.close();
     }
   }
 
-  /** Somebody looks again, or the network is back: a telephone asleep may hold a connection that is long dead. */
-  hurry() {
+  /** Reconnect when the page is shown again or the network is back: the connection of a sleeping phone may be dead. */
+  reconnectNow() {
     const old = this.socket;
-    if (document.hidden || this.live || (old && performance.now() - this.openedAt < SILENT_MS)) return;
+    if (document.hidden || this.live || (old && performance.now() - this.openedAt < OFFLINE_MS)) return;
     this.connect();
     old?.close();
   }

@@ -1,50 +1,50 @@
-// The operator page: takes the daemon's live stream and shows it. What is old is greyed and said to be old.
+// The operator page: shows the daemon's live stream. Values that are out of date are greyed and marked.
 
 import { Commands } from "./commands.js";
-import { Events, showDevices, showPace } from "./details.js";
+import { Events, showDevices, showTiming } from "./details.js";
 import { byId, setAttribute, setText } from "./dom.js";
+import { armText, durationText, forces, headline, plain, signed, timeText } from "./format.js";
 import { Graphs } from "./graphs.js";
 import { History } from "./history.js";
-import { Live } from "./live.js";
-import { Pictures } from "./images.js";
+import { FingerImages } from "./images.js";
+import { LiveStream } from "./live.js";
 import { sessionHeaders } from "./session.js";
-import { armWords, clock, forces, headline, plain, signed, span } from "./format.js";
 
-const SLOW_MS = 250; // figures that change faster cannot be read
-const SHORT = 13; // longer words of state are set in smaller type
-const ENDED = "The login has ended with a restart of slipguard or of this browser: log in again to command";
-const REMEMBERED = "slipguard: this browser could command";
+const DETAILS_PERIOD_MS = 250; // figures that change faster cannot be read
+const LONG_HEADLINE = 13; // characters; longer ones are set in smaller type
+const ACCESS_EXPIRED = "Access has expired: slipguard or this browser was restarted. Log in again to send commands";
+const HAD_CONTROL_KEY = "slipguard: this browser could command";
 
 const view = { live: false, control: false, state: null };
-let lostAt = null;
-let clockAhead_s = null;
-let slowAt = -Infinity;
+let offlineSince = null;
+let clockOffset_s = null;
+let detailsAt = -Infinity;
 let version = null;
 
 const history = new History();
 const events = new Events();
 const graphs = new Graphs();
-const commands = new Commands(askAccess);
-const pictures = new Pictures(() => view.live);
+const commands = new Commands(fetchAccess);
+const images = new FingerImages(() => view.live);
 
-new Live({
+new LiveStream({
   opened() {
-    events.clear(); // the daemon tells the newest ones again
+    events.clear(); // the daemon sends the newest events again
     history.marks = [];
-    askAccess();
+    fetchAccess();
   },
   history(samples) {
     history.replace(samples);
-    graphs.saidAt = -Infinity;
+    graphs.forceText();
   },
   state(state, sample) {
-    if (version !== null && state.version !== version) location.reload(); // another slipguard has another page
+    if (version !== null && state.version !== version) location.reload(); // another version has another page
     version = state.version;
     view.state = state;
     view.live = true;
-    lostAt = null;
+    offlineSince = null;
     if (sample.t_s !== null) {
-      clockAhead_s = Date.now() / 1e3 - sample.t_s;
+      clockOffset_s = Date.now() / 1e3 - sample.t_s;
       history.add({ ...sample, slipping: state.slipping });
     }
     show();
@@ -53,49 +53,49 @@ new Live({
     history.mark(event.at_s, event.level);
     events.add(event, dateOf(event.at_s));
   },
-  lost() {
+  offline() {
     view.live = false;
-    lostAt = new Date();
-    slowAt = -Infinity;
+    offlineSince = new Date();
+    detailsAt = -Infinity;
     show();
   },
 });
 setInterval(showConnection, 500);
 show();
 
-/** The wall clock's time of a moment on the daemon's clock. */
+/** Convert a time on the daemon's clock to a Date. */
 function dateOf(at_s) {
-  const offset_s = clockAhead_s ?? Date.now() / 1e3 - (history.now_s || at_s);
+  const offset_s = clockOffset_s ?? Date.now() / 1e3 - (history.now_s || at_s);
   return new Date(1e3 * (at_s + offset_s));
 }
 
-async function askAccess() {
+async function fetchAccess() {
   try {
-    const answer = await fetch("/access", {
+    const response = await fetch("/access", {
       cache: "no-store",
       headers: sessionHeaders(),
       signal: AbortSignal.timeout(5000),
     });
-    view.control = answer.ok && (await answer.json()).control === true;
+    view.control = response.ok && (await response.json()).control === true;
   } catch {
     view.control = false;
   }
-  if (view.control) remember();
+  if (view.control) storeHadControl();
   showAccess();
   commands.show(view);
 }
 
-function remember() {
+function storeHadControl() {
   try {
-    localStorage.setItem(REMEMBERED, "yes");
+    localStorage.setItem(HAD_CONTROL_KEY, "yes");
   } catch {
-    // a browser that stores nothing only loses the better words
+    // without storage, only the more precise text is lost
   }
 }
 
-function remembers() {
+function hadControl() {
   try {
-    return localStorage.getItem(REMEMBERED) === "yes";
+    return localStorage.getItem(HAD_CONTROL_KEY) === "yes";
   } catch {
     return false;
   }
@@ -107,22 +107,23 @@ function show() {
   commands.show(view);
   graphs.show(history, view);
   const now = performance.now();
-  if (view.state && now - slowAt >= SLOW_MS) {
-    slowAt = now;
-    pictures.show(view);
+  if (view.state && now - detailsAt >= DETAILS_PERIOD_MS) {
+    detailsAt = now;
+    images.show(view);
     showDevices(view.state, view.live);
-    showPace(view.state);
+    showTiming(view.state);
     setText(byId("version"), view.state.version);
   }
 }
 
 function showConnection() {
   const pill = byId("connection");
-  document.body.classList.toggle("lost", !view.live);
+  document.body.classList.toggle("offline", !view.live);
   pill.classList.toggle("good", view.live);
   if (view.live) setText(pill, "live");
-  else if (lostAt) setText(pill, `lost since ${clock(lostAt)} (${span((Date.now() - lostAt) / 1e3)})`);
-  else setText(pill, "connecting …");
+  else if (offlineSince) {
+    setText(pill, `offline since ${timeText(offlineSince)} (${durationText((Date.now() - offlineSince) / 1e3)})`);
+  } else setText(pill, "connecting …");
 }
 
 function showAccess() {
@@ -130,21 +131,21 @@ function showAccess() {
   pill.hidden = false;
   setText(pill, view.control ? "may command" : "read only");
   byId("login").hidden = view.control;
-  setText(byId("login-title"), remembers() ? ENDED : "This page may look, not command");
+  setText(byId("login-title"), hadControl() ? ACCESS_EXPIRED : "This page is read-only");
 }
 
 function showNow() {
-  const now = byId("now");
   const state = view.state;
   if (!state) return;
-  const told = headline(state);
-  setAttribute(now, "data-tone", view.live ? told.tone : "lost");
-  const word = view.live ? told.word : "No connection";
+  const summary = headline(state);
+  setAttribute(byId("now"), "data-tone", view.live ? summary.tone : "offline");
+  const word = view.live ? summary.word : "No connection";
   setText(byId("phase"), word);
-  byId("phase").classList.toggle("long", word.length > SHORT);
-  setText(byId("detail"), view.live ? told.detail : `last known: ${told.word}${told.detail ? `, ${told.detail}` : ""}`);
+  byId("phase").classList.toggle("long", word.length > LONG_HEADLINE);
+  const lastKnown = `last known: ${summary.word}${summary.detail ? `, ${summary.detail}` : ""}`;
+  setText(byId("detail"), view.live ? summary.detail : lastKnown);
   document.title = `${word} – slipguard`;
-  setText(byId("spoken"), word);
+  setText(byId("announcement"), word);
   showFault(view.live ? state.fault : null);
   showFigures(state);
 }
@@ -157,16 +158,16 @@ function showFault(fault) {
 }
 
 function showFigures(state) {
-  const turn = state.rotation;
-  const told = view.live && turn && turn.rotation_deg !== null;
-  setText(byId("turn"), told ? `${signed(turn.rotation_deg)}°` : "–");
-  setText(byId("sigma"), told ? `± ${turn.sigma_deg.toFixed(1)}°` : "");
-  const { force_n, target_n, budget_n } = forces(state);
-  const gripped = view.live && force_n !== null;
-  setText(byId("force"), gripped ? `${plain(force_n)} N` : "–");
-  const asked = target_n && Math.abs(target_n - force_n) >= 1 ? `asked for ${plain(target_n)}, ` : "";
-  setText(byId("budget"), gripped && budget_n !== null ? `${asked}of ${plain(budget_n)} N` : "");
+  const rotation = state.rotation;
+  const estimated = view.live && rotation && rotation.rotation_deg !== null;
+  setText(byId("rotation"), estimated ? `${signed(rotation.rotation_deg)}°` : "–");
+  setText(byId("sigma"), estimated ? `± ${rotation.sigma_deg.toFixed(1)}°` : "");
+  const { force_n, target_n, limit_n } = forces(state);
+  const known = view.live && force_n !== null;
+  setText(byId("force"), known ? `${plain(force_n)} N` : "–");
+  const target = target_n && Math.abs(target_n - force_n) >= 1 ? `target ${plain(target_n)}, ` : "";
+  setText(byId("force-limit"), known && limit_n !== null ? `${target}of ${plain(limit_n)} N` : "");
   const arm = view.live ? state.arm : null;
   setText(byId("height"), arm ? `${plain(arm.height_mm)} mm` : "–");
-  setText(byId("arm-moves"), arm ? armWords(arm) : "");
+  setText(byId("arm-motion"), arm ? armText(arm) : "");
 }
