@@ -18,7 +18,8 @@ from slipguard.errors import ModelError
 from slipguard.perception.contact.segmenter import Segmenter, default_model_path
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.settings import ALL_SKIPS, EstimatorName, PerceptionSettings, Skips
+from slipguard.perception.settings import EstimatorName, PerceptionSettings
+from slipguard.perception.skipping import ALL_SKIPS, Skips
 
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
 NO_SKIP = Skips(no_contact=False, unchanged=False, round=False)

@@ -17,7 +17,8 @@ from slipguard.bench.results import BenchReport, BenchRow, machine, on_the_front
 from slipguard.bench.skip_values import skips
 from slipguard.bench.thinning_times import thinning
 from slipguard.datasets.rendered_grasps import EXTRA_PLAIN, STILL_FRAMES, RenderedGrasp, render_grasp
-from slipguard.perception.settings import ALL_SKIPS, PerceptionSettings
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.skipping import ALL_SKIPS
 from slipguard.sim.catalogue import object_names
 from slipguard.tools.parallel import Workers, each
 

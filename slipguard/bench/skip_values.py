@@ -16,9 +16,9 @@ from slipguard.control.finger_fusion import fuse
 from slipguard.control.slip_baselines import SlipMemory
 from slipguard.control.slip_detector import look
 from slipguard.datasets.rendered_grasps import ROUND_PLAIN, render_grasp
-from slipguard.perception.contact.second_finger import repeat_estimate, second_finger_can_skip
 from slipguard.perception.estimate import Estimate
-from slipguard.perception.settings import ALL_SKIPS, PerceptionSettings, Skips
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.skipping import ALL_SKIPS, Skips, repeat_estimate, second_finger_can_skip
 from slipguard.sim.catalogue import find_object, object_names
 from slipguard.tools.parallel import Workers, each
 

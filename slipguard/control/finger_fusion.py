@@ -155,7 +155,7 @@ def _why(estimate: Estimate | None) -> str | None:
         return "no frames"
     if estimate.angle_deg is not None and estimate.sigma_deg is not None:
         return None
-    return estimate.declined or ("no reference yet" if estimate.contact else "no contact")
+    return estimate.decline_reason or ("no reference yet" if estimate.contact else "no contact")
 
 
 def _together(one: _Rotation, other: _Rotation) -> tuple[list[_Rotation], list[str]]:

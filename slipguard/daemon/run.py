@@ -63,7 +63,7 @@ def build_service(
     world: object | None = None,
     make_worker: Callable[[str], Worker] = ThreadWorker,
     controller: Controller = control_step,
-    wrap_pipeline: Callable[[str, Pipeline], PerceptionPipeline] = lambda finger, pipeline: pipeline,
+    wrap_pipeline: Callable[[str, ResumingPipeline], PerceptionPipeline] = lambda finger, pipeline: pipeline,
 ) -> Service:
     """Build all devices and the service; opens no device.
 
@@ -95,7 +95,7 @@ def build_service(
 
         def make(serial: str) -> PerceptionPipeline:
             known = _stored_background(state_dir, serial)
-            pipeline = ResumingPipeline(
+            pipeline = Pipeline(
                 segmenter,
                 config.perception,
                 background=None if known is None else known.image,
@@ -104,8 +104,9 @@ def build_service(
                 mounting_deg=section.mounting_deg,
                 timer=time.perf_counter,
             )
-            restore_reference(pipeline, references, name, serial, asyncio.get_running_loop().time())
-            return wrap_pipeline(name, pipeline)
+            resuming = ResumingPipeline(pipeline)
+            restore_reference(resuming, references, name, serial, asyncio.get_running_loop().time())
+            return wrap_pipeline(name, resuming)
 
         return make
 

@@ -8,9 +8,10 @@ from slipguard.devices import Frame
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation.axis import ESTIMATORS, estimate
-from slipguard.perception.rotation.tracker import rotation_between_axes
+from slipguard.perception.rotation.axis import ESTIMATORS, estimate_axis
+from slipguard.perception.rotation.fusion import rotation_between_axes
 from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.stored_reference import ResumingPipeline
 from slipguard.sim_lifts.lift_record import IMAGE_SIGN, EstimatedRotation
 
 SIGMA_MAX_DEG = PerceptionSettings().sigma_max_deg
@@ -28,7 +29,7 @@ class TimedPatch:
 class PatchRecorder:
     """A pipeline that hands every patch it measured on to a list."""
 
-    def __init__(self, finger: str, pipeline: Pipeline, kept: list[TimedPatch]) -> None:
+    def __init__(self, finger: str, pipeline: Pipeline | ResumingPipeline, kept: list[TimedPatch]) -> None:
         self._finger = finger
         self._pipeline = pipeline
         self._kept = kept
@@ -75,13 +76,13 @@ def rotations_by_estimator(
 def _rotations(seen: list[TimedPatch], name: str, sign: float) -> list[EstimatedRotation]:
     if not seen:
         return []
-    reference = estimate(seen[0].patch, name)
+    reference = estimate_axis(seen[0].patch, name)
     if reference.angle_deg is None or reference.sigma_deg is None:
         return []
     rotations: list[EstimatedRotation] = []
     near_deg = 0.0
     for one in seen:
-        now = estimate(one.patch, name)
+        now = estimate_axis(one.patch, name)
         if now.angle_deg is None or now.sigma_deg is None:
             continue
         rotation = rotation_between_axes(

@@ -1,8 +1,8 @@
-"""What one finger says about one frame."""
+"""What perception returns for one frame of one finger, and the timer that fills `Estimate.stage_ms`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 
@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 class AxisEstimate:
     """The axis of one contact patch, or why there is none.
 
-    angle_deg: axial, in (-90, 90], counter-clockwise as a viewer sees the picture, 0 along +x (right).
+    angle_deg: axial, in (-90, 90], counter-clockwise as a viewer sees the image, 0 along +x (right).
     sigma_deg: one standard deviation of `angle_deg`.
     center_px: (x right, y down) of the patch in frame pixels (240 x 320).
-    declined: None, or why no angle can be told ("round contact", "clipped by the frame", ...); then angle is None.
+    declined: None, or why there is no angle, a `DeclineReason` with details; then `angle_deg` is None.
     """
 
     method: str
@@ -25,17 +25,17 @@ class AxisEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """The turn of the object in one finger's picture since the reference.
+    """The rotation of the object in one finger's image since the reference.
 
-    angle_deg: signed, unwrapped turn since the reference, counter-clockwise positive as a viewer sees the picture.
+    angle_deg: signed, unwrapped rotation since the reference, counter-clockwise positive as a viewer sees the image.
     sigma_deg: one standard deviation of `angle_deg`; None exactly where `angle_deg` is None.
     orientation_deg: axial orientation now, in (-90, 90].
-    rate_deg_s: filtered turning rate; None where not known.
-    shift_mm: (right, up) of the patch centre since the reference; None before it.
+    rate_deg_s: filtered rotation rate; None if unknown.
+    shift_mm: (right, up) of the patch center since the reference; None before it.
     contact_area_px: in frame pixels (240 x 320).
-    measured_at_s: capture time of the frame the answer was measured on; older than `captured_at_s` after a skip.
+    measured_at_s: capture time of the measured frame; older than `captured_at_s` after a skip.
     skipped: None, or which skip was taken ("no contact", "unchanged", "other finger").
-    declined: None, or why there is no angle.
+    declined: None, or why there is no angle, a `DeclineReason` with details after a colon.
     """
 
     sequence: int
@@ -52,3 +52,28 @@ class Estimate:
     skipped: str | None = None
     declined: str | None = None
     stage_ms: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def decline_reason(self) -> str | None:
+        """The reason of `declined` without its details: the same text as long as the cause is the same."""
+        return None if self.declined is None else self.declined.partition(":")[0]
+
+
+class StageTimer:
+    """Collects milliseconds per pipeline stage. The stage names are keys of `bench`'s JSON.
+
+    clock: returns seconds; None leaves `stage_ms` empty.
+    """
+
+    def __init__(self, clock: Callable[[], float] | None) -> None:
+        self._clock = clock
+        self.stage_ms: dict[str, float] = {}
+        self._since_s = 0.0 if clock is None else clock()
+
+    def mark(self, stage: str) -> None:
+        """Add the time since the last mark to `stage`; a stage may be marked more than once."""
+        if self._clock is None:
+            return
+        now_s = self._clock()
+        self.stage_ms[stage] = self.stage_ms.get(stage, 0.0) + 1e3 * (now_s - self._since_s)
+        self._since_s = now_s

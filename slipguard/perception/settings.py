@@ -1,8 +1,7 @@
-"""What a user may set about perception: the `[perception]` section of config.toml."""
+"""The `[perception]` section of config.toml."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,34 +18,22 @@ class PerceptionSettings(BaseModel):
     model: Annotated[Path, Strict(False)] | None = None
     """Segmentation network (.onnx); None: the one shipped."""
     estimator: EstimatorName = "fused"
-    """How the turn is told: one of the four orientation estimators, registration to the reference, or all fused."""
+    """How the rotation is estimated: one of four axis estimators, registration to the reference, or all fused."""
     reference: Literal["stable", "first"] = "stable"
     """The reference is the first frame of a stable contact area, or the first frame with contact."""
     threshold: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
-    """Probability above which a pixel is contact; None: what the network's maker found best."""
+    """Probability above which a pixel is contact; None: the threshold stored in the network file."""
     min_area_px: Annotated[int, Field(ge=20, le=20_000)] = 200
-    """Smaller regions are specks: 200 px is about 0.6 mm2."""
+    """Smaller regions are ignored: 200 px is about 0.6 mm2."""
     round_aspect: Annotated[float, Field(ge=1.0, le=2.0)] = 1.15
-    """A patch whose long axis is less than this many times its short one is round: it has no readable axis."""
+    """A patch is round, without a readable axis, if long axis / short axis is below this."""
     sigma_max_deg: Annotated[float, Field(ge=0.5, le=30.0)] = 6.0
-    """An angle less certain than this is declined."""
+    """A rotation with a larger sigma is declined."""
     gate_sigma: Annotated[float, Field(ge=3.0, le=30.0)] = 7.0
-    """How many standard deviations of noise one block of the picture may differ without contact."""
+    """Difference from the background image, in standard deviations of noise, above which a block may be contact."""
     skip_unchanged: bool = True
-    """Reuse the last answer while the picture differs from the measured one by no more than noise."""
+    """Reuse the last estimate while the image differs from the measured one by no more than noise."""
     skip_second_finger: bool = True
-    """Do not look at the finger that sees less while the surer one sees no change."""
+    """Skip the finger with the larger sigma while the other finger's image does not change."""
     refresh_s: Annotated[float, Field(ge=0.0, le=0.25)] = 0.25
-    """An unchanged picture, or a finger not looked at, is measured again after this time at the latest."""
-
-
-@dataclass(frozen=True, slots=True)
-class Skips:
-    """What a frame does not need: the network without contact or on an unchanged picture, thinning of a round patch."""
-
-    no_contact: bool = True
-    unchanged: bool = True
-    round: bool = True
-
-
-ALL_SKIPS = Skips()
+    """An unchanged image, or a skipped finger, is measured again after this time at the latest."""

@@ -1,8 +1,7 @@
-"""A pipeline that goes on with a reference from before a restart, where what it sees still is what was held then."""
+"""Resumes with a stored reference after a restart, if the finger still holds the same object."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -10,24 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.devices import Frame
-from slipguard.perception.contact.gate import block_means, near_patch
-from slipguard.perception.contact.patch import find_patch
-from slipguard.perception.estimate import AxisEstimate, Estimate
+from slipguard.perception.contact.patch import Patch
+from slipguard.perception.declined import DeclineReason
+from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.stage_timer import StageTimer
 
 MATCHES_AFTER = 3
-"""So many turns told against the old reference, and it holds."""
+"""The stored reference matches after this many rotations measured against it."""
 DIFFERS_AFTER = 8
-"""So many frames with contact that do not tell one, and it does not."""
-CHECKING_STORED_REFERENCE = "recalling the reference"
+"""It differs after this many frames with contact but without a rotation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredReference:
-    """A finger's reference. image: (320, 240, 3) uint8 BGR, the frame it was taken from.
+    """A finger's reference. image: (320, 240, 3) uint8 BGR, the reference frame.
 
-    rotation_deg: the last one known, from there. earlier_rotation_deg: what had been turned before.
+    rotation_deg: the last known rotation since then. earlier_rotation_deg: the rotation before this reference.
     """
 
     image: NDArray[np.uint8]
@@ -35,91 +32,84 @@ class StoredReference:
     earlier_rotation_deg: float = 0.0
 
 
-class ResumingPipeline(Pipeline):
-    """A `Pipeline` whose turn can go on being counted from where it was.
+class ResumingPipeline:
+    """A `Pipeline` that can continue with a stored reference.
 
-    Until it is known whether the old reference still matches, every turn is declined. Where it does not, the next
-    stable contact becomes a new one, and turns count on from the last one known.
+    While it is unknown whether the stored reference matches, every rotation is declined. If it does not match, the next
+    stable contact becomes a new reference, and rotations continue from the last known one.
     """
 
-    stored_reference_state: Literal["waiting", "matches", "differs"] | None = None
-    """What has come of an old reference; None where there was none, or a new one has been asked for since."""
-    earlier_rotation_deg = 0.0
-    """What is added to turns since the reference: what had been turned before it."""
-    _known: StoredReference | None = None
-    _told = _untold = 0
+    def __init__(self, pipeline: Pipeline) -> None:
+        self._pipeline = pipeline
+        self._stored: StoredReference | None = None
+        self._matching_frames = self._differing_frames = 0
+        self.stored_reference_state: Literal["waiting", "matches", "differs"] | None = None
+        """Result of the check; None without a stored reference, or after `reset_reference`."""
+        self.earlier_rotation_deg = 0.0
+        """Rotation before the reference, added to every estimate."""
+
+    @property
+    def last_patch(self) -> Patch | None:
+        """The last contact, at the network's resolution; None without contact."""
+        return self._pipeline.last_patch
+
+    @property
+    def has_reference(self) -> bool:
+        return self._pipeline.has_reference
 
     @property
     def reference_image(self) -> NDArray[np.uint8] | None:
-        """The frame the reference was taken from; None while there is none, or while it is not known to hold."""
-        reference = self._meter.reference
-        return None if reference is None or self.stored_reference_state == "waiting" else reference.image
+        """The reference frame; None without a reference, or while a stored one is being checked."""
+        return None if self.stored_reference_state == "waiting" else self._pipeline.reference_image
 
-    def recall(self, known: StoredReference, now_s: float) -> None:
-        """Try `known` on the frames to come. Raises FrameCorrupt for what is no gel picture."""
+    def resume(self, stored: StoredReference, now_s: float) -> None:
+        """Check `stored` on the next frames.
+
+        Raises:
+            FrameCorrupt: Its image is not a gel image.
+        """
         self.reset_reference()
-        self.stored_reference_state, self._known, self.earlier_rotation_deg = (
-            "waiting",
-            known,
-            known.earlier_rotation_deg,
-        )
-        image = self._dead.filled(known.image)
-        blocks = block_means(image)
-        probability = self._segmenter.segment(image, self._background)
-        patch = find_patch(probability, self._threshold, self._settings.min_area_px, self._frame_px)
-        if patch is None:
-            self._differs(known)
-            return
-        near = near_patch(patch.full_mask())
-        unlike = self._gate.unlike_levels(blocks, near)
-        if not math.isfinite(unlike) or self._gate.out_of_focus(blocks, near):
-            self._differs(known)
-            return
-        clock, axes = StageTimer(None), dict[str, AxisEstimate]()
-
-        def axes_of(every: bool) -> dict[str, AxisEstimate]:
-            self._add_axes(axes, patch, every, clock)
-            return axes
-
-        self._meter.refer_to(image, patch, axes_of, now_s, clock, known.rotation_deg)
-        self._reference_unlike = unlike
+        self.stored_reference_state, self._stored = "waiting", stored
+        self.earlier_rotation_deg = stored.earlier_rotation_deg
+        if not self._pipeline.restore_reference(stored.image, now_s, stored.rotation_deg):
+            self._replace_reference(stored)
 
     def reset_reference(self) -> None:
-        """Forget the reference, an old one too; the next stable contact makes a new one, and turns count from it."""
-        super().reset_reference()
-        self.stored_reference_state, self._known, self.earlier_rotation_deg = None, None, 0.0
-        self._told = self._untold = 0
+        """Forget the reference, a stored one too; the next stable contact becomes a new one, with rotation 0."""
+        self._pipeline.reset_reference()
+        self.stored_reference_state, self._stored, self.earlier_rotation_deg = None, None, 0.0
+        self._matching_frames = self._differing_frames = 0
 
     def process(self, frame: Frame) -> Estimate:
-        """Measure one frame. Raises `FrameCorrupt` for a frame that is no gel picture."""
-        answer = super().process(frame)
-        if self._known is not None and answer.contact:
-            self._try(answer, self._known)
-        if self.stored_reference_state == "waiting" and answer.contact:
-            return replace(
-                answer,
-                angle_deg=None,
-                sigma_deg=None,
-                rate_deg_s=None,
-                shift_mm=None,
-                declined=CHECKING_STORED_REFERENCE,
-            )
-        if answer.angle_deg is None or not self.earlier_rotation_deg:
-            return answer
-        return replace(answer, angle_deg=answer.angle_deg + self.earlier_rotation_deg)
+        """Estimate contact and rotation in one frame.
 
-    def _try(self, answer: Estimate, known: StoredReference) -> None:
-        """Does the old reference tell the turn?"""
-        self._told += answer.angle_deg is not None
-        self._untold += answer.angle_deg is None
-        if self._told >= MATCHES_AFTER:
-            self.stored_reference_state, self._known = "matches", None
-        elif self._untold >= DIFFERS_AFTER:
-            self._differs(known)
+        Raises:
+            FrameCorrupt: The frame is not a gel image.
+        """
+        estimate = self._pipeline.process(frame)
+        if self._stored is not None and estimate.contact:
+            self._check(estimate, self._stored)
+        if self.stored_reference_state == "waiting" and estimate.contact:
+            declined = str(DeclineReason.CHECKING_STORED_REFERENCE)
+            return replace(estimate, angle_deg=None, sigma_deg=None, rate_deg_s=None, shift_mm=None, declined=declined)
+        if estimate.angle_deg is None or not self.earlier_rotation_deg:
+            return estimate
+        return replace(estimate, angle_deg=estimate.angle_deg + self.earlier_rotation_deg)
 
-    def _differs(self, known: StoredReference) -> None:
+    def keep_estimate(self, captured_at_s: float) -> None:
+        """Note a frame that is not processed because the other finger showed that nothing rotates."""
+        self._pipeline.keep_estimate(captured_at_s)
+
+    def _check(self, estimate: Estimate, stored: StoredReference) -> None:
+        """Count whether rotations can be measured against the stored reference, and decide."""
+        self._matching_frames += estimate.angle_deg is not None
+        self._differing_frames += estimate.angle_deg is None
+        if self._matching_frames >= MATCHES_AFTER:
+            self.stored_reference_state, self._stored = "matches", None
+        elif self._differing_frames >= DIFFERS_AFTER:
+            self._replace_reference(stored)
+
+    def _replace_reference(self, stored: StoredReference) -> None:
         self.reset_reference()
-        self.stored_reference_state, self.earlier_rotation_deg = (
-            "differs",
-            known.earlier_rotation_deg + known.rotation_deg,
-        )
+        self.stored_reference_state = "differs"
+        self.earlier_rotation_deg = stored.earlier_rotation_deg + stored.rotation_deg

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,11 +11,11 @@ from numpy.typing import NDArray
 
 from slipguard.devices import Frame
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.estimate import AxisEstimate
+from slipguard.perception.estimate import StageTimer
+from slipguard.perception.rotation.axis import AxisEstimation, PatchAxes
+from slipguard.perception.rotation.fusion import RotationEstimate
 from slipguard.perception.rotation.rotation_meter import RotationMeter
-from slipguard.perception.rotation.tracker import RotationEstimate
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.perception.stage_timer import StageTimer
 from slipguard.sim.catalogue import find_object
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
@@ -55,40 +54,46 @@ LIGHT_LEVELS, LIGHT_PERIOD_S = 3.0, 240.0
 UNIT_SEED = 8100
 
 
-class _RotatedContacts:
+class _RotatedContacts(AxisEstimation):
     """The contact rotated to whole degrees, with its axes; drawn on first use."""
 
     def __init__(self, product: ProductFunctions) -> None:
         self._product = product
-        self._known: dict[tuple[int, int], tuple[Patch, dict[str, AxisEstimate]]] = {}
+        self._patches: dict[tuple[int, int], Patch] = {}
+        self._known_axes: dict[int, PatchAxes] = {}
 
-    def at(self, angle_deg: int, variant: int) -> tuple[Patch, dict[str, AxisEstimate]]:
-        """Return patch and axes; variant 0 has no contour error. Equal arguments give equal results."""
+    def at(self, angle_deg: int, variant: int) -> Patch:
+        """Return the patch; variant 0 has no contour error. Equal arguments give equal results."""
         key = (angle_deg % 360, variant)
-        if key not in self._known:
+        if key not in self._patches:
             rough = roughness(np.random.default_rng(key), ROUGH_PX if variant else 0.0)
             shown = probability_map(SHAPE, ShapePose(float(key[0])), rough)
             patch = self._product.find_patch(shown, THRESHOLD, MIN_AREA_PX, MAP_PX)
             if patch is None:
                 raise ValueError(f"no patch at {angle_deg} degrees")
-            self._known[key] = (patch, {"moments": self._product.estimate(patch, "moments")})
-        return self._known[key]
+            self._patches[key] = patch
+            self._known_axes[id(patch)] = PatchAxes({"moments": self._product.estimate(patch, "moments")})
+        return self._patches[key]
+
+    def fast(self, patch: Patch, timer: StageTimer) -> PatchAxes:
+        """Return the known axes of a patch."""
+        return self._known_axes[id(patch)]
+
+    def all(self, patch: Patch, fast: PatchAxes, timer: StageTimer) -> PatchAxes:
+        """Return the same axes."""
+        return fast
 
 
 def _begin_drift(product: ProductFunctions) -> TrialFunction:
     contacts = _RotatedContacts(product)
     # Contours only. Texture, further references and skipped frames belong to the family `holding`.
-    meter = RotationMeter(PerceptionSettings(reference="first", estimator="registration"), MAP_PX)
-    meter.tracker = product.tracker()
+    settings = PerceptionSettings(reference="first", estimator="registration")
+    meter = RotationMeter(settings, MAP_PX, contacts, tracker=product.tracker())
     frame = 0
 
     def measure(angle_deg: int, variant: int) -> RotationEstimate:
-        patch, axes = contacts.at(angle_deg, variant)
-
-        def axes_of(every: bool) -> Mapping[str, AxisEstimate]:
-            return axes
-
-        return meter.measure(_NO_IMAGE, patch, axes_of, frame * FRAME_S, StageTimer(None))[0]
+        patch = contacts.at(angle_deg, variant)
+        return meter.measure(_NO_IMAGE, patch, frame * FRAME_S, StageTimer(None)).rotation
 
     def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
         nonlocal frame

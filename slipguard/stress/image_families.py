@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from slipguard.devices import Frame
-from slipguard.perception.rotation.period import ACCELERATION_DEG_S2
+from slipguard.perception.rotation.texture_tracker import ACCELERATION_DEG_S2
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.catalogue import find_object, object_names
 from slipguard.sim.gel_camera import GelCamera

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import AxisEstimate
-from slipguard.perception.rotation.axis import ESTIMATORS, FUSED_ESTIMATORS, fuse
+from slipguard.perception.rotation.axis import ESTIMATORS, FUSED_ESTIMATORS, fuse_axes
 from slipguard.perception.rotation.contour_registration import ContourPose
 from slipguard.perception.rotation.contour_template import make_contour_template
 from slipguard.stress.product_functions import MAP_PX, THRESHOLD, ProductFunctions, ScriptedPipeline
@@ -60,7 +60,7 @@ def estimate_axes(patch: Patch, product: ProductFunctions, results: FamilyResult
     """Return the axis by every estimator and fused, after checking range, sigma and the reason for declining."""
     found = {name: results.call(name, product.estimate, patch, name) for name in ESTIMATORS}
     parts = [one for name in FUSED_ESTIMATORS if (one := found[name]) is not None]
-    found["fused"] = results.call("fused", fuse, parts) if len(parts) == len(FUSED_ESTIMATORS) else None
+    found["fused"] = results.call("fused", fuse_axes, parts) if len(parts) == len(FUSED_ESTIMATORS) else None
     valid = {}
     for name, one in found.items():
         if one is None:

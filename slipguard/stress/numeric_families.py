@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.estimate import Estimate
-from slipguard.perception.rotation.tracker import RotationEstimate
+from slipguard.perception.rotation.fusion import RotationEstimate
 from slipguard.stress.map_checks import (
     Map,
     check_axis_change,

@@ -15,10 +15,10 @@ from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import AxisEstimate, Estimate
 from slipguard.perception.pipeline import ContactSegmenter, Pipeline
-from slipguard.perception.rotation.axis import estimate
+from slipguard.perception.rotation.axis import estimate_axis
 from slipguard.perception.rotation.contour_registration import ContourRegistrar
-from slipguard.perception.rotation.thinning import thin
-from slipguard.perception.rotation.tracker import RotationTracker
+from slipguard.perception.rotation.rotation_tracker import RotationTracker
+from slipguard.perception.rotation.skeleton import thin
 from slipguard.perception.settings import PerceptionSettings
 
 MAP_WIDTH_PX, MAP_HEIGHT_PX = 120, 160
@@ -34,7 +34,7 @@ class ProductFunctions:
     """The product's functions. Tests replace some of them with faulty ones to show that the trials detect it."""
 
     find_patch: Callable[[NDArray[np.float32], float, float, float], Patch | None] = find_patch
-    estimate: Callable[[Patch, str], AxisEstimate] = estimate
+    estimate: Callable[[Patch, str], AxisEstimate] = estimate_axis
     thin: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] = thin
     registrar: Callable[..., ContourRegistrar] = ContourRegistrar
     tracker: Callable[[], RotationTracker] = RotationTracker

@@ -24,11 +24,11 @@ from slipguard.control.params import GuardParams
 from slipguard.control.step import ControlState, control_step
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt, InputError
-from slipguard.perception.contact.second_finger import OTHER_FINGER, repeat_estimate
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.skipping import OTHER_FINGER, repeat_estimate
 from slipguard.recording import messages as m
 from slipguard.recording.reader import RecordedItem, Recording, StoredImage, open_recording
 from slipguard.recording.ring import SUFFIX

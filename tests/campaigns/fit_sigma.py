@@ -2,7 +2,7 @@
 
 The rotations are rendered grasps of the training objects; with real data also the tuning part of real presses, rotated
 and relit, and of real frames that shear without rotating. Each kind has its share of the weight. The constants are in
-`slipguard.perception.rotation.texture_sigma`.
+`slipguard.perception.rotation.texture_registration`.
 """
 
 from __future__ import annotations
@@ -22,12 +22,15 @@ from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.rotation.texture_map import TextureMapReader
 from slipguard.perception.rotation.texture_registration import (
+    FLOOR_DEG,
     TextureFit,
     TexturePose,
     fit_texture,
-    make_texture_template,
+    parts_deg,
+    shares,
+    sigma_deg,
 )
-from slipguard.perception.rotation.texture_sigma import FLOOR_DEG, parts_deg, shares, sigma_deg
+from slipguard.perception.rotation.texture_template import make_texture_template
 from slipguard.sim.catalogue import object_names
 from slipguard.tools.image_files import read_gel_image
 

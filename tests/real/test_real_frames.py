@@ -9,9 +9,8 @@ import pytest
 
 from slipguard.cli.measure import ReferenceChoice, measure
 from slipguard.datasets.mask_scores import RealFrame, iou, no_contact_frames, real_frames
-from slipguard.perception.quality.compressed import coarsely_compressed
 from slipguard.perception.quality.dead_lines import DeadLines
-from slipguard.perception.quality.few_levels import few_levels
+from slipguard.perception.quality.image_quality import has_few_levels, is_coarsely_compressed
 
 pytestmark = pytest.mark.real
 
@@ -87,7 +86,7 @@ def test_no_real_gel_has_a_stuck_line(real_data: Path) -> None:
     pictures = [cv2.imread(str(path)) for path in sorted(real_data.glob("**/*.png")) if "masks" not in path.parts]
     frames = [picture for picture in pictures if picture is not None and picture.shape == (320, 240, 3)]
     assert len(frames) > 50
-    assert all(DeadLines(frame).filled(frame) is frame for frame in frames)
+    assert all(DeadLines(frame).interpolate(frame) is frame for frame in frames)
 
 
 def test_no_real_frame_is_called_coarse_even_as_a_camera_compresses_it(real_data: Path) -> None:
@@ -95,4 +94,4 @@ def test_no_real_frame_is_called_coarse_even_as_a_camera_compresses_it(real_data
     images = [image for path in paths if (image := cv2.imread(str(path))).shape == (320, 240, 3)]
     assert len(images) >= 90
     packed = [cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 75])[1], 1) for image in images]
-    assert not [k for k, image in enumerate(images + packed) if coarsely_compressed(image) or few_levels(image)]
+    assert not [k for k, image in enumerate(images + packed) if is_coarsely_compressed(image) or has_few_levels(image)]

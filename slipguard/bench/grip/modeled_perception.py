@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipguard.perception.estimate import Estimate
-from slipguard.perception.rotation.tracker import RotationEstimate, RotationTracker
+from slipguard.perception.rotation.fusion import RotationEstimate
+from slipguard.perception.rotation.rotation_tracker import RotationTracker
 from slipguard.sim.gel_view import GelView
 
 REFERENCE_FRAMES = 5

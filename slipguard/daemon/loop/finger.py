@@ -13,8 +13,8 @@ from slipguard.daemon.loop.device_health import Health
 from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import SlipguardError
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.contact.second_finger import repeat_estimate, second_finger_can_skip
 from slipguard.perception.estimate import Estimate
+from slipguard.perception.skipping import repeat_estimate, second_finger_can_skip
 from slipguard.thread_priority import set_worker_priority
 
 A = TypeVar("A")

@@ -119,7 +119,7 @@ def restore_reference(
     try:
         known = store.load(finger, serial)
         if known is not None:
-            pipeline.recall(known, now_s)
+            pipeline.resume(known, now_s)
     except InputError as error:
         log.error("stored reference not used", reason=str(error))
 

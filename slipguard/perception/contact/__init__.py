@@ -1,1 +1,1 @@
-"""Where the object touches the gel: contact gate, segmentation, patch, change detection."""
+"""Where the object touches the gel: contact gate, segmentation, contact patch, change detection."""

@@ -1,10 +1,10 @@
-"""Whether a gel picture still shows what it showed: below the sensor's noise it does, and another look can wait.
+"""The change detector: an image that differs from the last measured one by less than noise need not be measured.
 
-Every picture is compared with one kept from when it last changed, so that a creep adds up until it is seen. Four
-things are asked of the difference, in units of the sensor's noise: the worst block, the whole of it in and around the
-contact, and how much of it is what a small turn or shift of this very picture would make, which sees far less than a
-degree. Skipping begins when nothing has changed for longer than the last change took to come: what creeps on is
-measured throughout.
+Every image is compared with one kept from the last change, so that slow creep accumulates until it is detected. The
+difference is tested in units of the sensor's noise in three ways: the worst block; the mean square in and around the
+contact; and the part of it that a small rotation or shift of this very image would cause, which detects far less than
+a degree. Skipping begins only when the image has not changed for longer than the last change took: an object that
+creeps on is measured in every frame.
 """
 
 from __future__ import annotations
@@ -18,84 +18,88 @@ from numpy.typing import NDArray
 from slipguard.perception.contact.gate import BLOCKS_HIGH, BLOCKS_WIDE, Blocks
 
 AVERAGED = 8
-"""The kept picture is the mean of so many unchanged ones: less noise to compare with."""
+"""The kept image is the mean of this many unchanged ones, which lowers its noise."""
 QUIET_MIN_S, QUIET_MAX_S = 0.5, 4.0
-"""Nothing must have changed for so long before a look is left out. A creep of 0.1 degrees a second, which takes 2-4 s
-to be seen, is never skipped; slower ones move by less than 0.03 degrees between two looks."""
-GLITCH_FRAMES = 4
-"""A picture that looks as before within so many frames was a glitch or a tremor: the rest has not ended."""
+"""Time without a change before a frame is skipped. Creep of 0.1 deg/s is detected within 2-4 s and is never skipped;
+slower creep moves by less than 0.03 degrees between two measured frames."""
 QUIET_SHARE = 2.0
-"""... and for so many times as long as the last change took."""
+"""Time without a change, as a multiple of the time that the last change took."""
+GLITCH_FRAMES = 4
+"""If the image returns to the previous one within this many frames, the change was a glitch and rest has not ended."""
 WORST_STD = 6.0
-"""Difference of the worst of 1200 blocks, three colours together: by noise alone once in 10,000 pictures."""
-WHOLE_STD = 5.0
-WHOLE_SHARE = 0.18
-"""Excess of the mean square in and around the contact over that away from it: a share that is the columns', taken out
-there and not here, and standard deviations of both means."""
-MOVED_STD = 5.0
-"""Turn or shift found in the difference."""
-TELLING_DEG = 0.6
-TELLING_BLOCKS = 0.3
-"""Where a turn or a shift (a block is 8 pixels, 0.4 mm) must be larger than this to be noticed, every frame is
-measured: the contact is faint."""
+"""Limit for the worst of 1200 blocks, three colors together: noise exceeds it once in 10,000 images."""
+MEAN_STD = 5.0
+MEAN_SHARE = 0.18
+"""Limit for the mean square in and around the contact over that elsewhere: a share for the flicker of columns, which
+is removed elsewhere but not here, and standard deviations of both means."""
+MOTION_STD = 5.0
+"""Limit for the rotation and shift found in the difference."""
+SENSITIVE_DEG = 0.6
+SENSITIVE_BLOCKS = 0.3
+"""If a smaller rotation, or shift (a block is 8 pixels, 0.4 mm), would not be detected, every frame is measured: the
+contact is faint."""
 _LEVEL_PRIOR = 3.0
 _OUTSIDE_MIN = 120
 _NOISE_MAX = 2.5
-"""Mean square of the noise away from the contact over what is known of the sensor; beyond it the picture is another
-one."""
+"""Mean square of the difference away from the contact, over the sensor's noise; above it the image has changed."""
 _ROUNDING_SQUARE = 0.25
-"""A block's mean that lies between two grey levels flips by 0.5 about its middle, however quiet the sensor."""
+"""A block mean between two grey levels flips by 0.5 around its middle, even with a very quiet sensor."""
 _CHANNELS = 3
 
 
 @dataclass(slots=True, eq=False)
-class _Kept:
-    """What pictures are compared with. blocks: mean of `count` pictures. near: (1200,) float32, 1 in and around the
-    contact. moves: (3600, 3) what a turn (rad) and shifts right and down (blocks) would change, None until needed.
+class _KeptImage:
+    """The image that others are compared with.
+
+    blocks: (1200, 3) float32, mean of `count` images. near: (1200,) float32, 1 in and around the contact.
+    since_s: when it was taken. change_s: how long the change before it took.
+    motions: (3600, 3), change by a rotation (rad) and by shifts right and down (blocks); None until needed.
+    strengths: (3,) norms of these.
     """
 
     blocks: Blocks
     near: NDArray[np.float32]
     since_s: float
-    took_s: float
+    change_s: float
     count: int = 1
-    moves: NDArray[np.float32] | None = None
+    motions: NDArray[np.float32] | None = None
     strengths: NDArray[np.float64] | None = None
 
 
 class ChangeDetector:
-    """Remembers one finger's picture since it last changed.
+    """Keeps one finger's image since its last change.
 
-    per_std: (3,) one over the noise of a block's mean, per channel. background: (1200, 3) no-contact block means, which
-    do not move with the contact, or None.
+    Args:
+        inverse_std: (3,) one over the noise of a block mean, per channel.
+        background: (1200, 3) block means of the background image, which do not move with the contact, or None.
     """
 
-    def __init__(self, per_std: NDArray[np.float32], background: Blocks | None) -> None:
-        self._per_std = per_std
+    def __init__(self, inverse_std: NDArray[np.float32], background: Blocks | None) -> None:
+        self._inverse_std = inverse_std
         self._background = background
-        self._noise_min = _ROUNDING_SQUARE * float(np.mean(per_std**2))
-        self._kept: _Kept | None = None
-        self._before: _Kept | None = None
-        self._doubtful = 0
+        self._noise_min = _ROUNDING_SQUARE * float(np.mean(inverse_std**2))
+        self._kept: _KeptImage | None = None
+        self._previous: _KeptImage | None = None
+        self._glitch_frames_left = 0
         self.restored = False
-        """Whether the last picture looks as before the last change, which was a glitch: what was measured since is not
-        of it."""
+        """Whether the last image equals the one before the last change: that change was a glitch, and estimates
+        measured since then are not valid for it."""
 
-    def forget(self) -> None:
-        """Nothing is known: the next picture is a change."""
-        self._kept = self._before = None
+    def reset(self) -> None:
+        """Forget the kept image: the next image counts as a change."""
+        self._kept = self._previous = None
 
     def unchanged(self, blocks: Blocks) -> bool:
-        """Whether a picture, (1200, 3) block means, differs from the kept one by no more than noise."""
-        self.restored = self._before is not None and self._alike(blocks, self._before)
+        """Return whether an image, (1200, 3) block means, differs from the kept one by no more than noise."""
+        self.restored = self._previous is not None and self._equal(blocks, self._previous)
         if self.restored:
-            self._kept, self._before = self._before, None
+            self._kept, self._previous = self._previous, None
             return True
-        return self._kept is not None and self._alike(blocks, self._kept)
+        return self._kept is not None and self._equal(blocks, self._kept)
 
-    def _alike(self, blocks: Blocks, kept: _Kept) -> bool:
-        difference = self._without_columns(blocks - kept.blocks, kept.near)
-        difference *= self._per_std * np.float32(1.0 / math.sqrt(1.0 + 1.0 / kept.count))
+    def _equal(self, blocks: Blocks, kept: _KeptImage) -> bool:
+        difference = _without_columns(blocks - kept.blocks, kept.near)
+        difference *= self._inverse_std * np.float32(1.0 / math.sqrt(1.0 + 1.0 / kept.count))
         square = np.einsum("ij,ij->i", difference, difference)
         inside, all_blocks = float(kept.near.sum()), float(square.size)
         within, total = float(kept.near @ square), float(square.sum())
@@ -109,88 +113,95 @@ class ChangeDetector:
             noise = max(noise, self._noise_min)
         if float(square.max()) > WORST_STD**2 * max(noise, 1.0):
             return False
-        if within > _CHANNELS * inside * noise * (1.0 + WHOLE_SHARE + WHOLE_STD * math.sqrt(scatter2)):
+        if within > _CHANNELS * inside * noise * (1.0 + MEAN_SHARE + MEAN_STD * math.sqrt(scatter2)):
             return False
-        moves, strengths = self._moves(kept)
-        found = difference.ravel() @ moves
-        return bool((np.abs(found) <= MOVED_STD * math.sqrt(noise) * strengths).all())
+        motions, strengths = self._motions(kept)
+        found = difference.ravel() @ motions
+        return bool((np.abs(found) <= MOTION_STD * math.sqrt(noise) * strengths).all())
 
-    def telling(self, with_rotation: bool) -> bool:
-        """Whether a small turn (where there is one to tell) and a small shift would not go unnoticed."""
+    def sensitive(self, with_rotation: bool) -> bool:
+        """Return whether a small shift, and a small rotation if `with_rotation`, would be detected."""
         if self._kept is None:
             return False
-        strengths = self._moves(self._kept)[1]
-        # Of the squared strength the gradient's own noise is no signal.
-        own = 0.5 * _CHANNELS * self._lever2(self._kept) / self._kept.count
+        strengths = self._motions(self._kept)[1]
+        # The squared strength contains the noise of the gradient itself, which is no signal.
+        own = 0.5 * _CHANNELS * _lever2(self._kept.near) / self._kept.count
         signal = np.sqrt(np.maximum(strengths**2 - own, 1e-9))
-        least = MOVED_STD * math.sqrt(1.0 + 1.0 / self._kept.count) / signal
-        if with_rotation and math.degrees(float(least[0])) > TELLING_DEG:
+        least = MOTION_STD * math.sqrt(1.0 + 1.0 / self._kept.count) / signal
+        if with_rotation and math.degrees(float(least[0])) > SENSITIVE_DEG:
             return False
-        return bool((least[1:] <= TELLING_BLOCKS).all())
+        return bool((least[1:] <= SENSITIVE_BLOCKS).all())
 
-    def note(self, blocks: Blocks, near: NDArray[np.bool_] | None, now_s: float, unchanged: bool) -> None:
-        """A picture was measured. near: (1200,) bool, blocks in and around its contact; None: there is none."""
+    def add(self, blocks: Blocks, near: NDArray[np.bool_] | None, now_s: float, unchanged: bool) -> None:
+        """Add a measured image: average it with the kept one if unchanged, else keep it instead.
+
+        Args:
+            blocks: (1200, 3) block means.
+            near: (1200,) bool, the blocks in and around the contact; None without contact.
+            now_s: Capture time of the image.
+            unchanged: The result of `unchanged` for this image.
+        """
         kept = self._kept
-        self._doubtful -= 1
-        if self._doubtful <= 0:
-            self._before = None
+        self._glitch_frames_left -= 1
+        if self._glitch_frames_left <= 0:
+            self._previous = None
         if unchanged and kept is not None:
             if kept.count < AVERAGED:
                 kept.blocks = kept.blocks + (blocks - kept.blocks) * np.float32(1.0 / (kept.count + 1))
                 kept.count += 1
-                kept.moves = None
+                kept.motions = None
             return
         inside = np.ones(len(blocks), np.float32) if near is None else near.astype(np.float32)
-        took_s = 0.0 if kept is None else max(now_s - kept.since_s, 0.0)
+        change_s = 0.0 if kept is None else max(now_s - kept.since_s, 0.0)
         if kept is not None and kept.count >= AVERAGED:
-            self._before, self._doubtful = kept, GLITCH_FRAMES + 1
-        self._kept = _Kept(blocks, inside, now_s, took_s)
+            self._previous, self._glitch_frames_left = kept, GLITCH_FRAMES + 1
+        self._kept = _KeptImage(blocks, inside, now_s, change_s)
 
     def at_rest(self, now_s: float) -> bool:
-        """Whether nothing has changed for so long that a look may be left out."""
+        """Return whether the image has been unchanged for long enough to skip a frame."""
         kept = self._kept
         if kept is None or kept.count < AVERAGED:
             return False
-        wait_s = min(max(QUIET_SHARE * kept.took_s, QUIET_MIN_S), QUIET_MAX_S)
+        wait_s = min(max(QUIET_SHARE * kept.change_s, QUIET_MIN_S), QUIET_MAX_S)
         return now_s - kept.since_s >= wait_s
 
-    def _without_columns(self, difference: Blocks, near: NDArray[np.float32]) -> Blocks:
-        """Take out what the picture shares away from the contact, as light drifts, then what whole columns share: DIGIT
-        columns flicker together.
-        """
-        away = 1.0 - near
-        level = (away @ difference) / (float(away.sum()) + _LEVEL_PRIOR)
-        picture = (difference - level).reshape(BLOCKS_HIGH, BLOCKS_WIDE, _CHANNELS)
-        away = away.reshape(BLOCKS_HIGH, BLOCKS_WIDE)
-        columns = np.einsum("rc,rck->ck", away, picture) / (away.sum(axis=0) + np.float32(_LEVEL_PRIOR))[:, None]
-        return np.asarray((picture - columns).reshape(-1, _CHANNELS), np.float32)
-
-    def _moves(self, kept: _Kept) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        if kept.moves is None or kept.strengths is None:
+    def _motions(self, kept: _KeptImage) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+        if kept.motions is None or kept.strengths is None:
             imprint = kept.blocks if self._background is None else kept.blocks - self._background
-            picture = (imprint * self._per_std).reshape(BLOCKS_HIGH, BLOCKS_WIDE, _CHANNELS)
-            slope_x, slope_y = np.zeros_like(picture), np.zeros_like(picture)
-            slope_x[:, 1:-1] = 0.5 * (picture[:, 2:] - picture[:, :-2])
-            slope_y[1:-1] = 0.5 * (picture[2:] - picture[:-2])
+            image = (imprint * self._inverse_std).reshape(BLOCKS_HIGH, BLOCKS_WIDE, _CHANNELS)
+            slope_x, slope_y = np.zeros_like(image), np.zeros_like(image)
+            slope_x[:, 1:-1] = 0.5 * (image[:, 2:] - image[:, :-2])
+            slope_y[1:-1] = 0.5 * (image[2:] - image[:-2])
             x, y = _places(kept.near)
             near = kept.near.reshape(BLOCKS_HIGH, BLOCKS_WIDE)
             rotation = slope_x * (near * y)[..., None] - slope_y * (near * x)[..., None]
             slope_x *= near[..., None]
             slope_y *= near[..., None]
-            kept.moves = np.stack([rotation.ravel(), slope_x.ravel(), slope_y.ravel()], axis=1).astype(np.float32)
-            kept.strengths = np.sqrt(np.einsum("ij,ij->j", kept.moves, kept.moves).astype(np.float64)) + 1e-6
-        return kept.moves, kept.strengths
+            kept.motions = np.stack([rotation.ravel(), slope_x.ravel(), slope_y.ravel()], axis=1).astype(np.float32)
+            kept.strengths = np.sqrt(np.einsum("ij,ij->j", kept.motions, kept.motions).astype(np.float64)) + 1e-6
+        return kept.motions, kept.strengths
 
-    def _lever2(self, kept: _Kept) -> NDArray[np.float64]:
-        """Sum of squared levers of a turn and of the shifts over the blocks near the contact."""
-        x, y = _places(kept.near)
-        near = kept.near.reshape(BLOCKS_HIGH, BLOCKS_WIDE)
-        count = float(near.sum())
-        return np.array([float((near * (x**2 + y**2)).sum()), count, count])
+
+def _without_columns(difference: Blocks, near: NDArray[np.float32]) -> Blocks:
+    """Remove the mean away from the contact (drift of the light), then that of each column: DIGIT columns flicker."""
+    away = 1.0 - near
+    level = (away @ difference) / (float(away.sum()) + _LEVEL_PRIOR)
+    image = (difference - level).reshape(BLOCKS_HIGH, BLOCKS_WIDE, _CHANNELS)
+    away = away.reshape(BLOCKS_HIGH, BLOCKS_WIDE)
+    columns = np.einsum("rc,rck->ck", away, image) / (away.sum(axis=0) + np.float32(_LEVEL_PRIOR))[:, None]
+    return np.asarray((image - columns).reshape(-1, _CHANNELS), np.float32)
+
+
+def _lever2(near: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the sums of squared levers of a rotation and of both shifts over the blocks near the contact."""
+    x, y = _places(near)
+    weight = near.reshape(BLOCKS_HIGH, BLOCKS_WIDE)
+    count = float(weight.sum())
+    return np.array([float((weight * (x**2 + y**2)).sum()), count, count])
 
 
 def _places(near: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Blocks right and down of the middle of the contact, (40, 30) each."""
+    """Return the blocks' distances right and down from the center of the contact, (40, 30) each."""
     y, x = np.mgrid[0:BLOCKS_HIGH, 0:BLOCKS_WIDE].astype(np.float32)
     weight = near.reshape(BLOCKS_HIGH, BLOCKS_WIDE)
     mass = max(float(weight.sum()), 1.0)

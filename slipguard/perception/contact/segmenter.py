@@ -1,10 +1,9 @@
-"""Where the object touches the gel: one network, run by onnxruntime on one thread.
+"""Contact segmentation: one network, run by onnxruntime on one thread.
 
-The model contract (models/README.md tells it in full): inputs `frame` and `background`, each (1, H, W, 3) uint8 BGR,
+The model contract (in full in models/README.md): inputs `frame` and `background`, each (1, H, W, 3) uint8 BGR,
 `background_known`, (1,) float32; output `probability`, (1, 1, H, W) float32 in 0..1; metadata `slipguard_contract`,
-`threshold`, `label`, `command`, `seed`. H is 160 and W 120 in version 1; in version 2 any size of the frame's
-proportions up to 320 and 240, and a network may take `frame` alone. All else (differences, drift, scaling) is in the
-graph.
+`threshold`, `label`, `command`, `seed`. In version 1, H is 160 and W 120. In version 2, any size of the frame's
+proportions up to 320 x 240 is allowed, and a network may take `frame` alone. Preprocessing is part of the graph.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ from slipguard.perception.quality.background import estimate_background
 INPUT_WIDTH_PX = FRAME_WIDTH_PX // 2
 INPUT_HEIGHT_PX = FRAME_HEIGHT_PX // 2
 CONTRACT = "1"
-"""Of what takes all three inputs at 120 x 160."""
+"""Networks with all three inputs at 120 x 160."""
 CONTRACT_ANY_INPUT = "2"
-"""Of what takes the frame alone, or another size."""
+"""Networks that take the frame alone, or another size."""
 CONTRACTS = (CONTRACT, CONTRACT_ANY_INPUT)
 DEFAULT_MODEL = "tsnn-small.onnx"
 ROUNDING = 1e-4
@@ -38,9 +37,10 @@ _Ports = dict[str, tuple[str, list[Any]]]
 
 
 def default_model_path() -> Path:
-    """Where the shipped network lies: inside an installed package, or in `models/` of a checkout.
+    """Return the path of the shipped network: inside an installed package, or in `models/` of a checkout.
 
-    Raises `ModelError` where it is in neither place.
+    Raises:
+        ModelError: It is in neither place.
     """
     installed = Path(str(resources.files("slipguard"))) / "models" / DEFAULT_MODEL
     checkout = Path(__file__).resolve().parents[3] / "models" / DEFAULT_MODEL
@@ -48,16 +48,21 @@ def default_model_path() -> Path:
         if path.is_file():
             return path
     raise ModelError(
-        f"the shipped network is in neither {installed} nor {checkout}; reinstall slipguard or name a model"
+        f"the shipped network is in neither {installed} nor {checkout}; reinstall slipguard or set a model"
     )
 
 
 class Segmenter:
-    """Contact probability of one gel frame, given the unit's no-contact image.
+    """Estimates the contact probability of a gel frame, given the unit's background image.
 
-    path: an ONNX file that keeps the model contract; None is the shipped one. Raises `ModelError` in one line for a
-    missing or corrupt file, another contract, missing metadata, or an output that is no probability.
     One intra-op thread; an instance belongs to one thread at a time.
+
+    Args:
+        path: An ONNX file that fulfills the model contract; None: the shipped one.
+
+    Raises:
+        ModelError: In one line, for a missing or corrupt file, another contract, missing metadata, or an output that
+            is no probability.
     """
 
     def __init__(self, path: Path | None = None) -> None:
@@ -73,28 +78,33 @@ class Segmenter:
 
     @property
     def input_size(self) -> tuple[int, int]:
-        """(width, height) in pixels of what the network sees and answers at."""
+        """(width, height) in pixels of the network's input and output."""
         return self._size
 
     @property
     def needs_background(self) -> bool:
-        """The network takes the unit's no-contact image; without one it works with a guess, and worse."""
+        """Whether the network takes the unit's background image; an estimated one lowers the accuracy."""
         return self._takes_background
 
     def segment(self, image: NDArray[np.uint8], background: NDArray[np.uint8] | None) -> NDArray[np.float32]:
-        """Probability of contact, (H, W) float32 in 0..1, at `input_size`: (160, 120) covers 2 x 2 of the frame each.
+        """Return the probability of contact, (H, W) float32 in 0..1, at `input_size`.
 
-        image, background: (320, 240, 3) uint8 BGR; background None is guessed from the frame. A background array is
-        shrunk once and remembered by identity: do not write into it afterwards. Raises `InputError` for another
-        shape or type, `ModelError` where the network answers with no probability.
+        Args:
+            image: (320, 240, 3) uint8 BGR.
+            background: Same shape; None: it is estimated from the frame. It is resized once and remembered by
+                identity: do not write into the array afterwards.
+
+        Raises:
+            InputError: Another shape or type.
+            ModelError: The network fails, or its output is no probability.
         """
-        small = _shrunk(image, self._size, "frame")
+        small = _resized(image, self._size, "frame")
         if not self._takes_background:
             return self._run(small, small, known=False)
         if background is None:
             return self._run(small, estimate_background(small), known=False)
         if background is not self._background:
-            self._background_small = _shrunk(background, self._size, "no-contact image")
+            self._background_small = _resized(background, self._size, "background image")
             self._background = background
         return self._run(small, self._background_small, known=True)
 
@@ -104,30 +114,33 @@ class Segmenter:
             known_flag = np.array([1.0 if known else 0.0], np.float32)
             feed |= {"background": background[None], "background_known": known_flag}
         try:
-            answer = self._session.run(["probability"], feed)[0]
+            output = self._session.run(["probability"], feed)[0]
         except Exception as error:
-            raise ModelError(f"{self.path}: the network failed to run ({_first_line(error)})") from error
-        probability: NDArray[np.float32] = answer[0, 0]
+            raise ModelError(
+                f"{self.path}: the network failed to run ({_first_line(error)}); use another model"
+            ) from error
+        probability: NDArray[np.float32] = output[0, 0]
         lowest, highest = float(probability.min()), float(probability.max())
         if not (lowest >= -ROUNDING and highest <= 1.0 + ROUNDING):  # also true of NaN
             raise ModelError(
-                f"{self.path}: the output ranges over {lowest:g}..{highest:g}; a probability in 0..1 is needed"
+                f"{self.path}: the output ranges over {lowest:g}..{highest:g}, expected a probability in 0..1; "
+                "export the network with its sigmoid"
             )
         return np.clip(probability, 0.0, 1.0)
 
 
-def _shrunk(image: NDArray[np.uint8], size: tuple[int, int], what: str) -> NDArray[np.uint8]:
+def _resized(image: NDArray[np.uint8], size: tuple[int, int], what: str) -> NDArray[np.uint8]:
     if image.shape != (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3) or image.dtype != np.uint8:
         raise InputError(
-            f"the {what} is {image.dtype} of shape {image.shape}; "
-            f"uint8 BGR of shape ({FRAME_HEIGHT_PX}, {FRAME_WIDTH_PX}, 3) is needed"
+            f"the {what} is {image.dtype} of shape {image.shape}, "
+            f"expected uint8 BGR of shape ({FRAME_HEIGHT_PX}, {FRAME_WIDTH_PX}, 3)"
         )
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _open(path: Path) -> Any:
     if not path.is_file():
-        raise ModelError(f"{path}: no such file; name an ONNX model or leave it out for the shipped one")
+        raise ModelError(f"{path}: no such file; set an ONNX model, or none for the shipped one")
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
@@ -141,7 +154,7 @@ def _open(path: Path) -> Any:
 
 
 def _checked_ports(path: Path, session: Any) -> tuple[tuple[int, int], bool]:
-    """(width, height) of what the network sees, and whether it takes a background."""
+    """Return (width, height) of the network's input, and whether it takes a background."""
     inputs, outputs = (
         {port.name: (port.type, port.shape) for port in ports}
         for ports in (session.get_inputs(), session.get_outputs())
@@ -152,13 +165,13 @@ def _checked_ports(path: Path, session: Any) -> tuple[tuple[int, int], bool]:
     fits = isinstance(height, int) and isinstance(width, int) and 0 < height <= FRAME_HEIGHT_PX
     if not (fits and height * FRAME_WIDTH_PX == width * FRAME_HEIGHT_PX):
         height, width = INPUT_HEIGHT_PX, INPUT_WIDTH_PX
-    wanted: _Ports = {"frame": ("tensor(uint8)", [1, height, width, 3])}
+    expected: _Ports = {"frame": ("tensor(uint8)", [1, height, width, 3])}
     if takes_background:
-        wanted |= {"background": wanted["frame"], "background_known": ("tensor(float)", [1])}
-    answer: _Ports = {"probability": ("tensor(float)", [1, 1, height, width])}
-    for side, found, asked in (("inputs", inputs, wanted), ("outputs", outputs, answer)):
-        if found != asked:
-            raise ModelError(f"{path}: {side} are {_ports(found)}; the model contract asks for {_ports(asked)}")
+        expected |= {"background": expected["frame"], "background_known": ("tensor(float)", [1])}
+    output: _Ports = {"probability": ("tensor(float)", [1, 1, height, width])}
+    for side, found, contract in (("inputs", inputs, expected), ("outputs", outputs, output)):
+        if found != contract:
+            raise ModelError(f"{path}: {side} are {_ports(found)}; the model contract asks for {_ports(contract)}")
     return (width, height), takes_background
 
 
@@ -170,7 +183,7 @@ def _checked_metadata(path: Path, session: Any) -> dict[str, str]:
     if metadata["slipguard_contract"] not in CONTRACTS:
         known = " and ".join(CONTRACTS)
         raise ModelError(
-            f"{path}: keeps model contract {metadata['slipguard_contract']}; this slipguard reads contract {known}"
+            f"{path}: model contract {metadata['slipguard_contract']}; this slipguard reads contract {known}"
         )
     return metadata
 
@@ -181,7 +194,7 @@ def _checked_threshold(path: Path, text: str) -> float:
     except ValueError:
         threshold = float("nan")
     if not 0.0 < threshold < 1.0:
-        raise ModelError(f"{path}: metadata threshold is {text!r}; a number between 0 and 1 is needed")
+        raise ModelError(f"{path}: metadata threshold is {text!r}, expected a number between 0 and 1")
     return threshold
 
 

@@ -1,1 +1,1 @@
-"""Whether a frame is fit to measure: background images, gel wear, dead lines, image quality."""
+"""Whether a frame may be measured: image quality, dead lines, gel wear, estimate of a missing background image."""

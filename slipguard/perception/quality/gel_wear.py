@@ -1,9 +1,9 @@
-"""How an untouched gel has changed since its no-contact image was taken: the light, its pattern, and lasting marks.
+"""Gel wear: how an untouched gel differs from its background image in light, light pattern and permanent marks.
 
-Light drifts and the camera moves by a pixel or two in its soft mount; both are smooth, or move what is there. Wear is
-neither: where paint has gone or the gel is cut there is a spot or a line with sharp edges that was not there before.
-So the picture, averaged over many frames, is compared with the darkest and brightest that the known picture shows
-within a few pixels, after all that is smooth in the difference has been taken out.
+Light drifts, and the camera moves by a pixel or two in its soft mount: both changes are smooth, or move what is there.
+Wear is neither: worn paint or a cut leaves a new spot or line with sharp edges. So the image, averaged over many
+frames, is compared with the darkest and brightest level that the known image has within a few pixels, after all smooth
+differences are removed.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from slipguard.perception.contact.gate import BLOCKS_HIGH, BLOCKS_WIDE, ContactG
 SMOOTH_PX = 4.0
 """Changes wider than this (one standard deviation) are light; marks are narrower, or have edges that are."""
 SHIFT_PX = 2
-"""How far the picture may have moved on the sensor."""
+"""Largest shift of the image on the sensor."""
 FINE_PX = 0.8
-"""Averages what noise is left; a mark of one pixel keeps half of its height."""
+"""Blur against the remaining noise; a mark of one pixel keeps half of its height."""
 MARK_LEVELS = 6.0
-"""A mark stands out by this many grey levels at least, its colours together."""
+"""Smallest height of a mark, grey levels, its colors together."""
 MARK_NOISE = 6.0
-"""... and by this many standard deviations of what noise is left."""
+"""Smallest height of a mark in standard deviations of the remaining noise."""
 MARK_MIN_PX = 9
 """0.03 mm2: smaller ones are single pixels of the sensor."""
 MARK_SHARE = 0.3
-"""A mark reaches to where it has this share of its height."""
+"""A mark extends to where it has this share of its height."""
 GAINS = (0.5, 2.0)
-"""Lamps may be set to something else; what would be stronger or weaker than this is no light."""
+"""Range of the change in brightness of the LEDs."""
 KEPT_MARKS = 8
 EDGE_PX = 4
-"""The border of the picture, where smoothing knows one side only."""
+"""Border of the image that is not checked: smoothing has data on one side only."""
 
 Image = NDArray[np.uint8]
 Mean = NDArray[np.float32]
@@ -43,9 +43,9 @@ Mean = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class GelMark:
-    """x_px, y_px: its middle, right and down. levels: how far it stands out at its strongest, grey levels.
+    """x_px, y_px: its center, right and down. levels: its largest height, grey levels.
 
-    area_px: what it changes, on both sides of its edges; for a spot about one and a half times the spot.
+    area_px: changed area on both sides of its edges; for a spot about one and a half times the spot.
     """
 
     x_px: float
@@ -56,9 +56,11 @@ class GelMark:
 
 @dataclass(frozen=True, slots=True)
 class GelChange:
-    """Since the known picture. level_bgr: brighter by so many grey levels. uneven_levels: what the light's pattern has
-    changed beyond that, root mean square. gate_share: how far of the way it is to where the gate takes light for
-    touch, 1 there. marks: the strongest first, at most `KEPT_MARKS`. marked_px: of all of them.
+    """Change since the known image.
+
+    level_bgr: increase in brightness, grey levels. uneven_levels: change of the light's pattern beyond that, r.m.s.
+    gate_share: difference over the contact gate's limit; at 1 the gate takes the light for a contact.
+    marks: the strongest first, at most `KEPT_MARKS`. marked_px: area of all marks.
     """
 
     level_bgr: tuple[float, float, float]
@@ -71,10 +73,15 @@ class GelChange:
 def compare_gel(
     now: Mean, now_frames: int, known: Image, noise_bgr: Sequence[float], known_frames: int, gate_sigma: float
 ) -> GelChange:
-    """Compare an averaged picture with the known one.
+    """Compare an averaged image with the known one.
 
-    now: (320, 240, 3) float32 BGR, mean of `now_frames` untouched frames. known: uint8, mean of `known_frames`.
-    noise_bgr: standard deviation of one pixel. gate_sigma: as the gate is set.
+    Args:
+        now: (320, 240, 3) float32 BGR, mean of `now_frames` untouched frames.
+        now_frames: Number of frames in `now`.
+        known: (320, 240, 3) uint8 BGR, mean of `known_frames`.
+        noise_bgr: Standard deviation of one pixel, grey levels.
+        known_frames: Number of frames in `known`.
+        gate_sigma: Limit of the contact gate.
     """
     difference = cv2.subtract(now, known.astype(np.float32))
     level = difference.mean(axis=(0, 1))
@@ -92,45 +99,45 @@ def compare_gel(
 
 
 def _marks(now: Mean, known: Image, left_std: float) -> tuple[tuple[GelMark, ...], int]:
-    """What is sharp, and neither in the known picture nor next to where it is."""
-    seen, then = _sharp(now), _sharp(known.astype(np.float32))
-    then *= _gain(seen, then)
+    """Return sharp structures that are not within `SHIFT_PX` of their place in the known image, and their total area."""
+    current, then = _sharp(now), _sharp(known.astype(np.float32))
+    then *= _gain(current, then)
     near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * SHIFT_PX + 1, 2 * SHIFT_PX + 1))
-    above = seen - cv2.dilate(then, near)
-    below = cv2.erode(then, near) - seen
+    above = current - cv2.dilate(then, near)
+    below = cv2.erode(then, near) - current
     beyond = np.maximum(np.maximum(above, below), 0.0)
     height = np.sqrt(np.square(beyond).sum(axis=2))
     height[:EDGE_PX], height[-EDGE_PX:], height[:, :EDGE_PX], height[:, -EDGE_PX:] = 0.0, 0.0, 0.0, 0.0
     found = (height > max(MARK_LEVELS, MARK_NOISE * left_std)).astype(np.uint8)
-    count, labels, facts, middles = cv2.connectedComponentsWithStats(found, connectivity=8)
+    count, labels, stats, centers = cv2.connectedComponentsWithStats(found, connectivity=8)
     marks = []
     for one in range(1, count):
-        if facts[one, cv2.CC_STAT_AREA] < MARK_MIN_PX:
+        if stats[one, cv2.CC_STAT_AREA] < MARK_MIN_PX:
             continue
         levels = height[labels == one]
         strongest = float(levels.max())
         area_px = int(np.count_nonzero(levels >= MARK_SHARE * strongest))  # without the ring that smoothing draws
-        marks.append(GelMark(float(middles[one][0]), float(middles[one][1]), area_px, strongest))
+        marks.append(GelMark(float(centers[one][0]), float(centers[one][1]), area_px, strongest))
     marks.sort(key=lambda mark: mark.levels, reverse=True)
     return tuple(marks[:KEPT_MARKS]), sum(mark.area_px for mark in marks)
 
 
-def _gain(seen: Mean, then: Mean) -> NDArray[np.float32]:
-    """How much stronger each colour's light is now: what it shows of the gel's own specks and streaks, (3,)."""
-    both, alone = (seen * then).sum(axis=(0, 1)), np.square(then).sum(axis=(0, 1))
+def _gain(current: Mean, then: Mean) -> NDArray[np.float32]:
+    """Return the change in brightness of each color, (3,), from the gel's own specks and streaks."""
+    both, alone = (current * then).sum(axis=(0, 1)), np.square(then).sum(axis=(0, 1))
     return np.asarray(np.clip(both / np.maximum(alone, 1.0), *GAINS), np.float32)
 
 
-def _sharp(picture: Mean) -> Mean:
-    """Without what is smooth, and without what whole columns and rows of the sensor have in common."""
-    fine = cv2.GaussianBlur(picture, (0, 0), FINE_PX) - cv2.GaussianBlur(picture, (0, 0), SMOOTH_PX)
+def _sharp(image: Mean) -> Mean:
+    """Remove what is smooth, and the median of each column and row of the sensor."""
+    fine = cv2.GaussianBlur(image, (0, 0), FINE_PX) - cv2.GaussianBlur(image, (0, 0), SMOOTH_PX)
     fine -= np.median(fine, axis=0, keepdims=True)
     fine -= np.median(fine, axis=1, keepdims=True)
     return np.asarray(fine, np.float32)
 
 
 def _gate_share(now: Mean, known: Image, noise_bgr: Sequence[float], gate_sigma: float) -> float:
-    """The worst block of the gate's own comparison, over the gate's limit."""
+    """Return the worst block difference of the contact gate, over the gate's limit."""
     gate = ContactGate(known, noise_bgr, gate_sigma)
     blocks = block_means(np.clip(np.rint(now), 0, 255).astype(np.uint8))
     assert gate.background is not None
@@ -138,5 +145,5 @@ def _gate_share(now: Mean, known: Image, noise_bgr: Sequence[float], gate_sigma:
     y, x = np.divmod(np.arange(len(blocks)), BLOCKS_WIDE)
     terms = np.stack([np.ones(len(blocks)), x / BLOCKS_WIDE, y / BLOCKS_HIGH], axis=1).astype(np.float32)
     plane, *_ = np.linalg.lstsq(terms, difference, rcond=None)
-    worst = np.linalg.norm((difference - terms @ plane) * gate.per_std, axis=1).max()
+    worst = np.linalg.norm((difference - terms @ plane) * gate.inverse_std, axis=1).max()
     return float(worst / gate_sigma)

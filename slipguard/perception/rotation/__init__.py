@@ -1,1 +1,1 @@
-"""How far the contact has rotated since the reference: axes, contour and texture registration, tracking."""
+"""The rotation of a contact since the reference, with its sigma, or the reason why there is none."""

@@ -1,9 +1,9 @@
-"""The turn of a patch since the reference by laying its picture over the reference's: no axis needed, no drift.
+"""Registration of a patch to the reference's contour: a rotation without an axis and without drift.
 
 Inverse compositional alignment (S. Baker, I. Matthews, "Lucas-Kanade 20 years on", IJCV 56 (2004) 221-255) of the
-blurred probability along the reference's outline. Beside turn and shift three nuisance motions are fitted: the
-outline grows evenly, and the patch stretches along and across its axis, as a contact does when the force changes.
-Parts of the outline that lie, or lay, outside the frame do not count.
+blurred probability along the reference's contour. Three nuisance motions are fitted with rotation and shift: the
+contour grows evenly, and the patch stretches along and across its axis, as a contact does when the force changes.
+Parts of the contour outside the frame, now or in the reference, are ignored.
 """
 
 from __future__ import annotations
@@ -16,41 +16,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
+from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.rotation.contour_template import BLUR_PX, RIM_PX, ContourTemplate, blurred, sampled
+from slipguard.perception.rotation.round_contact import round_contour
 
-MAX_ROUNDS = 8
-OUTLINE_PX = 0.10
+ITERATIONS_MAX = 8
+CONTOUR_PX = 0.10
 MISFIT_SHARE = 0.55
-"""One standard deviation of the turn, as the outline's place in network pixels: this much at best, and this share of
-the misfit left between the outlines. Fitted to rendered turns of the training objects through the network."""
-LEVER_MIN_PX = 2.2
-"""A turn by a radian must move the outline by at least this (r.m.s., what shift and growth cannot explain)."""
+"""One standard deviation of the rotation, as an error of the contour's position in network pixels: at least this, and
+this share of the misfit between the contours. Fitted to rendered rotations of the training objects."""
 MISFIT_MAX_PX = 1.4
-"""Outlines that stay further apart (r.m.s., network pixels) are not those of one contact."""
+"""Contours with a larger misfit (r.m.s., network pixels) are not those of one contact."""
 OVERLAP_MIN = 0.45
-"""Share of the reference's outline that must be in sight."""
-CONTRAST_MIN = 0.10
+"""Share of the reference's contour that must be visible."""
 CONTRAST_RATIO_MIN = 1.8
-"""A turn by `template.TELLING_DEG` must change the picture by this much (r.m.s.), and this many times what the fit
-leaves."""
+"""A rotation by `contour_template.CONTRAST_DEG` must change the image by this multiple of the fit's residual."""
 _CORRELATED_PX = math.pi * BLUR_PX**2
-"""How many of the template's pixels (every second row and column) carry the same blurred error."""
+"""Number of the template's pixels (every second row and column) with the same blurred error."""
 _RAIL = 1e3
-"""Weight that holds a shift along a template's rail at 0; the outline's own is of the order of 1."""
+"""Weight that holds a shift along a template's rail at 0; the contour's own is of the order of 1."""
 _PRIOR_STD = np.array([10.0, 2.0, 2.0, 6.0, 0.2, 0.2])
-"""Turn (rad), shift x and y from the start (px), growth (px), stretch along and across (share): weak, for what the
-outline does not tell."""
-NOT_SAME = "contact changed too much since the reference"
-_ROUND = "round contact"
-_REPEATS = "outline repeats itself"
-_CLIPPED = "clipped by the frame"
+"""Weak priors: rotation (rad), shift x and y from the start (px), growth (px), stretch along and across (share)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ContourPose:
-    """Where the reference has moved to: turn counter-clockwise, shift of its centre in network pixels, y down.
+    """Motion of the reference: rotation counter-clockwise, shift of its center in network pixels, y down.
 
-    growth: how far the outline has grown (network pixels) and the patch stretched along and across (shares).
+    growth: growth of the contour (network pixels) and stretch of the patch along and across (shares).
     """
 
     rotation_deg: float = 0.0
@@ -63,8 +56,8 @@ class ContourPose:
 class ContourFit:
     """The best pose and its sigma.
 
-    misfit_deg: the turn that would move the outline by as much as is left between the two outlines.
-    residual: what is left, r.m.s. difference of probability. declined: None, or why there is no turn.
+    misfit_deg: the rotation that would move the contour by as much as the fit leaves between the two contours.
+    residual: r.m.s. difference of probability after the fit. declined: None, or why there is no rotation.
     """
 
     pose: ContourPose
@@ -73,9 +66,14 @@ class ContourFit:
     residual: float
     declined: str | None
 
+    @property
+    def contact_changed(self) -> bool:
+        """Whether the contour is not that of the reference any more."""
+        return self.declined is not None and self.declined.startswith(DeclineReason.CONTACT_CHANGED)
+
 
 class ContourRegistrar:
-    """Lays patches over one template. `blurred` is shared between several starts on one patch."""
+    """Registers a patch to a template, from one or more starts."""
 
     def __init__(self, template: ContourTemplate, patch: Patch) -> None:
         self._template = template
@@ -86,15 +84,15 @@ class ContourRegistrar:
     def fit(self, start: ContourPose) -> ContourFit:
         """Refine a start; converges from within about ten degrees and a few pixels.
 
-        The shift is held near its start where the outline hardly tells it, and at 0 along a template's rail.
+        The shift stays near its start where the contour hardly shows it, and at 0 along a template's rail.
         """
         t = self._template
         rotation, dx, dy = math.radians(start.rotation_deg), start.dx_px, start.dy_px
         if t.value.size < 30:
-            return ContourFit(start, 180.0, 180.0, 1.0, _CLIPPED)
+            return ContourFit(start, 180.0, 180.0, 1.0, DeclineReason.CLIPPED)
         nuisance = np.array(start.growth, np.float32)
         last_step = 0.0
-        for _ in range(MAX_ROUNDS):
+        for _ in range(ITERATIONS_MAX):
             difference, weight = self._difference(rotation, dx, dy, nuisance)
             weighted = t.motion.T * weight
             normal = (weighted @ t.motion).astype(np.float64)
@@ -117,14 +115,14 @@ class ContourRegistrar:
             nuisance += step[3:].astype(np.float32)
             rotation_step, move_x, move_y = float(step[0]), float(step[1]), float(step[2])
             small = abs(rotation_step) < 4e-4 and abs(move_x) + abs(move_y) < 0.02
-            # A rough outline makes every step too short by the same share: go on to where the steps lead.
+            # A rough contour makes every step too short by the same share: extrapolate the geometric series.
             ratio = rotation_step / last_step if last_step else 0.0
             last_step = rotation_step
             if 0.1 < ratio < 0.75:
                 rotation_step /= 1.0 - ratio
                 last_step = 0.0
             rotation_step = min(max(rotation_step, -0.3), 0.3)
-            # Inverse composition: undo the step before the present pose.
+            # Inverse composition: apply the inverse of the step before the current pose.
             rotation -= rotation_step
             c, s = math.cos(rotation), math.sin(rotation)
             dx -= c * move_x + s * move_y
@@ -132,12 +130,12 @@ class ContourRegistrar:
             if small:
                 break
         pose = ContourPose(math.degrees(rotation), dx, dy, (float(nuisance[0]), float(nuisance[1]), float(nuisance[2])))
-        return self._judged(pose, normal, noise2, weight)
+        return self._result(pose, normal, noise2, weight)
 
     def _difference(
         self, rotation: float, dx: float, dy: float, nuisance: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Picture minus grown and stretched template along the outline; a robust weight, 0 outside the frame."""
+        """Return image minus grown and stretched template along the contour; and a robust weight, 0 outside the frame."""
         t, patch = self._template, self._patch
         c, s = np.float32(math.cos(rotation)), np.float32(math.sin(rotation))
         grown_x, grown_y = t.x_px + t.growth_x @ nuisance, t.y_px + t.growth_y @ nuisance
@@ -155,7 +153,7 @@ class ContourRegistrar:
             weight *= (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
         return difference, weight
 
-    def _judged(
+    def _result(
         self, pose: ContourPose, normal: NDArray[np.float64], noise2: float, weight: NDArray[np.float32]
     ) -> ContourFit:
         t = self._template
@@ -163,19 +161,26 @@ class ContourRegistrar:
         covariance = np.linalg.inv(normal + np.diag(1e-4 / _PRIOR_STD**2))
         information = 1.0 / max(float(covariance[0, 0]), 1e-12)
         steepness2 = max(float(weight @ t.slope**2), 1e-9)
-        # What a turn moves the outline by, beyond what shift, growth and stretch explain.
+        # Motion of the contour by a rotation, beyond what shift, growth and stretch explain.
         lever_px = max(math.sqrt(information / steepness2), 1e-3)
         misfit_px = residual / math.sqrt(steepness2 / max(float(weight.sum()), 1e-6))
         misfit_deg = math.degrees(misfit_px / lever_px)
-        own_px = math.hypot(OUTLINE_PX, self._patch.ragged_px)
+        own_px = math.hypot(CONTOUR_PX, self._patch.ragged_px)
         sigma = math.hypot(math.degrees(own_px / lever_px), MISFIT_SHARE * misfit_deg)
-        declined = None
-        if float(weight.sum()) < OVERLAP_MIN * t.value.size:
-            declined = _CLIPPED if self._cut else NOT_SAME
-        elif t.repeats:
-            declined = _REPEATS
-        elif lever_px < LEVER_MIN_PX or t.contrast < CONTRAST_MIN:
-            declined = _ROUND
-        elif misfit_px > MISFIT_MAX_PX or t.contrast < CONTRAST_RATIO_MIN * residual:
-            declined = NOT_SAME
+        declined = self._declined(float(weight.sum()), lever_px, misfit_px, residual)
         return ContourFit(pose, min(sigma, 180.0), min(misfit_deg, 180.0), residual, declined)
+
+    def _declined(self, visible: float, lever_px: float, misfit_px: float, residual: float) -> str | None:
+        t = self._template
+        share = visible / t.value.size
+        if visible < OVERLAP_MIN * t.value.size:
+            reason = DeclineReason.CLIPPED if self._cut else DeclineReason.CONTACT_CHANGED
+            return explain(reason, f"{share:.0%} of the contour is visible, limit {OVERLAP_MIN:.0%}")
+        if t.periodic:
+            return DeclineReason.PERIODIC_CONTOUR
+        declined = round_contour(lever_px, t.contrast)
+        if declined is None and (misfit_px > MISFIT_MAX_PX or t.contrast < CONTRAST_RATIO_MIN * residual):
+            limit_px = min(MISFIT_MAX_PX, misfit_px * t.contrast / (CONTRAST_RATIO_MIN * residual))
+            detail = f"contours differ by {misfit_px:.1f} px, limit {limit_px:.1f} px"
+            return explain(DeclineReason.CONTACT_CHANGED, detail)
+        return declined

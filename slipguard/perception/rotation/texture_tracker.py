@@ -1,71 +1,81 @@
-"""The relief followed since the reference, over a later key picture where force or shear has changed the contact.
+"""Tracks the texture since the reference, by way of a key image if force or shear has changed the contact.
 
-Every frame is laid over the reference's own relief. Where that has become another one, a key picture stands in, taken
-while the reference's was still sure. Its own uncertainty is part of the answer's, keys are never taken from keys, and
-the reference is preferred as soon as its relief is seen again: nothing drifts.
+Every frame is registered to the reference's own texture. If that has changed too much a key image is used instead,
+taken while the reference was still certain. The key's own uncertainty is part of the result's, keys are never taken
+from keys, and the reference is preferred as soon as it fits again: nothing drifts.
+
+A periodic texture (teeth, rays, nuts) gives a rotation only up to whole periods. The period is counted from frame to
+frame; it becomes ambiguous after a gap in which the object may have rotated by a period.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.rotation.period import LOOK_DEG, may_be_next, period_deg
+from slipguard.perception.declined import DeclineReason
+from slipguard.perception.rotation.fusion import AGREE_SIGMAS, RotationEstimate
 from slipguard.perception.rotation.texture_map import REDUCTION, TextureMap
-from slipguard.perception.rotation.texture_registration import (
-    TextureFit,
-    TexturePose,
+from slipguard.perception.rotation.texture_registration import TextureFit, TexturePose, fit_texture, sigma_deg
+from slipguard.perception.rotation.texture_template import (
+    PERIOD_STEP_DEG,
     TextureTemplate,
-    fit_texture,
     make_texture_template,
+    period_deg,
 )
-from slipguard.perception.rotation.texture_sigma import sigma_deg
 
-SURE_DEG = 1.5
-"""A turn told this surely by the reference's relief needs no key. Shear deforms a contact evenly: the reference's sigma
-is larger then, but its error less, than that of a key taken on the way."""
+KEY_NEEDED_DEG = 1.5
+"""Sigma of the reference's texture above which a key is used. Shear deforms a contact evenly: the reference's sigma is
+then larger, but its error smaller, than that of a key taken on the way."""
 KEY_SIGMA_DEG = 1.2
-"""A key is taken only while the turn is known this well."""
+"""A key is taken only while sigma is below this."""
 KEY_ALIKE = 0.93
-"""... and only where the relief has become this unlike the reference's."""
+"""A key is taken only if the texture's correlation with the reference is below this."""
 KEY_STEP = 1.2
-"""... and less certain than the last key by this."""
-AMBIGUOUS_PERIOD = "lost count of a relief that repeats itself"
+"""A key replaces another one only at a sigma larger by this factor."""
+RETRY_DEG = 4.0
+"""If the contour's rotation differs by more than this, the texture is also searched for there."""
+ACCELERATION_DEG_S2 = 5_000.0
+"""Largest assumed acceleration of an object that starts to rotate in a gap: a rod of 8 cm, held at its end with half
+the force it needs; without any force it is twice as high. With that, no fine teeth could be counted across one lost
+frame at 30 Hz."""
+PERIOD_SHARE = 0.4
+"""Rotation from the expected one, as a share of the period, at which it may be the next one; 0.5 is the limit."""
+GAP_SHARE = 0.9
+"""It may also be the next one if the way to the next period's place, times this share for its accuracy, is no longer
+than the possible rotation in the gap."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrackedTexture:
-    """Turn since the reference, shift of the reference's centre (frame pixels right and down); declined: why not.
+    """Rotation since the reference by the texture, and the shift of the reference's center.
 
-    unlike: 1 where the contact is as it was, more the more it has deformed. smooth: the direction (right, down; of
-    length 1) along which the relief tells no shift; None where there is none.
+    shift_px: frame pixels right and down. deformation: factor on sigmas; 1 if the contact has not deformed.
+    smooth: the direction (right, down; of length 1) along which the texture shows no shift; None if there is none.
     """
 
-    rotation_deg: float | None
-    sigma_deg: float | None
-    shift_px: tuple[float, float] | None
-    unlike: float
-    declined: str | None = None
+    rotation: RotationEstimate
+    deformation: float
+    shift_px: tuple[float, float] | None = None
     smooth: tuple[float, float] | None = None
 
-    def shift(self, outline_px: Callable[[], tuple[float, float]]) -> tuple[float, float]:
-        """The shift; what the relief does not tell of it is the outline's. Frame pixels right and down."""
+    def complete_shift(self, contour_px: tuple[float, float]) -> tuple[float, float]:
+        """Return the shift, with the contour's shift in the direction that the texture does not show."""
         if self.shift_px is None:
-            return outline_px()
+            return contour_px
         if self.smooth is None:
             return self.shift_px
-        (dx, dy), (x, y), (along_x, along_y) = self.shift_px, outline_px(), self.smooth
+        (dx, dy), (x, y), (along_x, along_y) = self.shift_px, contour_px, self.smooth
         missing = (x - dx) * along_x + (y - dy) * along_y
         return dx + missing * along_x, dy + missing * along_y
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Key:
-    """A relief and where the reference was when it was taken. at_px: the reference's centre from the key's."""
+    """A texture and the reference's pose when it was taken. at_px: the reference's center from the key's."""
 
-    texture: TextureTemplate
+    template: TextureTemplate
     rotation_deg: float
     sigma_deg: float
     shift_px: tuple[float, float]
@@ -73,116 +83,167 @@ class _Key:
 
 
 class TextureTracker:
-    """Follows one reference. texture: its relief."""
+    """Tracks one reference.
 
-    def __init__(self, texture: TextureTemplate) -> None:
-        self._first = texture
-        self._pitch: tuple[float | None] | None = None
+    Args:
+        template: The reference's texture.
+        rotated_unseen: Whether the object may have rotated by any angle since then: a periodic texture is ambiguous.
+    """
+
+    def __init__(self, template: TextureTemplate, rotated_unseen: bool = False) -> None:
+        self._first = template
+        self._period: tuple[float | None] | None = None
         self._pose = TexturePose()
         self._key: _Key | None = None
         self._key_pose = TexturePose()
+        self._gap_deg = 0.0
+        self.ambiguous = rotated_unseen and self.period_deg is not None
+        """Whether a periodic texture may be off by whole periods, until the axis resolves it."""
 
     @property
     def period_deg(self) -> float | None:
-        """The turn after which the relief looks like itself, None for no such turn; found when it is first asked."""
-        if self._pitch is None:
-            self._pitch = (period_deg(self._first),)
-        return self._pitch[0]
+        """The rotation after which the texture repeats, None if it does not; computed on first use."""
+        if self._period is None:
+            self._period = (period_deg(self._first),)
+        return self._period[0]
 
-    def follow(
-        self,
-        relief: TextureMap,
-        patch: Patch,
-        predicted_deg: float,
-        start: tuple[float, tuple[float, float]] | None = None,
-        *,
-        possible_rotation_deg: float = 0.0,
+    def note_gap(self, gap_s: float, rate_deg_s: float) -> None:
+        """Note the time since the rotation was last known, and its rate then."""
+        if not self.ambiguous:
+            self._gap_deg = possible_rotation_deg(gap_s, rate_deg_s)
+            self.ambiguous = self._may_be_next_period(0.0, self._gap_deg)
+
+    def track(
+        self, texture_map: TextureMap, patch: Patch, predicted_deg: float, axis: RotationEstimate
     ) -> TrackedTexture:
-        """The turn since the reference, from where the track leads.
-
-        start: another turn and shift (frame pixels right and down) to look from; None: from where the track leads.
-        possible_rotation_deg: how far from there the contact may have come since it was last seen.
-        """
-        pose = replace(self._pose, rotation_deg=predicted_deg)
-        if start is not None:
-            pose = TexturePose(start[0], start[1][0] / REDUCTION, start[1][1] / REDUCTION)
-        answer = fit_texture(self._first, relief, pose)
-        found = self._followed(
-            self._first, answer, (answer.pose.dx_px, answer.pose.dy_px), answer.pose.rotation_deg, 0.0
-        )
-        laid = answer
-        if found.sigma_deg is None or found.sigma_deg > SURE_DEG:
-            by_key = self._by_key(relief, pose.rotation_deg)
-            if by_key is not None and (found.sigma_deg is None or (by_key[0].sigma_deg or 180.0) < found.sigma_deg):
-                found, laid = by_key
-        if found.rotation_deg is None or found.sigma_deg is None or found.shift_px is None:
-            return found
-        if self.leaps(found.rotation_deg - predicted_deg, possible_rotation_deg):
-            return TrackedTexture(None, None, None, 1.0, AMBIGUOUS_PERIOD)
-        shift = (found.shift_px[0] / REDUCTION, found.shift_px[1] / REDUCTION)
-        if laid is not answer:
-            self._pose = TexturePose(found.rotation_deg, shift[0], shift[1])
-        else:
-            self._pose = answer.pose
-        newer = self._key is None or found.sigma_deg > KEY_STEP * self._key.sigma_deg
-        if laid is answer and newer and laid.alike < KEY_ALIKE and found.sigma_deg < KEY_SIGMA_DEG:
-            self._take_key(relief, patch, found.rotation_deg, found.sigma_deg, shift)
+        """Return the rotation since the reference, searched near the predicted one, or near the axis if ambiguous."""
+        if not self.ambiguous:
+            return self._search(texture_map, patch, predicted_deg, None, self._gap_deg)
+        period = self.period_deg or 0.0
+        if axis.rotation_deg is None or axis.sigma_deg is None or AGREE_SIGMAS * axis.sigma_deg >= 0.5 * period:
+            return _declined(DeclineReason.PERIOD_AMBIGUOUS)
+        found = self._search(texture_map, patch, axis.rotation_deg, None, 0.0)
+        self.ambiguous = found.rotation.rotation_deg is None
         return found
 
-    def leaps(self, by_deg: float, possible_rotation_deg: float) -> bool:
-        """Whether what repeats, found so far from where the track led, may be a step on."""
-        if not may_be_next(by_deg, possible_rotation_deg, LOOK_DEG):  # not even of the finest
-            return False
-        return self.period_deg is not None and may_be_next(by_deg, possible_rotation_deg, self.period_deg)
+    def track_again(
+        self,
+        texture_map: TextureMap,
+        patch: Patch,
+        predicted_deg: float,
+        found: TrackedTexture,
+        contour: RotationEstimate,
+        contour_shift_px: tuple[float, float],
+    ) -> TrackedTexture:
+        """Search near the contour's rotation if that is far from the first result; return the better result."""
+        before_deg = predicted_deg if found.rotation.rotation_deg is None else found.rotation.rotation_deg
+        if self.ambiguous or contour.rotation_deg is None or abs(contour.rotation_deg - before_deg) <= RETRY_DEG:
+            return found
+        dx, dy = contour_shift_px
+        start = TexturePose(contour.rotation_deg, dx / REDUCTION, dy / REDUCTION)
+        second = self._search(texture_map, patch, predicted_deg, start, self._gap_deg)
+        sigma = second.rotation.sigma_deg
+        return found if sigma is None or sigma >= (found.rotation.sigma_deg or 180.0) else second
 
-    def _by_key(self, relief: TextureMap, predicted_deg: float) -> tuple[TrackedTexture, TextureFit] | None:
+    def _search(
+        self, texture_map: TextureMap, patch: Patch, predicted_deg: float, start: TexturePose | None, gap_deg: float
+    ) -> TrackedTexture:
+        """Register to the reference, or to the key if that is better. start: other than the last pose."""
+        if start is None:
+            start = replace(self._pose, rotation_deg=predicted_deg)
+        fit = fit_texture(self._first, texture_map, start)
+        found = self._tracked(self._first, fit, (fit.pose.dx_px, fit.pose.dy_px), fit.pose.rotation_deg, 0.0)
+        sigma = found.rotation.sigma_deg
+        by_key = False
+        if sigma is None or sigma > KEY_NEEDED_DEG:
+            key_found = self._search_key(texture_map, start.rotation_deg)
+            if key_found is not None and (sigma is None or (key_found.rotation.sigma_deg or 180.0) < sigma):
+                found, by_key = key_found, True
+        rotation, sigma = found.rotation.rotation_deg, found.rotation.sigma_deg
+        if rotation is None or sigma is None or found.shift_px is None:
+            return found
+        if self._may_be_next_period(rotation - predicted_deg, gap_deg):
+            return _declined(DeclineReason.PERIOD_AMBIGUOUS)
+        shift = (found.shift_px[0] / REDUCTION, found.shift_px[1] / REDUCTION)
+        self._pose = TexturePose(rotation, shift[0], shift[1]) if by_key else fit.pose
+        newer = self._key is None or sigma > KEY_STEP * self._key.sigma_deg
+        if not by_key and newer and fit.alike < KEY_ALIKE and sigma < KEY_SIGMA_DEG:
+            self._take_key(texture_map, patch, rotation, sigma, shift)
+        return found
+
+    def _may_be_next_period(self, by_deg: float, gap_deg: float) -> bool:
+        """Return whether a periodic texture, found `by_deg` from where it was expected, may be a period further on."""
+        if not _reaches_next(by_deg, gap_deg, PERIOD_STEP_DEG):  # not even with the finest period
+            return False
+        return self.period_deg is not None and _reaches_next(by_deg, gap_deg, self.period_deg)
+
+    def _search_key(self, texture_map: TextureMap, predicted_deg: float) -> TrackedTexture | None:
         key = self._key
         if key is None:
             return None
-        laid = fit_texture(key.texture, relief, replace(self._key_pose, rotation_deg=predicted_deg - key.rotation_deg))
-        if laid.declined is not None:
+        start = replace(self._key_pose, rotation_deg=predicted_deg - key.rotation_deg)
+        fit = fit_texture(key.template, texture_map, start)
+        if fit.declined is not None:
             return None
-        self._key_pose = laid.pose
-        rotation = math.radians(laid.pose.rotation_deg)
+        self._key_pose = fit.pose
+        rotation = math.radians(fit.pose.rotation_deg)
         c, s = math.cos(rotation), math.sin(rotation)
         x, y = key.at_px
         shift = (
-            key.shift_px[0] + laid.pose.dx_px + c * x + s * y - x,
-            key.shift_px[1] + laid.pose.dy_px + c * y - s * x - y,
+            key.shift_px[0] + fit.pose.dx_px + c * x + s * y - x,
+            key.shift_px[1] + fit.pose.dy_px + c * y - s * x - y,
         )
-        return self._followed(key.texture, laid, shift, key.rotation_deg + laid.pose.rotation_deg, key.sigma_deg), laid
+        return self._tracked(key.template, fit, shift, key.rotation_deg + fit.pose.rotation_deg, key.sigma_deg)
 
     def _take_key(
-        self, relief: TextureMap, patch: Patch, rotation_deg: float, sigma: float, shift_px: tuple[float, float]
+        self, texture_map: TextureMap, patch: Patch, rotation_deg: float, sigma: float, shift_px: tuple[float, float]
     ) -> None:
-        texture = make_texture_template(relief, patch)
-        if texture is None:
+        template = make_texture_template(texture_map, patch)
+        if template is None:
             return
         first = self._first.center_px
-        at = (first[0] + shift_px[0] - texture.center_px[0], first[1] + shift_px[1] - texture.center_px[1])
-        self._key = _Key(texture, rotation_deg, sigma, shift_px, at)
+        at = (first[0] + shift_px[0] - template.center_px[0], first[1] + shift_px[1] - template.center_px[1])
+        self._key = _Key(template, rotation_deg, sigma, shift_px, at)
         self._key_pose = TexturePose()
 
-    def _followed(
+    def _tracked(
         self,
-        texture: TextureTemplate,
-        laid: TextureFit,
+        template: TextureTemplate,
+        fit: TextureFit,
         shift_px: tuple[float, float],
         rotation_deg: float,
         key_sigma_deg: float,
     ) -> TrackedTexture:
-        if laid.declined is not None:
-            return TrackedTexture(None, None, None, laid.unlike, laid.declined)
+        if fit.declined is not None:
+            return TrackedTexture(RotationEstimate(None, None, fit.declined), fit.deformation)
         shift = (REDUCTION * shift_px[0], REDUCTION * shift_px[1])
-        smooth = None if texture.smooth is None else _rotated(texture.smooth, laid.pose.rotation_deg)
-        if self._first.smooth is not None:  # what it has not told at the start no key knows, either
+        smooth = None if template.smooth is None else _rotated(template.smooth, fit.pose.rotation_deg)
+        if self._first.smooth is not None:  # a shift invisible at the reference is invisible by any key
             smooth = _rotated(self._first.smooth, rotation_deg)
-        return TrackedTexture(
-            rotation_deg, math.hypot(key_sigma_deg, sigma_deg(laid)), shift, laid.unlike, smooth=smooth
-        )
+        rotation = RotationEstimate(rotation_deg, math.hypot(key_sigma_deg, sigma_deg(fit)))
+        return TrackedTexture(rotation, fit.deformation, shift, smooth)
 
 
-def _rotated(way: tuple[float, float], rotation_deg: float) -> tuple[float, float]:
-    """A direction (right, down) turned counter-clockwise as seen."""
+def possible_rotation_deg(gap_s: float, rate_deg_s: float) -> float:
+    """Return how far an object may be from its expected rotation after a gap, degrees.
+
+    Args:
+        gap_s: Time since its rotation was last known.
+        rate_deg_s: Its rate then: it may have stopped at once, or accelerate.
+    """
+    gap_s = max(gap_s, 0.0)
+    return max(abs(rate_deg_s) * gap_s, 0.5 * ACCELERATION_DEG_S2 * gap_s**2)
+
+
+def _reaches_next(by_deg: float, gap_deg: float, period: float) -> bool:
+    return abs(by_deg) >= min(PERIOD_SHARE * period, GAP_SHARE * period - gap_deg)
+
+
+def _declined(reason: DeclineReason) -> TrackedTexture:
+    return TrackedTexture(RotationEstimate(None, None, reason), 1.0)
+
+
+def _rotated(direction: tuple[float, float], rotation_deg: float) -> tuple[float, float]:
+    """Rotate a direction (right, down) counter-clockwise as seen in the image."""
     c, s = math.cos(math.radians(rotation_deg)), math.sin(math.radians(rotation_deg))
-    return c * way[0] + s * way[1], c * way[1] - s * way[0]
+    return c * direction[0] + s * direction[1], c * direction[1] - s * direction[0]

@@ -8,8 +8,8 @@ import numpy as np
 
 from slipguard.bench.grip.modeled_perception import ModelSight, SightError
 from slipguard.devices import Frame
+from slipguard.perception.declined import DeclineReason
 from slipguard.perception.estimate import Estimate
-from slipguard.perception.quality.image_quality import UNLIKE
 from slipguard.sim.gel_view import decode_view
 
 BRIGHT_LEVELS = 30.0
@@ -37,7 +37,7 @@ class EncodedImagePerception:
         estimate = self._model.look(view, frame.captured_at_s, frame.sequence)
         if max(abs(level) for level in light) > BRIGHT_LEVELS:
             plain = replace(estimate, angle_deg=None, sigma_deg=None, rate_deg_s=None, shift_mm=None)
-            return replace(plain, contact=True, orientation_deg=None, declined=UNLIKE)
+            return replace(plain, contact=True, orientation_deg=None, declined=str(DeclineReason.UNLIKE_BACKGROUND))
         if not estimate.contact:
             return replace(estimate, skipped="no contact", declined="no contact")
         if estimate.angle_deg is None and estimate.declined is None:

@@ -28,7 +28,6 @@ from slipguard.daemon.loop.virtual_time import FixedLatencyWorker
 from slipguard.daemon.store.recording import SEGMENT_S, make_recorder
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.errors import SlipguardError
-from slipguard.perception.pipeline import Pipeline
 from slipguard.recording.recorder import Recorder
 from slipguard.sim.world import World, WorldSettings
 from slipguard.sim_lifts.campaign import CampaignSettings, run_campaign
@@ -130,7 +129,7 @@ class _SoakRun:
         rng = np.random.default_rng(self._settings.seed)
         now = asyncio.get_running_loop().time
 
-        def around(finger: str, pipeline: Pipeline) -> PerceptionPipeline:
+        def around(finger: str, pipeline: PerceptionPipeline) -> PerceptionPipeline:
             return WorldTruthPerception(pipeline, self.world, 1 if finger == "left" else -1, rng, now)
 
         return root.build_service(

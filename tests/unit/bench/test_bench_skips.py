@@ -17,7 +17,7 @@ from slipguard.control.slip_baselines import SlipMemory
 from slipguard.datasets.rendered_grasps import render_grasp
 from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
-from slipguard.perception.settings import ALL_SKIPS, Skips
+from slipguard.perception.skipping import ALL_SKIPS, Skips
 
 
 def default() -> BenchPipeline:

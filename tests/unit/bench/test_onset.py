@@ -12,7 +12,8 @@ from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.settings import ALL_SKIPS, PerceptionSettings, Skips
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.skipping import ALL_SKIPS, Skips
 
 
 @cache

@@ -16,8 +16,8 @@ from slipguard.control.messages import Command
 from slipguard.control.params import GuardParams
 from slipguard.control.state import GraspState, Phase
 from slipguard.control.step import ControlState, control_step
-from slipguard.perception.contact.second_finger import repeat_estimate, second_finger_can_skip
 from slipguard.perception.estimate import Estimate
+from slipguard.perception.skipping import repeat_estimate, second_finger_can_skip
 
 PARAMS = GuardParams()
 FRAME_S = 1 / 60

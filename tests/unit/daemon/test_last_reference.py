@@ -18,6 +18,7 @@ from slipguard.atomic_file import write_whole as really_write
 from slipguard.control.state import Phase
 from slipguard.daemon.store.last_reference import VALID_FOR, ReferenceSaver, ReferenceStore, restore_reference
 from slipguard.errors import InputError
+from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stored_reference import ResumingPipeline, StoredReference
 from slipguard.tools.waiting import wait_until
@@ -26,7 +27,7 @@ IMAGE = np.random.default_rng(1).integers(0, 255, (320, 240, 3), np.uint8)
 
 
 def pipeline() -> ResumingPipeline:
-    return ResumingPipeline(ReadsBlue(), PerceptionSettings(), BACKGROUND, (1.0, 1.0, 1.0), 18.5)
+    return ResumingPipeline(Pipeline(ReadsBlue(), PerceptionSettings(), BACKGROUND, (1.0, 1.0, 1.0), 18.5))
 
 
 class Finger:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.estimate import AxisEstimate
 from slipguard.perception.rotation.axial_angle import axial_difference_deg
-from slipguard.perception.rotation.axis import ESTIMATORS, LINE_SIGMA_MAX_DEG, estimate, fuse
+from slipguard.perception.rotation.axis import ESTIMATORS, LINE_SIGMA_MAX_DEG, estimate_axis, fuse_axes
 from slipguard.stress.mask_families import RANDOM
 from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.trial_family import FamilyResults, generator
@@ -32,7 +32,7 @@ def patch_of(probability: NDArray[np.float32]) -> Patch:
 @pytest.mark.parametrize("shape", ["bar", "key"])
 def test_angles_are_counter_clockwise_with_zero_to_the_right(name: str, shape: str) -> None:
     for angle in (-80, -45, -10, 0, 30, 60, 90):
-        found = estimate(patch_of(drawn(shape, angle)), name)
+        found = estimate_axis(patch_of(drawn(shape, angle)), name)
         assert found.angle_deg is not None, found
         assert -90.0 < found.angle_deg <= 90.0
         assert abs(axial_difference_deg(found.angle_deg, angle)) < 0.8
@@ -45,7 +45,7 @@ def test_the_axis_turns_with_the_patch(shape: str, before: float, rotation: floa
     here = patch_of(drawn(shape, before, ragged_px=0.3, seed=seed))
     there = patch_of(drawn(shape, before + rotation, (58, 82), ragged_px=0.3, seed=seed + 1))
     for name in ALL:
-        a, b = estimate(here, name), estimate(there, name)
+        a, b = estimate_axis(here, name), estimate_axis(there, name)
         if a.angle_deg is None or b.angle_deg is None or a.sigma_deg is None or b.sigma_deg is None:
             continue
         error = abs(axial_difference_deg(b.angle_deg - a.angle_deg, rotation))
@@ -56,7 +56,7 @@ def test_the_axis_turns_with_the_patch(shape: str, before: float, rotation: floa
 def test_a_bar_cut_by_the_frame_is_unbiased(name: str) -> None:
     for angle in range(-75, 90, 15):
         for centre in ((60, 80), (75, 95), (45, 60)):
-            found = estimate(patch_of(drawn("long bar", angle, centre)), name)
+            found = estimate_axis(patch_of(drawn("long bar", angle, centre)), name)
             if found.angle_deg is None:
                 continue
             assert abs(axial_difference_deg(found.angle_deg, angle)) < 2.0, (angle, centre)
@@ -64,7 +64,7 @@ def test_a_bar_cut_by_the_frame_is_unbiased(name: str) -> None:
 
 
 def test_a_bar_cut_by_the_frame_is_mostly_read() -> None:
-    read = [estimate(patch_of(drawn("long bar", angle)), "fused").angle_deg for angle in range(-75, 90, 15)]
+    read = [estimate_axis(patch_of(drawn("long bar", angle)), "fused").angle_deg for angle in range(-75, 90, 15)]
     assert sum(angle is not None for angle in read) >= 8
 
 
@@ -72,7 +72,7 @@ def test_a_bar_cut_by_the_frame_is_mostly_read() -> None:
 @pytest.mark.parametrize("shape", ["disc", "ring", "square"])
 def test_what_has_no_axis_is_declined(name: str, shape: str) -> None:
     for seed in range(8):
-        found = estimate(patch_of(drawn(shape, 11.0 * seed, ragged_px=0.4, seed=seed)), name)
+        found = estimate_axis(patch_of(drawn(shape, 11.0 * seed, ragged_px=0.4, seed=seed)), name)
         assert found.angle_deg is None
         assert found.sigma_deg is None
         assert found.declined
@@ -81,7 +81,7 @@ def test_what_has_no_axis_is_declined(name: str, shape: str) -> None:
 @pytest.mark.parametrize("name", ALL)
 def test_a_disc_cut_by_the_frame_is_no_axis(name: str) -> None:
     for centre in ((110, 80), (100, 80), (118, 80), (60, 150), (105, 150), (5, 5)):
-        found = estimate(patch_of(drawn("disc", 0, centre)), name)
+        found = estimate_axis(patch_of(drawn("disc", 0, centre)), name)
         assert found.declined, (centre, found)
 
 
@@ -91,7 +91,7 @@ def test_any_map_gives_an_answer_in_range_or_a_reason(probability: NDArray[np.fl
     if patch is None:
         return
     for name in ALL:
-        found = estimate(patch, name)
+        found = estimate_axis(patch, name)
         assert (found.angle_deg is None) == (found.sigma_deg is None) == (found.declined is not None)
         if found.angle_deg is not None and found.sigma_deg is not None:
             assert -90.0 < found.angle_deg <= 90.0
@@ -115,20 +115,20 @@ def test_degenerate_masks_break_nothing(shape: tuple[int, int]) -> None:
     patch = find_patch(probability, 0.5, 1, 2.0)
     assert patch is not None
     for name in ALL:
-        found = estimate(patch, name)
+        found = estimate_axis(patch, name)
         assert (found.angle_deg is None) == (found.declined is not None)
 
 
 def test_sigma_grows_as_the_patch_gets_rounder() -> None:
-    sigmas = [estimate(patch_of(drawn(s, 20)), "moments").sigma_deg for s in ("bar", "ellipse", "rectangle")]
+    sigmas = [estimate_axis(patch_of(drawn(s, 20)), "moments").sigma_deg for s in ("bar", "ellipse", "rectangle")]
     assert all(s is not None for s in sigmas)
     assert sigmas == sorted(sigmas, key=lambda s: s or 0.0)
 
 
 def test_fusing_contradictions_declines() -> None:
     said = [AxisEstimate("a", 10.0, 1.0, (0, 0)), AxisEstimate("b", 80.0, 1.0, (0, 0))]
-    assert fuse(said).declined
-    agreed = fuse([AxisEstimate("a", 89.0, 1.0, (0, 0)), AxisEstimate("b", -89.0, 1.0, (0, 0))])
+    assert fuse_axes(said).declined
+    agreed = fuse_axes([AxisEstimate("a", 89.0, 1.0, (0, 0)), AxisEstimate("b", -89.0, 1.0, (0, 0))])
     assert agreed.angle_deg is not None
     assert abs(agreed.angle_deg) == pytest.approx(90.0)
 

@@ -12,14 +12,15 @@ from observations import estimate as said
 
 from slipguard.control.finger_fusion import fuse
 from slipguard.devices import Frame
-from slipguard.perception.contact.contour import ragged_px
-from slipguard.perception.contact.gate import DEFAULT_NOISE_BGR, ContactGate, block_means, near_patch
-from slipguard.perception.contact.patch import find_patch
+from slipguard.perception.contact.gate import DEFAULT_NOISE_BGR, block_means, blocks_near
+from slipguard.perception.contact.patch import find_patch, ragged_px
 from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.declined import DeclineReason
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.quality.image_quality import UNLIKE
-from slipguard.perception.rotation.axis import estimate
-from slipguard.perception.rotation.tracker import RATE_STALE_S, RotationEstimate, RotationTracker
+from slipguard.perception.quality.image_quality import ImageQuality
+from slipguard.perception.rotation.axis import estimate_axis
+from slipguard.perception.rotation.fusion import RotationEstimate
+from slipguard.perception.rotation.rotation_tracker import RATE_STALE_S, RotationTracker
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.stress.image_distortions import DISTORTIONS
 from slipguard.stress.image_families import rotated_grasp
@@ -114,11 +115,11 @@ def test_probabilities_beyond_0_and_1_weigh_no_more_than_these(beyond: float) ->
     assert patch is not None
     assert patch.probability.min() >= 0.0
     assert patch.probability.max() <= 1.0
-    assert estimate(patch, "moments").angle_deg == pytest.approx(30.0, abs=2.0)
+    assert estimate_axis(patch, "moments").angle_deg == pytest.approx(30.0, abs=2.0)
 
 
-def fits(gate: ContactGate, blocks: NDArray[np.float32], near: NDArray[np.bool_]) -> bool:
-    return math.isfinite(gate.unlike_levels(blocks, near))
+def fits(quality: ImageQuality, blocks: NDArray[np.float32], near: NDArray[np.bool_]) -> bool:
+    return math.isfinite(quality.difference_levels(blocks, near))
 
 
 def whole_frame() -> NDArray[np.uint8]:
@@ -126,18 +127,18 @@ def whole_frame() -> NDArray[np.uint8]:
 
 
 def test_a_contact_that_fills_the_picture_shows_no_outline() -> None:
-    gate = ContactGate(None)
+    gate = ImageQuality(None)
     blocks = block_means(whole_frame())
     mask = np.ones((160, 120), np.uint8)
-    assert not fits(gate, blocks, near_patch(mask))
+    assert not fits(gate, blocks, blocks_near(mask))
     mask[:, :40] = 0
-    assert fits(gate, blocks, near_patch(mask))
+    assert fits(gate, blocks, blocks_near(mask))
 
 
 def test_light_may_drift_but_the_picture_must_be_the_units_own() -> None:
     background = whole_frame()
-    gate = ContactGate(background)
-    near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
+    gate = ImageQuality(background)
+    near = blocks_near(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
     brighter = background + np.uint8(20)
     assert fits(gate, block_means(brighter), near)
     pressed = background.copy()
@@ -151,8 +152,8 @@ def test_light_may_drift_but_the_picture_must_be_the_units_own() -> None:
 @pytest.mark.parametrize("order", [(2, 1, 0), (1, 0, 2), (0, 2, 1), (1, 2, 0), (2, 0, 1)])
 def test_swapped_colours_are_seen_even_under_a_large_contact(order: tuple[int, int, int]) -> None:
     shown = rotated_grasp(2)
-    gate = ContactGate(shown.background)
-    near = near_patch(np.pad(np.ones((120, 100), np.uint8), ((20, 20), (10, 10))))
+    gate = ImageQuality(shown.background)
+    near = blocks_near(np.pad(np.ones((120, 100), np.uint8), ((20, 20), (10, 10))))
     for image in shown.frames:
         assert fits(gate, block_means(image), near)
         assert not fits(gate, block_means(np.ascontiguousarray(image[..., order])), near)
@@ -162,9 +163,9 @@ def test_swapped_colours_are_seen_even_under_a_large_contact(order: tuple[int, i
 def test_a_contact_under_a_glare_or_a_dead_spot_shows_no_outline(level: int) -> None:
     spotted = whole_frame()
     spotted[150:200, 110:160] = level
-    near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
-    away = near_patch(np.pad(np.ones((40, 40), np.uint8), ((10, 110), (10, 70))))
-    gate = ContactGate(spotted)
+    near = blocks_near(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
+    away = blocks_near(np.pad(np.ones((40, 40), np.uint8), ((10, 110), (10, 70))))
+    gate = ImageQuality(spotted)
     assert not fits(gate, block_means(spotted), near)
     assert fits(gate, block_means(spotted), away)
 
@@ -201,8 +202,8 @@ def test_a_camera_that_has_become_far_too_noisy_is_unlike(noise: float) -> None:
     background = np.full((320, 240, 3), 100, np.uint8)
     rng = np.random.default_rng(0)
     noisy = np.clip(background + noise * rng.standard_normal(background.shape), 0, 255).astype(np.uint8)
-    near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
-    assert fits(ContactGate(background), block_means(noisy), near) == (noise < 10.0)
+    near = blocks_near(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
+    assert fits(ImageQuality(background), block_means(noisy), near) == (noise < 10.0)
 
 
 @pytest.mark.parametrize(("levels", "fit"), [(6, True), (20, True), (45, False)])
@@ -210,8 +211,8 @@ def test_light_may_change_evenly_only_so_far(levels: int, fit: bool) -> None:
     background = whole_frame()
     lamp = background.copy()
     lamp[..., 1] += np.uint8(levels)
-    near = near_patch(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
-    assert fits(ContactGate(background), block_means(lamp), near) == fit
+    near = blocks_near(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
+    assert fits(ImageQuality(background), block_means(lamp), near) == fit
 
 
 @pytest.mark.parametrize(("what", "strength"), [("swapped colours", 1.0), ("negative", 0.5), ("crushed", 0.5)])
@@ -223,7 +224,7 @@ def test_a_camera_with_another_light_tells_no_turn_and_takes_no_reference(what: 
         pipeline.process(Frame(DISTORTIONS[what](image, strength, rng), k / 60, k))
         for k, image in enumerate(shown.frames)
     ]
-    assert {answer.declined for answer in answers if answer.contact} <= {UNLIKE}
+    assert {answer.decline_reason for answer in answers if answer.contact} <= {DeclineReason.UNLIKE_BACKGROUND}
     assert not [answer for answer in answers if answer.angle_deg is not None]
     assert not pipeline.has_reference
     clean = [pipeline.process(Frame(image, (20 + k) / 60, 20 + k)) for k, image in enumerate(shown.frames)]
@@ -247,7 +248,7 @@ def test_ragged_outlines_make_every_estimator_less_certain(shape: str) -> None:
         assert rough is not None
         assert rough.ragged_px > 0.8
         for name in ("moments", "pca", "ellipse"):
-            sure, unsure = estimate(clean, name).sigma_deg, estimate(rough, name).sigma_deg
+            sure, unsure = estimate_axis(clean, name).sigma_deg, estimate_axis(rough, name).sigma_deg
             assert sure is not None
             assert unsure is None or unsure > 2.0 * sure
 
@@ -265,4 +266,4 @@ def test_a_ring_cut_by_the_frame_is_no_axis(name: str) -> None:
         patch = find_patch(drawn("ring", 0.0, (x, 80.0), ragged_px=0.3, seed=seed), 0.5, 200, 2.0)
         assert patch is not None
         assert patch.clipped.left
-        assert estimate(patch, name).declined
+        assert estimate_axis(patch, name).declined

@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 from test_gate import camera, glow, press
 
 from slipguard.perception.contact.change_detector import AVERAGED, QUIET_MAX_S, QUIET_MIN_S, ChangeDetector
-from slipguard.perception.contact.gate import DEFAULT_NOISE_BGR, ContactGate, block_means, near_patch
+from slipguard.perception.contact.gate import DEFAULT_NOISE_BGR, ContactGate, block_means, blocks_near
 
-NEAR = near_patch(np.pad(np.ones((120, 100), np.uint8), ((100, 100), (70, 70))))
+NEAR = blocks_near(np.pad(np.ones((120, 100), np.uint8), ((100, 100), (70, 70))))
 DENT = press(press(glow(), 60, 40, (120, 130)), 50, 15, (120, 200))
 FRAME_S = 1 / 60
 
 
 def still_on(scene: NDArray[np.float64], rng: np.random.Generator, frames: int = AVERAGED) -> ChangeDetector:
     gate = ContactGate(glow().astype(np.uint8), DEFAULT_NOISE_BGR)
-    still = ChangeDetector(gate.per_std, gate.background)
+    still = ChangeDetector(gate.inverse_std, gate.background)
     for k in range(frames):
-        still.note(block_means(camera(scene, rng)), NEAR, k * FRAME_S, k > 0)
+        still.add(block_means(camera(scene, rng)), NEAR, k * FRAME_S, k > 0)
     return still
 
 
@@ -46,7 +46,7 @@ def test_noise_and_flickering_columns_are_unchanged(seed: int) -> None:
 def test_a_degree_is_a_change(degrees: float) -> None:
     rng = np.random.default_rng(4)
     still = still_on(DENT, rng)
-    assert still.telling(with_rotation=True)
+    assert still.sensitive(with_rotation=True)
     assert not any(still.unchanged(block_means(camera(rotated(degrees), rng))) for _ in range(20))
 
 
@@ -71,12 +71,12 @@ def test_rest_must_last_as_long_again_as_the_last_change_took() -> None:
     blocks = block_means(camera(DENT, rng))
     assert not still.at_rest(QUIET_MIN_S - FRAME_S)
     assert still.at_rest(QUIET_MIN_S + FRAME_S)
-    still.note(blocks, NEAR, 1.5, unchanged=False)
+    still.add(blocks, NEAR, 1.5, unchanged=False)
     for k in range(1, AVERAGED):
-        still.note(blocks, NEAR, 1.5 + k * FRAME_S, unchanged=True)
+        still.add(blocks, NEAR, 1.5 + k * FRAME_S, unchanged=True)
     assert not still.at_rest(1.5 + 2.9)
     assert still.at_rest(1.5 + 3.1)
-    still.note(blocks, NEAR, 60.0, unchanged=False)
+    still.add(blocks, NEAR, 60.0, unchanged=False)
     assert not still.at_rest(60.0 + QUIET_MAX_S + 1.0)  # one picture alone is too noisy to compare with
     assert not still.at_rest(59.0)
 
@@ -85,7 +85,7 @@ def test_a_glitch_does_not_end_the_rest_and_a_change_that_stays_does() -> None:
     rng = np.random.default_rng(6)
     still = still_on(DENT, rng)
     same, other = (block_means(camera(scene, rng)) for scene in (DENT, rotated(5.0)))
-    still.note(other, NEAR, 2.0, still.unchanged(other))
+    still.add(other, NEAR, 2.0, still.unchanged(other))
     assert not still.at_rest(2.01)
     assert not still.restored
     assert still.unchanged(same)
@@ -95,7 +95,7 @@ def test_a_glitch_does_not_end_the_rest_and_a_change_that_stays_does() -> None:
     assert not still.restored
     for k in range(6):
         other = block_means(camera(rotated(5.0), rng))
-        still.note(other, NEAR, 3.0 + k * FRAME_S, still.unchanged(other))
+        still.add(other, NEAR, 3.0 + k * FRAME_S, still.unchanged(other))
     assert not still.unchanged(same)
     assert not still.at_rest(3.2)
 
@@ -103,8 +103,8 @@ def test_a_glitch_does_not_end_the_rest_and_a_change_that_stays_does() -> None:
 def test_a_faint_contact_is_never_at_rest_enough() -> None:
     rng = np.random.default_rng(7)
     faint = press(glow(), 1.5, 40, (120, 160))
-    assert not still_on(faint, rng).telling(with_rotation=True)
-    assert still_on(DENT, rng).telling(with_rotation=True)
+    assert not still_on(faint, rng).sensitive(with_rotation=True)
+    assert still_on(DENT, rng).sensitive(with_rotation=True)
 
 
 def test_nothing_is_unchanged_before_a_picture_was_kept_or_after_it_was_forgotten() -> None:
@@ -112,9 +112,9 @@ def test_nothing_is_unchanged_before_a_picture_was_kept_or_after_it_was_forgotte
     still = still_on(DENT, rng)
     blocks = block_means(camera(DENT, rng))
     assert still.unchanged(blocks)
-    still.forget()
+    still.reset()
     assert not still.unchanged(blocks)
-    assert not still.telling(with_rotation=False)
+    assert not still.sensitive(with_rotation=False)
     assert not still.at_rest(100.0)
 
 
@@ -128,9 +128,9 @@ def test_a_camera_that_grows_noisy_shows_another_picture() -> None:
 def test_the_whole_picture_counts_where_there_is_no_contact() -> None:
     rng = np.random.default_rng(10)
     gate = ContactGate(None, DEFAULT_NOISE_BGR)
-    still = ChangeDetector(gate.per_std, gate.background)
+    still = ChangeDetector(gate.inverse_std, gate.background)
     for k in range(AVERAGED):
-        still.note(block_means(camera(glow(), rng)), None, k * FRAME_S, k > 0)
+        still.add(block_means(camera(glow(), rng)), None, k * FRAME_S, k > 0)
     assert sum(still.unchanged(block_means(camera(glow(), rng))) for _ in range(20)) >= 19
     for levels, at in itertools.product((8.0, -8.0), ((60, 60), (180, 250))):
         assert not still.unchanged(block_means(camera(press(glow(), levels, 30, at), rng)))

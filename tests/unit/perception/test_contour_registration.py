@@ -77,9 +77,9 @@ def test_an_outline_that_repeats_declines() -> None:
     radius, azimuth = np.hypot(x - 60, y - 80), np.arctan2(y - 80, x - 60)
     gear = (1 / (1 + np.exp(np.clip((radius - 36 - 5 * np.cos(14 * azimuth)) / 0.6, -30, 30)))).astype(np.float32)
     template = make_contour_template(patch_of(gear))
-    assert template.repeats
-    assert ContourRegistrar(template, patch_of(gear)).fit(ContourPose()).declined == "outline repeats itself"
-    assert not make_contour_template(patch_of(drawn("square"))).repeats
+    assert template.periodic
+    assert ContourRegistrar(template, patch_of(gear)).fit(ContourPose()).declined == "contour repeats itself"
+    assert not make_contour_template(patch_of(drawn("square"))).periodic
 
 
 def test_another_contact_is_not_taken_for_the_reference() -> None:

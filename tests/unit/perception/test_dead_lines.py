@@ -38,14 +38,14 @@ def test_stuck_lines_are_found_and_drawn_from_their_neighbours() -> None:
     assert lines.rows == tuple(ROWS)
     assert lines.columns == tuple(COLUMNS)
     spoiled = with_lines(sound)
-    whole = lines.filled(spoiled)
+    whole = lines.interpolate(spoiled)
     off = np.abs(whole.astype(np.int16) - sound)
     assert off.mean() < 0.5
     assert np.percentile(off[[*ROWS]], 99) <= 12
     assert np.array_equal(np.delete(np.delete(whole, [*ROWS], 0), [*COLUMNS], 1),
                           np.delete(np.delete(sound, [*ROWS], 0), [*COLUMNS], 1))  # fmt: skip
     assert np.array_equal(spoiled, with_lines(sound))  # a driver's own frame is left alone
-    assert np.array_equal(lines.filled(whole), whole)
+    assert np.array_equal(lines.interpolate(whole), whole)
 
 
 @pytest.mark.parametrize("unit", range(6))
@@ -53,7 +53,7 @@ def test_a_sound_unit_has_none_and_its_frames_are_not_copied(unit: int) -> None:
     no_contact = GelCamera(random_unit(np.random.default_rng(unit)), seed=unit).no_contact()
     lines = DeadLines(no_contact)
     assert (lines.rows, lines.columns) == ((), ())
-    assert lines.filled(no_contact) is no_contact
+    assert lines.interpolate(no_contact) is no_contact
 
 
 @pytest.mark.parametrize("spoil", sorted(set(DISTORTIONS) - {"dead lines"}))
@@ -66,13 +66,13 @@ def test_other_flaws_are_not_taken_for_stuck_lines(spoil: str, strength: float) 
 def test_a_picture_of_nothing_but_lines_is_left_as_it_is() -> None:
     striped = np.repeat(np.arange(320, dtype=np.uint8)[:, None, None] % 2 * 200, 240, axis=1).repeat(3, axis=2)
     assert DeadLines(striped).rows == ()
-    assert DeadLines(None).filled(striped) is striped
+    assert DeadLines(None).interpolate(striped) is striped
 
 
 def test_what_is_no_picture_is_refused_before_lines_are_drawn() -> None:
     lines = DeadLines(with_lines(rotated_grasp(3).background))
     with pytest.raises(FrameCorrupt, match="expected"):
-        lines.filled(np.zeros((160, 120, 3), np.uint8))
+        lines.interpolate(np.zeros((160, 120, 3), np.uint8))
 
 
 @pytest.mark.parametrize("seed", [413, 861, 2077])

@@ -14,13 +14,14 @@ from slipguard.datasets.rendered_grasps import bench_object
 from slipguard.devices import Frame
 from slipguard.perception.contact.patch import find_patch
 from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.declined import DeclineReason
 from slipguard.perception.estimate import Estimate
-from slipguard.perception.pipeline import UNCHANGED, Pipeline
-from slipguard.perception.rotation.period import ACCELERATION_DEG_S2, period_deg, possible_rotation_deg
+from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation.texture_map import TextureMapReader
-from slipguard.perception.rotation.texture_registration import make_texture_template
-from slipguard.perception.rotation.texture_tracker import AMBIGUOUS_PERIOD
+from slipguard.perception.rotation.texture_template import make_texture_template, period_deg
+from slipguard.perception.rotation.texture_tracker import ACCELERATION_DEG_S2, possible_rotation_deg
 from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.skipping import UNCHANGED
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.sensor_unit import random_unit
@@ -97,8 +98,8 @@ def test_of_the_test_objects_only_the_ribbed_ones_repeat(name: str, repeats: boo
     pipe = rendered(name, 3)[0]
     reference = pipe._meter.reference
     assert reference is not None
-    assert reference.relief is not None
-    assert (reference.relief.period_deg is not None) == repeats
+    assert reference.texture is not None
+    assert (reference.texture.period_deg is not None) == repeats
 
 
 def test_what_may_have_turned_unseen() -> None:
@@ -137,7 +138,7 @@ def test_a_gap_long_enough_for_a_step_loses_the_count(surface: Surface, gap_s: f
     for _ in range(3):
         assert held.see(0.0).angle_deg == pytest.approx(0.0, abs=0.5)
     after = [held.see(rotation_deg, gap_s), *(held.see(rotation_deg) for _ in range(10))]
-    assert {one.declined for one in after} == {AMBIGUOUS_PERIOD}
+    assert {one.decline_reason for one in after} == {DeclineReason.PERIOD_AMBIGUOUS}
     assert {one.angle_deg for one in after} == {None}
 
 
@@ -174,16 +175,16 @@ def test_one_frame_of_thirty_a_second_that_is_lost_loses_no_count_of_fine_teeth(
         assert held.see(0.0, 1.0 / 30.0).angle_deg == pytest.approx(0.0, abs=0.5)
     assert held.see(0.0, 2.0 / 30.0).angle_deg == pytest.approx(0.0, abs=0.5)
     assert held.see(1.0, 2.0 / 30.0).angle_deg == pytest.approx(1.0, abs=0.5)
-    assert held.see(1.0, 3.0 / 30.0).declined == AMBIGUOUS_PERIOD
+    assert held.see(1.0, 3.0 / 30.0).declined == DeclineReason.PERIOD_AMBIGUOUS
 
 
 def test_a_leap_to_the_edge_of_a_step_is_none_and_the_count_goes_on_with_the_next_frame() -> None:
     held = Held(gear)
     for _ in range(3):
         held.see(0.0)
-    assert held.see(13.0).declined == AMBIGUOUS_PERIOD
+    assert held.see(13.0).declined == DeclineReason.PERIOD_AMBIGUOUS
     assert held.see(0.0).angle_deg == pytest.approx(0.0, abs=0.5)
-    assert [held.see(13.0).declined for _ in range(6)] == [AMBIGUOUS_PERIOD] * 6
+    assert [held.see(13.0).declined for _ in range(6)] == [DeclineReason.PERIOD_AMBIGUOUS] * 6
 
 
 def test_another_finger_that_sees_no_change_keeps_the_count() -> None:
@@ -197,7 +198,7 @@ def test_another_finger_that_sees_no_change_keeps_the_count() -> None:
                 held.pipe.keep_estimate(held.now_s + k * FRAME_S)
         told[kept] = held.see(0.5, 13.0 * FRAME_S)
     assert told[True].angle_deg == pytest.approx(0.5, abs=0.3)
-    assert told[False].declined == AMBIGUOUS_PERIOD
+    assert told[False].declined == DeclineReason.PERIOD_AMBIGUOUS
 
 
 def test_a_finger_that_the_daemon_spares_keeps_its_count() -> None:
@@ -222,7 +223,7 @@ def test_a_frame_left_out_does_not_mend_a_count_that_a_gap_has_lost() -> None:
     for _ in range(3):
         held.see(0.0)
     held.pipe.keep_estimate(held.now_s + 1.0)
-    assert held.see(0.0, 1.0 + FRAME_S).declined == AMBIGUOUS_PERIOD
+    assert held.see(0.0, 1.0 + FRAME_S).declined == DeclineReason.PERIOD_AMBIGUOUS
 
 
 def test_an_axis_tells_which_step_it_is() -> None:
@@ -231,8 +232,8 @@ def test_an_axis_tells_which_step_it_is() -> None:
         held.see(0.0)
     reference = held.pipe._meter.reference
     assert reference is not None
-    assert reference.relief is not None
-    assert reference.relief.period_deg == pytest.approx(30.0, abs=2.0)
+    assert reference.texture is not None
+    assert reference.texture.period_deg == pytest.approx(30.0, abs=2.0)
     after = [held.see(40.0, 2.0), held.see(42.0), held.see(44.0)]
     assert [one.angle_deg for one in after] == pytest.approx([40.0, 42.0, 44.0], abs=0.5)
 

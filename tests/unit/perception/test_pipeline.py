@@ -185,7 +185,7 @@ def test_a_flipped_axis_is_not_a_turn() -> None:
     run(pipe, "rectangle", [0.0] * 6)
     flipped = pipe.process(frame(drawn("rectangle", 90), 7))
     assert flipped.angle_deg is None
-    assert flipped.declined == "implausible jump"
+    assert flipped.decline_reason == "implausible jump"
 
 
 def test_contact_lost_and_found_keeps_its_reference() -> None:
@@ -248,7 +248,11 @@ def test_noise_in_place_of_a_mask_gives_no_sure_turn() -> None:
 
 @pytest.mark.parametrize(
     ("change", "says"),
-    [({"mounting_deg": 45}, "0, 90, 180 or 270"), ({"px_per_mm": 0.0}, "px_per_mm"), ({"background": 0}, "no-contact")],
+    [
+        ({"mounting_deg": 45}, "0, 90, 180 or 270"),
+        ({"px_per_mm": 0.0}, "px_per_mm"),
+        ({"background": 0}, "background image"),
+    ],
 )
 def test_a_senseless_setting_is_one_line(change: dict[str, float], says: str) -> None:
     background = BACKGROUND[:10] if "background" in change else BACKGROUND

@@ -13,8 +13,8 @@ from slipguard.control.finger_fusion import fuse
 from slipguard.control.params import GuardParams
 from slipguard.control.slip_baselines import SlipMemory
 from slipguard.control.slip_detector import look
-from slipguard.perception.contact.second_finger import OTHER_FINGER, repeat_estimate, second_finger_can_skip
 from slipguard.perception.estimate import Estimate
+from slipguard.perception.skipping import OTHER_FINGER, repeat_estimate, second_finger_can_skip
 
 REFRESH_S = 0.25
 

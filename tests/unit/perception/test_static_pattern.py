@@ -8,16 +8,17 @@ import pytest
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch, find_patch
-from slipguard.perception.rotation import texture_sigma
-from slipguard.perception.rotation.static_pattern import HELD_MAX, static_pattern_bias
+from slipguard.perception.rotation import texture_registration
 from slipguard.perception.rotation.texture_map import TextureMapReader
 from slipguard.perception.rotation.texture_registration import (
+    STATIC_BIAS_MAX,
     TextureFit,
     TexturePose,
     fit_texture,
-    make_texture_template,
+    sigma_deg,
+    static_pattern_bias,
 )
-from slipguard.perception.rotation.texture_sigma import sigma_deg
+from slipguard.perception.rotation.texture_template import make_texture_template
 from slipguard.stress.image_families import IMAGES
 from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.textured_surfaces import LedLights, contact_map, heights, lettered, shaded_image
@@ -63,14 +64,14 @@ def test_dirt_that_stays_makes_the_turn_less_certain(levels: float, monkeypatch:
     found = rotated(levels)
     with_it = [sigma_deg(answer) for answer in found]
     assert sigmas_off(found) < 4.0
-    monkeypatch.setattr(texture_sigma, "HELD", 0.0)
+    monkeypatch.setattr(texture_registration, "STATIC", 0.0)
     assert sigma_deg(found[-1]) < 0.95 * with_it[-1]
 
 
 def test_a_contact_that_turns_alone_is_as_sure_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
     found = rotated(0.0)
     sigmas = [sigma_deg(answer) for answer in found]
-    monkeypatch.setattr(texture_sigma, "HELD", 0.0)
+    monkeypatch.setattr(texture_registration, "STATIC", 0.0)
     assert sigmas == pytest.approx([sigma_deg(answer) for answer in found], rel=0.02)
 
 
@@ -92,7 +93,7 @@ def test_of_a_share_that_stays_the_fit_lacks_that_share_of_the_turn() -> None:
     none = static_pattern_bias(*(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), 0 * left, at(-told))))
     assert none == 0.0
     most = static_pattern_bias(*(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), 1e3 * left, at(-told))))
-    assert most == HELD_MAX
+    assert most == STATIC_BIAS_MAX
 
 
 @pytest.mark.parametrize("seed", [371, 373, 377, 741, 2533, 3817])

@@ -8,10 +8,11 @@ from blue_contact import BACKGROUND, ReadsBlue, frame
 from drawn_masks import drawn
 
 from slipguard.errors import FrameCorrupt
+from slipguard.perception.declined import DeclineReason
 from slipguard.perception.estimate import Estimate
+from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stored_reference import (
-    CHECKING_STORED_REFERENCE,
     DIFFERS_AFTER,
     MATCHES_AFTER,
     ResumingPipeline,
@@ -20,7 +21,7 @@ from slipguard.perception.stored_reference import (
 
 
 def pipeline() -> ResumingPipeline:
-    return ResumingPipeline(ReadsBlue(), PerceptionSettings(), BACKGROUND, (1.0, 1.0, 1.0), 18.5)
+    return ResumingPipeline(Pipeline(ReadsBlue(), PerceptionSettings(), BACKGROUND, (1.0, 1.0, 1.0), 18.5))
 
 
 def run(pipe: ResumingPipeline, shape: str, angles: list[float], start: int = 0) -> list[Estimate]:
@@ -41,11 +42,11 @@ def before(shape: str, rotation_deg: float) -> StoredReference:
 def test_the_turn_goes_on_being_counted(rotation_deg: float) -> None:
     pipe = pipeline()
     known = before("key", rotation_deg)
-    pipe.recall(known, 10.0)
+    pipe.resume(known, 10.0)
     assert pipe.stored_reference_state == "waiting"
     assert pipe.reference_image is None
     answers = run(pipe, "key", [rotation_deg + 3.0] * 6, start=600)
-    assert [answer.declined for answer in answers[: MATCHES_AFTER - 1]] == [CHECKING_STORED_REFERENCE] * (
+    assert [answer.declined for answer in answers[: MATCHES_AFTER - 1]] == [DeclineReason.CHECKING_STORED_REFERENCE] * (
         MATCHES_AFTER - 1
     )
     assert pipe.stored_reference_state == "matches"
@@ -57,9 +58,9 @@ def test_the_turn_goes_on_being_counted(rotation_deg: float) -> None:
 
 def test_another_object_is_a_new_reference_counted_from_the_last_turn() -> None:
     pipe = pipeline()
-    pipe.recall(before("key", 14.0), 10.0)
+    pipe.resume(before("key", 14.0), 10.0)
     answers = run(pipe, "disc", [0.0] * DIFFERS_AFTER, start=600)
-    assert {answer.declined for answer in answers[:-1]} == {CHECKING_STORED_REFERENCE}
+    assert {answer.declined for answer in answers[:-1]} == {DeclineReason.CHECKING_STORED_REFERENCE}
     assert answers[-1].angle_deg is None
     assert pipe.stored_reference_state == "differs"
     run(pipe, "bar", [40.0] * 6, start=600 + DIFFERS_AFTER)
@@ -72,18 +73,18 @@ def test_another_object_is_a_new_reference_counted_from_the_last_turn() -> None:
 def test_what_was_counted_before_the_old_reference_is_counted_on() -> None:
     known = before("key", 14.0)
     pipe = pipeline()
-    pipe.recall(StoredReference(known.image, known.rotation_deg, 5.0), 10.0)
+    pipe.resume(StoredReference(known.image, known.rotation_deg, 5.0), 10.0)
     answers = run(pipe, "key", [16.0] * 6, start=600)
     assert answers[-1].angle_deg == pytest.approx(5.0 + 16.0, abs=1.0)
     assert pipe.earlier_rotation_deg == 5.0
-    pipe.recall(StoredReference(known.image, known.rotation_deg, 5.0), 10.0)
+    pipe.resume(StoredReference(known.image, known.rotation_deg, 5.0), 10.0)
     run(pipe, "disc", [0.0] * DIFFERS_AFTER, start=700)
     assert pipe.earlier_rotation_deg == pytest.approx(5.0 + 14.0, abs=1.0)
 
 
 def test_a_new_reference_that_was_asked_for_counts_from_nothing() -> None:
     pipe = pipeline()
-    pipe.recall(before("key", 14.0), 10.0)
+    pipe.resume(before("key", 14.0), 10.0)
     pipe.reset_reference()
     assert pipe.stored_reference_state is None
     last = run(pipe, "key", [30.0] * 8, start=600)[-1]
@@ -92,7 +93,7 @@ def test_a_new_reference_that_was_asked_for_counts_from_nothing() -> None:
 
 def test_without_contact_nothing_is_decided() -> None:
     pipe = pipeline()
-    pipe.recall(before("key", 14.0), 10.0)
+    pipe.resume(before("key", 14.0), 10.0)
     for k in range(2 * DIFFERS_AFTER):
         assert pipe.process(frame(None, 600 + k)).declined == "no contact"
     assert pipe.stored_reference_state == "waiting"
@@ -100,7 +101,7 @@ def test_without_contact_nothing_is_decided() -> None:
 
 def test_a_reference_without_contact_is_none() -> None:
     pipe = pipeline()
-    pipe.recall(StoredReference(frame(None, 1).image, 14.0), 10.0)
+    pipe.resume(StoredReference(frame(None, 1).image, 14.0), 10.0)
     assert pipe.stored_reference_state == "differs"
     last = run(pipe, "key", [30.0] * 8, start=600)[-1]
     assert last.angle_deg == pytest.approx(14.0, abs=0.5)
@@ -108,4 +109,4 @@ def test_a_reference_without_contact_is_none() -> None:
 
 def test_what_is_no_picture_is_refused() -> None:
     with pytest.raises(FrameCorrupt):
-        pipeline().recall(StoredReference(np.zeros((10, 10, 3), np.uint8), 0.0), 10.0)
+        pipeline().resume(StoredReference(np.zeros((10, 10, 3), np.uint8), 0.0), 10.0)

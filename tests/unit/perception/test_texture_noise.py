@@ -12,9 +12,10 @@ from slipguard.perception.rotation.texture_registration import (
     TextureFit,
     TexturePose,
     fit_texture,
-    make_texture_template,
+    parts_deg,
+    sigma_deg,
 )
-from slipguard.perception.rotation.texture_sigma import parts_deg, sigma_deg
+from slipguard.perception.rotation.texture_template import make_texture_template
 from slipguard.sim.camera_noise import CameraNoise
 from slipguard.sim.sensor_unit import NOISE_STD_BGR
 from slipguard.stress.textured_surfaces import (

@@ -17,9 +17,9 @@ from slipguard.perception.rotation.texture_registration import (
     TexturePose,
     TextureTemplate,
     fit_texture,
-    make_texture_template,
+    sigma_deg,
 )
-from slipguard.perception.rotation.texture_sigma import sigma_deg
+from slipguard.perception.rotation.texture_template import make_texture_template
 
 Height = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 LIGHTS_DEG = (270.0, 150.0, 30.0)
@@ -136,7 +136,9 @@ def test_lights_in_the_other_sense_are_recognised() -> None:
 
 @pytest.mark.parametrize("gains", [(1.0, 1.0, 1.0), (1.0, 0.6, 1.5)])
 def test_a_plain_ball_declines_under_any_light(gains: tuple[float, float, float]) -> None:
-    assert {answer.declined for answer in followed(dome, ROTATIONS, gains=gains)} == {"round contact"}
+    assert {(answer.declined or "").partition(":")[0] for answer in followed(dome, ROTATIONS, gains=gains)} == {
+        "round contact"
+    }
 
 
 def test_relief_of_another_object_declines() -> None:
@@ -150,7 +152,7 @@ def test_a_contact_that_left_the_picture_declines() -> None:
     reader, texture = referenced(lettered)
     image, patch = pressed(lettered, 20.0, at=(236.0, 160.0))
     answer = fit_texture(texture, reader.read(image, patch), TexturePose(dx_px=58.0))
-    assert answer.declined == "clipped by the frame"
+    assert answer.declined == "clipped by the frame: 43% of the texture is visible, limit 45%"
 
 
 def test_a_picture_without_any_relief_gives_finite_numbers() -> None:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from slipguard.perception.contact.patch import Patch, find_patch
+from slipguard.perception.rotation.fusion import RotationEstimate
 from slipguard.perception.rotation.texture_map import TextureMapReader
-from slipguard.perception.rotation.texture_registration import make_texture_template
+from slipguard.perception.rotation.texture_template import make_texture_template
 from slipguard.perception.rotation.texture_tracker import TextureTracker, TrackedTexture
 from slipguard.stress.textured_surfaces import (
     Heights,
@@ -24,6 +25,7 @@ from slipguard.stress.textured_surfaces import (
 
 BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
 NOISE = 2.0
+NO_AXIS = RotationEstimate(None, None, "round contact")
 
 
 def becoming(share: float) -> Surface:
@@ -51,8 +53,8 @@ class Held:
 
     def see(self, surface: Surface, rotation_deg: float, at: tuple[float, float] = (120.0, 160.0)) -> TrackedTexture:
         image, patch = self._shown(surface, rotation_deg, at)
-        found = self._track.follow(self._reader.read(image, patch), patch, self._last_deg)
-        self._last_deg = self._last_deg if found.rotation_deg is None else found.rotation_deg
+        found = self._track.track(self._reader.read(image, patch), patch, self._last_deg, NO_AXIS)
+        self._last_deg = self._last_deg if found.rotation.rotation_deg is None else found.rotation.rotation_deg
         return found
 
     def _shown(self, surface: Surface, rotation_deg: float, at: tuple[float, float]) -> tuple[np.ndarray, Patch]:
@@ -80,10 +82,12 @@ def test_a_contact_that_changes_is_followed_further_by_a_key(monkeypatch: pytest
     with_key = told()
     monkeypatch.setattr(TextureTracker, "_take_key", lambda *_: None)
     without = told()
-    assert sum(one.rotation_deg is not None for one in with_key) > sum(one.rotation_deg is not None for one in without)
+    assert sum(one.rotation.rotation_deg is not None for one in with_key) > sum(
+        one.rotation.rotation_deg is not None for one in without
+    )
     for share, one in zip(SHARES, with_key, strict=True):
-        if one.rotation_deg is not None and one.sigma_deg is not None:
-            assert abs(one.rotation_deg - 15.0 * share) < max(4.0 * one.sigma_deg, 0.5)
+        if one.rotation.rotation_deg is not None and one.rotation.sigma_deg is not None:
+            assert abs(one.rotation.rotation_deg - 15.0 * share) < max(4.0 * one.rotation.sigma_deg, 0.5)
 
 
 def test_the_reference_is_taken_up_again_without_a_trace() -> None:
@@ -91,14 +95,14 @@ def test_the_reference_is_taken_up_again_without_a_trace() -> None:
     for share in SHARES:
         held.see(becoming(share), 0.0)
     back = [held.see(lettered, 0.0) for _ in range(3)][-1]
-    assert back.rotation_deg == pytest.approx(0.0, abs=0.15)
-    assert back.unlike < 1.6
+    assert back.rotation.rotation_deg == pytest.approx(0.0, abs=0.15)
+    assert back.deformation < 1.6
 
 
 def test_a_changing_contact_is_less_and_less_certain() -> None:
     held = Held()
     told = [held.see(becoming(share), 0.0) for share in SHARES[:8]]
-    sigmas = [one.sigma_deg for one in told if one.sigma_deg is not None]
+    sigmas = [one.rotation.sigma_deg for one in told if one.rotation.sigma_deg is not None]
     assert sigmas[-1] > 3.0 * sigmas[0]
     assert sum(later < before for before, later in pairwise(sigmas)) <= 2
 
@@ -116,14 +120,14 @@ def test_a_shaft_cut_by_the_frame_turns_but_tells_no_shift_along_itself() -> Non
         found = held.see(
             shaft, 0.05 * k, (120.0 + 0.05 * 0.94 * k + 0.1 * 0.34 * k, 160.0 + 0.05 * 0.34 * k - 0.1 * 0.94 * k)
         )
-        assert found.rotation_deg == pytest.approx(0.05 * k, abs=0.3)
+        assert found.rotation.rotation_deg == pytest.approx(0.05 * k, abs=0.3)
     assert found.shift_px is not None
     assert found.smooth is not None
     along = np.array(found.smooth)
     assert abs(along @ (np.cos(np.radians(76.0)), -np.sin(np.radians(76.0)))) == pytest.approx(1.0, abs=1e-3)
     assert found.shift_px == pytest.approx((6 * 0.94, 6 * 0.34), abs=1.5)
     outline = (50.0, -40.0)
-    whole = np.array(found.shift(lambda: outline))
+    whole = np.array(found.complete_shift(outline))
     assert whole @ along == pytest.approx(along @ outline, abs=1e-4)
     assert whole - (whole @ along) * along == pytest.approx(found.shift_px - (found.shift_px @ along) * along, abs=1e-4)
 
@@ -131,5 +135,5 @@ def test_a_shaft_cut_by_the_frame_turns_but_tells_no_shift_along_itself() -> Non
 def test_what_has_a_face_tells_all_of_its_shift() -> None:
     found = Held().see(lettered, 1.0, (121.0, 160.0))
     assert found.smooth is None
-    assert found.shift(lambda: (50.0, 50.0)) == found.shift_px
-    assert TrackedTexture(None, None, None, 1.0).shift(lambda: (2.0, 3.0)) == (2.0, 3.0)
+    assert found.complete_shift((50.0, 50.0)) == found.shift_px
+    assert TrackedTexture(NO_AXIS, 1.0).complete_shift((2.0, 3.0)) == (2.0, 3.0)

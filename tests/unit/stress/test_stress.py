@@ -21,8 +21,9 @@ from slipguard.errors import InputError
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import AxisEstimate, Estimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation.axis import estimate
-from slipguard.perception.rotation.tracker import RotationEstimate, RotationTracker
+from slipguard.perception.rotation.axis import estimate_axis
+from slipguard.perception.rotation.fusion import RotationEstimate
+from slipguard.perception.rotation.rotation_tracker import RotationTracker
 from slipguard.stress.map_checks import rotate_and_mirror, rotated_axis_deg
 from slipguard.stress.masks import degenerate_masks
 from slipguard.stress.numeric_families import fitted_ellipse_deg, second_moments_deg
@@ -56,7 +57,7 @@ def faulty(flaw: str, angle_deg: float | None) -> tuple[float | None, float | No
 
 def faulty_estimate(flaw: str) -> Callable[[Patch, str], AxisEstimate]:
     def broken(patch: Patch, name: str) -> AxisEstimate:
-        found = estimate(patch, name)
+        found = estimate_axis(patch, name)
         angle, sigma = faulty(flaw, found.angle_deg)
         return replace(found, angle_deg=angle, sigma_deg=sigma)
 

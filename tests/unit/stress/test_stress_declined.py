@@ -16,7 +16,8 @@ from slipguard.perception.estimate import AxisEstimate, Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation import rotation_meter
 from slipguard.perception.rotation.contour_registration import ContourFit, ContourPose, ContourRegistrar
-from slipguard.perception.rotation.tracker import RotationEstimate, RotationTracker
+from slipguard.perception.rotation.fusion import RotationEstimate
+from slipguard.perception.rotation.rotation_tracker import RotationTracker
 from slipguard.stress import drift_families, runner
 from slipguard.stress.drift_families import DRIFT, HOLDING, OBJECTS
 from slipguard.stress.product_functions import ProductFunctions
@@ -129,12 +130,12 @@ def test_held_objects_have_texture_add_references_and_skip_frames() -> None:
         def process(self, frame: Frame) -> Estimate:
             answer = super().process(frame)
             reference: Any = self._meter.reference
-            relief = None if reference is None else reference.relief
+            texture = None if reference is None else reference.texture
             counts = seen.setdefault(id(self), Counter())
             counts.update(
                 unchanged=answer.skipped == "unchanged",
-                relief=relief is not None,
-                key=relief is not None and relief._key is not None,
+                texture=texture is not None,
+                key=texture is not None and texture._key is not None,
             )
             return answer
 
@@ -142,5 +143,7 @@ def test_held_objects_have_texture_add_references_and_skip_frames() -> None:
         "holding", 300 // drift_families.TRIAL_FRAMES * len(OBJECTS), ProductFunctions(pipeline=Watched)
     )
     assert len(seen) == len(OBJECTS)
-    assert all(counts["unchanged"] > 100 and counts["relief"] > 250 and counts["key"] > 200 for counts in seen.values())
+    assert all(
+        counts["unchanged"] > 100 and counts["texture"] > 250 and counts["key"] > 200 for counts in seen.values()
+    )
     assert outcome.results[0].worst_deg["coin"] < 1.5

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from slipguard.perception.rotation.thinning import _deletable, thin
+from slipguard.perception.rotation.skeleton import _deletable, thin
 
 Mask = NDArray[np.uint8]
 

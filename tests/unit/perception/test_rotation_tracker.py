@@ -14,13 +14,13 @@ from slipguard.perception.rotation.axial_angle import (
     nearest_rotation_deg,
     wrap_axial_deg,
 )
-from slipguard.perception.rotation.tracker import (
+from slipguard.perception.rotation.fusion import (
     RotationEstimate,
-    RotationTracker,
-    checked,
-    pooled,
+    check_contour,
+    fuse_axis_rotations,
     rotation_between_axes,
 )
+from slipguard.perception.rotation.rotation_tracker import RotationTracker
 
 ANY_DEG = st.floats(-1e4, 1e4)
 
@@ -107,29 +107,32 @@ def test_time_that_stands_still_or_goes_back_breaks_nothing() -> None:
 
 
 def test_registration_counts_where_the_axes_agree_with_it() -> None:
-    assert checked(RotationEstimate(10.0, 0.5), RotationEstimate(11.0, 0.5)) == RotationEstimate(10.0, 0.5)
-    assert checked(RotationEstimate(10.0, 2.0), RotationEstimate(11.0, 0.5)) == RotationEstimate(11.0, 0.5)
+    assert check_contour(RotationEstimate(10.0, 0.5), RotationEstimate(11.0, 0.5)) == RotationEstimate(10.0, 0.5)
+    assert check_contour(RotationEstimate(10.0, 2.0), RotationEstimate(11.0, 0.5)) == RotationEstimate(11.0, 0.5)
 
 
 def test_two_turns_that_contradict_each_other_are_none() -> None:
-    assert checked(RotationEstimate(10.0, 0.5), RotationEstimate(30.0, 0.5)).declined is not None
-    near = checked(RotationEstimate(10.0, 0.5), RotationEstimate(14.0, 0.6))
+    assert check_contour(RotationEstimate(10.0, 0.5), RotationEstimate(30.0, 0.5)).declined is not None
+    near = check_contour(RotationEstimate(10.0, 0.5), RotationEstimate(14.0, 0.6))
     assert near.rotation_deg == 10.0
     assert near.sigma_deg == pytest.approx(2.0)
 
 
 def test_one_turn_is_enough_and_none_keeps_its_reason() -> None:
-    assert checked(RotationEstimate(None, None, "round contact"), RotationEstimate(3.0, 1.0)).rotation_deg == 3.0
-    assert checked(RotationEstimate(3.0, 1.0), RotationEstimate(None, None, "round contact")).rotation_deg == 3.0
-    assert checked(RotationEstimate(None, None, "a"), RotationEstimate(None, None, "b")).declined == "a"
+    assert check_contour(RotationEstimate(None, None, "round contact"), RotationEstimate(3.0, 1.0)).rotation_deg == 3.0
+    assert check_contour(RotationEstimate(3.0, 1.0), RotationEstimate(None, None, "round contact")).rotation_deg == 3.0
+    assert check_contour(RotationEstimate(None, None, "a"), RotationEstimate(None, None, "b")).declined == "a"
     assert (
-        checked(RotationEstimate(24.7, 4.1), RotationEstimate(None, None, "clipped by the frame")).rotation_deg is None
+        check_contour(RotationEstimate(24.7, 4.1), RotationEstimate(None, None, "clipped by the frame")).rotation_deg
+        is None
     )
-    assert checked(RotationEstimate(24.7, 4.1), RotationEstimate(24.0, 4.1)).rotation_deg == 24.7
-    assert pooled([RotationEstimate(None, None, "a"), RotationEstimate(None, None, "b")]).declined == "a"
+    assert check_contour(RotationEstimate(24.7, 4.1), RotationEstimate(24.0, 4.1)).rotation_deg == 24.7
+    assert fuse_axis_rotations([RotationEstimate(None, None, "a"), RotationEstimate(None, None, "b")]).declined == "a"
 
 
 def test_an_estimator_that_disagrees_widens_sigma() -> None:
-    rotation = pooled([RotationEstimate(10.0, 0.5), RotationEstimate(10.4, 0.6), RotationEstimate(22.0, 1.0)])
+    rotation = fuse_axis_rotations(
+        [RotationEstimate(10.0, 0.5), RotationEstimate(10.4, 0.6), RotationEstimate(22.0, 1.0)]
+    )
     assert rotation.rotation_deg == pytest.approx(10.16, abs=0.02)
     assert rotation.sigma_deg == pytest.approx(3.0)

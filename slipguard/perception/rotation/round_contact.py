@@ -1,0 +1,55 @@
+"""Decides whether a contact is round: then its rotation cannot be seen, and the estimate is declined.
+
+There are three ways to see a rotation, each with its own test: the axis of the patch, its contour, the texture in it.
+Each test returns None, or the decline reason with value and limit.
+"""
+
+from __future__ import annotations
+
+from slipguard.perception.declined import DeclineReason, explain
+
+LEVER_MIN_PX = 2.2
+"""A rotation by one radian must move the contour by at least this (r.m.s., beyond what shift and growth explain)."""
+CONTRAST_MIN = 0.10
+"""A rotation by `contour_template.CONTRAST_DEG` must change the blurred contour by this (r.m.s. of probability)."""
+TEXTURE_LEVER_MIN = 1.3
+FAINT_SHARE = 0.25
+FAINT_LEVELS = 1.2
+"""Change of the blurred texture by a rotation of one radian (beyond what shift, scale and gain explain) over the
+texture itself, r.m.s.: 0.3-1.0 for plain balls and rings, rendered and real, 1.4 and more for contacts with a face. A
+faint texture must change more, since noise also has an axis: by this share more at `FAINT_LEVELS` (grey levels per
+pixel, r.m.s.). Real faint balls reach 1.3."""
+
+
+def round_axis(aspect: float, aspect_min: float) -> str | None:
+    """Test the axis of a patch. aspect: long over short axis."""
+    if aspect >= aspect_min:
+        return None
+    return explain(DeclineReason.ROUND, f"aspect {aspect:.2f}, limit {aspect_min:.2f}")
+
+
+def round_contour(lever_px: float, contrast: float) -> str | None:
+    """Test a contour.
+
+    Args:
+        lever_px: How far a rotation by one radian moves the contour, network pixels.
+        contrast: Change of the blurred contour by a fixed rotation, r.m.s. of probability.
+    """
+    if lever_px < LEVER_MIN_PX:
+        return explain(DeclineReason.ROUND, f"contour moves {lever_px:.1f} px per radian, limit {LEVER_MIN_PX}")
+    if contrast < CONTRAST_MIN:
+        return explain(DeclineReason.ROUND, f"contour changes by {contrast:.2f} when rotated, limit {CONTRAST_MIN:.2f}")
+    return None
+
+
+def round_texture(lever: float, strength_levels: float) -> str | None:
+    """Test the texture of a contact.
+
+    Args:
+        lever: Change of the texture by a rotation of one radian over the texture itself.
+        strength_levels: R.m.s. of the texture, grey levels per pixel.
+    """
+    limit = TEXTURE_LEVER_MIN * (1.0 + FAINT_SHARE * (FAINT_LEVELS / max(strength_levels, 1e-3)) ** 2)
+    if not lever < limit:
+        return None
+    return explain(DeclineReason.ROUND, f"texture changes by {lever:.2f} per radian, limit {limit:.2f}")

@@ -1,0 +1,149 @@
+"""The texture template: the reference's texture, how motions change it, and after which rotation it repeats."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.perception.contact.patch import Patch
+from slipguard.perception.rotation.contour_template import sampled
+from slipguard.perception.rotation.round_contact import round_texture
+from slipguard.perception.rotation.texture_map import HEIGHT_PX, WIDTH_PX, Field, TextureMap, mask_in_window
+
+SKIRT_PX = 5
+"""The slopes around the contact count as far out as this, texture pixels."""
+EDGE_PX = 4
+"""Texture this close to the edge of the image is ignored: filters have half of their data there."""
+POINTS_MAX = 1500
+POINTS_MIN = 60
+BLOCK_PX = 16.0
+"""Residuals further apart than this are taken to be independent."""
+COARSE_PX = 2.3
+"""Blur (texture pixels, on top of the map's own) for the test of roundness: uneven light on a ball makes fine
+differences that do not rotate with it."""
+SMOOTH = 0.8
+"""Change of the texture per pixel along a shaft over the camera's noise, r.m.s., below which it is noise: 0.53-0.7 for
+featureless shafts, from 1 for those with an end or a face."""
+PERIOD_MAX_DEG = 124.0
+"""A triangle repeats at 120 degrees. A texture with a period of 180 is taken as unrotated, as axes are."""
+PERIOD_STEP_DEG = 2.0
+PERIODIC_SHARE = 0.33
+"""A texture is periodic if its mean square difference from itself falls below this share of the highest. Teeth and
+regular polygons reach 0.02-0.27, other contacts of tools 0.4 (a tapered square's edge, at 90 degrees) and more."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TextureTemplate:
+    """The reference's texture: points around its center, their values and their change by each motion.
+
+    x_px, y_px, value: (N,) float32. motion: (N, 5) float32, change by rotation, shift x, shift y, scale, gain.
+    block: (N,) which neighborhood each point belongs to. smooth: the direction (right, down; of length 1) along which
+    only noise changes, so that a shift is invisible; None if there is none. strength: r.m.s. of the values.
+    noise: the camera's share of it. image, origin_px: the source of the points, and the center in it.
+    round: None, or why the contact counts as round.
+    """
+
+    x_px: Field
+    y_px: Field
+    value: Field
+    motion: Field
+    block: NDArray[np.intp]
+    smooth: tuple[float, float] | None
+    center_px: tuple[float, float]
+    strength: float
+    noise: float
+    image: Field
+    origin_px: tuple[float, float]
+    round: str | None
+
+
+def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTemplate | None:
+    """Make a template of the texture in and around a patch; None if too little of it lies within the image."""
+    window, curvature = texture_map.window, texture_map.curvature
+    mask = mask_in_window(patch, window)
+    m = cv2.moments(mask, True)
+    if m["m00"] < 1.0:
+        return None
+    center_x, center_y = m["m10"] / m["m00"], m["m01"] / m["m00"]
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * SKIRT_PX + 1, 2 * SKIRT_PX + 1))
+    wide = cv2.dilate(mask, disc)
+    rows, columns = wide.shape
+    wide[: max(EDGE_PX - window.top_px, 0)] = 0
+    wide[:, : max(EDGE_PX - window.left_px, 0)] = 0
+    wide[rows - max(EDGE_PX - (HEIGHT_PX - window.bottom_px), 0) :] = 0
+    wide[:, columns - max(EDGE_PX - (WIDTH_PX - window.right_px), 0) :] = 0
+    step = 2 if np.count_nonzero(wide) <= 4 * POINTS_MAX else 3
+    y, x = np.nonzero(wide[::step, ::step])
+    if x.size < POINTS_MIN:
+        return None
+    y, x = step * y, step * x
+    dx, dy = (x - center_x).astype(np.float32), (y - center_y).astype(np.float32)
+    blur = cv2.GaussianBlur(curvature, (0, 0), COARSE_PX)
+    coarse = _motion(np.asarray(blur, np.float32), x, y, dx, dy)
+    motion = _motion(curvature, x, y, dx, dy)
+    smooth = _smooth_direction(motion[:, 1:3], texture_map.noise)
+    if smooth is not None:  # a shift measured on noise would wander from frame to frame
+        motion[:, 1:3] -= np.outer(motion[:, 1:3] @ smooth, smooth)
+    block = np.floor(dx / BLOCK_PX).astype(np.intp) * 64 + np.floor(dy / BLOCK_PX).astype(np.intp)
+    strength = math.sqrt(float(np.mean(np.square(curvature[y, x]))))
+    return TextureTemplate(
+        dx,
+        dy,
+        curvature[y, x],
+        motion,
+        np.unique(block, return_inverse=True)[1],
+        None if smooth is None else (float(smooth[0]), float(smooth[1])),
+        (center_x + window.left_px, center_y + window.top_px),
+        strength,
+        texture_map.noise,
+        curvature,
+        (center_x, center_y),
+        round_texture(_lever(coarse.T @ coarse), strength),
+    )
+
+
+def period_deg(template: TextureTemplate) -> float | None:
+    """Return the smallest rotation after which the texture repeats, degrees, to a degree or two; None: not periodic.
+
+    That is where it differs least from itself after it has differed more, up to `PERIOD_MAX_DEG`.
+    """
+    dx, dy, (center_x, center_y) = template.x_px, template.y_px, template.origin_px
+    highest = 0.0
+    found: tuple[float, float] | None = None
+    for rotation_deg in np.arange(PERIOD_STEP_DEG, PERIOD_MAX_DEG + 0.1, PERIOD_STEP_DEG):
+        c, s = np.float32(math.cos(math.radians(rotation_deg))), np.float32(math.sin(math.radians(rotation_deg)))
+        x, y = dx * c + dy * s + np.float32(center_x), dy * c - dx * s + np.float32(center_y)
+        away = sampled(template.image, x, y, cv2.BORDER_REPLICATE) - template.value
+        square = float(away @ away)
+        if found is not None and square >= found[0]:
+            break
+        if square < PERIODIC_SHARE * highest:
+            found = square, float(rotation_deg)
+        highest = max(highest, square)
+    return None if found is None else found[1]
+
+
+def _motion(image: Field, x: NDArray[np.intp], y: NDArray[np.intp], dx: Field, dy: Field) -> Field:
+    """Return the change of the image's values by rotation, shift x, shift y, scale and gain: (N, 5) float32."""
+    gx = cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=0.125)[y, x]
+    gy = cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=0.125)[y, x]
+    # A counter-clockwise rotation moves (dx, dy), y down, by (dy, -dx) per radian.
+    # Each motion is contiguous in memory: that is how the registration reads them.
+    return np.asarray(np.stack([gx * dy - gy * dx, gx, gy, -(gx * dx + gy * dy), image[y, x]]), np.float32).T
+
+
+def _smooth_direction(shifts: Field, noise: float) -> Field | None:
+    """Return the direction in which a shift changes least, if that is no more than noise. shifts: (N, 2)."""
+    square, axes = np.linalg.eigh(shifts.T @ shifts / len(shifts))
+    return None if square[0] >= (SMOOTH * noise) ** 2 else np.asarray(axes[:, 0], np.float32)
+
+
+def _lever(normal: NDArray[np.float32]) -> float:
+    """Return the change by a rotation of one radian, beyond the other motions, over the image itself, r.m.s."""
+    whole = normal.astype(np.float64)
+    whole += 1e-9 * (np.trace(whole) + 1e-9) * np.eye(len(whole))
+    return math.sqrt(1.0 / float(np.linalg.inv(whole)[0, 0]) / max(float(whole[-1, -1]), 1e-9))

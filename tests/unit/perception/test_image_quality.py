@@ -1,0 +1,254 @@
+"""Images on which a rotation would be wrong without a larger sigma are declined; healthy images are not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from slipguard.devices import Frame
+from slipguard.perception.contact.gate import BLOCKS_HIGH, BLOCKS_WIDE, block_means, blocks_near
+from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.declined import DeclineReason
+from slipguard.perception.estimate import Estimate
+from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.quality.image_quality import (
+    ImageQuality,
+    has_few_levels,
+    is_coarsely_compressed,
+    is_noisy,
+    level_step,
+)
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.sim.catalogue import find_object, object_names
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.sensor_unit import random_unit
+from slipguard.stress.image_distortions import DISTORTIONS
+from slipguard.stress.image_families import IMAGES, rotated_grasp
+from slipguard.stress.product_functions import ProductFunctions
+from slipguard.stress.trial_family import FamilyResults, generator
+
+Image = NDArray[np.uint8]
+QUIET_BGR = (0.3, 0.3, 0.3)
+NEAR = blocks_near(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
+SHOWN = 12
+"""A grasp of `slipguard.stress` whose rotation is measured well on undistorted images."""
+
+
+def with_levels(image: Image, step: int) -> Image:
+    """The image with every `step`-th grey level only."""
+    return np.asarray(image // step * step, np.uint8)
+
+
+def compressed(image: Image, quality: int) -> Image:
+    decoded = cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_COLOR)
+    assert decoded is not None
+    return np.asarray(decoded, np.uint8)
+
+
+def blurred(image: Image, sigma_px: float) -> Image:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), np.uint8)
+
+
+def with_camera_noise(image: Image) -> Image:
+    noise = 2.5 * np.random.default_rng(3).standard_normal(image.shape)
+    return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
+
+
+def with_light(image: Image, exponent: float, gain: float = 1.0) -> Image:
+    return np.asarray(gain * 255.0 * (image / 255.0) ** exponent, np.uint8)
+
+
+def shades(*levels: NDArray[np.int64]) -> list[Image]:
+    return [np.repeat(level.astype(np.uint8)[..., None], 3, axis=2) for level in levels]
+
+
+def measured(background: Image, frames: list[Image], noise_bgr: tuple[float, ...]) -> tuple[Pipeline, list[Estimate]]:
+    pipeline = Pipeline(Segmenter(), PerceptionSettings(), background, noise_bgr, 18.5)
+    return pipeline, [pipeline.process(Frame(image, k / 60, k)) for k, image in enumerate(frames)]
+
+
+# Few grey levels
+
+
+@pytest.mark.parametrize("number", range(8))
+def test_few_levels_are_detected_and_a_healthy_unit_has_enough(number: int) -> None:
+    unit = random_unit(np.random.default_rng(number))
+    for one in (unit, replace(unit, noise_bgr=QUIET_BGR)):
+        image = GelCamera(one, seed=number).no_contact()
+        assert not has_few_levels(image)
+        assert not has_few_levels(with_levels(image, 4))
+        assert has_few_levels(with_levels(image, 16))
+        hot = with_levels(image, 32)
+        hot[::97, ::53] = 101  # some hot pixels fill no gap
+        assert has_few_levels(hot)
+
+
+def test_level_step_of_a_uniform_image_and_of_a_full_range() -> None:
+    assert level_step(np.full((80, 60), 128, np.uint8)) == 0.0
+    assert level_step(np.arange(256, dtype=np.uint8).repeat(10).reshape(-1, 64)) == 1.0
+
+
+def test_a_contact_with_16_levels_is_declined_and_with_64_levels_is_measured() -> None:
+    shown = rotated_grasp(SHOWN)
+    for step, declined in ((16, True), (4, False)):
+        frames = [with_levels(image, step) for image in shown.frames]
+        pipeline, estimates = measured(with_levels(shown.background, step), frames, shown.noise_bgr)
+        assert pipeline.has_reference is not declined
+        if declined:
+            assert {one.decline_reason for one in estimates} == {DeclineReason.FEW_LEVELS}
+        else:
+            assert estimates[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=2.0)
+
+
+# Noise
+
+
+@pytest.mark.parametrize("number", range(8))
+def test_noise_is_detected_and_a_healthy_unit_has_little(number: int) -> None:
+    rng = np.random.default_rng(number)
+    image = GelCamera(random_unit(rng), seed=number).no_contact()
+    assert not is_noisy(image)
+    assert not is_noisy(DISTORTIONS["noise"](image, 7 / 64, rng))
+    assert is_noisy(DISTORTIONS["noise"](image, 13 / 64, rng))
+
+
+def test_edges_do_not_count_as_noise() -> None:
+    y, x = np.mgrid[0:320, 0:240]
+    for image in shades(x // 3 + y // 4, 255 * (x // 16 % 2), 255 * (y % 2)):
+        assert not is_noisy(image)
+
+
+def test_a_contact_in_strong_noise_is_declined_and_in_moderate_noise_is_measured() -> None:
+    shown, rng = rotated_grasp(SHOWN), np.random.default_rng(0)
+    for level, declined in ((16.0, True), (4.0, False)):
+        frames = [DISTORTIONS["noise"](image, level / 64.0, rng) for image in shown.frames]
+        pipeline, estimates = measured(shown.background, frames, shown.noise_bgr)
+        assert pipeline.has_reference is not declined
+        if declined:
+            assert DeclineReason.NOISY in {one.decline_reason for one in estimates}
+        else:
+            assert estimates[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=2.0)
+
+
+# Compression
+
+
+@pytest.mark.parametrize("number", range(8))
+def test_compression_is_detected_at_a_low_quality_and_never_at_that_of_a_camera(number: int) -> None:
+    rng = np.random.default_rng(number)
+    unit = random_unit(rng)
+    thing = find_object(object_names("train")[number])
+    view = GelView(thing.name, rng.uniform(-2, 2), rng.uniform(-3, 3), rng.uniform(-180, 180), thing.press_mm)
+    cameras = [GelCamera(one, seed=number) for one in (unit, replace(unit, noise_bgr=QUIET_BGR))]
+    for image in [image for camera in cameras for image in (camera.draw(view), camera.no_contact())]:
+        assert not is_coarsely_compressed(image)
+        assert not is_coarsely_compressed(compressed(image, 90))
+        assert not is_coarsely_compressed(compressed(image, 75))
+        assert is_coarsely_compressed(compressed(image, 16))
+        assert is_coarsely_compressed(compressed(image, 1))
+
+
+def test_an_image_without_detail_does_not_count_as_compressed() -> None:
+    y, x = np.mgrid[0:320, 0:240]
+    for image in shades(np.full((320, 240), 90), x // 3 + y // 4, (x + y) % 2 * 255, 255 * (x // 16 % 2)):
+        assert not is_coarsely_compressed(image)
+
+
+@pytest.mark.parametrize("compressed_background", [True, False])
+def test_a_coarsely_compressed_contact_is_declined_and_a_finer_one_is_measured(compressed_background: bool) -> None:
+    shown = rotated_grasp(SHOWN)
+    for quality, declined in ((16, True), (75, False)):
+        background = compressed(shown.background, quality) if compressed_background else shown.background
+        pipeline, estimates = measured(
+            background, [compressed(image, quality) for image in shown.frames], shown.noise_bgr
+        )
+        assert pipeline.has_reference is not declined
+        if declined:
+            assert {one.decline_reason for one in estimates} == {DeclineReason.COMPRESSED}
+        else:
+            assert estimates[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=2.0)
+
+
+@pytest.mark.parametrize("seed", [821, 3063, 5344, 6649, 7545])
+def test_no_certain_rotation_is_wrong_because_of_blocks_levels_or_noise(seed: int) -> None:
+    results = FamilyResults("pictures")
+    IMAGES.begin(ProductFunctions())(generator("pictures", seed), seed, results)
+    assert not results.failures, results.failures
+
+
+# Light
+
+
+def estimates_in_light(exponent: float, gain: float) -> list[Estimate]:
+    """An egg that rotates by 20 degrees, calibrated in the same light."""
+    shown = rotated_grasp(0)
+    frames = [with_light(image, exponent, gain) for image in shown.frames]
+    return measured(with_light(shown.background, exponent, gain), frames, shown.noise_bgr)[1]
+
+
+@pytest.mark.parametrize(("exponent", "gain"), [(5.0**0.75, 1.0), (1.0, 0.15)])
+def test_a_contact_in_the_dark_is_declined(exponent: float, gain: float) -> None:
+    estimates = estimates_in_light(exponent, gain)
+    assert DeclineReason.DARK in {one.decline_reason for one in estimates}
+    assert {one.angle_deg for one in estimates} == {None}
+
+
+def test_half_the_light_is_enough() -> None:
+    last = estimates_in_light(1.0, 0.5)[-1]
+    assert abs((last.angle_deg or 0.0) + 20.0) < min(2.0, 4.0 * (last.sigma_deg or 0.0))
+
+
+# Focus
+
+
+@pytest.mark.parametrize("number", [12, 17, 20])
+def test_a_blurred_faint_contact_is_declined_and_makes_no_reference(number: int) -> None:
+    shown = rotated_grasp(number)
+    pipeline, estimates = measured(shown.background, [blurred(image, 9.3) for image in shown.frames], shown.noise_bgr)
+    assert {one.decline_reason for one in estimates if one.contact} == {DeclineReason.OUT_OF_FOCUS}
+    assert not [one for one in estimates if one.angle_deg is not None]
+    assert not pipeline.has_reference
+    sharp = [pipeline.process(Frame(one, (20 + k) / 60, 20 + k)) for k, one in enumerate(shown.frames)]
+    assert sharp[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=3.0)
+
+
+@pytest.mark.parametrize("sigma_px", [0.0, 1.5, 3.0, 9.0, 15.0])
+def test_noise_does_not_hide_that_the_image_is_out_of_focus(sigma_px: float) -> None:
+    background = rotated_grasp(0).background
+    image = with_camera_noise(blurred(background, sigma_px) if sigma_px else background)
+    assert ImageQuality(background).out_of_focus(block_means(image), NEAR) == (sigma_px > 5.0)
+
+
+@pytest.mark.parametrize("gain", [0.7, 0.85, 1.3])
+@pytest.mark.parametrize("offset", [-20.0, 0.0, 20.0])
+def test_a_change_of_light_does_not_count_as_out_of_focus(gain: float, offset: float) -> None:
+    background = rotated_grasp(0).background
+    image = np.clip(np.rint(background * gain + offset), 0, 255).astype(np.uint8)
+    assert not ImageQuality(background).out_of_focus(block_means(with_camera_noise(image)), NEAR)
+
+
+@pytest.mark.parametrize("quality", [90, 50, 20])
+def test_a_compressed_image_does_not_count_as_out_of_focus(quality: int) -> None:
+    shown = rotated_grasp(0)
+    image = compressed(shown.frames[0], quality)
+    assert not ImageQuality(shown.background).out_of_focus(block_means(image), NEAR)
+
+
+def test_focus_is_not_checked_without_background_or_with_little_gel_outside_the_contact() -> None:
+    background = rotated_grasp(0).background
+    blocks = block_means(blurred(background, 12.0))
+    assert ImageQuality(background).out_of_focus(blocks, NEAR)
+    assert not ImageQuality(None).out_of_focus(blocks, NEAR)
+    covered = np.ones((BLOCKS_HIGH, BLOCKS_WIDE), np.bool_)
+    covered[:, 0] = False
+    assert not ImageQuality(background).out_of_focus(blocks, covered.ravel())
+
+
+def test_a_gel_without_any_pattern_is_never_out_of_focus() -> None:
+    background = np.full((320, 240, 3), 100, np.uint8)
+    assert not ImageQuality(background).out_of_focus(block_means(background), NEAR)
