@@ -215,7 +215,7 @@ def test_light_may_change_evenly_only_so_far(levels: int, fit: bool) -> None:
     assert fits(ImageQuality(background), block_means(lamp), near) == fit
 
 
-@pytest.mark.parametrize(("what", "strength"), [("swapped colours", 1.0), ("negative", 0.5), ("crushed", 0.5)])
+@pytest.mark.parametrize(("what", "strength"), [("swapped colors", 1.0), ("negative", 0.5), ("crushed", 0.5)])
 def test_a_camera_with_another_light_tells_no_turn_and_takes_no_reference(what: str, strength: float) -> None:
     shown = rotated_grasp(0)
     pipeline = Pipeline(Segmenter(), PerceptionSettings(), shown.background, None, 18.5)
