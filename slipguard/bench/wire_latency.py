@@ -220,7 +220,7 @@ async def grip(service: Service, running: asyncio.Task[None]) -> None:
     await wait_until(running, ready, READY_S, lambda: "; ".join(service.waiting_for))
     await handlers.submit(GraspRequest())
     await wait_until(
-        running, lambda: service.firm, GRIP_S, lambda: f"no firm grip, {service.state.fault or service.phase}"
+        running, lambda: service.ready_to_lift, GRIP_S, lambda: f"no firm grip, {service.state.fault or service.phase}"
     )
 
 

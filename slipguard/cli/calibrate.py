@@ -56,7 +56,7 @@ def calibrate(
     Example: `slipguard calibrate --config config.toml`, `slipguard calibrate --show --plot gels.png`
     """
     from slipguard.config import read_config
-    from slipguard.daemon import logging as log
+    from slipguard.daemon import log_setup as log
     from slipguard.daemon.api.client import Client, DaemonNotRunning
     from slipguard.daemon.api.paths import running_socket
     from slipguard.daemon.api.requests import CalibrateRequest, RestoreBackgroundRequest

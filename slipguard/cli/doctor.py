@@ -35,7 +35,7 @@ def doctor(
     from rich.console import Console
 
     from slipguard.config import read_config
-    from slipguard.daemon import logging as log
+    from slipguard.daemon import log_setup as log
     from slipguard.daemon.api.paths import running_socket
     from slipguard.doctor.examine import examine
 

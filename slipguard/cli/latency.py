@@ -40,7 +40,7 @@ def latency(
     from rich.console import Console
 
     from slipguard.bench.wire_latency import LatencyOptions, measure
-    from slipguard.daemon import logging as log
+    from slipguard.daemon import log_setup as log
 
     log.configure(level=logging.CRITICAL)
     if as_service:

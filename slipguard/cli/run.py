@@ -41,7 +41,7 @@ def run(
     Example: `slipguard run --config config.toml`, then in another terminal `slipguard ctl state`
     """
     from slipguard.config import read_config, sim_config
-    from slipguard.daemon import logging as log
+    from slipguard.daemon import log_setup as log
     from slipguard.daemon import run as root
 
     settings = sim_config() if sim and config == USUAL_FILE and not config.exists() else read_config(config, sim=sim)

@@ -38,7 +38,7 @@ def simulate(*, seed: int, lifts: int | None, guarded: bool, json: bool, out: Pa
 
     from rich.console import Console
 
-    from slipguard.daemon import logging as log
+    from slipguard.daemon import log_setup as log
     from slipguard.daemon.loop.virtual_time import run_virtual
     from slipguard.sim_lifts.campaign import CampaignSettings, run_campaign
     from slipguard.sim_lifts.report import draw, print_lines, print_tables

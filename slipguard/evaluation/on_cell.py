@@ -138,7 +138,7 @@ class _Cell:
                 ended = (Phase.FAULT, Phase.IDLE)
                 await wait_until(
                     self.running,
-                    lambda: service.firm or service.phase in ended,
+                    lambda: service.ready_to_lift or service.phase in ended,
                     PHASE_S,
                     lambda: f"{lift.stem}: not gripped ({service.phase})",
                 )
@@ -181,7 +181,7 @@ class _Cell:
         try:
             await wait_until(
                 self.running,
-                lambda: service.firm or service.phase is not Phase.HOLDING,
+                lambda: service.ready_to_lift or service.phase is not Phase.HOLDING,
                 PHASE_S,
                 lambda: f"{lift.stem}: not calm enough to be lowered",
             )

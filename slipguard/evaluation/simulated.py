@@ -13,7 +13,7 @@ import numpy as np
 
 from slipguard.config import parse_config
 from slipguard.control.state import Phase
-from slipguard.daemon import logging as log
+from slipguard.daemon import log_setup as log
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, GuardRequest, LiftRequest
 from slipguard.daemon.loop.service import Service
@@ -152,7 +152,10 @@ async def _lift(
         try:
             await handlers.submit(GraspRequest(force_n=grip_n))
             await wait_until(
-                running, lambda: service.firm or service.phase is Phase.FAULT, TIMEOUT_S, "the object was not gripped"
+                running,
+                lambda: service.ready_to_lift or service.phase is Phase.FAULT,
+                TIMEOUT_S,
+                "the object was not gripped",
             )
             await asyncio.sleep(SETTLE_S)
             await handlers.submit(LiftRequest(height_mm=height_mm, speed_mm_s=task.protocol.lift_speed_mm_s))

@@ -162,7 +162,7 @@ async def _one_lift(
 
     try:
         await handlers.submit(GraspRequest())
-        await until(lambda: service.firm, "the object was not gripped")
+        await until(lambda: service.ready_to_lift, "the object was not gripped")
         await handlers.submit(LiftRequest())
         await until(lambda: service.phase is Phase.HOLDING, "the lift did not end")
         hold_until_s = loop.time() + HOLD_S

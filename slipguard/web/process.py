@@ -10,7 +10,7 @@ from typing import NoReturn
 
 import cv2
 
-from slipguard.daemon import logging as log
+from slipguard.daemon import log_setup as log
 from slipguard.errors import SlipguardError
 from slipguard.web.access import Access
 from slipguard.web.daemon_proxy import DaemonProxy

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from slipguard.cli.run import bind_api
 from slipguard.config import read_config
-from slipguard.daemon import logging as log
+from slipguard.daemon import log_setup as log
 from slipguard.daemon import run as root
 from slipguard.daemon.loop.service import Service
 from slipguard.sim.injected_faults import KINDS

@@ -26,7 +26,7 @@ from rich.table import Table
 from slipguard.bench.wire_latency import HOST, StageLatency, every_frame_in_full, grip
 from slipguard.cli.interrupt import default_interrupts
 from slipguard.cli.progress import progress_bar
-from slipguard.daemon import logging as log
+from slipguard.daemon import log_setup as log
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.run import build_service

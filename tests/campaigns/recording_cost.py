@@ -21,7 +21,7 @@ from rich.table import Table
 
 from slipguard.cli.interrupt import default_interrupts
 from slipguard.cli.progress import progress_bar
-from slipguard.daemon import logging as log
+from slipguard.daemon import log_setup as log
 from slipguard.daemon import run as daemon
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.finger import ProcessedFrame

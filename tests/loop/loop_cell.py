@@ -142,7 +142,7 @@ class Cell:
 
     def steady(self) -> bool:
         """Held, calm, and the grip as firm as it was commanded."""
-        return self.service.firm
+        return self.service.ready_to_lift
 
     @property
     def where(self) -> str:

@@ -136,7 +136,7 @@ def test_a_force_counts_as_taken_once_the_gripper_says_so(tmp_path: Path) -> Non
         await cell.grasp()
         await asyncio.sleep(0.1)
         assert cell.service.state.target_n == pytest.approx(40.0, abs=0.85)
-        assert (await noted(shelf)).taken
+        assert (await noted(shelf)).applied
         cell.world.faults.fail("gripper", "timeout")
         await cell.submit(MoveJawsRequest(force_n=120.0))
         await asyncio.sleep(0.15)

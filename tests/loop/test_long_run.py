@@ -45,7 +45,7 @@ def weight(cell: Cell) -> int:
     """Bytes of what the service holds on to, roughly: every object reached from it, arrays and modules aside."""
     seen: set[int] = set()
     todo: list[object] = [
-        cell.service._guard,
+        cell.service._memory,
         cell.service.event_log.lines,
         cell.service.observation,
         *vars(cell.service).values(),

@@ -1,4 +1,4 @@
-"""A configuration read again: taken up whole where that is safe, refused whole and in words where it is not."""
+"""A configuration reloaded: taken up whole where that is safe, refused whole and in words where it is not."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from slipguard.cli.run import bind_api
 from slipguard.config import Config, parse_config
 from slipguard.control.state import Phase
 from slipguard.daemon import run as root
-from slipguard.daemon.reload import Grip, Reloader, changes, grip_of, why_not
+from slipguard.daemon.reload import CurrentGrip, Reloader, current_grip, find_changes, refusal_reason
 from slipguard.errors import ConfigError
 from slipguard.sim.world import World, WorldSettings
 
@@ -34,12 +34,12 @@ def reloader(cell: Cell, read: Callable[[], Config]) -> Reloader:
 
 def test_every_changed_key_is_told_as_the_file_spells_it() -> None:
     new = config(guard={"force_max_n": 110, "mode": "guard"}, left={"driver": "fake", "fake": {"draw": "process"}})
-    assert [str(change) for change in changes(config(), new)] == [
+    assert [str(change) for change in find_changes(config(), new)] == [
         'left.fake.draw: "inline" -> "process"',
         'guard.mode: "lift" -> "guard"',
         "guard.force_max_n: 130.0 -> 110.0",
     ]
-    assert changes(config(), config()) == []
+    assert find_changes(config(), config()) == []
 
 
 @pytest.mark.parametrize(
@@ -55,17 +55,19 @@ def test_every_changed_key_is_told_as_the_file_spells_it() -> None:
     ],
 )
 def test_what_is_built_at_the_start_needs_a_restart(sections: dict[str, Any]) -> None:
-    (change, *_) = changes(config(), config(**sections))
-    assert why_not(change, config(**sections), Grip(Phase.IDLE, False, 0.0)) == "needs a restart"
+    (change, *_) = find_changes(config(), config(**sections))
+    assert refusal_reason(change, config(**sections), CurrentGrip(Phase.IDLE, False, 0.0)) == "needs a restart"
 
 
 @pytest.mark.parametrize("phase", Phase)
 def test_the_guard_changes_only_while_nothing_moves(phase: Phase) -> None:
     new = config(guard={"tuning": {"tighten_in_motion_deg": 3.0}})
-    (change,) = changes(config(), new)
+    (change,) = find_changes(config(), new)
     rests = phase in (Phase.IDLE, Phase.HOLDING, Phase.FAULT)
-    assert why_not(change, new, Grip(phase, False, 40.0)) == (None if rests else f"not while {phase.value}")
-    assert why_not(change, new, Grip(Phase.HOLDING, True, 40.0)) == "not while the object slips"
+    assert refusal_reason(change, new, CurrentGrip(phase, False, 40.0)) == (
+        None if rests else f"not possible while {phase.value}"
+    )
+    assert refusal_reason(change, new, CurrentGrip(Phase.HOLDING, True, 40.0)) == "not possible while the object slips"
 
 
 def test_thresholds_are_taken_up_while_an_object_is_held() -> None:
@@ -77,7 +79,7 @@ def test_thresholds_are_taken_up_while_an_object_is_held() -> None:
         ).reload()
         assert cell.service.config.guard.force_max_n == 115.0
         assert cell.service.event_log.lines[-1] == (
-            "configuration read again: guard.force_max_n: 130.0 -> 115.0, guard.tuning.tighten_in_motion_deg: 2.0 -> 2.5"
+            "configuration reloaded: guard.force_max_n: 130.0 -> 115.0, guard.tuning.tighten_in_motion_deg: 2.0 -> 2.5"
         )
         await cell.lift()
         assert cell.phase is Phase.HOLDING
@@ -91,7 +93,7 @@ def test_a_budget_below_the_present_grip_is_refused_and_nothing_of_the_rest_is_t
     async def scene(cell: Cell) -> None:
         await cell.ready()
         await cell.grasp()
-        held_n = grip_of(cell.service).force_n
+        held_n = current_grip(cell.service).force_n
         assert held_n >= 40.0
         low = {
             "force_max_n": 35.0,
@@ -104,7 +106,7 @@ def test_a_budget_below_the_present_grip_is_refused_and_nothing_of_the_rest_is_t
         assert cell.service.config is before
         line = cell.service.event_log.lines[-1]
         assert line == (
-            "configuration not taken up, the old one stays in full: guard.force_max_n: 130.0 -> 35.0 "
+            "configuration not reloaded, the old one stays in use: guard.force_max_n: 130.0 -> 35.0 "
             f"the object is held with {held_n:.0f} N; release it first"
         )
         await cell.release()
@@ -121,7 +123,10 @@ def test_during_a_lift_the_old_one_stays() -> None:
         lifting = asyncio.create_task(cell.lift())
         await cell.until(lambda: cell.phase is Phase.LIFTING)
         assert not await reloader(cell, lambda: config(guard={"tuning": {"tighten_in_motion_deg": 3.0}})).reload()
-        assert "guard.tuning.tighten_in_motion_deg: 2.0 -> 3.0 not while lifting" in cell.service.event_log.lines[-1]
+        assert (
+            "guard.tuning.tighten_in_motion_deg: 2.0 -> 3.0 not possible while lifting"
+            in cell.service.event_log.lines[-1]
+        )
         assert await reloader(cell, lambda: config(recording={"ring_s": 60})).reload()
         await lifting
 

@@ -84,13 +84,13 @@ def test_two_wishes_at_once_are_both_answered_in_order() -> None:
 def test_a_loop_that_does_not_answer_is_said_in_time_and_the_wish_does_not_come_true_later() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        rotation = cell.service._rotation
-        cell.service._rotation = lambda now_s: None  # type: ignore[method-assign]
+        rotation = cell.service._run_cycle
+        cell.service._run_cycle = lambda now_s: None  # type: ignore[method-assign]
         asked_s = cell.now_s
         with pytest.raises(CommandRefused, match="grasp: the loop did not answer within 2 s"):
             await cell.service.request(ControlRequest(RequestKind.GRASP))
         assert cell.now_s - asked_s == pytest.approx(2.0, abs=0.02)
-        cell.service._rotation = rotation  # type: ignore[method-assign]
+        cell.service._run_cycle = rotation  # type: ignore[method-assign]
         await asyncio.sleep(0.5)
         assert cell.phase is Phase.IDLE
         assert cell.gripper.told == []

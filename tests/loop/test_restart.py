@@ -35,7 +35,7 @@ def play(scene: Callable[[CampaignCell], Awaitable[None]], guard: dict[str, obje
         rig.start()
         await until(lambda: not rig.service.waiting_for)
         await (rig.submit(GraspRequest()) if not guard else rig.submit(MoveJawsRequest(width_mm=0.0, force_n=40.0)))
-        await until(lambda: rig.service.firm)
+        await until(lambda: rig.service.ready_to_lift)
         await asyncio.sleep(0.5)
         await scene(rig)
         assert rig.truth.dropped is None
@@ -58,7 +58,7 @@ def test_a_force_on_its_way_when_the_daemon_was_killed_is_applied_after_all(arri
         assert (rig.truth.force_n > 100.0) is arrived
         rig.world.faults.repair("gripper")
         rig.start()
-        await until(lambda: rig.service.firm)
+        await until(lambda: rig.service.ready_to_lift)
         await asyncio.sleep(0.5)
         assert rig.truth.force_n > 120.0
         rig.world.take_table(rig.now_s)
@@ -87,7 +87,7 @@ def test_a_latched_fault_outlives_the_daemon() -> None:
         with pytest.raises(CommandRefused, match=r"a fault is latched \(gripper fault\); clear it first"):
             await rig.submit(LiftRequest())
         await rig.submit(ClearRequest())
-        await until(lambda: rig.service.firm)
+        await until(lambda: rig.service.ready_to_lift)
         await rig.submit(LiftRequest())
 
     lines = play(scene)
@@ -120,6 +120,6 @@ def test_what_does_not_come_back_with_the_daemon_stops_the_arm(gone: tuple[str, 
         await asyncio.sleep(0.5)
         assert rig.service.phase is Phase.FAULT
         await rig.submit(ClearRequest())
-        await until(lambda: rig.service.firm)
+        await until(lambda: rig.service.ready_to_lift)
 
     play(scene, {"mode": "guard"})

@@ -1,4 +1,4 @@
-"""The one task that talks to a gripper or an arm: newest command first, else asks for its state."""
+"""Talks to the gripper or the arm in one task: sends the newest command, else polls the state."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from slipguard.errors import CommandRefused, DeviceError, DeviceLost
 S_co = TypeVar("S_co", covariant=True)
 S = TypeVar("S")
 ROUND_TRIPS = 400
-"""Ten seconds of them at the usual 25 ms."""
+"""Ten seconds of round trips at the default of one every 25 ms."""
 Action = Callable[[], Awaitable[object]]
 
 
-class Device(Protocol[S_co]):
+class ActuatorDevice(Protocol[S_co]):
     """What `Gripper` and `Arm` have in common."""
 
     async def open(self) -> None: ...
@@ -30,51 +30,56 @@ class Device(Protocol[S_co]):
 
 
 class Actuator(Generic[S]):
-    """Runs one device for as long as the daemon lives; a missing one is waited for.
+    """Runs one device until cancelled; a missing device is retried.
 
-    A command is any coroutine function; a newer one replaces one not yet begun (a firm one only if it is firm too), one
-    begun is let finish. A command that could not be carried out is not tried again, nor is one given while the device
-    was gone: the law sees the state and commands anew. Only the device's own `stop` is tried even then, for it may need
-    less than all of the device; what it says is told once. `on_news` is called when the device's health changes, and
-    with the state that follows a command.
+    A command is a coroutine function. A newer command replaces one that has not begun (an urgent one only if the newer
+    one is urgent too); a command that has begun runs to its end. A failed command is not repeated, and a command given
+    while the device is gone is dropped: the controller sees the state and commands again. The exception is the device's
+    own `stop`, which is tried even then, because it may need less than the whole device. Its error is reported once.
+
+    Args:
+        poll_s: Time between two reads of the state.
+        retry_s: Sets the pauses before a missing device is tried again.
+        on_change: Called when the device's health changes, and with the state that follows a command.
+        on_refusal: Receives the reason why a command was refused, in one line.
     """
 
     def __init__(
         self,
         name: str,
-        device: Device[S],
+        device: ActuatorDevice[S],
         poll_s: float,
         retry_s: float,
-        on_news: Callable[[], None],
-        on_event: Callable[[str], None],
+        on_change: Callable[[], None],
+        on_refusal: Callable[[str], None],
     ) -> None:
         self.name = name
         self.health = Health(name)
         self.newest: S | None = None
         self.polled = 0
         self.round_trips_s: deque[float] = deque(maxlen=ROUND_TRIPS)
-        """How long the newest answers to a question for the state took."""
+        """How long the newest reads of the state took."""
         self._device = device
         self._poll_s = poll_s
-        self._backoff = Backoff(retry_s / 5, longest_s=retry_s / 2)  # what is held or moved waits for it
+        self._backoff = Backoff(retry_s / 5, longest_s=retry_s / 2)  # a held or moving object waits for this device
         self._commands: LatestValue[Action] = LatestValue()
-        self._firm = False
-        """Only a firm command may replace what was commanded last."""
+        self._urgent = False
+        """Only an urgent command may replace the waiting one."""
         self._wake = asyncio.Event()
-        self._told: str | None = None
-        self._on_news = on_news
-        self._on_event = on_event
+        self._reported: str | None = None
+        self._on_change = on_change
+        self._on_refusal = on_refusal
 
-    def command(self, action: Action, *, firm: bool = False) -> None:
-        """Carry out `action` as soon as the device is free. firm: no command that is not may take its place."""
-        if self._firm and not firm:
+    def command(self, action: Action, *, urgent: bool = False) -> None:
+        """Carry out `action` as soon as the device is free. urgent: only an urgent command may replace it."""
+        if self._urgent and not urgent:
             return
-        self._firm = firm
+        self._urgent = urgent
         self._commands.put(action)
         self._wake.set()
 
-    def _next(self) -> Action | None:
-        self._firm = False
+    def _take_command(self) -> Action | None:
+        self._urgent = False
         return self._commands.take()
 
     async def run(self) -> None:
@@ -85,54 +90,54 @@ class Actuator(Generic[S]):
                 try:
                     await self._device.open()
                     raise_if_cancelled()
-                    self._told = None
-                    pending = self._next()
+                    self._reported = None
+                    pending = self._take_command()
                     if self._is_stop(pending):
                         self._commands.put(pending)
                     await self._serve()
                 except DeviceError as error:
                     self.health.set_disconnected(str(error))
                     self.newest = None
-                    self._on_news()
+                    self._on_change()
                     await self._device.close()
-                    await self._wait()
+                    await self._wait_to_retry()
         finally:
             await self._device.close()
 
     def _is_stop(self, action: Action | None) -> TypeGuard[Action]:
         return action is not None and action == getattr(self._device, "stop", None)
 
-    async def _wait(self) -> None:
-        """Until the device is to be tried again. A stop is passed on at once, all else is dropped."""
-        waiting = asyncio.create_task(self._backoff.wait(), name=f"{self.name}: waits")
-        waiting.add_done_callback(lambda _: self._wake.set())
+    async def _wait_to_retry(self) -> None:
+        """Wait until the device is to be tried again. Pass a stop on at once, drop other commands."""
+        pause = asyncio.create_task(self._backoff.wait(), name=f"{self.name}: retry pause")
+        pause.add_done_callback(lambda _: self._wake.set())
         try:
-            while not waiting.done():
+            while not pause.done():
                 raise_if_cancelled()
                 self._wake.clear()
-                action = self._next()
+                action = self._take_command()
                 if self._is_stop(action):
-                    await self._try(action)
-                elif not waiting.done():
+                    await self._try_stop(action)
+                elif not pause.done():
                     await self._wake.wait()
         finally:
-            waiting.cancel()
-            await asyncio.wait([waiting])
+            pause.cancel()
+            await asyncio.wait([pause])
 
-    async def _try(self, stop: Action) -> None:
+    async def _try_stop(self, stop: Action) -> None:
         try:
             await stop()
         except (CommandRefused, DeviceError) as error:
-            if str(error) != self._told:
-                self._told = str(error)
-                self._on_event(self._told)
+            if str(error) != self._reported:
+                self._reported = str(error)
+                self._on_refusal(self._reported)
 
     async def _serve(self) -> None:
         loop = asyncio.get_running_loop()
         next_poll_s = loop.time()
         while True:
             self._wake.clear()
-            action = self._next()
+            action = self._take_command()
             try:
                 if action is not None:
                     await action()
@@ -142,17 +147,17 @@ class Actuator(Generic[S]):
                     self.round_trips_s.append(loop.time() - asked_at_s)
                     self.polled += 1
                     if action is not None or not self.health.ready:
-                        self._on_news()
+                        self._on_change()
                     self.health.set_ready(loop.time())
                     self._backoff.reset()
                     next_poll_s = loop.time() + self._poll_s
             except CommandRefused as error:
-                self._on_event(f"{self.name}: {error}")
+                self._on_refusal(f"{self.name}: {error}")
             except DeviceLost:
                 raise
             except DeviceError as error:
                 self.health.set_error(str(error))
-                self._on_news()
+                self._on_change()
                 next_poll_s = loop.time() + self._poll_s
             raise_if_cancelled()
             timer = loop.call_at(next_poll_s, self._wake.set)

@@ -1,6 +1,6 @@
-"""Counts and times for the metrics: kept as plain numbers while the loop runs, made into text by the web room.
+"""Counters and histograms for the metrics; the web process formats them.
 
-An observation costs about a microsecond, and telling all of them a small JSON object.
+Adding a value takes about a microsecond, and reading all of them gives a small JSON object.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ EDGES_MS = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0
 
 
 class Histogram:
-    """How many times fell into which bucket, and their sum."""
+    """Counts times by bucket, and sums them."""
 
     def __init__(self) -> None:
         self._counts = [0] * (len(EDGES_MS) + 1)
         self._sum_ms = 0.0
 
     def add(self, time_ms: float) -> None:
-        """Count one time."""
+        """Add one time."""
         self._counts[bisect_left(EDGES_MS, time_ms)] += 1
         self._sum_ms += time_ms
 
     def as_dict(self) -> dict[str, object]:
-        """counts: of each bucket, not cumulative."""
+        """Return the count of each bucket, not cumulative, and the sum."""
         return {"counts": list(self._counts), "sum_ms": self._sum_ms}
 
 
 class LoopMetrics:
-    """Listens to a service from now on."""
+    """Observes a service from its construction on."""
 
     def __init__(self, service: Service) -> None:
         self._service = service
@@ -45,12 +45,12 @@ class LoopMetrics:
         self._hold = Histogram()
         self._faults: Counter[str] = Counter()
         for name, finger in service.fingers.items():
-            finger.observers.append(partial(self._judged, name))
-        service.observers.append(self._decided)
-        service.hold_observers.append(lambda since_handed_s: self._hold.add(1e3 * since_handed_s))
-        service.event_log.listeners.append(self._told)
+            finger.observers.append(partial(self._add_frame, name))
+        service.observers.append(self._add_decision)
+        service.hold_observers.append(lambda latency_s: self._hold.add(1e3 * latency_s))
+        service.event_log.listeners.append(self._add_event)
 
-    def _judged(self, finger: str, processed: ProcessedFrame) -> None:
+    def _add_frame(self, finger: str, processed: ProcessedFrame) -> None:
         if processed.estimate is None:
             return
         stages = self._stages[finger]
@@ -59,16 +59,16 @@ class LoopMetrics:
                 stages[stage] = Histogram()
             stages[stage].add(time_ms)
 
-    def _decided(self, decision: Decision) -> None:
+    def _add_decision(self, decision: Decision) -> None:
         for time_s in decision.latencies_s:
             self._reaction.add(1e3 * time_s)
 
-    def _told(self, event: Event) -> None:
+    def _add_event(self, event: Event) -> None:
         if event.code is not None:
             self._faults[event.code] += 1
 
     def as_dict(self) -> dict[str, object]:
-        """Everything, as JSON can say it; edges_ms belong to all histograms."""
+        """Return everything as JSON; edges_ms belong to all histograms."""
         return {
             "edges_ms": EDGES_MS,
             "stages": {
@@ -78,8 +78,5 @@ class LoopMetrics:
             "reaction": self._reaction.as_dict(),
             "hold": self._hold.as_dict(),
             "faults": dict(self._faults),
-            "devices_answered": {
-                "gripper": self._service.gripper.polled,
-                "arm": self._service.arm.polled,
-            },
+            "devices_answered": {"gripper": self._service.gripper.polled, "arm": self._service.arm.polled},
         }

@@ -1,7 +1,8 @@
-"""The service: four devices, one pure law, and the loop that brings them together.
+"""The service: four devices, one pure controller, and the control loop that connects them.
 
-The loop wakes when a finger has an answer, and at every beat; it gathers what is known, asks the law, and hands
-commands on. It never waits for a device: `Actuator` and `Finger` do that in tasks of their own.
+The loop wakes on every new estimate and on every tick. One cycle gathers an observation, computes the control step,
+issues the command and publishes the decision. It never waits for a device: `Actuator` and `Finger` do that in tasks
+of their own.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import structlog
 from slipguard.config import Config
 from slipguard.control.fault import Fault
 from slipguard.control.finger_fusion import fuse
-from slipguard.control.messages import ArmLift, Command, Condition, ControlRequest, FingerHealth, Observation
+from slipguard.control.messages import ArmLift, Command, ControlRequest, FingerHealth, Observation
 from slipguard.control.params import GuardParams
 from slipguard.control.state import GraspState, Phase, gripper_at_rest
 from slipguard.control.step import ControlState, control_step
@@ -31,11 +32,6 @@ from slipguard.errors import CommandRefused
 from slipguard.perception.estimate import Estimate
 
 FINGERS = ("left", "right")
-STALE_S = 0.15
-"""A finger whose newest good frame is older than this does not speak for the present, nor one from the future.
-
-At 30 fps one lost frame makes it 122 ms: two frames of 33 ms, 50 ms of latency, 6 ms of work.
-"""
 REQUEST_TIMEOUT_S = 2.0
 
 Controller = Callable[[ControlState, Observation, GuardParams], tuple[ControlState, Command]]
@@ -43,9 +39,14 @@ log = structlog.get_logger()
 
 
 class Service:
-    """Runs fingers, gripper, arm and law until cancelled; then the grip stays as it is.
+    """Runs fingers, gripper, arm and controller until cancelled; then the grip stays as it is.
 
-    controller: the pure tick; another may be given to see what happens without it. memory: what it knows from before.
+    Args:
+        make_worker: Makes the worker of each finger.
+        make_pipeline: By finger, makes the pipeline for a serial number.
+        store: Where background images are stored.
+        controller: The pure control step.
+        memory: The controller's state from before a restart.
     """
 
     def __init__(
@@ -66,10 +67,10 @@ class Service:
         self.latency_stats = LatencyStats(FINGERS)
         self.observers: list[Callable[[Decision], None]] = [self.latency_stats.add_decision]
         self.hold_observers: list[Callable[[float], None]] = [self.latency_stats.add_hold]
-        """Called as a hold goes to the gripper, with the seconds since the frame that caused it was handed over."""
+        """Called when a force command is sent to the gripper, with the seconds since its frame was received."""
         self.event_log = EventLog()
         self.deadlines_missed = 0
-        self._guard = memory or ControlState()
+        self._memory = memory or ControlState()
         self.observation: Observation | None = None
         self._controller = controller
         self._gripper_device = gripper
@@ -90,24 +91,24 @@ class Service:
         )
         self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, self._wake.set, self.event_log.warning)
         self._requests: asyncio.Queue[tuple[ControlRequest, asyncio.Future[str]]] = asyncio.Queue()
-        self._decided_on: dict[str, TimedEstimate | None] = dict.fromkeys(FINGERS)
+        self._used: dict[str, TimedEstimate | None] = dict.fromkeys(FINGERS)
         self._last_fault: Fault | None = None
         self._device_alerts = DeviceAlerts(self.event_log.info, self.event_log.warning)
 
     @property
     def state(self) -> GraspState:
-        """What the law remembers."""
-        return self._guard.grasp
+        """State of the grasp, as the controller remembers it."""
+        return self._memory.grasp
 
     @property
     def phase(self) -> Phase:
-        """Where the grasp is."""
-        return self._guard.grasp.phase
+        """Phase of the grasp."""
+        return self._memory.grasp.phase
 
     @property
-    def firm(self) -> bool:
-        """Held and calm, and the gripper has done what it was last told: fit to be lifted."""
-        state, gripper = self._guard.grasp, self.gripper.newest
+    def ready_to_lift(self) -> bool:
+        """Whether an object is held without slip, and the gripper has carried out the last command."""
+        state, gripper = self._memory.grasp, self.gripper.newest
         return (
             state.phase is Phase.HOLDING
             and state.slip is None
@@ -117,36 +118,42 @@ class Service:
 
     @property
     def devices(self) -> dict[str, Finger | Actuator[GripperState] | Actuator[ArmState]]:
-        """All four, by name."""
+        """All four devices, by name."""
         return {**self.fingers, "gripper": self.gripper, "arm": self.arm}
 
     @property
     def waiting_for(self) -> list[str]:
-        """One line for each device that is not ready."""
+        """One line per device that is not ready."""
         return [one.health.message for one in self.devices.values() if not one.health.ready]
 
+    def apply_config(self, config: Config) -> None:
+        """Use another configuration from the next cycle on (see `slipguard.daemon.reload`)."""
+        self.config = config
+
     async def request(self, request: ControlRequest) -> str:
-        """Hand a wish to the law; returns what it says to it. Raises CommandRefused with its reason."""
-        answer: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-        self._requests.put_nowait((request, answer))
+        """Pass a request to the controller and return its message. Raises CommandRefused with the reason."""
+        response: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        self._requests.put_nowait((request, response))
         self._wake.set()
         try:
             async with asyncio.timeout(REQUEST_TIMEOUT_S):
-                return await answer
+                return await response
         except TimeoutError:
-            raise CommandRefused(f"{request.kind}: the loop did not answer within {REQUEST_TIMEOUT_S:g} s") from None
+            raise CommandRefused(
+                f"{request.kind}: the loop did not respond within {REQUEST_TIMEOUT_S:g} s; try again"
+            ) from None
 
-    def stop_arm(self, told: Callable[[], None]) -> None:
-        """Have the arm stopped, whatever the law wants; for whoever is about to end the service.
+    def stop_arm(self, on_stopped: Callable[[], None]) -> None:
+        """Stop the arm independently of the controller, before the service ends.
 
-        told: called when an arm that is there has heard it. One that is not there may still heed a stop, but nobody
-        knows.
+        on_stopped: Called when an arm that is ready has accepted the stop. An arm that is not ready may still accept
+        it, but that is not reported.
         """
         device = self._arm_device
 
         async def stop() -> None:
             await device.stop()
-            told()
+            on_stopped()
 
         self.arm.command(stop if self.arm.health.ready else device.stop)
 
@@ -156,7 +163,7 @@ class Service:
             async with asyncio.TaskGroup() as group:
                 for name, device in self.devices.items():
                     group.create_task(device.run(), name=name)
-                group.create_task(self._decide(), name="decide")
+                group.create_task(self._run_loop(), name="loop")
         finally:
             notify_systemd("STOPPING=1")
             self.close()
@@ -164,11 +171,11 @@ class Service:
                 waiting[1].set_exception(CommandRefused(f"{waiting[0].kind}: slipguard is stopping"))
 
     def close(self) -> None:
-        """Let go of the workers' threads; `run` does so at its end."""
+        """End the workers' threads; `run` does so at its end."""
         for worker in self._workers.values():
             worker.close()
 
-    async def _decide(self) -> None:
+    async def _run_loop(self) -> None:
         loop = asyncio.get_running_loop()
         ticker = Ticker(self.config.loop.period_ms / 1e3)
         feed_every_s = watchdog_period_s()
@@ -178,62 +185,37 @@ class Service:
             await ticker.wait(self._wake)
             self._wake.clear()
             self.deadlines_missed = ticker.missed
-            self._rotation(loop.time())
+            self._run_cycle(loop.time())
             if feed_every_s is not None and loop.time() >= feed_at_s:
                 notify_systemd("WATCHDOG=1")
                 feed_at_s = loop.time() + feed_every_s
 
-    def _rotation(self, now_s: float) -> None:
-        """Gather, ask the law, hand commands on, tell observers."""
-        request, answer = self._next_request() or (ControlRequest(), None)
+    def _run_cycle(self, now_s: float) -> None:
+        """Gather an observation, compute the control step, issue the command, publish the decision."""
+        request, response = self._next_request() or (ControlRequest(), None)
         fresh, observation = self._gather(now_s, request)
-        before = self._guard
-        self._guard, command = self._controller(before, observation, self.config.guard)
+        new = self._take_new_estimates()
+        before = self._memory
+        self._memory, command = self._controller(before, observation, self.config.guard)
         self.observation = observation
-        news = self._news()
-        self._issue(command, max((one.received_at_s for one in news.values()), default=now_s))
-        done_s = asyncio.get_running_loop().time()
-        found_needless = tuple(done_s - one.received_at_s for one in news.values())
-        decision = Decision(
-            now_s,
-            self.phase,
-            observation,
-            command,
-            before,
-            fresh,
-            {name: one.estimate for name, one in news.items()},
-            found_needless if command.hold_force_n is None else (),
-        )
-        self._tell(before.grasp.phase, command, answer)
-        self._device_alerts.update(
-            now_s, find_problems(observation, self.devices), self.phase, self.config.guard.tuning.cycle_timeout_s
-        )
-        for observer in self.observers:
-            observer(decision)
+        self._issue(command, max((one.received_at_s for one in new.values()), default=now_s))
+        self._respond(command, response)
+        self._publish(before, command, fresh, new)
 
     def _next_request(self) -> tuple[ControlRequest, asyncio.Future[str]] | None:
-        """The oldest that somebody still waits for: a wish given up must not come true later."""
+        """Return the oldest request whose caller still waits; one that was given up is not carried out later."""
         while not self._requests.empty():
-            request, answer = self._requests.get_nowait()
-            if not answer.done():
-                return request, answer
+            request, response = self._requests.get_nowait()
+            if not response.done():
+                return request, response
         return None
 
     def _gather(self, now_s: float, request: ControlRequest) -> tuple[dict[str, Estimate | None], Observation]:
-        """What speaks for each finger, and all that the law is told."""
+        """Return each finger's fresh estimate and the controller's observation."""
+        health: dict[str, FingerHealth] = {}
         fresh: dict[str, Estimate | None] = {}
-        health = {}
         for name, finger in self.fingers.items():
-            newest = finger.newest
-            age_s = now_s - finger.captured_at_s if finger.captured_at_s is not None else float("inf")
-            if finger.health.state == "disconnected":
-                condition = Condition.LOST
-            elif not -STALE_S <= age_s <= STALE_S:
-                condition = Condition.STALE
-            else:
-                condition = Condition.FRESH
-            fresh[name] = newest.estimate if newest is not None and condition is Condition.FRESH else None
-            health[name] = FingerHealth(condition, age_s, finger.health.reason)
+            health[name], fresh[name] = finger.observe(now_s)
         return fresh, Observation(
             now_s=now_s,
             fused=fuse(fresh["left"], fresh["right"]),
@@ -245,15 +227,15 @@ class Service:
             gripper_limits_n=self._gripper_device.force_limits_n,
         )
 
-    def _news(self) -> dict[str, TimedEstimate]:
-        """Answers that this turn of the loop was the first to use."""
-        news = {}
+    def _take_new_estimates(self) -> dict[str, TimedEstimate]:
+        """Return by finger the estimates that this cycle is the first to use."""
+        new = {}
         for name, finger in self.fingers.items():
             newest = finger.newest
-            if newest is not None and newest is not self._decided_on[name]:
-                news[name] = newest
-            self._decided_on[name] = newest
-        return news
+            if newest is not None and newest is not self._used[name]:
+                new[name] = newest
+            self._used[name] = newest
+        return new
 
     def _issue(self, command: Command, received_at_s: float) -> None:
         gripper, arm = self._gripper_device, self._arm_device
@@ -265,7 +247,7 @@ class Service:
 
         if command.release_width_mm is not None:
             width_mm = command.release_width_mm
-            self.gripper.command(lambda: gripper.release(width_mm), firm=True)
+            self.gripper.command(lambda: gripper.release(width_mm), urgent=True)
         elif command.halt:
             self.gripper.command(gripper.halt)
         elif command.hold_force_n is not None:
@@ -283,18 +265,45 @@ class Service:
             for finger in self.fingers.values():
                 finger.reset_reference()
 
-    def _tell(self, before: Phase, command: Command, answer: asyncio.Future[str] | None) -> None:
+    def _respond(self, command: Command, response: asyncio.Future[str] | None) -> None:
+        """Give the caller of a request its response."""
+        if response is None or response.done():
+            return
+        if command.refused is not None:
+            response.set_exception(CommandRefused(command.refused))
+        else:
+            response.set_result(command.say or self.phase.value)
+
+    def _publish(
+        self,
+        before: ControlState,
+        command: Command,
+        fresh: Mapping[str, Estimate | None],
+        new: Mapping[str, TimedEstimate],
+    ) -> None:
+        """Log what has changed, and pass the decision to the observers."""
+        assert self.observation is not None
+        now_s, done_s = self.observation.now_s, asyncio.get_running_loop().time()
+        latencies_s = tuple(done_s - one.received_at_s for one in new.values())
         if command.say is not None:
             (self.event_log.warning if command.warn else self.event_log.info)(command.say)
         if command.fault is not None and command.fault != self._last_fault:
             self.event_log.fault(command.fault.code.value, command.fault.observed, command.fault.what_to_do)
         self._last_fault = command.fault
-        if self.phase is not before:
-            log.info("phase", now=self.phase.value, before=before.value)
+        if self.phase is not before.grasp.phase:
+            log.info("phase", now=self.phase.value, before=before.grasp.phase.value)
             notify_systemd(f"STATUS={self.phase.value}")
-        if answer is None or answer.done():
-            return
-        if command.refused is not None:
-            answer.set_exception(CommandRefused(command.refused))
-        else:
-            answer.set_result(command.say or self.phase.value)
+        problems = find_problems(self.observation, self.devices)
+        self._device_alerts.update(now_s, problems, self.phase, self.config.guard.tuning.cycle_timeout_s)
+        decision = Decision(
+            now_s,
+            self.phase,
+            self.observation,
+            command,
+            before,
+            fresh,
+            {name: one.estimate for name, one in new.items()},
+            latencies_s if command.hold_force_n is None else (),
+        )
+        for observer in self.observers:
+            observer(decision)

@@ -44,7 +44,7 @@ class Operator:
             await self._accepted(ClearRequest())
         elif phase is Phase.IDLE and not self._grasped:
             self._grasped = await self._accepted(GraspRequest())
-        elif phase is Phase.HOLDING and cell.service.firm:
+        elif phase is Phase.HOLDING and cell.service.ready_to_lift:
             await self._proceed()
 
     async def _proceed(self) -> None:

@@ -116,7 +116,7 @@ class WorkShift:
     async def _carry(self, name: str) -> None:
         service, handlers = self._service, self._handlers
         await handlers.submit(GraspRequest())
-        await self._until(lambda: service.firm or self._over(), STEP_S, f"{name}: not gripped")
+        await self._until(lambda: service.ready_to_lift or self._over(), STEP_S, f"{name}: not gripped")
         if self._over():
             return
         await handlers.submit(LiftRequest())
@@ -125,7 +125,7 @@ class WorkShift:
         await asyncio.sleep(UNDISTURBED_HOLD_S if self._undisturbed else self._random.uniform(*HOLD_S))
         if not self._undisturbed and self._random.random() < HELD_FAULT_SHARE:
             await self._fault(*self._random.choice(HELD_FAULTS))
-        await self._until(lambda: service.firm or self._over(), STEP_S, f"{name}: not settled")
+        await self._until(lambda: service.ready_to_lift or self._over(), STEP_S, f"{name}: not settled")
         if service.phase is Phase.HOLDING:
             await handlers.submit(LowerRequest())
             await self._until(lambda: service.phase is not Phase.LOWERING, STEP_S, f"{name}: the lowering does not end")

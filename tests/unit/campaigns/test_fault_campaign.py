@@ -108,7 +108,7 @@ def test_it_detects_a_crash(monkeypatch: pytest.MonkeyPatch) -> None:
     def breaks(self: Service, now_s: float) -> None:
         raise ZeroDivisionError("of all things")
 
-    monkeypatch.setattr(Service, "_rotation", breaks)
+    monkeypatch.setattr(Service, "_run_cycle", breaks)
     result = with_plans(monkeypatch, ("left.corrupt", 4.0, np.inf))
     assert any("of all things" in crash for crash in result.crashes)
 

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 import pytest
 import structlog
 
-from slipguard.daemon.logging import KINDS_MAX, OncePerSecond, configure, set_level
-from slipguard.daemon.loop import event_log as journals
-from slipguard.daemon.loop.event_log import EventLog
+from slipguard.daemon.log_setup import configure, set_level
+from slipguard.daemon.loop import event_log as event_log_module
+from slipguard.daemon.loop.event_log import KINDS_MAX, EventLog, OncePerSecond
 
 
 @pytest.fixture(autouse=True)
@@ -85,7 +85,7 @@ def test_of_lines_that_differ_in_figures_one_a_second_is_logged_and_all_are_told
 ) -> None:
     stream, told, now_s = io.StringIO(), list[str](), 0.0
     monkeypatch.setattr(sys, "stderr", stream)
-    monkeypatch.setattr(journals, "_now_s", lambda: now_s)
+    monkeypatch.setattr(event_log_module, "_now_s", lambda: now_s)
     configure()
     event_log = EventLog()
     event_log.listeners.append(lambda event: told.append(event.line))
@@ -101,7 +101,7 @@ def test_of_lines_that_differ_in_figures_one_a_second_is_logged_and_all_are_told
         "something else",
         "left: its newest frame is 200.5 ms old",
     ]
-    assert lines[1]["alike_before"] == 99
+    assert lines[1]["similar_held_back"] == 99
     assert len(told) == 251
 
 
