@@ -143,7 +143,7 @@ def test_a_file_that_cannot_be_read_changes_nothing(failure: Exception) -> None:
         before = cell.service.config
         assert not await reloader(cell, read).reload()
         assert cell.service.config is before
-        assert "the old one stays in full: " in cell.service.event_log.lines[-1]
+        assert "the old one stays in use: " in cell.service.event_log.lines[-1]
         assert cell.phase is Phase.IDLE
 
     play(Cell(), scene)

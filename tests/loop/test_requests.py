@@ -87,7 +87,7 @@ def test_a_loop_that_does_not_answer_is_said_in_time_and_the_wish_does_not_come_
         rotation = cell.service._run_cycle
         cell.service._run_cycle = lambda now_s: None  # type: ignore[method-assign]
         asked_s = cell.now_s
-        with pytest.raises(CommandRefused, match="grasp: the loop did not answer within 2 s"):
+        with pytest.raises(CommandRefused, match="grasp: the loop did not respond within 2 s"):
             await cell.service.request(ControlRequest(RequestKind.GRASP))
         assert cell.now_s - asked_s == pytest.approx(2.0, abs=0.02)
         cell.service._run_cycle = rotation  # type: ignore[method-assign]

@@ -16,7 +16,7 @@ import numpy as np
 
 from slipguard.control.finger_fusion import fuse
 from slipguard.control.messages import ArmLift, Command, Condition, ControlRequest, FingerHealth, Observation
-from slipguard.daemon.loop.service import STALE_S
+from slipguard.daemon.loop.finger import STALE_S
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.world import World, WorldTruth

@@ -84,7 +84,7 @@ async def test_a_restart_goes_on_with_the_reference_and_says_so(tmp_path: Path) 
     new.sees(15.0)
     await settled(keeper, decision(Phase.REFERENCE), decision(Phase.HOLDING))
     assert new.newest.estimate.angle_deg == pytest.approx(15.0, abs=0.5)  # type: ignore[attr-defined]
-    assert said == ["left finger: goes on with the reference of before the restart"]
+    assert said == ["left finger: continues with the reference from before the restart"]
     assert json.loads((tmp_path / "left.json").read_text())["rotation_deg"] == pytest.approx(15.0, abs=0.5)
 
     await settled(keeper, decision(Phase.IDLE, holding=False))
@@ -100,7 +100,7 @@ async def test_what_does_not_match_is_said_with_the_turn_it_counts_from(tmp_path
     finger.sees(0.0, 20)
     await settled(keeper, decision(Phase.HOLDING), decision(Phase.HOLDING))
     assert len(said) == 1
-    assert "a new reference, counted from 12°" in said[0]
+    assert "continues from 12° with a new reference" in said[0]
     written = json.loads((tmp_path / "left.json").read_text())
     assert (written["rotation_deg"], written["earlier_rotation_deg"]) == (pytest.approx(0.0, abs=0.5), 12.0)
 
@@ -115,7 +115,7 @@ async def test_a_full_disk_is_said_once(tmp_path: Path) -> None:
     keeper = ReferenceSaver(Full(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
     finger.sees(0.0)
     await settled(keeper, *[decision(Phase.HOLDING)] * 4)
-    assert said == ["the references could not be saved for a restart: No space left on device"]
+    assert said == ["the references could not be saved for a restart: No space left on device; check the disk"]
 
 
 async def test_a_disk_that_is_mended_takes_the_references_again(
@@ -138,12 +138,12 @@ async def test_a_disk_that_is_mended_takes_the_references_again(
     await settled(keeper, *[decision(Phase.HOLDING)] * 2)
     assert disk["writes"] == 1, "not at once again"
     disk["full"] = False
-    keeper._disk._again_at_s = 0.0  # the pause is over
+    keeper._disk._retry_at_s = 0.0  # the pause is over
     await settled(keeper, *[decision(Phase.HOLDING)] * 4)
     known = ReferenceStore(tmp_path).load("left", "D1")
     assert known is not None
     assert said == [
-        "the references could not be saved for a restart: No space left on device",
+        "the references could not be saved for a restart: No space left on device; check the disk",
         "the references can be saved for a restart again",
     ]
     disk["full"] = True
@@ -155,7 +155,7 @@ def test_a_turn_never_goes_with_the_picture_of_another_reference(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shelf = ReferenceStore(tmp_path)
-    shelf.rotation("left", "D1", StoredReference(IMAGE, 7.0))  # never saved before: as if it were
+    shelf.save_rotation("left", "D1", StoredReference(IMAGE, 7.0))  # never saved before: as if it were
     new = StoredReference(IMAGE[::-1].copy(), 0.0)
     with monkeypatch.context() as failing:
         failing.setattr("slipguard.daemon.store.last_reference.write_whole", fails)
@@ -164,7 +164,7 @@ def test_a_turn_never_goes_with_the_picture_of_another_reference(
     old = ReferenceStore(tmp_path).load("left", "D1")
     assert old is not None
     assert (old.rotation_deg, np.array_equal(old.image, IMAGE)) == (7.0, True)
-    shelf.rotation("left", "D1", new)
+    shelf.save_rotation("left", "D1", new)
     known = ReferenceStore(tmp_path).load("left", "D1")
     assert known is not None
     assert (known.rotation_deg, np.array_equal(known.image, new.image)) == (0.0, True)

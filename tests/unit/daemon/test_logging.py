@@ -121,4 +121,4 @@ def test_what_is_remembered_is_bounded() -> None:
         kind = "".join(chr(ord("a") + int(digit)) for digit in str(number))
         assert limit.admit(kind, number * 0.1) == 0
     assert len(limit._until_s) <= KINDS_MAX
-    assert limit._held == {}
+    assert limit._held_back == {}
