@@ -70,7 +70,7 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(sensor, "FIRST_S", 4.0)
     monkeypatch.setattr(sensor, "SETTLE_S", 0.2)
     monkeypatch.setattr(gripper, "QUESTIONS", 20)
-    monkeypatch.setattr(arm_look, "LOOK_S", 0.3)
+    monkeypatch.setattr(arm_look, "MEASURE_S", 0.3)
     yield
     structlog.reset_defaults()
 
@@ -143,7 +143,7 @@ def test_all_present(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     assert "p99" in told.line("gripper", "round trip")
     assert "FTDI" in told.line("gripper", "adapter")
     assert told.line("gripper", "condition") == "ok: activated, at rest, 85 mm open -> "
-    assert "of 125 asked for" in told.line("arm", "RTDE rate")
+    assert "125 requested" in told.line("arm", "RTDE rate")
     assert told.line("arm", "stops") == "ok: none active -> "
     assert "none runs" in told.line("daemon", "daemon")
     assert not there.events("let go")
@@ -236,7 +236,7 @@ def test_gripper_without_power(there: Cell, capfd: pytest.CaptureFixture[str]) -
             ("arm.protective_stop", "stops"): "protective",
         },
         {("left.frozen", "frames"): "same picture", ("arm.emergency_stop", "stops"): "emergency"},
-        {("arm.local", "control"): "local: the robot will not take scripts"},
+        {("arm.local", "control"): "local: the robot refuses scripts"},
         {("arm.freeze", "controller"): "sends no RTDE data"},
         {("arm.silence", "controller"): "does not answer"},
     ],

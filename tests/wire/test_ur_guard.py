@@ -16,7 +16,7 @@ from slipguard.daemon.loop.actuator import Actuator
 from slipguard.devices import ArmState
 from slipguard.errors import CommandRefused, DeviceLost
 from slipguard_drivers.ur5.dashboard import DashboardClient
-from slipguard_drivers.ur5.diagnostics import ask
+from slipguard_drivers.ur5.diagnostics import check_dashboard
 from slipguard_drivers.ur5.guard_mode import GuardModeArm
 from slipguard_drivers.ur5.settings import Ur5Settings
 from slipguard_emulators.ur5.emulator import UrEmulator
@@ -193,14 +193,14 @@ async def test_a_stop_needs_no_rtde(controller: UrEmulator) -> None:
     assert await rests(controller, 1.0)
     assert disturbances(controller) == ["paused"]
     assert await until(lambda: said)
-    assert "told to stop all the same" in said[0]
+    assert "the stop was sent all the same" in said[0]
     running.cancel()
     with contextlib.suppress(asyncio.CancelledError):
         await running
 
 
 async def test_a_stop_needs_no_open(controller: UrEmulator) -> None:
-    with pytest.raises(DeviceLost, match=r"not open.* told to stop all the same"):
+    with pytest.raises(DeviceLost, match=r"not open.* the stop was sent all the same"):
         await pausing().stop()
     assert disturbances(controller) == ["paused"]
 
@@ -281,7 +281,7 @@ async def test_local_control_is_told_for_it_would_not_heed_a_pause() -> None:
 
 
 async def test_lift_mode_beside_a_running_program_would_not_even_start(controller: UrEmulator) -> None:
-    with pytest.raises(DeviceLost, match="a program is on"):
+    with pytest.raises(DeviceLost, match="a program is running or paused"):
         await lifting(HOST).open()
     await put_away()
     assert disturbances(controller) == []
@@ -293,7 +293,9 @@ async def test_lift_mode_beside_a_running_program_would_not_even_start(controlle
 async def test_the_doctor_says_so_too(controller: UrEmulator, press: str, owned: bool, level: str) -> None:
     controller.control(f"panel {press}")
     dashboard = DashboardClient("arm", HOST)
-    results = [result async for result in ask("arm", dashboard, Ur5Settings(host=HOST), "lift", owned=owned)]
+    results = [
+        result async for result in check_dashboard("arm", dashboard, Ur5Settings(host=HOST), "lift", owned=owned)
+    ]
     dashboard.close()
     assert [result.status.name.lower() for result in results if result.check == "program"] == [level]
     assert disturbances(controller) == (["paused"] if press == "pause" else [])

@@ -49,7 +49,7 @@ def dashboard_orders(controller: UrEmulator) -> list[object]:
 
 def saw_no_program(arm: LiftModeArm) -> bool:
     """Whether the driver has received that no program runs. No person starts one within the 8 ms of a packet."""
-    return arm._monitor.stopped_at_s > arm._taken_at_s
+    return arm._monitor.stopped_at_s > arm._connected_at_s
 
 
 async def test_the_watchdog_is_armed_before_anything_moves(controller: UrEmulator, arm: LiftModeArm) -> None:
@@ -77,7 +77,7 @@ async def test_a_stop_during_the_wait_prevents_the_new_motion(controller: UrEmul
     await under_way(arm, controller)
     stopping: list[asyncio.Future[None]] = []
     controller._report = lambda event: stopping or stopping.append(asyncio.ensure_future(arm.stop()))
-    with pytest.raises(CommandRefused, match="stopped meanwhile"):
+    with pytest.raises(CommandRefused, match="stopped during the command"):
         await arm.lift(50.0, 100.0)
     await stopping[0]
     assert told(controller).count("movel in a thread") == 1
@@ -130,7 +130,7 @@ async def test_a_stop_of_a_lost_arm_goes_to_the_dashboard(controller: UrEmulator
     await lost(arm)
     await asyncio.sleep(0.1)
     orders = len(dashboard_orders(controller))
-    with pytest.raises(DeviceLost, match="told over the dashboard to stop"):
+    with pytest.raises(DeviceLost, match="a stop was sent to the dashboard"):
         await arm.stop()
     assert len(dashboard_orders(controller)) == orders + 1
 
@@ -153,7 +153,7 @@ async def test_what_starts_after_our_script_has_ended_is_somebody_elses(
     assert await until(lambda: controller.state()["runtime"] == "stopped")
     assert await until(lambda: saw_no_program(arm))
     controller.control("panel play")
-    assert "a program is on" in await refusal(arm, "a program is on")
+    assert "a program is running or paused" in await refusal(arm, "a program is running or paused")
     with pytest.raises(DeviceLost):
         await arm.stop()
     assert controller.state()["runtime"] == "playing"
@@ -173,13 +173,13 @@ async def test_what_ur_rtde_tells_is_held_against_what_is_seen(
 ) -> None:
     call = arm._worker.call
 
-    async def blind(request: str, *arguments: object, deadline_s: float) -> object:
-        answer = await call(request, *arguments, deadline_s=deadline_s)
-        return answer | {"travelling": False} if request == "beat" else answer
+    async def blind(request: str, *arguments: object, timeout_s: float) -> object:
+        answer = await call(request, *arguments, timeout_s=timeout_s)
+        return answer | {"moving": False} if request == "beat" else answer
 
     monkeypatch.setattr(arm._worker, "call", blind)
     await under_way(arm, controller)
-    assert "ur-rtde has not seen it" in await lost(arm)
+    assert "ur-rtde reports the opposite" in await lost(arm)
     assert await rests(controller)
 
 
@@ -199,7 +199,7 @@ async def test_a_stop_at_the_panel_gives_the_arm_away(controller: UrEmulator, ar
     assert await until(lambda: saw_no_program(arm))
     controller.control("panel play")
     assert "script" in await lost(arm)
-    words = "a program is on (PLAYING shuttle.urp)"
+    words = "a program is running or paused (PLAYING shuttle.urp)"
     assert words in await refusal(arm, words)
     await arm.close()
     assert dashboard_orders(controller) == orders, "what runs now is somebody else's"
@@ -220,7 +220,7 @@ async def test_a_program_of_somebody_else_is_not_ended(controller: UrEmulator, p
 
 async def test_the_script_of_a_killed_daemon_ends_by_its_watchdog(controller: UrEmulator, arm: LiftModeArm) -> None:
     newcomer = lifting(HOST)
-    assert "a program is on" in await refusal(newcomer, "a program is on")
+    assert "a program is running or paused" in await refusal(newcomer, "a program is running or paused")
     await under_way(arm, controller)
     assert arm._worker.pid is not None
     os.kill(arm._worker.pid, signal.SIGKILL)
@@ -256,7 +256,7 @@ async def test_what_prevents_it_is_said_before_anything_is_touched(
 
 async def test_registers_that_somebody_holds_can_be_kept_clear_of(controller: UrEmulator) -> None:
     other = await RtdeConnection.connect("other", HOST)
-    await other.inputs(["input_int_register_0"])
+    await other.claim_inputs(["input_int_register_0"])
     arm = lifting(HOST)
     assert 'registers = "upper"' in await refusal(arm, 'registers = "upper"')
     arm = lifting(HOST, registers="upper")

@@ -9,7 +9,7 @@ import sys
 
 from ur_scene import own_address
 
-HURRIED = "import slipguard_drivers.ur5.motion_worker as worker; worker.LONGEST_CALL_S = 1; worker.main()"
+HURRIED = "import slipguard_drivers.ur5.motion_worker as worker; worker.CALL_MAX_S = 1; worker.main()"
 RTDE_PORT = 30004
 
 

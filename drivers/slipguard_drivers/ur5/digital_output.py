@@ -1,7 +1,7 @@
 """A pulse on one of the robot's standard digital outputs, over RTDE.
 
-The output is taken for the length of the pulse only: RTDE gives it to one client at a time, and a program that is
-started later, such as a ROS driver, must find it free. No script is uploaded and no register is touched.
+The output is claimed only while the pulse lasts: RTDE gives it to one client at a time, and a program that is started
+later, such as a ROS driver, must find it free. No script is uploaded and no register is written.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ INPUTS = ("standard_digital_output_mask", "standard_digital_output")
 OUTPUTS = (("actual_digital_output_bits", "UINT64"),)
 LAYOUT = struct.Struct(">Q")
 RATE_HZ = 125.0
-SEEN_S = 0.3
+REPORT_TIMEOUT_S = 0.3
 
 
 class DigitalOutput:
@@ -26,49 +26,57 @@ class DigitalOutput:
     def __init__(self, name: str, host: str, number: int, pulse_s: float) -> None:
         self._name, self._host, self._number, self._pulse_s = name, host, number, pulse_s
         self._pulse: asyncio.Task[None] | None = None
-        self._enough = asyncio.Event()
-        self.left_high: str | None = None
-        """In words, that a pulse could not be ended; None where there is nothing to tell."""
+        self._end_now = asyncio.Event()
+        self._left_high: str | None = None
 
     async def check(self) -> None:
-        """Whether it could be set now. Raises CommandRefused naming who may hold it, or DeviceLost."""
-        connection, _ = await self._take()
+        """Raise CommandRefused if another client holds the output, or DeviceLost."""
+        connection, _ = await self._claim()
         connection.close()
 
     async def pulse(self) -> None:
-        """Set it high, and low again after the pulse; returns when the controller reports it high.
+        """Set the output high, and low again after the pulse; return when the controller reports it high.
 
-        Within a pulse nothing more happens. Raises as `check`, CommandRefused where it is high already, which no
-        program would take for a new order, and DeviceLost where it does not become high or is not told.
+        Does nothing during a pulse.
+
+        Raises:
+            CommandRefused: if another client holds it, or if it is high already, so that a pulse has no effect.
+            DeviceLost: if the controller does not report it high.
         """
         if self._pulse is not None and not self._pulse.done():
             return
-        connection, recipe = await self._take()
+        connection, recipe = await self._claim()
         try:
             if await self._is_high(connection):
                 raise CommandRefused(
-                    f"{self._name}: digital output {self._number} is high already, and a pulse on it would not be "
-                    "noticed; see what holds it high"
+                    f"{self._name}: digital output {self._number} is high already, so a pulse has no effect; "
+                    "find the program that holds it high"
                 )
             await self._set(connection, recipe, high=True)
         except BaseException:
             connection.close()
             raise
-        self._enough.clear()
-        self._pulse = asyncio.create_task(self._end(connection, recipe), name=f"{self._name}: output pulse")
+        self._end_now.clear()
+        self._pulse = asyncio.create_task(self._end_pulse(connection, recipe), name=f"{self._name}: output pulse")
+
+    def raise_if_left_high(self) -> None:
+        """Raise DeviceLost, once, if a pulse could not be ended."""
+        if self._left_high is not None:
+            reason, self._left_high = self._left_high, None
+            raise DeviceLost(reason)
 
     async def close(self) -> None:
-        """End a pulse that is on. Never raises."""
+        """End a pulse. Never raises."""
         if self._pulse is not None:
-            self._enough.set()
+            self._end_now.set()
             await asyncio.wait([self._pulse])
             self._pulse = None
 
-    async def _take(self) -> tuple[RtdeConnection, int]:
+    async def _claim(self) -> tuple[RtdeConnection, int]:
         connection = await RtdeConnection.connect(self._name, self._host)
         try:
-            await connection.outputs(OUTPUTS, RATE_HZ)
-            recipe = await connection.inputs(INPUTS)
+            await connection.request_outputs(OUTPUTS, RATE_HZ)
+            recipe = await connection.claim_inputs(INPUTS)
             await connection.start()
         except CommandRefused as error:
             connection.close()
@@ -82,44 +90,48 @@ class DigitalOutput:
         mask = 1 << self._number
         connection.send(recipe, struct.pack(">BB", mask, mask * high))
         try:
-            async with asyncio.timeout(SEEN_S):
-                while await self._told(connection) != high:
+            async with asyncio.timeout(REPORT_TIMEOUT_S):
+                while await self._reported_high(connection) != high:
                     pass
         except TimeoutError:
             raise DeviceLost(
-                f"{self._name}: digital output {self._number} does not become {'high' if high else 'low'}"
+                f"{self._name}: digital output {self._number} does not become {'high' if high else 'low'} within "
+                f"{REPORT_TIMEOUT_S:g} s; check the robot"
             ) from None
 
     async def _is_high(self, connection: RtdeConnection) -> bool:
         try:
-            async with asyncio.timeout(SEEN_S):
-                return await self._told(connection)
+            async with asyncio.timeout(REPORT_TIMEOUT_S):
+                return await self._reported_high(connection)
         except TimeoutError:
-            raise DeviceLost(f"{self._name}: it is not told whether digital output {self._number} is high") from None
+            raise DeviceLost(
+                f"{self._name}: no report of digital output {self._number} within {REPORT_TIMEOUT_S:g} s; check it"
+            ) from None
 
-    async def _told(self, connection: RtdeConnection) -> bool:
-        data = await connection.data()
+    async def _reported_high(self, connection: RtdeConnection) -> bool:
+        data = await connection.receive()
         if len(data) != LAYOUT.size:
-            raise DeviceLost(f"{self._name}: {len(data)} bytes of digital outputs in place of {LAYOUT.size}")
+            raise DeviceLost(
+                f"{self._name}: {len(data)} bytes of digital outputs instead of {LAYOUT.size}; update the controller"
+            )
         return bool(LAYOUT.unpack(data)[0] >> self._number & 1)
 
-    async def _end(self, connection: RtdeConnection, recipe: int) -> None:
+    async def _end_pulse(self, connection: RtdeConnection, recipe: int) -> None:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(self._pulse_s):
-                await self._enough.wait()
+                await self._end_now.wait()
         try:
-            await self._low(connection, recipe)
-        except DeviceError:
-            # What a lost connection has set stays set.
+            await self._set_low(connection, recipe)
+        except DeviceError:  # an output keeps its value when the connection is lost
             try:
-                await self._low(*await self._take())
+                await self._set_low(*await self._claim())
             except (DeviceError, CommandRefused) as error:
-                self.left_high = (
+                self._left_high = (
                     f"{self._name}: digital output {self._number} may still be high after its pulse ({error}); "
                     "set it low at the panel"
                 )
 
-    async def _low(self, connection: RtdeConnection, recipe: int) -> None:
+    async def _set_low(self, connection: RtdeConnection, recipe: int) -> None:
         try:
             await self._set(connection, recipe, high=False)
         finally:

@@ -111,7 +111,7 @@ async def test_inputs_are_taken_and_sent_by_their_recipe(served: tuple[list[byte
     heard, answers = served
     answers[b"\x00\x1cIstandard_digital_output,x"[:2] + b"Istandard_digital_output,x"] = b"\x00\x0fI\x05UINT8,UINT8"
     connection = await RtdeConnection.connect("arm", HOST)
-    recipe = await connection.inputs(["standard_digital_output", "x"])
+    recipe = await connection.claim_inputs(["standard_digital_output", "x"])
     connection.send(recipe, b"\x08\x08")
     await asyncio.sleep(0.02)
     assert heard[-1] == b"\x00\x06U\x05\x08\x08"
@@ -122,12 +122,12 @@ async def test_inputs_are_taken_and_sent_by_their_recipe(served: tuple[list[byte
     ("request_", "answer", "error", "words"),
     [
         (VERSION[0], b"\x00\x04V\x00", DeviceLost, "PolyScope 3.5"),
-        (CONTROLLER[0], b"\x00\x05v\x00\x00", DeviceLost, "is that the robot's address"),
-        (CONTROLLER[0], b"HTTP/1.1 400 Bad Request\r\n", DeviceLost, "no RTDE"),
+        (CONTROLLER[0], b"\x00\x05v\x00\x00", DeviceLost, "check the robot.s address"),
+        (CONTROLLER[0], b"HTTP/1.1 400 Bad Request\r\n", DeviceLost, "does not send RTDE"),
         (RECIPE[0], b"\x00\x31O\x00" + TYPES.replace(b"INT32", b"NOT_FOUND", 1), DeviceLost, "does not offer runtime"),
         (START[0], b"\x00\x04S\x00", DeviceLost, "does not start"),
         (START[0], START[1] + b"\x00\x05U\x01\x00", DeviceLost, "bytes of RTDE data"),
-        (START[0], START[1] + DATA[:4] + b"\x7f\xf8" + DATA[6:], DeviceLost, "no finite pose"),
+        (START[0], START[1] + DATA[:4] + b"\x7f\xf8" + DATA[6:], DeviceLost, "a pose that is not finite"),
     ],
 )
 async def test_what_is_no_good_answer_is_told_in_one_line(
@@ -150,7 +150,7 @@ async def test_an_input_in_use_names_who_may_have_it(served: tuple[list[bytes], 
     served[1][b"\x00\x17Iinput_int_register_0"] = b"\x00\x0aI\x00IN_USE"
     connection = await RtdeConnection.connect("arm", HOST)
     with pytest.raises(CommandRefused, match=r"holds input_int_register_0 .* ROS driver"):
-        await connection.inputs(["input_int_register_0"])
+        await connection.claim_inputs(["input_int_register_0"])
     connection.close()
 
 
@@ -160,7 +160,7 @@ async def test_outputs_of_another_size_are_told_in_one_line(served: tuple[list[b
     recipe = bytes.fromhex("405f400000000000") + b"actual_digital_output_bits"
     answers[struct.pack(">H", 3 + len(recipe)) + b"O" + recipe] = b"\x00\x0aO\x01UINT64"
     answers[struct.pack(">H", 3 + len(names)) + b"I" + names] = b"\x00\x0fI\x01UINT8,UINT8"
-    with pytest.raises(DeviceLost, match="116 bytes of digital outputs in place of 8"):
+    with pytest.raises(DeviceLost, match="116 bytes of digital outputs instead of 8"):
         await DigitalOutput("arm", HOST, 3, 0.1).pulse()
     assert all(request[2:3] != b"U" for request in heard), "nothing is set where it is not known how it stands"
 
