@@ -51,10 +51,10 @@ def calibrate_camera(
 
     Example: `slipguard evaluate calibrate-camera board.mp4 --out camera.json`
     """
-    from slipguard.evaluation.calibrate import calibrate
-    from slipguard.evaluation.video_files import timed_frames
+    from slipguard.evaluation import camera_calibration
+    from slipguard.evaluation.external_camera import timed_frames
 
-    found = calibrate(picture for _, picture in timed_frames(source))
+    found = camera_calibration.calibrate_camera(picture for _, picture in timed_frames(source))
     try:
         out.write_text(found.model_dump_json(indent=1) + "\n")
     except OSError as error:
@@ -77,10 +77,10 @@ def rotation(
 
     Example: `slipguard evaluate turn lift.mp4 --intrinsics camera.json --plot turn.png`
     """
-    from slipguard.evaluation.intrinsics import read_intrinsics
+    from slipguard.evaluation.camera_calibration import read_intrinsics
+    from slipguard.evaluation.external_camera import markers_in
     from slipguard.evaluation.marker_rotation import rotations
-    from slipguard.evaluation.plots import draw_trace
-    from slipguard.evaluation.video_files import markers_in
+    from slipguard.evaluation.report_plots import draw_trace
 
     lens = read_intrinsics(intrinsics)
     seen = list(markers_in(source, lens))
@@ -125,8 +125,8 @@ def run(
     Example: `slipguard evaluate run --sim --out eval/`,
     `slipguard evaluate run --config config.toml --protocol p.toml --camera 4 --intrinsics camera.json --out eval/`
     """
+    from slipguard.evaluation.experiment import prepare, run_simulated
     from slipguard.evaluation.protocol import SIMULATED, read_protocol
-    from slipguard.evaluation.runner import prepare, run_simulated
     from slipguard.tools.parallel import Workers
 
     plan = SIMULATED if protocol is None else read_protocol(protocol)
@@ -163,8 +163,8 @@ def report(
 
 
 def _report(folder: Path, networks: Path | None, workers: Any, json: bool) -> None:
-    from slipguard.evaluation.lift_data import lift_paths
-    from slipguard.evaluation.report import PAGE, write_report
+    from slipguard.evaluation.experiment import PAGE, write_report
+    from slipguard.evaluation.lift_recording import lift_paths
 
     count = len(list(lift_paths(folder)))
     with count_bar("results", count) as progress:
@@ -222,9 +222,9 @@ def _on_cell(
     from slipguard.daemon.run import build_service
     from slipguard.daemon.store.last_grasp import LastGraspSaver
     from slipguard.daemon.store.state_dir import StateDir
+    from slipguard.evaluation.camera_calibration import read_intrinsics
     from slipguard.evaluation.external_camera import ExternalCamera
-    from slipguard.evaluation.intrinsics import read_intrinsics
-    from slipguard.evaluation.on_cell import in_the_daemons_place, run_on_cell
+    from slipguard.evaluation.real_lifts import daemon_socket_held, run_on_cell
 
     if config is None or plan is None or intrinsics is None:
         raise InputError("on a cell --config, --protocol and --intrinsics are needed; or try --sim")
@@ -235,7 +235,7 @@ def _on_cell(
             StateDir(settings.state.directory), service.event_log.info, service.event_log.warning
         ).add_decision
     )
-    with in_the_daemons_place(socket_path(settings)):
+    with daemon_socket_held(socket_path(settings)):
         external = nullcontext() if camera is None else ExternalCamera(camera, lens)
         with external as eye, default_interrupts():
             asyncio.run(run_on_cell(out, plan, service, eye, lens, ask))

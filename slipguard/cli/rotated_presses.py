@@ -27,7 +27,7 @@ def rotated(
     from rich.console import Console
     from rich.table import Table
 
-    from slipguard.evaluation import rotated_presses_report as rotated_report
+    from slipguard.evaluation import rotated_presses as rotated_report
     from slipguard.evaluation.rotated_presses import ROTATION_METHODS
     from slipguard.perception.contact.segmenter import Segmenter
 
@@ -35,7 +35,9 @@ def rotated(
     rows: list[rotated_report.PressStatistics] = []
     for way in ROTATION_METHODS:
         with progress_bar(way) as show:
-            rows += rotated_report.press_statistics(rotated_report.measure(folder, part, way, segmenter, show), way)
+            rows += rotated_report.press_statistics(
+                rotated_report.measure_presses(folder, part, way, segmenter, show), way
+            )
     if json:
         for row in rows:
             print(jsonlib.dumps(asdict(row)))

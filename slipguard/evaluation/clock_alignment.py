@@ -1,4 +1,4 @@
-"""Two clocks, one motion: the lag between the external camera and the tactile stream, from the turns they tell."""
+"""The lag between the clocks of the external camera and the tactile sensors, from the rotations both measure."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ LAG_MAX_S = 0.5
 STEP_S = 0.002
 FINE_S = 1.0
 COARSE_S = 0.03
-"""Ranges above `FINE_S` are searched in these steps first: a camera's frame time."""
+"""Ranges above `FINE_S` are searched in these steps first: about a camera's frame period."""
 MOTION_MIN_DEG = 2.0
-"""Less motion than this and any lag fits."""
+"""With less motion any lag fits."""
 OVERLAP_MIN = 0.5
 GAP_FRAMES = 2.5
-"""Pictures further apart than this many usual steps have a gap between them."""
+"""Images further apart than this many median periods have a gap between them."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockLag:
-    """lag_s: by how much the camera's times are late against the tactile ones. sigma_s: how well that is known.
+    """lag_s: delay of the camera's times relative to the tactile ones. sigma_s: its standard deviation.
 
-    why: where it cannot be told, then lag_s is 0 and sigma_s the whole range.
+    why: reason if the lag cannot be determined; then lag_s is 0 and sigma_s the whole range.
     """
 
     lag_s: float
@@ -35,23 +35,26 @@ class ClockLag:
 def find_lag(
     camera_s: Array, camera_deg: Array, tactile_s: Array, tactile_deg: Array, lag_max_s: float = LAG_MAX_S
 ) -> ClockLag:
-    """The lag at which both turns differ least, up to a constant: the two zeros are not the same moment's.
+    """Return the lag at which both rotations differ least, up to a constant offset.
 
-    Times (n,) and (m,) in seconds, increasing; turns in degrees, of the same sign.
+    Args:
+        camera_s, tactile_s: times (n,) and (m,), increasing.
+        camera_deg, tactile_deg: rotations of the same sign.
+        lag_max_s: largest lag considered.
     """
     if min(len(camera_s), len(tactile_s)) < 5:
         return ClockLag(0.0, lag_max_s, "too few frames")
     if np.ptp(camera_deg) < MOTION_MIN_DEG or np.ptp(tactile_deg) < MOTION_MIN_DEG:
-        return ClockLag(0.0, lag_max_s, "hardly any turn")
+        return ClockLag(0.0, lag_max_s, "too little rotation")
     around_s, reach_s = 0.0, lag_max_s
-    while reach_s > FINE_S:  # a film that somebody else started: coarsely first
+    while reach_s > FINE_S:  # a separate video: coarse search first
         lags = around_s + np.arange(-reach_s, reach_s + COARSE_S / 2, COARSE_S)
-        cost = np.array([_spread(camera_s - lag, camera_deg, tactile_s, tactile_deg) for lag in lags])
+        cost = np.array([_difference_variance(camera_s - lag, camera_deg, tactile_s, tactile_deg) for lag in lags])
         if not np.isfinite(cost).any():
             return ClockLag(0.0, lag_max_s, "the two streams do not overlap")
         around_s, reach_s = float(lags[int(np.nanargmin(cost))]), 0.2
     lags = around_s + np.arange(-reach_s, reach_s + STEP_S / 2, STEP_S)
-    cost = np.array([_spread(camera_s - lag, camera_deg, tactile_s, tactile_deg) for lag in lags])
+    cost = np.array([_difference_variance(camera_s - lag, camera_deg, tactile_s, tactile_deg) for lag in lags])
     if not np.isfinite(cost).any():
         return ClockLag(0.0, lag_max_s, "the two streams do not overlap")
     best = int(np.nanargmin(cost))
@@ -62,7 +65,7 @@ def find_lag(
 
 
 def between_frames(time_s: Array, camera_s: Array) -> NDArray[np.bool_]:
-    """Where the camera saw both markers just before and just after: what lies in a gap is not known."""
+    """Return where the camera saw both markers just before and just after, so not in a gap."""
     if len(camera_s) < 2:
         return np.zeros(len(time_s), bool)
     steps = np.diff(camera_s)
@@ -71,8 +74,8 @@ def between_frames(time_s: Array, camera_s: Array) -> NDArray[np.bool_]:
     return np.asarray(inside & (steps[after - 1] <= GAP_FRAMES * np.median(steps)))
 
 
-def _spread(camera_s: Array, camera_deg: Array, tactile_s: Array, tactile_deg: Array) -> float:
-    """Variance of the difference where both streams have something to say; NaN where that is too little."""
+def _difference_variance(camera_s: Array, camera_deg: Array, tactile_s: Array, tactile_deg: Array) -> float:
+    """Return the variance of the difference where both streams have data; NaN if the overlap is too small."""
     inside = between_frames(tactile_s, camera_s)
     if inside.mean() < OVERLAP_MIN:
         return float("nan")
@@ -80,13 +83,13 @@ def _spread(camera_s: Array, camera_deg: Array, tactile_s: Array, tactile_deg: A
 
 
 def _vertex(three: Array) -> float:
-    """Where the parabola through three neighbouring values is lowest, in steps from the middle one."""
-    bend = three[0] - 2.0 * three[1] + three[2]
-    return float(np.clip(0.5 * (three[0] - three[2]) / bend, -1.0, 1.0)) if bend > 0.0 else 0.0
+    """Return the minimum of the parabola through three neighboring values, in steps from the middle one."""
+    curvature = three[0] - 2.0 * three[1] + three[2]
+    return float(np.clip(0.5 * (three[0] - three[2]) / curvature, -1.0, 1.0)) if curvature > 0.0 else 0.0
 
 
 def _sigma(camera_s: Array, camera_deg: Array, tactile_s: Array, tactile_deg: Array, variance: float) -> float:
-    """Noise over slope: the more the turn changes, the better a shift is known."""
+    """Return the noise over the slope: the more the rotation changes, the better the lag is known."""
     inside = between_frames(tactile_s, camera_s)
     rate = np.gradient(np.interp(tactile_s[inside], camera_s, camera_deg), tactile_s[inside])
     power = float(((rate - rate.mean()) ** 2).sum())

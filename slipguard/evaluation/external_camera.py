@@ -1,9 +1,11 @@
-"""The external camera that films the markers on a real cell."""
+"""Images of the external camera that films the markers: live, or from a video, a folder of images, or a recording."""
 
 from __future__ import annotations
 
+import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -11,24 +13,34 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.datasets.mask_scores import read_bgr
 from slipguard.errors import InputError
-from slipguard.evaluation.intrinsics import Intrinsics
+from slipguard.evaluation.camera_calibration import Intrinsics
+from slipguard.evaluation.lift_recording import read_lift
+from slipguard.evaluation.markers import MarkerCorners, MarkerDetector
+from slipguard.recording.ring import SUFFIX
+
+IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm")
+IMAGE_FPS = 30.0
+"""Assumed rate of the images of a folder, which have no time stamps."""
+TimedFrame = tuple[float, NDArray[np.uint8]]
 
 
 class ExternalCamera:
-    """Any camera OpenCV opens, read in a thread of its own; the newest picture wins. Raises InputError."""
+    """A live camera that OpenCV opens, read in its own thread; the newest image wins. Raises InputError."""
 
     def __init__(self, source: str, intrinsics: Intrinsics) -> None:
         self._capture = cv2.VideoCapture(int(source)) if source.isdigit() else cv2.VideoCapture(source)
         self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, intrinsics.width_px)
         self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, intrinsics.height_px)
-        good, picture = self._capture.read()
+        good, image = self._capture.read()
         if not good:
             self._capture.release()
-            raise InputError(f"--camera {source}: gives no picture; `v4l2-ctl --list-devices` names what there is")
-        intrinsics.check_size(picture.shape[1], picture.shape[0], f"--camera {source}")
-        self._taker: Callable[[NDArray[np.uint8]], None] | None = None
-        self._ending = threading.Event()
+            raise InputError(f"--camera {source}: no image; list the cameras with `v4l2-ctl --list-devices`")
+        intrinsics.check_size(image.shape[1], image.shape[0], f"--camera {source}")
+        self._receiver: Callable[[NDArray[np.uint8]], None] | None = None
+        self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._read, name="external camera", daemon=True)
         self.lost = False
 
@@ -39,20 +51,78 @@ class ExternalCamera:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._ending.set()
+        self._stopping.set()
         self._thread.join(2.0)
         self._capture.release()
 
-    def give_to(self, taker: Callable[[NDArray[np.uint8]], None] | None) -> None:
-        """Call `taker` in the camera's thread with every picture from now on."""
-        self._taker = taker
+    def send_to(self, receiver: Callable[[NDArray[np.uint8]], None] | None) -> None:
+        """Call `receiver` in the camera's thread with every image from now on; None stops this."""
+        self._receiver = receiver
 
     def _read(self) -> None:
-        while not self._ending.is_set():
-            good, picture = self._capture.read()
-            taker = self._taker
+        while not self._stopping.is_set():
+            good, image = self._capture.read()
+            receiver = self._receiver
             if not good:
                 self.lost = True
                 return
-            if taker is not None:
-                taker(np.asarray(picture, np.uint8))
+            if receiver is not None:
+                receiver(np.asarray(image, np.uint8))
+
+
+def timed_frames(path: Path) -> Iterator[TimedFrame]:
+    """Yield time in seconds and image (h, w, 3) uint8 BGR, in order. Raises InputError."""
+    if path.is_dir():
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGES)
+        if not files:
+            raise InputError(f"{path}: no images in this folder")
+        for number, file in enumerate(files):
+            yield number / IMAGE_FPS, read_bgr(file)
+    elif path.suffix.lower() == SUFFIX:
+        for one in read_lift(path).camera:
+            yield one.time_s, one.image.pixels()
+    elif path.suffix.lower() in IMAGES:
+        yield 0.0, read_bgr(path)
+    else:
+        yield from _video_frames(path)
+
+
+def _video_frames(path: Path) -> Iterator[TimedFrame]:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # errors are reported here, in one line
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        if not video.isOpened():
+            raise InputError(f"{path}: not a readable video; is it truncated?")
+        fps = video.get(cv2.CAP_PROP_FPS)
+        expected = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+        count, last_s = 0, -1.0
+        while True:
+            good, image = video.read()
+            if not good:
+                break
+            at_s = 1e-3 * video.get(cv2.CAP_PROP_POS_MSEC)
+            if at_s <= last_s:  # some containers carry no times
+                at_s = last_s + 1.0 / (fps if fps > 0.0 else IMAGE_FPS)
+            last_s = at_s
+            count += 1
+            yield at_s, np.asarray(image, np.uint8)
+        if count == 0:
+            raise InputError(f"{path}: no frame can be read; the video is truncated or empty")
+        if expected > 0 and count < 0.9 * expected:
+            raise InputError(f"{path}: truncated after {count} of {expected} frames")
+    finally:
+        video.release()
+
+
+def markers_in(path: Path, intrinsics: Intrinsics, start_s: float = 0.0) -> Iterator[MarkerCorners]:
+    """Yield the markers of every image, times relative to `start_s`.
+
+    Raises InputError also if images and intrinsics differ in size.
+    """
+    detector = MarkerDetector()
+    for time_s, image in timed_frames(path):
+        intrinsics.check_size(image.shape[1], image.shape[0], str(path))
+        yield detector.detect(image, start_s + time_s)

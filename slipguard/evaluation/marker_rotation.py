@@ -1,9 +1,9 @@
-"""How far the object has turned in the gripper, from the two markers that a fixed camera sees.
+"""The object's rotation in the gripper, from two markers in the images of a fixed camera.
 
-One model for a whole lift: the camera stands still and the gripper does not turn, so one orientation of the gripper's
-marker holds for all frames; the object turns about the grasp axis alone, so one fixed rotation takes its marker there
-from the gripper's. Each frame adds two positions and one turn. Gauss-Newton over all of it, with the frames' own
-unknowns eliminated (Schur complement): a small marker's tilt, which one picture does not tell, all of them do.
+One model covers a whole lift: the camera is fixed and the gripper does not rotate, so the orientation of the gripper's
+marker is the same in all frames; the object rotates about the grasp axis only, so its marker's orientation follows from
+one fixed rotation. Each frame adds two positions and one rotation. Gauss-Newton over all frames, with the unknowns of
+the frames eliminated (Schur complement): a small marker's tilt is not observable in one image, but in all together.
 """
 
 from __future__ import annotations
@@ -15,31 +15,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.errors import InputError
-from slipguard.evaluation.intrinsics import Intrinsics
-from slipguard.evaluation.marker_detector import MarkerCorners
+from slipguard.evaluation.camera_calibration import Intrinsics
+from slipguard.evaluation.markers import MarkerCorners
 
 Array = NDArray[np.float64]
 FRAMES_MIN = 5
-"""Fewer frames with both markers do not make a turn."""
+"""Minimum number of frames with both markers."""
 REFERENCE_FRAMES = 10
 STILL_S = 0.3
-"""The object lies still at first; all turns count from the mean of this time."""
+"""The object rests at first; rotations are relative to the mean over this time."""
 CANDIDATES = 24
 ITERATIONS = 12
 STEP = 1e-6
 RMS_MAX_PX = 1.0
-"""Corners are found to 0.03-0.3 px; a model that misses them by more does not hold. Intrinsics that are wrong and still
-pass (a focal length off by half, say) cost some tenths of a degree."""
+"""Corners are accurate to 0.03-0.3 px; a larger residual contradicts the model. Wrong intrinsics that still pass
+(say, a focal length off by half) cost some tenths of a degree."""
 OUTLIER_RMS = 4.0
 CORNER_SIGMA_MIN_PX = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class RotationTrace:
-    """Turns in degrees, counter-clockwise for the camera, zero at the start (mean of the first 0.3 s).
+    """Rotations in degrees, counter-clockwise for the camera, zero at the start (mean of the first 0.3 s).
 
-    time_s, rotation_deg, sigma_deg: (n,), frames in which both markers were seen well. gaps: how many were not.
-    rms_px: mean distance of model and corners.
+    Attributes:
+        time_s, rotation_deg, sigma_deg: (n,), frames in which both markers were found.
+        gaps: number of other frames.
+        rms_px: reprojection error of the corners.
     """
 
     time_s: Array
@@ -49,17 +51,21 @@ class RotationTrace:
     rms_px: float
 
 
-def rotations(sightings: list[MarkerCorners], intrinsics: Intrinsics, side_mm: float) -> RotationTrace:
-    """The turn in every frame that shows both markers; side_mm: of their black squares.
+def rotations(frames: list[MarkerCorners], intrinsics: Intrinsics, side_mm: float) -> RotationTrace:
+    """Return the rotation in every frame that shows both markers.
 
-    Raises InputError where too few frames do, or where no rigid motion about one axis explains the corners.
+    Args:
+        side_mm: side of the markers' black squares.
+
+    Raises:
+        InputError: too few frames show both, or no rigid motion about one axis explains the corners.
     """
     both = [
         (one.time_s, np.stack([one.gripper_px, one.object_px]))
-        for one in sightings
+        for one in frames
         if one.gripper_px is not None and one.object_px is not None
     ]
-    _check_seen(sightings, len(both))
+    _check_found(frames, len(both))
     corners = np.stack([seen for _, seen in both]).astype(np.float64)  # (n, 2, 4, 2)
     rays = intrinsics.rays(corners.reshape(-1, 2)).reshape(corners.shape)
     model = _Model(rays, intrinsics.focal_px, _square(side_mm))
@@ -71,9 +77,9 @@ def rotations(sightings: list[MarkerCorners], intrinsics: Intrinsics, side_mm: f
     rms_px = float(np.sqrt((fit.residual_px**2).mean()))
     if rms_px > RMS_MAX_PX:
         raise InputError(
-            f"the markers move as no rigid gripper and object would (corners are off by {rms_px:.1f} px on average, "
-            f"at most {RMS_MAX_PX:g}): check that the intrinsics are this camera's, that it stands still, and that "
-            "both markers are flat"
+            f"the markers do not move like a rigid gripper and object (corners {rms_px:.1f} px rms off, limit "
+            f"{RMS_MAX_PX:g}): check that the intrinsics are this camera's, that it does not move, and that both "
+            "markers are flat"
         )
     angle = np.degrees(np.unwrap(fit.rotation_rad))
     sigma = np.degrees(fit.sigma_rad)
@@ -81,28 +87,28 @@ def rotations(sightings: list[MarkerCorners], intrinsics: Intrinsics, side_mm: f
     still = time_s <= time_s[0] + STILL_S
     start_sigma = float(np.sqrt((sigma[still] ** 2).mean() / still.sum()))
     return RotationTrace(
-        time_s, angle - angle[still].mean(), np.hypot(sigma, start_sigma), len(sightings) - len(time_s), rms_px
+        time_s, angle - angle[still].mean(), np.hypot(sigma, start_sigma), len(frames) - len(time_s), rms_px
     )
 
 
-def _check_seen(sightings: list[MarkerCorners], both: int) -> None:
+def _check_found(frames: list[MarkerCorners], both: int) -> None:
     if both >= FRAMES_MIN:
         return
-    total = len(sightings)
-    gripper = sum(one.gripper_px is not None for one in sightings)
-    thing = sum(one.object_px is not None for one in sightings)
+    total = len(frames)
+    gripper = sum(one.gripper_px is not None for one in frames)
+    thing = sum(one.object_px is not None for one in frames)
     if gripper == 0 and thing == 0:
-        raise InputError(f"no marker was seen in {total} pictures; print them with `slipguard evaluate markers`")
+        raise InputError(f"no marker was found in {total} images; print them with `slipguard evaluate markers`")
     if gripper == 0 or thing == 0:
         missing, number = ("gripper", 0) if gripper == 0 else ("object", 1)
         raise InputError(
-            f"the marker of the {missing} (id {number}) was never seen in {total} pictures; both are needed"
+            f"the marker of the {missing} (id {number}) was not found in any of {total} images; both are needed"
         )
-    raise InputError(f"both markers were seen together in {both} of {total} pictures; at least {FRAMES_MIN} are needed")
+    raise InputError(f"both markers were found together in {both} of {total} images; at least {FRAMES_MIN} are needed")
 
 
 def _square(side_mm: float) -> Array:
-    """(4, 3) corners in the marker's frame, in the detector's order: clockwise from upper left; y up, z outwards."""
+    """Return (4, 3) corners in the marker's frame, clockwise from upper left like the detector's; y up, z outwards."""
     half = side_mm / 2.0
     return np.array([[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]])
 
@@ -115,7 +121,7 @@ class _Fit:
 
 
 class _Model:
-    """rays: (n, 2, 4, 2) normalised image points of gripper's and object's corners."""
+    """The model of one lift. rays: (n, 2, 4, 2) normalized image points of the gripper's and the object's corners."""
 
     def __init__(self, rays: Array, focal_px: float, square: Array) -> None:
         self.rays, self.focal_px, self.square = rays, focal_px, square
@@ -151,7 +157,7 @@ class _Model:
         return _Fit(local[:, 0], sigma, residual)
 
     def _residual(self, gripper: Array, fixed: Array, small: Array, local: Array) -> Array:
-        """(n, 16) in pixels. small: (6,) rotations added to both fixed orientations."""
+        """Return (n, 16) pixels. small: (6,) rotations added to both fixed orientations."""
         gripper, fixed = _rotated(small[:3]) @ gripper, _rotated(small[3:]) @ fixed
         on_gripper = (self.square @ gripper.T)[None] + local[:, None, 1:4]
         thing = gripper @ _about_z(local[:, 0]) @ fixed
@@ -163,7 +169,7 @@ class _Model:
     def _step(
         self, gripper: Array, fixed: Array, local: Array, residual: Array, damping: float
     ) -> tuple[Array, Array, Array]:
-        """Gauss-Newton: common (6,), the frames' own (n, 7), and their information matrices (n, 7, 7)."""
+        """Return a Gauss-Newton step: common (6,), per frame (n, 7), and information matrices (n, 7, 7)."""
         scale = np.array([1.0, *[np.abs(local[:, 3]).mean()] * 6])
         own = np.empty((*residual.shape, 7))
         for k in range(7):
@@ -181,14 +187,16 @@ class _Model:
         own_part = np.linalg.solve(damped, gradient[..., None])[..., 0]
         left = np.einsum("nri,nrj->ij", common, common) - np.einsum("nij,njk->ik", cross, solved)
         right = np.einsum("nri,nr->i", common, residual) - np.einsum("nij,nj->i", cross, own_part)
-        # The turn about the axis is the frames' own: a common one is no unknown (third of the fixed rotation).
+        # The rotation about the axis belongs to the frames; the common one (third of the fixed rotation) is not free.
         left[5, :], left[:, 5], left[5, 5], right[5] = 0.0, 0.0, 1.0, 0.0
         step = -np.linalg.solve(left + 1e-9 * np.diag(np.diag(left)), right)
         return step, -own_part - np.einsum("nij,j->ni", solved, step), normal
 
     def _best_rotation(self, which: int, gripper: Array | None) -> Array:
-        """The orientation of a marker that explains its corners best: the gripper's in all frames, the object's at the
-        start. A single square has two that nearly do."""
+        """Return the orientation of a marker that explains its corners best; a single square has two candidates.
+
+        The gripper's marker is fitted in all frames, the object's at the start.
+        """
         rays = self.rays[:, which] if gripper is None else self.rays[:REFERENCE_FRAMES, which]
         picked = rays[np.linspace(0, len(rays) - 1, min(len(rays), CANDIDATES)).astype(int)]
         candidates = [rotation for one in picked for rotation in _square_poses(one, self.square)]
@@ -201,7 +209,7 @@ class _Model:
         return float(np.median(np.abs(seen[..., :2] / seen[..., 2:] - rays)))
 
     def _first_rotations(self, gripper: Array, fixed: Array) -> Array:
-        """(n,) turns to begin with: of each frame's two poses of the object the one nearer to the axis."""
+        """Return (n,) initial rotations: of each frame's two object poses the one closer to the axis."""
         rotations = np.zeros(len(self.rays))
         for number, one in enumerate(self.rays[:, 1]):
             best = -np.inf
@@ -214,7 +222,7 @@ class _Model:
 
 
 def _square_poses(rays: Array, square: Array) -> list[Array]:
-    """Both orientations of a square that explain four rays about equally well."""
+    """Return both orientations of a square that explain four rays about equally well."""
     found, rotations, _, _ = cv2.solvePnPGeneric(
         square, rays.reshape(4, 1, 2), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
     )
@@ -224,7 +232,7 @@ def _square_poses(rays: Array, square: Array) -> list[Array]:
 
 
 def _positions(rays: Array, points: Array) -> Array:
-    """(n, 3) where bodies of known orientation are: linear in the position. points: (4, 3) or (n, 4, 3)."""
+    """Return the (n, 3) positions of bodies of known orientation, a linear problem. points: (4, 3) or (n, 4, 3)."""
     points = np.broadcast_to(points, (len(rays), 4, 3))
     one, zero = np.ones(rays.shape[:2]), np.zeros(rays.shape[:2])
     rows = np.stack([np.stack([one, zero, -rays[..., 0]], -1), np.stack([zero, one, -rays[..., 1]], -1)], -2)

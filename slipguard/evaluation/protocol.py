@@ -1,4 +1,4 @@
-"""What is lifted, how often and how: the experiment as a TOML file."""
+"""The protocol of an experiment as a TOML file: which objects are lifted, how often and how."""
 
 from __future__ import annotations
 
@@ -14,27 +14,28 @@ from slipguard.config_errors import first_complaint
 from slipguard.errors import InputError
 
 
-class _Part(BaseModel):
+class _ProtocolPart(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class ProtocolObject(_Part):
-    """One object. seen: images of it were used in training. hard: why it stands apart, such as "heavy"."""
+class ProtocolObject(_ProtocolPart):
+    """One object. seen: images of it were used in training. hard: why it is difficult, such as "heavy"."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,40}$")]
     seen: bool = False
     hard: str = ""
     grip_force_n: Annotated[float, Field(ge=1.0, le=235.0)] | None = None
-    """First grip; None: the protocol's."""
+    """Initial grip force; None: the protocol's."""
 
 
-class LiftProtocol(_Part):
-    """Every object is lifted `repeats` times. As in the paper the guard is off: the turn is measured, not stopped.
+class LiftProtocol(_ProtocolPart):
+    """Every object is lifted `repeats` times. As in the paper the guard is off: rotation is measured, not stopped.
 
-    rotation_deg: the lifts are planned so that turns spread evenly from the first to the second. On a cell that is up to
-    who places the object: a lift by `lift_height_mm` turns an object whose far end stays on the table by
-    asin(height / twice the distance from the grip to the centre of mass).
-    camera_side: whose picture turns the way the external camera sees it: it stands behind that finger.
+    Attributes:
+        rotation_deg: the planned rotations are spread evenly over this range. On a real cell they depend on how the
+            object is placed: a lift by `lift_height_mm` rotates an object whose far end stays on the table by
+            asin(height / twice the distance from the grip to the center of mass).
+        camera_side: the external camera is behind this finger, so it sees the same direction of rotation.
     """
 
     name: str = "grasp and lift"
@@ -51,40 +52,40 @@ class LiftProtocol(_Part):
     camera_side: Literal["left", "right"] = "left"
 
     @model_validator(mode="after")
-    def _sensible(self) -> Self:
+    def _consistent(self) -> Self:
         low, high = self.rotation_deg
         if not 0.0 < low <= high <= 60.0:
-            raise ValueError(f"rotation_deg [{low:g}, {high:g}]: from above 0 to at most 60, the smaller first")
+            raise ValueError(f"rotation_deg [{low:g}, {high:g}]: must be increasing, above 0 and at most 60")
         names = [one.name for one in self.objects]
         if len(set(names)) < len(names):
-            raise ValueError("an object is named twice; give `repeats` instead")
+            raise ValueError("an object is named twice; use `repeats` instead")
         return self
 
     def lifts(self) -> list[PlannedLift]:
-        """All lifts in order: every object once, then again; the repeats of an object spread over the turns."""
+        """Return all lifts in order: every object once, then again; its repeats cover the range of rotations."""
         low, high = self.rotation_deg
         rng = np.random.default_rng(self.seed)
         planned: list[PlannedLift] = []
         for repeat in range(self.repeats):
-            for index, thing in enumerate(self.objects):
+            for index, item in enumerate(self.objects):
                 share = ((index + repeat) % self.repeats + rng.uniform()) / self.repeats
-                planned.append(PlannedLift(len(planned), thing, repeat, low + share * (high - low)))
+                planned.append(PlannedLift(len(planned), item, repeat, low + share * (high - low)))
         return planned
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedLift:
-    """One lift to be done. target_deg: the turn it is planned for."""
+    """One lift to be done. target_deg: the planned rotation."""
 
     number: int
-    thing: ProtocolObject
+    item: ProtocolObject
     repeat: int
     target_deg: float
 
     @property
     def stem(self) -> str:
-        """Name of its files."""
-        return f"{self.number + 1:03d}-{self.thing.name}-{self.repeat + 1}"
+        """Name of its files, without suffix."""
+        return f"{self.number + 1:03d}-{self.item.name}-{self.repeat + 1}"
 
 
 SIMULATED = LiftProtocol(
@@ -101,11 +102,11 @@ SIMULATED = LiftProtocol(
         ProtocolObject(name="pen", seen=True),
     ),
 )
-"""Seven objects no training image shows and two that some do, five lifts each, as in the paper's Table III."""
+"""Seven objects not used in training and two that were, five lifts each, as in the paper's Table III."""
 
 
 def read_protocol(path: Path) -> LiftProtocol:
-    """Raises InputError in one line."""
+    """Return the protocol of a file; raise InputError if it is not valid."""
     try:
         raw: dict[str, Any] = tomllib.loads(path.read_text())
         return LiftProtocol.model_validate(raw)

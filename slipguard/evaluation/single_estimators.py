@@ -1,4 +1,4 @@
-"""What each single estimator would have said of the patches that the guard saw."""
+"""The rotation by each single estimator, computed from the contact patches of a lift."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ class TimedPatch:
 
 
 class PatchRecorder:
-    """A pipeline that hands every patch it measured on to a list."""
+    """A pipeline that appends every measured patch to a list."""
 
-    def __init__(self, finger: str, pipeline: Pipeline | ResumingPipeline, kept: list[TimedPatch]) -> None:
+    def __init__(self, finger: str, pipeline: Pipeline | ResumingPipeline, patches: list[TimedPatch]) -> None:
         self._finger = finger
         self._pipeline = pipeline
-        self._kept = kept
+        self._patches = patches
 
     def process(self, frame: Frame) -> Estimate:
-        """What the pipeline says."""
-        answer = self._pipeline.process(frame)
+        """Return the pipeline's estimate."""
+        result = self._pipeline.process(frame)
         patch = self._pipeline.last_patch
-        if patch is not None and answer.skipped is None and self._pipeline.has_reference:
-            self._kept.append(TimedPatch(self._finger, frame.captured_at_s, patch))
-        return answer
+        if patch is not None and result.skipped is None and self._pipeline.has_reference:
+            self._patches.append(TimedPatch(self._finger, frame.captured_at_s, patch))
+        return result
 
     def keep_estimate(self, captured_at_s: float) -> None:
-        """A frame that is not handed in, the other finger's having shown that nothing turns."""
+        """Keep the last estimate for a frame that is skipped because the other finger shows no rotation."""
         self._pipeline.keep_estimate(captured_at_s)
 
     def reset_reference(self) -> None:
-        """Forget the reference."""
+        """Discard the reference."""
         self._pipeline.reset_reference()
 
     @property
@@ -59,10 +59,10 @@ class PatchRecorder:
 def rotations_by_estimator(
     seen: list[TimedPatch], from_s: float, to_s: float
 ) -> dict[str, list[list[EstimatedRotation]]]:
-    """Per estimator and finger, the turn since its first patch in the span, in the left picture's sign, unwrapped.
+    """Return, per estimator and finger, the unwrapped rotation since the first patch, in the left image's sign.
 
-    As in the pipeline: where an estimator declines, or is less certain than `sigma_max_deg`, there is no entry, and one
-    that cannot read the reference says nothing at all.
+    As in the pipeline, there is no entry where an estimator declines or its sigma exceeds `sigma_max_deg`, and none at
+    all if it declines for the reference.
     """
     patches = {
         finger: [one for one in seen if one.finger == finger and from_s <= one.captured_at_s <= to_s]

@@ -1,4 +1,4 @@
-"""The experiment on a cell, with a person who is asked: whatever goes wrong, the grip stays and the arm stands."""
+"""The experiment on a cell with an operator: after any error the grip is kept and the arm is stopped."""
 
 from __future__ import annotations
 
@@ -23,57 +23,60 @@ from slipguard.daemon.loop.service import Service
 from slipguard.daemon.loop.virtual_time import FixedLatencyWorker, run_virtual
 from slipguard.daemon.run import build_service
 from slipguard.errors import SlipguardError
-from slipguard.evaluation import on_cell
+from slipguard.evaluation import real_lifts
+from slipguard.evaluation.experiment import write_report
 from slipguard.evaluation.external_camera import ExternalCamera
-from slipguard.evaluation.on_cell import in_the_daemons_place, run_on_cell
 from slipguard.evaluation.protocol import LiftProtocol
-from slipguard.evaluation.report import write_report
-from slipguard.evaluation.simulated import intrinsics_of, onlooker
+from slipguard.evaluation.real_lifts import daemon_socket_held, run_on_cell
+from slipguard.evaluation.simulated_lifts import intrinsics_of, random_camera
 from slipguard.recording.writer import RecordingFile
 from slipguard.sim.external_camera import ExternalCameraRenderer, LensModel, MarkerScene
-from slipguard.sim.scenario import scenario
+from slipguard.sim.scenario import Scenario, scenario
 from slipguard.sim.world import World
 from slipguard.tools.parallel import Workers
 
 SEED = 3
 LENS = LensModel(640, 480, 560.0, (322.0, 238.0))
 RECORDING = "001-spanner-1.mcap"
+FPS = 20.0
+"""Rate of the fingers' cameras."""
 
 
-class Eye:
-    """An external camera on the loop's own clock, before the simulated cell. films: else it never has a picture."""
+class RenderedCamera:
+    """An external camera of the simulated cell, on the loop's clock. working: otherwise it never delivers an image."""
 
-    def __init__(self, world: World, *, films: bool = True) -> None:
-        self.world, self.films = world, films
+    def __init__(self, world: World, *, working: bool = True) -> None:
+        self.world, self.working = world, working
         self.lost = False
-        look, _ = onlooker(5)
-        self.look = replace(look, lens=LENS)
+        model, _ = random_camera(5)
+        self.renderer = ExternalCameraRenderer(replace(model, lens=LENS), 1)
         self.task: asyncio.Task[None] | None = None
 
-    def give_to(self, taker: Callable[[NDArray[np.uint8]], None] | None) -> None:
+    def send_to(self, receiver: Callable[[NDArray[np.uint8]], None] | None) -> None:
         if self.task is not None:
             self.task.cancel()
         self.task = None
-        if taker is not None and self.films:
-            self.task = asyncio.get_running_loop().create_task(self.film(taker))
+        if receiver is not None and self.working:
+            self.task = asyncio.get_running_loop().create_task(self.deliver(receiver))
 
-    async def film(self, taker: Callable[[NDArray[np.uint8]], None]) -> None:
-        studio = ExternalCameraRenderer(self.look, 1)
+    async def deliver(self, receiver: Callable[[NDArray[np.uint8]], None]) -> None:
         while True:
             truth = self.world.truth(asyncio.get_running_loop().time())
-            taker(studio.draw(MarkerScene(truth.rotation_deg, truth.height_mm, truth.slip_mm)))
+            receiver(self.renderer.draw(MarkerScene(truth.rotation_deg, truth.height_mm, truth.slip_mm)))
             await asyncio.sleep(1 / 30)
 
 
 class Bench:
-    """A cell, a person beside it, and what the person saw at the release question."""
+    """A cell and its operator, with the state of the cell when the operator is asked to confirm the release."""
 
-    def __init__(self, state: Path, out: Path, *, lets_go: bool = True) -> None:
+    def __init__(self, state: Path, out: Path, *, confirms: bool = True) -> None:
         self.world = World(seed=SEED)
-        self.out, self.lets_go = out, lets_go
+        self.world.place(at_rate(FPS), 0.0)
+        self.world.clear(0.0)
+        self.out, self.confirms = out, confirms
         self.asked: list[str] = []
         self.service = service_of(self.world, state)
-        self.ground_mm, self.up_mm, self.held = 0.0, -1.0, False
+        self.ground_mm, self.lifted_mm, self.held = 0.0, -1.0, False
 
     async def ask(self, line: str, word: str) -> bool:
         self.asked.append(line)
@@ -81,15 +84,15 @@ class Bench:
         if word == "":
             assert "place spanner" in line
             self.world.clear(now_s)
-            self.world.place(scenario("wrench", 1), now_s)
+            self.world.place(at_rate(FPS), now_s)
             self.ground_mm = self.world.arm_state(now_s).height_mm
             return True
         assert word == "release"
-        assert "Hold the object; the jaws open" in line
-        self.up_mm, self.held = self.world.arm_state(now_s).height_mm - self.ground_mm, self.holds()
-        return self.lets_go
+        assert "Hold the object; the jaws will open" in line
+        self.lifted_mm, self.held = self.world.arm_state(now_s).height_mm - self.ground_mm, self.holds()
+        return self.confirms
 
-    async def run(self, camera: Eye | None = None, height_mm: float = 12.0) -> None:
+    async def run(self, camera: RenderedCamera | None = None, height_mm: float = 12.0) -> None:
         plan = LiftProtocol.model_validate(
             {
                 "objects": [{"name": "spanner"}],
@@ -102,8 +105,8 @@ class Bench:
         )
         await run_on_cell(self.out, plan, self.service, camera, intrinsics_of(LENS), self.ask)  # type: ignore[arg-type]
 
-    async def while_lifting(self, then: Callable[[], None] | None, camera: Eye | None = None) -> None:
-        """Run, and call `then` as the arm lifts; None: cancel, as Ctrl-C does."""
+    async def while_lifting(self, then: Callable[[], None] | None, camera: RenderedCamera | None = None) -> None:
+        """Run, and call `then` during the lift; None: cancel, like Ctrl-C."""
         task = asyncio.create_task(self.run(camera))
         while self.service.phase is not Phase.LIFTING:
             assert not task.done()
@@ -116,8 +119,14 @@ class Bench:
         await task
 
     def holds(self) -> bool:
-        """Whether the world's jaws hold the object at the last time it was asked."""
+        """Return whether the jaws hold the object at the world's last time."""
         return self.world.gripper_state(0.0).holding
+
+
+def at_rate(fps: float) -> Scenario:
+    """Return the grasp of all tests, with cameras at a rate that saves computing time."""
+    grasp = scenario("wrench", 1)
+    return replace(grasp, left=replace(grasp.left, fps=fps), right=replace(grasp.right, fps=fps))
 
 
 def service_of(world: World, state: Path) -> Service:
@@ -129,7 +138,7 @@ def service_of(world: World, state: Path) -> Service:
 
 @pytest.fixture(scope="module")
 def state(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where both fingers' no-contact images lie."""
+    """Return a state directory with both fingers' background images."""
     folder = tmp_path_factory.mktemp("cell") / "state"
 
     async def calibrate() -> None:
@@ -145,32 +154,32 @@ def state(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("filmed_by", ["slipguard", "somebody else"])
-def test_on_a_cell_a_person_is_asked_before_every_lift_and_before_the_jaws_open(
+@pytest.mark.parametrize("filmed_by", ["slipguard", "another program"])
+def test_the_operator_is_asked_before_every_lift_and_before_the_jaws_open(
     tmp_path: Path, state: Path, filmed_by: str
 ) -> None:
     bench = Bench(state, tmp_path / "out")
 
     async def main() -> None:
-        eye = Eye(bench.world)
+        camera = RenderedCamera(bench.world)
         if filmed_by == "slipguard":
-            await bench.run(eye, 35.0)
+            await bench.run(camera, 35.0)
             return
         (bench.out / "lifts").mkdir(parents=True)
-        film = cv2.VideoWriter(
+        video = cv2.VideoWriter(
             str(bench.out / "lifts" / "001-spanner-1.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (640, 480)
         )
-        eye.give_to(lambda picture: film.write(picture))
+        camera.send_to(lambda image: video.write(image))
         await bench.run(None, 35.0)
-        eye.give_to(None)
-        film.release()
+        camera.send_to(None)
+        video.release()
 
     run_virtual(main())
     (bench.out / "lifts" / "001-spanner-1.json").unlink()
     assert len(bench.asked) == 2
     assert filmed_by != "slipguard" or "error 0." in bench.asked[1]
     assert bench.held
-    assert abs(bench.up_mm) < 1.0
+    assert abs(bench.lifted_mm) < 1.0
     assert not bench.holds()
     report = write_report(bench.out, Workers(1))
     assert report["lifts_compared"] == 1
@@ -178,43 +187,47 @@ def test_on_a_cell_a_person_is_asked_before_every_lift_and_before_the_jaws_open(
     assert report["lag_error_frames"] is None
 
 
-def test_a_no_at_the_release_keeps_the_grip_and_a_failed_analysis_is_part_of_the_question(
+def test_declining_the_release_keeps_the_grip_and_the_question_reports_a_failed_analysis(
     tmp_path: Path, state: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def unreadable(path: Path) -> None:
-        raise SlipguardError("the recording says nothing")
+        raise SlipguardError("the recording is empty")
 
-    monkeypatch.setattr(on_cell, "result_of", unreadable)
-    bench = Bench(state, tmp_path / "out", lets_go=False)
+    monkeypatch.setattr(real_lifts, "result_of", unreadable)
+    bench = Bench(state, tmp_path / "out", confirms=False)
     with pytest.raises(
-        SlipguardError, match=r"stopped before the release; the arm stands and the grip is kept"
-    ) as told:
+        SlipguardError, match=r"stopped before the release; the arm is stopped and the grip is kept"
+    ) as error:
         run_virtual(bench.run())
-    assert "start `slipguard run`, then `slipguard ctl release`" in str(told.value)
-    assert "not analysed (the recording says nothing)" in bench.asked[1]
-    assert abs(bench.up_mm) < 1.0
+    assert "start `slipguard run`, then `slipguard ctl release`" in str(error.value)
+    assert "not analyzed (the recording is empty)" in bench.asked[1]
+    assert abs(bench.lifted_mm) < 1.0
     assert bench.holds()
 
 
-def test_a_fault_in_the_lift_is_named_with_the_height_and_the_release_offered(tmp_path: Path, state: Path) -> None:
+def test_a_fault_during_the_lift_is_named_with_the_height_and_the_release_is_offered(
+    tmp_path: Path, state: Path
+) -> None:
     bench = Bench(state, tmp_path / "out")
     run_virtual(bench.while_lifting(lambda: bench.world.faults.fail("arm", "protective_stop")))
     assert "arm in protective stop" in bench.asked[1]
     assert "this lift does not count" in bench.asked[1]
-    assert f"It hangs {bench.up_mm:.0f} mm up" in bench.asked[1]
+    assert f"The object is {bench.lifted_mm:.0f} mm above the table" in bench.asked[1]
     assert bench.held
     assert not bench.holds()
     assert not (tmp_path / "out" / "lifts" / RECORDING).exists()
 
 
-def test_without_its_camera_the_object_is_lowered_and_released_before_that_is_said(tmp_path: Path, state: Path) -> None:
+def test_if_the_external_camera_is_lost_the_object_is_lowered_and_released_before_the_error(
+    tmp_path: Path, state: Path
+) -> None:
     bench = Bench(state, tmp_path / "out")
-    eye = Eye(bench.world, films=False)
-    with pytest.raises(SlipguardError, match="the external camera is gone") as told:
-        run_virtual(bench.while_lifting(lambda: setattr(eye, "lost", True), eye))
-    assert "grip" not in str(told.value)
+    camera = RenderedCamera(bench.world, working=False)
+    with pytest.raises(SlipguardError, match="the external camera is disconnected") as error:
+        run_virtual(bench.while_lifting(lambda: setattr(camera, "lost", True), camera))
+    assert "grip" not in str(error.value)
     assert bench.held
-    assert abs(bench.up_mm) < 1.0
+    assert abs(bench.lifted_mm) < 1.0
     assert not bench.holds()
     assert not list((tmp_path / "out" / "lifts").iterdir())
 
@@ -231,13 +244,13 @@ def test_a_full_disk_ends_the_experiment_after_the_release(
         run_virtual(bench.while_lifting(lambda: monkeypatch.setattr(RecordingFile, "judged", full)))
     assert "No space left" in bench.asked[1]
     assert bench.held
-    assert abs(bench.up_mm) < 1.0
+    assert abs(bench.lifted_mm) < 1.0
     assert not bench.holds()
     assert not list((tmp_path / "out" / "lifts").iterdir())
 
 
-@pytest.mark.parametrize("by", ["Ctrl-C", "time-out"])
-def test_an_end_in_the_lift_stops_the_arm_and_keeps_the_grip(
+@pytest.mark.parametrize("by", ["Ctrl-C", "timeout"])
+def test_an_end_during_the_lift_stops_the_arm_and_keeps_the_grip(
     tmp_path: Path, state: Path, monkeypatch: pytest.MonkeyPatch, by: str
 ) -> None:
     bench = Bench(state, tmp_path / "out")
@@ -253,21 +266,21 @@ def test_an_end_in_the_lift_stops_the_arm_and_keeps_the_grip(
 
     monkeypatch.setattr(bench.service._arm_device, "stop", noted("stop", stop))
     monkeypatch.setattr(bench.service._arm_device, "close", noted("close", close))
-    if by == "time-out":
-        monkeypatch.setattr(on_cell._Cell, "_limit_s", lambda cell, height_mm, speed_mm_s: 0.3)
+    if by == "timeout":
+        monkeypatch.setattr(real_lifts._Cell, "_limit_s", lambda cell, height_mm, speed_mm_s: 0.3)
     said = "interrupted" if by == "Ctrl-C" else "the lift does not end"
-    with pytest.raises(SlipguardError, match=f"{said}; the arm stands and the grip is kept"):
+    with pytest.raises(SlipguardError, match=rf"{said}.*; the arm is stopped and the grip is kept"):
         run_virtual(bench.while_lifting(None) if by == "Ctrl-C" else bench.run())
     assert order[:2] == ["stop", "close"]
     assert len(bench.asked) == 1
     assert bench.holds()
 
 
-def test_the_limit_leaves_a_slow_arm_its_time() -> None:
+def test_the_time_limit_allows_for_a_slow_arm() -> None:
     class Cell:
         service = service_of(World(seed=SEED), Path("unused"))
 
-    assert on_cell._Cell._limit_s(Cell(), 800.0, 1.0) > 1200.0  # type: ignore[arg-type]
+    assert real_lifts._Cell._limit_s(Cell(), 800.0, 1.0) > 1200.0  # type: ignore[arg-type]
 
 
 def test_the_command_refuses_guard_mode_and_a_running_daemon_in_one_line(
@@ -284,17 +297,17 @@ def test_the_command_refuses_guard_mode_and_a_running_daemon_in_one_line(
     Path(lens).write_text(intrinsics_of(LENS).model_dump_json())
     out = str(tmp_path / "out")
     command = ["evaluate", "run", "--config", config, "--protocol", plan, "--intrinsics", lens, "--out", out]
-    with in_the_daemons_place(socket_path):
+    with daemon_socket_held(socket_path):
         assert run(command) == 1
     assert capsys.readouterr().err.endswith("stop it first\n")
     assert run(command) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert 'the experiment needs "lift"' in told
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert 'set it to "lift"' in message
     assert not socket_path.exists()
     assert not Path(out).exists()
 
 
-def test_no_camera_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(SlipguardError, match="gives no picture"):
+def test_a_missing_camera_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(SlipguardError, match="no image"):
         ExternalCamera(str(tmp_path / "none.avi"), intrinsics_of(LENS))

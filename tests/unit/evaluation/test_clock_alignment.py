@@ -33,16 +33,16 @@ def test_the_lag_is_found_within_half_a_frame(lag_s: float, seed: int) -> None:
     assert found.sigma_s < FRAME_S / 2
 
 
-def test_a_film_started_ten_seconds_earlier_is_found_too() -> None:
+def test_a_video_started_ten_seconds_earlier_is_found_too() -> None:
     camera_s, camera, tactile_s, tactile = streams(0.04, 0.2, 1)
     found = find_lag(camera_s + 10.0, camera, tactile_s, tactile, lag_max_s=30.0)
     assert found.lag_s == pytest.approx(10.04, abs=FRAME_S / 2)
 
 
-def test_without_motion_no_lag_is_told() -> None:
+def test_without_motion_there_is_no_lag() -> None:
     camera_s, camera, tactile_s, _ = streams(0.0, 0.1, 2)
     still = find_lag(camera_s, np.zeros_like(camera), tactile_s, np.zeros_like(tactile_s))
-    assert still.why == "hardly any turn"
+    assert still.why == "too little rotation"
     assert still.lag_s == 0.0
 
 

@@ -1,4 +1,4 @@
-"""`slipguard evaluate` fed with what people have: films, sheets, boards, and what is none of these."""
+"""`slipguard evaluate` with videos, sheets and boards, valid and invalid."""
 
 from __future__ import annotations
 
@@ -14,12 +14,10 @@ import pytest
 
 from slipguard.cli.app import run
 from slipguard.errors import InputError
-from slipguard.evaluation.calibrate import calibrate
-from slipguard.evaluation.intrinsics import read_intrinsics
-from slipguard.evaluation.marker_detector import MarkerDetector
-from slipguard.evaluation.markers import cells, charuco
+from slipguard.evaluation.camera_calibration import calibrate_camera, read_intrinsics
+from slipguard.evaluation.markers import MarkerDetector, cells, charuco
 from slipguard.evaluation.protocol import SIMULATED, LiftProtocol, read_protocol
-from slipguard.evaluation.simulated import intrinsics_of
+from slipguard.evaluation.simulated_lifts import intrinsics_of
 from slipguard.sim.external_camera import (
     ExternalCameraModel,
     ExternalCameraRenderer,
@@ -38,12 +36,12 @@ LOOK = ExternalCameraModel(
 )
 
 
-def film(path: Path, covered: frozenset[str] = frozenset(), count: int = 24) -> Path:
-    studio = ExternalCameraRenderer(LOOK, 1)
+def video(path: Path, covered: frozenset[str] = frozenset(), count: int = 24) -> Path:
+    renderer = ExternalCameraRenderer(LOOK, 1)
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (LENS.width_px, LENS.height_px))
     for number in range(count):
         rotation_deg = float(np.clip((number - 11) * 2.0, 0.0, 20.0))
-        writer.write(studio.draw(MarkerScene(rotation_deg, covered=covered)))
+        writer.write(renderer.draw(MarkerScene(rotation_deg, covered=covered)))
     writer.release()
     return path
 
@@ -56,40 +54,42 @@ def camera(tmp_path: Path) -> Path:
 
 
 def rotation(source: Path, camera: Path, *more: str) -> int:
-    return run(["evaluate", "turn", str(source), "--intrinsics", str(camera), *more])
+    return run(["evaluate", "rotation", str(source), "--intrinsics", str(camera), *more])
 
 
-def test_a_film_tells_the_turn(tmp_path: Path, camera: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert rotation(film(tmp_path / "a.avi"), camera, "--json", "--plot", str(tmp_path / "turn.png")) == 0
+def test_a_video_gives_the_rotation(tmp_path: Path, camera: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert rotation(video(tmp_path / "a.avi"), camera, "--json", "--plot", str(tmp_path / "turn.png")) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert len(lines) == 24
     assert lines[-1]["turn_deg"] == pytest.approx(20.0, abs=0.3)
     assert cv2.imread(str(tmp_path / "turn.png")) is not None
 
 
-def test_a_folder_of_images_will_do(tmp_path: Path, camera: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    studio = ExternalCameraRenderer(LOOK, 1)
+def test_a_folder_of_images_gives_the_rotation(
+    tmp_path: Path, camera: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    renderer = ExternalCameraRenderer(LOOK, 1)
     for number in range(12):
-        cv2.imwrite(str(tmp_path / f"{number:03d}.png"), studio.draw(MarkerScene(0.5 * number)))
+        cv2.imwrite(str(tmp_path / f"{number:03d}.png"), renderer.draw(MarkerScene(0.5 * number)))
     assert rotation(tmp_path, camera) == 0
     assert "12 of 12 pictures show both markers" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("covered", "word"),
-    [({"gripper", "object"}, "no marker was seen"), ({"object"}, "marker of the object (id 1) was never seen")],
+    [({"gripper", "object"}, "no marker was found"), ({"object"}, "marker of the object (id 1) was not found")],
 )
-def test_films_without_markers_are_one_line(
+def test_a_video_without_markers_is_one_line(
     tmp_path: Path, camera: Path, capsys: pytest.CaptureFixture[str], covered: set[str], word: str
 ) -> None:
-    assert rotation(film(tmp_path / "a.avi", frozenset(covered), 8), camera) == 2
+    assert rotation(video(tmp_path / "a.avi", frozenset(covered), 8), camera) == 2
     said = capsys.readouterr().err
     assert word in said
     assert said.count("\n") == 1
 
 
-def test_what_is_no_film_or_half_a_film_is_one_line(tmp_path: Path, camera: Path) -> None:
-    whole = film(tmp_path / "whole.avi").read_bytes()
+def test_a_truncated_or_invalid_video_is_one_line(tmp_path: Path, camera: Path) -> None:
+    whole = video(tmp_path / "whole.avi").read_bytes()
     broken = {
         "half.avi": whole[: len(whole) // 2],
         "stub.avi": whole[:200],
@@ -100,7 +100,7 @@ def test_what_is_no_film_or_half_a_film_is_one_line(tmp_path: Path, camera: Path
         if content is not None:
             (tmp_path / name).write_bytes(content)
         # A process of its own: the decoders write to its standard error themselves.
-        command = [sys.executable, "-m", "slipguard", "evaluate", "turn", str(tmp_path / name)]
+        command = [sys.executable, "-m", "slipguard", "evaluate", "rotation", str(tmp_path / name)]
         done = subprocess.run([*command, "--intrinsics", str(camera)], capture_output=True, text=True, check=False)
         assert done.returncode == 2, name
         assert done.stderr.count("\n") == 1, done.stderr
@@ -120,7 +120,7 @@ def test_wrong_intrinsics_are_one_line(
 ) -> None:
     path = tmp_path / "camera.json"
     path.write_text(content)
-    assert rotation(film(tmp_path / "a.avi", count=6), path) == 2
+    assert rotation(video(tmp_path / "a.avi", count=6), path) == 2
     said = capsys.readouterr().err
     assert word in said
     assert said.count("\n") == 1
@@ -137,16 +137,16 @@ def test_sheets_are_at_true_scale(tmp_path: Path, name: str) -> None:
     assert page.shape[1] == pytest.approx(297 / 25.4 * 300, abs=2)
     if name == "sheet.png":
         page[: page.shape[0] // 2] = 255  # of each marker there are two
-        sighting = MarkerDetector().look(page, 0.0)
-        assert sighting.object_px is not None
-        side_px = np.linalg.norm(sighting.object_px[0] - sighting.object_px[1])
+        corners = MarkerDetector().detect(page, 0.0)
+        assert corners.object_px is not None
+        side_px = np.linalg.norm(corners.object_px[0] - corners.object_px[1])
         assert side_px == pytest.approx(40.0 / 25.4 * 300, rel=0.005)
 
 
-def board_pictures(tilts_deg: list[tuple[float, float]]) -> list[np.ndarray]:
+def board_images(tilts_deg: list[tuple[float, float]]) -> list[np.ndarray]:
     """The board seen through the lens, tilted about both axes."""
     flat = charuco().generateImage((1400, 1000))
-    matrix, pictures = LENS.matrix(), []
+    matrix, images = LENS.matrix(), []
     grid = np.stack(np.meshgrid(np.arange(640), np.arange(480)), -1).reshape(-1, 1, 2).astype(np.float64)
     ideal = cv2.undistortPoints(grid, matrix, LENS.distortion(), P=matrix).reshape(480, 640, 2).astype(np.float32)
     for number, (a, b) in enumerate(tilts_deg):
@@ -158,37 +158,37 @@ def board_pictures(tilts_deg: list[tuple[float, float]]) -> list[np.ndarray]:
         warp = cv2.getPerspectiveTransform(source, pixels)
         drawn = cv2.warpPerspective(flat, warp, (640, 480), flags=cv2.INTER_AREA, borderValue=(255,))
         seen_through = cv2.remap(drawn, ideal[..., 0], ideal[..., 1], cv2.INTER_LINEAR, borderValue=(255,))
-        pictures.append(cv2.cvtColor(seen_through, cv2.COLOR_GRAY2BGR))
-    return pictures
+        images.append(cv2.cvtColor(seen_through, cv2.COLOR_GRAY2BGR))
+    return images
 
 
 TILTS = [(25.0, 0.0), (-25.0, 5.0), (0.0, 28.0), (5.0, -28.0), (18.0, 18.0), (-18.0, -15.0), (12.0, -22.0), (0.0, 0.0)]
 
 
-def test_a_board_tells_the_lens(tmp_path: Path) -> None:
+def test_images_of_the_board_give_the_intrinsics(tmp_path: Path) -> None:
     boards, out = tmp_path / "boards", tmp_path / "camera.json"
     boards.mkdir()
-    for number, picture in enumerate(board_pictures(TILTS)):
-        cv2.imwrite(str(boards / f"{number}.png"), picture)
+    for number, image in enumerate(board_images(TILTS)):
+        cv2.imwrite(str(boards / f"{number}.png"), image)
     assert run(["evaluate", "calibrate-camera", str(boards), "--out", str(out)]) == 0
     found = read_intrinsics(out)
     assert found.focal_px == pytest.approx(LENS.focal_px, rel=0.01)
     assert found.cx_px == pytest.approx(LENS.centre_px[0], abs=4.0)
 
 
-def test_boards_that_all_face_alike_or_are_too_few_are_refused() -> None:
+def test_boards_of_equal_tilt_or_too_few_boards_are_rejected() -> None:
     with pytest.raises(InputError, match="of the same tilt"):
-        calibrate(board_pictures([(1.0, 0.0)] * 8))
-    with pytest.raises(InputError, match="seen in 3 of 3 pictures; at least 6"):
-        calibrate(board_pictures(TILTS[:3]))
+        calibrate_camera(board_images([(1.0, 0.0)] * 8))
+    with pytest.raises(InputError, match="found in 3 of 3 images; at least 6"):
+        calibrate_camera(board_images(TILTS[:3]))
 
 
-def test_the_protocol_spreads_its_turns_and_refuses_nonsense(tmp_path: Path) -> None:
+def test_the_protocol_spreads_its_rotations_and_rejects_invalid_values(tmp_path: Path) -> None:
     lifts = SIMULATED.lifts()
     assert len(lifts) == 45
-    assert sum(thing.seen for thing in SIMULATED.objects) == 2
-    for thing in SIMULATED.objects:
-        bands = sorted(int((lift.target_deg - 5.0) / 7.0) for lift in lifts if lift.thing.name == thing.name)
+    assert sum(item.seen for item in SIMULATED.objects) == 2
+    for item in SIMULATED.objects:
+        bands = sorted(int((lift.target_deg - 5.0) / 7.0) for lift in lifts if lift.item.name == item.name)
         assert bands == [0, 1, 2, 3, 4]
     path = tmp_path / "p.toml"
     path.write_text('repeats = 2\nobjects = [{name = "mug"}, {name = "mug"}]\n')

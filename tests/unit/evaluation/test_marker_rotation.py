@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from slipguard.errors import InputError
-from slipguard.evaluation.intrinsics import Intrinsics
-from slipguard.evaluation.marker_detector import MarkerCorners, MarkerDetector
+from slipguard.evaluation.camera_calibration import Intrinsics
 from slipguard.evaluation.marker_rotation import RotationTrace, rotations
-from slipguard.evaluation.markers import cells
-from slipguard.evaluation.simulated import intrinsics_of
+from slipguard.evaluation.markers import MarkerCorners, MarkerDetector, cells
+from slipguard.evaluation.simulated_lifts import intrinsics_of
 from slipguard.sim.external_camera import ExternalCameraModel, ExternalCameraRenderer, MarkerPlate, MarkerScene
 
 LOOK = ExternalCameraModel(
@@ -35,12 +34,12 @@ def seen(
     look: ExternalCameraModel, sign: float = 1.0, covered: range = range(0), what: str = "object"
 ) -> list[MarkerCorners]:
     studio, detector = ExternalCameraRenderer(look, 3), MarkerDetector()
-    sightings = []
+    frames = []
     for number, (time_s, rotation_deg, height_mm) in enumerate(zip(*motion(sign), strict=True)):
         hidden = frozenset({what}) if number in covered else frozenset()
         image = studio.draw(MarkerScene(float(rotation_deg), float(height_mm), covered=hidden))
-        sightings.append(detector.look(image, float(time_s)))
-    return sightings
+        frames.append(detector.detect(image, float(time_s)))
+    return frames
 
 
 def errors(trace: RotationTrace, sign: float = 1.0) -> np.ndarray:
@@ -68,10 +67,10 @@ def test_turns_are_found_at_every_distance_and_tilt(distance_mm: float, tilt_deg
 
 
 def test_covered_markers_are_gaps_and_not_guesses() -> None:
-    sightings = seen(LOOK, covered=range(10, 16))
-    trace = rotations(sightings, intrinsics_of(LOOK.lens), 40.0)
+    frames = seen(LOOK, covered=range(10, 16))
+    trace = rotations(frames, intrinsics_of(LOOK.lens), 40.0)
     assert trace.gaps == 6
-    times = [one.time_s for one in sightings]
+    times = [one.time_s for one in frames]
     assert not set(times[10:16]) & set(trace.time_s)
     assert np.abs(errors(trace)).max() <= 0.5
 
@@ -84,17 +83,17 @@ def test_sigma_tells_the_size_of_the_errors() -> None:
     assert np.median(scaled) >= 0.2
 
 
-def test_a_marker_that_is_never_seen_is_named() -> None:
+def test_a_marker_that_is_never_found_is_named() -> None:
     lens = intrinsics_of(LOOK.lens)
-    with pytest.raises(InputError, match=r"marker of the object \(id 1\) was never seen"):
+    with pytest.raises(InputError, match=r"marker of the object \(id 1\) was not found"):
         rotations(seen(LOOK, covered=range(FRAMES)), lens, 40.0)
-    with pytest.raises(InputError, match=r"marker of the gripper \(id 0\) was never seen"):
+    with pytest.raises(InputError, match=r"marker of the gripper \(id 0\) was not found"):
         rotations(seen(LOOK, covered=range(FRAMES), what="gripper"), lens, 40.0)
-    with pytest.raises(InputError, match="no marker was seen in 3 pictures"):
+    with pytest.raises(InputError, match="no marker was found in 3 images"):
         rotations([MarkerCorners(0.1 * k, None, None) for k in range(3)], lens, 40.0)
 
 
-def test_too_few_pictures_are_refused() -> None:
+def test_too_few_images_are_rejected() -> None:
     with pytest.raises(InputError, match="at least 5 are needed"):
         rotations(seen(LOOK)[:4], intrinsics_of(LOOK.lens), 40.0)
 
@@ -121,6 +120,6 @@ def test_implausible_intrinsics_are_refused(changed: dict[str, float], word: str
         Intrinsics.model_validate(good | changed)
 
 
-def test_pictures_of_another_size_are_refused() -> None:
+def test_images_of_another_size_are_rejected() -> None:
     with pytest.raises(InputError, match="640x480, the intrinsics are for 1280x720"):
         intrinsics_of(LOOK.lens).check_size(640, 480, "film.mp4")

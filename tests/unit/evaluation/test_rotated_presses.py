@@ -48,7 +48,7 @@ def test_presses_are_split_into_parts(folder: Path) -> None:
 
 def test_relit_is_what_the_lights_would_show(press: PressImage) -> None:
     for rotation in (25.0, -70.0):
-        height = heights(lettered, 10.0 + rotation, press.centre_px, 1.0)
+        height = heights(lettered, 10.0 + rotation, press.center_px, 1.0)
         true = shaded_image(height, LedLights(), 0.0, np.random.default_rng(0)).astype(np.float32) - LEVEL
         inside = cv2.erode(np.asarray(contact_map(height) > 0.5, np.uint8), np.ones((9, 9), np.uint8))
         inside = cv2.resize(inside, (240, 320), interpolation=cv2.INTER_NEAREST) > 0
@@ -65,8 +65,8 @@ def test_a_grasp_is_the_same_for_one_seed_and_ends_without_contact(press: PressI
         rotated_grasp(press, "relit", 5),
         rotated_grasp(press, "relit", 6),
     )
-    assert all(np.array_equal(a.frame.image, b.frame.image) for a, b in zip(one.shots, again.timed_frames, strict=True))
-    assert [shot.rotation_deg for shot in one.shots] != [shot.rotation_deg for shot in other.timed_frames]
+    assert all(np.array_equal(a.frame.image, b.frame.image) for a, b in zip(one.shots, again.shots, strict=True))
+    assert [shot.rotation_deg for shot in one.shots] != [shot.rotation_deg for shot in other.shots]
     assert 10.0 <= max(abs(shot.rotation_deg) for shot in one.shots) <= 30.0
     assert not one.shots[0].contact
     assert not one.shots[-1].contact
@@ -74,7 +74,7 @@ def test_a_grasp_is_the_same_for_one_seed_and_ends_without_contact(press: PressI
 
 
 def test_the_command_gives_both_ways(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["turned", str(folder), "--json"]) == 0
+    assert run(["rotated", str(folder), "--json"]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [(row["data"], row["way"], row["sequences"]) for row in rows] == [
         ("anytouch2_force2", "relit", 1),
@@ -84,9 +84,9 @@ def test_the_command_gives_both_ways(folder: Path, capsys: pytest.CaptureFixture
 
 
 def test_misuse_is_one_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["turned", str(tmp_path)]) == 2
+    assert run(["rotated", str(tmp_path)]) == 2
     assert "neither taxim_sphere nor anytouch2_force2" in capsys.readouterr().err
-    assert run(["turned", str(folder), "--part", "most"]) == 2
+    assert run(["rotated", str(folder), "--part", "most"]) == 2
     assert "there are tune, test, all" in capsys.readouterr().err
     (tmp_path / "taxim_sphere").mkdir()
     cv2.imwrite(str(tmp_path / "taxim_sphere" / "background.png"), np.full((320, 240, 3), (90, 100, 110), np.uint8))

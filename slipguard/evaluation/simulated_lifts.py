@@ -1,4 +1,4 @@
-"""The experiment in the simulated world: the daemon on the fakes, and a rendered camera beside the cell."""
+"""The experiment in the simulated world: the daemon on the fakes, and a rendered external camera."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from slipguard.daemon.loop.service import Service
 from slipguard.daemon.loop.virtual_time import FixedLatencyWorker, run_virtual
 from slipguard.daemon.run import build_service
 from slipguard.errors import CommandRefused, SlipguardError
-from slipguard.evaluation.intrinsics import Intrinsics
-from slipguard.evaluation.lift_file import LiftRecorder, encoded
+from slipguard.evaluation.camera_calibration import Intrinsics
+from slipguard.evaluation.lift_recording import LiftRecorder, encode_jpeg
 from slipguard.evaluation.markers import GRIPPER_ID, OBJECT_ID, cells
 from slipguard.evaluation.protocol import LiftProtocol, PlannedLift
 from slipguard.recording import messages as m
@@ -43,38 +43,38 @@ from slipguard.tools.waiting import wait_until
 
 CAMERA_FPS = 30.0
 CAMERA_LAG_S = (0.02, 0.09)
-"""The rendered camera stamps its pictures when they arrive, this much after the exposure; what is to be found out."""
-SIGHT, BOTH_MARKERS_MM = 1.6, 180.0
-"""Distance over the height to be seen: the lens sees 0.72 of the distance, less what a tilt and a roll take."""
+"""The rendered camera stamps its images on arrival, this long after the exposure; the analysis estimates this lag."""
+DISTANCE_PER_HEIGHT, BOTH_MARKERS_MM = 1.6, 180.0
+"""Camera distance per visible height: the lens covers 0.72 of the distance, less with tilt and roll."""
 MASK_EVERY_S = 10 / 60
 STATED_LATENCY_S = 0.006
 GRIP_SHARE = 0.8
-"""First grip as a share of the force needed: it turns about its far end, on the table."""
+"""Initial grip as a share of the force needed: the object rotates about its far end, on the table."""
 GRIP_MIN_N = 20.0
 SETTLE_S = 0.4
 TIMEOUT_S = 15.0
 SUPPORT_MM = 3.0
-"""The table lets go over this lift."""
+"""The table carries part of the weight up to this height."""
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedLift:
-    """All that one lift needs, for a worker process. path: its recording."""
+    """One lift as a task for a worker process. path: its recording."""
 
     protocol: LiftProtocol
     lift: PlannedLift
     path: Path
 
 
-def onlooker(seed: int, rise_mm: float = 100.0) -> tuple[ExternalCameraModel, float]:
-    """A camera somewhere before the cell, far enough to see a lift by `rise_mm`; and the lag of its stamps, seconds."""
+def random_camera(seed: int, rise_mm: float = 100.0) -> tuple[ExternalCameraModel, float]:
+    """Return a camera at a random place, far enough for a lift by `rise_mm`, and the lag of its stamps, seconds."""
     rng = np.random.default_rng([seed, 77])
     side_mm = 40.0
-    look = ExternalCameraModel(
+    camera = ExternalCameraModel(
         gripper=MarkerPlate(cells(GRIPPER_ID), side_mm, (0.0, 95.0, 3.0), roll_deg=float(rng.uniform(-8, 8))),
         thing=MarkerPlate(cells(OBJECT_ID), side_mm, (70.0, 0.0, 6.0), roll_deg=float(rng.uniform(-20, 20))),
         lens=LensModel(),
-        distance_mm=max(float(rng.uniform(450.0, 850.0)), SIGHT * (rise_mm + BOTH_MARKERS_MM)),
+        distance_mm=max(float(rng.uniform(450.0, 850.0)), DISTANCE_PER_HEIGHT * (rise_mm + BOTH_MARKERS_MM)),
         tilt_deg=float(rng.uniform(0.0, 25.0)),
         azimuth_deg=float(rng.uniform(0.0, 360.0)),
         roll_deg=float(rng.uniform(-5.0, 5.0)),
@@ -83,11 +83,11 @@ def onlooker(seed: int, rise_mm: float = 100.0) -> tuple[ExternalCameraModel, fl
         noise=float(rng.uniform(1.0, 4.0)),
         light=float(rng.uniform(0.8, 1.1)),
     )
-    return look, float(rng.uniform(*CAMERA_LAG_S))
+    return camera, float(rng.uniform(*CAMERA_LAG_S))
 
 
 def intrinsics_of(lens: LensModel) -> Intrinsics:
-    """What a perfect calibration of the rendered camera would find."""
+    """Return the true intrinsics of the rendered camera."""
     u, v = lens.centre_px
     return Intrinsics(
         width_px=lens.width_px, height_px=lens.height_px, fx_px=lens.focal_px, fy_px=lens.focal_px, cx_px=u, cy_px=v,
@@ -96,7 +96,7 @@ def intrinsics_of(lens: LensModel) -> Intrinsics:
 
 
 def record(task: SimulatedLift) -> Path:
-    """Do one lift on a virtual clock and write its file; the same task gives the same lift."""
+    """Simulate one lift on a virtual clock and write its file; the same task gives the same lift."""
     log.configure(level=logging.CRITICAL)
     run_virtual(_record(task))
     return task.path
@@ -104,8 +104,8 @@ def record(task: SimulatedLift) -> Path:
 
 async def _record(task: SimulatedLift) -> None:
     protocol, lift = task.protocol, task.lift
-    item = find_object(lift.thing.name)
-    drawn = scenario(lift.thing.name, protocol.seed + lift.repeat)
+    item = find_object(lift.item.name)
+    grasp = scenario(lift.item.name, protocol.seed + lift.repeat)
     world = World(seed=protocol.seed + lift.number)
     height_mm = 2.0 * item.com_offset_mm * math.sin(math.radians(lift.target_deg)) + SUPPORT_MM
     with tempfile.TemporaryDirectory(prefix="slipguard-evaluate-") as folder:
@@ -122,9 +122,9 @@ async def _record(task: SimulatedLift) -> None:
             await wait_until(running, lambda: not service.waiting_for, TIMEOUT_S, "the devices are not ready")
             handlers = RequestHandlers(service)
             await handlers.submit(CalibrateRequest())
-            world.place(drawn, asyncio.get_running_loop().time())
+            world.place(grasp, asyncio.get_running_loop().time())
             needed_n = world.truth(asyncio.get_running_loop().time()).needed_force_n
-            grip_n = lift.thing.grip_force_n or protocol.grip_force_n or max(GRIP_SHARE * needed_n, GRIP_MIN_N)
+            grip_n = lift.item.grip_force_n or protocol.grip_force_n or max(GRIP_SHARE * needed_n, GRIP_MIN_N)
             await _lift(task, service, handlers, world, running, round(grip_n, 1), height_mm)
         finally:
             running.cancel()
@@ -140,14 +140,16 @@ async def _lift(
     grip_n: float,
     height_mm: float,
 ) -> None:
-    look, lag_s = onlooker(task.protocol.seed + task.lift.number, height_mm)
+    camera, lag_s = random_camera(task.protocol.seed + task.lift.number, height_mm)
     sign = IMAGE_SIGN[task.protocol.camera_side]
-    with LiftRecorder(task.path, service, task.protocol, task.lift, intrinsics_of(look.lens), lag_s) as file:
+    with LiftRecorder(task.path, service, task.protocol, task.lift, intrinsics_of(camera.lens), lag_s) as file:
         if not task.protocol.guard:
             await handlers.submit(GuardRequest(on=False))
-        watchers = [
-            asyncio.create_task(_film(file, world, ExternalCameraRenderer(look, task.lift.number), lag_s, sign)),
-            asyncio.create_task(_masks(file, world)),
+        recorders = [
+            asyncio.create_task(
+                _record_camera(file, world, ExternalCameraRenderer(camera, task.lift.number), lag_s, sign)
+            ),
+            asyncio.create_task(_record_masks(file, world)),
         ]
         try:
             await handlers.submit(GraspRequest(force_n=grip_n))
@@ -164,26 +166,28 @@ async def _lift(
         except CommandRefused as refusal:
             raise SlipguardError(f"{task.lift.stem}: {refusal}") from None
         finally:
-            for watcher in watchers:
-                watcher.cancel()
-            await asyncio.gather(*watchers, return_exceptions=True)
+            for recorder in recorders:
+                recorder.cancel()
+            await asyncio.gather(*recorders, return_exceptions=True)
 
 
-async def _film(file: LiftRecorder, world: World, studio: ExternalCameraRenderer, lag_s: float, sign: float) -> None:
-    """Picture after picture, stamped late, with the truth beside them; sign: -1 from behind the right finger."""
+async def _record_camera(
+    file: LiftRecorder, world: World, renderer: ExternalCameraRenderer, lag_s: float, sign: float
+) -> None:
+    """Record images, stamped late, and the truth; sign: -1 from behind the right finger."""
     loop = asyncio.get_running_loop()
     at_s = loop.time()
     while True:
         truth = world.truth(at_s)
         file.truth(m.TruthRecord(at_s, truth.rotation_deg, truth.height_mm))
         scene = MarkerScene(sign * truth.rotation_deg, truth.height_mm, truth.slip_mm)
-        file.camera(at_s + lag_s, encoded(studio.draw(scene)))
+        file.camera(at_s + lag_s, encode_jpeg(renderer.draw(scene)))
         at_s += 1.0 / CAMERA_FPS
         await asyncio.sleep(at_s - loop.time())
 
 
-async def _masks(file: LiftRecorder, world: World) -> None:
-    """What a person would outline, several times a second."""
+async def _record_masks(file: LiftRecorder, world: World) -> None:
+    """Record the true contact masks several times per second."""
     loop = asyncio.get_running_loop()
     cameras = {name: GelCamera(random_unit(np.random.default_rng(world.camera(name).unit_seed))) for name in m.FINGERS}
     while True:

@@ -1,4 +1,4 @@
-"""The report as one HTML file that needs nothing beside it."""
+"""The report as one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from slipguard import __version__
 from slipguard.evaluation.protocol import LiftProtocol
-from slipguard.evaluation.summary import ESTIMATORS, PAPER, PAPER_DICE, PAPER_IOU
+from slipguard.evaluation.report_data import ESTIMATORS, PAPER, PAPER_DICE, PAPER_IOU
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1d2733; --soft: #5b6672; --line: #d5dbe1; --paper: #ffffff; --band: #f3f5f7; }
@@ -33,27 +33,27 @@ details { margin: 1rem 0; } summary { cursor: pointer; }
 """
 
 
-def write_page(path: Path, report: dict[str, Any], protocol: LiftProtocol | None, pictures: dict[str, Path]) -> None:
-    """Write the page. pictures: "errors", "curves", "masks" -> PNG file; those not there are left out."""
+def write_page(path: Path, report: dict[str, Any], protocol: LiftProtocol | None, figures: dict[str, Path]) -> None:
+    """Write the page. figures: "errors", "curves", "masks" -> PNG file; missing ones are omitted."""
     parts = [
         f"<h1>{escape(protocol.name if protocol else 'Grasp and lift')}: rotation error against markers</h1>",
         _lead(report, protocol),
         _headline(report),
-        _beside_the_paper(report),
-        _picture(pictures, "errors", "Error per object: each dot is the mean of one lift, boxes their quartiles."),
+        _paper_comparison(report),
+        _figure(figures, "errors", "Error per object: each dot is the mean of one lift, boxes show quartiles."),
         "<h2>Objects</h2>",
         _object_table(report),
         "<h2>Estimators</h2>",
         _estimator_table(report),
-        "<h2>Turn over time</h2>",
-        _picture(pictures, "curves", "One lift of each object, the one whose error is its median."),
-        "<h2>Segmentation</h2>" if report["dice"] or "masks" in pictures else "",
-        _picture(pictures, "masks", "Left finger near the end of a lift."),
+        "<h2>Rotation over time</h2>",
+        _figure(figures, "curves", "One lift of each object, the one with the median error."),
+        "<h2>Segmentation</h2>" if report["dice"] or "masks" in figures else "",
+        _figure(figures, "masks", "Left finger near the end of a lift."),
         _network_table(report),
-        "<h2>Ground truth and time</h2>",
-        _ground(report),
+        "<h2>Ground truth and clocks</h2>",
+        _ground_truth(report),
         _problems(report),
-        "<h2>How it was done</h2>",
+        "<h2>Method</h2>",
         _method(protocol),
     ]
     body = "\n".join(part for part in parts if part)
@@ -65,9 +65,7 @@ def write_page(path: Path, report: dict[str, Any], protocol: LiftProtocol | None
 
 
 def _lead(report: dict[str, Any], protocol: LiftProtocol | None) -> str:
-    guard = (
-        "with the guard" if protocol is not None and protocol.guard else "guard off: the turn is measured, not stopped"
-    )
+    guard = "guard on" if protocol is not None and protocol.guard else "guard off: rotation is measured, not stopped"
     objects = len(report["per_object"])
     where = "a simulated cell" if report["simulated"] else "a real cell"
     lead = f"{report['lifts']} lifts of {objects} objects on {where}, {guard}. slipguard {__version__}."
@@ -75,24 +73,23 @@ def _lead(report: dict[str, Any], protocol: LiftProtocol | None) -> str:
 
 
 def _headline(report: dict[str, Any]) -> str:
-    paper, worst = (
-        f"{PAPER['turn_error_mean_deg']}° ± {PAPER['turn_error_sd_deg']}°",
-        PAPER["turn_error_worst_object_deg"],
-    )
+    paper = f"{PAPER['turn_error_mean_deg']}° ± {PAPER['turn_error_sd_deg']}°"
+    worst = PAPER["turn_error_worst_object_deg"]
+    note = " (simulated; not comparable)" if report["simulated"] else ""
     mean = f"{_mean_sd(report)}°"
-    compared = f"mean error over {report['lifts_compared']} lifts; real cell, as published: {paper}"
+    compared = f"mean error over {report['lifts_compared']} lifts; paper, real cell: {paper}{note}"
     sigmas = f"{_percent(report['within_1_sigma'])} / {_percent(report['within_2_sigma'])}"
     tiles = [
         (mean, compared),
-        (f"{_n(report['turn_error_worst_object_deg'])}°", f"worst object; as published: about {worst:g}°"),
-        (_percent(report["declined_share"]), "of the time no turn was told"),
-        (sigmas, "of errors within 1 / 2 of the stated sigmas"),
+        (f"{_n(report['turn_error_worst_object_deg'])}°", f"worst object; paper, real cell: about {worst:g}°{note}"),
+        (_percent(report["declined_share"]), "of the time without an estimate"),
+        (sigmas, "of errors within 1 / 2 estimated sigmas"),
     ]
     shown = "".join(f"<div><b>{figure}</b><span>{text}</span></div>" for figure, text in tiles)
     return f"<div class='figures'>{shown}</div>"
 
 
-def _beside_the_paper(report: dict[str, Any]) -> str:
+def _paper_comparison(report: dict[str, Any]) -> str:
     paper = report["paper_real_cell_as_published"]
     skeleton = report["per_estimator"]["skeleton"]
     rows = [
@@ -106,14 +103,18 @@ def _beside_the_paper(report: dict[str, Any]) -> str:
             _n(report["turn_error_worst_object_deg"]),
             f"about {paper['turn_error_worst_object_deg']:g}",
         ],
-        ["the paper's estimator (skeleton) here, °", _pm(skeleton), "as above"],
+        ["the paper's estimator (skeleton), °", _pm(skeleton), "as above"],
         ["lifts compared", report["lifts_compared"], "45"],
-        ["round contacts", "registered by relief, or declined", "no answer"],
+        ["round contacts", "registered by texture, or declined", "no estimate"],
     ]
     if report["dice"]:
         rows.append(["Dice", _pm(report["dice"], 3), "{} ± {}".format(*PAPER_DICE)])
         rows.append(["IoU", _pm(report["iou"], 3), "{} ± {}".format(*PAPER_IOU)])
-    return _table(["", "here", "real cell, as published"], rows, "Beside the paper.")
+    return _table(
+        ["", "simulated; not comparable" if report["simulated"] else "this cell", "paper, real cell"],
+        rows,
+        "Comparison with the paper.",
+    )
 
 
 def _mean_sd(report: dict[str, Any]) -> str:
@@ -135,14 +136,14 @@ def _object_table(report: dict[str, Any]) -> str:
     for label, key in (
         ("all unseen", "unseen"),
         ("all seen", "seen"),
-        ("heavy and saturating", "hard"),
+        ("difficult", "hard"),
         ("all others", "without_hard"),
     ):
         one = report[key]
         rows.append([f"<i>{label}</i>", "", one["n"], "", _pm(one), _n(one["worst"]),
                      _interval(one), ""])  # fmt: skip
-    head = ["object", "", "lifts", "turns, °", "error, ° (mean ± sd)", "worst lift", "95 % interval of the mean",
-            "not told"]  # fmt: skip
+    head = ["object", "", "lifts", "rotation, °", "error, ° (mean ± sd)", "worst lift", "95 % interval of the mean",
+            "declined"]  # fmt: skip
     return _table(head, rows, "Mean over the frames of a lift, then over lifts.")
 
 
@@ -150,12 +151,12 @@ def _estimator_table(report: dict[str, Any]) -> str:
     rows = []
     for name in ESTIMATORS:
         one = report["per_estimator"][name]
-        told = "fused (what the guard goes by)" if name == "fused" else name
-        rows.append([told, one["n"], _pm(one), _n(one["worst"]), _interval(one)])
-    rows.append(["<i>skeleton, real cell, as published</i>", 45,
+        label = "fused (used by the guard)" if name == "fused" else name
+        rows.append([label, one["n"], _pm(one), _n(one["worst"]), _interval(one)])
+    rows.append(["<i>skeleton, paper, real cell</i>", 45,
                  f"{PAPER['turn_error_mean_deg']} ± {PAPER['turn_error_sd_deg']}", "", ""])  # fmt: skip
-    head = ["estimator", "lifts told", "error, ° (mean ± sd)", "worst lift", "95 % interval of the mean"]
-    return _table(head, rows, "Where an estimator declines there is no error, so compare the lifts told too.")
+    head = ["estimator", "lifts", "error, ° (mean ± sd)", "worst lift", "95 % interval of the mean"]
+    return _table(head, rows, "A declined estimate has no error, so compare the number of lifts too.")
 
 
 def _network_table(report: dict[str, Any]) -> str:
@@ -165,29 +166,26 @@ def _network_table(report: dict[str, Any]) -> str:
         [escape(one["network"]), one["n"], _pm(one["dice"], 3), _pm(one["iou"], 3), _n(one["ms_median"], 1)]
         for one in report["networks"]
     ]
-    return _table(
-        ["network", "n", "Dice", "IoU", "ms, median, one core"], rows, "The same frames through each network."
-    )
+    return _table(["network", "n", "Dice", "IoU", "ms, median, one core"], rows, "All networks on the same frames.")
 
 
-def _ground(report: dict[str, Any]) -> str:
+def _ground_truth(report: dict[str, Any]) -> str:
     lags = list(report["lag_ms"].values())
-    text = f"In {report['camera_gaps']} pictures a marker was not seen well: gaps, in which nothing is compared. "
+    text = f"In {report['camera_gaps']} images a marker was not found; nothing is compared in these gaps. "
     if lags:
         text += (
-            f"Its time stamps lag the tactile ones by {min(lags):.0f} to {max(lags):.0f} ms, found lift by lift from "
-            "the two turns and taken out (with it goes whatever delay slipguard's own times have); left in, the mean "
-            "error would be "
-            f"{_n(report['turn_error_with_the_lag_left_in_deg'])}°. "
+            f"The camera's time stamps lag the tactile ones by {min(lags):.0f} to {max(lags):.0f} ms. The lag is "
+            "estimated per lift from both rotations and removed, together with any delay of slipguard's own times; "
+            f"without this correction the mean error would be {_n(report['turn_error_with_the_lag_left_in_deg'])}°. "
         )
     if report["lag_unknown"]:
-        text += f"In {len(report['lag_unknown'])} lifts it could not be told and is left in. "
+        text += f"In {len(report['lag_unknown'])} lifts it could not be determined and is not removed. "
     if report["lag_error_frames"] is not None:
-        text += f"The lag was known here and was recovered within {report['lag_error_frames']:.2f} frames. "
+        text += f"In simulation the lag is known; it was recovered within {report['lag_error_frames']:.2f} frames. "
     if report["aruco_error_mean_deg"] is not None:
         text += (
-            f"The markers themselves are off by {report['aruco_error_mean_deg']:.3f}° on average, "
-            f"{report['aruco_error_worst_deg']:.2f}° at worst, against the simulated truth."
+            f"The error of the markers themselves against the simulated truth is {report['aruco_error_mean_deg']:.3f}° "
+            f"on average, {report['aruco_error_worst_deg']:.2f}° at most."
         )
     return f"<p>{text}</p>"
 
@@ -205,22 +203,22 @@ def _method(protocol: LiftProtocol | None) -> str:
     if protocol is not None:
         low, high = protocol.rotation_deg
         lifted = (
-            f"Every object is gripped and lifted {protocol.repeats} times at {protocol.lift_speed_mm_s:g} mm/s, so "
-            f"that it turns by {low:g}° to {high:g}°. "
+            f"Every object is gripped and lifted {protocol.repeats} times at {protocol.lift_speed_mm_s:g} mm/s and "
+            f"rotates by {low:g}° to {high:g}°. "
         )
     return (
-        f"<p>{lifted}One marker is on the gripper, one on the object; the turn about the grasp axis is fitted to the "
-        "corners of all pictures of a lift at once. Both turns are zero where slipguard took its reference, the object "
-        "at rest. An error is what slipguard said at a tactile frame's capture time minus what the markers say then; a "
-        "lift's error is the mean of its magnitudes. Intervals are bootstrapped over lifts. “As published”: "
-        "Castaño-Amorós &amp; Gil, a real cell; figures of a simulated cell do not compare with them one to one.</p>"
+        f"<p>{lifted}One marker is on the gripper, one on the object; the rotation about the grasp axis is fitted to "
+        "the corners in all images of a lift. Both rotations are zero when slipguard takes its reference, with the "
+        "object at rest. The error is slipguard's estimate at a tactile frame's capture time minus the markers' "
+        "rotation; the error of a lift is the mean of the absolute errors. Intervals are bootstrapped over lifts. "
+        "“Paper”: Castaño-Amorós &amp; Gil, real cell; results of a simulated cell are not comparable with it.</p>"
     )
 
 
-def _picture(pictures: dict[str, Path], name: str, caption: str) -> str:
-    if name not in pictures:
+def _figure(figures: dict[str, Path], name: str, caption: str) -> str:
+    if name not in figures:
         return ""
-    content = base64.b64encode(pictures[name].read_bytes()).decode()
+    content = base64.b64encode(figures[name].read_bytes()).decode()
     image = f"<img alt='{caption}' src='data:image/png;base64,{content}'>"
     return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
 
