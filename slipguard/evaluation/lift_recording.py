@@ -59,7 +59,7 @@ class LiftRecorder:
     disturbs the caller, because an object may be in the air: writing stops, and leaving raises SlipguardError.
     """
 
-    takes_pictures = True
+    records_images = True
 
     def __init__(
         self,
@@ -93,7 +93,7 @@ class LiftRecorder:
         self._clock = RecordingClock(time.time_ns(), asyncio.get_running_loop().time())
         self._observer = RecordingObserver(self)
         self._finger_observers = {
-            name: (lambda processed, name=name: self._observer.judged(name, processed)) for name in service.fingers
+            name: (lambda processed, name=name: self._observer.add_frame(name, processed)) for name in service.fingers
         }
 
     def __enter__(self) -> Self:
@@ -101,7 +101,7 @@ class LiftRecorder:
             self._part.unlink()
         for name, finger in self._service.fingers.items():
             finger.observers.append(self._finger_observers[name])
-        self._service.observers.append(self._observer.decided)
+        self._service.observers.append(self._observer.add_decision)
         return self
 
     def __exit__(
@@ -109,7 +109,7 @@ class LiftRecorder:
     ) -> None:
         for name, finger in self._service.fingers.items():
             finger.observers.remove(self._finger_observers[name])
-        self._service.observers.remove(self._observer.decided)
+        self._service.observers.remove(self._observer.add_decision)
         file, self._file = self._file, None  # the camera's thread may still deliver an image
         if error is None and self._broken is None and file is not None:
             try:
@@ -126,10 +126,10 @@ class LiftRecorder:
             why = self._broken.strerror or self._broken
             raise SlipguardError(f"{self._path}: not recorded ({why}); free disk space, then start again")
 
-    def hand(self, value: RecordedFrame | RecordedCycle | RecordedMessage) -> None:
+    def add(self, value: RecordedFrame | RecordedCycle | RecordedMessage) -> None:
         """Write a value from the daemon."""
         if isinstance(value, RecordedCycle):
-            self._write(lambda file: file.tick(value.tick), first=value)
+            self._write(lambda file: file.cycle(value.record), first=value)
         elif isinstance(value, RecordedFrame):
             self._write(lambda file: write_frame(file, value, FINGERS))
 
@@ -154,7 +154,7 @@ class LiftRecorder:
             if self._file is None and first is not None:
                 plain = header(self._service)
                 about = RecordingHeader(plain.facts, {**plain.attachments, **self._attachments})
-                self._file = RecordingFile(self._part, self._clock, about, first.memory, first.tick.now_s)
+                self._file = RecordingFile(self._part, self._clock, about, first.memory, first.record.now_s)
             if self._file is not None:
                 what(self._file)
         except OSError as error:

@@ -1,1 +1,1 @@
-"""Recordings: what the guard saw and did, as MCAP files that Foxglove shows and `slipguard replay` plays again."""
+"""Recordings: what the guard observed and did, as MCAP files for Foxglove and `slipguard replay`."""

@@ -1,7 +1,7 @@
-"""What a recording is made of: topics, their message types, and exact JSON for the law's values.
+"""Topics and message types of a recording, and exact JSON for the controller's values.
 
-Pictures and log lines are Foxglove's own protobuf messages, everything else is JSON described by a JSON schema, so a
-viewer needs no set-up. Numbers survive to the last bit: a replay must find the very same commands.
+Images and log messages are Foxglove's protobuf messages. Everything else is JSON with a JSON schema, so a viewer needs
+no set-up. Numbers keep every bit, so that a replay computes the same commands.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from slipguard.perception.estimate import Estimate
 FORMAT = "1"
 FINGERS = ("left", "right")
 CAMERA = "camera"
-"""An external camera, in the recordings of an experiment."""
+"""Source name of the external camera in the recordings of an experiment."""
 IMAGE_TOPIC = {source: f"/{source}/image" for source in (*FINGERS, CAMERA)}
 MASK_TOPIC = {finger: f"/{finger}/mask" for finger in FINGERS}
 TRUE_MASK_TOPIC = {finger: f"/{finger}/true_mask" for finger in FINGERS}
@@ -39,10 +39,11 @@ CONFIG_ATTACHMENT = "config.json"
 
 @dataclass(frozen=True, slots=True)
 class FrameRecord:
-    """One frame that a finger's pipeline was given.
+    """One frame that a finger's pipeline received.
 
-    new_reference: the pipeline forgot its reference just before. new_pipeline: it was built anew (another unit, or a
-    new no-contact image). estimate: None where the frame was refused; then `refused` says why.
+    new_reference: the pipeline's reference was reset just before. new_pipeline: the pipeline was built again just
+    before (another unit, or a new background image). estimate: None if the frame was refused for the reason in
+    `refused`.
     """
 
     sequence: int
@@ -55,9 +56,9 @@ class FrameRecord:
 
 @dataclass(frozen=True, slots=True)
 class CycleRecord:
-    """One turn of the loop: what the law was told and what it commanded.
+    """One cycle of the loop: the controller's observation and its command.
 
-    left_sequence, right_sequence: the frame whose estimate spoke for the finger; None where none was fresh.
+    left_sequence, right_sequence: the frame whose estimate was used for the finger; None if none was fresh.
     """
 
     now_s: float
@@ -70,7 +71,7 @@ class CycleRecord:
 
 @dataclass(frozen=True, slots=True)
 class TruthRecord:
-    """What a simulated world knows. rotation_deg: since the grasp, in the left picture's sign."""
+    """True state of a simulated world. rotation_deg: since the grasp, with the sign of the left finger's image."""
 
     now_s: float
     rotation_deg: float
@@ -81,7 +82,7 @@ T = TypeVar("T")
 
 
 class Json(Generic[T]):
-    """One message type as JSON: exact, infinities as text, refused in one line when damaged."""
+    """Encodes one message type as exact JSON, infinities as text."""
 
     def __init__(self, kind: type[T]) -> None:
         self.name = f"slipguard.{kind.__name__}"
@@ -90,19 +91,19 @@ class Json(Generic[T]):
 
     @functools.cached_property
     def schema(self) -> bytes:
-        """JSON schema of the messages; made once, for every recording has it."""
+        """JSON schema of the messages."""
         return json.dumps(self._adapter.json_schema()).encode()
 
     def encode(self, value: T) -> bytes:
-        """Compact JSON; floats come back to the last bit."""
+        """Return compact JSON; floats keep every bit."""
         return to_json(value, inf_nan_mode="strings")
 
     def decode(self, data: bytes) -> T:
-        """Raises InputError for what is no such message."""
+        """Return the message. Raises InputError if it is damaged."""
         try:
             return self._adapter.validate_json(data)
         except ValidationError as error:
-            raise InputError(f"no {self.name}: {first_complaint(error)}") from None
+            raise InputError(f"not a {self.name} message: {first_complaint(error)}") from None
 
 
 FRAME_RECORD = Json(FrameRecord)
@@ -112,5 +113,5 @@ TRUTH_RECORD = Json(TruthRecord)
 
 
 def background_name(finger: str) -> str:
-    """Attachment that holds the finger's no-contact image."""
+    """Return the name of the attachment with the finger's background image."""
     return f"no_contact-{finger}.png"

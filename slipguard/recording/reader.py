@@ -1,4 +1,4 @@
-"""Reading recordings back, also those cut off by a kill or a full disk: all up to the damage, then a word on it."""
+"""Read recordings, also those cut off by a kill or a full disk: everything up to the damage, and what the damage is."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from slipguard.errors import InputError
 from slipguard.recording import messages as m
 
 RECORD_MAX_BYTES = 64 * 2**20
-"""No record of ours is larger; a damaged length must not ask for all the memory there is."""
+"""Records of slipguard are smaller; a damaged length must not allocate all memory."""
 _DAMAGE = (
     McapError,
     DecodeError,
@@ -39,23 +39,23 @@ _DAMAGE = (
 
 @dataclass(frozen=True, slots=True)
 class StoredImage:
-    """One compressed picture, of a finger or the external camera: an image or a mask. format: "jpeg" or "png"."""
+    """One compressed image or mask, of a finger or the external camera. format: "jpeg" or "png"."""
 
     source: str
     encoded: bytes
     format: str
 
     def pixels(self) -> NDArray[np.uint8]:
-        """(320, 240, 3) uint8 BGR; raises InputError if it is no picture."""
+        """Return the image, (320, 240, 3) uint8 BGR. Raises InputError if it cannot be decoded."""
         image = cv2.imdecode(np.frombuffer(self.encoded, np.uint8), cv2.IMREAD_COLOR)
         if image is None:
-            raise InputError(f"a picture of {self.source} cannot be decoded")
+            raise InputError(f"an image of {self.source} cannot be decoded")
         return np.asarray(image, np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
 class StoredMessage:
-    """One line that was said."""
+    """One message of the log."""
 
     text: str
     error: bool
@@ -66,7 +66,7 @@ Value = ControlState | m.FrameRecord | m.CycleRecord | m.TruthRecord | StoredIma
 
 @dataclass(frozen=True, slots=True)
 class RecordedItem:
-    """One message: its topic, when (wall clock, nanoseconds since 1970), and what it says."""
+    """One message: its topic, its wall-clock time in nanoseconds since 1970, and its value."""
 
     topic: str
     at_ns: int
@@ -75,16 +75,16 @@ class RecordedItem:
 
 @dataclass(slots=True)
 class Recording:
-    """One file. facts and attachments are those it began with; `damage` is known once `items` has been exhausted."""
+    """One file. facts and attachments come from its beginning; `damage` is known once `items` is exhausted."""
 
     path: Path
     facts: dict[str, str] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
     damage: str | None = None
-    """Why reading ended before the file's own end; None if it did not."""
+    """Why reading ended before the end of the file; None if it did not."""
 
     def items(self) -> Iterator[RecordedItem]:
-        """All messages in the order written; ends early, and says so in `damage`, where the file is damaged."""
+        """Yield all messages in the order written; ends early at a damage, which is then in `damage`."""
         topics: dict[int, str] = {}
         self.damage = None
         try:
@@ -106,7 +106,7 @@ class Recording:
 
 
 def open_recording(path: Path) -> Recording:
-    """Read what a recording says of itself. Raises InputError for what is no recording of slipguard."""
+    """Read the header of a recording. Raises InputError if it is no recording of slipguard."""
     recording = Recording(path)
     try:
         with path.open("rb") as file:
@@ -121,9 +121,9 @@ def open_recording(path: Path) -> Recording:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except _DAMAGE:
         if not recording.facts:
-            raise InputError(f"{path}: not an MCAP recording, or cut off at its very start") from None
+            raise InputError(f"{path}: not an MCAP recording, or cut off at its beginning") from None
     if "format" not in recording.facts:
-        raise InputError(f"{path}: no recording of slipguard, or cut off before its header")
+        raise InputError(f"{path}: not a recording of slipguard, or cut off before its header")
     if recording.facts["format"] != m.FORMAT:
         raise InputError(
             f"{path}: written in format {recording.facts['format']}; this slipguard reads format {m.FORMAT}"
@@ -147,14 +147,14 @@ _SOURCE_OF = {
 
 
 def _value(topic: str, data: bytes) -> Value | None:
-    """The message; None for a topic that a later version may have added."""
+    """Return the message; None for a topic of a later version."""
     if topic in _TOPICS:
         value: ControlState | m.FrameRecord | m.CycleRecord | m.TruthRecord = _TOPICS[topic].decode(data)
         return value
     if topic in _SOURCE_OF:
-        picture = CompressedImage.FromString(data)
-        return StoredImage(_SOURCE_OF[topic], picture.data, picture.format)
+        image = CompressedImage.FromString(data)
+        return StoredImage(_SOURCE_OF[topic], image.data, image.format)
     if topic == m.LOG_TOPIC:
-        line = Log.FromString(data)
-        return StoredMessage(line.message, line.level >= Log.ERROR)
+        message = Log.FromString(data)
+        return StoredMessage(message.message, message.level >= Log.ERROR)
     return None

@@ -1,4 +1,4 @@
-"""One recording file, written so that whatever was written stays readable when the program is killed."""
+"""One recording file; what was written stays readable if the program is killed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from slipguard.control.step import ControlState
 from slipguard.recording import messages as m
 
 CHUNK_BYTES = 64 * 1024
-"""A file is readable up to its last whole chunk. The loop alone fills one in half a second, pictures in less."""
+"""A file is readable up to its last complete chunk. The loop alone fills one in half a second, images in less."""
 
 Level = Literal["info", "error"]
 _LEVELS = {"info": Log.INFO, "error": Log.ERROR}
@@ -27,37 +27,37 @@ _LEVELS = {"info": Log.INFO, "error": Log.ERROR}
 
 @dataclass(frozen=True, slots=True)
 class RecordingClock:
-    """From the event loop's monotonic seconds to the wall clock's nanoseconds that a recording carries."""
+    """Converts the event loop's monotonic seconds to the wall-clock nanoseconds of a recording."""
 
     wall_ns: int
     monotonic_s: float
 
     def ns(self, at_s: float) -> int:
-        """Wall clock, nanoseconds since 1970."""
+        """Return the wall-clock time in nanoseconds since 1970."""
         return max(self.wall_ns + round(1e9 * (at_s - self.monotonic_s)), 0)
 
     def s(self, wall_ns: int) -> float:
-        """The event loop's seconds then."""
+        """Return the event loop's time in seconds."""
         return self.monotonic_s + 1e-9 * (wall_ns - self.wall_ns)
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingHeader:
-    """What a file says of itself. facts: texts, such as versions. attachments: name -> content, .json or .png."""
+    """Header of a file. facts: texts, such as versions. attachments: name -> content, .json or .png."""
 
     facts: Mapping[str, str]
     attachments: Mapping[str, bytes]
 
 
 def open_new(path: Path) -> BinaryIO:
-    """A new file, unbuffered; raises FileExistsError rather than write over another."""
+    """Open a new file, unbuffered. Raises FileExistsError instead of overwriting one."""
     return open(path, "xb", buffering=0)
 
 
 class RecordingFile:
-    """An open recording. Every method may raise OSError, a full disk above all; then only `abandon` is of use.
+    """An open recording. Every method may raise OSError, for example on a full disk; then only `abandon` may follow.
 
-    One that cannot be begun leaves no file. opener: opens a new file unbuffered, for the tests' full disks.
+    If the beginning cannot be written, no file remains. opener: opens a new file, unbuffered.
     """
 
     def __init__(
@@ -94,54 +94,54 @@ class RecordingFile:
 
     @property
     def size_bytes(self) -> int:
-        """What is on the disk so far."""
+        """Bytes written so far."""
         return self._stream.tell()
 
     def image(self, source: str, at_s: float, encoded: bytes, kind: Literal["jpeg", "png"]) -> None:
-        """The picture of a finger's gel, or of the external camera, taken at `at_s`."""
-        self._picture(m.IMAGE_TOPIC[source], source, at_s, encoded, kind)
+        """Write an image of a finger or of the external camera, captured at `at_s`."""
+        self._image(m.IMAGE_TOPIC[source], source, at_s, encoded, kind)
 
     def mask(self, finger: str, at_s: float, png: bytes) -> None:
-        """The contact found in the picture taken at `at_s`: 240 x 320, 0 or 255."""
-        self._picture(m.MASK_TOPIC[finger], finger, at_s, png, "png")
+        """Write the contact mask of the image captured at `at_s`: 240 x 320, 0 or 255."""
+        self._image(m.MASK_TOPIC[finger], finger, at_s, png, "png")
 
     def true_mask(self, finger: str, at_s: float, png: bytes) -> None:
-        """What a person would outline in the picture taken at `at_s`, where that is known."""
-        self._picture(m.TRUE_MASK_TOPIC[finger], finger, at_s, png, "png")
+        """Write the true contact mask of the image captured at `at_s`."""
+        self._image(m.TRUE_MASK_TOPIC[finger], finger, at_s, png, "png")
 
     def truth(self, truth: m.TruthRecord) -> None:
-        """What a simulated world knows."""
+        """Write the true state of a simulated world."""
         self._json(m.TRUTH_TOPIC, m.TRUTH_RECORD, truth, truth.now_s)
 
-    def judged(self, finger: str, at_s: float, judged: m.FrameRecord) -> None:
-        """What a finger's pipeline made of a frame; `at_s` is when it was known."""
-        self._json(m.JUDGED_TOPIC[finger], m.FRAME_RECORD, judged, at_s)
+    def frame(self, finger: str, at_s: float, record: m.FrameRecord) -> None:
+        """Write the result of a finger's pipeline for one frame, ready at `at_s`."""
+        self._json(m.JUDGED_TOPIC[finger], m.FRAME_RECORD, record, at_s)
 
-    def tick(self, tick: m.CycleRecord) -> None:
-        """One turn of the loop."""
-        self._json(m.TICK_TOPIC, m.CYCLE_RECORD, tick, tick.now_s)
+    def cycle(self, record: m.CycleRecord) -> None:
+        """Write one cycle of the loop."""
+        self._json(m.TICK_TOPIC, m.CYCLE_RECORD, record, record.now_s)
 
     def log(self, at_s: float, level: Level, text: str) -> None:
-        """One line that was said."""
+        """Write one log message."""
         at_ns = self._clock.ns(at_s)
-        line = Log(timestamp=_stamp(at_ns), level=_LEVELS[level], message=text, name="slipguard")
-        self._add(m.LOG_TOPIC, Log, at_ns, line.SerializeToString())
+        message = Log(timestamp=_stamp(at_ns), level=_LEVELS[level], message=text, name="slipguard")
+        self._add(m.LOG_TOPIC, Log, at_ns, message.SerializeToString())
 
     def close(self) -> None:
-        """Write the index; without it a reader must look through the whole file. Raises OSError."""
+        """Write the index, without which a reader must scan the whole file, and close. Raises OSError."""
         try:
             self._writer.finish()  # type: ignore[no-untyped-call]
         finally:
             self._stream.close()
 
     def abandon(self) -> None:
-        """Close without another byte: the disk takes none."""
+        """Close without writing anything more."""
         self._stream.close()
 
-    def _picture(self, topic: str, source: str, at_s: float, encoded: bytes, kind: str) -> None:
+    def _image(self, topic: str, source: str, at_s: float, encoded: bytes, kind: str) -> None:
         at_ns = self._clock.ns(at_s)
-        picture = CompressedImage(timestamp=_stamp(at_ns), frame_id=source, data=encoded, format=kind)
-        self._add(topic, CompressedImage, at_ns, picture.SerializeToString())
+        image = CompressedImage(timestamp=_stamp(at_ns), frame_id=source, data=encoded, format=kind)
+        self._add(topic, CompressedImage, at_ns, image.SerializeToString())
 
     def _json(self, topic: str, kind: m.Json[Any], value: Any, at_s: float) -> None:
         if topic not in self._channels:
@@ -162,13 +162,13 @@ class RecordingFile:
 
 @functools.cache
 def _descriptors(kind: Any) -> bytes:
-    """What tells a reader how messages of a protobuf kind are laid out."""
+    """Return the schema of a protobuf message type."""
     descriptors: bytes = build_file_descriptor_set(kind).SerializeToString()
     return descriptors
 
 
 class _Stream:
-    """An unbuffered file that writes everything or raises, and knows how far it is."""
+    """An unbuffered file that writes everything or raises, and counts its bytes."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -176,10 +176,10 @@ class _Stream:
         self.flush = functools.partial(file.flush)
 
     def write(self, data: bytes) -> int:
-        rest = memoryview(data)
-        while rest:
-            done = self._file.write(rest)
-            rest = rest[done:]
+        remaining = memoryview(data)
+        while remaining:
+            done = self._file.write(remaining)
+            remaining = remaining[done:]
             self._at += done
         return len(data)
 

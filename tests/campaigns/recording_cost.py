@@ -174,13 +174,13 @@ class _TimedObserver(RecordingObserver):
         super().__init__(recorder)
         self._lift = lift
 
-    def judged(self, finger: str, judgement: ProcessedFrame) -> None:
+    def add_frame(self, finger: str, processed: ProcessedFrame) -> None:
         with self._timed():
-            super().judged(finger, judgement)
+            super().add_frame(finger, processed)
 
-    def decided(self, decision: Decision) -> None:
+    def add_decision(self, decision: Decision) -> None:
         with self._timed():
-            super().decided(decision)
+            super().add_decision(decision)
 
     @contextmanager
     def _timed(self) -> Iterator[None]:

@@ -1,4 +1,4 @@
-"""What of the running service is recorded, and when it is worth keeping."""
+"""Record the running service: what is recorded, and when it is kept."""
 
 from __future__ import annotations
 
@@ -31,39 +31,41 @@ from slipguard.recording.writer import RecordingClock, RecordingHeader
 
 SEGMENT_S = 20.0
 IDLE_IMAGE_S = 1.0
-"""With nothing held and nothing touched, one picture in this time is enough."""
+"""While nothing is held or touched, one image in this time is recorded."""
 STOP_S = 5.0
 T = TypeVar("T")
 
 
 def make_recorder(service: Service, folder: Path) -> Recorder:
-    """A recorder for a service, into `folder`; not yet started."""
-    asked = service.config.recording
+    """Return a recorder of a service into `folder`; not yet started."""
+    config = service.config.recording
     loop = asyncio.get_running_loop()
+    # 0 except on a virtual clock, on which each file continues where the one before ended.
     virtual_s = loop.time() - time.monotonic()
-    # That is 0, but for a virtual clock: by it each file goes on where the one before ended.
-    limits = RingLimits(max(round(asked.ring_s / SEGMENT_S), 1), asked.ring_max_mb * 2**20, asked.kept_max_mb * 2**20)
+    limits = RingLimits(
+        max(round(config.ring_s / SEGMENT_S), 1), config.ring_max_mb * 2**20, config.kept_max_mb * 2**20
+    )
     return Recorder(
         Ring(folder, limits),
-        RecorderSettings(asked.image, asked.jpeg_quality, SEGMENT_S, asked.keep_before_s, asked.keep_after_s),
+        RecorderSettings(config.image, config.jpeg_quality, SEGMENT_S, config.keep_before_s, config.keep_after_s),
         clock=lambda: RecordingClock(time.time_ns(), time.monotonic() + virtual_s),
         header=lambda: header(service),
-        on_trouble=lambda text: _say_in(loop, service.event_log.warning, text),
+        on_trouble=lambda text: _call_in(loop, service.event_log.warning, text),
     )
 
 
 async def record(
-    service: Service, recorder: Recorder, make_watcher: Callable[[RecordingSink], RecordingObserver] | None = None
+    service: Service, recorder: Recorder, make_observer: Callable[[RecordingSink], RecordingObserver] | None = None
 ) -> None:
-    """Record until cancelled; then what waits is written and the file is closed."""
-    watcher = (make_watcher or RecordingObserver)(recorder)
+    """Record until cancelled; then write the waiting values and close the file."""
+    observer = (make_observer or RecordingObserver)(recorder)
     loop = asyncio.get_running_loop()
-    with contextlib.ExitStack() as watched:
+    with contextlib.ExitStack() as attached:
         for name, finger in service.fingers.items():
-            judged: Callable[[ProcessedFrame], None] = partial(watcher.judged, name)
-            _attach(watched, finger.observers, judged)
-        _attach(watched, service.observers, watcher.decided)
-        _attach(watched, service.event_log.listeners, lambda event: recorder.hand(_recorded_message(event)))
+            on_frame: Callable[[ProcessedFrame], None] = partial(observer.add_frame, name)
+            _attach(attached, finger.observers, on_frame)
+        _attach(attached, service.observers, observer.add_decision)
+        _attach(attached, service.event_log.listeners, lambda event: recorder.add(_as_message(event)))
         recorder.start()
         try:
             await loop.create_future()
@@ -71,43 +73,43 @@ async def record(
             await asyncio.to_thread(recorder.stop, STOP_S)
 
 
-def _recorded_message(event: Event) -> RecordedMessage:
+def _as_message(event: Event) -> RecordedMessage:
     return RecordedMessage(event.at_s, event.line, event.level == "fault")
 
 
-def _attach(watched: contextlib.ExitStack, observers: list[T], observer: T) -> None:
+def _attach(attached: contextlib.ExitStack, observers: list[T], observer: T) -> None:
     observers.append(observer)
-    watched.callback(observers.remove, observer)
+    attached.callback(observers.remove, observer)
 
 
 class RecordingSink(Protocol):
-    """Who records: a `Recorder`, or whatever else takes what it is handed."""
+    """Takes the values to be recorded: a `Recorder`, or another consumer."""
 
     @property
-    def takes_pictures(self) -> bool: ...
+    def records_images(self) -> bool: ...
 
-    def hand(self, value: RecordedFrame | RecordedCycle | RecordedMessage) -> None: ...
+    def add(self, value: RecordedFrame | RecordedCycle | RecordedMessage) -> None: ...
 
 
 class RecordingObserver:
-    """Hands over what the loop and the fingers tell; costs them some microseconds."""
+    """Passes frames and decisions of a service to a recorder; takes microseconds."""
 
     def __init__(self, recorder: RecordingSink) -> None:
         self._recorder = recorder
         self._idle = True
         self._slipping = False
         self._faulty = False
-        self._pictured_s: dict[str, float] = {}
+        self._image_at_s: dict[str, float] = {}
 
-    def judged(self, finger: str, processed: ProcessedFrame) -> None:
-        """A finger's frame and what it says; without its picture while nothing is going on."""
+    def add_frame(self, finger: str, processed: ProcessedFrame) -> None:
+        """Record a frame of a finger and its result; the image is mostly left out while nothing is held or touched."""
         frame, estimate = processed.frame, processed.estimate
-        boring = self._idle and estimate is not None and not estimate.contact
-        recent = frame.captured_at_s - self._pictured_s.get(finger, float("-inf")) < IDLE_IMAGE_S
-        pictured = self._recorder.takes_pictures and not (boring and recent)
-        if pictured:
-            self._pictured_s[finger] = frame.captured_at_s
-        told = m.FrameRecord(
+        uneventful = self._idle and estimate is not None and not estimate.contact
+        recent = frame.captured_at_s - self._image_at_s.get(finger, float("-inf")) < IDLE_IMAGE_S
+        with_image = self._recorder.records_images and not (uneventful and recent)
+        if with_image:
+            self._image_at_s[finger] = frame.captured_at_s
+        record = m.FrameRecord(
             frame.sequence,
             frame.captured_at_s,
             processed.new_reference,
@@ -116,25 +118,25 @@ class RecordingObserver:
             processed.refused,
         )
         patch = processed.patch if estimate is not None and estimate.skipped is None else None
-        self._recorder.hand(
+        self._recorder.add(
             RecordedFrame(
                 finger,
                 processed.processed_at_s,
-                told,
-                frame.image if pictured else None,
+                record,
+                frame.image if with_image else None,
                 patch.full_mask() if patch is not None else None,
             )
         )
 
-    def decided(self, decision: Decision) -> None:
-        """A turn of the loop; the beginning of a slip or a fault is worth keeping."""
+    def add_decision(self, decision: Decision) -> None:
+        """Record a cycle of the loop; the files around the beginning of a slip or a fault are kept."""
         grasp = decision.memory.grasp
         slipping, faulty = grasp.slip is not None, decision.command.fault is not None
         keep = (slipping and not self._slipping) or (faulty and not self._faulty)
         self._slipping, self._faulty = slipping, faulty
         self._idle = decision.phase is Phase.IDLE
         estimates = decision.estimates
-        tick = m.CycleRecord(
+        record = m.CycleRecord(
             decision.now_s,
             decision.phase.value,
             decision.observation,
@@ -142,7 +144,7 @@ class RecordingObserver:
             _sequence(estimates.get("left")),
             _sequence(estimates.get("right")),
         )
-        self._recorder.hand(RecordedCycle(tick, decision.memory, keep))
+        self._recorder.add(RecordedCycle(record, decision.memory, keep))
 
 
 def _sequence(estimate: Estimate | None) -> int | None:
@@ -150,7 +152,7 @@ def _sequence(estimate: Estimate | None) -> int | None:
 
 
 def header(service: Service) -> RecordingHeader:
-    """Versions, the whole configuration, and each finger's no-contact image."""
+    """Return the header of a recording: versions, configuration, and each finger's background image."""
     model = service.config.perception.model or default_model_path()
     facts = {"slipguard": __version__, "model_sha256": hashlib.sha256(model.read_bytes()).hexdigest()}
     attachments = {m.CONFIG_ATTACHMENT: config_json(service.config)}
@@ -169,11 +171,11 @@ def header(service: Service) -> RecordingHeader:
 
 
 def config_json(config: Config) -> bytes:
-    """The configuration with every default spelled out, drivers' tables too."""
+    """Return the configuration with all defaults and the drivers' tables."""
     return config.model_dump_json(indent=2, serialize_as_any=True).encode()
 
 
-def _say_in(loop: asyncio.AbstractEventLoop, say: Callable[[str], None], text: str) -> None:
-    """From the recorder's thread into the loop; nothing once the loop is closed."""
+def _call_in(loop: asyncio.AbstractEventLoop, receive: Callable[[str], None], text: str) -> None:
+    """Call from the recorder's thread into the loop; do nothing once the loop is closed."""
     with contextlib.suppress(RuntimeError):
-        loop.call_soon_threadsafe(say, text)
+        loop.call_soon_threadsafe(receive, text)

@@ -40,8 +40,8 @@ def written(path: Path, count: int = 200) -> RecordingFile:
     for number in range(count):
         at_s = number / 60
         file.image("left", at_s, cv2.imencode(".jpg", picture(number))[1].tobytes(), "jpeg")
-        file.judged("left", at_s, judged_at(at_s))
-        file.tick(tick_at(at_s))
+        file.frame("left", at_s, judged_at(at_s))
+        file.cycle(tick_at(at_s))
         file.log(at_s, "info", f"line {number}")
     return file
 

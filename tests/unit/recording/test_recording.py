@@ -40,8 +40,8 @@ def recorder(folder: Path, **settings: object) -> Recorder:
 def play(one: Recorder, times: np.ndarray, keep_at: float | None = None) -> None:
     one.start()
     for now_s in times:
-        one.hand(RecordedFrame("left", float(now_s), judged_at(float(now_s)), picture(), picture()[..., 0] // 128))
-        one.hand(
+        one.add(RecordedFrame("left", float(now_s), judged_at(float(now_s)), picture(), picture()[..., 0] // 128))
+        one.add(
             RecordedCycle(
                 tick_at(float(now_s)), ControlState(), keep=keep_at is not None and bool(np.isclose(now_s, keep_at))
             )
@@ -233,7 +233,7 @@ def test_every_file_reads_the_wall_clock_anew(tmp_path: Path) -> None:
 def test_any_other_trouble_stops_the_recording_and_not_its_thread(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("slipguard.recording.recorder.TRY_AGAIN_S", 0.0)
+    monkeypatch.setattr("slipguard.recording.recorder.RETRY_S", 0.0)
     said: list[str] = []
     headers = iter((ValueError("a model\nthat is none"), ValueError("still none"), HEADER))
 
@@ -247,7 +247,7 @@ def test_any_other_trouble_stops_the_recording_and_not_its_thread(
     assert not one.dead
     one.start()
     for number in range(4):
-        one.hand(RecordedCycle(tick_at(number / 10), ControlState()))
+        one.add(RecordedCycle(tick_at(number / 10), ControlState()))
     one.stop(20.0)
     assert "recording stopped: ValueError: a model that is none" in said[0]
     assert said[1:] == ["recording again"]
@@ -276,18 +276,18 @@ def test_a_full_disk_stops_the_recording_with_one_line(tmp_path: Path) -> None:
 def test_handing_over_never_waits_and_leaves_pictures_out_first(tmp_path: Path) -> None:
     one = recorder(tmp_path)
     for number in range(2500):  # not started: nobody takes anything
-        one.hand(RecordedFrame("left", number / 60, judged_at(number / 60), picture() if number < 600 else None))
+        one.add(RecordedFrame("left", number / 60, judged_at(number / 60), picture() if number < 600 else None))
     assert one.left_out == 600 - 500 + 2500 - 2000
     one.start()
-    one.hand(RecordedMessage(1.0, "a line"))
+    one.add(RecordedMessage(1.0, "a line"))
     one.stop(20.0)
 
 
 def test_png_keeps_every_pixel(tmp_path: Path) -> None:
     one = recorder(tmp_path, image="png")
     one.start()
-    one.hand(RecordedCycle(tick_at(0.0), ControlState()))
-    one.hand(RecordedFrame("right", 0.0, judged_at(0.0), picture(5)))
+    one.add(RecordedCycle(tick_at(0.0), ControlState()))
+    one.add(RecordedFrame("right", 0.0, judged_at(0.0), picture(5)))
     one.stop(20.0)
     (path,) = (tmp_path / "ring").iterdir()
     pixels = [item.value.pixels() for item in open_recording(path).items() if isinstance(item.value, StoredImage)]

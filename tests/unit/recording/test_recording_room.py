@@ -61,9 +61,9 @@ class Playing:
 
     def play(self, from_s: float, to_s: float, keep_at: float | None = None) -> None:
         for now_s in np.arange(from_s, to_s, 0.1).tolist():
-            self.recorder.hand(RecordedFrame("left", now_s, judged_at(now_s), PICTURES[round(10 * now_s) % 8]))
+            self.recorder.add(RecordedFrame("left", now_s, judged_at(now_s), PICTURES[round(10 * now_s) % 8]))
             keep = keep_at is not None and bool(np.isclose(now_s, keep_at))
-            self.recorder.hand(RecordedCycle(tick_at(now_s), ControlState(), keep=keep))
+            self.recorder.add(RecordedCycle(tick_at(now_s), ControlState(), keep=keep))
             for _ in range(2):
                 assert self.recorder.taken.acquire(timeout=20.0)
 
@@ -71,7 +71,7 @@ class Playing:
 @pytest.fixture
 def playing(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Playing]:
     monkeypatch.setattr("slipguard.recording.recorder.WAIT_S", 0.001)
-    monkeypatch.setattr("slipguard.recording.recorder.TRY_AGAIN_S", 0.0)
+    monkeypatch.setattr("slipguard.recording.recorder.RETRY_S", 0.0)
 
     def start(
         ring: Ring, opener: Callable[[Path], object] = open_new, clock: RecordingClock = CLOCK, **settings: float
@@ -123,7 +123,7 @@ def test_others_that_fill_the_disk_stop_the_recording_once_and_its_end_is_whole(
     disk.others = 20 * MB - 100_000
     one.play(2.8, 2.9)
     assert len(one.said) == 1
-    assert "recording stopped: less than 1 MB of the disk are free" in one.said[0]
+    assert "MB of the disk are free (limit 1 MB)" in one.said[0]
     one.play(2.9, 4.0)
     assert names(tmp_path / "ring") == [], "all of it, for the disk is still too full"
     disk.others = 18 * MB + 100_000
