@@ -38,7 +38,13 @@ def measure(
         Path | None, typer.Option(help="Folder for the contact masks, named after the frames: PNG, 0 or 255.")
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture of turn, orientation and area over time.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object a line for each frame.")] = False,
+    json: Annotated[
+        bool,
+        typer.Option(
+            "--json",
+            help="Print one JSON object per frame and line; its key `declined` says why there is no angle, else null.",
+        ),
+    ] = False,
     independent: Annotated[
         bool, typer.Option("--independent", help="Every frame for itself instead of one recording.")
     ] = False,

@@ -74,6 +74,7 @@ def as_json(measured: FrameMeasurement) -> dict[str, Any]:
         "sigma_deg": _rounded(estimate.sigma_deg),
         "method": estimate.method,
         "skipped": estimate.skipped,
+        "declined": estimate.declined,
         "stage_ms": {stage: round(spent_ms, 3) for stage, spent_ms in estimate.stage_ms.items()},
     }
 

@@ -24,6 +24,7 @@ KEYS = {
     "sigma_deg",
     "method",
     "skipped",
+    "declined",
     "stage_ms",
 }
 
@@ -87,6 +88,8 @@ def test_a_turn_is_read_with_sign_and_every_key(rotating: Path, capsys: pytest.C
     assert seen[-1]["sigma_deg"] > 0.0
     assert seen[-1]["orientation_deg"] == pytest.approx(32.0, abs=3.0)
     assert all(isinstance(value, float) for value in seen[-1]["stage_ms"].values())
+    assert [line["declined"] for line in seen[:3]] == ["no contact", "no contact", "no reference yet"]
+    assert all((line["declined"] is None) == (line["angle_deg"] is not None) for line in seen)
 
 
 def test_reference_first_counts_from_the_first_contact(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
