@@ -21,13 +21,13 @@ MIN_AREA_PX = 200
 
 
 class AxialRotation:
-    """The turn since the first axis, the smaller way round: an axis that jumps does not spoil what comes after."""
+    """Rotation since the first axis, in (-90, 90]: an axis that jumps does not affect later frames."""
 
     def __init__(self) -> None:
         self._first_deg: float | None = None
 
     def estimate(self, frame: Frame, axis_deg: float, area_px: int, method: str) -> Estimate:
-        """What a pipeline without sigmas says of a frame; axis_deg NaN where there is none."""
+        """Return the estimate, without sigma, for an axis; NaN if there is no axis."""
         rotation_deg = None
         if math.isfinite(axis_deg) and area_px >= MIN_AREA_PX:
             if self._first_deg is None:
@@ -46,29 +46,29 @@ class AxialRotation:
 
 
 def axis_of_points(x: NDArray[np.intp], y: NDArray[np.intp]) -> float:
-    """Direction of largest spread of pixels (right, down), degrees counter-clockwise as seen."""
+    """Return the direction of the largest variance of pixels (x right, y down), degrees counter-clockwise."""
     dx, dy = x - x.mean(), y - y.mean()
     return wrap_axial_deg(-math.degrees(math.atan2(2.0 * float(dx @ dy), float(dx @ dx - dy @ dy))) / 2.0)
 
 
 def axis_of_ellipse(mask: NDArray[np.uint8]) -> float:
-    """Long axis of an ellipse fitted to the longest outline; NaN where there is none."""
-    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    longest = max(outlines, key=len, default=None)
+    """Return the long axis of an ellipse fitted to the longest contour; NaN if there is no contour."""
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    longest = max(contours, key=len, default=None)
     if longest is None or len(longest) < 5:
         return math.nan
     _, (first, second), rotated = cv2.fitEllipse(longest)
     return wrap_axial_deg(-rotated if first >= second else -rotated - 90.0)
 
 
-LEAST_LEVELS = 10.0
-"""A threshold below this many grey levels would follow the noise."""
+MIN_THRESHOLD_LEVELS = 10.0
+"""A lower threshold, in gray levels, would follow the noise."""
 BLUR_PX = 2.0
 _DISC = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))
 
 
 class BackgroundSubtraction:
-    """Turn since the first frame by PCA of the mask or an ellipse round it; no sigma."""
+    """Rotation since the first frame by PCA of the mask or an ellipse around it; no sigma."""
 
     def __init__(self, background: NDArray[np.uint8], axis: Literal["pca", "ellipse"]) -> None:
         self._background = background.astype(np.float32)
@@ -77,13 +77,13 @@ class BackgroundSubtraction:
         self.last_mask: NDArray[np.uint8] = np.zeros(background.shape[:2], np.uint8)
 
     def process(self, frame: Frame) -> Estimate:
-        """Largest region that differs from the no-contact image, an even change of light aside."""
+        """Segment the largest region that differs from the background image by more than a uniform change of light."""
         change = frame.image.astype(np.float32) - self._background
         change -= np.median(change[::8, ::8], axis=(0, 1))
         strength = cv2.GaussianBlur(np.abs(change).max(axis=2), (0, 0), BLUR_PX)
         levels = np.asarray(np.clip(strength, 0, 255), np.uint8)
         otsu, _ = cv2.threshold(levels, 0, 255, cv2.THRESH_OTSU)
-        above = np.asarray(strength > max(otsu, LEAST_LEVELS), np.uint8)
+        above = np.asarray(strength > max(otsu, MIN_THRESHOLD_LEVELS), np.uint8)
         closed = np.asarray(cv2.morphologyEx(above, cv2.MORPH_CLOSE, _DISC), np.uint8)
         count, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
         if count < 2:
@@ -101,15 +101,15 @@ class BackgroundSubtraction:
 
 MIN_AREA_PX = 200
 MEAN_RGB, STD_RGB = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-OURS_PX = (120, 160)
-"""What slipguard's estimators are made for; finer answers are reduced to it."""
+ESTIMATOR_MAP_PX = (120, 160)
+"""Width and height of the maps that slipguard's estimators use; larger outputs are reduced to it."""
 
 
 class FrameNetwork:
-    """A segmentation network that sees the frame alone, any size: how the paper's networks come.
+    """A segmentation network of any size whose only input is the frame, such as the paper's.
 
-    Its one input is `frame` (1, H, W, 3) uint8 BGR, or (1, 3, H, W) float32 RGB normalised as for ImageNet; its output
-    (1, 1, H, W) probability. Raises `ModelError` in one line for another file.
+    Input: (1, H, W, 3) uint8 BGR, or (1, 3, H, W) float32 RGB normalized as for ImageNet. Output: (1, 1, H, W)
+    probability. Raises `ModelError` for any other file.
     """
 
     def __init__(self, path: Path, threads: int = 1) -> None:
@@ -119,40 +119,37 @@ class FrameNetwork:
         try:
             self._session: Any = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
         except Exception as error:
-            raise ModelError(f"{path}: not a readable ONNX model; export it with slipguard train --arch") from error
+            raise ModelError(f"{path}: not a readable ONNX model. Export one with slipguard train --arch") from error
         ports = self._session.get_inputs()
         shape = ports[0].shape
         self._bytes = ports[0].type == "tensor(uint8)"
         sides = shape[1:3] if self._bytes else shape[2:4]
         if len(ports) != 1 or len(shape) != 4 or not all(isinstance(side, int) for side in sides):
-            seen = ", ".join(f"{port.name} {port.type}{port.shape}" for port in ports)
-            raise ModelError(f"{path}: inputs are {seen}; one picture of a fixed size is needed")
+            inputs = ", ".join(f"{port.name} {port.type}{port.shape}" for port in ports)
+            raise ModelError(f"{path}: the inputs are {inputs}. One image of a fixed size is needed")
         self.path = path
         self.metadata = dict(self._session.get_modelmeta().custom_metadata_map)
         self._name = ports[0].name
         self.height, self.width = int(sides[0]), int(sides[1])
         self.threshold = float(self.metadata.get("threshold", "0.5"))
-        self.memory = SegmentationCache()
-        self.made_up = "timing only" in self.metadata.get("purpose", "")
+        self.cache = SegmentationCache()
+        self.timing_only = "timing only" in self.metadata.get("purpose", "")
 
     @property
     def input_size(self) -> tuple[int, int]:
-        """(width, height) of `segment`'s answer."""
-        return OURS_PX
+        """(width, height) of the output of `segment`."""
+        return ESTIMATOR_MAP_PX
 
     def segment(self, image: NDArray[np.uint8], _background: NDArray[np.uint8] | None) -> NDArray[np.float32]:
-        """Probability of contact, (160, 120) float32, for slipguard's own estimators."""
+        """Return the probability of contact, (160, 120) float32, for slipguard's estimators."""
         fine = self.probability(image)
-        return np.asarray(cv2.resize(fine, OURS_PX, interpolation=cv2.INTER_AREA), np.float32)
+        return np.asarray(cv2.resize(fine, ESTIMATOR_MAP_PX, interpolation=cv2.INTER_AREA), np.float32)
 
     def probability(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Probability of contact at the network's own size, (H, W) float32.
+        """Return the probability of contact at the network's size, (H, W) float32."""
+        return self.cache.get(image, self._infer)
 
-        While its memory is on it gives the same answer for the same picture and charges its time to `CLOCK`.
-        """
-        return self.memory.recall(image, self._answer)
-
-    def _answer(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def _infer(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         small: Any = image
         if image.shape[:2] != (self.height, self.width):
             small = cv2.resize(image, (self.width, self.height), interpolation=cv2.INTER_AREA)
@@ -160,16 +157,16 @@ class FrameNetwork:
             mean, std = np.asarray(MEAN_RGB, np.float32), np.asarray(STD_RGB, np.float32)
             rgb = (small[..., ::-1].astype(np.float32) / np.float32(255.0) - mean) / std
             small = rgb.transpose(2, 0, 1)
-        answer = self._session.run(None, {self._name: np.ascontiguousarray(small[None])})[0]
-        if not np.isfinite(answer).all():
-            raise ModelError(f"{self.path}: the network's answer is not finite; make the file again")
-        return np.asarray(np.clip(answer.reshape(self.height, self.width), 0.0, 1.0), np.float32)
+        output = self._session.run(None, {self._name: np.ascontiguousarray(small[None])})[0]
+        if not np.isfinite(output).all():
+            raise ModelError(f"{self.path}: the network's output is not finite. Export the network again")
+        return np.asarray(np.clip(output.reshape(self.height, self.width), 0.0, 1.0), np.float32)
 
 
 class PaperPipeline:
-    """Frame in, turn since the first frame out, without a sigma; every frame goes all the way.
+    """The paper's pipeline: segmentation, OpenCV's thinning and a line through the skeleton; no sigma, no skipping.
 
-    given_masks: masks by frame number that take the place of the answer of a network with made-up weights.
+    given_masks: masks by frame number, used instead of the output of a network with arbitrary weights.
     """
 
     def __init__(self, network: FrameNetwork, given_masks: dict[int, NDArray[np.uint8]] | None = None) -> None:
@@ -180,11 +177,11 @@ class PaperPipeline:
 
     @property
     def last_mask(self) -> NDArray[np.uint8]:
-        """At the frame's size, (320, 240) uint8; enlarged when asked for, which no frame's time is charged with."""
+        """The last mask at the frame's size, (320, 240) uint8; enlarged here, outside the measured time."""
         return _at_size(self._mask, FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
 
     def process(self, frame: Frame) -> Estimate:
-        """Segment, thin at the network's own size, fit a line, compare with the first one."""
+        """Segment, thin at the network's size, fit a line, and return its rotation since the first frame."""
         probability = self._network.probability(frame.image)
         mask = (probability > self._network.threshold).astype(np.uint8)
         if self._given is not None:

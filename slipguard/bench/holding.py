@@ -18,22 +18,23 @@ from slipguard.sim.gel_view import GelView
 from slipguard.sim.sensor_unit import LightChange, random_unit
 
 MINUTE_S = 60.0
-EMPTY_S, CLOSED_S, STILL_S = 0.4, 0.5, 1.5
+EMPTY_S, CLOSED_S, AT_REST_S = 0.4, 0.5, 1.5
 LIFTED_S = 4.0
-"""Until then the arm's motion shakes the object by `SHAKE_MM`."""
+"""Until this time the arm's motion shakes the object by `SHAKE_MM`."""
 SHAKE_MM, SHAKE_HZ = 0.02, 7.0
-LET_GO_S = 59.5
-_ROTATIONS = ((1.5, 2.1, 8.0, 0.15), (20.0, 23.0, 1.5, 0.0), (40.0, 40.4, 6.0, 0.10))
-"""From, to (s), degrees, and the share by which the press grows: a slip, a creep, a quicker slip."""
+RELEASED_S = 59.5
+ROTATIONS = ((1.5, 2.1, 8.0, 0.15), (20.0, 23.0, 1.5, 0.0), (40.0, 40.4, 6.0, 0.10))
+"""Start and end (s), rotation (degrees), relative increase of the depth: a slip, a creep, a faster slip."""
 DRIFT_LEVELS = 1.5
-"""How much the light changes over the minute, grey levels."""
+"""Change of the light over the minute, in gray levels."""
 
 
 @dataclass(frozen=True, slots=True)
 class HoldingScene:
-    """One grasp of 60 s at 60 frames a second; `shots` draws it anew each time, the same for the same seed.
+    """A grasp of 60 s at 60 frames/s with slips and creep; `shots` renders the same frames for the same seed.
 
-    press: depth as a share of the object's at 40 N. sign: -1 for the finger opposite, which sees turns the other way.
+    press: depth as a share of the object's depth at 40 N. sign: -1 for the opposite finger, which sees rotations with
+    the opposite sign.
     """
 
     object_name: str = "wrench"
@@ -41,14 +42,14 @@ class HoldingScene:
     press: float = 0.6
     sign: float = 1.0
 
-    def scene(self) -> RenderedGrasp:
-        """What a pipeline must know of the sensor; without shots."""
+    def sensor(self) -> RenderedGrasp:
+        """Return the sensor's data that a pipeline needs, without frames."""
         unit = random_unit(np.random.default_rng(self.seed))
         background = GelCamera(unit, seed=self.seed).no_contact()
         return RenderedGrasp(self.object_name, True, background, unit.noise_bgr, unit.px_per_mm, ())
 
     def shots(self) -> Iterator[GraspFrame]:
-        """All 3600 frames with their truth."""
+        """Yield all 3600 frames with their truth."""
         rng = np.random.default_rng(self.seed)
         camera = GelCamera(random_unit(rng), seed=self.seed)
         x_mm, y_mm, start_deg = float(rng.uniform(-1, 1)), float(rng.uniform(-1, 1)), float(rng.uniform(-180, 180))
@@ -65,39 +66,39 @@ class HoldingScene:
             view = GelView(
                 self.object_name, x_mm, y_mm, start_deg + rotation_deg, press_mm * grown, rate_deg_s=rate_deg_s
             )
-            if STILL_S <= now_s < LIFTED_S:
+            if AT_REST_S <= now_s < LIFTED_S:
                 view = replace(view, y_mm=y_mm + SHAKE_MM * float(np.sin(2.0 * np.pi * SHAKE_HZ * now_s)))
             if now_s < CLOSED_S:
                 part = (now_s - EMPTY_S) / (CLOSED_S - EMPTY_S)
                 view = replace(view, depth_mm=press_mm * max(part, 0.0))
-            if now_s > LET_GO_S:
+            if now_s > RELEASED_S:
                 view = replace(view, depth_mm=0.0)
             in_contact = view.depth_mm > 0.0
-            compared = in_contact and now_s > STILL_S
+            compared = in_contact and now_s > AT_REST_S
             yield GraspFrame(Frame(camera.draw(view), now_s, index), in_contact, rotation_deg, compared, None)
 
 
 def _motion(now_s: float) -> tuple[float, float, float]:
-    """Turn, rate and depth of the press relative to the first one."""
+    """Return rotation, rate, and depth relative to the initial depth."""
     rotation_deg, rate_deg_s, grown = 0.0, 0.0, 1.0
-    for begin_s, end_s, way_deg, growth in _ROTATIONS:
+    for begin_s, end_s, total_deg, growth in ROTATIONS:
         part = min(max((now_s - begin_s) / (end_s - begin_s), 0.0), 1.0)
-        rotation_deg += way_deg * part * part * (3.0 - 2.0 * part)
-        rate_deg_s += way_deg * 6.0 * part * (1.0 - part) / (end_s - begin_s)
+        rotation_deg += total_deg * part * part * (3.0 - 2.0 * part)
+        rate_deg_s += total_deg * 6.0 * part * (1.0 - part) / (end_s - begin_s)
         grown *= 1.0 + growth * part
     return rotation_deg, rate_deg_s, grown
 
 
-EVERY_UNSKIPPED = 10
-"""Without skipping all frames cost alike: of a pipeline that skips nothing only so many-th frames are run."""
+UNSKIPPED_STEP = 10
+"""Without skipping all frames take the same time: every tenth frame is measured."""
 WARM_UP = 40
 
 
 @dataclass(slots=True)
 class HoldingResult:
-    """One pipeline over the minute. frames: how many were run. skipped: how many of them were left out, by reason.
+    """Times and errors of one pipeline over the minute.
 
-    measured_s: spent on those that were not.
+    frames: processed frames. skipped: number of these by the reason for skipping. measured_s: time of the others.
     """
 
     frames: int = 0
@@ -109,46 +110,46 @@ class HoldingResult:
 
     @property
     def measured_ms(self) -> float:
-        """Mean time of a frame that was not left out."""
+        """Mean time of a frame that was not skipped."""
         return 1e3 * self.measured_s / max(self.frames - sum(self.skipped.values()), 1)
 
     @property
     def mean_ms(self) -> float:
-        """Of a frame."""
+        """Mean time of a frame."""
         return 1e3 * self.wall_s / max(self.frames, 1)
 
     @property
     def cpu_s_per_minute(self) -> float:
-        """Seconds of one core that a minute of frames takes."""
+        """Processor time of a minute of frames, in seconds of one core."""
         return 60.0 * 60.0 * self.cpu_s / max(self.frames, 1)
 
 
-def hold(
-    subjects: list[BenchPipeline], minute: HoldingScene, every: dict[str, int] | None = None
+def measure_holding(
+    pipelines: list[BenchPipeline], scene: HoldingScene, every: dict[str, int] | None = None
 ) -> dict[str, HoldingResult]:
-    """Run pipelines over the same minute, by name. every: of some, only so many-th frames."""
-    scene = minute.scene()
+    """Return the results of pipelines over the same frames, by name. every: frame steps by name."""
+    sensor = scene.sensor()
     opened: list[tuple[BenchPipeline, Any, int]] = [
-        (one, one.open(scene), (every or {}).get(one.name, 1 if one.skips.unchanged else EVERY_UNSKIPPED))
-        for one in subjects
+        (one, one.open(sensor), (every or {}).get(one.name, 1 if one.skips.unchanged else UNSKIPPED_STEP))
+        for one in pipelines
     ]
-    held = {one.name: HoldingResult() for one in subjects}
-    for index, shot in enumerate(minute.shots()):
-        for subject, processor, step in opened:
-            # The reference needs every frame of the beginning.
+    held = {one.name: HoldingResult() for one in pipelines}
+    for index, shot in enumerate(scene.shots()):
+        for pipeline, processor, step in opened:
+            # The reference needs every frame of the start.
             if step > 1 and index > WARM_UP + 60 and index % step:
                 continue
-            own = held[subject.name]
+            own = held[pipeline.name]
             cpu_s, wall_s = time.process_time(), time.perf_counter()
-            seen = processor.process(shot.frame)
+            estimate = processor.process(shot.frame)
             wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
             if step == 1 or index % step == 0:
                 own.frames += 1
                 own.wall_s += wall_s
                 own.cpu_s += cpu_s
-                own.measured_s += wall_s if seen.skipped is None else 0.0
-            if seen.skipped is not None:
-                own.skipped[seen.skipped] = own.skipped.get(seen.skipped, 0) + 1
-            if shot.compared and seen.angle_deg is not None:
-                own.errors_deg.append(abs(seen.angle_deg - shot.rotation_deg))
+                own.measured_s += wall_s if estimate.skipped is None else 0.0
+            if estimate.skipped is not None:
+                own.skipped[estimate.skipped] = own.skipped.get(estimate.skipped, 0) + 1
+            if shot.compared and estimate.angle_deg is not None:
+                own.errors_deg.append(abs(estimate.angle_deg - shot.rotation_deg))
     return held

@@ -22,7 +22,7 @@ QUARTERS = 4
 
 @dataclass(slots=True)
 class GraspErrors:
-    """One grasp's turns. found: (error, turn stated, sigma) of frames with one. compared: frames it was asked of."""
+    """Errors of one grasp. found: (absolute error, rotation, sigma) where not declined. compared: number of frames."""
 
     object_name: str
     readable: bool
@@ -33,10 +33,9 @@ class GraspErrors:
 
 @dataclass(slots=True)
 class PipelineResults:
-    """Times are those of `process`, ms, and per stage.
+    """Times of `process` in ms by kind of frame, overlaps as (Dice, IoU), and errors.
 
-    busy: frames measured in contact. empty: left out for want of contact. unchanged: left out for want of change.
-    other: measured, and no contact found.
+    busy: measured, with contact. other: measured, no contact found. empty: skipped, no contact. unchanged: skipped.
     """
 
     busy_ms: list[float] = field(default_factory=list)
@@ -48,49 +47,51 @@ class PipelineResults:
     grasps: list[GraspErrors] = field(default_factory=list)
 
     def begin(self, grasp: RenderedGrasp) -> GraspErrors:
-        """A new grasp; its errors go into what is returned."""
+        """Add a grasp; return the record for its errors."""
         errors = GraspErrors(grasp.object_name, grasp.readable, difficulty(grasp))
         self.grasps.append(errors)
         return errors
 
     def take(self, processor: FrameProcessor, shot: GraspFrame, errors: GraspErrors) -> Estimate:
-        """Run a processor over the next shot of a grasp. A contact that was skipped as none overlaps nothing."""
+        """Process the next frame of a grasp. A labeled contact that is skipped as "no contact" has an overlap of 0."""
         start_s = CLOCK()
-        seen = processor.process(shot.frame)
-        self._time(seen, 1e3 * (CLOCK() - start_s))
+        estimate = processor.process(shot.frame)
+        self._add_time(estimate, 1e3 * (CLOCK() - start_s))
         if shot.contact and shot.mask is not None:
             label = shot.mask > 0
-            if seen.skipped is None:
+            if estimate.skipped is None:
                 found = processor.last_mask > 0
                 self.overlaps.append((dice(found, label), iou(found, label)))
-            elif seen.skipped == "no contact" and label.any():
+            elif estimate.skipped == "no contact" and label.any():
                 self.overlaps.append((0.0, 0.0))
         if shot.compared:
             errors.compared += 1
-            if seen.angle_deg is not None:
-                errors.found.append((abs(seen.angle_deg - shot.rotation_deg), seen.angle_deg, seen.sigma_deg))
-        return seen
+            if estimate.angle_deg is not None:
+                errors.found.append(
+                    (abs(estimate.angle_deg - shot.rotation_deg), estimate.angle_deg, estimate.sigma_deg)
+                )
+        return estimate
 
     def run(self, processor: FrameProcessor, grasp: RenderedGrasp, shots: Iterable[GraspFrame]) -> None:
-        """All shots of a grasp."""
+        """Process all frames of a grasp."""
         errors = self.begin(grasp)
         for shot in shots:
             self.take(processor, shot, errors)
 
-    def _time(self, seen: Estimate, spent_ms: float) -> None:
-        if seen.skipped == "no contact":
+    def _add_time(self, estimate: Estimate, spent_ms: float) -> None:
+        if estimate.skipped == "no contact":
             self.empty_ms.append(spent_ms)
-        elif seen.skipped is not None:
+        elif estimate.skipped is not None:
             self.unchanged_ms.append(spent_ms)
-        elif seen.contact:
+        elif estimate.contact:
             self.busy_ms.append(spent_ms)
-            for stage, ms in seen.stage_ms.items():
+            for stage, ms in estimate.stage_ms.items():
                 self.stage_ms.setdefault(stage, []).append(ms)
         else:
             self.other_ms.append(spent_ms)
 
     def add(self, other: PipelineResults) -> None:
-        """All that another one holds."""
+        """Add the results of other grasps."""
         self.busy_ms += other.busy_ms
         self.empty_ms += other.empty_ms
         self.unchanged_ms += other.unchanged_ms
@@ -101,36 +102,36 @@ class PipelineResults:
         self.grasps += other.grasps
 
     def row(
-        self, subject: BenchPipeline, times: PipelineResults, grasp_ms: float | None, cpu_s: float | None
+        self, pipeline: BenchPipeline, times: PipelineResults, grasp_ms: float | None, cpu_s: float | None
     ) -> BenchRow:
-        """The figures. times: the tally whose times count. grasp_ms, cpu_s: of a minute of holding."""
-        known = not subject.made_up
+        """Return the row. times: the results with the times to use. grasp_ms, cpu_s: of a minute of holding."""
+        known = not pipeline.timing_only
         manifest = [one for one in self.grasps if one.object_name not in EXTRA_PLAIN] if known else []
         errors = [error for one in manifest for error, _, _ in one.found]
         per_object: dict[str, list[float]] = {}
         for one in manifest:
             per_object.setdefault(one.object_name, []).extend(error for error, _, _ in one.found)
         readable = [one for one in manifest if one.readable]
-        sure = [(error, sigma) for one in manifest for error, _, sigma in one.found if sigma is not None]
+        with_sigma = [(error, sigma) for one in manifest for error, _, sigma in one.found if sigma is not None]
         textured = [one for one in manifest if one.object_name in ROUND_TEXTURED]
         plain = [one for one in self.grasps if one.object_name in ROUND_PLAIN] if known else []
         return BenchRow(
-            name=subject.name,
-            network=subject.network,
-            estimator=subject.estimator,
+            name=pipeline.name,
+            network=pipeline.network,
+            estimator=pipeline.estimator,
             p50_ms=quantile(times.busy_ms, 0.5),
             p99_ms=quantile(times.busy_ms, 0.99),
             skipped_p50_ms=quantile(times.empty_ms + times.unchanged_ms, 0.5),
             turn_error_mean_deg=mean(errors),
             turn_error_worst_object_deg=max((float(np.mean(e)) for e in per_object.values() if e), default=None),
-            declined_share=declined(readable),
+            declined_share=declined_share(readable),
             dice=mean(d for d, _ in self.overlaps) if known else None,
             iou=mean(i for _, i in self.overlaps) if known else None,
             frames=sum(one.compared for one in self.grasps) if known else len(times.busy_ms),
             sequences=len(self.grasps) if known else None,
-            resolution=subject.resolution,
-            skipping=subject.skips.unchanged,
-            threads=subject.threads,
+            resolution=pipeline.resolution,
+            skipping=pipeline.skips.unchanged,
+            threads=pipeline.threads,
             turns=len(errors) if known else None,
             turn_sequences=sum(bool(one.found) for one in manifest) if known else None,
             mean_ms_per_frame_grasp=grasp_ms,
@@ -140,15 +141,15 @@ class PipelineResults:
             turn_error_readable_mean_deg=mean(error for one in readable for error, _, _ in one.found),
             turn_error_sd_deg=float(np.std(errors)) if errors else None,
             turn_error_p95_deg=quantile(errors, 0.95),
-            turn_error_by_quartile_deg=quarters(manifest) if errors else None,
-            within_1_sigma=mean(float(error <= sigma) for error, sigma in sure),
-            within_2_sigma=mean(float(error <= 2.0 * sigma) for error, sigma in sure),
-            within_1_sigma_se=within_se(manifest, 1.0),
-            within_2_sigma_se=within_se(manifest, 2.0),
+            turn_error_by_quartile_deg=errors_by_quarter(manifest) if errors else None,
+            within_1_sigma=mean(float(error <= sigma) for error, sigma in with_sigma),
+            within_2_sigma=mean(float(error <= 2.0 * sigma) for error, sigma in with_sigma),
+            within_1_sigma_se=within_sigma_se(manifest, 1.0),
+            within_2_sigma_se=within_sigma_se(manifest, 2.0),
             round_textured_error_mean_deg=mean(error for one in textured for error, _, _ in one.found),
-            round_textured_declined_share=declined(textured),
-            round_plain_declined_share=declined(plain),
-            round_plain_confident_share=confident(plain),
+            round_textured_declined_share=declined_share(textured),
+            round_plain_declined_share=declined_share(plain),
+            round_plain_confident_share=confident_share(plain),
             stage_ms={
                 stage: (
                     float(np.quantile(spent, 0.5)),
@@ -160,62 +161,62 @@ class PipelineResults:
         )
 
 
-def declined(grasps: list[GraspErrors]) -> float | None:
-    """Share of the frames without a turn."""
-    asked = sum(one.compared for one in grasps)
-    return 1.0 - sum(len(one.found) for one in grasps) / asked if asked else None
+def declined_share(grasps: list[GraspErrors]) -> float | None:
+    """Return the share of declined frames."""
+    compared = sum(one.compared for one in grasps)
+    return 1.0 - sum(len(one.found) for one in grasps) / compared if compared else None
 
 
-def confident(grasps: list[GraspErrors]) -> float | None:
-    """Share of the frames with a turn of more than three sigmas; without a sigma every turn counts."""
-    asked = sum(one.compared for one in grasps)
-    sure = [abs(rotation) > CONFIDENT_SIGMAS * (sigma or 0.0) for one in grasps for _, rotation, sigma in one.found]
-    return sum(sure) / asked if asked else None
+def confident_share(grasps: list[GraspErrors]) -> float | None:
+    """Return the share of frames with an estimate above three sigmas; without a sigma every estimate counts."""
+    compared = sum(one.compared for one in grasps)
+    above = [abs(rotation) > CONFIDENT_SIGMAS * (sigma or 0.0) for one in grasps for _, rotation, sigma in one.found]
+    return sum(above) / compared if compared else None
 
 
-def within_se(grasps: list[GraspErrors], sigmas: float) -> float | None:
-    """Standard error of the share of errors within so many sigmas, by how much it differs from grasp to grasp.
+def within_sigma_se(grasps: list[GraspErrors], sigmas: float) -> float | None:
+    """Return the standard error of the share of errors within `sigmas`, from its variation between grasps.
 
-    That of a ratio of two sums over grasps; None for fewer than two grasps with a sigma.
+    It is that of a ratio of two sums over grasps; None for fewer than two grasps with a sigma.
     """
     inside = [[error <= sigmas * sigma for error, _, sigma in one.found if sigma is not None] for one in grasps]
     counts = np.array([(sum(one), len(one)) for one in inside if one])
     if len(counts) < 2:
         return None
-    held, asked = counts[:, 0], counts[:, 1]
-    apart = held - asked * held.sum() / asked.sum()
-    return float(np.sqrt(np.square(apart).sum() * len(counts) / (len(counts) - 1)) / asked.sum())
+    inside_counts, totals = counts[:, 0], counts[:, 1]
+    deviations = inside_counts - totals * inside_counts.sum() / totals.sum()
+    return float(np.sqrt(np.square(deviations).sum() * len(counts) / (len(counts) - 1)) / totals.sum())
 
 
-def quarters(grasps: list[GraspErrors]) -> tuple[float | None, ...]:
-    """Mean error of each quarter of the grasps, the easiest first."""
+def errors_by_quarter(grasps: list[GraspErrors]) -> tuple[float | None, ...]:
+    """Return the mean error of each quarter of the grasps, the easiest first."""
     ordered = sorted(grasps, key=lambda one: one.difficulty)
     parts = np.array_split(np.arange(len(ordered)), QUARTERS)
     return tuple(mean(error for index in part for error, _, _ in ordered[index].found) for part in parts)
 
 
 def difficulty(grasp: RenderedGrasp) -> float:
-    """How hard a grasp is by its truth alone, whatever the pipeline: 0 easy, about 1 hard.
+    """Return the difficulty of a grasp by its truth only: 0 easy, about 1 hard.
 
-    A quarter each: how round the contact is, how much of its outline the frame cuts, how fast it turns, how much it
-    grows. Grasps without masks count by the last two.
+    A quarter each: roundness, share of the contour cut by the frame, speed, growth of the contact. Without masks only
+    the last two count.
     """
     masks = [shot.mask for shot in grasp.shots if shot.compared and shot.mask is not None and shot.mask.any()]
     fast = min(grasp.peak_deg_s / 300.0, 1.0)
     grown = min((grasp.growth - 1.0) / 0.8, 1.0)
     if not masks:
         return 0.5 * (fast + grown)
-    shapes = [_shape(mask) for mask in masks]
+    shapes = [_aspect_and_cut(mask) for mask in masks]
     roundness = float(np.mean([1.0 / aspect for aspect, _ in shapes]))
     cut = min(float(np.mean([share for _, share in shapes])) / 0.3, 1.0)
     return 0.25 * (roundness + cut + fast + grown)
 
 
-def _shape(mask: NDArray[np.uint8]) -> tuple[float, float]:
-    """Long over short axis by second moments, and the share of the outline on the frame's edge."""
+def _aspect_and_cut(mask: NDArray[np.uint8]) -> tuple[float, float]:
+    """Return the aspect ratio by second moments, and the share of the contour on the frame's edge."""
     m = cv2.moments(mask, True)
     xx, yy, xy = (m[key] / m["m00"] for key in ("mu20", "mu02", "mu11"))
     middle, half = (xx + yy) / 2.0, float(np.hypot((xx - yy) / 2.0, xy))
     edge = sum(int(np.count_nonzero(side)) for side in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
-    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return float(np.sqrt((middle + half) / max(middle - half, 1e-6))), edge / max(sum(map(len, outlines)), 1)
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return float(np.sqrt((middle + half) / max(middle - half, 1e-6))), edge / max(sum(map(len, contours)), 1)

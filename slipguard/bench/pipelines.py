@@ -28,7 +28,7 @@ Kind = Literal["ours", "paper", "subtraction"]
 
 
 class FrameProcessor(Protocol):
-    """Frame after frame of one grasp."""
+    """Processes the frames of one grasp in order."""
 
     def process(self, frame: Frame) -> Estimate: ...
 
@@ -38,7 +38,12 @@ class FrameProcessor(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BenchPipeline:
-    """One pipeline to be benched; picklable. path: of its network, None without one. sees: `contract` or `frame`."""
+    """One pipeline to measure; picklable.
+
+    Attributes:
+        path: The network's file; None without a network.
+        sees: Input of the network: "contract" for frame and background image, "frame" for the frame only.
+    """
 
     kind: Kind
     network: str
@@ -51,40 +56,43 @@ class BenchPipeline:
 
     @property
     def name(self) -> str:
-        """Unique within a bench."""
+        """The name, unique within a bench."""
         if self.kind == "paper":
             cores = "" if self.threads == 1 else f", {self.threads} threads"
             return f"the paper's pipeline: {self.network} {self.resolution} + OpenCV thinning + line{cores}"
         plain = f"{self.network} + {self.estimator}"
         return plain if self.skips == ALL_SKIPS or self.kind == "subtraction" else f"{plain}, no skipping"
 
-    def forget(self, share: bool = False) -> None:
-        """What the network said is forgotten. share: from now on it is kept for all who ask about the same frames."""
+    def clear_cache(self, enabled: bool = False) -> None:
+        """Forget the network's outputs. enabled: share those of the next grasp between pipelines."""
         if self.kind == "subtraction":
             return
         if self.sees == "contract":
-            _remembered(self.path).memory.forget(share)
+            _cached_segmenter(self.path).cache.clear(enabled)
         else:
-            _frame_network(self.path, self.threads).memory.forget(share)
+            _frame_network(self.path, self.threads).cache.clear(enabled)
 
     @property
     def large(self) -> bool:
-        """Tens of milliseconds a frame or more."""
+        """Whether a frame takes tens of milliseconds or more."""
         return self.sees == "frame"
 
     @property
-    def made_up(self) -> bool:
-        """The network's weights mean nothing: only times can be told."""
-        return self.sees == "frame" and _frame_network(self.path, self.threads).made_up
+    def timing_only(self) -> bool:
+        """Whether the network has arbitrary weights, so that only its time has a meaning."""
+        return self.sees == "frame" and _frame_network(self.path, self.threads).timing_only
 
     def open(self, grasp: RenderedGrasp, masks: dict[int, NDArray[np.uint8]] | None = None) -> FrameProcessor:
-        """Ready for the frames of a grasp. masks: what takes the place of a made-up network's answer."""
+        """Return a new instance for the frames of a grasp.
+
+        masks: by frame number, used instead of the output of a network with arbitrary weights.
+        """
         if self.kind == "subtraction":
             return BackgroundSubtraction(grasp.background, "ellipse" if self.estimator == "ellipse" else "pca")
         if self.kind == "paper":
             network = _frame_network(self.path, self.threads)
-            return PaperPipeline(network, masks if network.made_up else None)
-        segmenter = _remembered(self.path) if self.sees == "contract" else _frame_network(self.path, self.threads)
+            return PaperPipeline(network, masks if network.timing_only else None)
+        segmenter = _cached_segmenter(self.path) if self.sees == "contract" else _frame_network(self.path, self.threads)
         return Pipeline(
             segmenter,
             PerceptionSettings.model_validate({"estimator": self.estimator}),
@@ -97,13 +105,13 @@ class BenchPipeline:
 
 
 @lru_cache(maxsize=8)
-def _contract(path: Path | None) -> Segmenter:
+def _segmenter(path: Path | None) -> Segmenter:
     return Segmenter(path)
 
 
 @lru_cache(maxsize=8)
-def _remembered(path: Path | None) -> CachedSegmenter:
-    return CachedSegmenter(_contract(path))
+def _cached_segmenter(path: Path | None) -> CachedSegmenter:
+    return CachedSegmenter(_segmenter(path))
 
 
 @lru_cache(maxsize=8)
@@ -111,29 +119,37 @@ def _frame_network(path: Path | None, threads: int) -> FrameNetwork:
     return FrameNetwork(default_model_path().with_name(PEER_MODEL) if path is None else path, threads)
 
 
-def ours(path: Path | None, every: bool) -> list[BenchPipeline]:
-    """A network that keeps the model contract with every estimator; where `every`, also without skipping."""
-    segmenter = _contract(path)
+def with_small_network(path: Path | None, all_without_skipping: bool) -> list[BenchPipeline]:
+    """Return pipelines with every estimator for a network that keeps the model contract.
+
+    The default estimator is also measured without skipping; all estimators if `all_without_skipping`.
+    """
+    segmenter = _segmenter(path)
     width, height = segmenter.input_size
     stem, size = segmenter.path.stem, f"{width}×{height}"
     default = PerceptionSettings().estimator
     found = [BenchPipeline("ours", stem, name, segmenter.path, "contract", size) for name in ESTIMATORS]
-    plain = ESTIMATORS if every else (default,)
+    plain = ESTIMATORS if all_without_skipping else (default,)
     return found + [BenchPipeline("ours", stem, name, segmenter.path, "contract", size, NO_SKIP) for name in plain]
 
 
-def large(path: Path, threads: int = 1) -> list[BenchPipeline]:
-    """A frame network with the paper's way to the turn, then with slipguard's estimators."""
+def with_large_network(path: Path, threads: int = 1) -> list[BenchPipeline]:
+    """Return the paper's pipeline with a frame network, then slipguard's estimators with it."""
     network = _frame_network(path, threads)
     size = f"{network.width}×{network.height}"
-    theirs = BenchPipeline("paper", path.stem, "skeleton", path, "frame", size, NO_SKIP, threads)
-    if network.made_up:
-        return [theirs]
-    return [theirs, *(BenchPipeline("ours", path.stem, name, path, "frame", size) for name in ESTIMATORS)]
+    paper = BenchPipeline("paper", path.stem, "skeleton", path, "frame", size, NO_SKIP, threads)
+    if network.timing_only:
+        return [paper]
+    return [paper, *(BenchPipeline("ours", path.stem, name, path, "frame", size) for name in ESTIMATORS)]
+
+
+def with_timing_network() -> list[BenchPipeline]:
+    """Return the paper's pipeline with a network that has the layers of the paper's and arbitrary weights."""
+    return with_large_network(default_model_path().with_name(PEER_MODEL))
 
 
 def without_network() -> list[BenchPipeline]:
-    """Background subtraction."""
+    """Return the pipelines with background subtraction."""
     return [
         BenchPipeline("subtraction", "background subtraction", axis, None, "contract", "240×320", NO_SKIP)
         for axis in ("pca", "ellipse")
@@ -141,17 +157,18 @@ def without_network() -> list[BenchPipeline]:
 
 
 def network_files(folder: Path | None) -> tuple[list[Path], list[Path]]:
-    """Networks in a folder: those that keep the model contract (the shipped one aside), and frame networks.
+    """Return the networks of a folder except the shipped ones: those that keep the model contract, and frame networks.
 
-    Raises `ModelError` for a file that is neither, or a folder without any.
+    Raises:
+        ModelError: If a file is neither, or the folder has no networks.
     """
     if folder is None:
         return [], []
     if not folder.is_dir():
-        raise ModelError(f"--models {folder}: no such folder; name one with .onnx files")
+        raise ModelError(f"--models {folder}: no such folder. Name a folder with .onnx files")
     paths = sorted(folder.glob("*.onnx"))
     if not paths:
-        raise ModelError(f"--models {folder}: no .onnx file in it")
+        raise ModelError(f"--models {folder}: no .onnx file in it. Name a folder with .onnx files")
     contract, frame = [], []
     for path in paths:
         if path.name == PEER_MODEL or path.resolve() == default_model_path().resolve():

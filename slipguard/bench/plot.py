@@ -1,4 +1,4 @@
-"""A bench as a picture: error against time, where the time goes, and error by difficulty."""
+"""Plot of a bench: error against time, time by stage, and error by difficulty of the grasp."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ STAGES = ("gate", "segment", "regions", "relief", "angle", "thin", "register", "
 MARKERS = {"fused": "o", "registration": "s", "moments": "D", "ellipse": "^", "pca": "v", "skeleton": "P"}
 
 
-def picture(found: BenchReport, path: Path) -> None:
-    """Draw it. Raises `InputError` where the file cannot be written."""
+def draw_bench(found: BenchReport, path: Path) -> None:
+    """Draw the plot into an image file. Raises `InputError` if it cannot be written."""
     drawing = figure(13.0, 9.0)
     grid = drawing.add_gridspec(2, 2, height_ratios=(1.35, 1.0))
     _front(drawing.add_subplot(grid[0, :]), found)
@@ -23,64 +23,66 @@ def picture(found: BenchReport, path: Path) -> None:
 
 
 def _front(axes: Any, found: BenchReport) -> None:
-    """Mean turn error against the mean time of a frame over a minute of holding; the front as a line."""
+    """Plot the mean rotation error against the mean time of a frame over a minute of holding, with the Pareto front."""
     rows = [*found.pipelines, *found.peers]
     networks = list(dict.fromkeys(row.network for row in rows))
-    colours = {network: f"C{index}" for index, network in enumerate(networks)}
+    colors = {network: f"C{index}" for index, network in enumerate(networks)}
     front, labelled = [], []
     for row in rows:
         if row.mean_ms_per_frame_grasp is None:
             continue
-        x, y, colour = row.mean_ms_per_frame_grasp, row.turn_error_mean_deg, colours[row.network]
+        x, y, color = row.mean_ms_per_frame_grasp, row.turn_error_mean_deg, colors[row.network]
         if y is None:
-            axes.axvline(x, color=colour, linestyle="--", linewidth=1)
+            axes.axvline(x, color=color, linestyle="--", linewidth=1)
             axes.annotate(
                 f"{row.network}, {row.threads} thread{'s' * (row.threads > 1)}: time only", (x, 0.98),
                 xycoords=("data", "axes fraction"), xytext=(-4, 0), textcoords="offset points", rotation=90,
-                ha="right", va="top", fontsize=7, color=colour,
+                ha="right", va="top", fontsize=7, color=color,
             )  # fmt: skip
             continue
         chosen = row.name == found.default
-        fill = colour if row.skipping else "white"
+        fill = color if row.skipping else "white"
         axes.plot(
-            x, y, MARKERS.get(row.estimator, "o"), color=colour, markerfacecolor=fill, markersize=11 if chosen else 7
+            x, y, MARKERS.get(row.estimator, "o"), color=color, markerfacecolor=fill, markersize=11 if chosen else 7
         )
         if row.pareto:
             front.append((x, y))
         if row.pareto or row in found.peers:
             labelled.append((x, y, _short(row)))
     for index, (x, y, text) in enumerate(sorted(labelled, key=lambda one: one[1])):
-        # In steps, from the lowest up, for on the front names lie close together.
+        # Staggered, because names on the front are close together.
         axes.annotate(
             text, (x, y), xytext=(12, 14 + 13 * (index % 4)), textcoords="offset points", fontsize=8,
             arrowprops={"arrowstyle": "-", "color": "0.6", "linewidth": 0.6},
         )  # fmt: skip
     if front:
-        axes.step(*zip(*sorted(front), strict=True), where="post", color="0.5", linewidth=1, zorder=0, label="front")
+        axes.step(
+            *zip(*sorted(front), strict=True), where="post", color="0.5", linewidth=1, zorder=0, label="Pareto front"
+        )
     for name, marker in MARKERS.items():
         axes.plot([], [], marker, color="0.4", label=name)
     axes.plot([], [], "o", color="0.4", markerfacecolor="white", label="no skipping")
-    for network, colour in colours.items():
-        axes.plot([], [], "s", color=colour, label=network)
+    for network, color in colors.items():
+        axes.plot([], [], "s", color=color, label=network)
     published_deg = PUBLISHED["turn_error_mean_deg"]
     axes.axhline(published_deg, color="0.7", linestyle=":")
     axes.annotate(
-        f"{published_deg:.2f}°: the paper's own figure, real cell, as published", (0.45, published_deg),
+        f"{published_deg:.2f}°: the paper's published error, on a real cell", (0.45, published_deg),
         xycoords=("axes fraction", "data"), xytext=(0, 3), textcoords="offset points", fontsize=8, color="0.4",
     )  # fmt: skip
     axes.set_xscale("log")
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     axes.set_ylim(low / 1.3, high * 2.5)
-    axes.set_xlabel("mean time of a frame over a minute of holding, ms (one core unless said)")
-    axes.set_ylabel("mean turn error, degrees")
-    axes.set_title("Rendered grasps of objects that no training image shows")
+    axes.set_xlabel("mean time of a frame over a minute of holding, ms (one core unless stated)")
+    axes.set_ylabel("mean rotation error, degrees")
+    axes.set_title("Rendered grasps of objects that are not in the training images")
     axes.grid(alpha=0.3, which="both")
     axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def _stages(axes: Any, found: BenchReport) -> None:
-    """Where the time of a contact frame goes, means, per estimator of the default's network."""
+    """Plot the mean time of a frame in contact by stage, for each estimator with the default's network."""
     network = next(row.network for row in found.pipelines if row.name == found.default)
     rows = [row for row in found.pipelines if row.network == network and row.skipping]
     names = [row.estimator for row in rows]
@@ -91,13 +93,13 @@ def _stages(axes: Any, found: BenchReport) -> None:
             axes.barh(names, widths, left=left, label=stage)
             left = [start + width for start, width in zip(left, widths, strict=True)]
     axes.invert_yaxis()
-    axes.set_xlabel("a frame in contact, mean ms by stage")
+    axes.set_xlabel("mean time of a frame in contact, ms")
     axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    axes.set_title(f"Where the time goes: {network}")
+    axes.set_title(f"Time by stage: {network}")
 
 
 def _quarters(axes: Any, found: BenchReport) -> None:
-    """Error from the easiest quarter of the grasps to the hardest."""
+    """Plot the error from the easiest quarter of the grasps to the hardest."""
     for row in (*found.pipelines, *found.peers):
         errors = row.turn_error_by_quartile_deg
         shown = row.skipping or row in found.peers
@@ -106,7 +108,7 @@ def _quarters(axes: Any, found: BenchReport) -> None:
         axes.plot(range(1, len(errors) + 1), errors, "-o", markersize=3, label=_short(row),
                   linewidth=2.5 if row.name == found.default else 1)  # fmt: skip
     axes.set_xticks(range(1, 5), ["easiest quarter", "second", "third", "hardest"])
-    axes.set_ylabel("mean turn error, degrees")
+    axes.set_ylabel("mean rotation error, degrees")
     axes.grid(alpha=0.3, which="both")
     if axes.lines:
         axes.set_yscale("log")

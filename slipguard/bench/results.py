@@ -24,25 +24,30 @@ PUBLISHED: dict[str, Any] = {
     "dice": 0.956,
     "iou": 0.914,
 }
-"""Stands apart from what was measured here: it cannot be compared figure by figure."""
+"""Published figures. They are not directly comparable with the measurements here."""
 
 
 @dataclass(frozen=True, slots=True)
 class BenchRow:
-    """One pipeline's figures; None where unknown or not asked. Times in ms, of one frame in contact where not said.
+    """Figures of one pipeline; None if not measured. Times in ms, of a frame in contact unless stated otherwise.
 
-    skipped_p50_ms: of frames left out, for want of contact or of change. turn errors: absolute, in degrees, over frames
-    after the reference with an angle, of the objects of the test manifest; worst object: the largest mean of one;
-    readable: of the objects that have an axis, the ones that the paper's way is meant for. declined_share: of such
-    frames of objects with a readable axis, those without an angle. quartiles: means over the grasps from the easiest
-    quarter to the hardest. within_n_sigma: share of errors no larger than n times the sigma stated; its _se: standard
-    error, told by how much grasps differ, for the errors of one grasp are alike. round textured, round plain: objects
-    without an axis, with and without texture; confident: a turn stated that is larger than three of its sigmas.
-    mean_ms_per_frame_grasp, cpu_s_per_minute_grasp: over a minute of holding; of a large network with slipguard's
-    estimators reckoned from its own frames and the share of frames that the default leaves out. stage_ms: stage ->
-    (p50, p99) of the frames that needed it, and its mean over all. pareto: no other row is both faster (mean over the
-    grasp) and more accurate. frames, sequences: asked of a turn; turns, turn_sequences: those that the turn errors are
-    taken over, without declined ones and without the two plain objects that are in no manifest.
+    Attributes:
+        skipped_p50_ms: Of skipped frames, without contact or unchanged.
+        turn_error_mean_deg: Absolute rotation error over frames after the reference that are not declined, on the
+            objects of the test manifest; also its sd, p95 and by quartile from the easiest grasps to the hardest.
+        turn_error_worst_object_deg: The largest mean of one object.
+        turn_error_readable_mean_deg: On the objects with an axis, for which the paper's pipeline is designed.
+        declined_share: Share of declined frames on the objects with an axis.
+        frames: Frames that are compared with the truth, in `sequences` grasps; `turns` of them in `turn_sequences`
+            grasps have an error: not declined, and of an object of the test manifest.
+        mean_ms_per_frame_grasp: Over a minute of holding, as is cpu_s_per_minute_grasp. For a large network with
+            slipguard's estimators it is computed from its own times and the default's share of skipped frames.
+        within_1_sigma: Share of errors up to one sigma; its _se: standard error from the variation between grasps,
+            because errors within a grasp are correlated.
+        round_textured_error_mean_deg: On objects without an axis but with texture.
+        round_plain_confident_share: Share of estimates above three of their sigmas on objects without axis and texture.
+        stage_ms: By stage: p50 and p99 of the frames with this stage, and its mean over all frames.
+        pareto: No other row is both faster (mean over the grasp) and more accurate.
     """
 
     name: str
@@ -85,12 +90,15 @@ class BenchRow:
 
 @dataclass(frozen=True, slots=True)
 class SkipResult:
-    """What one skip is worth. saved_ms: of each frame left out; by processor time where a minute is measured.
+    """The value of one skip.
 
-    saved_ms_per_frame_grasp: over a minute of holding.
-
-    error_added_deg: mean turn error with it less that without. frames_later: slip seen later because of it, the most
-    of all onsets tried; None where it cannot matter. kept: whether slipguard does it. how: what n was, and why.
+    Attributes:
+        kept: Whether slipguard uses the skip.
+        saved_ms: Time saved per skipped frame; processor time where a minute of holding is measured.
+        saved_ms_per_frame_grasp: Time saved per frame of a minute of holding.
+        error_added_deg: Mean rotation error with the skip minus without.
+        frames_later: Longest delay of a slip's detection in frames; None where the skip cannot delay it.
+        how: The number of frames measured.
     """
 
     name: str
@@ -104,7 +112,7 @@ class SkipResult:
 
 @dataclass(frozen=True, slots=True)
 class ThinningResult:
-    """One size of masks through this thinning and others. ratios: how many times longer the others take."""
+    """Thinning times for one size of masks. ratios: times of other implementations relative to slipguard's."""
 
     size: str
     masks: int
@@ -116,7 +124,7 @@ class ThinningResult:
 
 @dataclass(frozen=True, slots=True)
 class BenchReport:
-    """What `slipguard bench` found."""
+    """The result of `slipguard bench`."""
 
     machine: dict[str, Any]
     pipelines: tuple[BenchRow, ...]
@@ -127,20 +135,21 @@ class BenchReport:
     notes: tuple[str, ...] = ()
 
     def reference(self, resolution: str) -> BenchRow | None:
-        """The paper's pipeline of this size that times are compared with: the first such network of the peers, on as
-        many threads as it is quickest with. None where there is none.
+        """Return the row of the paper's pipeline that times are compared with; None if there is none of this size.
+
+        It uses the first such network of the peers, on its fastest number of threads.
         """
-        theirs = [row for row in self.peers if row.estimator == "skeleton" and row.resolution == resolution]
-        alike = [row for row in theirs if row.network == theirs[0].network and row.p50_ms is not None]
-        return min(alike, key=lambda row: row.p50_ms or math.inf, default=None)
+        same_size = [row for row in self.peers if row.estimator == "skeleton" and row.resolution == resolution]
+        same_network = [row for row in same_size if row.network == same_size[0].network and row.p50_ms is not None]
+        return min(same_network, key=lambda row: row.p50_ms or math.inf, default=None)
 
     @property
     def thinning_vs_cv2(self) -> float | None:
-        """How many times faster than the installed OpenCV, at the size where that is least."""
+        """Speed relative to the installed OpenCV, at the size where it is smallest."""
         return min((one.ratios["cv2"] for one in self.thinning), default=None)
 
     def as_json(self) -> dict[str, Any]:
-        """The public result; numbers rounded, what is not known null."""
+        """Return the public result, with rounded numbers; unknown values are null."""
         return {
             "machine": self.machine,
             "pipelines": [_plain(asdict(row)) for row in self.pipelines],
@@ -154,8 +163,8 @@ class BenchReport:
         }
 
 
-def on_the_front(rows: Iterable[BenchRow]) -> set[str]:
-    """Names of the rows that no other beats in both mean time over a grasp and mean turn error."""
+def pareto_front(rows: Iterable[BenchRow]) -> set[str]:
+    """Return the names of the rows that no other beats in both mean time over a grasp and mean rotation error."""
     known = [
         (row.name, row.mean_ms_per_frame_grasp, row.turn_error_mean_deg)
         for row in rows
@@ -169,19 +178,19 @@ def on_the_front(rows: Iterable[BenchRow]) -> set[str]:
 
 
 def quantile(values: Iterable[float], share: float) -> float | None:
-    """A quantile, None of nothing."""
+    """Return a quantile; None without values."""
     found = list(values)
     return float(np.quantile(found, share)) if found else None
 
 
 def mean(values: Iterable[float]) -> float | None:
-    """The mean, None of nothing."""
+    """Return the mean; None without values."""
     found = list(values)
     return float(np.mean(found)) if found else None
 
 
 def machine() -> dict[str, Any]:
-    """What the figures were taken on."""
+    """Return the processor and the versions that the figures were measured with."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.is_file():
@@ -198,7 +207,7 @@ def machine() -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """For JSON: no NaN, no more digits than were measured, no tuples."""
+    """Return a value for JSON: null for NaN, at most four decimals, lists for tuples."""
     if isinstance(value, float):
         return round(value, 4) if math.isfinite(value) else None
     if isinstance(value, Mapping):

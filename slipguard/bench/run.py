@@ -1,4 +1,4 @@
-"""The bench: what is run over what, and in which order. Accuracy may use all cores; whatever is timed runs alone."""
+"""The bench: which pipelines process which grasps. Errors may be measured on all cores; times are measured alone."""
 
 from __future__ import annotations
 
@@ -10,12 +10,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from slipguard.bench.holding import HoldingResult, HoldingScene, hold
+from slipguard.bench.holding import HoldingResult, HoldingScene, measure_holding
 from slipguard.bench.pipeline_results import PipelineResults
-from slipguard.bench.pipelines import NO_SKIP, BenchPipeline, large, network_files, ours, without_network
-from slipguard.bench.results import BenchReport, BenchRow, machine, on_the_front
-from slipguard.bench.skip_values import skips
-from slipguard.bench.thinning_times import thinning
+from slipguard.bench.pipelines import (
+    NO_SKIP,
+    BenchPipeline,
+    network_files,
+    with_large_network,
+    with_small_network,
+    with_timing_network,
+    without_network,
+)
+from slipguard.bench.results import BenchReport, BenchRow, machine, pareto_front
+from slipguard.bench.skip_values import measure_skips
+from slipguard.bench.thinning_times import compare_thinning
 from slipguard.datasets.rendered_grasps import EXTRA_PLAIN, STILL_FRAMES, RenderedGrasp, render_grasp
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skipping import ALL_SKIPS
@@ -24,18 +32,18 @@ from slipguard.tools.parallel import Workers, each
 
 SEED = 4100
 QUICK_GRASPS, FULL_GRASPS = 1, 5
-"""Grasps of each object, the same for every pipeline."""
+"""Grasps of each object, equal for all pipelines."""
 QUICK_MASK_EVERY, FULL_MASK_EVERY = 4, 2
 LARGE_FRAMES_QUICK, LARGE_TIMED = 30, 3
-"""Frames of a large network in a quick bench; in a full one the objects that slipguard's estimators are timed on."""
+"""Sample frames for a large network; objects on which slipguard's estimators are timed with it in a full bench."""
 WARM_UP_FRAMES = 40
-TRIED_GRASPS = 2
-"""So many grasps' sample frames tell on how many threads a large network runs best."""
+THREAD_GRASPS = 2
+"""Grasps whose sample frames decide on how many threads a large network is fastest."""
 
 
 @dataclass(frozen=True, slots=True)
 class BenchOptions:
-    """What to bench. model: in place of the shipped network. models: folder of further ones. workers: for accuracy."""
+    """What to measure. model: replaces the shipped network. models: folder of further networks. workers: for errors."""
 
     quick: bool = True
     model: Path | None = None
@@ -45,35 +53,32 @@ class BenchOptions:
 
 @dataclass(frozen=True, slots=True)
 class _GraspItem:
-    """One grasp for some pipelines. every: only so many-th frames go to those that remember nothing.
-
-    warm: run each over some frames before any is timed.
-    """
+    """One grasp for some pipelines. every: frame step of pipelines without memory. warm: warm up before timing."""
 
     object_name: str
     seed: int
-    subjects: tuple[BenchPipeline, ...]
+    pipelines: tuple[BenchPipeline, ...]
     mask_every: int
     every: int = 1
     warm: bool = False
 
 
 def bench(options: BenchOptions, on_progress: Callable[[str, float], None] = lambda _what, _share: None) -> BenchReport:
-    """Render, measure, time. on_progress(what, share done) is called now and then. Seeds are fixed.
+    """Render grasps with fixed seeds and measure errors and times; on_progress(what, share done) is called repeatedly.
 
-    Sets OpenCV to one thread for the whole process; onnxruntime runs on one but for the paper's pipeline.
+    Sets OpenCV to one thread for the whole process. onnxruntime uses one thread except for the paper's pipeline.
     """
     cv2.setNumThreads(1)
     contract, frame = network_files(options.models)
-    small = ours(options.model, every=not options.quick)
+    small = with_small_network(options.model, all_without_skipping=not options.quick)
     for path in contract:
-        small += ours(path, every=False)
+        small += with_small_network(path, all_without_skipping=False)
     classical = without_network()
-    bigger = [*(large(path) for path in frame), large_stand_in()]
+    bigger = [*(with_large_network(path) for path in frame), with_timing_network()]
     with_large = [one for group in bigger for one in group if one.kind == "ours" and not options.quick]
-    thrifty = [one for one in [*small, *classical] if one.skips == ALL_SKIPS or one in classical]
+    skipping = [one for one in [*small, *classical] if one.skips == ALL_SKIPS or one in classical]
     on_progress("errors", 0.0)
-    accuracy = _errors(options, thrifty, bigger, lambda share: on_progress("errors", 0.5 * share))
+    accuracy = _errors(options, skipping, bigger, lambda share: on_progress("errors", 0.5 * share))
     on_progress("times", 0.5)
     times = accuracy
     if not options.quick:
@@ -81,27 +86,21 @@ def bench(options: BenchOptions, on_progress: Callable[[str, float], None] = lam
     on_progress("a minute of holding", 0.6)
     default = _default(small)
     alone = (default.name, replace(default, skips=NO_SKIP).name)
-    held = hold([one for one in small if one.name in alone or not options.quick], HoldingScene())
+    held = measure_holding([one for one in small if one.name in alone or not options.quick], HoldingScene())
     on_progress("the paper's pipeline", 0.75)
     samples = _samples(options.quick)
     peers = _peer_rows(options, bigger, classical, accuracy, times, samples)
     on_progress("thinning", 0.85)
     masks = [shot.mask for one in samples for shot in one.shots if shot.mask is not None]
-    thinned = thinning(masks[:: 4 if options.quick else 2], repeats=2 if options.quick else 3)
-    on_progress("what each skip is worth", 0.9)
-    worth = skips(options.quick, default, held, options.workers)
+    thinned = compare_thinning(masks[:: 4 if options.quick else 2], repeats=2 if options.quick else 3)
+    on_progress("value of each skip", 0.9)
+    skip_results = measure_skips(options.quick, default, held, options.workers)
     rows = [_row(one, accuracy, times, held, held[default.name]) for one in [*small, *with_large]]
-    front = on_the_front([*rows, *peers])
+    front = pareto_front([*rows, *peers])
     rows, peers = ([replace(row, pareto=row.name in front) for row in some] for some in (rows, peers))
-    return BenchReport(machine(), tuple(rows), tuple(peers), default.name, thinned, worth, tuple(_notes(options, held)))
-
-
-def large_stand_in() -> list[BenchPipeline]:
-    """The paper's network in shape, for times alone."""
-    from slipguard.bench.pipelines import PEER_MODEL
-    from slipguard.perception.contact.segmenter import default_model_path
-
-    return large(default_model_path().with_name(PEER_MODEL))
+    return BenchReport(
+        machine(), tuple(rows), tuple(peers), default.name, thinned, skip_results, tuple(_notes(options, held))
+    )
 
 
 def _default(small: list[BenchPipeline]) -> BenchPipeline:
@@ -111,18 +110,18 @@ def _default(small: list[BenchPipeline]) -> BenchPipeline:
 
 def _errors(
     options: BenchOptions,
-    thrifty: list[BenchPipeline],
+    skipping: list[BenchPipeline],
     bigger: list[list[BenchPipeline]],
     on_share: Callable[[float], None],
 ) -> dict[str, PipelineResults]:
-    """Every pipeline's errors by name; of a quick bench its times, too."""
+    """Return the errors of all pipelines by name; in a quick bench also their times."""
     objects = [*object_names("test"), *EXTRA_PLAIN]
     grasps = QUICK_GRASPS if options.quick else FULL_GRASPS
     mask_every = QUICK_MASK_EVERY if options.quick else FULL_MASK_EVERY
     plan = [(name, SEED + k) for k in range(grasps) for name in objects]
-    others = [] if options.quick else [one for group in bigger for one in group if not one.made_up]
+    others = [] if options.quick else [one for group in bigger for one in group if not one.timing_only]
     items = [
-        _GraspItem(name, seed, (*thrifty, *others), mask_every, 2 if options.quick else 1, warm=not index)
+        _GraspItem(name, seed, (*skipping, *others), mask_every, 2 if options.quick else 1, warm=not index)
         for index, (name, seed) in enumerate(plan)
     ]
     workers = Workers(jobs=1) if options.quick else options.workers
@@ -131,52 +130,52 @@ def _errors(
     def progress(done: int) -> None:
         on_share(done / len(items))
 
-    for found in each(_measure, items, workers, named=_named, progress=progress):
+    for found in each(_measure, items, workers, named=_describe, progress=progress):
         for name, results in found.items():
             total.setdefault(name, PipelineResults()).add(results)
     return total
 
 
-def _named(item: _GraspItem) -> str:
+def _describe(item: _GraspItem) -> str:
     return f"{item.object_name}, grasp {item.seed}"
 
 
 def _measure(item: _GraspItem) -> dict[str, PipelineResults]:
-    """One grasp through all pipelines of an item, one after the other."""
+    """Process one grasp with all pipelines of an item, one after the other."""
     grasp = render_grasp(item.object_name, item.seed, with_masks=True, mask_every=item.mask_every)
     if item.warm:
-        _warm(item.subjects, grasp)
-    # Without skipping or a reference of its own, a plain pipeline begins at the last still frame.
+        _warm(item.pipelines, grasp)
+    # A pipeline without memory starts at the last frame at rest, which is its reference.
     begin = next(index for index, shot in enumerate(grasp.shots) if shot.compared) - 1
     if item.mask_every <= STILL_FRAMES:
-        begin -= begin % item.mask_every  # a still frame that has its mask
-    for subject in item.subjects:
-        subject.forget(share=True)
+        begin -= begin % item.mask_every  # a frame at rest that has a mask
+    for pipeline in item.pipelines:
+        pipeline.clear_cache(enabled=True)
     found = {}
-    for subject in item.subjects:
-        results = found[subject.name] = PipelineResults()
-        shots = grasp.shots if subject.kind == "ours" else grasp.shots[begin : -1 : item.every]
-        results.run(subject.open(grasp), grasp, shots)
-    for subject in item.subjects:
-        subject.forget()
+    for pipeline in item.pipelines:
+        results = found[pipeline.name] = PipelineResults()
+        shots = grasp.shots if pipeline.kind == "ours" else grasp.shots[begin : -1 : item.every]
+        results.run(pipeline.open(grasp), grasp, shots)
+    for pipeline in item.pipelines:
+        pipeline.clear_cache()
     return found
 
 
-def _warm(subjects: tuple[BenchPipeline, ...], grasp: RenderedGrasp) -> None:
-    for subject in subjects:
-        processor = subject.open(grasp)
-        for shot in grasp.shots[: 2 if subject.large else WARM_UP_FRAMES]:
+def _warm(pipelines: tuple[BenchPipeline, ...], grasp: RenderedGrasp) -> None:
+    for pipeline in pipelines:
+        processor = pipeline.open(grasp)
+        for shot in grasp.shots[: 2 if pipeline.large else WARM_UP_FRAMES]:
             processor.process(shot.frame)
 
 
 def _times(
-    subjects: list[BenchPipeline], with_large: list[BenchPipeline], on_share: Callable[[float], None]
+    pipelines: list[BenchPipeline], with_large: list[BenchPipeline], on_share: Callable[[float], None]
 ) -> dict[str, PipelineResults]:
-    """Times alone, serially, on a few grasps. with_large: on the first few of them."""
+    """Return times, measured serially on a few grasps. with_large: pipelines for the first of them only."""
     total: dict[str, PipelineResults] = {}
     objects = object_names("test")
     for index, name in enumerate(objects):
-        timed = (*subjects, *(with_large if index < LARGE_TIMED else ()))
+        timed = (*pipelines, *(with_large if index < LARGE_TIMED else ()))
         item = _GraspItem(name, SEED, timed, 10**6, warm=not index)
         for one, results in _measure(item).items():
             total.setdefault(one, PipelineResults()).add(results)
@@ -185,25 +184,25 @@ def _times(
 
 
 def _row(
-    subject: BenchPipeline,
+    pipeline: BenchPipeline,
     accuracy: dict[str, PipelineResults],
     times: dict[str, PipelineResults],
     held: dict[str, HoldingResult],
     like: HoldingResult,
 ) -> BenchRow:
-    """like: a pipeline whose shares of skipped frames count where this one was not run over the minute itself."""
-    # Skipping changes no turn of these grasps: they never rest.
-    twin = replace(subject, skips=ALL_SKIPS).name
-    own = accuracy.get(subject.name) or accuracy[twin]
-    spent = times.get(subject.name) or times[twin]
-    over = held.get(subject.name)
+    """Return a pipeline's row. like: results of holding whose share of skipped frames is used if this has none."""
+    # These grasps never rest, so that skipping does not change their errors.
+    twin = replace(pipeline, skips=ALL_SKIPS).name
+    own = accuracy.get(pipeline.name) or accuracy[twin]
+    spent = times.get(pipeline.name) or times[twin]
+    over = held.get(pipeline.name)
     if over is not None:
-        return own.row(subject, spent, over.mean_ms, over.cpu_s_per_minute)
+        return own.row(pipeline, spent, over.mean_ms, over.cpu_s_per_minute)
     mean_ms = float(np.mean(spent.busy_ms)) if spent.busy_ms else None
-    if mean_ms is not None and subject.skips.unchanged:
+    if mean_ms is not None and pipeline.skips.unchanged:
         measured = 1.0 - sum(like.skipped.values()) / like.frames
         mean_ms = like.mean_ms + measured * (mean_ms - like.measured_ms)
-    return own.row(subject, spent, mean_ms, None if mean_ms is None else 3.6 * mean_ms)
+    return own.row(pipeline, spent, mean_ms, None if mean_ms is None else 3.6 * mean_ms)
 
 
 def _peer_rows(
@@ -214,30 +213,30 @@ def _peer_rows(
     times: dict[str, PipelineResults],
     samples: list[RenderedGrasp],
 ) -> list[BenchRow]:
-    """The paper's pipeline with each network, on one core and on its best number of threads; then the plain ones."""
+    """Return the rows of the paper's pipeline, on one thread and on its fastest number, then of the classical ones."""
     rows = []
     for group in bigger:
-        subject = next(one for one in group if one.kind == "paper")
-        if options.quick and "unet" in subject.network.lower():
+        pipeline = next(one for one in group if one.kind == "paper")
+        if options.quick and "unet" in pipeline.network.lower():
             continue
-        found = accuracy.get(subject.name, PipelineResults())
+        found = accuracy.get(pipeline.name, PipelineResults())
         cores = sorted({1, *(count for count in (2, 4, 8) if count <= (os.cpu_count() or 1))})
-        tried = {count: _few(replace(subject, threads=count), samples[:TRIED_GRASPS]) for count in cores}
+        tried = {count: _sample_results(replace(pipeline, threads=count), samples[:THREAD_GRASPS]) for count in cores}
         best = min(tried, key=lambda count: float(np.median(tried[count].busy_ms)))
         for count in sorted({1, best}):
-            spent = _few(replace(subject, threads=count), samples)
+            spent = _sample_results(replace(pipeline, threads=count), samples)
             mean_ms = float(np.mean(spent.busy_ms))
             counted = found if found.grasps else spent
-            rows.append(counted.row(replace(subject, threads=count), spent, mean_ms, 3.6 * mean_ms * count))
-    for subject in classical:
-        spent = times[subject.name]
+            rows.append(counted.row(replace(pipeline, threads=count), spent, mean_ms, 3.6 * mean_ms * count))
+    for pipeline in classical:
+        spent = times[pipeline.name]
         over_ms = float(np.mean(spent.busy_ms)) if spent.busy_ms else None
-        rows.append(accuracy[subject.name].row(subject, spent, over_ms, None if over_ms is None else 3.6 * over_ms))
+        rows.append(accuracy[pipeline.name].row(pipeline, spent, over_ms, None if over_ms is None else 3.6 * over_ms))
     return rows
 
 
 def _samples(quick: bool) -> list[RenderedGrasp]:
-    """Some thirty frames for large networks: of each test object the last still frame and some turned ones."""
+    """Return about thirty frames for large networks: of each test object the last at rest and some rotated ones."""
     objects = object_names("test")
     each_object = -(-LARGE_FRAMES_QUICK // len(objects)) + (0 if quick else 2)
     found = []
@@ -251,36 +250,37 @@ def _samples(quick: bool) -> list[RenderedGrasp]:
     return found
 
 
-def _few(subject: BenchPipeline, samples: list[RenderedGrasp]) -> PipelineResults:
-    """The paper's pipeline over the sample frames."""
+def _sample_results(pipeline: BenchPipeline, samples: list[RenderedGrasp]) -> PipelineResults:
+    """Process the sample frames with the paper's pipeline."""
     results = PipelineResults()
     for index, grasp in enumerate(samples):
         masks = {shot.frame.sequence: shot.mask for shot in grasp.shots if shot.mask is not None}
         if index == 0:
-            warm = subject.open(grasp, masks)
+            warm = pipeline.open(grasp, masks)
             for shot in grasp.shots[:3]:
                 warm.process(shot.frame)
-        results.run(subject.open(grasp, masks), grasp, grasp.shots)
+        results.run(pipeline.open(grasp, masks), grasp, grasp.shots)
     return results
 
 
 def _notes(options: BenchOptions, held: dict[str, HoldingResult]) -> list[str]:
-    """What a reader must know to read the figures."""
+    """Return notes that explain how the figures were measured."""
     objects = len(object_names("test")) + len(EXTRA_PLAIN)
     grasps = QUICK_GRASPS if options.quick else FULL_GRASPS
     skipped = next(iter(held.values())).skipped
-    whose = "of which the paper's pipeline sees some thirty frames" if options.quick else "the same for every pipeline"
-    out = ", ".join(f"{count} {why}" for why, count in sorted(skipped.items()))
+    sample = "about thirty frames for the paper's pipeline" if options.quick else "equal for all pipelines"
+    counts = ", ".join(f"{count} ({reason})" for reason, count in sorted(skipped.items()))
     return [
         (
-            f"{grasps} × {objects} rendered grasps of objects that no training image shows, turns to ±30° at 60 fps, "
-            f"with force changes and shear, {whose}; rendered is not real: the errors compare pipelines"
+            f"{grasps} × {objects} rendered grasps of objects that are not in the training images, rotations to ±30° "
+            f"at 60 fps, with changes of force and shear, {sample}; rendered images differ from real ones: use the errors "
+            "to compare pipelines"
         ),
         (
-            "turns: what the errors are taken over; declined frames are none, nor are those of the two plain round "
-            "objects that are in no manifest, of which nobody can tell a turn"
+            "estimates: the number of errors; declined frames have none, nor do those of the two plain round objects "
+            "that are not in the manifest and show no rotation"
         ),
-        f"a minute of holding: 3600 frames of one grasp, of which slipguard leaves out {out}",
-        "of a large network with slipguard's estimators that minute is reckoned, with the same frames left out",
-        "the paper's pipeline skips nothing: every frame costs the same",
+        f"a minute of holding: 3600 frames of one grasp, of which slipguard skips {counts}",
+        "for a large network with slipguard's estimators that minute is computed with the same skipped frames",
+        "the paper's pipeline skips no frames",
     ]

@@ -4,83 +4,71 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.perception.pipeline import ContactSegmenter
+
+Image = NDArray[np.uint8]
+ProbabilityMap = NDArray[np.float32]
+
 
 class BenchClock:
-    """Seconds, as `time.perf_counter`, plus what was added."""
+    """`time.perf_counter` plus added seconds, so that a cached output costs the time of its first computation."""
 
     def __init__(self) -> None:
-        self._ahead_s = 0.0
+        self._added_s = 0.0
 
     def __call__(self) -> float:
-        """Now."""
-        return time.perf_counter() + self._ahead_s
+        """Return the current time in seconds."""
+        return time.perf_counter() + self._added_s
 
     def add(self, spent_s: float) -> None:
-        """As if so much more time had passed."""
-        self._ahead_s += spent_s
+        """Advance the clock by `spent_s`."""
+        self._added_s += spent_s
 
 
 CLOCK = BenchClock()
 
 
-Image = NDArray[np.uint8]
-Answer = NDArray[np.float32]
-
-
 class SegmentationCache:
-    """Answers by picture. One that is given again charges the time it took to `CLOCK`.
+    """Network outputs by image; a cached output adds the time of its computation to `CLOCK`.
 
-    Pictures are told apart by identity: they are kept alive until `forget`, which must be called between grasps.
+    Images are identified by object identity and kept alive until `clear`, which must be called between grasps.
     """
 
     def __init__(self) -> None:
-        self.on = False
-        self._answers: dict[int, tuple[Image, Answer, float]] = {}
+        self.enabled = False
+        self._known: dict[int, tuple[Image, ProbabilityMap, float]] = {}
 
-    def forget(self, on: bool) -> None:
-        """Begin another grasp. on: whether to keep its answers; they and their pictures stay in memory."""
-        self._answers.clear()
-        self.on = on
+    def clear(self, enabled: bool) -> None:
+        """Forget all outputs. enabled: whether to keep those of the next grasp, with their images, in memory."""
+        self._known.clear()
+        self.enabled = enabled
 
-    def recall(self, image: Image, compute: Callable[[Image], Answer]) -> Answer:
-        """The answer of `compute` for this picture."""
-        if not self.on:
+    def get(self, image: Image, compute: Callable[[Image], ProbabilityMap]) -> ProbabilityMap:
+        """Return the output of `compute` for this image."""
+        if not self.enabled:
             return compute(image)
-        known = self._answers.get(id(image))
+        known = self._known.get(id(image))
         if known is not None:
             CLOCK.add(known[2])
             return known[1]
-        began_s = CLOCK()
-        answer = compute(image)
-        self._answers[id(image)] = (image, answer, CLOCK() - began_s)
-        return answer
-
-
-class Segments(Protocol):
-    """What a pipeline needs of a network."""
-
-    @property
-    def threshold(self) -> float: ...
-
-    @property
-    def input_size(self) -> tuple[int, int]: ...
-
-    def segment(self, image: Image, background: Image | None) -> Answer: ...
+        started_s = CLOCK()
+        output = compute(image)
+        self._known[id(image)] = (image, output, CLOCK() - started_s)
+        return output
 
 
 class CachedSegmenter:
-    """A segmenter with such a memory, for one no-contact image at a time."""
+    """A segmenter with such a cache, for one background image at a time."""
 
-    def __init__(self, segmenter: Segments) -> None:
+    def __init__(self, segmenter: ContactSegmenter) -> None:
         self._segmenter = segmenter
         self.threshold, self.input_size = segmenter.threshold, segmenter.input_size
-        self.memory = SegmentationCache()
+        self.cache = SegmentationCache()
 
-    def segment(self, image: Image, background: Image | None) -> Answer:
-        """As the segmenter's."""
-        return self.memory.recall(image, lambda picture: self._segmenter.segment(picture, background))
+    def segment(self, image: Image, background: Image | None) -> ProbabilityMap:
+        """Return the segmenter's output."""
+        return self.cache.get(image, lambda shown: self._segmenter.segment(shown, background))

@@ -7,11 +7,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from slipguard.bench.holding import HoldingResult, HoldingScene, hold
+from slipguard.bench.holding import HoldingResult, HoldingScene, measure_holding
 from slipguard.bench.pipeline_results import PipelineResults
 from slipguard.bench.pipelines import BenchPipeline
 from slipguard.bench.results import SkipResult
-from slipguard.bench.slip_onset import PARAMS, ROTATION_RATES_DEG_S, SLIDE_RATES_MM_S, SlipOnset, first_seen, later_by
+from slipguard.bench.slip_onset import (
+    PARAMS,
+    ROTATION_RATES_DEG_S,
+    TRANSLATION_RATES_MM_S,
+    SlipOnset,
+    detection_delay,
+    first_detection,
+)
 from slipguard.control.finger_fusion import fuse
 from slipguard.control.slip_baselines import SlipMemory
 from slipguard.control.slip_detector import look
@@ -26,28 +33,30 @@ SEED = 7000
 QUICK_ONSETS = (
     SlipOnset("key", SEED, 8.0),
     SlipOnset("wrench", SEED + 1, 30.0),
-    SlipOnset("ring", SEED + 2, 5.0, slides=True),
+    SlipOnset("ring", SEED + 2, 5.0, translates=True),
 )
 FULL_SEEDS = 1
 TIMED_REPEATS = 2
+CLEARER_FINGER, OTHER_FINGER = HoldingScene("wrench", 6000), HoldingScene("wrench", 6005, press=0.25, sign=-1.0)
+"""The other finger's contact is faint: often too faint to detect that an image is unchanged."""
 
 
 @dataclass(frozen=True, slots=True)
 class _OnsetTrial:
     onset: SlipOnset
-    subject: BenchPipeline
+    pipeline: BenchPipeline
 
 
 @dataclass(frozen=True, slots=True)
 class _OnsetDelay:
-    """How many frames later one slip is seen because of each skip; None where it is not seen without the skip."""
+    """Delay of one slip's detection by each skip, in frames; None if it is not detected without the skip."""
 
     no_contact: int | None
     unchanged: int | None
 
 
 def onsets(quick: bool) -> list[SlipOnset]:
-    """Slips after rest: quick ones and slow, turning and sliding, of every test object."""
+    """Return slips after rest, fast and slow, rotations and translations, of every test object."""
     if quick:
         return list(QUICK_ONSETS)
     found = []
@@ -55,160 +64,155 @@ def onsets(quick: bool) -> list[SlipOnset]:
         for k in range(FULL_SEEDS):
             if find_object(name).axial:
                 found += [SlipOnset(name, SEED + k, rate) for rate in ROTATION_RATES_DEG_S]
-            found += [SlipOnset(name, SEED + k, rate, slides=True) for rate in SLIDE_RATES_MM_S]
+            found += [SlipOnset(name, SEED + k, rate, translates=True) for rate in TRANSLATION_RATES_MM_S]
     return found
 
 
-def skips(
+def measure_skips(
     quick: bool, default: BenchPipeline, held: dict[str, HoldingResult], workers: Workers
 ) -> tuple[SkipResult, ...]:
-    """Every skip of the default pipeline, measured."""
-    tried = [_OnsetTrial(onset, default) for onset in onsets(quick)]
-    later = list(each(_later, tried, Workers(jobs=1) if quick else workers))
+    """Measure every skip of the default pipeline."""
+    trials = [_OnsetTrial(onset, default) for onset in onsets(quick)]
+    delays = list(each(_delays, trials, Workers(jobs=1) if quick else workers))
     found = [
-        _no_contact(default, 1 if quick else 6, [one.no_contact for one in later]),
-        _unchanged(quick, default, held, [one.unchanged for one in later]),
+        _no_contact(default, 1 if quick else 6, [one.no_contact for one in delays]),
+        _unchanged(quick, default, held, [one.unchanged for one in delays]),
         _round(default, ROUND_PLAIN[:1] if quick else ROUND_PLAIN),
     ]
-    if not quick:
-        found.append(second_finger(default))
-    return tuple(found)
+    return tuple(found if quick else [*found, measure_second_finger(default)])
 
 
-def _no_contact(default: BenchPipeline, objects: int, later: list[int | None]) -> SkipResult:
-    """Frames without contact, with the gate's answer and with the network's."""
+def _no_contact(default: BenchPipeline, objects: int, delays: list[int | None]) -> SkipResult:
+    """Measure frames without contact with the gate, and with the network."""
     gated, plain = PipelineResults(), PipelineResults()
     missed = frames = 0
+    without_gate = replace(default, skips=Skips(no_contact=False, unchanged=False))
     for name in object_names("test")[:objects]:
         grasp = render_grasp(name, SEED)
         empty = [shot for shot in grasp.shots if not shot.contact]
-        asked = replace(default, skips=Skips(no_contact=False, unchanged=False))
-        for subject, results in ((default, gated), (asked, plain)):
+        for pipeline, results in ((default, gated), (without_gate, plain)):
             for shot in empty * TIMED_REPEATS:
-                results.run(subject.open(grasp), grasp, [shot])
-        quick, slow = default.open(grasp), asked.open(grasp)
+                results.run(pipeline.open(grasp), grasp, [shot])
+        with_gate, with_network = default.open(grasp), without_gate.open(grasp)
         for shot in grasp.shots:
-            skipped, contact = quick.process(shot.frame).skipped == "no contact", slow.process(shot.frame).contact
-            missed += skipped and contact
+            skipped = with_gate.process(shot.frame).skipped == "no contact"
+            missed += with_network.process(shot.frame).contact and skipped
             frames += 1
-    # Without the gate a frame without contact costs what it takes to find nothing.
+    # Without the gate, a frame without contact takes the time of finding no region.
     saved = float(np.median(plain.busy_ms + plain.empty_ms + plain.other_ms)) - float(np.median(gated.empty_ms))
     how = (
-        f"{len(gated.empty_ms)} frames without contact; {missed} of {frames} frames that the network finds contact in; "
-        f"{_seen(later)}"
+        f"{len(gated.empty_ms)} frames without contact; {missed} of {frames} frames skipped although the network finds "
+        f"contact; {_detected(delays)}"
     )
-    return SkipResult("no contact: no network", True, saved, None, None, _most(later), how)
+    return SkipResult("no contact: no network", True, saved, None, None, _longest(delays), how)
 
 
 def _unchanged(
-    quick: bool, default: BenchPipeline, held: dict[str, HoldingResult], later: list[int | None]
+    quick: bool, default: BenchPipeline, held: dict[str, HoldingResult], delays: list[int | None]
 ) -> SkipResult:
-    """A minute of holding with and without, and slips after rest."""
+    """Measure a minute of holding with and without the skip."""
     without = replace(default, skips=replace(ALL_SKIPS, unchanged=False))
-    other = hold([without], HoldingScene(), {without.name: 10} if quick else {without.name: 1})[without.name]
+    step = {without.name: 10} if quick else {without.name: 1}
+    other = measure_holding([without], HoldingScene(), step)[without.name]
     own = held[default.name]
-    left_out = own.skipped.get("unchanged", 0)
-    saved_a_frame = (other.cpu_s_per_minute - own.cpu_s_per_minute) / 3.6
+    skipped = own.skipped.get("unchanged", 0)
+    saved_per_frame = (other.cpu_s_per_minute - own.cpu_s_per_minute) / 3.6
     error = float(np.mean(own.errors_deg) - np.mean(other.errors_deg))
-    how = f"{left_out} of {own.frames} frames of a minute of holding; {_seen(later)}"
-    saved = saved_a_frame * own.frames / max(left_out, 1)
-    return SkipResult("unchanged: the last answer", True, saved, saved_a_frame, error, _most(later), how)
+    how = f"{skipped} of {own.frames} frames of a minute of holding; {_detected(delays)}"
+    saved = saved_per_frame * own.frames / max(skipped, 1)
+    return SkipResult("unchanged: the last estimate", True, saved, saved_per_frame, error, _longest(delays), how)
 
 
-def _later(tried: _OnsetTrial) -> _OnsetDelay:
-    grasp = tried.onset.grasp()
+def _delays(trial: _OnsetTrial) -> _OnsetDelay:
+    grasp = trial.onset.grasp()
     frames = [shot.frame for shot in grasp.shots]
 
-    def seen(skips: Skips) -> int | None:
-        return first_seen(replace(tried.subject, skips=skips).open(grasp).process, frames)
+    def detection(skips: Skips) -> int | None:
+        return first_detection(replace(trial.pipeline, skips=skips).open(grasp).process, frames)
 
-    skipping = seen(ALL_SKIPS)
-    without = [seen(replace(ALL_SKIPS, no_contact=False)), seen(replace(ALL_SKIPS, unchanged=False))]
-    return _OnsetDelay(*(later_by(skipping, one, len(frames)) for one in without))
-
-
-def _most(later: list[int | None]) -> int | None:
-    return max((one for one in later if one is not None), default=None)
+    skipping = detection(ALL_SKIPS)
+    without = [detection(replace(ALL_SKIPS, no_contact=False)), detection(replace(ALL_SKIPS, unchanged=False))]
+    return _OnsetDelay(*(detection_delay(skipping, one, len(frames)) for one in without))
 
 
-def _seen(later: list[int | None]) -> str:
-    unseen = later.count(None)
-    return f"{len(later) - unseen} slips after rest ({unseen} that nobody sees aside)"
+def _longest(delays: list[int | None]) -> int | None:
+    return max((one for one in delays if one is not None), default=None)
+
+
+def _detected(delays: list[int | None]) -> str:
+    missed = delays.count(None)
+    return f"{len(delays) - missed} slips after rest detected, {missed} not detected without skipping either"
 
 
 def _round(default: BenchPipeline, objects: tuple[str, ...]) -> SkipResult:
-    """Plain round contacts with and without thinning."""
+    """Measure plain round contacts with and without thinning."""
     spent: dict[bool, PipelineResults] = {True: PipelineResults(), False: PipelineResults()}
     differ = 0
     for name in objects:
         grasp = render_grasp(name, SEED)
-        answers: dict[bool, list[float | None]] = {}
-        for kept in (True, False):
-            subject = replace(default, skips=replace(ALL_SKIPS, round=kept))
-            spent[kept].run(subject.open(grasp), grasp, grasp.shots)
-            processor = subject.open(grasp)
-            answers[kept] = [processor.process(shot.frame).angle_deg for shot in grasp.shots]
-        differ += sum(one != other for one, other in zip(answers[True], answers[False], strict=True))
+        angles: dict[bool, list[float | None]] = {}
+        for skip in (True, False):
+            pipeline = replace(default, skips=replace(ALL_SKIPS, round=skip))
+            spent[skip].run(pipeline.open(grasp), grasp, grasp.shots)
+            processor = pipeline.open(grasp)
+            angles[skip] = [processor.process(shot.frame).angle_deg for shot in grasp.shots]
+        differ += sum(one != other for one, other in zip(angles[True], angles[False], strict=True))
     saved = float(np.median(spent[False].busy_ms) - np.median(spent[True].busy_ms))
-    how = f"{len(spent[True].busy_ms)} frames of plain round contacts; {differ} answers differ"
+    how = f"{len(spent[True].busy_ms)} frames of plain round contacts; {differ} estimates differ"
     return SkipResult("round: no thinning", True, saved, None, None, None, how)
-
-
-SURER, OTHER = HoldingScene("wrench", 6000), HoldingScene("wrench", 6005, press=0.25, sign=-1.0)
-"""The other finger's contact is faint: often too faint to tell an unchanged picture."""
 
 
 @dataclass(slots=True)
 class _FingerRun:
-    """spent_s: on the second finger. seen: frames on which the law saw slip begin."""
+    """Results with or without the skip. spent_s: for the second finger. slips: frames at which slip was detected."""
 
     spent_s: list[float] = field(default_factory=list)
     errors_deg: list[float] = field(default_factory=list)
-    seen: list[int] = field(default_factory=list)
-    spared: int = 0
+    slips: list[int] = field(default_factory=list)
+    skipped: int = 0
 
 
-def second_finger(default: BenchPipeline) -> SkipResult:
-    """The minute with both fingers looked at, and with the second one spared."""
+def measure_second_finger(default: BenchPipeline) -> SkipResult:
+    """Measure a minute of holding with both fingers processed, and with the second one skipped where possible."""
     runs = {True: _FingerRun(), False: _FingerRun()}
-    surer = default.open(SURER.scene())
-    others = {spare: default.open(OTHER.scene()) for spare in runs}
+    clearer = default.open(CLEARER_FINGER.sensor())
+    others = {skip: default.open(OTHER_FINGER.sensor()) for skip in runs}
     detectors, slipping = dict.fromkeys(runs, SlipMemory()), dict.fromkeys(runs, False)
     last: dict[bool, Estimate | None] = dict.fromkeys(runs)
     refresh_s = PerceptionSettings().refresh_s
-    for index, (shot, beside) in enumerate(zip(SURER.shots(), OTHER.shots(), strict=True)):
-        left = surer.process(shot.frame)
-        for spare, run in runs.items():
-            own, frame = last[spare], beside.frame
+    for index, (shot, other_shot) in enumerate(zip(CLEARER_FINGER.shots(), OTHER_FINGER.shots(), strict=True)):
+        left = clearer.process(shot.frame)
+        for skip, run in runs.items():
+            own, frame = last[skip], other_shot.frame
             start_s = time.process_time()
-            if spare and own is not None and second_finger_can_skip(own, left, frame.captured_at_s, refresh_s):
+            if skip and own is not None and second_finger_can_skip(own, left, frame.captured_at_s, refresh_s):
                 right = repeat_estimate(own, frame.captured_at_s, frame.sequence)
-                run.spared += 1
+                run.skipped += 1
             else:
-                right = others[spare].process(frame)
+                right = others[skip].process(frame)
             run.spent_s.append(time.process_time() - start_s)
-            last[spare] = right
+            last[skip] = right
             fused = fuse(left, right)
             if fused is None:
                 continue
             if shot.compared and fused.rotation_deg is not None:
                 run.errors_deg.append(abs(fused.rotation_deg - shot.rotation_deg))
-            sight = look(detectors[spare], fused, PARAMS)
-            detectors[spare] = sight.detector
-            if sight.slipping and not slipping[spare]:
-                run.seen.append(index)
-            slipping[spare] = sight.slipping
-    spared, plain = runs[True], runs[False]
-    saved_ms = 1e3 * (float(np.mean(plain.spent_s)) - float(np.mean(spared.spent_s)))
-    later = [one - other for one, other in zip(spared.seen, plain.seen, strict=False)]
-    if len(spared.seen) < len(plain.seen):
-        later.append(len(plain.spent_s))
+            sight = look(detectors[skip], fused, PARAMS)
+            detectors[skip] = sight.detector
+            if sight.slipping and not slipping[skip]:
+                run.slips.append(index)
+            slipping[skip] = sight.slipping
+    with_skip, plain = runs[True], runs[False]
+    saved_ms = 1e3 * (float(np.mean(plain.spent_s)) - float(np.mean(with_skip.spent_s)))
+    delays = [one - other for one, other in zip(with_skip.slips, plain.slips, strict=False)]
+    if len(with_skip.slips) < len(plain.slips):
+        delays.append(len(plain.spent_s))
     return SkipResult(
-        "second finger adds nothing: its last answer",
+        "second finger adds nothing: its last estimate",
         True,
-        saved_ms * len(plain.spent_s) / max(spared.spared, 1),
+        saved_ms * len(plain.spent_s) / max(with_skip.skipped, 1),
         saved_ms,
-        float(np.mean(spared.errors_deg) - np.mean(plain.errors_deg)),
-        max(later, default=None),
-        f"{spared.spared} of {len(plain.spent_s)} frames of the finger that is pressed less; {len(plain.seen)} slips",
+        float(np.mean(with_skip.errors_deg) - np.mean(plain.errors_deg)),
+        max(delays, default=None),
+        f"{with_skip.skipped} of {len(plain.spent_s)} frames of the less pressed finger; {len(plain.slips)} slips",
     )

@@ -20,56 +20,56 @@ from slipguard.sim.gel_view import GelView
 from slipguard.sim.sensor_unit import random_unit
 
 REST_S = 1.5
-"""Long enough for skipping to have begun."""
+"""Long enough for frames to be skipped."""
 RAMP_S = 0.1
 BEYOND_DEG = 2.0
-"""The turn goes on so far beyond `guard.tuning.creep_deg`: every slip is seen by then."""
+"""The object rotates this far beyond `guard.tuning.creep_deg`, where every slip is detected."""
 BEYOND_MM = 0.7
 ROTATION_RATES_DEG_S = (1.0, 4.0, 15.0, 60.0, 300.0)
-SLIDE_RATES_MM_S = (1.0, 5.0)
+TRANSLATION_RATES_MM_S = (1.0, 5.0)
 PARAMS = GuardParams()
 
 
 @dataclass(frozen=True, slots=True)
 class SlipOnset:
-    """A slip after rest. rate: degrees a second, or mm a second downwards where `slides`."""
+    """A slip after rest. rate: in degrees/s, or downwards in mm/s if `translates`."""
 
     object_name: str
     seed: int
     rate: float
-    slides: bool = False
+    translates: bool = False
 
     def grasp(self) -> RenderedGrasp:
-        """Rest, then motion at a constant rate until nobody could overlook it."""
-        rng = np.random.default_rng([self.seed, round(100 * self.rate), self.slides])
-        unit, thing = random_unit(rng), find_object(self.object_name)
+        """Render rest, then motion at a constant rate until the slip must be detected."""
+        rng = np.random.default_rng([self.seed, round(100 * self.rate), self.translates])
+        unit, held = random_unit(rng), find_object(self.object_name)
         camera = GelCamera(unit, seed=self.seed)
         background = camera.no_contact()
         x_mm, y_mm, start_deg = float(rng.uniform(-1, 1)), float(rng.uniform(0, 2)), float(rng.uniform(-180, 180))
-        side, press_mm = float(rng.choice([-1.0, 1.0])), float(rng.uniform(0.6, 0.9)) * thing.press_mm
-        way = PARAMS.tuning.creep_mm + BEYOND_MM if self.slides else PARAMS.tuning.creep_deg + BEYOND_DEG
+        side, press_mm = float(rng.choice([-1.0, 1.0])), float(rng.uniform(0.6, 0.9)) * held.press_mm
+        way = PARAMS.tuning.creep_mm + BEYOND_MM if self.translates else PARAMS.tuning.creep_deg + BEYOND_DEG
         moving_s = way / self.rate + RAMP_S / 2.0
         shots = []
         for index in range(round((REST_S + moving_s) / FRAME_S)):
             since_s = max(index * FRAME_S - REST_S, 0.0)
             ramped = since_s**2 / (2.0 * RAMP_S) if since_s < RAMP_S else since_s - RAMP_S / 2.0
             moved, speed = self.rate * ramped, self.rate * min(since_s / RAMP_S, 1.0)
-            if self.slides:
+            if self.translates:
                 view = GelView(self.object_name, x_mm, y_mm - moved, start_deg, press_mm, vy_mm_s=-speed)
             else:
                 rotated = side * moved
                 view = GelView(self.object_name, x_mm, y_mm, start_deg + rotated, press_mm, rate_deg_s=side * speed)
-            rotation_deg = 0.0 if self.slides else side * moved
+            rotation_deg = 0.0 if self.translates else side * moved
             shots.append(
                 GraspFrame(Frame(camera.draw(view), index * FRAME_S, index), True, rotation_deg, since_s > 0.0, None)
             )
         return RenderedGrasp(
-            self.object_name, thing.axial, background, unit.noise_bgr, unit.px_per_mm, tuple(shots), self.rate
+            self.object_name, held.axial, background, unit.noise_bgr, unit.px_per_mm, tuple(shots), self.rate
         )
 
 
-def first_seen(process: Callable[[Frame], Estimate], frames: Iterable[Frame]) -> int | None:
-    """Index of the frame on which the law, with this one finger, first says that the object slips; None if never."""
+def first_detection(process: Callable[[Frame], Estimate], frames: Iterable[Frame]) -> int | None:
+    """Return the index of the frame at which the controller detects slip with this finger only; None if never."""
     detector = SlipMemory()
     for index, frame in enumerate(frames):
         fused = fuse(process(frame), None)
@@ -82,9 +82,10 @@ def first_seen(process: Callable[[Frame], Estimate], frames: Iterable[Frame]) ->
     return None
 
 
-def later_by(skipping: int | None, measuring: int | None, frames: int) -> int | None:
-    """How many frames later the slip is seen by skipping; None where measuring does not see it at all.
+def detection_delay(skipping: int | None, measuring: int | None, frames: int) -> int | None:
+    """Return how many frames later slip is detected if frames are skipped, negative if earlier.
 
-    Negative where it is seen earlier. A slip that skipping alone overlooks counts as seen after the last frame.
+    A slip that is not detected with skipping counts as detected after the last frame. None if it is not detected
+    without skipping.
     """
     return None if measuring is None else (frames if skipping is None else skipping) - measuring

@@ -11,18 +11,18 @@ from slipguard.errors import InputError
 
 BEGIN, END = "<!-- bench table: begin -->", "<!-- bench table: end -->"
 COLUMNS = (
-    "front", "pipeline", "p50", "p99", "skipped", "mean over a grasp", "CPU s a minute", "turn error", "p95", "worst",
-    "with an axis", "turns", "declined", "round textured", "round plain declined", "in 1, 2 sigma", "Dice", "IoU",
+    "front", "pipeline", "p50", "p99", "skipped", "mean over a grasp", "CPU s per minute", "rotation error", "p95",
+    "worst", "with an axis", "estimates", "declined", "round textured", "round plain declined", "within 1, 2 sigma", "Dice", "IoU",
     "× 240×320", "× 120×160",
 )  # fmt: skip
 BRIEF = ("p50", "p99", "grasp", "error", "worst", "declined", "Dice", "× 240×320")
 SIZES = ("240×320", "120×160")
-"""Of the paper's network: as published, and as it could be trained here."""
+"""Input sizes of the paper's network: as published, and as trained for slipguard."""
 
 
-def tables(found: BenchReport, brief: bool) -> list[Table]:
-    """The pipelines and peers, thinning, and what each skip is worth. brief: fewer columns, for a narrow terminal."""
-    title = f"{found.machine['processor']}, one core unless said; times in ms, errors in degrees"
+def bench_tables(found: BenchReport, brief: bool) -> list[Table]:
+    """Return the tables of pipelines, thinning and skips. brief: fewer columns, for a narrow terminal."""
+    title = f"{found.machine['processor']}, one core unless stated; times in ms, errors in degrees"
     shown = Table("", "pipeline", *(BRIEF if brief else COLUMNS[2:]), title=title)
     for row in (*found.pipelines, *found.peers):
         cells = cells_of(row, found)
@@ -32,52 +32,54 @@ def tables(found: BenchReport, brief: bool) -> list[Table]:
             picked = [picked[0], name, cells[2], cells[3], cells[5], cells[7].split(" ± ")[0], cells[9], cells[12],
                       cells[16], cells[18]]  # fmt: skip
         shown.add_row(*picked)
-    thinned = Table("thinning", "masks", "ms", "cv2, ×", "scikit-image thin, ×", "skeletonize, ×", "pixels not cv2's")
+    thinned = Table("thinning", "masks", "ms", "cv2, ×", "scikit-image thin, ×", "skeletonize, ×", "pixels unlike cv2")
     for one in found.thinning:
         ratios = [f"{one.ratios[key]:.1f}" for key in ("cv2", "scikit-image thin", "scikit-image skeletonize")]
         thinned.add_row(one.size, str(one.masks), f"{one.ms:.2f}", *ratios, str(one.pixels_different_from_cv2))
-    worth = Table("skip", "kept", "saves, ms", "over a grasp, ms a frame", "error added", "frames later", "of")
+    skip_table = Table(
+        "skip", "used", "saves, ms", "over a grasp, ms per frame", "error added", "frames later", "measured on"
+    )
     for skip in found.skips:
-        worth.add_row(
+        skip_table.add_row(
             skip.name, "yes" if skip.kept else "no", _text(skip.saved_ms), _text(skip.saved_ms_per_frame_grasp),
             _text(skip.error_added_deg, "{:+.3f}"), _text(skip.frames_later, "{:+d}"), skip.how,
         )  # fmt: skip
-    return [shown, thinned, worth]
+    return [shown, thinned, skip_table]
 
 
 def notes(found: BenchReport) -> list[str]:
-    """What the figures are, in a few lines."""
+    """Return notes that explain the figures."""
     published = [
-        "real cell, as published:",
-        f"turn error {PUBLISHED['turn_error_mean_deg']}° ± {PUBLISHED['turn_error_sd_deg']}°,",
+        "published, on a real cell:",
+        f"rotation error {PUBLISHED['turn_error_mean_deg']}° ± {PUBLISHED['turn_error_sd_deg']}°,",
         f"worst object {PUBLISHED['turn_error_worst_object_deg']:g}°,",
         f"Dice {PUBLISHED['dice']}, IoU {PUBLISHED['iou']}:",
-        "another machine and other objects, not comparable figure by figure",
+        "another machine and other objects, not directly comparable",
     ]
     return [*found.notes, *_compared(found), " ".join(published)]
 
 
 def _compared(found: BenchReport) -> list[str]:
-    """What the last columns divide by."""
+    """Return a note on the divisor of each of the last columns."""
     lines = []
     for size in SIZES:
         peer = found.reference(size)
         if peer is not None:
             threads = "one thread" if peer.threads == 1 else f"{peer.threads} threads"
-            error = "made-up weights, time only" if peer.turn_error_mean_deg is None else "learnt weights"
+            weights = "arbitrary weights, time only" if peer.turn_error_mean_deg is None else "trained weights"
             lines.append(
-                f"× {size}: how many times as long (p50) the paper's pipeline takes with {peer.network}, "
-                f"{_text(peer.p50_ms)} ms on {threads}, its best number ({error})"
+                f"× {size}: time (p50) of the paper's pipeline with {peer.network}, "
+                f"{_text(peer.p50_ms)} ms on {threads}, its fastest number ({weights}), relative to the row's"
             )
     return lines
 
 
 def markdown(found: BenchReport, command: str) -> str:
-    """All rows as a Markdown table, with the command that makes it again."""
+    """Return all rows as a Markdown table, with the command that produced it."""
     made = found.machine
     lines = [
         f"Made by `{command}` on {made['processor']}, onnxruntime {made['onnxruntime']}, OpenCV {made['opencv']};",
-        "times in ms on one core unless said, errors in degrees; ◆: on the front of time over a grasp and error.",
+        "times in ms on one core unless stated, errors in degrees; ◆: on the Pareto front of mean time and error.",
         "",
         "| " + " | ".join(COLUMNS) + " |",
         "|" + "---|" * len(COLUMNS),
@@ -86,27 +88,27 @@ def markdown(found: BenchReport, command: str) -> str:
     return "\n".join([*lines, "", *(f"* {note}" for note in notes(found))])
 
 
-def check(path: Path) -> tuple[str, str]:
-    """What stands before and after the markers of a Markdown file. Raises `InputError` where they are not there."""
+def split_at_markers(path: Path) -> tuple[str, str]:
+    """Return the text before and after the markers of a Markdown file. Raises `InputError` if they are missing."""
     try:
         page = path.read_text(encoding="utf-8")
         before, rest = page.split(BEGIN)
         _, after = rest.split(END)
     except OSError as error:
-        raise InputError(f"--table {path}: cannot be read ({error.strerror})") from error
+        raise InputError(f"--table {path}: cannot read the file: {error.strerror}") from error
     except ValueError as error:
-        raise InputError(f"--table {path}: the lines {BEGIN} and {END} are looked for, once each") from error
+        raise InputError(f"--table {path}: needs the lines {BEGIN} and {END}, once each") from error
     return before, after
 
 
 def write_into(path: Path, text: str) -> None:
-    """Put the text between the two markers of a Markdown file. Raises `InputError` where they are not there."""
-    before, after = check(path)
+    """Write the text between the markers of a Markdown file. Raises `InputError` if they are missing."""
+    before, after = split_at_markers(path)
     path.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}", encoding="utf-8")
 
 
 def cells_of(row: BenchRow, found: BenchReport) -> list[str]:
-    """One row as texts, in the order of COLUMNS."""
+    """Return the cells of a row in the order of COLUMNS."""
     error, sd = _text(row.turn_error_mean_deg), _text(row.turn_error_sd_deg)
     return [
         "◆" if row.pareto else "",
@@ -136,7 +138,7 @@ def cells_of(row: BenchRow, found: BenchReport) -> list[str]:
 
 
 def _ratio(peer: BenchRow | None, row: BenchRow) -> float | None:
-    """How many times as long the peer takes."""
+    """Return the peer's time relative to the row's."""
     return None if peer is None or peer.p50_ms is None or not row.p50_ms else peer.p50_ms / row.p50_ms
 
 
@@ -145,5 +147,5 @@ def _text(value: float | None, form: str = "{:.2f}") -> str:
 
 
 def _share(value: float | None, se: float | None) -> str:
-    """A share in per cent, with its standard error where that is known."""
+    """Return a share in percent, with its standard error if known."""
     return _text(value, "{:.0%}") if value is None or se is None else f"{100 * value:.0f} ± {100 * se:.0f}%"

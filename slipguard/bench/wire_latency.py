@@ -1,4 +1,9 @@
-"""Latency from a frame's time stamp to the last byte of the command on the serial line, stage by stage."""
+"""Latency from a frame's time stamp to the last byte of the command on the serial line, stage by stage.
+
+The daemon runs in this process, the emulated cell in another one. Both read CLOCK_MONOTONIC, and the emulated gripper
+logs when each byte arrived. A slip gives few commands, and a 99th percentile needs hundreds: the controller
+therefore adds a small force step now and then while it holds an object.
+"""
 
 from __future__ import annotations
 
@@ -34,12 +39,12 @@ from slipguard.tools.waiting import wait_until
 STEP_N = 0.85
 """A little more than one count of the force register (0.843 N)."""
 PAUSE_S = (0.12, 0.20)
-"""Between two commands, drawn anew each time: at no fixed phase to cameras and polls, and the gripper comes to rest."""
+"""Random pause between two commands: no fixed phase to cameras and polls, and the gripper comes to rest."""
 
 
 @dataclass(slots=True)
 class ForceProbe:
-    """One command: the force, when the frame behind it was exposed, and when it was decided on."""
+    """One command: its force, the capture time of its frame, and the time of the decision."""
 
     force_n: float
     captured_at_s: float
@@ -48,7 +53,7 @@ class ForceProbe:
 
 @dataclass(slots=True)
 class ProbingController:
-    """To be given to a service in place of `control_step`. left: how many commands are still to be given."""
+    """A replacement for `control_step` that adds force steps. left: the number of steps still to add."""
 
     left: int
     probes: list[ForceProbe] = field(default_factory=list)
@@ -59,15 +64,20 @@ class ProbingController:
     def __call__(
         self, state: ControlState, observation: Observation, params: GuardParams
     ) -> tuple[ControlState, Command]:
-        """One tick."""
+        """Return the state and the command of one control step."""
         state, command = control_step(state, observation, params)
         fused = observation.fused
         if fused is None or fused.captured_at_s <= self._captured_at_s:
             return state, command
         self._captured_at_s = fused.captured_at_s
         force_n = state.grasp.target_n + STEP_N
-        calm = state.grasp.phase is Phase.HOLDING and state.grasp.slip is None and command.hold_force_n is None
-        if not calm or self.left <= 0 or observation.now_s < self._due_s or force_n > observation.gripper_limits_n[1]:
+        settled = state.grasp.phase is Phase.HOLDING and state.grasp.slip is None and command.hold_force_n is None
+        if (
+            not settled
+            or self.left <= 0
+            or observation.now_s < self._due_s
+            or force_n > observation.gripper_limits_n[1]
+        ):
             return state, command
         self.left -= 1
         self._due_s = observation.now_s + self._random.uniform(*PAUSE_S)
@@ -77,27 +87,27 @@ class ProbingController:
 
 
 HOST = f"127.90.{os.getpid() >> 8 & 255}.{os.getpid() % 254 + 1}"
-"""Every address of 127/8 is this machine; one of our own, for two measurements may run at once."""
+"""An address of this machine that differs between processes, because two measurements may run at once."""
 COMMAND_BYTES, BITS_PER_BYTE = 15, 10
 STOP, GO = "0100", "0900"
-"""First register of the two halves of a tightening."""
+"""First register of the two writes of a tightening."""
 READY_S, GRIP_S, COMMAND_S, REST_S = 40.0, 20.0, 5.0, 0.5
 STAGES = (
-    "camera and USB: exposure to frame handed over",
-    "look: frame to estimate",
-    "decide: estimate to command",
-    "line: a question under way is answered first",
-    "line: the driver asks the state, keeps the manual's 5 ms, says stop",
-    "line: the stop is seen, then go",
-    "line: the go's 15 bytes",
+    "camera and USB: exposure to frame received",
+    "perception: frame to estimate",
+    "controller: estimate to command",
+    "line: the pending request completes",
+    "line: state request, the manual's 5 ms pause, stop",
+    "line: stop confirmed, then go",
+    "line: 15 bytes of go",
 )
-OWN = "slipguard's own share: frame handed over to command"
+OWN = "slipguard's share: frame received to command"
 TOTAL = "exposure to the command's last byte on the wire"
 
 
 @dataclass(frozen=True, slots=True)
 class LatencyOptions:
-    """commands: how many are measured. baud: pace of the line; 0: none. fps: of the cameras."""
+    """commands: number to measure. baud: of the serial line; 0: unlimited. fps: of the cameras."""
 
     commands: int = 200
     baud: int = 115200
@@ -107,7 +117,7 @@ class LatencyOptions:
 
 @dataclass(frozen=True, slots=True)
 class StageLatency:
-    """Of one stage, in milliseconds."""
+    """Latency statistics of one stage in milliseconds."""
 
     p50_ms: float
     p99_ms: float
@@ -116,7 +126,7 @@ class StageLatency:
 
 @dataclass(frozen=True, slots=True)
 class LatencyReport:
-    """What was measured. commands: those whose every byte was found again in the gripper's log."""
+    """The result. commands: those whose bytes were all found in the gripper's log."""
 
     options: LatencyOptions
     commands: int
@@ -126,7 +136,7 @@ class LatencyReport:
 
 @dataclass(slots=True)
 class _CommandTimes:
-    """What the daemon's side knows of one command. Times of the loop's clock."""
+    """Times of one command in the daemon, by the loop's clock."""
 
     probe: ForceProbe
     received_at_s: float
@@ -135,21 +145,21 @@ class _CommandTimes:
     called_at_s: float = 0.0
 
 
-async def measure(options: LatencyOptions, tell: Callable[[str, float], None]) -> LatencyReport:
-    """Grip an object and tighten it `commands` times, each time in answer to a frame. tell(what, share done)."""
+async def measure(options: LatencyOptions, on_progress: Callable[[str, float], None]) -> LatencyReport:
+    """Grip an object and tighten it `commands` times, each time after a frame. on_progress(what, share done)."""
     with tempfile.TemporaryDirectory(prefix="slipguard-wire-") as folder:
         cell = CellProcess(
             Path(folder),
             *("--host", HOST, "--object", options.object_name, "--baud", str(options.baud), "--fps", str(options.fps)),
         )
         try:
-            tell("starting the emulated cell", 0.0)
+            on_progress("starting the emulated cell", 0.0)
             await cell.start()
             probe = ProbingController(0)
-            service = build_service(every_frame_in_full(cell.config), controller=probe)
+            service = build_service(config_without_skipping(cell.config), controller=probe)
             running = asyncio.create_task(service.run(), name="service")
             try:
-                seen = await _probe(service, probe, options.commands, running, tell)
+                sent = await _probe(service, probe, options.commands, running, on_progress)
                 frames = sum(finger.capture.counts.frames for finger in service.fingers.values())
             finally:
                 running.cancel()
@@ -158,11 +168,11 @@ async def measure(options: LatencyOptions, tell: Callable[[str, float], None]) -
         finally:
             await cell.stop()
     writes = [entry for entry in map(json.loads, log.splitlines()) if entry["event"] == "write"]
-    return _evaluate(options, seen, writes, frames)
+    return _evaluate(options, sent, writes, frames)
 
 
-def every_frame_in_full(path: Path) -> Config:
-    """The cell's, with every frame measured in full and room for all steps."""
+def config_without_skipping(path: Path) -> Config:
+    """Return the cell's configuration without skipping and with a force limit that allows all steps."""
     raw = tomllib.loads(path.read_text())
     raw["guard"] |= {"force_max_n": 235}
     raw["perception"] = {"skip_unchanged": False}
@@ -174,42 +184,47 @@ async def _probe(
     probe: ProbingController,
     commands: int,
     running: asyncio.Task[None],
-    tell: Callable[[str, float], None],
+    on_progress: Callable[[str, float], None],
 ) -> list[_CommandTimes]:
-    tell("waiting for the devices", 0.0)
+    on_progress("waiting for the devices", 0.0)
     await grip(service, running)
-    seen: list[_CommandTimes] = []
+    sent: list[_CommandTimes] = []
 
     def decided(decision: Decision) -> None:
-        if len(probe.probes) > len(seen) and decision.command.hold_force_n is not None:
-            answers = [finger.newest for finger in service.fingers.values() if finger.newest is not None]
-            newest = max(answers, key=lambda one: one.ready_at_s)
+        if len(probe.probes) > len(sent) and decision.command.hold_force_n is not None:
+            newest = [finger.newest for finger in service.fingers.values() if finger.newest is not None]
+            last = max(newest, key=lambda one: one.ready_at_s)
             now_s = asyncio.get_running_loop().time()
-            seen.append(_CommandTimes(probe.probes[-1], newest.received_at_s, newest.ready_at_s, now_s))
+            sent.append(_CommandTimes(probe.probes[-1], last.received_at_s, last.ready_at_s, now_s))
 
     def called(since_handed_s: float) -> None:
-        if seen and not seen[-1].called_at_s:
-            seen[-1].called_at_s = asyncio.get_running_loop().time()
+        if sent and not sent[-1].called_at_s:
+            sent[-1].called_at_s = asyncio.get_running_loop().time()
 
     service.observers.append(decided)
     service.hold_observers.append(called)
     probe.left = commands
     while probe.left > 0:
-        tell("tightening step by step", 1.0 - probe.left / commands)
+        on_progress("tightening step by step", 1.0 - probe.left / commands)
         wanted = probe.left - 1
 
         def given(wanted: int = wanted) -> bool:
             return probe.left <= wanted or service.phase is Phase.FAULT
 
-        await wait_until(running, given, COMMAND_S, lambda: f"no command was given ({service.phase})")
+        await wait_until(
+            running,
+            given,
+            COMMAND_S,
+            lambda: f"no command was issued (phase {service.phase}). Run the measurement again",
+        )
         if service.phase is Phase.FAULT:
-            raise SlipguardError(f"the guard stopped: {service.state.fault}")
+            raise SlipguardError(f"the guard stopped: {service.state.fault}. Run the measurement again")
     await asyncio.sleep(REST_S)
-    return seen
+    return sent
 
 
 async def grip(service: Service, running: asyncio.Task[None]) -> None:
-    """Calibrate, then grasp what lies between the jaws. Raises SlipguardError where it does not come to a firm grip."""
+    """Calibrate, then grasp the object between the jaws. Raises SlipguardError if the grip does not become firm."""
     handlers = RequestHandlers(service)
 
     def ready() -> bool:
@@ -225,12 +240,12 @@ async def grip(service: Service, running: asyncio.Task[None]) -> None:
 
 
 def _evaluate(
-    options: LatencyOptions, seen: list[_CommandTimes], writes: list[dict[str, Any]], frames: int
+    options: LatencyOptions, sent: list[_CommandTimes], writes: list[dict[str, Any]], frames: int
 ) -> LatencyReport:
-    """Find each command's stop and go in the gripper's log, by their times."""
+    """Find stop and go of each command in the gripper's log by their times."""
     wire_s = COMMAND_BYTES * BITS_PER_BYTE / options.baud if options.baud else 0.0
     rows = []
-    for one, following in zip(seen, [*seen[1:], None], strict=True):
+    for one, following in zip(sent, [*sent[1:], None], strict=True):
         ends_s = following.called_at_s if following is not None else math.inf
         last = {
             entry["registers"][0]: float(entry["last_byte_s"])
@@ -241,7 +256,7 @@ def _evaluate(
             daemon = (one.probe.captured_at_s, one.received_at_s, one.ready_at_s, one.decided_at_s, one.called_at_s)
             rows.append((*daemon, last[STOP] - wire_s, last[GO] - wire_s, last[GO]))
     if not rows:
-        raise SlipguardError("no command arrived at the emulated gripper")
+        raise SlipguardError("no command arrived at the emulated gripper. Run the measurement again")
     marks = np.array(rows)
     found = dict(zip(STAGES, map(_spread, np.diff(marks, axis=1).T), strict=True))
     found[TOTAL] = _spread(marks[:, -1] - marks[:, 0])

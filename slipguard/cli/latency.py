@@ -1,4 +1,4 @@
-"""`slipguard latency`: from a frame's time stamp to the command's last byte on the wire, against an emulated cell."""
+"""`slipguard latency`: latency from a frame's time stamp to the last byte of the command, with an emulated cell."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
 
 
 def latency(
-    commands: Annotated[int, typer.Option(min=2, max=220, help="How many commands are measured.")] = 200,
+    commands: Annotated[int, typer.Option(min=2, max=220, help="Number of commands to measure.")] = 200,
     fps: Annotated[Literal["60", "30"], typer.Option(help="Rate of the emulated cameras.")] = "60",
-    baud: Annotated[int, typer.Option(min=0, help="Pace of the serial line; 0: as fast as it goes.")] = 115200,
+    baud: Annotated[int, typer.Option(min=0, help="Baud rate of the serial line; 0: unlimited.")] = 115200,
     as_service: Annotated[
-        bool, typer.Option("--as-service", help="With the real-time priority that the service has; needs root.")
+        bool, typer.Option("--as-service", help="Use the real-time priority of the service; needs root.")
     ] = False,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Measure from a frame's time stamp to the command's last byte on the serial line, stage by stage.
+    """Measure the latency from a frame's time stamp to the last byte of the command on the serial line, by stage.
 
-    Runs the daemon and the real gripper driver against an emulated cell: about a minute. Every frame is looked at in
-    full, and drawing the emulated cameras' pictures takes its share of this machine.
+    Runs the daemon and the gripper driver with an emulated cell for about a minute. No frame is skipped. Rendering the
+    camera images takes part of this machine's time.
 
     Example: `slipguard latency --commands 100`
     """
@@ -59,7 +59,7 @@ def _show(console: Console, found: LatencyReport) -> None:
     from slipguard.bench.wire_latency import OWN, TOTAL
 
     options = found.options
-    pace = f"{options.baud} Bd" if options.baud else "without pacing"
+    pace = f"{options.baud} Bd" if options.baud else "unlimited baud rate"
     table = Table("stage, ms", title=f"{found.commands} commands, {options.fps} fps, {pace}", title_justify="left")
     for name in ("p50", "p99", "largest"):
         table.add_column(name, justify="right")

@@ -23,7 +23,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from slipguard.bench.wire_latency import HOST, StageLatency, every_frame_in_full, grip
+from slipguard.bench.wire_latency import HOST, StageLatency, config_without_skipping, grip
 from slipguard.cli.interrupt import default_interrupts
 from slipguard.cli.progress import progress_bar
 from slipguard.daemon import log_setup as log
@@ -156,7 +156,7 @@ async def measure_api_load(options: ApiLoadOptions, report: Callable[[str, float
         try:
             report("starting the emulated cell", 0.0)
             await cell.start()
-            service = build_service(every_frame_in_full(cell.config))
+            service = build_service(config_without_skipping(cell.config))
             with closing(bind_tcp(HOST, 0)) as probe:
                 port = int(probe.getsockname()[1])
             api = run_api(

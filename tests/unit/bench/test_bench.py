@@ -1,4 +1,4 @@
-"""The bench's parts that need no minute: grasps, tallies, peers, thinning, the report of given figures."""
+"""Parts of the bench: grasps, results, comparison pipelines, thinning times, and reports of given figures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from rich.console import Console
 
-from slipguard.bench import tables as table
+from slipguard.bench import tables
 from slipguard.bench.comparison_pipelines import (
     AxialRotation,
     BackgroundSubtraction,
@@ -24,11 +24,11 @@ from slipguard.bench.comparison_pipelines import (
     axis_of_points,
 )
 from slipguard.bench.holding import HoldingScene
-from slipguard.bench.pipeline_results import GraspErrors, PipelineResults, quarters, within_se
-from slipguard.bench.pipelines import PEER_MODEL, BenchPipeline, network_files, ours
-from slipguard.bench.plot import picture
-from slipguard.bench.results import BenchReport, BenchRow, SkipResult, ThinningResult, on_the_front
-from slipguard.bench.thinning_times import thinning
+from slipguard.bench.pipeline_results import GraspErrors, PipelineResults, errors_by_quarter, within_sigma_se
+from slipguard.bench.pipelines import PEER_MODEL, BenchPipeline, network_files, with_small_network
+from slipguard.bench.plot import draw_bench
+from slipguard.bench.results import BenchReport, BenchRow, SkipResult, ThinningResult, pareto_front
+from slipguard.bench.thinning_times import compare_thinning
 from slipguard.datasets.mask_scores import dice
 from slipguard.datasets.rendered_grasps import EMPTY_FRAMES, ROTATION_DEG, RenderedGrasp, render_grasp
 from slipguard.devices import Frame
@@ -66,7 +66,7 @@ def found() -> BenchReport:
                  tuple(thin), (skip,), ("a note",))  # fmt: skip
 
 
-def test_the_json_has_the_public_keys_in_order_and_null_for_what_is_not_known() -> None:
+def test_the_json_has_the_public_keys_in_order_and_null_for_unknown_values() -> None:
     result = json.loads(json.dumps(found().as_json(), allow_nan=False))
     assert list(result)[:5] == ["machine", "pipelines", "peers", "default", "thinning_vs_cv2"]
     assert list(result["pipelines"][0])[: len(KEYS)] == list(result["peers"][0])[: len(KEYS)] == KEYS
@@ -77,19 +77,19 @@ def test_the_json_has_the_public_keys_in_order_and_null_for_what_is_not_known() 
     assert result["thinning_vs_cv2"] == 5.0
 
 
-def test_the_table_tells_the_ratio_to_the_peer_and_the_picture_is_drawn(tmp_path: Path) -> None:
+def test_the_tables_show_the_ratio_to_the_paper_and_the_plot_is_drawn(tmp_path: Path) -> None:
     for brief in (True, False):
         console = Console(width=220, file=StringIO())
-        console.print(*table.tables(found(), brief), *table.notes(found()))
+        console.print(*tables.bench_tables(found(), brief), *tables.notes(found()))
         text = cast("StringIO", console.file).getvalue()
         assert "50.0" in text
         assert "default" in text
-        assert "as published" in text
-    picture(found(), tmp_path / "bench.png")
+        assert "published, on a real cell" in " ".join(text.split())
+    draw_bench(found(), tmp_path / "bench.png")
     assert (tmp_path / "bench.png").stat().st_size > 5_000
 
 
-def test_times_are_compared_with_the_first_network_of_a_size_on_its_best_number_of_threads() -> None:
+def test_times_are_compared_with_the_first_network_of_a_size_on_its_fastest_number_of_threads() -> None:
     bench = found()
     one, row = bench.peers[0], bench.pipelines[0]
     two = replace(one, name="paper, 2 threads", threads=2, p50_ms=90.0)
@@ -98,42 +98,42 @@ def test_times_are_compared_with_the_first_network_of_a_size_on_its_best_number_
     bench = replace(bench, peers=(small, one, two, other, bench.peers[1]))
     assert bench.reference("240×320") == two
     assert bench.reference("96×128") is None
-    assert table.cells_of(row, bench)[-2:] == ["30.0", "20.0"]
-    assert table.cells_of(row, replace(bench, peers=()))[-2:] == ["–", "–"]
-    text = " ".join(table.notes(bench))
-    assert "90.00 ms on 2 threads, its best number (made-up weights, time only)" in text
-    assert "60.00 ms on one thread, its best number (learnt weights)" in text
+    assert tables.cells_of(row, bench)[-2:] == ["30.0", "20.0"]
+    assert tables.cells_of(row, replace(bench, peers=()))[-2:] == ["–", "–"]
+    text = " ".join(tables.notes(bench))
+    assert "90.00 ms on 2 threads, its fastest number (arbitrary weights, time only)" in text
+    assert "60.00 ms on one thread, its fastest number (trained weights)" in text
 
 
-def test_a_table_goes_between_the_markers_and_nowhere_else(tmp_path: Path) -> None:
+def test_a_table_is_written_between_the_markers_only(tmp_path: Path) -> None:
     page = tmp_path / "README.md"
-    page.write_text(f"before\n{table.BEGIN}\nold\n{table.END}\nafter\n")
-    table.write_into(page, table.markdown(found(), "slipguard bench --full"))
+    page.write_text(f"before\n{tables.BEGIN}\nold\n{tables.END}\nafter\n")
+    tables.write_into(page, tables.markdown(found(), "slipguard bench --full"))
     text = page.read_text()
     assert text.startswith("before\n")
     assert text.endswith("after\n")
     assert "old" not in text
     assert "net + fused (default)" in text
-    for content in ("no markers", f"{table.BEGIN} {table.BEGIN} {table.END}"):
+    for content in ("no markers", f"{tables.BEGIN} {tables.BEGIN} {tables.END}"):
         page.write_text(content)
         with pytest.raises(InputError, match="once each"):
-            table.check(page)
-    with pytest.raises(InputError, match="cannot be read"):
-        table.check(tmp_path / "none.md")
+            tables.split_at_markers(page)
+    with pytest.raises(InputError, match="cannot read"):
+        tables.split_at_markers(tmp_path / "none.md")
 
 
-def test_the_front_is_what_nothing_beats_in_both() -> None:
+def test_no_row_beats_a_row_of_the_pareto_front_in_time_and_error() -> None:
     base = found().pipelines[0]
     rows = [
         replace(base, name=name, mean_ms_per_frame_grasp=ms, turn_error_mean_deg=error)
         for name, ms, error in (("fast", 1.0, 2.0), ("good", 3.0, 0.5), ("bad", 3.0, 2.5), ("unknown", 0.1, None))
     ]
-    assert on_the_front(rows) == {"fast", "good"}
+    assert pareto_front(rows) == {"fast", "good"}
 
 
-def test_quarters_go_from_easy_to_hard() -> None:
+def test_errors_are_split_into_quarters_from_easy_to_hard() -> None:
     grasps = [GraspErrors("bar", True, k / 8, 1, [(float(k), 0.0, None)]) for k in range(8)]
-    assert quarters(grasps[::-1]) == (0.5, 2.5, 4.5, 6.5)
+    assert errors_by_quarter(grasps[::-1]) == (0.5, 2.5, 4.5, 6.5)
 
 
 def short(grasp: RenderedGrasp, count: int = 12) -> RenderedGrasp:
@@ -142,12 +142,14 @@ def short(grasp: RenderedGrasp, count: int = 12) -> RenderedGrasp:
 
 
 @pytest.mark.realtime
-def test_a_tally_of_one_grasp_fills_a_row() -> None:
+def test_results_of_one_grasp_give_a_row() -> None:
     grasp = short(render_grasp("key", 2, with_masks=True))
-    subject = next(one for one in ours(None, every=False) if one.estimator == "fused")
+    pipeline_under_test = next(
+        one for one in with_small_network(None, all_without_skipping=False) if one.estimator == "fused"
+    )
     results = PipelineResults()
-    results.run(subject.open(grasp), grasp, grasp.shots)
-    row = results.row(subject, results, 1.0, 3.6)
+    results.run(pipeline_under_test.open(grasp), grasp, grasp.shots)
+    row = results.row(pipeline_under_test, results, 1.0, 3.6)
     assert row.sequences == 1
     assert row.frames == sum(shot.compared for shot in grasp.shots)
     assert row.turn_error_mean_deg is not None
@@ -162,45 +164,45 @@ def test_a_tally_of_one_grasp_fills_a_row() -> None:
     assert row.turn_sequences == 1
 
 
-def test_background_subtraction_turns_the_right_way() -> None:
+def test_background_subtraction_has_the_right_sign() -> None:
     grasp = render_grasp("bar", 2)
     compared = [shot for shot in grasp.shots if shot.compared]
     for axis in ("pca", "ellipse"):
         pipeline = BackgroundSubtraction(grasp.background, "ellipse" if axis == "ellipse" else "pca")
-        said = [pipeline.process(shot.frame).angle_deg for shot in compared]
+        estimates = [pipeline.process(shot.frame).angle_deg for shot in compared]
         truth = [shot.rotation_deg - compared[0].rotation_deg for shot in compared]
-        assert np.corrcoef(np.array(said, float), truth)[0, 1] > 0.95
+        assert np.corrcoef(np.array(estimates, float), truth)[0, 1] > 0.95
 
 
-def test_plain_axes_are_counter_clockwise_and_turn_the_smaller_way() -> None:
+def test_axes_are_counter_clockwise_and_rotate_by_less_than_90_degrees() -> None:
     steps = np.arange(50)
     assert axis_of_points(steps, -steps) == pytest.approx(45.0)
     rotation = AxialRotation()
-    said = [
+    estimates = [
         rotation.estimate(Frame(np.zeros((1, 1, 3), np.uint8), 0.0, k), 80.0 + 15.0 * k, 900, "pca") for k in range(5)
     ]
-    assert [one.angle_deg for one in said] == pytest.approx([0.0, 15.0, 30.0, 45.0, 60.0])
+    assert [one.angle_deg for one in estimates] == pytest.approx([0.0, 15.0, 30.0, 45.0, 60.0])
     assert rotation.estimate(Frame(np.zeros((1, 1, 3), np.uint8), 0.0, 9), math.nan, 900, "pca").declined
 
 
-def test_thinning_is_timed_beside_the_others_and_exact() -> None:
+def test_thinning_is_timed_and_equals_opencv() -> None:
     mask = np.zeros((320, 240), np.uint8)
     mask[60:260, 80:120] = 1
-    sizes = thinning([mask], repeats=1)
+    sizes = compare_thinning([mask], repeats=1)
     assert len(sizes) == 3
     assert all(one.pixels_different_from_cv2 == 0 and one.ratios["cv2"] > 0 for one in sizes)
 
 
-def test_a_minute_is_a_minute() -> None:
-    minute = HoldingScene()
-    assert minute.scene().background.shape == (320, 240, 3)
-    first = [shot for _, shot in zip(range(40), minute.shots(), strict=False)]
+def test_the_holding_scene_has_60_frames_per_second() -> None:
+    scene = HoldingScene()
+    assert scene.sensor().background.shape == (320, 240, 3)
+    first = [shot for _, shot in zip(range(40), scene.shots(), strict=False)]
     assert not first[0].contact
     assert first[-1].contact
     assert first[1].frame.captured_at_s == pytest.approx(1 / 60)
 
 
-def test_a_sequence_is_repeatable_and_its_truth_begins_at_nothing() -> None:
+def test_a_rendered_grasp_is_repeatable_and_starts_without_rotation() -> None:
     one, again = render_grasp("battery", 3, with_masks=True), render_grasp("battery", 3)
     assert [s.rotation_deg for s in one.shots] == [s.rotation_deg for s in again.shots]
     np.testing.assert_array_equal(one.shots[20].frame.image, again.shots[20].frame.image)
@@ -219,19 +221,19 @@ def test_a_sequence_is_repeatable_and_its_truth_begins_at_nothing() -> None:
     assert not np.array_equal(one.shots[20].frame.image, render_grasp("battery", 4).shots[20].frame.image)
 
 
-def test_the_paper_pipeline_runs_on_dense_weights() -> None:
+def test_the_paper_pipeline_runs_with_the_timing_network() -> None:
     grasp = short(render_grasp("bar", 2, with_masks=True), 10)
     masks = {shot.frame.sequence: shot.mask for shot in grasp.shots if shot.mask is not None}
     network = FrameNetwork(PEER_PATH)
-    assert network.made_up
+    assert network.timing_only
     pipeline = PaperPipeline(network, masks)
-    said = [pipeline.process(shot.frame) for shot in grasp.shots[-3:]]
-    assert all(one.contact and one.angle_deg is not None and one.sigma_deg is None for one in said)
+    estimates = [pipeline.process(shot.frame) for shot in grasp.shots[-3:]]
+    assert all(one.contact and one.angle_deg is not None and one.sigma_deg is None for one in estimates)
     assert network.segment(grasp.shots[0].frame.image, None).shape == (160, 120)
     assert pipeline.last_mask.shape == (320, 240)
-    subject = BenchPipeline("paper", "peer", "skeleton", PEER_PATH, "frame", "240×320")
+    pipeline_under_test = BenchPipeline("paper", "peer", "skeleton", PEER_PATH, "frame", "240×320")
     results = PipelineResults(busy_ms=[80.0])
-    assert results.row(subject, results, 80.0, 288.0).turn_error_mean_deg is None
+    assert results.row(pipeline_under_test, results, 80.0, 288.0).turn_error_mean_deg is None
 
 
 def test_the_paper_pipeline_thins_at_the_size_of_its_network(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -254,7 +256,7 @@ def test_the_paper_pipeline_thins_at_the_size_of_its_network(monkeypatch: pytest
     assert seen.contact_area_px == np.count_nonzero(pipeline.last_mask)
 
 
-def test_network_files_are_told_apart(tmp_path: Path) -> None:
+def test_network_files_are_sorted_by_their_inputs(tmp_path: Path) -> None:
     (tmp_path / "ours.onnx").write_bytes(default_model_path().read_bytes())
     (tmp_path / "theirs.onnx").write_bytes(PEER_PATH.read_bytes())
     assert network_files(tmp_path) == ([tmp_path / "ours.onnx"], [tmp_path / "theirs.onnx"])
@@ -268,16 +270,16 @@ def test_network_files_are_told_apart(tmp_path: Path) -> None:
         network_files(tmp_path / "empty")
 
 
-def test_shares_within_sigma_are_as_uncertain_as_grasps_differ() -> None:
+def test_the_standard_error_within_sigma_follows_from_differences_between_grasps() -> None:
     def grasp(inside: int, outside: int) -> GraspErrors:
         found = [(0.5, 1.0, 1.0)] * inside + [(1.5, 1.0, 1.0)] * outside + [(9.0, 9.0, None)]
         return GraspErrors("bar", True, 0.0, len(found), found)
 
-    alike = [grasp(8, 2)] * 9
-    assert within_se(alike, 1.0) == 0.0
-    assert within_se([grasp(10, 0), grasp(0, 10)], 1.0) == pytest.approx(0.5)
+    equal = [grasp(8, 2)] * 9
+    assert within_sigma_se(equal, 1.0) == 0.0
+    assert within_sigma_se([grasp(10, 0), grasp(0, 10)], 1.0) == pytest.approx(0.5)
     shares = [1.0, 0.8, 0.6, 0.2]
     differing = [grasp(round(20 * share), 20 - round(20 * share)) for share in shares]
-    assert within_se(differing, 1.0) == pytest.approx(np.std(shares, ddof=1) / 2.0)
-    assert within_se(differing, 2.0) == 0.0
-    assert within_se(alike[:1], 1.0) is None
+    assert within_sigma_se(differing, 1.0) == pytest.approx(np.std(shares, ddof=1) / 2.0)
+    assert within_sigma_se(differing, 2.0) == 0.0
+    assert within_sigma_se(equal[:1], 1.0) is None

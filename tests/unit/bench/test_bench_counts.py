@@ -1,4 +1,4 @@
-"""What the bench counts: frames that errors and overlaps are taken over, frames of a minute that are left out."""
+"""The frames that the bench counts: for errors, for overlaps, and the skipped frames of a minute of holding."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from slipguard.bench.holding import HoldingResult
 from slipguard.bench.pipeline_results import GraspErrors, PipelineResults
-from slipguard.bench.pipelines import BenchPipeline, ours
+from slipguard.bench.pipelines import BenchPipeline, with_small_network
 from slipguard.bench.run import _row
 from slipguard.datasets.rendered_grasps import GraspFrame
 from slipguard.devices import Frame
@@ -20,19 +20,19 @@ from slipguard.perception.estimate import Estimate
 PAPER_PATH = Path(__file__).resolve().parents[3] / "models" / "deeplabv3plus-resnet18.onnx"
 
 
-class Answering:
-    """A processor that finds the labelled mask, and calls every frame this."""
+class FixedProcessor:
+    """A processor that finds the labeled mask and reports every frame as skipped for this reason."""
 
     def __init__(self, mask: NDArray[np.uint8], skipped: str | None) -> None:
         self.last_mask, self._skipped = mask, skipped
 
     def process(self, frame: Frame) -> Estimate:
         contact = self._skipped is None
-        answer = Estimate(frame.sequence, 0.0, 0.0, contact, 900, "fused", declined="as told")
-        return replace(answer, skipped=self._skipped)
+        estimate = Estimate(frame.sequence, 0.0, 0.0, contact, 900, "fused", declined="fixed")
+        return replace(estimate, skipped=self._skipped)
 
 
-def test_a_contact_that_is_skipped_as_none_overlaps_nothing() -> None:
+def test_a_contact_skipped_as_no_contact_has_no_overlap() -> None:
     mask = np.zeros((320, 240), np.uint8)
     mask[100:200, 50:150] = 1
     shot = GraspFrame(Frame(np.zeros((320, 240, 3), np.uint8), 0.0, 0), True, 0.0, True, mask)
@@ -43,19 +43,19 @@ def test_a_contact_that_is_skipped_as_none_overlaps_nothing() -> None:
         ("unchanged", mask, []),
     ):
         results = PipelineResults()
-        results.take(Answering(mask, skipped), replace(shot, mask=label), GraspErrors("bar", True, 0.0))
+        results.take(FixedProcessor(mask, skipped), replace(shot, mask=label), GraspErrors("bar", True, 0.0))
         assert results.overlaps == overlaps
 
 
-def test_errors_are_counted_without_what_is_declined_and_without_objects_of_no_manifest() -> None:
-    told: list[tuple[float, float, float | None]] = [(1.0, 1.0, 1.0)] * 4
-    results = PipelineResults(grasps=[GraspErrors("bar", True, 0.0, 6, told), GraspErrors("ring", False, 0.0, 9),
-                          GraspErrors("plain_disc", False, 0.0, 5, told)])  # fmt: skip
-    row = results.row(ours(None, every=False)[0], results, 1.0, 3.6)
+def test_errors_exclude_declined_frames_and_objects_outside_the_manifest() -> None:
+    found: list[tuple[float, float, float | None]] = [(1.0, 1.0, 1.0)] * 4
+    results = PipelineResults(grasps=[GraspErrors("bar", True, 0.0, 6, found), GraspErrors("ring", False, 0.0, 9),
+                          GraspErrors("plain_disc", False, 0.0, 5, found)])  # fmt: skip
+    row = results.row(with_small_network(None, all_without_skipping=False)[0], results, 1.0, 3.6)
     assert (row.frames, row.sequences, row.turns, row.turn_sequences) == (20, 3, 4, 1)
 
 
-def test_a_minute_of_a_large_network_is_reckoned_with_the_frames_that_are_left_out() -> None:
+def test_the_minute_of_a_large_network_is_computed_with_the_skipped_frames() -> None:
     like = HoldingResult(frames=100, wall_s=0.1, measured_s=0.08, skipped={"unchanged": 70, "no contact": 10})
     assert (like.mean_ms, like.measured_ms) == pytest.approx((1.0, 4.0))
     large = BenchPipeline("ours", "large", "fused", PAPER_PATH, "frame")

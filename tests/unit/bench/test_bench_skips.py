@@ -1,4 +1,4 @@
-"""What skips are worth is measured as it says: on a crop, on a second finger, on an unchanged picture."""
+"""The value of skips: frames without contact, unchanged frames, and the second finger."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from slipguard.bench import holding, skip_values
-from slipguard.bench.holding import HoldingScene, hold
-from slipguard.bench.pipelines import NO_SKIP, BenchPipeline, ours
+from slipguard.bench.holding import HoldingScene, measure_holding
+from slipguard.bench.pipelines import NO_SKIP, BenchPipeline, with_small_network
 from slipguard.bench.segmentation_cache import CLOCK, CachedSegmenter
 from slipguard.bench.slip_onset import SlipOnset
 from slipguard.control.slip_baselines import SlipMemory
@@ -21,59 +21,63 @@ from slipguard.perception.skipping import ALL_SKIPS, Skips
 
 
 def default() -> BenchPipeline:
-    return next(one for one in ours(None, every=False) if one.estimator == "fused" and one.skips != NO_SKIP)
+    return next(
+        one
+        for one in with_small_network(None, all_without_skipping=False)
+        if one.estimator == "fused" and one.skips != NO_SKIP
+    )
 
 
 @dataclass
-class Blind:
-    """A law that never sees a slip."""
+class NoSlip:
+    """An assessment that never detects slip."""
 
     detector: SlipMemory
     slipping: bool = False
 
 
-def test_how_much_later_a_slip_is_seen_is_measured_for_the_gate_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    answers = iter((9, 7, 9, None, None, 3))
-    asked: list[Skips] = []
+def test_the_detection_delay_is_measured_for_both_skips(monkeypatch: pytest.MonkeyPatch) -> None:
+    detections = iter((9, 7, 9, None, None, 3))
+    requested: list[Skips] = []
 
-    def first_seen(process: Any, frames: list[Frame]) -> int | None:
-        asked.append(process.__self__._skips)
-        return next(answers)
+    def first_detection(process: Any, frames: list[Frame]) -> int | None:
+        requested.append(process.__self__._skips)
+        return next(detections)
 
-    monkeypatch.setattr(skip_values, "first_seen", first_seen)
-    tried = skip_values._OnsetTrial(SlipOnset("key", 7000, 60.0), default())
-    assert skip_values._later(tried) == skip_values._OnsetDelay(no_contact=2, unchanged=0)
-    assert asked == [ALL_SKIPS, Skips(no_contact=False), Skips(unchanged=False)]
-    later = skip_values._later(tried)
-    assert later.no_contact is None
-    assert later.unchanged is not None
-    assert later.unchanged > 90
-    worth = skip_values._no_contact(default(), 1, [None, later.unchanged, 0])
-    assert worth.frames_later == later.unchanged
-    assert worth.how.endswith("2 slips after rest (1 that nobody sees aside)")
-    assert skip_values._most([None]) is None
+    monkeypatch.setattr(skip_values, "first_detection", first_detection)
+    trial = skip_values._OnsetTrial(SlipOnset("key", 7000, 60.0), default())
+    assert skip_values._delays(trial) == skip_values._OnsetDelay(no_contact=2, unchanged=0)
+    assert requested == [ALL_SKIPS, Skips(no_contact=False), Skips(unchanged=False)]
+    delays = skip_values._delays(trial)
+    assert delays.no_contact is None
+    assert delays.unchanged is not None
+    assert delays.unchanged > 90
+    worth = skip_values._no_contact(default(), 1, [None, delays.unchanged, 0])
+    assert worth.frames_later == delays.unchanged
+    assert worth.how.endswith("2 slips after rest detected, 1 not detected without skipping either")
+    assert skip_values._longest([None]) is None
 
 
 @pytest.mark.extras("onnx")
-def test_a_spared_finger_is_cheaper_and_no_slip_is_overlooked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_skipping_the_second_finger_misses_no_slip(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(holding, "LIFTED_S", 1.0)
     monkeypatch.setattr(holding, "MINUTE_S", 4.0)
-    monkeypatch.setattr(holding, "_ROTATIONS", ((3.0, 3.4, 8.0, 0.1),))
-    worth = skip_values.second_finger(default())
+    monkeypatch.setattr(holding, "ROTATIONS", ((3.0, 3.4, 8.0, 0.1),))
+    worth = skip_values.measure_second_finger(default())
     assert worth.frames_later is not None
     assert worth.frames_later <= 1
-    monkeypatch.setattr(skip_values, "look", lambda detector, fused, law: Blind(detector))
-    assert skip_values.second_finger(default()).frames_later is None
+    monkeypatch.setattr(skip_values, "look", lambda detector, fused, law: NoSlip(detector))
+    assert skip_values.measure_second_finger(default()).frames_later is None
     assert not worth.how.startswith("0 of")
     assert abs(worth.error_added_deg or 0.0) < 0.3
 
 
 @pytest.mark.realtime
-def test_a_minute_is_held_with_most_frames_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_most_frames_of_a_minute_of_holding_are_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(holding, "LIFTED_S", 1.0)
     monkeypatch.setattr(holding, "MINUTE_S", 4.0)
-    monkeypatch.setattr(holding, "_ROTATIONS", ())
-    held = hold([default()], HoldingScene())[default().name]
+    monkeypatch.setattr(holding, "ROTATIONS", ())
+    held = measure_holding([default()], HoldingScene())[default().name]
     assert held.frames == 240
     assert held.skipped["unchanged"] > 60
     assert 0.0 < held.mean_ms < held.measured_ms
@@ -81,14 +85,14 @@ def test_a_minute_is_held_with_most_frames_left_out(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.realtime
-def test_remembered_answers_cost_what_they_cost() -> None:
+def test_a_cached_output_costs_the_time_of_its_computation() -> None:
     network = CachedSegmenter(Segmenter())
     image = render_grasp("bar", 2).shots[20].frame.image
-    network.memory.forget(on=True)
+    network.cache.clear(enabled=True)
     began_s = CLOCK()
     first = network.segment(image, None)
     once_s = CLOCK() - began_s
     assert network.segment(image, None) is first
     assert CLOCK() - began_s > 1.8 * once_s
-    network.memory.forget(on=False)
+    network.cache.clear(enabled=False)
     assert network.segment(image, None) is not network.segment(image, None)

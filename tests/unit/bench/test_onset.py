@@ -1,4 +1,4 @@
-"""No slip is seen more than one frame later because frames were left out, quick or slow, turning or sliding."""
+"""Skipping frames delays the detection of a slip by at most one frame."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from functools import cache
 
 import pytest
 
-from slipguard.bench.slip_onset import SlipOnset, first_seen, later_by
+from slipguard.bench.slip_onset import SlipOnset, detection_delay, first_detection
 from slipguard.datasets.rendered_grasps import RenderedGrasp
 from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
@@ -32,38 +32,38 @@ def pipeline(grasp: RenderedGrasp, skips: Skips) -> Pipeline:
         SlipOnset("wrench", 7101, 8.0),
         SlipOnset("bar", 7102, 60.0),
         SlipOnset("knife_edge", 7103, 300.0),
-        SlipOnset("ring", 7104, 5.0, slides=True),
-        SlipOnset("screwdriver", 7105, 3.0, slides=True),
+        SlipOnset("ring", 7104, 5.0, translates=True),
+        SlipOnset("screwdriver", 7105, 3.0, translates=True),
     ],
     ids=lambda onset: f"{onset.object_name} {onset.rate:g}",
 )
-def test_a_slip_after_rest_is_seen_no_more_than_one_frame_later(onset: SlipOnset) -> None:
+def test_a_slip_after_rest_is_detected_at_most_one_frame_later(onset: SlipOnset) -> None:
     grasp = onset.grasp()
     frames = [shot.frame for shot in grasp.shots]
     reused = 0
 
     def counted(frame: Frame) -> Estimate:
         nonlocal reused
-        answer = skipping.process(frame)
-        reused += answer.skipped == "unchanged"
-        return answer
+        estimate = skipping.process(frame)
+        reused += estimate.skipped == "unchanged"
+        return estimate
 
     skipping = pipeline(grasp, ALL_SKIPS)
     measuring = pipeline(grasp, Skips(unchanged=False))
-    later = later_by(first_seen(counted, frames), first_seen(measuring.process, frames), len(frames))
-    assert later is not None
-    assert later <= 1
-    assert reused > 20  # or nothing was tried
+    delay = detection_delay(first_detection(counted, frames), first_detection(measuring.process, frames), len(frames))
+    assert delay is not None
+    assert delay <= 1
+    assert reused > 20  # otherwise nothing is tested
 
 
-def test_what_is_overlooked_counts_as_seen_after_the_end() -> None:
+def test_a_missed_slip_counts_as_detected_after_the_last_frame() -> None:
     grasp = SlipOnset("key", 7106, 40.0).grasp()
     frames = [shot.frame for shot in grasp.shots]
     measuring = pipeline(grasp, Skips(unchanged=False))
-    answers = {frame.sequence: measuring.process(frame) for frame in frames}
-    seen = first_seen(lambda frame: answers[frame.sequence], frames)
-    assert seen is not None
-    stuck = answers[frames[60].sequence]
-    assert first_seen(lambda _frame: stuck, frames) is None
-    assert later_by(None, seen, len(frames)) == len(frames) - seen
-    assert later_by(seen, None, len(frames)) is None
+    estimates = {frame.sequence: measuring.process(frame) for frame in frames}
+    detected = first_detection(lambda frame: estimates[frame.sequence], frames)
+    assert detected is not None
+    stuck = estimates[frames[60].sequence]
+    assert first_detection(lambda _frame: stuck, frames) is None
+    assert detection_delay(None, detected, len(frames)) == len(frames) - detected
+    assert detection_delay(detected, None, len(frames)) is None

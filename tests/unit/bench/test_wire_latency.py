@@ -1,4 +1,4 @@
-"""The latency's arithmetic: each command is found again in the gripper's log, and the stages add up."""
+"""Latency by stage: each command is found in the gripper's log, and the stages add up."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from slipguard.errors import SlipguardError
 
 
 def command(at_s: float) -> _CommandTimes:
-    """Exposed at `at_s`; handed over 40 ms later, then 5 ms, 1 ms and 2 ms."""
+    """Return a command captured at `at_s`, received 40 ms later, then after 5 ms, 1 ms and 2 ms."""
     return _CommandTimes(ForceProbe(50.0, at_s, at_s), at_s + 0.040, at_s + 0.045, at_s + 0.046, at_s + 0.048)
 
 
 def writes(at_s: float) -> list[dict[str, object]]:
-    """The stop's last byte 60 ms after the exposure, the go's 80 ms."""
+    """Return the writes of stop and go, 60 ms and 80 ms after the exposure."""
     return [
         {"registers": ["0100", "00FF", "FF32"], "last_byte_s": at_s + 0.060},
         {"registers": ["0900", "00FF", "FF32"], "last_byte_s": at_s + 0.080},
@@ -46,18 +46,18 @@ def test_the_stages_add_up() -> None:
     assert sum(found.stages[stage].p50_ms for stage in STAGES) == pytest.approx(found.stages[TOTAL].p50_ms)
 
 
-def test_a_command_that_never_arrived_is_left_out() -> None:
+def test_a_command_that_did_not_arrive_is_not_counted() -> None:
     found = _evaluate(LatencyOptions(), [command(10.0), command(10.2)], writes(10.2), frames=0)
     assert found.commands == 1
     with pytest.raises(SlipguardError, match="no command"):
         _evaluate(LatencyOptions(), [command(10.0)], [], frames=0)
 
 
-def test_nothing_is_nudged_before_something_is_held() -> None:
+def test_no_force_step_is_added_before_an_object_is_held() -> None:
     probe = ProbingController(5)
-    guard, given = probe(ControlState(), Observation(now_s=1.0), GuardParams())
-    assert given.hold_force_n is None
+    state, issued = probe(ControlState(), Observation(now_s=1.0), GuardParams())
+    assert issued.hold_force_n is None
     assert probe.left == 5
     assert not probe.probes
-    assert guard.grasp.target_n == 0.0
+    assert state.grasp.target_n == 0.0
     assert STEP_N > 215.0 / 255.0, "at least one count of the register"
