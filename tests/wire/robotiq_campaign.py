@@ -94,13 +94,13 @@ class Lane:
     def _driver(self) -> RobotiqGripper:
         settings = RobotiqGripper.Settings(port=str(self.emulator.settings.link), approach_speed=APPROACH)
         gripper = RobotiqGripper(settings, DriverContext("gripper"))
-        write = gripper._line.write
+        write = gripper._modbus.write
 
         async def noted(address: int, values: list[int], by_s: float) -> None:
             self.asked = (RELEASING.get(), [f"{word:04X}" for word in values])
             await write(address, values, by_s)
 
-        gripper._line.write = noted  # type: ignore[method-assign]
+        gripper._modbus.write = noted  # type: ignore[method-assign]
         return gripper
 
     def _watch_answers(self) -> None:

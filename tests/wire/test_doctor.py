@@ -205,7 +205,7 @@ def test_no_permission(there: Cell) -> None:
 
 @pytest.mark.parametrize(
     ("name", "observed"),
-    [("/dev/null", "no serial port"), ("/etc/hostname", "no serial port"), ("/dev/ttyNONE", "no such device")],
+    [("/dev/null", "not a serial port"), ("/etc/hostname", "not a serial port"), ("/dev/ttyNONE", "no such device")],
 )
 def test_wrong_port(there: Cell, capfd: pytest.CaptureFixture[str], name: str, observed: str) -> None:
     told = ask(capfd, with_change(there, str(there.folder / "ttyGripper"), name))

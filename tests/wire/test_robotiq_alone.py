@@ -77,7 +77,7 @@ async def test_a_look_for_others_that_is_cut_short_is_none(
         go_on.wait(10.0)
         return set()
 
-    monkeypatch.setattr(serial_port, "others", slow)
+    monkeypatch.setattr(serial_port, "other_holders", slow)
     line = ModbusConnection("gripper", emulator.address, 9, 0.05, 0x07D0)
     opening = asyncio.create_task(line.connect())
     await asyncio.to_thread(looking.wait, 10.0)
@@ -97,7 +97,7 @@ async def test_not_every_try_of_a_busy_port_looks_at_every_process(
 ) -> None:
     other = await another_master(emulator, exclusive=True)
     looks: list[object] = []
-    monkeypatch.setattr(serial_port, "others", lambda port, among=None: looks.append(among) or set())
+    monkeypatch.setattr(serial_port, "other_holders", lambda port, among=None: looks.append(among) or set())
     line = ModbusConnection("gripper", emulator.address, 9, 0.05, 0x07D0)
     for _ in range(5):
         with pytest.raises(DeviceLost, match="another program"):
@@ -112,7 +112,7 @@ async def test_the_port_is_ours_alone_and_who_has_it_is_told(emulator: RobotiqEm
     gripper = driver(emulator)
     with pytest.raises(DeviceLost, match=rf"\(process {other.pid}\) has it open"):
         await gripper.open()
-    assert other.pid in serial_port.others(emulator.address)
+    assert other.pid in serial_port.other_holders(emulator.address)
     other.terminate()
     await other.wait()
     await gripper.open()

@@ -21,7 +21,7 @@ async def test_the_bytes_on_the_line_are_the_manuals(emulator: RobotiqEmulator) 
     line = ModbusConnection("gripper", emulator.address, 9, 0.05, 0x07D0)
     await line.connect()
     for ask in (line.write(0x03E8, [0x0900, 0x00FF, 0xFFFF], soon_s()), line.read(0x07D0, 3, soon_s())):
-        line._in_doubt = False
+        line._out_of_sync = False
         with pytest.raises(DeviceTimeout):
             await ask
     assert b"".join(said) == bytes.fromhex("09 10 03E8 0003 06 0900 00FF FFFF 4229 09 04 07D0 0003 B1CE")
@@ -79,7 +79,7 @@ async def test_tightening_is_stop_then_go_and_never_lets_go(emulator: RobotiqEmu
 
 async def test_a_stop_that_was_not_taken_is_no_tightening(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
     emulator.control("fault ignore 1")
-    with pytest.raises(DeviceTimeout, match="does not take commands"):
+    with pytest.raises(DeviceTimeout, match="does not accept commands"):
         await held.hold(80.0)
     assert (await held.state()).force_n == pytest.approx(40.2, abs=0.1)
     assert await held.hold(80.0) == pytest.approx(80.7, abs=0.1)
@@ -88,7 +88,7 @@ async def test_a_stop_that_was_not_taken_is_no_tightening(emulator: RobotiqEmula
 async def test_a_go_that_was_not_taken_is_not_believed(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
     strikes = iter([False, True])
     emulator._strikes = lambda fault: fault == "ignore" and next(strikes, False)  # type: ignore[method-assign]
-    with pytest.raises(DeviceTimeout, match="does not take commands"):
+    with pytest.raises(DeviceTimeout, match="does not accept commands"):
         await held.hold(80.0)
     assert (await held.state()).force_n == pytest.approx(40.2, abs=0.1)
 

@@ -20,7 +20,7 @@ from slipguard_emulators.robotiq.modbus_frames import crc16
 
 async def test_a_late_answer_is_never_taken_for_the_next(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
     emulator.control("fault late 1")
-    with pytest.raises(DeviceTimeout, match="no answer within"):
+    with pytest.raises(DeviceTimeout, match="no response within"):
         await gripper.state()
     put(emulator, OBJECT_MM)
     await gripper.hold(40.0)
@@ -150,7 +150,7 @@ async def test_no_answer_however_strange_trips_the_driver(emulator: RobotiqEmula
     for function in range(1, 256, 15):
         answer = bytes([9, function, 4, 0, 1, 2, 3])
         emulator._port.send = lambda data, plug, answer=answer: send(answer + crc16(answer), plug)  # type: ignore[method-assign]
-        gripper._line._in_doubt = False
+        gripper._modbus._out_of_sync = False
         with pytest.raises(DeviceTimeout):
             await gripper.state()
     assert raised == []
@@ -161,7 +161,7 @@ async def test_no_answer_however_strange_trips_the_driver(emulator: RobotiqEmula
     [
         (lambda path: None, "no such device"),
         (lambda path: path.symlink_to("/dev/pts/no_such"), "unplugged"),
-        (lambda path: path.write_text("no port"), "no serial port"),
+        (lambda path: path.write_text("no port"), "not a serial port"),
     ],
 )
 async def test_a_port_that_is_none_is_told(tmp_path: Path, make: object, told: str) -> None:
@@ -175,7 +175,7 @@ async def test_a_port_that_is_none_is_told(tmp_path: Path, make: object, told: s
 
 def test_a_port_that_may_not_be_used_names_the_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    assert "group" in serial_port.what_is_wrong("/dev/tty")
+    assert "group" in serial_port.why_not_usable("/dev/tty")
 
 
 def test_an_adapter_that_keeps_answers_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,7 @@
-"""The gripper of the simulated world: one call at a time, each a round trip on the wire.
+"""Driver `fake` of the gripper: the simulated world's gripper. Each call is a round trip on a wire.
 
-It fails on demand (`world.faults`): "disconnect", "timeout" (no answer), "fault" (answers, but
-moves nothing), "late" (answers take their time), "wrong_echo" (does what it is told, answers something else).
+`world.faults` can make it fail: "disconnect", "timeout" (no response), "fault" (responds, but does not move), "late"
+(slow responses), "wrong_echo" (executes the command, but responds to another one).
 """
 
 from __future__ import annotations
@@ -23,73 +23,74 @@ T = TypeVar("T")
 LATE_S = 0.2
 
 
+class FakeGripperSettings(BaseModel):
+    """round_trip_ms: request and response at 115200 Bd, with an adapter whose latency timer is 1 ms."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    round_trip_ms: Annotated[float, Field(ge=0.0, le=100.0)] = 4.0
+    timeout_ms: Annotated[float, Field(ge=5.0, le=1000.0)] = 50.0
+
+
 class FakeGripper(Gripper):
-    """A 2F-85 whose fingers are the shared world's."""
+    """A 2F-85 whose fingers are in the simulated world."""
 
-    class Settings(BaseModel):
-        """round_trip_ms: request and answer at 115200 Bd, adapter with a latency timer of 1 ms."""
+    Settings = FakeGripperSettings
 
-        model_config = ConfigDict(frozen=True, extra="forbid")
-
-        round_trip_ms: Annotated[float, Field(ge=0.0, le=100.0)] = 4.0
-        timeout_ms: Annotated[float, Field(ge=5.0, le=1000.0)] = 50.0
-
-    def __init__(self, settings: Settings, context: DriverContext) -> None:
+    def __init__(self, settings: FakeGripperSettings, context: DriverContext) -> None:
         self._name = context.name
         self._world: World = context.require_world()
         self._settings = settings
         self._wire = asyncio.Lock()
         self._open = False
         self._goal_mm = MODEL_2F85.stroke_mm
-        """Where the fingers were last told to go."""
+        """The last commanded width."""
 
     @property
     def force_limits_n(self) -> tuple[float, float]:
-        """Those of a 2F-85."""
+        """Return the force range of a 2F-85."""
         return MODEL_2F85.force_min_n, MODEL_2F85.force_max_n
 
     async def open(self) -> None:
-        """Connect; the fingers stay as they are."""
+        """Connect; the fingers do not move."""
         if "disconnect" in self._faults():
             self._open = False
             raise DeviceLost(f"{self._name}: no gripper answers; check its cable and power")
         self._open = True
 
     async def state(self) -> GripperState:
-        """Ask the gripper now."""
-        return await self._round_trip(self._state)
+        """Read the state now."""
+        return await self._round_trip(self._world.gripper_state)
 
     async def hold(self, force_n: float) -> float:
-        """Close on what is there with `force_n`; return the force applied."""
-        force_to_count(force_n, MODEL_2F85)  # refuses what is no force
+        """Close or tighten with `force_n`; return the force applied."""
+        force_to_count(force_n, MODEL_2F85)  # refuses invalid forces
 
-        def order(now_s: float) -> float:
+        def command(now_s: float) -> float:
             self._check_fault()
             self._goal_mm = 0.0
             return self._world.command_hold(now_s, force_n)
 
-        return await self._round_trip(order, trips=2)  # stop, then go: the force register acts in motion only
+        return await self._round_trip(command, trips=2)  # stop, then go: the force register acts in motion only
 
     async def move(self, width_mm: float, force_n: float) -> float:
-        """Move empty-handed; return the width commanded."""
+        """Move the fingers without an object; return the width commanded."""
         width_to_count(width_mm, MODEL_2F85)
-        force_to_count(force_n, MODEL_2F85)  # refuses what is no force
+        force_to_count(force_n, MODEL_2F85)
 
-        def order(now_s: float) -> float:
+        def command(now_s: float) -> float:
             self._check_fault()
-            state = self._state(now_s)
+            state = self._world.gripper_state(now_s)
             if state.holding:
-                raise CommandRefused(
-                    f"{self._name}: an object is held and a move would let it go; use release for that"
-                )
+                raise CommandRefused(f"{self._name}: an object is held and would fall; use release to open")
             if state.moving and self._goal_mm < state.width_mm and width_mm > self._goal_mm:
                 raise CommandRefused(
-                    f"{self._name}: the fingers are closing and may have met something; ask again when they are at rest"
+                    f"{self._name}: the fingers are closing and may hold an object; try again when they are at rest"
                 )
             self._goal_mm = width_mm
             return self._world.command_move(now_s, width_mm, force_n)
 
-        return await self._round_trip(order)
+        return await self._round_trip(command)
 
     async def halt(self) -> None:
         """Stop the fingers where they are."""
@@ -99,12 +100,12 @@ class FakeGripper(Gripper):
         """Open to `width_mm`."""
         width_to_count(width_mm, MODEL_2F85)
 
-        def order(now_s: float) -> None:
+        def command(now_s: float) -> None:
             self._check_fault()
             self._goal_mm = width_mm
             self._world.command_release(now_s, width_mm)
 
-        await self._round_trip(order)
+        await self._round_trip(command)
 
     async def close(self) -> None:
         """Disconnect; the grip stays."""
@@ -113,27 +114,26 @@ class FakeGripper(Gripper):
     def _faults(self) -> frozenset[str]:
         return self._world.faults.active(self._name)
 
-    def _state(self, now_s: float) -> GripperState:
-        return self._world.gripper_state(now_s)
-
     def _check_fault(self) -> None:
         if "fault" in self._faults():
-            raise DeviceError(f"{self._name}: the gripper reports a fault (internal fault) and moves nothing")
+            raise DeviceError(f"{self._name}: the gripper reports a fault (internal fault) and does not move")
 
-    async def _round_trip(self, act: Callable[[float], T], trips: int = 1) -> T:
-        """Have the wire to oneself; `act(now_s)` is what the gripper does when the request arrives."""
+    async def _round_trip(self, execute: Callable[[float], T], trips: int = 1) -> T:
+        """Use the wire exclusively. `execute(now_s)` is what the gripper does when the request arrives."""
         async with self._wire:
             self._check_connection()
             if "timeout" in self._faults():
                 await asyncio.sleep(self._settings.timeout_ms / 1000.0)
-                raise DeviceTimeout(f"{self._name}: no answer within {self._settings.timeout_ms:.0f} ms")
-            answer = act(asyncio.get_running_loop().time())
+                raise DeviceTimeout(
+                    f"{self._name}: no response within {self._settings.timeout_ms:.0f} ms; check its power and cable"
+                )
+            response = execute(asyncio.get_running_loop().time())
             late_s = LATE_S if "late" in self._faults() else 0.0
             await asyncio.sleep(trips * self._settings.round_trip_ms / 1000.0 + late_s)
             self._check_connection()
             if "wrong_echo" in self._faults():
-                raise DeviceTimeout(f"{self._name}: an answer to something else than was asked; asking again")
-            return answer
+                raise DeviceTimeout(f"{self._name}: a response to another request; check the cable")
+            return response
 
     def _check_connection(self) -> None:
         if not self._open:

@@ -1,9 +1,11 @@
-"""A Robotiq 2F over Modbus RTU: intents of the port turned into register writes, each verified.
+"""Driver `robotiq`: a Robotiq 2F over Modbus RTU. Each command is a register write that is verified.
 
-Two habits of the hardware decide everything here. Activating it (rACT from 0 to 1) moves the fingers all the way, so
-an object falls: that happens in `release` and nowhere else. And the force register acts only while the fingers move,
-so tightening is stop, then go, and the stop must have been seen: within one cycle of the gripper the two would cancel
-out. The screw holds the grip meanwhile. Force can rise, never fall, until the fingers open.
+Two properties of the hardware determine the design:
+
+* Activation (rACT from 0 to 1) opens and closes the fingers fully, so an object would fall. Only `release` activates.
+* The force register acts only while the fingers move, so tightening is a stop followed by a go. The stop must have been
+  reported before the go is sent: within one cycle of the gripper the two would cancel out. The screw keeps the grip
+  meanwhile. The force can rise, but not fall, until the fingers open.
 """
 
 from __future__ import annotations
@@ -20,7 +22,6 @@ from slipguard.devices import DriverContext, Gripper, GripperState
 from slipguard.diagnosis import CheckResult
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq import registers, serial_port
-from slipguard_drivers.robotiq.diagnostics import check_serial_port
 from slipguard_drivers.robotiq.modbus import ModbusConnection
 from slipguard_drivers.robotiq.registers import CLOSED_COUNT, MODELS, FingerMotion, RobotiqStatus
 
@@ -28,72 +29,76 @@ T = TypeVar("T")
 log = structlog.get_logger()
 
 CALL_TIMEOUTS = 8
-"""No call takes longer than so many time-outs of one answer (0.4 s), but one that activates."""
-ECHO_TRIES = 5
-"""Status reads until a command must be seen in the status: 5 x 5 ms, the gripper's cycle being 5 ms."""
-GIVE_COUNTS = 3
-"""Fingers that press an object move by no more than this while the force rises (1.1 mm on a 2F-85)."""
-LETTING_GO_COUNTS = 15
-"""A release opens at least this far (5.6 mm on a 2F-85), whatever width was asked for."""
-ACTIVATION_S = 10.0
-"""Opening and closing fully takes a 2F-85 about 3 s."""
+"""A call takes at most this many response time-outs (0.4 s), unless it activates the gripper."""
+ECHO_READS = 5
+"""Status reads until a command must be visible in the status: 5 x 5 ms; the gripper's cycle is 5 ms."""
+YIELD_COUNTS = 3
+"""Fingers that press an object move by at most this much while the force rises (1.1 mm on a 2F-85)."""
+RELEASE_COUNTS_MIN = 15
+"""A release opens at least this far (5.6 mm on a 2F-85), whatever width is requested."""
+ACTIVATION_TIMEOUT_S = 10.0
+"""A 2F-85 takes about 3 s to open and close fully."""
 ACTIVATION_POLL_S = 0.05
+
+
+class RobotiqSettings(BaseModel):
+    """port: preferably a name under /dev/serial/by-id, which stays with the adapter."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    port: Annotated[str, Field(min_length=1)]
+    model: Literal["2F-85", "2F-140"] = "2F-85"
+    slave_id: Annotated[int, Field(ge=1, le=247)] = registers.SLAVE_ID
+    timeout_ms: Annotated[float, Field(ge=20.0, le=1000.0)] = 50.0
+    approach_speed: Annotated[float, Field(ge=0.0, le=1.0)] = 0.25
+    """Share of the full speed (150 mm/s on a 2F-85) at which the fingers close on an object."""
 
 
 class RobotiqGripper(Gripper):
     """A 2F-85 or 2F-140 on a serial port of its own."""
 
-    class Settings(BaseModel):
-        """port: best a name under /dev/serial/by-id, which stays with the adapter."""
+    Settings = RobotiqSettings
 
-        model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-        port: Annotated[str, Field(min_length=1)]
-        model: Literal["2F-85", "2F-140"] = "2F-85"
-        slave_id: Annotated[int, Field(ge=1, le=247)] = registers.SLAVE_ID
-        timeout_ms: Annotated[float, Field(ge=20.0, le=1000.0)] = 50.0
-        approach_speed: Annotated[float, Field(ge=0.0, le=1.0)] = 0.25
-        """Share of the full speed (150 mm/s on a 2F-85) at which the fingers meet an object."""
-
-    def __init__(self, settings: Settings, context: DriverContext) -> None:
+    def __init__(self, settings: RobotiqSettings, context: DriverContext) -> None:
         self._name = context.name
         self._port = settings.port
         self._model = MODELS[settings.model]
-        self._approach = round(settings.approach_speed * 255)
-        self._line = ModbusConnection(
-            context.name, settings.port, settings.slave_id, settings.timeout_ms / 1000.0, registers.INPUT_ADDRESS
+        self._approach_speed = round(settings.approach_speed * 255)
+        timeout_s = settings.timeout_ms / 1000.0
+        self._modbus = ModbusConnection(
+            context.name, settings.port, settings.slave_id, timeout_s, registers.INPUT_ADDRESS
         )
-        self._call_s = CALL_TIMEOUTS * settings.timeout_ms / 1000.0
-        self._command = asyncio.Lock()
-        self._under_way: set[asyncio.Task[Any]] = set()
+        self._call_max_s = CALL_TIMEOUTS * timeout_s
+        self._one_command = asyncio.Lock()
+        self._running: set[asyncio.Task[Any]] = set()
         self._closing_down = False
         self._applied: int | None = None
-        """Force count of the grip; None while fingers are open, or where another program closed them."""
+        """Force count of the grip; None if the fingers are open, or if another program closed them."""
         self._gripped_at: int | None = None
-        """Position at which they were seen to hold something; None when they no longer do."""
+        """Position at which an object was held; None if none is held."""
 
     @property
     def force_limits_n(self) -> tuple[float, float]:
-        """Those of the model."""
+        """Return the force range of the model."""
         return self._model.force_min_n, self._model.force_max_n
 
     async def open(self) -> None:
-        """Connect and look. A gripper that is not activated is left so: `release` activates it."""
+        """Connect and read the status. A gripper that is not activated stays so: `release` activates it."""
         self._closing_down = False
-        if not self._line.connected:
-            self._applied = self._gripped_at = None  # whoever had the gripper meanwhile may have gripped anew
-            await self._line.connect()
+        if not self._modbus.connected:
+            self._applied = self._gripped_at = None  # another program may have changed the grip meanwhile
+            await self._modbus.connect()
             if slow := serial_port.slow_adapter(self._port):
                 log.warning(f"{self._name}: {slow}")
         try:
-            await self._finish(self._status(self._by_s()))
+            await self._complete(self._status(self._deadline_s()))
         except DeviceError:
-            self._line.close()
+            self._modbus.close()
             raise
 
     async def state(self) -> GripperState:
-        """Ask the gripper now."""
-        status = await self._finish(self._status(self._by_s()))
+        """Read the status now."""
+        status = await self._complete(self._status(self._deadline_s()))
         return GripperState(
             active=status.ready,
             moving=status.going and status.motion is FingerMotion.MOVING,
@@ -107,68 +112,70 @@ class RobotiqGripper(Gripper):
 
     async def hold(self, force_n: float) -> float:
         """Close with `force_n` or tighten to it; return the force applied."""
-        return await self._finish(self._hold(registers.force_to_count(force_n, self._model), self._by_s()))
+        force = registers.force_to_count(force_n, self._model)
+        return await self._complete(self._hold(force, self._deadline_s()))
 
     async def move(self, width_mm: float, force_n: float) -> float:
-        """Move empty-handed; return the width commanded.
+        """Move the fingers without an object; return the width commanded.
 
-        Refused while something is held, and outwards while the fingers are closing: they may just have met something.
+        Refused while an object is held, and outward while the fingers close: they may just have reached an object.
         """
         position = registers.width_to_count(width_mm, self._model)
-        return await self._finish(self._move(position, registers.force_to_count(force_n, self._model), self._by_s()))
+        force = registers.force_to_count(force_n, self._model)
+        return await self._complete(self._move(position, force, self._deadline_s()))
 
     async def halt(self) -> None:
-        """Stop the fingers where they are; a gripper that is being activated is let finish."""
-        await self._finish(self._halt(self._by_s()))
+        """Stop the fingers where they are; an activation is not interrupted."""
+        await self._complete(self._halt(self._deadline_s()))
 
     async def release(self, width_mm: float) -> None:
-        """Open, activating the gripper first where it needs that; the fingers then move all the way."""
-        await self._finish(self._release(registers.width_to_count(width_mm, self._model), self._by_s()))
+        """Open; activate the gripper first if necessary, which moves the fingers fully."""
+        await self._complete(self._release(registers.width_to_count(width_mm, self._model), self._deadline_s()))
 
     async def close(self) -> None:
-        """Disconnect; the grip stays. A gripper that is being activated goes on by itself."""
+        """Disconnect; the grip stays. An activation continues by itself."""
         self._closing_down = True
-        if self._under_way:
-            await asyncio.wait(self._under_way)
-        self._line.close()
+        if self._running:
+            await asyncio.wait(self._running)
+        self._modbus.close()
 
     async def diagnose(self, *, owned: bool) -> AsyncIterator[CheckResult]:
-        """For the doctor: the port from outside."""
-        for result in check_serial_port(self._port):
+        """Check the serial port for `slipguard doctor`, without opening it."""
+        for result in serial_port.check_serial_port(self._port):
             yield result
 
-    def _by_s(self) -> float:
-        """When a call that begins now must have ended."""
-        return asyncio.get_running_loop().time() + self._call_s
+    def _deadline_s(self) -> float:
+        """Return when a call that begins now must have ended."""
+        return asyncio.get_running_loop().time() + self._call_max_s
 
     @contextlib.asynccontextmanager
-    async def _in_turn(self, by_s: float) -> AsyncIterator[None]:
-        """One command at a time."""
+    async def _exclusive(self, deadline_s: float) -> AsyncIterator[None]:
+        """Execute one command at a time."""
         try:
-            async with asyncio.timeout_at(by_s):
-                await self._command.acquire()
+            async with asyncio.timeout_at(deadline_s):
+                await self._one_command.acquire()
         except TimeoutError:
-            raise DeviceTimeout(f"{self._name}: busy with an earlier command; ask again") from None
+            raise DeviceTimeout(f"{self._name}: busy with an earlier command; try again") from None
         try:
             yield
         finally:
-            self._command.release()
+            self._one_command.release()
 
-    async def _finish(self, work: Coroutine[Any, Any, T]) -> T:
-        """Do `work` to its end even when the caller is cancelled: an answer nobody waits for confuses the line."""
-        task = asyncio.create_task(work, name=f"{self._name}: command")
-        self._under_way.add(task)
-        task.add_done_callback(self._done)
+    async def _complete(self, command: Coroutine[Any, Any, T]) -> T:
+        """Complete a command even if the caller is cancelled: an unread response would put the line out of sync."""
+        task = asyncio.create_task(command, name=f"{self._name}: command")
+        self._running.add(task)
+        task.add_done_callback(self._on_complete)
         return await asyncio.shield(task)
 
-    def _done(self, task: asyncio.Task[Any]) -> None:
-        self._under_way.discard(task)
+    def _on_complete(self, task: asyncio.Task[Any]) -> None:
+        self._running.discard(task)
         if not task.cancelled():
-            task.exception()  # the caller may have been cancelled; then nobody else asks
+            task.exception()  # mark it as read: the caller may have been cancelled
 
-    async def _hold(self, force: int, by_s: float) -> float:
-        async with self._in_turn(by_s):
-            status = await self._ready_status(by_s)
+    async def _hold(self, force: int, deadline_s: float) -> float:
+        async with self._exclusive(deadline_s):
+            status = await self._ready_status(deadline_s)
             closing = status.going and status.position_echo == CLOSED_COUNT
             gripping = status.may_hold or (closing and status.motion is FingerMotion.MOVING)
             if gripping and self._applied is not None:
@@ -176,121 +183,121 @@ class RobotiqGripper(Gripper):
                     return registers.count_to_force(self._applied, self._model)
                 force = max(force, self._applied)
             if not status.may_hold or status.motion is FingerMotion.MOVING:
-                self._applied = None  # there was no grip, or it is stopped half-way
-            speed = registers.FULL_SPEED if self._gripped_at is not None else self._approach
+                self._applied = None  # there was no grip, or the stop below interrupts it
+            speed = registers.FULL_SPEED if self._gripped_at is not None else self._approach_speed
             if status.may_hold or closing:
-                await self._write(by_s, go=False, position=CLOSED_COUNT, speed=speed, force=force)
-                await self._expect(by_s, CLOSED_COUNT, going=False)
-            await self._write(by_s, go=True, position=CLOSED_COUNT, speed=speed, force=force)
-            await self._expect(by_s, CLOSED_COUNT, going=True)
+                await self._write(deadline_s, go=False, position=CLOSED_COUNT, speed=speed, force=force)
+                await self._expect(deadline_s, CLOSED_COUNT, going=False)
+            await self._write(deadline_s, go=True, position=CLOSED_COUNT, speed=speed, force=force)
+            await self._expect(deadline_s, CLOSED_COUNT, going=True)
             self._applied = force
             return registers.count_to_force(force, self._model)
 
-    async def _move(self, position: int, force: int, by_s: float) -> float:
-        async with self._in_turn(by_s):
-            status = await self._ready_status(by_s)
+    async def _move(self, position: int, force: int, deadline_s: float) -> float:
+        async with self._exclusive(deadline_s):
+            status = await self._ready_status(deadline_s)
             if self._holds(status):
-                raise CommandRefused(
-                    f"{self._name}: an object is held and a move would let it go; use release for that"
-                )
+                raise CommandRefused(f"{self._name}: an object is held and would fall; use release to open")
             if status.closing and position < status.position_echo:
                 raise CommandRefused(
-                    f"{self._name}: the fingers are closing and may have met something; ask again when they are at rest"
+                    f"{self._name}: the fingers are closing and may hold an object; try again when they are at rest"
                 )
             self._applied = None
-            await self._write(by_s, go=True, position=position, speed=self._approach, force=force)
-            await self._expect(by_s, position, going=True)
+            await self._write(deadline_s, go=True, position=position, speed=self._approach_speed, force=force)
+            await self._expect(deadline_s, position, going=True)
             self._applied = force
             return registers.count_to_width(position, self._model)
 
-    async def _halt(self, by_s: float) -> None:
-        """rGTO = 0, the goal as it is: what was closing is told to have been."""
-        async with self._in_turn(by_s):
-            status = await self._status(by_s)
+    async def _halt(self, deadline_s: float) -> None:
+        """Clear rGTO and keep the goal, so that the status still shows that the fingers were closing."""
+        async with self._exclusive(deadline_s):
+            status = await self._status(deadline_s)
             if not (status.ready and status.going and status.motion is FingerMotion.MOVING):
                 return
             position, self._applied = status.position_echo, None
-            await self._write(by_s, go=False, position=position, speed=self._approach, force=0)
-            await self._expect(by_s, position, going=False)
+            await self._write(deadline_s, go=False, position=position, speed=self._approach_speed, force=0)
+            await self._expect(deadline_s, position, going=False)
 
-    async def _release(self, position: int, by_s: float) -> None:
-        async with self._in_turn(by_s):
-            status = await self._status(by_s)
+    async def _release(self, position: int, deadline_s: float) -> None:
+        async with self._exclusive(deadline_s):
+            status = await self._status(deadline_s)
             if not status.ready or status.fault is not None:
-                status = await self._activate(by_s)
-                by_s = self._by_s()
-            position = max(0, min(position, status.position - LETTING_GO_COUNTS))
+                status = await self._activate(deadline_s)
+                deadline_s = self._deadline_s()
+            position = max(0, min(position, status.position - RELEASE_COUNTS_MIN))
             self._applied = self._gripped_at = None
-            await self._write(by_s, go=True, position=position, speed=registers.FULL_SPEED, force=0)
-            await self._expect(by_s, position, going=True)
+            await self._write(deadline_s, go=True, position=position, speed=registers.FULL_SPEED, force=0)
+            await self._expect(deadline_s, position, going=True)
 
-    async def _activate(self, by_s: float) -> RobotiqStatus:
-        """Reset and activate: the fingers open and close fully. Only an explicit release may ask for that."""
-        await self._line.write(registers.OUTPUT_ADDRESS, [0, 0, 0], by_s)
-        await self._expect(by_s, 0, going=False, activated=False)
-        await self._write(by_s, go=False, position=0, speed=0, force=0)
-        status = await self._expect(by_s, 0, going=False)
+    async def _activate(self, deadline_s: float) -> RobotiqStatus:
+        """Reset and activate: the fingers open and close fully. Only an explicit release may do that."""
+        await self._modbus.write(registers.OUTPUT_ADDRESS, [0, 0, 0], deadline_s)
+        await self._expect(deadline_s, 0, going=False, activated=False)
+        await self._write(deadline_s, go=False, position=0, speed=0, force=0)
+        status = await self._expect(deadline_s, 0, going=False)
         loop = asyncio.get_running_loop()
-        deadline_s = loop.time() + ACTIVATION_S
-        while status.activated and loop.time() < deadline_s and not self._closing_down:
+        ends_s = loop.time() + ACTIVATION_TIMEOUT_S
+        while status.activated and loop.time() < ends_s and not self._closing_down:
             if status.ready and status.fault is None:
                 return status
             await asyncio.sleep(ACTIVATION_POLL_S)
-            with contextlib.suppress(DeviceTimeout):  # it goes on activating, whether it is heard or not
-                status = await self._status(self._by_s())
+            with contextlib.suppress(DeviceTimeout):  # the activation continues without communication
+                status = await self._status(self._deadline_s())
         if self._closing_down:
-            raise DeviceLost(f"{self._name}: disconnected while the gripper was being activated; release again")
+            raise DeviceLost(f"{self._name}: disconnected during the activation of the gripper; release again")
         if not status.activated:
-            raise DeviceTimeout(f"{self._name}: the gripper was reset while it was being activated; release again")
+            raise DeviceTimeout(f"{self._name}: the gripper was reset during its activation; release again")
         raise DeviceTimeout(
-            f"{self._name}: not activated after {ACTIVATION_S:.0f} s ({status.fault or 'no fault reported'}); "
-            "check what is in the fingers' way"
+            f"{self._name}: not activated after {ACTIVATION_TIMEOUT_S:.0f} s ({status.fault or 'no fault reported'}); "
+            "remove what blocks the fingers"
         )
 
-    async def _status(self, by_s: float) -> RobotiqStatus:
-        status = registers.decode(await self._line.read(registers.INPUT_ADDRESS, registers.REGISTERS, by_s))
+    async def _status(self, deadline_s: float) -> RobotiqStatus:
+        words = await self._modbus.read(registers.INPUT_ADDRESS, registers.REGISTERS, deadline_s)
+        status = registers.decode(words)
         if not status.ready:
-            self._applied = self._gripped_at = None  # it has been without power, or another program has reset it
+            self._applied = self._gripped_at = None  # it lost power, or another program has reset it
         elif status.motion is FingerMotion.STOPPED_CLOSING:
             self._gripped_at = status.position
         elif not self._holds(status):
             self._gripped_at = None
         return status
 
-    async def _ready_status(self, by_s: float) -> RobotiqStatus:
-        status = await self._status(by_s)
+    async def _ready_status(self, deadline_s: float) -> RobotiqStatus:
+        status = await self._status(deadline_s)
         if status.fault is not None:
             raise DeviceError(f"{self._name}: the gripper reports a fault: {status.fault}; release clears it")
         if not status.ready:
             raise CommandRefused(
-                f"{self._name}: the gripper is not activated; release does that: its fingers open and close fully, "
-                "so take away what is between them"
+                f"{self._name}: the gripper is not activated; release activates it: the fingers open and close fully, "
+                "so remove what is between them"
             )
         return status
 
-    async def _write(self, by_s: float, *, go: bool, position: int, speed: int, force: int) -> None:
+    async def _write(self, deadline_s: float, *, go: bool, position: int, speed: int, force: int) -> None:
         values = registers.encode(activate=True, go=go, position=position, speed=speed, force=force)
-        await self._line.write(registers.OUTPUT_ADDRESS, values, by_s)
+        await self._modbus.write(registers.OUTPUT_ADDRESS, values, deadline_s)
 
-    async def _expect(self, by_s: float, position: int, *, going: bool, activated: bool = True) -> RobotiqStatus:
-        """Wait until the gripper says that it has taken a command over."""
-        for _ in range(ECHO_TRIES):
-            status = await self._status(by_s)
+    async def _expect(self, deadline_s: float, position: int, *, going: bool, activated: bool = True) -> RobotiqStatus:
+        """Wait until the status shows that the gripper has accepted a command."""
+        for _ in range(ECHO_READS):
+            status = await self._status(deadline_s)
             if (status.position_echo, status.going, status.activated) == (position, going, activated):
                 return status
+        seen, wanted = ("going" if on else "stopped" for on in (status.going, going))
         raise DeviceTimeout(
-            f"{self._name}: the gripper does not take commands: it is {'going' if status.going else 'stopped'}, its "
-            f"position echo {status.position_echo} instead of {position}; is another program commanding it?"
+            f"{self._name}: the gripper does not accept commands: it reports {seen}, position {status.position_echo}, "
+            f"instead of {wanted}, position {position}; check whether another program commands it"
         )
 
     def _holds(self, status: RobotiqStatus) -> bool:
-        """Whether something is held; also while the force on it rises."""
+        """Return whether an object is held, also while the force on it rises."""
         if status.may_hold or self._gripped_at is None:
             return status.may_hold
-        return status.closing and abs(status.position - self._gripped_at) <= GIVE_COUNTS
+        return status.closing and abs(status.position - self._gripped_at) <= YIELD_COUNTS
 
     def _force_n(self, status: RobotiqStatus) -> float:
-        """The force applied. A finished grip has at least the lowest force there is, one stopped half-way has not."""
+        """Return the force applied; a completed grip has at least the lowest force."""
         if self._applied is not None and (self._holds(status) or status.position_echo == CLOSED_COUNT):
             return registers.count_to_force(self._applied, self._model)
         return self._model.force_min_n if status.motion is FingerMotion.STOPPED_CLOSING and status.ready else 0.0

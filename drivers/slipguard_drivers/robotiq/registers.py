@@ -1,4 +1,4 @@
-"""The register map of a Robotiq 2F gripper: pure encoding and decoding, no wire.
+"""The register map of a Robotiq 2F gripper: pure encoding and decoding, no communication.
 
 Three registers are written at 0x03E8 (action | -, - | position, speed | force) and three are read at
 0x07D0 (status | -, fault | position echo, position | current). Position 0 is open, 255 closed.
@@ -27,7 +27,7 @@ FAULTS = {
     0x00: None,
     0x05: "action delayed: activation must be completed first",
     0x07: "the activation bit must be set before any action",
-    0x08: "too hot: cools down before it moves again",
+    0x08: "too hot: it must cool down before it moves again",
     0x09: "no communication for at least one second",
     0x0A: "supply voltage is below the minimum",
     0x0B: "automatic release in progress",
@@ -36,16 +36,13 @@ FAULTS = {
     0x0E: "overcurrent",
     0x0F: "automatic release completed",
 }
-"""gFLT in words. Codes up to 0x07 pass by themselves; 0x09 only tells that the line was silent."""
+"""gFLT as text. Codes up to 0x07 clear themselves; 0x09 only says that no request arrived for a second."""
 PASSING_FAULTS = frozenset({0x00, 0x05, 0x07, 0x09})
 
 
 @dataclass(frozen=True, slots=True)
 class RobotiqModel:
-    """What differs between the 2F models.
-
-    open_count, closed_count: where the fingers really stop after activation.
-    """
+    """Data of one 2F model. open_count, closed_count: positions at which the fingers stop after activation."""
 
     name: str
     stroke_mm: float
@@ -56,7 +53,7 @@ class RobotiqModel:
 
     @property
     def mm_per_count(self) -> float:
-        """Width of one position count: 0.37 mm on a 2F-85."""
+        """Return the width of one position count: 0.37 mm on a 2F-85."""
         return self.stroke_mm / (self.closed_count - self.open_count)
 
 
@@ -66,7 +63,7 @@ MODELS = {model.name: model for model in (MODEL_2F85, MODEL_2F140)}
 
 
 class FingerMotion(IntEnum):
-    """gOBJ: what the fingers are doing."""
+    """gOBJ: motion of the fingers."""
 
     MOVING = 0
     STOPPED_OPENING = 1
@@ -76,7 +73,7 @@ class FingerMotion(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class RobotiqStatus:
-    """The three input registers, taken apart. Counts are 0-255."""
+    """The decoded input registers. Counts are 0-255."""
 
     activated: bool
     going: bool
@@ -89,31 +86,31 @@ class RobotiqStatus:
 
     @property
     def may_hold(self) -> bool:
-        """Stopped on something while closing, or halted on the way to it: it would fall if the fingers opened."""
+        """Whether an object may be held: the fingers stopped on it, or were halted while closing."""
         halted = not self.going and self.position_echo == CLOSED_COUNT and self.motion is not FingerMotion.AT_POSITION
         return self.ready and (self.motion is FingerMotion.STOPPED_CLOSING or halted)
 
     @property
     def closing(self) -> bool:
-        """On its way inwards, or pressing harder: it may just have met something."""
+        """Whether the fingers move inward or tighten: they may just have reached an object."""
         inwards = self.position_echo > self.position
         return self.ready and self.going and self.motion is FingerMotion.MOVING and inwards
 
     @property
     def closed_on_nothing(self) -> bool:
-        """Told to close, and arrived at the end without meeting anything."""
+        """Whether the fingers closed fully without reaching an object."""
         return self.ready and self.motion is FingerMotion.AT_POSITION and self.position_echo == CLOSED_COUNT
 
     @property
     def fault(self) -> str | None:
-        """The fault in words; None where there is none or where it passes by itself."""
+        """Return the fault as text; None if there is none or if it clears itself."""
         if self.fault_code in PASSING_FAULTS:
             return None
         return FAULTS.get(self.fault_code) or f"unknown fault code 0x{self.fault_code:02X}"
 
 
 def encode(*, activate: bool, go: bool, position: int, speed: int, force: int) -> list[int]:
-    """The three output registers. position, speed, force: counts 0-255."""
+    """Return the three output registers. position, speed, force: counts 0-255."""
     for name, count in (("position", position), ("speed", speed), ("force", force)):
         if not 0 <= count <= 255:
             raise ValueError(f"{name} is {count} counts; it must be 0 to 255")
@@ -121,9 +118,11 @@ def encode(*, activate: bool, go: bool, position: int, speed: int, force: int) -
 
 
 def decode(registers: Sequence[int]) -> RobotiqStatus:
-    """Take the three input registers apart. Raises DeviceError where they cannot be a 2F's."""
+    """Decode the three input registers. Raises DeviceError if they cannot be those of a 2F."""
     if len(registers) != REGISTERS or any(not 0 <= word <= 0xFFFF for word in registers):
-        raise DeviceError(f"a status of {list(registers)} is not {REGISTERS} registers of 16 bits")
+        raise DeviceError(
+            f"status {list(registers)} is not {REGISTERS} registers of 16 bits; check the gripper's model"
+        )
     flags, echo_word, position_word = registers
     status = flags >> 8
     return RobotiqStatus(
@@ -139,39 +138,37 @@ def decode(registers: Sequence[int]) -> RobotiqStatus:
 
 
 def force_to_count(force_n: float, model: RobotiqModel) -> int:
-    """The lowest count that applies at least `force_n` per finger; beyond the limits, the nearest.
+    """Return the lowest count that applies at least `force_n` per finger, limited to the range.
 
-    Raises CommandRefused for a force that is negative or not a number.
+    Raises CommandRefused for a force that is negative or not finite.
     """
     if not (math.isfinite(force_n) and force_n >= 0):
-        raise CommandRefused(f"a force of {force_n} N makes no sense; {limits(model)}")
+        raise CommandRefused(f"a force of {force_n} N is not valid; {limits(model)}")
     share = (min(force_n, model.force_max_n) - model.force_min_n) / (model.force_max_n - model.force_min_n)
     return max(0, math.ceil(share * 255 - 1e-9))
 
 
 def count_to_force(count: int, model: RobotiqModel) -> float:
-    """Newtons per finger that a force count stands for: 0.84 N a count on a 2F-85, about linear."""
+    """Return the force per finger in newtons: 0.84 N per count on a 2F-85, approximately linear."""
     return model.force_min_n + (model.force_max_n - model.force_min_n) * count / 255
 
 
 def width_to_count(width_mm: float, model: RobotiqModel) -> int:
-    """The position count nearest to an opening; beyond the stroke, fully open.
+    """Return the position count nearest to a width; beyond the stroke, fully open.
 
-    Raises CommandRefused for a width that is negative or not a number.
+    Raises CommandRefused for a width that is negative or not finite.
     """
     if not (math.isfinite(width_mm) and width_mm >= 0):
-        raise CommandRefused(
-            f"a width of {width_mm} mm makes no sense; a {model.name} opens 0 to {model.stroke_mm:g} mm"
-        )
+        raise CommandRefused(f"a width of {width_mm} mm is not valid; a {model.name} opens 0 to {model.stroke_mm:g} mm")
     return model.open_count + round((model.stroke_mm - min(width_mm, model.stroke_mm)) / model.mm_per_count)
 
 
 def count_to_width(count: int, model: RobotiqModel) -> float:
-    """Opening in mm at a position count; 0 where the fingers touch."""
+    """Return the width in mm at a position count; 0 if the fingers touch."""
     width_mm = model.stroke_mm - (count - model.open_count) * model.mm_per_count
     return min(model.stroke_mm, max(0.0, width_mm))
 
 
 def limits(model: RobotiqModel) -> str:
-    """What a model can do, for messages."""
+    """Return the force range of a model as text."""
     return f"a {model.name} applies {model.force_min_n:g} to {model.force_max_n:g} N per finger"

@@ -21,7 +21,7 @@ from slipguard.doctor import examine, gripper, machine, sensor, through_daemon
 from slipguard.errors import DeviceLost
 from slipguard_drivers.digit.diagnostics import RULES, check_digit
 from slipguard_drivers.digit.settings import DigitSettings
-from slipguard_drivers.robotiq.diagnostics import adapter
+from slipguard_drivers.robotiq.serial_port import check_adapter
 
 
 def plug_in(sysfs: Path, number: int, serial: str, port: str, *, release: str = "0212", speed: str = "480") -> None:
@@ -96,9 +96,9 @@ def test_a_camera_of_another_group(dev: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_the_adapters_latency_timer() -> None:
-    assert adapter(None).status is adapter(1).status is CheckStatus.OK
-    assert adapter(16).status is CheckStatus.NOTE
-    assert "60-slipguard.rules" in adapter(16).action
+    assert check_adapter(None).status is check_adapter(1).status is CheckStatus.OK
+    assert check_adapter(16).status is CheckStatus.NOTE
+    assert "60-slipguard.rules" in check_adapter(16).action
 
 
 @pytest.mark.parametrize(

@@ -33,21 +33,21 @@ def test_low_latency_is_one_flag_and_the_rest_stays(monkeypatch: pytest.MonkeyPa
         return 0
 
     monkeypatch.setattr(fcntl, "ioctl", ioctl)
-    serial_port.hurry(7)
+    serial_port.request_low_latency(7)
     assert [request for request, _ in asked] == [0x541E, 0x541F]
     assert asked[1][1] == [1, 2, 3, 4, 0x40 | 0x2000]
     assert array.array("i", [0] * serial_port.SERIAL_STRUCT_WORDS).itemsize * serial_port.SERIAL_STRUCT_WORDS >= 72
 
 
 def test_a_port_without_such_a_thing_is_left_alone(terminal: tuple[int, str]) -> None:
-    serial_port.hurry(terminal[0])
+    serial_port.request_low_latency(terminal[0])
     assert serial_port.latency_timer_ms(terminal[1]) is None
     assert serial_port.slow_adapter(terminal[1]) is None
 
 
 def test_claiming_sets_exclusive_use(terminal: tuple[int, str]) -> None:
     """Opening it again is then refused to everybody but root."""
-    serial_port.claim(terminal[0])
+    serial_port.lock_out_others(terminal[0])
     tiocgexcl = 0x80045440
     flag = array.array("i", [0])
     fcntl.ioctl(terminal[0], tiocgexcl, flag)
@@ -56,8 +56,8 @@ def test_claiming_sets_exclusive_use(terminal: tuple[int, str]) -> None:
 
 
 def test_we_are_not_among_those_who_have_it(terminal: tuple[int, str]) -> None:
-    assert serial_port.others(terminal[1]) == set()
-    assert serial_port.others("/dev/no_such_port") == set()
+    assert serial_port.other_holders(terminal[1]) == set()
+    assert serial_port.other_holders("/dev/no_such_port") == set()
 
 
 def test_whoever_locks_it_is_named_by_everybodys_list(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -73,9 +73,9 @@ def test_whoever_locks_it_is_named_by_everybodys_list(tmp_path: Path, monkeypatc
         f"1: POSIX  ADVISORY  WRITE 99 00:01:5 0 EOF\n2: FLOCK  ADVISORY  WRITE 4711 {place} 0 EOF\n"
     )
     monkeypatch.setattr(serial_port, "PROC", proc)
-    assert serial_port.others(str(port)) == {4711}
-    assert serial_port.others(str(port), among=()) == {4711}
-    assert serial_port.in_use({4711}).startswith("minicom (process 4711) has it open; ")
+    assert serial_port.other_holders(str(port)) == {4711}
+    assert serial_port.other_holders(str(port), among=()) == {4711}
+    assert serial_port.holders_text({4711}).startswith("minicom (process 4711) has it open; ")
 
 
 def test_files_that_are_open_are_found_and_those_not_to_be_seen_are_not(
@@ -87,5 +87,5 @@ def test_files_that_are_open_are_found_and_those_not_to_be_seen_are_not(
     (tmp_path / "4712" / "fd" / "3").symlink_to("/dev/null")
     (tmp_path / "4713").mkdir()
     monkeypatch.setattr(serial_port, "PROC", tmp_path)
-    assert serial_port.others(terminal[1]) == {4711}
-    assert serial_port.others(terminal[1], among={4712, 4713, 4714}) == set()
+    assert serial_port.other_holders(terminal[1]) == {4711}
+    assert serial_port.other_holders(terminal[1], among={4712, 4713, 4714}) == set()
