@@ -1,6 +1,6 @@
 """Which tests a plain `python -m pytest` runs, in how many processes, and in which order.
 
-Tests that compute share all cores. Of the tests that wait for emulated devices, those of one folder run one after the
+Tests that compute share all cores. Of the tests that wait for emulated devices, those of one kind run one after the
 other. Tests of real time run last, alone, so that no other test takes the cores from them.
 """
 
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 REAL_DATA_VARIABLE = "SLIPGUARD_REAL_DATA"
 ON_DEMAND = ("browser", "campaign", "extras", "real", "service", "vm")
 """Markers of tests that run only if a path or `-m` selects them, as `.ci/run` does."""
-SERIAL_FOLDERS = {"browser", "contract", "service", "vm", "wire"}
+SERIAL_FOLDERS = {"contract": "contracts", **dict.fromkeys(("browser", "service", "vm", "wire"), "whole programs")}
+"""Of the tests in folders of the same kind, never two run at once."""
 WAITING_WORKERS = 1
 """Processes beyond one per core: the tests in SERIAL_FOLDERS wait most of the time."""
 REALTIME = "realtime"
@@ -53,7 +54,7 @@ def select(config: pytest.Config, items: list[pytest.Item]) -> None:
 def _rank(item: pytest.Item) -> int:
     if item.get_closest_marker(REALTIME):
         return 2
-    return 0 if SERIAL_FOLDERS & set(item.path.parts) else 1
+    return 0 if SERIAL_FOLDERS.keys() & set(item.path.parts) else 1
 
 
 def need_what_it_names(item: pytest.Item) -> None:
@@ -94,8 +95,8 @@ def make_scheduler(config: pytest.Config, log: Any) -> Any:
         def _split_scope(self, nodeid: str) -> str:
             if nodeid in self.realtime:
                 return REALTIME
-            path = Path(nodeid.partition("::")[0])
-            return str(path.parent if SERIAL_FOLDERS & set(path.parts) else path)
+            path = nodeid.partition("::")[0]
+            return SERIAL_FOLDERS.get(path.split("/")[1], path)
 
         def _reschedule(self, node: WorkerController) -> None:
             if list(self.workqueue) != [REALTIME] or node.shutting_down:
