@@ -1,13 +1,13 @@
-"""What a look at a device finds, and the hook by which a driver adds its own looks to `slipguard doctor`.
+"""Result of one check by `slipguard doctor`, and how a driver adds its own checks.
 
 A driver may have a method
 
-    def diagnose(self, *, owned: bool) -> AsyncIterator[Finding]
+    def diagnose(self, *, owned: bool) -> AsyncIterator[CheckResult]
 
-that looks at what only it knows of: files, permissions, cables, adapters, controllers. It is called before `open()`.
-owned: a running daemon has the device open, so look from outside only. It never moves anything, never raises what a
-user could cause, and ends within a few seconds. What the port can tell (frames, round trips, states) the doctor looks
-at itself.
+for what only the driver knows: files, permissions, cables, adapters, controllers. It is called before `open()`.
+owned: a running daemon has the device open, so check from outside only. The method moves nothing, raises nothing that a
+user could cause, and ends within a few seconds. The doctor itself checks what the port offers: frames, round trips,
+states.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Protocol, runtime_checkable
 
 
 class CheckStatus(StrEnum):
-    """fine: as it should be. note: it works, but somebody should know. wrong: it does not work."""
+    """ok: as it should be. note: works, but worth knowing. problem: does not work."""
 
     OK = "ok"
     NOTE = "note"
@@ -29,7 +29,7 @@ class CheckStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """One line. what: in two or three words. do: how to mend it; never empty where something is wrong."""
+    """check: its name, in two or three words. action: what to do; never empty for a problem."""
 
     check: str
     status: CheckStatus
@@ -38,34 +38,34 @@ class CheckResult:
 
 
 def ok(check: str, observed: str) -> CheckResult:
-    """As it should be."""
+    """Return the result of a check that passed."""
     return CheckResult(check, CheckStatus.OK, observed)
 
 
 def note(check: str, observed: str, action: str = "") -> CheckResult:
-    """It works, but somebody should know."""
+    """Return the result of a check that passed, with something worth knowing."""
     return CheckResult(check, CheckStatus.NOTE, observed, action)
 
 
 def problem(check: str, observed: str, action: str) -> CheckResult:
-    """It does not work. do: the next step of whoever reads it."""
+    """Return the result of a check that failed. action: what to do next."""
     return CheckResult(check, CheckStatus.PROBLEM, observed, action)
+
+
+def problem_from_error(check: str, error: Exception, device: str, default_action: str) -> CheckResult:
+    """Return a problem from an error message: what was observed before the last `; `, the action after it.
+
+    device: its name is removed from the beginning of the message. default_action: if the message has none.
+    """
+    text = str(error).removeprefix(f"{device}: ")
+    observed, separator, action = text.rpartition("; ")
+    return problem(check, observed if separator else text, action if separator else default_action)
 
 
 @runtime_checkable
 class Diagnosable(Protocol):
-    """A driver that adds looks of its own."""
+    """A driver with checks of its own."""
 
     @abstractmethod
     def diagnose(self, *, owned: bool) -> AsyncIterator[CheckResult]:
-        """Look without moving anything; see the module."""
-
-
-def problem_from_error(check: str, error: Exception, device: str, otherwise: str) -> CheckResult:
-    """A finding from one of our one-line errors: what was seen before the last `; `, what to do behind it.
-
-    device: left out of the line where it leads it. otherwise: what to do where the error does not say.
-    """
-    text = str(error).removeprefix(f"{device}: ")
-    observed, found, action = text.rpartition("; ")
-    return problem(check, observed if found else text, action if found else otherwise)
+        """Check without moving anything; see the module."""

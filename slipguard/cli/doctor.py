@@ -1,4 +1,4 @@
-"""`slipguard doctor`: a look at everything, a line for each thing, and what to do where one is wrong."""
+"""`slipguard doctor`: check machine, daemon and devices, and say what to do about each problem."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slipguard.cli.run import USUAL_FILE, ConfigOption
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from slipguard.doctor.examine import Line
+    from slipguard.doctor.run_checks import SubjectCheck
 
 MARKS = {"ok": "[green]✓[/]", "note": "[yellow]![/]", "problem": "[red]✗[/]"}
 
@@ -24,9 +24,10 @@ def doctor(
     socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon; default: found.")] = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
 ) -> None:
-    """Look at every device, link and permission and say what to do; move nothing.
+    """Check every device, link and permission, and say what to do. Nothing moves.
 
-    Asks the running daemon; opens the devices itself only when none runs. Exit code 1 where something is wrong.
+    Uses a running daemon; opens the devices itself only if none runs. Exits 1 if there is a problem.
+
     Example: `slipguard doctor --config config.toml`
     """
     import json as jsonlib
@@ -37,36 +38,35 @@ def doctor(
     from slipguard.config import read_config
     from slipguard.daemon import log_setup as log
     from slipguard.daemon.api.paths import running_socket
-    from slipguard.doctor.examine import examine
+    from slipguard.doctor.run_checks import run_checks
 
     settings = read_config(config)
     log.configure(level=logging.CRITICAL)
     progress = Console(stderr=True, quiet=not Console(stderr=True).is_terminal)
-    with progress.status("looking …") as status, default_interrupts():
-        lines = asyncio.run(
-            examine(settings, socket or running_socket(settings), lambda check: status.update(f"looking at {check} …"))
-        )
-    bad = sum(line.result.status == "problem" for line in lines)
+    with progress.status("checking …") as status, default_interrupts():
+        at = socket or running_socket(settings)
+        checks = asyncio.run(run_checks(settings, at, lambda subject: status.update(f"checking {subject} …")))
+    problems = sum(one.result.status == "problem" for one in checks)
     if json:
-        print(jsonlib.dumps({"problems": bad, "checks": [_plain(line) for line in lines]}))
+        print(jsonlib.dumps({"problems": problems, "checks": [_as_dict(one) for one in checks]}))
     else:
-        _show(Console(highlight=False), lines, bad, config)
-    if bad:
+        _print(Console(highlight=False), checks, problems, config)
+    if problems:
         raise typer.Exit(1)
 
 
-def _plain(line: Line) -> dict[str, str]:
-    found = line.result
+def _as_dict(one: SubjectCheck) -> dict[str, str]:
+    result = one.result
     return {
-        "subject": line.subject,
-        "check": found.check,
-        "status": found.status.value,
-        "observed": found.observed,
-        "action": found.action,
+        "subject": one.subject,
+        "check": result.check,
+        "status": result.status.value,
+        "observed": result.observed,
+        "action": result.action,
     }
 
 
-def _show(console: Console, lines: list[Line], bad: int, config: Path) -> None:
+def _print(console: Console, checks: list[SubjectCheck], problems: int, config: Path) -> None:
     from rich.markup import escape
     from rich.table import Table
 
@@ -76,19 +76,19 @@ def _show(console: Console, lines: list[Line], bad: int, config: Path) -> None:
     table.add_column(no_wrap=True)
     table.add_column()
     before = ""
-    for line in lines:
-        found = line.result
-        if before and line.subject != before:
+    for one in checks:
+        result = one.result
+        if before and one.subject != before:
             table.add_row()
-        action = f"\n[bold]→ {escape(found.action)}[/]" if found.action else ""
-        name = line.subject if line.subject != before else ""
-        table.add_row(name, MARKS[found.status], escape(found.check), escape(found.observed) + action)
-        before = line.subject
+        action = f"\n[bold]→ {escape(result.action)}[/]" if result.action else ""
+        subject = one.subject if one.subject != before else ""
+        table.add_row(subject, MARKS[result.status], escape(result.check), escape(result.observed) + action)
+        before = one.subject
     console.print(table)
-    notes = sum(line.result.status == "note" for line in lines)
+    notes = sum(one.result.status == "note" for one in checks)
     console.print()
-    if bad:
-        console.print(f"[red]{bad} wrong[/], {notes} to note; mend what is marked ✗ and look again", soft_wrap=True)
+    if problems:
+        summary = f"[red]{problems} problem{'s' if problems > 1 else ''}[/], {notes} notes"
+        console.print(f"{summary}; fix what is marked ✗ and run the doctor again", soft_wrap=True)
     else:
-        told = f"{notes} to note, " if notes else ""
-        console.print(f"{told}nothing wrong with the cell of {escape(str(config))}", soft_wrap=True)
+        console.print(f"no problems, {notes} notes: {escape(str(config))}", soft_wrap=True)

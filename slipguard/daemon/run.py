@@ -21,6 +21,7 @@ from slipguard.config import GROUP_OF, Config
 from slipguard.control.step import control_step
 from slipguard.daemon.api.daemon_api import DaemonApi
 from slipguard.daemon.api.handlers import RequestHandlers
+from slipguard.daemon.api.paths import socket_path
 from slipguard.daemon.lifecycle import Shutdown
 from slipguard.daemon.loop.device_health import NOT_TRIED
 from slipguard.daemon.loop.finger import PerceptionPipeline, ThreadWorker, Worker
@@ -158,7 +159,7 @@ async def run(
     gels = GelMonitor(service)
     handlers = RequestHandlers(service, gels)
     serve_api = bind_api(config)  # before any device is opened: a second daemon must not touch the first one's devices
-    log.info("slipguard starts", version=__version__, mode=config.guard.mode)
+    log.info("slipguard starts", version=__version__, mode=config.guard.mode, socket=str(socket_path(config)))
     stop, hangup, changed = asyncio.Event(), asyncio.Event(), asyncio.Event()
     loop, shutdown = asyncio.get_running_loop(), Shutdown()
     loop.set_default_executor(ThreadPoolExecutor(thread_name_prefix="slipguard", initializer=set_worker_priority))

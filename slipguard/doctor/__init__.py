@@ -1,1 +1,1 @@
-"""`slipguard doctor`: a look at everything a cell is made of, with what to do. It moves nothing."""
+"""`slipguard doctor`: checks of the machine, the daemon and the devices."""

@@ -1,4 +1,4 @@
-"""This machine: the processor, the network file, the folder that must keep things, and the daemon's socket."""
+"""Check this machine: the processor, the segmentation network, the state folder."""
 
 from __future__ import annotations
 
@@ -12,54 +12,54 @@ from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_err
 from slipguard.errors import SlipguardError
 
 CORES = 2
-"""One for each finger's pictures; the loop itself needs little."""
+"""One for the images of each finger; the loop itself needs little."""
 LOAD_SHARE = 0.8
 
 
-def look(config: Config) -> Iterator[CheckResult]:
-    """All of it; opens no device."""
-    yield processor()
-    yield network(config)
-    yield state_folder(StateDir(config.state.directory).path)
+def check_machine(config: Config) -> Iterator[CheckResult]:
+    """Run all checks of the machine; opens no device."""
+    yield check_processor()
+    yield check_network(config)
+    yield check_state_folder(StateDir(config.state.directory).path)
 
 
-def processor() -> CheckResult:
-    """Cores for this process, and how busy they are."""
+def check_processor() -> CheckResult:
+    """Check the number of cores for this process, and their load."""
     cores = len(os.sched_getaffinity(0))
     load = os.getloadavg()[0]
     observed = f"{cores} {'core' if cores == 1 else 'cores'}, load {load:.1f}"
     if cores < CORES:
-        return note("processor", observed, f"give it {CORES} cores: each finger's pictures keep one busy")
+        return note("processor", observed, f"give it {CORES} cores: the images of each finger need one")
     if load > LOAD_SHARE * cores:
-        return note("processor", observed, "other programs take its time; slipguard answers late when it has to wait")
+        limit = f"limit {LOAD_SHARE * cores:.1f}"
+        return note("processor", f"{observed} ({limit})", "stop other programs: they delay slipguard's response")
     return ok("processor", observed)
 
 
-def network(config: Config) -> CheckResult:
-    """The segmentation network loads and keeps its contract."""
-    from slipguard.perception.contact.segmenter import Segmenter  # onnxruntime: only whoever asks pays for it
+def check_network(config: Config) -> CheckResult:
+    """Check that the segmentation network can be loaded."""
+    from slipguard.perception.contact.segmenter import Segmenter  # here, because onnxruntime is slow to import
 
     try:
         segmenter = Segmenter(config.perception.model)
     except SlipguardError as error:
-        return problem_from_error("network", error, "", "leave perception.model out: one is shipped")
+        return problem_from_error("network", error, "", "remove perception.model to use the included network")
     width, height = segmenter.input_size
     return ok("network", f"{segmenter.path.name}, {width} x {height}")
 
 
-def state_folder(path: Path) -> CheckResult:
-    """Where no-contact images are kept. It is made when first needed, so its parent counts as well."""
-    there = path
-    while not os.path.lexists(there) and there != there.parent:
-        there = there.parent
-    if not os.path.isdir(there):
-        return problem(
-            "state folder", f"{there} is no folder", f"move it away, or set state.directory instead of {path}"
-        )
-    if not os.access(there, os.W_OK | os.X_OK):
+def check_state_folder(path: Path) -> CheckResult:
+    """Check the folder of the background images. It is made when needed, so its parent may be checked instead."""
+    existing = path
+    while not os.path.lexists(existing) and existing != existing.parent:
+        existing = existing.parent
+    if not os.path.isdir(existing):
+        action = f"move it away, or set state.directory instead of {path}"
+        return problem("state folder", f"{existing} is not a folder", action)
+    if not os.access(existing, os.W_OK | os.X_OK):
         return problem(
             "state folder",
-            f"{there} cannot be written to",
-            "become the user the daemon runs as, or set state.directory in the configuration",
+            f"{existing} is not writable",
+            "run as the user of the daemon, or set state.directory in the configuration",
         )
-    return ok("state folder", str(path) if there == path else f"{path}, made when needed")
+    return ok("state folder", str(path) if existing == path else f"{path}, made when needed")

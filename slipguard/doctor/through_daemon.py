@@ -1,4 +1,4 @@
-"""What a running daemon says of itself and its devices: two looks at its state, a while apart."""
+"""Check a running daemon and its devices, from two of its states some time apart."""
 
 from __future__ import annotations
 
@@ -14,103 +14,99 @@ from slipguard.devices import GripperState
 from slipguard.diagnosis import CheckResult, note, ok, problem
 from slipguard.doctor import gripper, sensor
 
-LOOK_S = 2.0
+OBSERVE_S = 2.0
 LATE_SHARE = 0.05
-
-State = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Looks:
-    """Two answers of `GET /state`, `apart_s` seconds apart."""
+class DaemonSamples:
+    """Two responses to `GET /state`, `apart_s` seconds apart."""
 
-    before: State
-    after: State
+    before: Mapping[str, Any]
+    after: Mapping[str, Any]
     apart_s: float
 
-    def counted(self, finger: str, check: str) -> int:
-        """How much a count of a finger has risen."""
-        old, new = (one["fingers"][finger]["counts"].get(check, 0) for one in (self.before, self.after))
+    def increase(self, finger: str, count: str) -> int:
+        """Return by how much a count of a finger has risen."""
+        old, new = (one["fingers"][finger]["counts"].get(count, 0) for one in (self.before, self.after))
         return int(new - old)
 
 
-def daemon(looks: Looks) -> Iterator[CheckResult]:
-    """The daemon itself."""
-    now = looks.after
+def check_daemon(samples: DaemonSamples) -> Iterator[CheckResult]:
+    """Check version, faults and timing of the daemon."""
+    now = samples.after
     if now["version"] != __version__:
         yield note("daemon", f"runs version {now['version']}, installed is {__version__}", "restart it when convenient")
     else:
-        yield ok("daemon", f"running, mode {now['mode']!r}, {now['phase']}; it was asked, no device was opened")
+        yield ok("daemon", f"running, mode {now['mode']!r}, {now['phase']}; no device was opened for this check")
     fault = now.get("fault")
     if fault is not None:
         yield problem("fault", f"{fault['code']}: {fault['observed']}", fault["what_to_do"])
-    late = now["deadlines_missed"] - looks.before["deadlines_missed"]
+    late = now["deadlines_missed"] - samples.before["deadlines_missed"]
     if late:
-        yield note("loop", f"{late} beats late in {looks.apart_s:.0f} s", "the processor is busy; see the line above")
+        yield note("loop", f"{late} cycles late in {samples.apart_s:.0f} s", "see the check of the processor")
 
 
-def finger(name: str, looks: Looks, settings: Any, store: StateDir) -> Iterator[CheckResult]:
-    """One fingertip camera, as the daemon has seen it."""
-    serial = looks.after["fingers"][name]["serial"]
-    yield found("sensor", name, looks, f"in use by the daemon, serial {serial}")
-    for remark in looks.after["fingers"][name].get("remarks", ()):
+def check_finger(name: str, samples: DaemonSamples, settings: Any, store: StateDir) -> Iterator[CheckResult]:
+    """Check one fingertip camera."""
+    finger = samples.after["fingers"][name]
+    serial = finger["serial"]
+    yield check_health("sensor", name, samples, f"in use by the daemon, serial {serial}")
+    for remark in finger.get("remarks", ()):
         yield note("remark", remark)
-    came = looks.counted(name, "frames")
-    if not came:
+    received = samples.increase(name, "frames")
+    if not received:
         return
-    yield sensor.rate(came / looks.apart_s, getattr(settings, "fps", None))
-    count = {check: looks.counted(name, check) for check in ("missed", "corrupt", "frozen", "stalled", "late")}
-    yield sensor.losses(came, count["missed"], count["corrupt"], count["frozen"] + count["stalled"])
-    if count["late"] > LATE_SHARE * came:
-        yield note("pictures", f"{count['late']} of {came} not looked at: too slow", "see the line on the processor")
+    yield sensor.check_rate(received / samples.apart_s, getattr(settings, "fps", None))
+    count = {one: samples.increase(name, one) for one in ("missed", "corrupt", "frozen", "stalled", "late")}
+    yield sensor.check_losses(received, count["missed"], count["corrupt"], count["frozen"] + count["stalled"])
+    if count["late"] > LATE_SHARE * received:
+        observed = f"{count['late']} of {received} not processed in time (limit {LATE_SHARE:.0%})"
+        yield note("late frames", observed, "see the check of the processor")
     if serial:
-        yield sensor.no_contact(serial, store, datetime.now(UTC))
-    known = looks.after["fingers"][name].get("gel")
-    if known is not None:
-        yield gel(known)
+        yield sensor.check_background(serial, store, datetime.now(UTC))
+    if finger.get("gel") is not None:
+        yield check_gel(finger["gel"])
 
 
-def gel(known: Mapping[str, Any]) -> CheckResult:
-    """How the gel is when nothing touches it."""
-    if known["status"] == GelStatus.OK:
-        return ok("gel", known["observed"])
-    return note("gel", known["observed"], known["action"])
+def check_gel(gel: Mapping[str, Any]) -> CheckResult:
+    """Check the condition of an untouched gel."""
+    if gel["status"] == GelStatus.OK:
+        return ok("gel", gel["observed"])
+    return note("gel", gel["observed"], gel["action"])
 
 
-def actuator(name: str, looks: Looks) -> Iterator[CheckResult]:
-    """Gripper or arm, as the daemon has seen it."""
-    yield found(name, name, looks, "in use by the daemon")
-    state, trips = looks.after.get(name), looks.after.get("round_trips", {}).get(name)
+def check_actuator(name: str, samples: DaemonSamples) -> Iterator[CheckResult]:
+    """Check the gripper or the arm."""
+    yield check_health(name, name, samples, "in use by the daemon")
+    state, trips = samples.after.get(name), samples.after.get("round_trips", {}).get(name)
     if name == "gripper" and trips is not None:
         observed = f"p50 {trips['p50_ms']:.1f} ms, p99 {trips['p99_ms']:.1f} ms of {trips['answered']}"
-        if trips["p50_ms"] > gripper.SLOW_MS:
-            yield note("round trip", observed, gripper.SLOW_DO)
-        else:
-            yield ok("round trip", observed)
+        slow = trips["p50_ms"] > gripper.SLOW_MS
+        yield note("round trip", observed, gripper.SLOW_ACTION) if slow else ok("round trip", observed)
     if state is None:
         return
     if name == "gripper":
-        yield from gripper.condition(GripperState(**state))
+        yield from gripper.check_state(GripperState(**state))
     else:
-        yield arm_condition(bool(state["protective_stop"]), bool(state["emergency_stop"]))
+        yield check_stops(bool(state["protective_stop"]), bool(state["emergency_stop"]))
 
 
-def arm_condition(protective: bool, emergency: bool) -> CheckResult:
-    """The stops that are for a person to clear."""
+def check_stops(protective: bool, emergency: bool) -> CheckResult:
+    """Check the stops of the arm that only a person can clear."""
     if emergency:
         return problem("stops", "emergency stop", "release the button, then start the robot at its panel")
     if protective:
-        return problem("stops", "protective stop", "look why, then unlock it at the panel")
+        return problem("stops", "protective stop", "find the cause, then unlock it at the panel")
     return ok("stops", "none active")
 
 
-def found(check: str, name: str, looks: Looks, observed: str) -> CheckResult:
-    """How the daemon finds a device."""
-    health = looks.after["devices"][name]
+def check_health(check: str, name: str, samples: DaemonSamples, observed: str) -> CheckResult:
+    """Check the health that the daemon reports for a device."""
+    health = samples.after["devices"][name]
     if health["state"] == "ready":
         return ok(check, observed)
-    why = str(health.get("reason") or health["state"]).removeprefix(f"{name}: ")
-    reason, split, action = why.rpartition("; ")
-    return problem(
-        check, f"{health['state']}: {reason if split else why}", action if split else "check its cable and power"
-    )
+    text = str(health.get("reason") or health["state"]).removeprefix(f"{name}: ")
+    reason, separator, action = text.rpartition("; ")
+    default = "check its cable and power"
+    return problem(check, f"{health['state']}: {reason if separator else text}", action if separator else default)

@@ -17,7 +17,7 @@ from ur_scene import own_address
 from slipguard.cli.app import run
 from slipguard.daemon.api.client import Client
 from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, LiftRequest, LowerRequest, ReleaseRequest
-from slipguard.doctor import examine
+from slipguard.doctor import run_checks
 
 OPTIONS = ("--object", "wrench", "--seed", 0, "--fps", 30, "--height-mm", 80)
 ROTATION_MAX_DEG = 25.0
@@ -56,7 +56,7 @@ def ask_the_doctor(there: Cell, capfd: pytest.CaptureFixture[str]) -> dict[tuple
 def test_a_lift_by_slipguard(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(examine, "LOOK_S", 0.5)
+    monkeypatch.setattr(run_checks, "OBSERVE_S", 0.5)
     with cell(tmp_path, own_address(62), *OPTIONS) as there, daemon(there) as client:
         grasp(client)
         said = ask_the_doctor(there, capfd)

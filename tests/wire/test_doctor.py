@@ -23,7 +23,7 @@ from slipguard.cli.app import run
 from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.doctor import gripper, sensor
-from slipguard_drivers.ur5 import diagnostics as arm_look
+from slipguard_drivers.ur5 import diagnostics as ur5_diagnostics
 
 HOST = own_address(65)
 NOBODY = 65534
@@ -66,11 +66,11 @@ def there() -> Iterator[Cell]:
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Short looks."""
-    monkeypatch.setattr(sensor, "LOOK_S", 0.5)
-    monkeypatch.setattr(sensor, "FIRST_S", 4.0)
+    monkeypatch.setattr(sensor, "OBSERVE_S", 0.5)
+    monkeypatch.setattr(sensor, "FIRST_FRAME_S", 4.0)
     monkeypatch.setattr(sensor, "SETTLE_S", 0.2)
-    monkeypatch.setattr(gripper, "QUESTIONS", 20)
-    monkeypatch.setattr(arm_look, "MEASURE_S", 0.3)
+    monkeypatch.setattr(gripper, "READS", 20)
+    monkeypatch.setattr(ur5_diagnostics, "MEASURE_S", 0.3)
     yield
     structlog.reset_defaults()
 
@@ -136,9 +136,9 @@ def test_all_present(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     told = ask(capfd, there.config)
     assert told.problem == set()
     assert told.line("left", "sensor") == "ok: found, serial SIM-L -> "
-    assert "fps of 30 asked for" in told.line("right", "frame rate")
+    assert "fps (30 configured)" in told.line("right", "frame rate")
     assert "of" in told.line("right", "lost frames")
-    assert told.line("left", "no-contact image").startswith("ok: 0 min old")
+    assert told.line("left", "background image").startswith("ok: 0 min old")
     assert "p50" in told.line("gripper", "round trip")
     assert "p99" in told.line("gripper", "round trip")
     assert "FTDI" in told.line("gripper", "adapter")
@@ -160,7 +160,7 @@ def test_people_see_a_table_that_fits(there: Cell, capfd: pytest.CaptureFixture[
     said = capfd.readouterr()
     assert said.err == ""
     assert all(len(line) <= 80 for line in said.out.splitlines()[:-1])
-    assert ("nothing wrong" in said.out) == ("✗" not in said.out)
+    assert ("no problems" in said.out) == ("✗" not in said.out)
     assert said.out.count("✓") > 15
 
 

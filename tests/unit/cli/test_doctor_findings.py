@@ -17,7 +17,7 @@ from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import GripperState
 from slipguard.diagnosis import CheckResult, CheckStatus, Diagnosable, ok, problem, problem_from_error
-from slipguard.doctor import examine, gripper, machine, sensor, through_daemon
+from slipguard.doctor import gripper, machine, run_checks, sensor, through_daemon
 from slipguard.errors import DeviceLost
 from slipguard_drivers.digit.diagnostics import RULES, check_digit
 from slipguard_drivers.digit.settings import DigitSettings
@@ -105,7 +105,7 @@ def test_the_adapters_latency_timer() -> None:
     ("rate_hz", "asked_hz", "status"), [(59.2, 60.0, "ok"), (44.0, 60.0, "problem"), (29.9, None, "ok")]
 )
 def test_rates(rate_hz: float, asked_hz: float | None, status: str) -> None:
-    assert sensor.rate(rate_hz, asked_hz).status == status
+    assert sensor.check_rate(rate_hz, asked_hz).status == status
 
 
 @pytest.mark.parametrize(
@@ -113,19 +113,19 @@ def test_rates(rate_hz: float, asked_hz: float | None, status: str) -> None:
     [(120, 1, 0, 0, "ok"), (117, 3, 0, 0, "note"), (100, 10, 0, 0, "problem"), (120, 0, 0, 1, "problem")],
 )
 def test_losses(came: int, lost: int, damaged: int, interruptions: int, status: str) -> None:
-    assert sensor.losses(came, lost, damaged, interruptions).status == status
+    assert sensor.check_losses(came, lost, damaged, interruptions).status == status
 
 
 def test_the_age_of_a_no_contact_image(tmp_path: Path) -> None:
     store = StateDir(tmp_path)
     now = datetime.now(UTC)
-    assert sensor.no_contact("D1", store, now).status is CheckStatus.PROBLEM
+    assert sensor.check_background("D1", store, now).status is CheckStatus.PROBLEM
     store.save_background("D1", BackgroundImage(np.zeros((320, 240, 3), np.uint8), (1.0, 1.0, 1.0), 30))
-    assert sensor.no_contact("D1", store, now).status is CheckStatus.OK
-    old = sensor.no_contact("D1", store, now + timedelta(days=60))
-    assert (old.status, old.observed) == (CheckStatus.NOTE, "60 days old")
+    assert sensor.check_background("D1", store, now).status is CheckStatus.OK
+    old = sensor.check_background("D1", store, now + timedelta(days=60))
+    assert (old.status, old.observed) == (CheckStatus.NOTE, "60 days old (limit 30 days)")
     next(tmp_path.glob("sensors/D1/*.png")).write_bytes(b"no picture")
-    assert sensor.no_contact("D1", store, now).status is CheckStatus.PROBLEM
+    assert sensor.check_background("D1", store, now).status is CheckStatus.PROBLEM
 
 
 def state(**changes: Any) -> GripperState:
@@ -134,28 +134,28 @@ def state(**changes: Any) -> GripperState:
 
 
 def test_a_gripper_that_is_not_activated_or_at_fault() -> None:
-    (idle,) = gripper.condition(state(active=False))
+    (idle,) = gripper.check_state(state(active=False))
     assert (idle.status, "open and close fully" in idle.action) == (CheckStatus.NOTE, True)
-    (faulty,) = gripper.condition(state(fault="overcurrent"))
+    (faulty,) = gripper.check_state(state(fault="overcurrent"))
     assert (faulty.status, faulty.observed) == (CheckStatus.PROBLEM, "fault: overcurrent")
 
 
 def test_a_slow_line_and_a_lossy_one() -> None:
-    assert gripper.round_trip([0.005] * 100, 0).status is CheckStatus.OK
-    assert gripper.round_trip([0.018] * 100, 0).status is CheckStatus.NOTE
-    assert gripper.round_trip([0.005] * 95, 5).status is CheckStatus.PROBLEM
-    assert gripper.round_trip([], 10).status is CheckStatus.PROBLEM
+    assert gripper.check_round_trips([0.005] * 100, 0).status is CheckStatus.OK
+    assert gripper.check_round_trips([0.018] * 100, 0).status is CheckStatus.NOTE
+    assert gripper.check_round_trips([0.005] * 95, 5).status is CheckStatus.PROBLEM
+    assert gripper.check_round_trips([], 10).status is CheckStatus.PROBLEM
 
 
 def test_a_state_folder_that_cannot_be(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    assert machine.state_folder(tmp_path / "file" / "state").status is CheckStatus.PROBLEM
-    assert machine.state_folder(tmp_path / "new" / "state").status is CheckStatus.OK
+    assert machine.check_state_folder(tmp_path / "file" / "state").status is CheckStatus.PROBLEM
+    assert machine.check_state_folder(tmp_path / "new" / "state").status is CheckStatus.OK
 
 
 def test_one_core_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0})
-    assert machine.processor().status is CheckStatus.NOTE
+    assert machine.check_processor().status is CheckStatus.NOTE
 
 
 def test_what_to_do_comes_out_of_our_own_errors() -> None:
@@ -189,8 +189,8 @@ class Plain:
 
 
 async def ask(config: Config, driver: type, monkeypatch: pytest.MonkeyPatch) -> list[CheckResult]:
-    monkeypatch.setattr(examine, "load_driver", lambda group, name: driver)
-    return await examine._device("arm", config, None)
+    monkeypatch.setattr(run_checks, "load_driver", lambda group, name: driver)
+    return await run_checks._check_device("arm", config, None)
 
 
 async def test_a_driver_that_fails_is_one_more_finding(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -202,7 +202,7 @@ async def test_a_driver_that_fails_is_one_more_finding(monkeypatch: pytest.Monke
 
 async def test_an_arm_without_a_look_of_its_own_is_not_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     (found,) = await ask(sim_config(), Plain, monkeypatch)
-    assert (found.status, "no look of its own" in found.observed) == (CheckStatus.NOTE, True)
+    assert (found.status, "no checks of its own" in found.observed) == (CheckStatus.NOTE, True)
 
 
 async def test_a_look_that_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,14 +211,14 @@ async def test_a_look_that_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPa
             await asyncio.sleep(3600)
             yield problem("never", "seen", "nothing")
 
-    monkeypatch.setattr(examine, "DEVICE_S", 0.05)
+    monkeypatch.setattr(run_checks, "DEVICE_S", 0.05)
     (found,) = await ask(sim_config(), Endless, monkeypatch)
-    assert (found.check, found.status) == ("look", CheckStatus.PROBLEM)
+    assert (found.check, found.status) == ("check", CheckStatus.PROBLEM)
 
 
 @pytest.mark.parametrize("known", ["ok", "drifted", "marked", "worn"])
 def test_a_gel_that_has_changed_is_a_note_with_what_to_do(known: str) -> None:
     told = {"status": known, "observed": "2 lasting marks", "action": "" if known == "ok" else "clean the gel"}
-    found = through_daemon.gel(told)
+    found = through_daemon.check_gel(told)
     assert (found.check, found.observed, found.action) == ("gel", told["observed"], told["action"])
     assert found.status is (CheckStatus.OK if known == "ok" else CheckStatus.NOTE)
