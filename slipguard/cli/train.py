@@ -150,7 +150,7 @@ def train(
     from slipguard.cli.train_paper import training_progress
     from slipguard.datasets.frame_cache import VALIDATION_SEED, rendered_frames
     from slipguard.datasets.mask_scores import backgrounds_in, real_frames
-    from slipguard.training.export import contract_metadata, export_onnx
+    from slipguard.training.onnx_export import export_small, small_metadata
     from slipguard.training.train import TrainSettings, real_scores
     from slipguard.training.train import train as fit
 
@@ -198,7 +198,7 @@ def train(
         command += " --start weights.pt"
     if no_contact:
         command += f" --backgrounds ({len(no_contact)} images)"
-    metadata = contract_metadata(command, seed, threshold)
-    difference = export_onnx(net, out, metadata, held_out)
+    metadata = small_metadata(command, seed, threshold)
+    difference = export_small(net, out, metadata, held_out)
     size_kb = out.stat().st_size / 1000
     console.print(f"wrote {out} ({size_kb:.0f} kB); onnxruntime and torch differ by at most {difference:.1e}")

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from slipguard.training.paper.frames import MaskedFrames
     from slipguard.training.paper.recipe import Recipe
-    from slipguard.training.paper.training import Epoch
+    from slipguard.training.paper.training import PaperEpoch
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,14 +44,11 @@ def train_paper(asked: Request) -> None:
     from rich.console import Console
 
     from slipguard.tools.parallel import Workers
-    from slipguard.training.int8 import CALIBRATION_FRAMES, quantised
-    from slipguard.training.paper.curves import draw_curves
-    from slipguard.training.paper.export import contract_metadata, export_onnx
+    from slipguard.training.onnx_export import CALIBRATION_FRAMES, export_paper, paper_metadata, write_int8
     from slipguard.training.paper.networks import FrameNet
-    from slipguard.training.paper.precision import chosen
     from slipguard.training.paper.recipe import FRAMES, RECIPES, Arch
-    from slipguard.training.paper.scoring import score
-    from slipguard.training.paper.training import HISTORY, Settings, train
+    from slipguard.training.paper.report import draw_curves, score_network
+    from slipguard.training.paper.training import HISTORY, PaperTraining, choose_precision, train
 
     console = Console()
     recipe = replace(RECIPES[asked.recipe], **asked.changed)
@@ -63,14 +60,14 @@ def train_paper(asked: Request) -> None:
         net.start_encoder_from(asked.encoder_weights)
     if asked.start is not None:
         net.start_from(asked.start)
-    precision = chosen(asked.bfloat16)
+    precision = choose_precision(asked.bfloat16)
     work = asked.work / f"{arch.value}-{recipe.name}"
     work.mkdir(parents=True, exist_ok=True)
     with training_progress(console) as progress:
         shown, held_out = _frames(asked, recipe, FRAMES, Workers(cluster=asked.cluster), progress)
         encoder = asked.encoder_weights.name if asked.encoder_weights else "random"
         encoder = "an earlier training's" if asked.start else encoder
-        settings = Settings(arch, recipe, len(shown), asked.seed, encoder, precision.name)
+        settings = PaperTraining(arch, recipe, len(shown), asked.seed, encoder, precision.name)
         console.print(
             f"{arch.value}, recipe {recipe.name}: {len(shown)} frames of {recipe.width_px}x{recipe.height_px}, "
             f"{recipe.epochs} epochs, batch {recipe.batch}, Adam {recipe.rate:g} {recipe.schedule.value}, focal loss, "
@@ -78,7 +75,7 @@ def train_paper(asked: Request) -> None:
         )
         training = progress.add_task("training", total=None)
 
-        def on_epoch(epoch: Epoch) -> None:
+        def on_epoch(epoch: PaperEpoch) -> None:
             console.print(
                 f"epoch {epoch.number}: loss {epoch.loss:.4f}, held-out Dice {epoch.dice:.3f}, IoU {epoch.iou:.3f}, "
                 f"{epoch.seconds:.0f} s"
@@ -96,18 +93,20 @@ def train_paper(asked: Request) -> None:
         )
     draw_curves(history, f"{arch.value}, {recipe.name}", work / "curves.png")
     console.print(f"figures of every epoch in {work / HISTORY}, curves in {work / 'curves.png'}")
-    metadata = contract_metadata(
+    metadata = paper_metadata(
         _command(asked, len(shown)), asked.seed, asked.threshold, _label(asked), (recipe.width_px, recipe.height_px)
     )
-    difference = export_onnx(net, asked.out, metadata, held_out)
+    difference = export_paper(net, asked.out, metadata, held_out)
     size_mb = asked.out.stat().st_size / 1e6
     console.print(f"wrote {asked.out} ({size_mb:.1f} MB); onnxruntime and torch differ by at most {difference:.1e}")
-    console.print(f"held out, {asked.out.name}: {score(asked.out, held_out, asked.threshold)}")
+    console.print(f"held out, {asked.out.name}: {score_network(asked.out, held_out, asked.threshold)}")
     if asked.int8:
         smaller = asked.out.with_name(f"{asked.out.stem}-int8.onnx")
-        quantised(asked.out, smaller, shown.sample(CALIBRATION_FRAMES))
+        write_int8(asked.out, smaller, shown.sample(CALIBRATION_FRAMES))
         size_mb = smaller.stat().st_size / 1e6
-        console.print(f"held out, {smaller.name} ({size_mb:.1f} MB): {score(smaller, held_out, asked.threshold)}")
+        console.print(
+            f"held out, {smaller.name} ({size_mb:.1f} MB): {score_network(smaller, held_out, asked.threshold)}"
+        )
 
 
 def training_progress(console: Console) -> Progress:
@@ -128,12 +127,12 @@ def training_progress(console: Console) -> Progress:
 def _frames(
     asked: Request, recipe: Recipe, usual: int, workers: Any, progress: Progress
 ) -> tuple[MaskedFrames, MaskedFrames]:
-    from slipguard.training.paper.frames import from_folder, rendered
+    from slipguard.training.paper.frames import read_masked_frames, render_masked_frames
     from slipguard.training.paper.recipe import HELD_OUT
 
     size_px = (recipe.width_px, recipe.height_px)
     if asked.data is not None:
-        return from_folder(asked.data, size_px)
+        return read_masked_frames(asked.data, size_px)
     asked.work.mkdir(parents=True, exist_ok=True)
     parts = []
     for count, held_out in ((asked.frames or usual, False), (HELD_OUT, True)):
@@ -142,7 +141,7 @@ def _frames(
         def show(done: int, task: Any = drawing) -> None:
             progress.update(task, completed=done)
 
-        parts.append(rendered(asked.work, count, size_px, held_out, workers, show))
+        parts.append(render_masked_frames(asked.work, count, size_px, held_out, workers, show))
     return parts[0], parts[1]
 
 

@@ -1,4 +1,4 @@
-"""Batches of rendered frames made as varied as real units are: light, drift, wear, unknown backgrounds."""
+"""Augmentation of rendered frames to the variety of real units: light, drift, wear, unknown backgrounds."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ DRIFT_LEVELS = 16.0
 LIGHT_LEVELS = (5.0, 2.5, 2.5, 1.5, 1.5, 1.5)
 """Largest drift of the lamps in grey levels: constant, x, y, xy, x^2, y^2."""
 BACKGROUND_NOISE_LEVELS = 1.2
-"""What is left of camera noise in a no-contact image at network resolution when a single frame was stored."""
+"""Camera noise in a background image of a single frame, at network resolution."""
 NOISE_POOL = 64
 REAL_SHARE = 0.5
 ZOOM_MAX = 2.2
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
-    """What the network is shown. frame, background: (N, 160, 120, 3) uint8; known: (N,); label: (N, 1, 160, 120)."""
+class TrainingBatch:
+    """Input and target. frame, background: (N, 160, 120, 3) uint8; known: (N,); label: (N, 1, 160, 120)."""
 
     frame: Tensor
     background: Tensor
@@ -36,13 +36,19 @@ class Batch:
 
 
 class Augment:
-    """Random changes that leave the label true.
+    """Applies random changes that leave the label valid.
 
-    Contrast of the imprint, gain and offset per channel, structure of the unit in both images (slightly moved in the
-    frame), drift of many kinds in the frame alone, noise in the no-contact image, mirror images; and for a share
-    `unknown` of the samples the no-contact image is replaced by the guess that use without one would make.
-    backgrounds: real no-contact images (320, 240, 3) on which half of the imprints are put. size: (width, height) of
-    what the network sees.
+    These are contrast of the imprint, gain and offset per channel, structure of the unit in both images (slightly
+    shifted in the frame), drift of many kinds in the frame, noise in the background image, and mirroring.
+
+    Args:
+        seed: Seed of all random numbers.
+        pool: Number of structure and drift patterns.
+        unknown: Share of samples whose background image is replaced by an estimate from the frame.
+        contrast_max: Strongest imprint, relative to the rendered one.
+        backgrounds: Real background images (320, 240, 3) that half of the imprints are put on.
+        zoom_share: Share of samples that are enlarged.
+        size: (width, height) of the network's input.
     """
 
     def __init__(
@@ -69,32 +75,32 @@ class Augment:
         third = torch.full_like(x, 1.0 / 3.0)
         self._light = torch.stack([torch.ones_like(x), x, y, x * y, x * x - third, y * y - third])
 
-    def __call__(self, frame: Tensor, background: Tensor, label: Tensor) -> Batch:
-        """frame, background: (N, 160, 120, 3) uint8; label: (N, 160, 120) uint8, 255 is contact."""
+    def __call__(self, frame: Tensor, background: Tensor, label: Tensor) -> TrainingBatch:
+        """Return an augmented batch. frame, background: (N, 160, 120, 3) uint8; label: (N, 160, 120) uint8, 255 is contact."""
         count = len(frame)
         if self._zoom_share:
-            frame, background, label = self._zoomed(frame, background, label)
+            frame, background, label = self._zoom(frame, background, label)
         unit = background.float()
         change = (frame.float() - unit) * self._between(count, 0.6, self._contrast_max)
-        unit = self._on_real(unit)
-        seen = unit + change
-        seen, unit = self._structured(seen, unit)
+        unit = self._put_on_real(unit)
+        image = unit + change
+        image, unit = self._add_structure(image, unit)
         gain = self._between(count, 0.8, 1.25) * self._between(count, 0.85, 1.15, channels=3)
         offset = self._between(count, -12.0, 12.0)
-        seen = self._drifted(seen * gain + offset)
+        image = self._add_drift(image * gain + offset)
         unit = unit * gain + offset
-        unit = unit + self._drawn(self._noise, count) * (self._chosen(count, 0.5) * BACKGROUND_NOISE_LEVELS)
+        unit = unit + self._pick(self._noise, count) * (self._flags(count, 0.5) * BACKGROUND_NOISE_LEVELS)
         axes = [axis for axis in (1, 2) if self._coin(0.5)]
-        seen, unit, label = seen.flip(axes), unit.flip(axes), label.flip(axes)
-        shown = seen.round().clamp(0, 255).byte()
+        image, unit, label = image.flip(axes), unit.flip(axes), label.flip(axes)
+        shown = image.round().clamp(0, 255).byte()
         reference = unit.round().clamp(0, 255).byte()
         known = (torch.rand(count, generator=self._rng) >= self._unknown).float()
         for index in torch.nonzero(known == 0).flatten().tolist():
             reference[index] = torch.from_numpy(estimate_background(shown[index].numpy()))
-        return Batch(shown, reference, known, label[:, None].float() / 255.0)
+        return TrainingBatch(shown, reference, known, label[:, None].float() / 255.0)
 
-    def _zoomed(self, frame: Tensor, background: Tensor, label: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """A share of the samples enlarged by up to `ZOOM_MAX` about a point of the imprint: broad, smooth bulges."""
+    def _zoom(self, frame: Tensor, background: Tensor, label: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Enlarge a share of the samples by up to `ZOOM_MAX` around a point of the imprint: broad, smooth bulges."""
         images = [frame.numpy().copy(), background.numpy().copy(), label.numpy().copy()]
         for index in torch.nonzero(torch.rand(len(frame), generator=self._rng) < self._zoom_share).flatten().tolist():
             rows, columns = np.nonzero(images[2][index])
@@ -108,46 +114,46 @@ class Augment:
                 image[index] = cv2.warpAffine(image[index], matrix, self._size, borderMode=cv2.BORDER_REPLICATE)
         return torch.from_numpy(images[0]), torch.from_numpy(images[1]), torch.from_numpy(images[2])
 
-    def _on_real(self, unit: Tensor) -> Tensor:
-        """Half of the units given the look of a real one: one of the real images, or two mixed, warped."""
+    def _put_on_real(self, unit: Tensor) -> Tensor:
+        """Replace half of the backgrounds by a warped real image, or a mix of two."""
         if not self._backgrounds:
             return unit
         out = unit.clone()
         for index in torch.nonzero(torch.rand(len(unit), generator=self._rng) < REAL_SHARE).flatten().tolist():
             weight = 1.0 if self._coin(0.5) else float(torch.rand((), generator=self._rng))
-            out[index] = weight * self._warped_real() + (1.0 - weight) * self._warped_real()
+            out[index] = weight * self._warp_real() + (1.0 - weight) * self._warp_real()
         return out
 
-    def _warped_real(self) -> Tensor:
-        """A real no-contact image turned by up to 15 degrees, enlarged, shifted, perhaps mirrored."""
+    def _warp_real(self) -> Tensor:
+        """Return a real background image rotated by up to 15 degrees, enlarged, shifted and sometimes mirrored."""
         which, rotation, scale, right, down, mirror = torch.rand(6, generator=self._rng).tolist()
         image = self._backgrounds[int(which * len(self._backgrounds))]
-        centre = (self._size[0] / 2, self._size[1] / 2)
-        matrix = cv2.getRotationMatrix2D(centre, 30.0 * rotation - 15.0, 1.0 + 0.4 * scale)
+        center = (self._size[0] / 2, self._size[1] / 2)
+        matrix = cv2.getRotationMatrix2D(center, 30.0 * rotation - 15.0, 1.0 + 0.4 * scale)
         matrix[:, 2] += (20.0 * right - 10.0, 20.0 * down - 10.0)
         warped = cv2.warpAffine(image, matrix, self._size, borderMode=cv2.BORDER_REFLECT)
         return torch.from_numpy(warped[:, ::-1].copy() if mirror < 0.3 else warped).float()
 
-    def _structured(self, seen: Tensor, unit: Tensor) -> tuple[Tensor, Tensor]:
-        count = len(seen)
-        strength = self._chosen(count, 0.7) * self._between(count, 0.0, 1.0) ** 1.5 * STRUCTURE_LEVELS
-        here = self._drawn(self._structure, count) * strength
+    def _add_structure(self, image: Tensor, unit: Tensor) -> tuple[Tensor, Tensor]:
+        count = len(image)
+        strength = self._flags(count, 0.7) * self._between(count, 0.0, 1.0) ** 1.5 * STRUCTURE_LEVELS
+        here = self._pick(self._structure, count) * strength
         moved = here
         if self._coin(0.5):
             down, right = torch.randint(-3, 4, (2,), generator=self._rng).tolist()
             moved = torch.roll(here, (down, right), (1, 2))
-        return seen + moved, unit + here
+        return image + moved, unit + here
 
-    def _drifted(self, seen: Tensor) -> Tensor:
-        count = len(seen)
-        strength = self._chosen(count, 0.75) * self._between(count, 0.0, 1.0) ** 1.5 * DRIFT_LEVELS
-        seen = seen + self._drawn(self._drift, count) * strength
-        seen = seen * (1.0 + self._between(count, -0.06, 0.06, channels=3) * self._chosen(count, 0.7))
+    def _add_drift(self, image: Tensor) -> Tensor:
+        count = len(image)
+        strength = self._flags(count, 0.75) * self._between(count, 0.0, 1.0) ** 1.5 * DRIFT_LEVELS
+        image = image + self._pick(self._drift, count) * strength
+        image = image * (1.0 + self._between(count, -0.06, 0.06, channels=3) * self._flags(count, 0.7))
         terms = (2.0 * torch.rand((count, 3, 6), generator=self._rng) - 1.0) * torch.tensor(LIGHT_LEVELS)
         light = torch.einsum("nct,thw->nhwc", terms, self._light)
-        return seen + light * self._chosen(count, 0.85)
+        return image + light * self._flags(count, 0.85)
 
-    def _drawn(self, pool: Tensor, count: int) -> Tensor:
+    def _pick(self, pool: Tensor, count: int) -> Tensor:
         which = torch.randint(len(pool), (count,), generator=self._rng)
         axes = [axis for axis in (1, 2) if self._coin(0.5)]
         return pool[which].float().flip(axes)
@@ -155,7 +161,7 @@ class Augment:
     def _between(self, count: int, low: float, high: float, channels: int = 1) -> Tensor:
         return low + (high - low) * torch.rand((count, 1, 1, channels), generator=self._rng)
 
-    def _chosen(self, count: int, share: float) -> Tensor:
+    def _flags(self, count: int, share: float) -> Tensor:
         return (torch.rand((count, 1, 1, 1), generator=self._rng) < share).float()
 
     def _coin(self, share: float) -> bool:

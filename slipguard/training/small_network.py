@@ -1,9 +1,8 @@
-"""The small segmentation network: frame and no-contact image in, contact probability out.
+"""The small segmentation network: from a frame and the background image to the contact probability.
 
-What a camera-to-mask network needs to see is the *change* against the unit's no-contact image, so the difference is
-formed inside the graph, where it costs nothing extra and training and use cannot disagree about it. Light drifts by a
-few grey levels from press to press; a clipped mean over the difference image finds that level (a contact patch moves
-it little because its large values are clipped) and takes it away.
+The network needs the *change* since the unit's background image, so the difference is part of the graph: training and
+use cannot differ. Light drifts by a few grey levels from press to press. A clipped mean over the difference image
+estimates that level, which is subtracted; a contact patch hardly affects it because its large values are clipped.
 """
 
 from __future__ import annotations
@@ -27,17 +26,20 @@ def _conv(inputs: int, outputs: int, *, size: int = 3, stride: int = 1, dilation
 
 
 class SmallNet(nn.Module):
-    """Encoder-decoder with four strides of two, a view of the whole picture at the bottom and a sub-pixel head.
+    """Encoder-decoder with four strides of two, global context at the coarsest level and a sub-pixel head.
 
-    Full resolution is where time goes on one core: the first convolution strides at once, and the head
-    restores it by depth-to-space. Where an outline lies depends on the deepest press, wherever that is: at the bottom
-    each place is told the mean and the largest value of the whole picture.
-    frame, background: (N, 160, 120, 3) uint8 BGR, area-halved images (any size that 16 divides works, and 120);
-    background_known: (N,) float, 1 where `background` is the unit's no-contact image, 0 where it is a smooth guess
-    made from the frame. Returns logits (N, 1, 160, 120).
+    Full resolution takes most of the time on one core: the first convolution has a stride, and the head restores the
+    resolution by depth-to-space. The position of a contour depends on the deepest press anywhere in the image, so at
+    the coarsest level every place gets the mean and the maximum of the whole image.
 
-    widths: channels at a half, a quarter, an eighth and a sixteenth of the input; the last may be 0, then there is no
-    such level and no view of the whole. inputs: what it sees, the change against the no-contact image, the frame, both.
+    `forward` takes frame and background, (N, 160, 120, 3) uint8 BGR, halved by area (any size that is a multiple of 16
+    works, and 120), and background_known, (N,) float: 1 if `background` is the unit's background image, 0 if it is
+    estimated from the frame. It returns logits (N, 1, 160, 120).
+
+    Args:
+        widths: Channels at a half, a quarter, an eighth and a sixteenth of the input; the last may be 0: then there is
+            no such level and no global context.
+        inputs: The change since the background image, the frame, or both.
     """
 
     def __init__(self, widths: tuple[int, int, int, int] = (16, 32, 64, 96), inputs: Inputs = "both") -> None:
@@ -50,7 +52,7 @@ class SmallNet(nn.Module):
         self.down1 = nn.Sequential(_conv(a, b, stride=2), _conv(b, b))
         self.down2 = _conv(b, c, stride=2)
         self.middle = nn.ModuleList(_conv(c, c, dilation=2**n) for n in range(1 if d else 3))
-        self.whole = _Whole(c, d) if d else None
+        self.context = _GlobalContext(c, d) if d else None
         self.side2 = nn.Conv2d(c, b, 1)
         self.up2 = _conv(b, b)
         self.side1 = nn.Conv2d(b, a, 1)
@@ -58,19 +60,19 @@ class SmallNet(nn.Module):
         self.head = nn.Conv2d(a, 4, 3, 1, 1)
 
     def forward(self, frame: Tensor, background: Tensor, background_known: Tensor) -> Tensor:
-        seen = self._seen(frame.permute(0, 3, 1, 2).float(), background.permute(0, 3, 1, 2).float())
-        half = self.stem_rest(self.stem(seen) + self.known * background_known.view(-1, 1, 1, 1))
+        inputs = self._inputs(frame.permute(0, 3, 1, 2).float(), background.permute(0, 3, 1, 2).float())
+        half = self.stem_rest(self.stem(inputs) + self.known * background_known.view(-1, 1, 1, 1))
         quarter = self.down1(half)
         eighth = self.down2(quarter)
         for block in self.middle:
             eighth = eighth + block(eighth)
-        if self.whole is not None:
-            eighth = self.whole(eighth)
+        if self.context is not None:
+            eighth = self.context(eighth)
         quarter = self.up2(quarter + nn.functional.interpolate(self.side2(eighth), scale_factor=2.0))
         half = self.up1(half + nn.functional.interpolate(self.side1(quarter), scale_factor=2.0))
         return nn.functional.pixel_shuffle(self.head(half), 2)
 
-    def _seen(self, image: Tensor, background: Tensor) -> Tensor:
+    def _inputs(self, image: Tensor, background: Tensor) -> Tensor:
         change = image - background
         level = change.clamp(-12.0, 12.0).mean((2, 3), keepdim=True)
         level = level + (change - level).clamp(-6.0, 6.0).mean((2, 3), keepdim=True)
@@ -78,20 +80,20 @@ class SmallNet(nn.Module):
         return torch.cat([views[name] for name in ("change", "frame") if self.inputs in (name, "both")], 1)
 
 
-class _Whole(nn.Module):
-    """The level at a sixteenth of the input, where every place learns of the whole picture."""
+class _GlobalContext(nn.Module):
+    """The level at a sixteenth of the input, where every place gets the mean and maximum of the whole image."""
 
     def __init__(self, outer: int, width: int) -> None:
         super().__init__()
         self.down = _conv(outer, width, stride=2)
-        self.told = nn.Sequential(nn.Conv2d(2 * width, width, 1), nn.ReLU(), nn.Conv2d(width, width, 1))
+        self.pooled = nn.Sequential(nn.Conv2d(2 * width, width, 1), nn.ReLU(), nn.Conv2d(width, width, 1))
         self.blocks = nn.ModuleList(_conv(width, width, dilation=dilation) for dilation in (1, 2))
         self.side = nn.Conv2d(width, outer, 1)
         self.up = _conv(outer, outer)
 
     def forward(self, outer: Tensor) -> Tensor:
         inner = self.down(outer)
-        inner = inner + self.told(torch.cat((inner.mean((2, 3), keepdim=True), inner.amax((2, 3), keepdim=True)), 1))
+        inner = inner + self.pooled(torch.cat((inner.mean((2, 3), keepdim=True), inner.amax((2, 3), keepdim=True)), 1))
         for block in self.blocks:
             inner = inner + block(inner)
         height, width = outer.shape[2:]
@@ -100,8 +102,8 @@ class _Whole(nn.Module):
         return mixed
 
 
-class Exported(nn.Module):
-    """The network as shipped: probabilities (N, 1, 160, 120) in 0..1 instead of logits."""
+class ProbabilityNet(nn.Module):
+    """Returns probabilities (N, 1, 160, 120) in 0..1 instead of logits."""
 
     def __init__(self, net: SmallNet) -> None:
         super().__init__()
@@ -112,6 +114,6 @@ class Exported(nn.Module):
 
 
 def example_inputs() -> tuple[Tensor, Tensor, Tensor]:
-    """Zeros of the right shapes and types, to trace the network with."""
+    """Return zeros of the right shapes and types, to trace the network with."""
     image = torch.zeros((1, INPUT_HEIGHT_PX, INPUT_WIDTH_PX, 3), dtype=torch.uint8)
     return image, image.clone(), torch.ones(1)

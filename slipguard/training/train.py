@@ -1,4 +1,4 @@
-"""Training of the small segmentation network on rendered frames: resumable, repeatable, on a plain CPU."""
+"""Training of the small segmentation network on rendered frames: resumable, reproducible, on a CPU."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ WARM_UP_SHARE = 0.05
 EMA_HALF_LIFE_EPOCHS = 0.25
 DICE_SMOOTHING_PX = 20.0
 WEIGHTS = "weights.pt"
-"""In the work folder: the finished network's weights, which a later training may start from."""
+"""In the work folder: the final weights, from which a later training can start."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrainSettings:
-    """What decides the outcome of a training, besides the frames.
+    """What determines a training, with the frames.
 
-    unknown: share of the samples whose no-contact image is a guess; contrast_max: strongest imprint, against the
-    drawn one; zoom_share: samples enlarged to broad bulges. bfloat16: convolutions in half precision, half as long on
-    a processor that has it (AVX512-BF16, AMX) and longer on one that has not.
+    unknown: share of samples with an estimated background image. contrast_max: strongest imprint, relative to the
+    rendered one. zoom_share: share of samples enlarged to broad bulges. bfloat16: convolutions in half precision, in
+    half the time on a processor that supports it (AVX512-BF16, AMX), slower on others.
     """
 
     epochs: int = 6
@@ -47,7 +47,7 @@ class TrainSettings:
     threads: int = 2
     threshold: float = 0.5
     patterns: int = 800
-    """Procedural disturbances of each kind drawn anew for every epoch."""
+    """Random disturbances of each kind per epoch."""
     unknown: float = 0.3
     contrast_max: float = 2.0
     zoom_share: float = 0.2
@@ -57,7 +57,7 @@ class TrainSettings:
 @dataclass(frozen=True, slots=True)
 class EpochFigures:
     """loss: mean over the epoch; dice, iou: means over rendered validation frames with contact;
-    false_contact: share of validation frames without contact on which more than 40 of 19,200 pixels are called contact.
+    false_contact: share of validation frames without contact that have more than 40 of 19,200 pixels of contact.
     """
 
     epoch: int
@@ -71,7 +71,7 @@ FALSE_CONTACT_PX = 40
 
 
 def segmentation_loss(logits: Tensor, label: Tensor) -> Tensor:
-    """Twice the mean binary cross-entropy plus one minus the soft Dice of the samples that have a contact."""
+    """Return twice the mean binary cross-entropy plus one minus the soft Dice of the samples with contact."""
     entropy = torch.nn.functional.binary_cross_entropy_with_logits(logits, label)
     probability = torch.sigmoid(logits)
     both = (probability * label).sum((1, 2, 3))
@@ -92,28 +92,37 @@ def train(
     start: Path | None = None,
     make_net: Callable[[], SmallNet] = SmallNet,
 ) -> SmallNet:
-    """Train and return the averaged network; picks up after the last whole epoch found in `work`.
+    """Train and return the averaged network. Adam, linear warm-up, cosine decay to zero, exponential average.
 
-    Adam, linear warm-up, cosine decay to zero; the result is an exponential average. `on_step(done, total)` counts
-    batches, `on_epoch` gets the figures and the average so far. Raises `InputError` for fewer frames than one batch.
-    backgrounds: real no-contact images (320, 240, 3) that half of the imprints are put on. start: weights to begin
-    with instead of random ones, as far as their layers are the network's.
+    Args:
+        frames: Frames for training.
+        validation: Frames for the figures of each epoch.
+        settings: What determines the training.
+        work: Folder of the checkpoint and the final weights. A training resumes from its last whole epoch.
+        on_step: Called with the number of finished and of all batches.
+        on_epoch: Called with the figures and the average so far.
+        backgrounds: Real background images (320, 240, 3) that half of the imprints are put on.
+        start: Weights to start with instead of random ones, for layers of the same name and shape.
+        make_net: Makes the network.
+
+    Raises:
+        InputError: There are fewer frames than one batch.
     """
     steps_per_epoch = len(frames) // settings.batch
     if steps_per_epoch < 1:
-        raise InputError(f"{len(frames)} frames are fewer than one batch of {settings.batch}; ask for more frames")
+        raise InputError(f"{len(frames)} frames are fewer than one batch of {settings.batch}; use more frames")
     torch.set_num_threads(settings.threads)
     torch.manual_seed(settings.seed)
     net = make_net()
     if start is not None:
-        _take_over(net, torch.load(start, weights_only=True))
+        _load_matching(net, torch.load(start, weights_only=True))
     _channels_last(net)
     average = copy.deepcopy(net)
     total = settings.epochs * steps_per_epoch
-    optimiser = torch.optim.Adam(net.parameters(), settings.rate)
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, partial(_rate_share, total=total))
+    optimizer = torch.optim.Adam(net.parameters(), settings.rate)
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, partial(_rate_share, total=total))
     checkpoint = work / "checkpoint.pt"
-    done_epochs = _resume(checkpoint, settings, len(frames), net, average, optimiser, schedule)
+    done_epochs = _resume(checkpoint, settings, len(frames), net, average, optimizer, schedule)
     keep = 0.5 ** (1.0 / max(EMA_HALF_LIFE_EPOCHS * steps_per_epoch, 1.0))
     for epoch in range(done_epochs, settings.epochs):
         augment = _augment(frames, settings, epoch, backgrounds)
@@ -126,9 +135,9 @@ def train(
             with torch.autocast("cpu", torch.bfloat16, enabled=settings.bfloat16):
                 logits = net(batch.frame, batch.background, batch.known)
             loss = segmentation_loss(logits.float(), batch.label)
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             torch.autograd.backward(loss)
-            optimiser.step()
+            optimizer.step()
             schedule.step()
             losses += float(loss.detach())
             done = epoch * steps_per_epoch + step + 1
@@ -136,7 +145,7 @@ def train(
             on_step(done, total)
         scores = rendered_scores(average, validation, settings.threshold)
         on_epoch(EpochFigures(epoch + 1, losses / steps_per_epoch, *scores), average)
-        state = [part.state_dict() for part in (net, average, optimiser, schedule)]
+        state = [part.state_dict() for part in (net, average, optimizer, schedule)]
         torch.save(
             {"settings": asdict(settings), "frames": len(frames), "epoch": epoch + 1, "state": state}, checkpoint
         )
@@ -161,13 +170,13 @@ def _augment(
 
 
 def _channels_last(net: SmallNet) -> None:
-    """The order of the weights in memory that a CPU convolves fastest in."""
+    """Store weights in the memory order in which a CPU convolves fastest."""
     for weights in net.parameters():
         if weights.ndim == 4:
             weights.data = weights.data.contiguous(memory_format=torch.channels_last)
 
 
-def _take_over(net: SmallNet, weights: dict[str, Tensor]) -> None:
+def _load_matching(net: SmallNet, weights: dict[str, Tensor]) -> None:
     own = net.state_dict()
     net.load_state_dict(own | {k: v for k, v in weights.items() if k in own and own[k].shape == v.shape})
 
@@ -189,12 +198,12 @@ def _average_into(average: SmallNet, net: SmallNet, keep: float) -> None:
 
 
 def _resume(path: Path, settings: TrainSettings, count: int, *parts: Any) -> int:
-    """Load the parts' states if `path` belongs to these settings; return the epochs already done."""
+    """Load the parts' states if `path` belongs to these settings; return the number of finished epochs."""
     if not path.is_file():
         return 0
     saved = torch.load(path, weights_only=True)
-    wanted = asdict(settings) | {"threads": saved["settings"]["threads"]}
-    if saved["settings"] != wanted or saved["frames"] != count:
+    expected = asdict(settings) | {"threads": saved["settings"]["threads"]}
+    if saved["settings"] != expected or saved["frames"] != count:
         return 0
     for part, state in zip(parts, saved["state"], strict=True):
         part.load_state_dict(state)
@@ -202,7 +211,7 @@ def _resume(path: Path, settings: TrainSettings, count: int, *parts: Any) -> int
 
 
 def probabilities(net: SmallNet, frame: NDArray[np.uint8], background: NDArray[np.uint8], known: bool) -> Tensor:
-    """Contact probabilities (N, 160, 120) of images at network resolution, (N, 160, 120, 3) uint8."""
+    """Return contact probabilities (N, 160, 120) of images at network resolution, (N, 160, 120, 3) uint8."""
     net.eval()
     with torch.no_grad():
         flags = torch.full((len(frame),), float(known))
@@ -211,9 +220,9 @@ def probabilities(net: SmallNet, frame: NDArray[np.uint8], background: NDArray[n
 
 
 def rendered_scores(net: SmallNet, frames: RenderedFrames, threshold: float) -> tuple[float, float, float]:
-    """Mean Dice, mean IoU over frames with contact, and the share of false contacts over those without."""
+    """Return mean Dice and IoU over frames with contact, and the share of false contacts over those without."""
     overlaps: list[tuple[float, float]] = []
-    false: list[bool] = []
+    false_contacts: list[bool] = []
     for start in range(0, len(frames), 50):
         part = slice(start, start + 50)
         masks = probabilities(net, frames.frame[part], frames.background[part], True).numpy() > threshold
@@ -221,9 +230,9 @@ def rendered_scores(net: SmallNet, frames: RenderedFrames, threshold: float) -> 
             if truth.any():
                 overlaps.append((dice(mask, truth), iou(mask, truth)))
             else:
-                false.append(int(mask.sum()) > FALSE_CONTACT_PX)
+                false_contacts.append(int(mask.sum()) > FALSE_CONTACT_PX)
     means = np.mean(overlaps, 0) if overlaps else (float("nan"), float("nan"))
-    return float(means[0]), float(means[1]), float(np.mean(false)) if false else 0.0
+    return float(means[0]), float(means[1]), float(np.mean(false_contacts)) if false_contacts else 0.0
 
 
 def real_scores(
@@ -232,9 +241,13 @@ def real_scores(
     threshold: float,
     size: tuple[int, int] = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX),
 ) -> dict[str, float]:
-    """Mean IoU per group and split ("taxim_sphere tune") of real frames, masks compared at frame size.
+    """Return the mean IoU per group and split ("taxim_sphere tune") of real frames, compared at frame size.
 
-    size: (width, height) that the network sees.
+    Args:
+        net: The network.
+        frames: Real frames with masks.
+        threshold: Probability above which a pixel is contact.
+        size: (width, height) of the network's input.
     """
     scores: dict[str, list[float]] = {}
     for real in frames:
@@ -244,7 +257,7 @@ def real_scores(
             background = estimate_background(np.asarray(small, np.uint8))
         else:
             background = np.asarray(cv2.resize(real.background, size, interpolation=cv2.INTER_AREA), np.uint8)
-        answer = probabilities(net, np.asarray(small, np.uint8)[None], background[None], known)[0].numpy()
-        mask = cv2.resize(answer, (real.mask.shape[1], real.mask.shape[0])) > threshold
+        probability = probabilities(net, np.asarray(small, np.uint8)[None], background[None], known)[0].numpy()
+        mask = cv2.resize(probability, (real.mask.shape[1], real.mask.shape[0])) > threshold
         scores.setdefault(f"{real.group} {real.split}", []).append(iou(np.asarray(mask), real.mask))
     return {group: float(np.mean(values)) for group, values in scores.items()}

@@ -23,9 +23,8 @@ from slipguard.datasets.frame_cache import RenderedFrames
 from slipguard.datasets.mask_scores import RealFrame, backgrounds_in, dice, iou, no_contact_frames, real_frames
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.sim.contact_label import PRESS_SHARE
-from slipguard.training.int8 import CALIBRATION_FRAMES, CONVOLUTIONS, quantised
-from slipguard.training.onnx_file import session
-from slipguard.training.small_network import Exported, Inputs, SmallNet
+from slipguard.training.onnx_export import CALIBRATION_FRAMES, CONVOLUTIONS, open_session, write_int8
+from slipguard.training.small_network import Inputs, ProbabilityNet, SmallNet
 from slipguard.training.train import TrainSettings, probabilities, real_scores, train
 from tests.campaigns.ablation_frames import CONTACT, StoredFrames, held_out_frames, training_frames
 
@@ -97,7 +96,7 @@ def export_network(net: SmallNet, size: tuple[int, int], path: Path) -> Path:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         torch.onnx.export(
-            Exported(net).eval(),
+            ProbabilityNet(net).eval(),
             (image, image.clone(), torch.ones(1)),
             str(path),
             input_names=["frame", "background", "background_known"],
@@ -115,7 +114,7 @@ def export_int8(path: Path, frames: RenderedFrames) -> Path:
         {"frame": frame[None].copy(), "background": background[None].copy(), "background_known": known}
         for frame, background in zip(frames.frame, frames.background, strict=True)
     )
-    quantised(path, out, sample, CONVOLUTIONS)
+    write_int8(path, out, sample, CONVOLUTIONS)
     return out
 
 
@@ -165,7 +164,7 @@ def _crop(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
 
 def median_ms(networks: dict[str, Path], sizes: dict[str, tuple[int, int]]) -> dict[str, float]:
     """Return each network's median processor time; the networks alternate, so other load affects all alike."""
-    sessions = {name: session(path) for name, path in networks.items()}
+    sessions = {name: open_session(path) for name, path in networks.items()}
     rng = np.random.default_rng(0)
     images = {size: rng.integers(0, 255, (size[1], size[0], 3), np.uint8) for size in set(sizes.values())}
     spent: dict[str, list[float]] = {name: [] for name in networks}
@@ -214,7 +213,7 @@ def compare_variants(
     int8_name = "int8, otherwise as shipped"
     calibration = shown.first(CALIBRATION_FRAMES)
     files[int8_name] = export_int8(files[base.name], calibration.at(base.size, calibration.masks(base.mask)))
-    overlap = score_full_frames(session(files[int8_name]), held_out, masks)
+    overlap = score_full_frames(open_session(files[int8_name]), held_out, masks)
     rows.append({"name": int8_name, "dice": overlap[0], "iou": overlap[1]})
     net = base.net()
     net.load_state_dict(torch.load(files[base.name].parent / "weights.pt", weights_only=True))

@@ -1,4 +1,4 @@
-"""Frames with masks to train the paper's networks on: rendered in the paper's numbers, or a data set's folder."""
+"""Frames with masks for the paper's networks: rendered, as many as in the paper, or from a data set's folder."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ OBJECTS = (
     "banana", "battery", "bead", "bolt", "bottle", "bracket", "clover", "coin",
     "cross", "egg", "gear", "hammer", "nut", "pen", "rod", "spring",
 )  # fmt: skip
-"""Sixteen training objects, the nearest to the household things of the paper; frames go round them in turn."""
+"""Sixteen training objects, closest to the household objects of the paper; frames cycle through them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaskedFrames:
-    """frame: (N, H, W, 3) uint8 BGR; mask: (N, H, W) uint8, contact from 128 on."""
+    """frame: (N, H, W, 3) uint8 BGR; mask: (N, H, W) uint8, 128 and above is contact."""
 
     frame: Image
     mask: Image
@@ -40,12 +40,12 @@ class MaskedFrames:
         return len(self.frame)
 
     def sample(self, count: int) -> Iterator[dict[str, Image]]:
-        """About `count` evenly chosen frames, each as a network is given it."""
+        """Return about `count` evenly spaced frames as inputs of a network."""
         step = len(self) // min(count, len(self))
         return ({"frame": np.array(self.frame[index : index + 1])} for index in range(0, len(self), step))
 
 
-def rendered(
+def render_masked_frames(
     work: Path,
     count: int,
     size_px: tuple[int, int],
@@ -53,10 +53,15 @@ def rendered(
     workers: Workers | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> MaskedFrames:
-    """`count` frames of `OBJECTS`, (width, height) `size_px`; memory-mapped from `work` as far as they are there.
+    """Render frames of `OBJECTS` into memory-mapped files; frames rendered before an interruption are kept.
 
-    held_out: seeds and sensor units that training never shows. What was drawn before an interruption is kept;
-    progress is called with the number of frames ready.
+    Args:
+        work: Folder of the files.
+        count: Number of frames.
+        size_px: (width, height) of the frames.
+        held_out: Use seeds and sensor units that are not used for training.
+        workers: Processes to render in.
+        progress: Called with the number of finished frames.
     """
     key = hashlib.sha256(f"{OBJECTS} {count} {size_px} {held_out} {LABEL_NAME}".encode()).hexdigest()[:12]
     folder = work / f"masked-{key}"
@@ -69,8 +74,8 @@ def rendered(
     progress(ready)
     blocks = [range(at, min(at + UNIT_FRAMES, count)) for at in range(ready, count, UNIT_FRAMES)]
     first_seed = VALIDATION_SEED if held_out else 0
-    draw = partial(_drawn, first_seed=first_seed, size_px=size_px)
-    for block, (images, masks) in zip(blocks, each(draw, blocks, workers, named=_named), strict=True):
+    draw = partial(_render_block, first_seed=first_seed, size_px=size_px)
+    for block, (images, masks) in zip(blocks, each(draw, blocks, workers, named=_block_name), strict=True):
         frame[block.start : block.stop], mask[block.start : block.stop] = images, masks
         frame.flush()
         mask.flush()
@@ -79,15 +84,21 @@ def rendered(
     return MaskedFrames(frame, mask)
 
 
-def from_folder(folder: Path, size_px: tuple[int, int]) -> tuple[MaskedFrames, MaskedFrames]:
-    """The frames and masks of a data set (images/, masks/), to train on and to hold out, at (width, height) `size_px`.
+def read_masked_frames(folder: Path, size_px: tuple[int, int]) -> tuple[MaskedFrames, MaskedFrames]:
+    """Read frames and masks of a data set (images/, masks/), for training and held out.
 
-    Held out is the last tenth by name, at least one: the neighbours of a frame in a recording stay on its side. Raises
-    `InputError` for a folder without a data set, or with fewer than two frames.
+    Held out is the last tenth by name, at least one frame, so that neighbors in a recording stay together.
+
+    Args:
+        folder: The data set.
+        size_px: (width, height) of the frames.
+
+    Raises:
+        InputError: The folder contains no data set, or fewer than two frames.
     """
     pairs = data_set_pairs(folder)
     if len(pairs) < 2:
-        raise InputError(f"{folder} holds one frame; at least two are needed, one of them to hold out")
+        raise InputError(f"{folder} contains one frame, minimum 2: one is held out. Add frames.")
     images = np.stack([resized(read_colour(image), size_px) for image, _ in pairs])
     masks = np.stack([resized(read_colour(mask)[..., 0], size_px) for _, mask in pairs])
     split = len(pairs) - max(len(pairs) // 10, 1)
@@ -95,14 +106,14 @@ def from_folder(folder: Path, size_px: tuple[int, int]) -> tuple[MaskedFrames, M
 
 
 def resized(image: Image, size_px: tuple[int, int]) -> Image:
-    """The picture at (width, height) `size_px`, by averaging areas where it shrinks."""
+    """Return the image at (width, height) `size_px`; areas are averaged when it shrinks."""
     if image.shape[1::-1] == size_px:
         return image
     method = cv2.INTER_AREA if image.shape[1] > size_px[0] else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, size_px, interpolation=method), np.uint8)
 
 
-def _drawn(block: range, first_seed: int, size_px: tuple[int, int]) -> tuple[Image, Image]:
+def _render_block(block: range, first_seed: int, size_px: tuple[int, int]) -> tuple[Image, Image]:
     images, masks = [], []
     for index in block:
         shown = press_of(OBJECTS[index % len(OBJECTS)], first_seed + index)
@@ -111,10 +122,10 @@ def _drawn(block: range, first_seed: int, size_px: tuple[int, int]) -> tuple[Ima
     return np.stack(images), np.stack(masks)
 
 
-def _named(block: range) -> str:
+def _block_name(block: range) -> str:
     return f"frames {block.start} to {block.stop - 1}"
 
 
-def _array(path: Path, there: bool, shape: tuple[int, ...]) -> np.memmap[Any, np.dtype[np.uint8]]:
-    mode: Any = "r+" if there else "w+"
+def _array(path: Path, exists: bool, shape: tuple[int, ...]) -> np.memmap[Any, np.dtype[np.uint8]]:
+    mode: Any = "r+" if exists else "w+"
     return np.lib.format.open_memmap(path, mode=mode, dtype=np.uint8, shape=shape)

@@ -1,11 +1,14 @@
-"""DeepLabV3+, PSPNet and UNet++ with a ResNet18 encoder, as segmentation-models-pytorch builds them.
+"""DeepLabV3+, PSPNet and UNet++ with a ResNet18 encoder, built by segmentation-models-pytorch.
 
-They see the frame alone, as in the paper. Normalisation and the padding that their strides need are inside, so that
-training and use cannot disagree.
+Their input is the frame alone, as in the paper. Normalization and the padding for their strides are part of the
+network, so that training and use cannot differ.
 """
 
 from __future__ import annotations
 
+import importlib
+import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -16,20 +19,28 @@ from torch import Tensor, nn
 
 from slipguard.errors import InputError
 from slipguard.training.paper.recipe import Arch
-from slipguard.training.paper.torchvision_operators import segmentation_models
 
 ENCODER = "resnet18"
 STRIDE_PX = {Arch.deeplabv3plus: 16, Arch.pspnet: 8, Arch.unetplusplus: 32}
-"""Of the coarsest grid: sides are padded to a multiple of it."""
+"""Stride of the coarsest grid: sides are padded to a multiple of it."""
 _MEAN_RGB, _STD_RGB = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of ImageNet, in 0..1: what encoders are usually started and used with."""
+"""Mean and standard deviation of ImageNet, in 0..1, usual for these encoders."""
 _CLASSES = {Arch.deeplabv3plus: "DeepLabV3Plus", Arch.pspnet: "PSPNet", Arch.unetplusplus: "UnetPlusPlus"}
+_OPERATORS = (
+    "nms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor",
+    "qnms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor",
+)
+_declared: list[Any] = []
+"""Keeps the declarations alive: they vanish with their library object."""
 
 
 class FrameNet(nn.Module):
-    """One of the three, for frames of one size. frame: (N, H, W, 3) uint8 BGR; returns logits (N, 1, H, W).
+    """One of the three, for frames of one size, with random weights.
 
-    Starts from random weights. Raises `InputError` where segmentation-models-pytorch is not installed.
+    `forward` takes frames (N, H, W, 3) uint8 BGR and returns logits (N, 1, H, W).
+
+    Raises:
+        InputError: segmentation-models-pytorch is not installed.
     """
 
     mean: Tensor
@@ -58,11 +69,11 @@ class FrameNet(nn.Module):
         return logits[..., :height, :width]
 
     def start_encoder_from(self, path: Path) -> None:
-        """Give the encoder the weights of a ResNet18 (a torch state dict, such as torchvision's)."""
+        """Load the encoder's weights from those of a ResNet18 (a torch state dict, such as torchvision's)."""
         _load(self.net.encoder, path, f"the weights of a {ENCODER}")
 
     def start_from(self, path: Path) -> None:
-        """Take all weights from what an earlier training of the same network left."""
+        """Load all weights from those of an earlier training of the same network."""
         _load(self, path, f"the weights of this {type(self.net).__name__}")
 
 
@@ -70,16 +81,16 @@ def _load(part: Any, path: Path, what: str) -> None:
     try:
         part.load_state_dict(dict(torch.load(path, map_location="cpu", weights_only=True)))
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); name a file of weights") from error
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); set a file of weights") from error
     except Exception as error:
         reason = str(error).strip().splitlines()[0][:120]
         raise InputError(f"{path}: not {what} ({reason}); give a torch state dict of it") from error
 
 
 class _PyramidLevel(nn.Module):
-    """A level of PSPNet's pyramid whose averages over unequal cells are two products of matrices.
+    """A level of PSPNet's pyramid that averages over unequal cells by two matrix products.
 
-    The same numbers as `nn.AdaptiveAvgPool2d`, which ONNX cannot express where cells differ in size.
+    Equal to `nn.AdaptiveAvgPool2d`, which ONNX cannot express if cells differ in size.
     """
 
     down: Tensor
@@ -99,9 +110,45 @@ class _PyramidLevel(nn.Module):
 
 
 def _cell_means(length: int, cells: int) -> NDArray[np.float32]:
-    """(cells, length): row k averages the stretch that `nn.AdaptiveAvgPool1d` gives cell k."""
+    """Return (cells, length): row k averages the range that `nn.AdaptiveAvgPool1d` gives cell k."""
     matrix = np.zeros((cells, length), np.float32)
     for cell in range(cells):
         first, last = cell * length // cells, -(-(cell + 1) * length // cells)
         matrix[cell, first:last] = 1.0 / (last - first)
     return matrix
+
+
+def segmentation_models() -> Any:
+    """Return the module segmentation_models_pytorch.
+
+    torchvision's wheels on PyPI are built for CUDA. With a CPU build of torch their library does not load, and the
+    import fails because two operators, which no segmentation network uses, are unknown. Only then are they declared,
+    without a body.
+
+    Raises:
+        InputError: It or torchvision is not installed.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about the parts of torchvision that read images
+        try:
+            try:
+                importlib.import_module("torchvision")
+            except RuntimeError as error:
+                if "torchvision::" not in str(error):
+                    raise
+                _declare_operators()
+            return importlib.import_module("segmentation_models_pytorch")
+        except ImportError as error:
+            raise InputError(
+                f"the paper's networks need {error.name or 'segmentation-models-pytorch'}; install with: "
+                "pip install 'slipguard[train]' --extra-index-url https://download.pytorch.org/whl/cpu"
+            ) from error
+
+
+def _declare_operators() -> None:
+    for name in [name for name in sys.modules if name == "torchvision" or name.startswith("torchvision.")]:
+        del sys.modules[name]  # left over from the failed import
+    library: Any = torch.library.Library("torchvision", "DEF")  # type: ignore[no-untyped-call]
+    for operator in _OPERATORS:
+        library.define(operator)
+    _declared.append(library)

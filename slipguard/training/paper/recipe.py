@@ -1,4 +1,4 @@
-"""How the paper's networks are trained: as published, and a shorter way for a plain CPU.
+"""Recipes for training the paper's networks: as published, and a shorter one for a CPU.
 
 Published (Castaño-Amorós and Gil, "Rotational Slippage Prediction from Segmentation of Tactile Images"): 3,675 images
 of 16 objects, focal loss, Adam at 1e-4, batches of 32, 30 epochs.
@@ -11,7 +11,7 @@ from enum import StrEnum
 
 FRAMES = 3675
 HELD_OUT = 320
-"""Rendered frames of the same 16 objects, by sensor units and in poses that training never shows."""
+"""Rendered frames of the same 16 objects, with sensor units and poses that are not used for training."""
 FOCAL_GAMMA = 2.0
 
 
@@ -24,7 +24,7 @@ class Arch(StrEnum):
 
 
 class Schedule(StrEnum):
-    """The learning rate over a training: the same throughout, or up for a fifth of it and down to nothing."""
+    """Learning rate over a training: constant, or increasing for a fifth of it and then decreasing to zero."""
 
     constant = "constant"
     one_cycle = "one-cycle"
@@ -32,10 +32,10 @@ class Schedule(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """What decides the outcome of a training, besides network, frames and seed.
+    """What determines a training, with network, frames and seed.
 
-    width_px, height_px: of what the network sees. rate: Adam's, the highest of the schedule. mirrored: a random half of
-    the frames is shown upside down, a random half left to right.
+    width_px, height_px: input of the network. rate: highest learning rate of Adam. mirrored: a random half of the
+    frames is flipped vertically, a random half horizontally.
     """
 
     name: str

@@ -89,17 +89,17 @@ def test_a_stopped_training_goes_on(
 ) -> None:
     from slipguard.training.paper import training
 
-    keep = training._keep
+    keep = training._save_checkpoint
 
     def keep_and_stop(*what: object) -> None:
         keep(*what)  # type: ignore[arg-type]
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(training, "_keep", keep_and_stop)
+    monkeypatch.setattr(training, "_save_checkpoint", keep_and_stop)
     again = [*words(data_set, tmp_path), "--out", str(tmp_path / "net.onnx")]
     assert slipguard(capfd, *again).code == 1
     assert not (tmp_path / "net.onnx").exists()
-    monkeypatch.setattr(training, "_keep", keep)
+    monkeypatch.setattr(training, "_save_checkpoint", keep)
     resumed = slipguard(capfd, *again)
     assert resumed.code == 0, resumed.err
     assert "epoch 2:" in resumed.out
@@ -140,20 +140,19 @@ def test_the_larger_ones_answer_at_the_size_of_the_frame(arch: str, height: int,
 def test_an_export_that_differs_or_tells_no_numbers_is_not_written(
     weight: float | None, allowed: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from slipguard.training import onnx_file
-    from slipguard.training.paper import export
+    from slipguard.training import onnx_export
     from slipguard.training.paper.frames import MaskedFrames
     from slipguard.training.paper.networks import FrameNet
     from slipguard.training.paper.recipe import Arch
 
     frames = MaskedFrames(np.zeros((1, 160, 120, 3), np.uint8), np.zeros((1, 160, 120), np.uint8))
-    monkeypatch.setattr(onnx_file, "LARGEST_DIFFERENCE", allowed)
+    monkeypatch.setattr(onnx_export, "DIFFERENCE_MAX", allowed)
     (tmp_path / "net.onnx").write_text("as it was")
     net = FrameNet(Arch.pspnet, 160, 120)
     if weight is not None:
         next(net.parameters()).data.fill_(weight)
     with pytest.raises(ModelError, match="not written"):
-        export.export_onnx(net, tmp_path / "net.onnx", {}, frames)
+        onnx_export.export_paper(net, tmp_path / "net.onnx", {}, frames)
     assert (tmp_path / "net.onnx").read_text() == "as it was"
     assert [path.name for path in tmp_path.iterdir()] == ["net.onnx"]
 

@@ -25,7 +25,7 @@ def test_a_stopped_training_goes_on_and_its_export_keeps_the_contract(tmp_path: 
 
     from slipguard.datasets.frame_cache import RenderedFrames
     from slipguard.perception.contact.segmenter import Segmenter
-    from slipguard.training.export import contract_metadata, export_onnx
+    from slipguard.training.onnx_export import export_small, small_metadata
     from slipguard.training.small_network import SmallNet
     from slipguard.training.train import EpochFigures, TrainSettings, train
 
@@ -60,7 +60,7 @@ def test_a_stopped_training_goes_on_and_its_export_keeps_the_contract(tmp_path: 
         torch.testing.assert_close(one, other)
 
     path = tmp_path / "small.onnx"
-    assert export_onnx(resumed, path, contract_metadata("slipguard train", 0, 0.4), frames) <= 1e-4
+    assert export_small(resumed, path, small_metadata("slipguard train", 0, 0.4), frames) <= 1e-4
     assert Segmenter(path).threshold == 0.4
     weights = sum(part.numel() for part in resumed.parameters())
     assert path.stat().st_size < 2.2 * weights, "large weights take two bytes in the file"
