@@ -1,4 +1,4 @@
-"""The command line: `main` turns every expected failure into one line and an exit code."""
+"""The command line. `main` turns every expected failure into one line and an exit code."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import os
 import signal
 import sys
 
-from slipguard.cli.interrupt import SAID, Interrupt
+from slipguard.cli.interrupt import INTERRUPTED, InterruptHandler
 
 
 def main() -> None:
-    """Run the command line. Exit codes: 0 fine, 1 failed or interrupted, 2 misused."""
-    interrupt = Interrupt()
-    signal.signal(signal.SIGINT, interrupt)
-    # A frame's matrices are small. OpenBLAS would wait for its helpers in a busy loop: at real-time priority for ever.
+    """Run the command line. Exit codes: 0 success, 1 failed or interrupted, 2 wrong usage."""
+    handler = InterruptHandler()
+    signal.signal(signal.SIGINT, handler)
+    # The matrices of a frame are small. OpenBLAS threads would wait in a busy loop, forever at real-time priority.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if isinstance(sys.stdout, io.TextIOWrapper):  # None where the shell has closed it
-        sys.stdout.reconfigure(errors="replace")  # a terminal without ° must not cost the result
+    if isinstance(sys.stdout, io.TextIOWrapper):  # None if the shell has closed it
+        sys.stdout.reconfigure(errors="replace")  # a terminal without ° still shows the rest
     try:
         from slipguard.cli.app import run
 
@@ -25,13 +25,13 @@ def main() -> None:
         if sys.stdout is not None:
             sys.stdout.flush()
     except BrokenPipeError:
-        # The reader of a pipe has left; what is still buffered has nowhere to go.
+        # The reader of the pipe has exited: discard what is still buffered.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 1
     except (Exception, KeyboardInterrupt) as error:
-        if not interrupt.noticed and isinstance(error, Exception):
+        if not handler.interrupted and isinstance(error, Exception):
             raise
-        print(SAID, file=sys.stderr)
+        print(INTERRUPTED, file=sys.stderr)
         code = 1
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the interpreter's last steps answer a Ctrl-C with a traceback, too
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C while the interpreter exits would print a traceback
     sys.exit(code)

@@ -1,4 +1,4 @@
-"""All commands on one typer application; `slipguard --sim` is the application without a command."""
+"""All commands in one typer application; `slipguard --sim` is the application without a command."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from slipguard.cli import (
     latency,
     measure,
     replay,
-    rotated_presses,
     simulate,
     stress,
     train,
@@ -29,28 +28,28 @@ from slipguard.cli import run as daemon
 from slipguard.errors import CommandRefused, ConfigError, InputError, ModelError, SlipguardError
 
 SIM_PANEL = "With --sim"
+ROBOT, ANALYSIS, NETWORKS, CHECKS = "Robot cell", "Frames and recordings", "Networks and data", "Tests and benchmarks"
 CTRL_C = 130
-"""What typer makes of a KeyboardInterrupt."""
-Misuse: type[Exception] = typer.BadParameter.__mro__[2]
-"""Base of every complaint about a command line; the click that typer brings along has no public name."""
+"""Result of a typer command after a KeyboardInterrupt."""
+UsageError: type[Exception] = typer.BadParameter.__mro__[2]
+"""Base class of all errors of usage; the click inside typer has no public name."""
 
 app = typer.Typer(name="slipguard", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
-app.command()(daemon.run)
-app.command()(daemon.check)
-app.command()(doctor.doctor)
-app.command()(install.install)
-app.command()(calibrate.calibrate)
-app.add_typer(ctl.app, name="ctl")
-app.command()(measure.measure)
-app.command()(replay.replay)
-app.command()(bench.bench)
-app.command()(latency.latency)
-app.command()(stress.stress)
-app.command()(rotated_presses.rotated)
-app.command()(train.train)
-app.add_typer(evaluate.app, name="evaluate")
-app.add_typer(dataset.app, name="dataset")
-app.add_typer(emulate.app, name="emulate")
+app.command(rich_help_panel=ROBOT)(daemon.run)
+app.command(rich_help_panel=ROBOT)(daemon.check)
+app.command(rich_help_panel=ROBOT)(doctor.doctor)
+app.command(rich_help_panel=ROBOT)(install.install)
+app.command(rich_help_panel=ROBOT)(calibrate.calibrate)
+app.add_typer(ctl.app, name="ctl", rich_help_panel=ROBOT)
+app.command(rich_help_panel=ANALYSIS)(measure.measure)
+app.command(rich_help_panel=ANALYSIS)(replay.replay)
+app.command(rich_help_panel=CHECKS)(bench.bench)
+app.command(rich_help_panel=CHECKS)(latency.latency)
+app.command(rich_help_panel=CHECKS)(stress.stress)
+app.add_typer(evaluate.app, name="evaluate", rich_help_panel=CHECKS)
+app.add_typer(emulate.app, name="emulate", rich_help_panel=CHECKS)
+app.add_typer(dataset.app, name="dataset", rich_help_panel=NETWORKS)
+app.command(rich_help_panel=NETWORKS)(train.train)
 app.command()(daemon.version)
 
 
@@ -58,25 +57,27 @@ app.command()(daemon.version)
 def top(
     context: typer.Context,
     sim: Annotated[
-        bool, typer.Option("--sim", help="Lift objects that would turn and fall, all simulated: about a minute.")
+        bool, typer.Option("--sim", help="Lift simulated objects that slip without the guard. About a minute.")
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of all that is random.", rich_help_panel=SIM_PANEL)] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.", rich_help_panel=SIM_PANEL)] = 0,
     lifts: Annotated[
-        int | None, typer.Option(help="How many lifts; default: one for each test object.", rich_help_panel=SIM_PANEL)
+        int | None, typer.Option(help="Number of lifts. Default: one per test object.", rich_help_panel=SIM_PANEL)
     ] = None,
     guarded: Annotated[
         bool,
-        typer.Option("--guard/--no-guard", help="Without the guard, to see what it is for.", rich_help_panel=SIM_PANEL),
+        typer.Option(
+            "--guard/--no-guard", help="With or without the guard, for comparison.", rich_help_panel=SIM_PANEL
+        ),
     ] = True,
     json: Annotated[
-        bool, typer.Option("--json", help="JSON lines, the summary last.", rich_help_panel=SIM_PANEL)
+        bool, typer.Option("--json", help="Print JSON lines, the summary last.", rich_help_panel=SIM_PANEL)
     ] = False,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for a picture of every lift.", rich_help_panel=SIM_PANEL)
+        Path | None, typer.Option(help="Folder for a plot of every lift.", rich_help_panel=SIM_PANEL)
     ] = None,
     speed: Annotated[
         simulate.Speed,
-        typer.Option(help="On the real clock, or as fast as it computes.", rich_help_panel=SIM_PANEL),
+        typer.Option(help="In real time, or as fast as the computer allows.", rich_help_panel=SIM_PANEL),
     ] = simulate.Speed.realtime,
 ) -> None:
     """Keeps a robot from dropping what it holds: DIGIT tactile images in, grip force out.
@@ -85,71 +86,70 @@ def top(
     """
     if context.invoked_subcommand is not None:
         if sim:
-            raise InputError("--sim before a command has no meaning; write `slipguard run --config FILE --sim`")
+            raise InputError("--sim before a command has no effect; use `slipguard run --config FILE --sim`")
         return
     if not sim:
         if (seed, lifts, guarded, json, out, speed) != (0, None, True, False, None, simulate.Speed.realtime):
-            raise InputError("these options belong to --sim; write `slipguard --sim ...`")
+            raise InputError("these options need --sim; use `slipguard --sim ...`")
         typer.echo(context.get_help())
         return
     simulate.simulate(seed=seed, lifts=lifts, guarded=guarded, json=json, out=out, speed=speed)
 
 
 def run(arguments: list[str] | None = None, app: typer.Typer = app, program: str = "slipguard") -> int:
-    """Run one command and return its exit code; expected failures are one line on stderr."""
+    """Run one command and return its exit code; an expected failure prints one line on stderr."""
     command = typer.main.get_command(app)
     try:
         result = command.main(args=arguments, prog_name=program, standalone_mode=False)
     except typer.Exit as finished:
         return finished.exit_code
     except typer.Abort:
-        return _complain("interrupted", 1)
-    except Misuse as misuse:
-        return _complain(_what_is_wrong(misuse), 2)
+        return _print_error("interrupted", 1)
+    except UsageError as error:
+        return _print_error(_usage_message(error), 2)
     except SlipguardError as error:
-        return _complain(*_in_words(error))
+        return _print_error(*_message_and_code(error))
     except ExceptionGroup as group:
-        # A task group's: the first failure cancelled the others.
+        # Of a task group: the first failure has cancelled the other tasks.
         expected, unexpected = group.split(SlipguardError)
         if unexpected is not None or expected is None:
             raise
-        return _complain(*_in_words(_leaf(expected)))
+        return _print_error(*_message_and_code(_first_exception(expected)))
     except BrokenPipeError:
         raise
     except OSError as error:
-        # A full disk, a folder that cannot be written to: the file and the reason say it all.
+        # For example a full disk, or a folder without write permission.
         where = f"{error.filename}: " if error.filename else ""
-        return _complain(f"{where}{error.strerror or error}", 1)
+        return _print_error(f"{where}{error.strerror or error}", 1)
     if result == CTRL_C:
-        return _complain("interrupted", 1)
+        return _print_error("interrupted", 1)
     return result if isinstance(result, int) else 0
 
 
-def _complain(text: str, code: int) -> int:
+def _print_error(text: str, code: int) -> int:
     if text:
         print(f"slipguard: {' '.join(text.split())}", file=sys.stderr)
     return code
 
 
-def _in_words(error: BaseException) -> tuple[str, int]:
-    """The line and the exit code of an expected failure."""
+def _message_and_code(error: BaseException) -> tuple[str, int]:
     if isinstance(error, CommandRefused):
         return f"refused: {error}", 1
     return str(error), 2 if isinstance(error, ConfigError | InputError | ModelError) else 1
 
 
-def _leaf(group: BaseExceptionGroup[Any]) -> BaseException:
+def _first_exception(group: BaseExceptionGroup[Any]) -> BaseException:
     first: BaseException = group
     while isinstance(first, BaseExceptionGroup):
         first = first.exceptions[0]
     return first
 
 
-def _what_is_wrong(misuse: Any) -> str:
-    """One line with the way to the help; nothing where the help has just been shown."""
-    text = str(misuse.format_message()).replace("Value error, ", "").strip()
+def _usage_message(error: Any) -> str:
+    """Return one line that names the help; empty if the help has just been shown."""
+    text = str(error.format_message()).replace("Value error, ", "").strip()
     if not text:
         return ""
-    context = getattr(misuse, "ctx", None)
+    context = getattr(error, "ctx", None)
     path = context.command_path if context is not None else "slipguard"
     return f"{text[0].lower()}{text[1:].rstrip('.')}; see `{path} --help`"

@@ -1,4 +1,4 @@
-"""`slipguard bench`: time and error of perception on this machine, and the grip controller in closed loop."""
+"""`slipguard bench`: run time and error of the perception, or with --grip the controller in closed loop."""
 
 from __future__ import annotations
 
@@ -6,49 +6,52 @@ import json as jsonlib
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-WIDE = 190
+from slipguard.errors import InputError
+
+if TYPE_CHECKING:
+    from slipguard.tools.parallel import Workers
+
+WIDE_COLUMNS = 190
 
 
 def bench(
-    quick: Annotated[
-        bool, typer.Option("--quick/--full", help="--quick: one grasp of each object, about a minute.")
-    ] = True,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,
+    quick: Annotated[bool, typer.Option("--quick/--full", help="One grasp of each object: under a minute.")] = True,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of the tables.")] = False,
     out: Annotated[
         Path | None, typer.Option(help="Folder for bench.json and bench.png; with --grip for grip.json and grip.png.")
     ] = None,
     model: Annotated[Path | None, typer.Option(help="Network (.onnx) to use instead of the shipped one.")] = None,
-    models: Annotated[Path | None, typer.Option(help="Folder of further networks, such as the paper's.")] = None,
+    models: Annotated[
+        Path | None, typer.Option(help="Folder of networks to compare, for example those of the paper.")
+    ] = None,
     table: Annotated[
-        Path | None, typer.Option(help="Markdown file whose table between the markers is replaced.")
+        Path | None, typer.Option(help="Markdown file in which the table between the markers is updated.")
     ] = None,
     jobs: Annotated[int, typer.Option(help="Processes for the parts that are not timed; 0: one per core.")] = 0,
     cluster: Annotated[
         str | None, typer.Option(help="Dask scheduler for the parts that are not timed: tcp://HOST:8786.")
     ] = None,
     grip: Annotated[
-        bool, typer.Option("--grip", help="Run the grip controller in closed loop and compare it with others.")
+        bool, typer.Option("--grip", help="Compare grip controllers in closed loop: rotation, slip and grip force.")
     ] = False,
-    seed: Annotated[int, typer.Option(help="With --grip: seed of the first run.")] = 0,
+    seed: Annotated[int, typer.Option(help="With --grip: random seed of the first trial.")] = 0,
 ) -> None:
-    """Measure time and error of slipguard's perception, the paper's pipeline and others; or test the grip controller.
+    """Measure run time and error of the perception pipeline, compared with the paper's; or compare grip controllers.
 
-    Example: `slipguard bench --quick --out bench/`; everything: `slipguard bench --full --models models`; closed
-    loop: `slipguard bench --grip --out grip/`
+    Example: `slipguard bench --quick --out bench/`, `slipguard bench --full --models models`,
+    `slipguard bench --grip --out grip/`
     """
-    from slipguard.errors import InputError
-
     if grip and (model is not None or models is not None or table is not None):
-        raise InputError("--grip uses the shipped network. Remove --model, --models and --table")
+        raise InputError("--grip uses the shipped network; omit --model, --models and --table")
     from rich.console import Console
 
     from slipguard.bench import run, tables
     from slipguard.bench.plot import draw_bench
-    from slipguard.cli.progress import progress_bar
+    from slipguard.cli.terminal import progress_bar
     from slipguard.tools.parallel import Workers
 
     if out is not None:
@@ -57,8 +60,6 @@ def bench(
         except OSError as error:
             raise InputError(f"--out {out}: cannot create the folder: {error.strerror}") from error
     if grip:
-        from slipguard.cli.bench_grip import bench_grip
-
         bench_grip(quick=quick, seed=seed, json=json, out=out, workers=Workers(jobs, cluster))
         return
     options = run.BenchOptions(quick, model, models, Workers(jobs, cluster))
@@ -76,7 +77,48 @@ def bench(
         print(jsonlib.dumps(found.as_json()))
         return
     console = Console()
-    for shown in tables.bench_tables(found, brief=console.width < WIDE):
+    for shown in tables.bench_tables(found, brief=console.width < WIDE_COLUMNS):
         console.print(shown)
     for line in tables.notes(found):
         console.print(line, style="dim")
+
+
+def bench_grip(*, quick: bool, seed: int, json: bool, out: Path | None, workers: Workers) -> None:
+    """Run the trials of the grip controllers; exit code 1 if a result exceeds its specified limit."""
+    from rich.console import Console
+
+    from slipguard.bench.grip.campaign import Plan, run
+    from slipguard.bench.grip.checks import checks, failures
+    from slipguard.bench.grip.figures import as_json, scenarios
+    from slipguard.bench.grip.report import draw, print_tables
+    from slipguard.cli.terminal import progress_bar
+
+    plan = Plan.of(quick=quick, seed=seed)
+    progress = Console(stderr=True)
+    progress.print(
+        f"{len(plan.trials)} lifts with a grip that is too weak ({plan.rendered} with rendered frames), "
+        f"{len(plan.gone)} losses of support, {len(plan.tight)} lifts that need nearly the force limit, "
+        f"{sum(one.seconds for one in plan.holds) / 60.0:.0f} minutes of stable holds: about "
+        f"{_duration_text(plan.seconds(workers))}",
+        highlight=False,
+    )
+    with progress_bar("grip controllers") as show:
+        found = run(plan, workers, lambda share: show("grip controllers", share))
+    figures = as_json(found)
+    figures["promised"] = [check.as_json() for check in checks(figures)]
+    if out is not None:
+        draw(found, out / "grip.png")
+        (out / "grip.json").write_text(jsonlib.dumps(figures | scenarios(found), indent=2) + "\n", encoding="utf-8")
+    if json:
+        print(jsonlib.dumps(figures))
+    else:
+        print_tables(Console(highlight=False), found)
+    failed = failures(figures)
+    for line in failed:
+        progress.print(line, style="red", highlight=False)
+    if failed:
+        raise typer.Exit(1)
+
+
+def _duration_text(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100.0 else f"{seconds / 60.0:.0f} minutes"

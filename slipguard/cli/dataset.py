@@ -1,21 +1,32 @@
-"""`slipguard dataset`: images with masks, rendered or somebody's own, and a picture to look at them."""
+"""`slipguard dataset`: images with contact masks, to train networks on: rendered, imported or recorded."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slipguard.cli.progress import count_bar
-from slipguard.cli.record import record
+from slipguard.cli.terminal import count_bar
+from slipguard.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+
+    from slipguard.config import Config
+    from slipguard.daemon.api.client import Client
+    from slipguard.datasets.recorder import SensorImage
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown")
+Out = Annotated[Path, typer.Option(help="Folder to write to: new or empty.")]
+Sheet = Annotated[Path | None, typer.Option("--show", help="Write an overview of some frames to this PNG.")]
+Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0: one per core.")]
+BACKGROUND_HELP = "Background image (no contact) of the sensor, 240 wide x 320 high."
 
 
 class Split(StrEnum):
-    """Which objects are pressed."""
+    """Set of objects."""
 
     train = "train"
     test = "test"
@@ -23,7 +34,7 @@ class Split(StrEnum):
 
 @app.callback()
 def dataset() -> None:
-    """Images with masks, rendered or your own: to train on, to look at.
+    """Make data sets of images with contact masks, to train networks on.
 
     Example: `slipguard dataset render --out frames --count 200 --show sheet.png`
     """
@@ -31,22 +42,23 @@ def dataset() -> None:
 
 @app.command()
 def render(
-    out: Annotated[Path, typer.Option(help="Folder to write to: new or empty.")],
-    count: Annotated[int, typer.Option(help="How many frames.")],
-    seed: Annotated[int, typer.Option(help="The first frame's seed; the next ones count on from it.")] = 0,
+    out: Out,
+    count: Annotated[int, typer.Option(help="Number of frames.")],
+    seed: Annotated[int, typer.Option(help="Random seed of the first frame; frame k uses this plus k.")] = 0,
     split: Annotated[
-        Split, typer.Option(help="Training objects, or the test objects no network has seen.")
+        Split, typer.Option(help="Training objects, or test objects that no network was trained on.")
     ] = Split.train,
     backgrounds: Annotated[
-        Path | None, typer.Option(help="Folder of real no-contact images, 240 wide x 320 high; half the units use one.")
+        Path | None,
+        typer.Option(help="Folder of real background images, 240 wide x 320 high, for half of the simulated sensors."),
     ] = None,
-    show: Annotated[Path | None, typer.Option(help="Write a sheet of some frames to this PNG.")] = None,
-    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: one for each core.")] = 0,
+    show: Sheet = None,
+    jobs: Jobs = 0,
     cluster: Annotated[
-        str | None, typer.Option(help="Render on a Dask cluster instead: its scheduler, tcp://HOST:8786.")
+        str | None, typer.Option(help="Dask scheduler to render on instead of this machine: tcp://HOST:8786.")
     ] = None,
 ) -> None:
-    """Render frames with their no-contact images and masks, and a manifest.
+    """Render frames with their background images, masks and a manifest.
 
     Example: `slipguard dataset render --out frames --count 200 --split test --show sheet.png`
     """
@@ -61,27 +73,28 @@ def render(
         render_dataset(out, count, seed, split.value, real, show_count, workers)
     if show is not None:
         contact_sheet(out, show)
-    print(f"{count} frames in {out}" + (f", a sheet in {show}" if show is not None else ""))
+    print(f"{count} frames in {out}" + (f", overview in {show}" if show is not None else ""))
 
 
 @app.command(name="import")
 def import_(
     source: Annotated[Path, typer.Argument(help="Folder of images and masks.")],
-    out: Annotated[Path, typer.Option(help="Folder to write to: new or empty.")],
-    background: Annotated[
-        Path | None, typer.Option(help="The sensor's no-contact image, 240 wide x 320 high, if there is one.")
-    ] = None,
-    skip: Annotated[bool, typer.Option("--skip", help="Leave out what has no partner or cannot be read.")] = False,
-    show: Annotated[Path | None, typer.Option(help="Write a sheet of some frames to this PNG.")] = None,
-    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: one for each core.")] = 0,
+    out: Out,
+    background: Annotated[Path | None, typer.Option(help=BACKGROUND_HELP)] = None,
+    skip: Annotated[
+        bool, typer.Option("--skip", help="Skip files that have no partner or cannot be read; else they are an error.")
+    ] = False,
+    show: Sheet = None,
+    jobs: Jobs = 0,
     cluster: Annotated[
-        str | None, typer.Option(help="A Dask cluster that sees the same files: its scheduler, tcp://HOST:8786.")
+        str | None,
+        typer.Option(help="Dask scheduler to use instead of this machine, with access to the same files."),
     ] = None,
 ) -> None:
-    """Turn a folder of images and masks into a data set to train on.
+    """Convert a folder of images and masks to a data set.
 
-    Two layouts are known, also below train/ or val/: images/ and masks/ with the same names, or NAME.png beside
-    NAME_mask.png. Masks are 0 and 1, or 0 and 255. Pictures become 240 wide x 320 high.
+    Two layouts are known, also below train/ or val/: images/ and masks/ with the same names, or NAME.png and
+    NAME_mask.png in one folder. Masks are 0 and 1, or 0 and 255. Images are scaled to 240 wide x 320 high.
 
     Example: `slipguard dataset import recordings --out frames --show sheet.png`
     """
@@ -90,33 +103,147 @@ def import_(
     from slipguard.datasets.importer import found_pairs, import_dataset
     from slipguard.tools.parallel import Workers
 
-    no_contact = read_background(background) if background is not None else None
+    background_image = read_background(background) if background is not None else None
     check_new(out)
     found_pairs(source)
     with count_bar("importing") as show_count:
-        done = import_dataset(source, out, no_contact, skip, show_count, Workers(jobs, cluster))
+        done = import_dataset(source, out, background_image, skip, show_count, Workers(jobs, cluster))
     if show is not None:
         contact_sheet(out, show)
     notes = [f"{done.frames} frames in {out}"]
-    notes += [f"{done.rotated} turned upright"] if done.rotated else []
+    notes += [f"{done.rotated} rotated upright"] if done.rotated else []
     notes += [f"{done.stretched} stretched to 3:4"] if done.stretched else []
-    notes += [f"{len(done.left_out)} left out, the first: {done.left_out[0]}"] if done.left_out else []
-    print("; ".join(notes) + (f"; a sheet in {show}" if show is not None else ""))
+    notes += [f"{len(done.left_out)} skipped, the first: {done.left_out[0]}"] if done.left_out else []
+    print("; ".join(notes) + (f"; overview in {show}" if show is not None else ""))
 
 
 @app.command()
 def show(
     folder: Annotated[Path, typer.Argument(help="A data set: rendered, imported or recorded.")],
-    out: Annotated[Path, typer.Option(help="The PNG to write.")],
+    out: Annotated[Path, typer.Option(help="PNG to write.")],
 ) -> None:
-    """Draw a sheet of a data set's frames: each image, and below it with its label laid over it.
+    """Write an overview of some frames of a data set, each with and without its mask.
 
     Example: `slipguard dataset show frames --out sheet.png`
     """
     from slipguard.datasets.contact_sheet import contact_sheet
 
     contact_sheet(folder, out)
-    print(f"a sheet in {out}")
+    print(f"overview in {out}")
 
 
-app.command()(record)
+@app.command()
+def record(
+    out: Out,
+    config: Annotated[Path | None, typer.Option(help="Configuration: both fingers are recorded.")] = None,
+    serial: Annotated[str | None, typer.Option(help="Record one DIGIT instead, by its serial number.")] = None,
+    count: Annotated[int, typer.Option(min=1, help="Number of frames.")] = 100,
+    every_s: Annotated[float, typer.Option(min=0.0, max=60.0, help="Seconds between frames.")] = 0.2,
+    background: Annotated[Path | None, typer.Option(help=f"{BACKGROUND_HELP} Default: the stored one.")] = None,
+    show: Sheet = None,
+    socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon. Default: searched.")] = None,
+) -> None:
+    """Record frames with proposed masks: the difference to the background image. Correct them before training.
+
+    A running daemon provides the frames; without one, this command opens the sensors.
+
+    Example: `slipguard dataset record --serial D20479 --out presses --count 50 --show sheet.png`
+    """
+    import asyncio
+
+    from slipguard.cli.interrupt import default_interrupts
+    from slipguard.config import read_config
+    from slipguard.daemon.api.client import Client, DaemonNotRunning
+    from slipguard.daemon.api.paths import running_socket
+    from slipguard.datasets.contact_sheet import contact_sheet
+    from slipguard.datasets.files import check_new
+    from slipguard.datasets.recorder import record_dataset
+
+    if (config is None) == (serial is None):
+        raise InputError("give either --config config.toml or --serial D20479")
+    check_new(out)
+    settings = read_config(config) if config is not None else None
+
+    async def record_all(client: Client | None) -> int:
+        images, serials = (
+            _daemon_images(client, serial, every_s) if client else _sensor_images(settings, serial, every_s)
+        )
+        backgrounds = _read_backgrounds(serials, background, settings)
+        with count_bar("recording", count) as show_count:
+            try:
+                return await record_dataset(out, images, count, backgrounds, show_count)
+            finally:
+                await images.aclose()  # type: ignore[attr-defined]
+
+    with Client(socket or running_socket(settings)) as client:
+        try:
+            client.state()
+            daemon: Client | None = client
+        except DaemonNotRunning:
+            daemon = None
+        with default_interrupts():
+            with_contact = asyncio.run(record_all(daemon))
+    if show is not None:
+        contact_sheet(out, show)
+    print(f"{count} frames in {out}, {with_contact} with contact; check the masks before you train on them")
+
+
+def _daemon_images(client: Client, serial: str | None, every_s: float) -> tuple[AsyncIterator[SensorImage], list[str]]:
+    """Return the daemon's images and its sensors' serial numbers. Raises InputError if it has no such sensor."""
+    from slipguard.datasets.recorder import from_daemon
+
+    serials = {name: finger["serial"] for name, finger in client.state()["fingers"].items()}
+    fingers = [name for name, one in serials.items() if one is not None and serial in (None, one)]
+    if not fingers:
+        known = ", ".join(one for one in serials.values() if one) or "none yet"
+        raise InputError(
+            f"the running daemon has no {serial or 'sensor'} (it has {known}); stop the daemon or record one of those"
+        )
+    return from_daemon(client, fingers, every_s), [serials[name] for name in fingers]
+
+
+def _sensor_images(
+    settings: Config | None, serial: str | None, every_s: float
+) -> tuple[AsyncIterator[SensorImage], list[str]]:
+    """Return images of the configured sensors, or of one DIGIT, and the serial numbers."""
+    from pydantic import ValidationError
+
+    from slipguard.config_errors import first_complaint
+    from slipguard.datasets.recorder import from_sensors
+    from slipguard.devices import DriverContext
+    from slipguard.registry import load_driver
+
+    group = "slipguard.tactile"
+    sensors: list[Any] = []
+    if settings is None:
+        driver = load_driver(group, "digit")
+        try:
+            digit_settings = driver.Settings.model_validate({"serial": serial})
+        except ValidationError as error:
+            raise InputError(f"--{first_complaint(error, driver.Settings)}") from None
+        sensors.append(driver(digit_settings, DriverContext("sensor")))
+    else:
+        for name in ("left", "right"):
+            section = getattr(settings, name)
+            sensors.append(load_driver(group, section.driver)(section.settings, DriverContext(name)))
+    return from_sensors(sensors, every_s), [sensor.serial for sensor in sensors]
+
+
+def _read_backgrounds(serials: list[str], given: Path | None, settings: Config | None) -> dict[str, Any]:
+    """Return the background image of each sensor. Raises InputError if one is missing."""
+    from slipguard.daemon.store.state_dir import StateDir
+    from slipguard.datasets.files import read_background
+
+    if given is not None:
+        return dict.fromkeys(serials, read_background(given))
+    store = StateDir(settings.state.directory if settings is not None else None)
+    found = {}
+    for serial in serials:
+        known = store.load_background(serial)
+        if known is None:
+            raise InputError(
+                f"{store.path} has no background image of {serial}; run `slipguard calibrate` with the jaws open and "
+                "empty, or give one with --background"
+            )
+        found[serial] = known.image
+    return found

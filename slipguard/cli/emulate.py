@@ -1,4 +1,4 @@
-"""`slipguard emulate`: doubles on the wire, one command for each that is registered."""
+"""`slipguard emulate`: device emulators on the real protocol, one command for each registered emulator."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ FaultsOption = Annotated[
     list[str] | None,
     typer.Option("--fault", help="NAME, NAME:PROBABILITY (0.01) or NAME:COUNT (3); may be repeated."),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Events, states and answers as JSON lines.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print events, states and responses as JSON lines.")]
 
 
 class Emulators(TyperGroup):
-    """The emulators there are; each is imported when it is asked for, and only then."""
+    """The registered emulators; each is imported only when it is used."""
 
     _built: dict[str, Any]
 
     @property
     def commands(self) -> MutableMapping[str, Any]:
-        """All of them."""
+        """All emulators."""
         return {name: self.get_command(None, name) for name in _names()}
 
     @commands.setter
@@ -37,11 +37,11 @@ class Emulators(TyperGroup):
         self._built = {}
 
     def list_commands(self, ctx: object) -> list[str]:
-        """Their names, sorted."""
+        """Return their names, sorted."""
         return _names()
 
     def get_command(self, ctx: object, cmd_name: str) -> Any:
-        """One of them; None if there is none of that name."""
+        """Return the emulator of this name; None if there is none."""
         if cmd_name not in self._built and cmd_name in _names():
             from slipguard.registry import load_emulator
 
@@ -52,8 +52,8 @@ class Emulators(TyperGroup):
 app = typer.Typer(
     cls=Emulators,
     no_args_is_help=True,
-    help="Emulate a device on the wire, with faults on demand, until Ctrl-C or SIGTERM. Control words come on stdin: "
-    "`fault NAME [probability|count]`, `clear`, `state`, `log`, `quit`; `help` tells the rest.\n\n"
+    help="Emulate a device on its real protocol, with faults on demand, until Ctrl-C or SIGTERM. Commands are read "
+    "from stdin: `fault NAME [probability|count]`, `clear`, `state`, `log`, `quit`; `help` lists all.\n\n"
     "Example: `slipguard emulate robotiq --link /tmp/ttyGR --object-width-mm 40 --fault late:0.01`",
 )
 
@@ -65,7 +65,7 @@ def _names() -> list[str]:
 
 
 def _command(name: str, kind: EmulatorKind) -> Any:
-    """The command of one emulator: its settings are the options, its docstring the help."""
+    """Return the command of one emulator: its settings become options, its docstring the help."""
 
     def emulate(fault: list[str] | None, json: bool, **options: Any) -> None:
         from pydantic import ValidationError
@@ -93,7 +93,7 @@ def _command(name: str, kind: EmulatorKind) -> Any:
 
 
 def _options(settings: type[BaseModel]) -> list[inspect.Parameter]:
-    """One option for each field; what is no number, word or path of the command line is pydantic's to check."""
+    """Return one option per field; pydantic validates the values."""
     parameters = []
     for name, field in settings.model_fields.items():
         kind = Annotated[field.annotation, typer.Option(help=field.description)]  # type: ignore[name-defined]

@@ -1,4 +1,4 @@
-"""`slipguard evaluate`: the grasp-and-lift experiment against markers, its report, and what it needs."""
+"""`slipguard evaluate`: experiments that compare estimated rotations with known ones, and their reports."""
 
 from __future__ import annotations
 
@@ -9,29 +9,30 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slipguard.cli.progress import count_bar
+from slipguard.cli.terminal import count_bar, progress_bar
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
     from slipguard.evaluation.protocol import LiftProtocol
 
 app = typer.Typer(
-    help="The paper's experiment: lifts against two markers that an external camera sees.\n\n"
+    help="Compare estimated rotations with known ones: the paper's grasp-and-lift experiment, with two markers and an "
+    "external camera, or rotated images of real presses.\n\n"
     "Example: `slipguard evaluate run --sim --out eval/`, `slipguard evaluate report eval/`"
 )
-Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")]
-Cluster = Annotated[str | None, typer.Option(help="A Dask scheduler, tcp://HOST:8786, instead of this machine.")]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object.")]
+Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0: one per core.")]
+Cluster = Annotated[str | None, typer.Option(help="Dask scheduler to use instead of this machine: tcp://HOST:8786.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 @app.command()
 def markers(
-    out: Annotated[Path, typer.Option(help="Where to write the sheet: .pdf or .png (300 dpi), A4.")],
+    out: Annotated[Path, typer.Option(help="File to write: .pdf or .png (300 dpi), A4.")],
     charuco: Annotated[
-        bool, typer.Option("--charuco", help="The calibration board instead of the two markers.")
+        bool, typer.Option("--charuco", help="Write the calibration board instead of the two markers.")
     ] = False,
 ) -> None:
-    """Write the sheet of markers to print, at true scale, with a ruler to check the printer by.
+    """Write a sheet of markers to print at true scale, with a ruler to check the print.
 
     Example: `slipguard evaluate markers --out markers.pdf`
     """
@@ -43,11 +44,11 @@ def markers(
 
 @app.command("calibrate-camera")
 def calibrate_camera(
-    source: Annotated[Path, typer.Argument(help="A film, or a folder of images, of the printed ChArUco board.")],
-    out: Annotated[Path, typer.Option(help="Where to write the intrinsics (JSON).")],
+    source: Annotated[Path, typer.Argument(help="Video, or folder of images, of the printed ChArUco board.")],
+    out: Annotated[Path, typer.Option(help="File to write the intrinsics to (JSON).")],
     json: Json = False,
 ) -> None:
-    """Find a camera's intrinsics from pictures of the printed board, held at different tilts all over the picture.
+    """Calibrate a camera from images of the printed board at different tilts and positions.
 
     Example: `slipguard evaluate calibrate-camera board.mp4 --out camera.json`
     """
@@ -62,20 +63,24 @@ def calibrate_camera(
     if json:
         print(found.model_dump_json())
         return
-    print(f"{out}: {found.width_px}x{found.height_px}, focal length {found.focal_px:.1f} px, off by {found.rms_px} px")
+    print(
+        f"{out}: {found.width_px}x{found.height_px}, focal length {found.focal_px:.1f} px, RMS error {found.rms_px} px"
+    )
 
 
 @app.command()
 def rotation(
-    source: Annotated[Path, typer.Argument(help="A film, a folder of images, or a lift's recording (.mcap).")],
-    intrinsics: Annotated[Path, typer.Option(help="The camera's intrinsics, of `calibrate-camera`.")],
-    side_mm: Annotated[float, typer.Option(min=5.0, max=300.0, help="Side of the markers' black squares.")] = 40.0,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object a line for each picture.")] = False,
-    plot: Annotated[Path | None, typer.Option(help="Picture of the turn over time.")] = None,
+    source: Annotated[Path, typer.Argument(help="Video, folder of images, or recording of a lift (.mcap).")],
+    intrinsics: Annotated[Path, typer.Option(help="Intrinsics of the camera, from `calibrate-camera`.")],
+    side_mm: Annotated[
+        float, typer.Option(min=5.0, max=300.0, help="Side of the markers' black squares, in millimeters.")
+    ] = 40.0,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object per image and line.")] = False,
+    plot: Annotated[Path | None, typer.Option(help="Plot the rotation over time to a PNG.")] = None,
 ) -> None:
-    """Tell the object's turn in the gripper from the two markers alone.
+    """Measure the object's rotation in the gripper from the two markers, without tactile images.
 
-    Example: `slipguard evaluate turn lift.mp4 --intrinsics camera.json --plot turn.png`
+    Example: `slipguard evaluate rotation lift.mp4 --intrinsics camera.json --plot rotation.png`
     """
     from slipguard.evaluation.camera_calibration import read_intrinsics
     from slipguard.evaluation.external_camera import markers_in
@@ -98,9 +103,9 @@ def rotation(
     else:
         largest = max(trace.rotation_deg, key=abs)
         print(
-            f"{len(trace.time_s)} of {len(seen)} pictures show both markers; turn from {trace.rotation_deg.min():+.2f}° to "
-            f"{trace.rotation_deg.max():+.2f}°, largest {largest:+.2f}°, sigma {trace.sigma_deg.mean():.2f}°, corners off "
-            f"by {trace.rms_px:.2f} px"
+            f"{len(trace.time_s)} of {len(seen)} images show both markers; rotation from "
+            f"{trace.rotation_deg.min():+.2f}° to {trace.rotation_deg.max():+.2f}°, largest {largest:+.2f}°, "
+            f"sigma {trace.sigma_deg.mean():.2f}°, RMS error of the corners {trace.rms_px:.2f} px"
         )
     if plot is not None:
         draw_trace(trace, plot)
@@ -108,19 +113,24 @@ def rotation(
 
 @app.command()
 def run(
-    out: Annotated[Path, typer.Option(help="Folder of the experiment; a run that was stopped goes on in it.")],
-    sim: Annotated[bool, typer.Option("--sim", help="In the simulated world, its camera included.")] = False,
+    out: Annotated[Path, typer.Option(help="Folder of the experiment. A run that was stopped is continued.")],
+    sim: Annotated[bool, typer.Option("--sim", help="Simulate the cell and its camera.")] = False,
     config: Annotated[Path | None, typer.Option(help="The cell's configuration.")] = None,
-    protocol: Annotated[Path | None, typer.Option(help="What to lift (TOML); default with --sim: 45 lifts.")] = None,
-    camera: Annotated[
-        str | None, typer.Option(help="External camera: number, /dev/videoN or URL; none: films put beside.")
+    protocol: Annotated[
+        Path | None, typer.Option(help="Lifts to perform (TOML). Default with --sim: 45 lifts.")
     ] = None,
-    intrinsics: Annotated[Path | None, typer.Option(help="That camera's intrinsics, of `calibrate-camera`.")] = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            help="External camera: number, /dev/videoN or URL. Without it, add the videos to the folder later."
+        ),
+    ] = None,
+    intrinsics: Annotated[Path | None, typer.Option(help="Intrinsics of that camera, from `calibrate-camera`.")] = None,
     jobs: Jobs = 0,
     cluster: Cluster = None,
     json: Json = False,
 ) -> None:
-    """Do the experiment, one recording a lift, and write the report; on a cell a person places each object.
+    """Perform the experiment, one recording per lift, and write the report. On a real cell, you place each object.
 
     Example: `slipguard evaluate run --sim --out eval/`,
     `slipguard evaluate run --config config.toml --protocol p.toml --camera 4 --intrinsics camera.json --out eval/`
@@ -133,13 +143,13 @@ def run(
     workers = Workers(jobs, cluster)
     if sim:
         if config is not None or camera is not None or intrinsics is not None:
-            raise InputError("--sim brings a cell and a camera of its own; leave out --config, --camera, --intrinsics")
-        _check_simulated(plan)
+            raise InputError("--sim simulates the cell and the camera; omit --config, --camera and --intrinsics")
+        _check_objects(plan)
         todo = len(prepare(out, plan, simulated=True))
         with count_bar("lifts", todo) as progress:
             run_simulated(out, plan, workers, progress)
     else:
-        _on_cell(out, plan if protocol is not None else None, config, camera, intrinsics)
+        _run_on_cell(out, plan if protocol is not None else None, config, camera, intrinsics)
     _report(out, None, workers, json)
 
 
@@ -147,19 +157,58 @@ def run(
 def report(
     folder: Annotated[Path, typer.Argument(help="Folder of an experiment.")],
     networks: Annotated[
-        Path | None, typer.Option(help="Also compare the networks (.onnx) of this folder on the recorded frames.")
+        Path | None, typer.Option(help="Also compare the networks (.onnx) in this folder on the recorded frames.")
     ] = None,
     jobs: Jobs = 0,
     cluster: Cluster = None,
     json: Json = False,
 ) -> None:
-    """Write the report of an experiment again: report.html, report.json and pictures.
+    """Write the report of an experiment again: report.html, report.json and plots.
 
     Example: `slipguard evaluate report eval/ --networks models/`
     """
     from slipguard.tools.parallel import Workers
 
     _report(folder, networks, Workers(jobs, cluster), json)
+
+
+@app.command("rotated-presses")
+def rotated_presses(
+    folder: Annotated[Path, typer.Argument(help="Folder with taxim_sphere/ and anytouch2_force2/.")],
+    part: Annotated[str, typer.Option(help="Presses to rotate: tune, test or all.")] = "test",
+    model: Annotated[Path | None, typer.Option(help="Network (.onnx) to use instead of the shipped one.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object per data set and method.")] = False,
+) -> None:
+    """Rotate images of real presses by known angles and measure the error of the estimates.
+
+    Semi-synthetic: the images are from a real sensor, the rotation is computed. With `relit` the illumination stays
+    fixed, as on a real sensor; with `rigid` it rotates with the press, which makes the task easier.
+
+    Example: `slipguard evaluate rotated-presses real_digit/ --part test --json`
+    """
+    from dataclasses import asdict, fields
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from slipguard.evaluation import rotated_presses as presses
+    from slipguard.perception.contact.segmenter import Segmenter
+
+    segmenter = Segmenter(model)
+    rows: list[presses.PressStatistics] = []
+    for method in presses.ROTATION_METHODS:
+        with progress_bar(method) as show:
+            rows += presses.press_statistics(presses.measure_presses(folder, part, method, segmenter, show), method)
+    if json:
+        for row in rows:
+            print(jsonlib.dumps(asdict(row)))
+        return
+    table = Table(title=f"Semi-synthetic rotations, part {part}", title_justify="left")
+    for field in fields(presses.PressStatistics):
+        table.add_column(field.name.replace("_", " "))
+    for row in rows:
+        table.add_row(*("" if value is None else str(value) for value in asdict(row).values()))
+    Console().print(table)
 
 
 def _report(folder: Path, networks: Path | None, workers: Any, json: bool) -> None:
@@ -172,25 +221,25 @@ def _report(folder: Path, networks: Path | None, workers: Any, json: bool) -> No
     if json:
         print(jsonlib.dumps(figures))
         return
-    _show(figures)
+    _print_table(figures)
     print(f"report: {folder / PAGE}")
 
 
-def _show(figures: dict[str, Any]) -> None:
+def _print_table(figures: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table("object", "lifts", "error ° mean ± sd", "worst lift", "not told")
+    table = Table("object", "lifts", "error ° mean ± sd", "worst lift", "no estimate")
     for name, one in figures["per_object"].items():
         fused = one["fused"]
-        told = "–" if fused["mean"] is None else f"{fused['mean']:.2f} ± {fused['sd']:.2f}"
+        error = "–" if fused["mean"] is None else f"{fused['mean']:.2f} ± {fused['sd']:.2f}"
         worst = "–" if fused["worst"] is None else f"{fused['worst']:.2f}"
-        hard = f" ({one['hard']})" if one["hard"] else ""
-        table.add_row(name + hard, str(fused["n"]), told, worst, f"{100 * one['declined_share']:.0f} %")
+        note = f" ({one['hard']})" if one["hard"] else ""
+        table.add_row(name + note, str(fused["n"]), error, worst, f"{100 * one['declined_share']:.0f} %")
     console = Console(highlight=False)
     console.print(table)
     if figures["turn_error_mean_deg"] is None:
-        console.print("no lift could be compared; see problems in report.json")
+        console.print("no lift could be compared; see `problems` in report.json")
         return
     paper = figures["paper_real_cell_as_published"]
     mean_deg, sd_deg = figures["turn_error_mean_deg"], figures["turn_error_sd_deg"]
@@ -201,22 +250,22 @@ def _show(figures: dict[str, Any]) -> None:
     )
 
 
-def _check_simulated(plan: LiftProtocol) -> None:
+def _check_objects(plan: LiftProtocol) -> None:
     from slipguard.sim.catalogue import object_names
 
     known = {*object_names("test"), *object_names("train")}
-    for thing in plan.objects:
-        if thing.name not in known:
-            raise InputError(f"no simulated object {thing.name!r}; there are: {', '.join(sorted(known))}")
+    for one in plan.objects:
+        if one.name not in known:
+            raise InputError(f"no simulated object {one.name!r}; choose from: {', '.join(sorted(known))}")
 
 
-def _on_cell(
+def _run_on_cell(
     out: Path, plan: LiftProtocol | None, config: Path | None, camera: str | None, intrinsics: Path | None
 ) -> None:
     import asyncio
 
     from slipguard.cli.interrupt import default_interrupts
-    from slipguard.cli.prompt import ask
+    from slipguard.cli.terminal import ask
     from slipguard.config import read_config
     from slipguard.daemon.api.paths import socket_path
     from slipguard.daemon.run import build_service
@@ -227,7 +276,7 @@ def _on_cell(
     from slipguard.evaluation.real_lifts import daemon_socket_held, run_on_cell
 
     if config is None or plan is None or intrinsics is None:
-        raise InputError("on a cell --config, --protocol and --intrinsics are needed; or try --sim")
+        raise InputError("a real cell needs --config, --protocol and --intrinsics; --sim needs none of them")
     settings = read_config(config)
     service, lens = build_service(settings), read_intrinsics(intrinsics)
     service.observers.append(

@@ -1,4 +1,4 @@
-"""`slipguard install`: the service's unit, the udev rules and a configuration, put in place."""
+"""`slipguard install`: install the systemd unit, the udev rules and a configuration."""
 
 from __future__ import annotations
 
@@ -13,34 +13,40 @@ import typer
 if TYPE_CHECKING:
     from slipguard.installation import Step
 
-SAID = {
+DONE_WORDS = {
     "write": "written",
     "replace": "replaced",
     "remove": "removed",
     "run": "done",
-    "same": "in place already",
+    "same": "unchanged",
     "keep": "kept",
-    "skip": "left out",
+    "skip": "skipped",
 }
-WOULD = SAID | {"write": "would write", "replace": "would replace", "remove": "would remove", "run": "would run"}
-HERE = Path("/")
+DRY_RUN_WORDS = DONE_WORDS | {
+    "write": "would write",
+    "replace": "would replace",
+    "remove": "would remove",
+    "run": "would run",
+}
+ROOT = Path("/")
 
 
 def install(
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show each step and what it changes; do nothing.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show each step and its changes; do nothing.")] = False,
     config: Annotated[
-        Path | None, typer.Option("--config", "-c", help="Your configuration; it never overwrites another one.")
+        Path | None, typer.Option("--config", "-c", help="Configuration to install; never overwrites a different one.")
     ] = None,
     prefix: Annotated[
-        Path | None, typer.Option(help="Whose `bin/slipguard` the service starts; default: this installation.")
+        Path | None, typer.Option(help="The service runs `bin/slipguard` of this prefix. Default: this installation.")
     ] = None,
-    root: Annotated[Path, typer.Option(help="Put all under this folder, such as a disk image's; runs nothing.")] = HERE,
-    uninstall: Annotated[bool, typer.Option("--uninstall", help="Take unit and rules away again.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    root: Annotated[Path, typer.Option(help="Install below this folder, such as a disk image; runs nothing.")] = ROOT,
+    uninstall: Annotated[bool, typer.Option("--uninstall", help="Remove unit and rules.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Put the systemd unit, the udev rules and a configuration in place; safe to repeat.
+    """Install the systemd unit, the udev rules and a configuration. Safe to repeat.
 
-    What you have configured stays. It starts nothing: `systemctl enable --now slipguard` does.
+    An existing configuration is kept. The service is not started: use `systemctl enable --now slipguard`.
+
     Example: `slipguard install --config config.toml --dry-run`
     """
     import json as jsonlib
@@ -49,31 +55,31 @@ def install(
     from slipguard.errors import InputError, SlipguardError
 
     if not root.is_dir():
-        raise InputError(f"{root}: no such folder; --root names one that is there")
+        raise InputError(f"{root}: no such folder; --root needs an existing folder")
     executable = _executable(prefix)
     live = installation.live(root)
     if uninstall:
         steps = list(installation.to_remove(root, live))
     else:
-        steps = list(installation.to_install(root, executable, _text(config), live))
-    if not dry_run and root.resolve() == HERE and os.geteuid() != 0:
-        raise SlipguardError(f"root is needed: `sudo {executable} install`; --dry-run shows what it would do")
-    why_not = None if uninstall or root.resolve() != HERE else _why_not(executable, this_one=prefix is None)
-    if why_not is not None and not dry_run:
-        raise SlipguardError(why_not)
+        steps = list(installation.to_install(root, executable, _read_checked(config), live))
+    if not dry_run and root.resolve() == ROOT and os.geteuid() != 0:
+        raise SlipguardError(f"needs root: run `sudo {executable} install`; --dry-run shows the steps without root")
+    obstacle = None if uninstall or root.resolve() != ROOT else _find_obstacle(executable, this_one=prefix is None)
+    if obstacle is not None and not dry_run:
+        raise SlipguardError(obstacle)
     for step in steps:
         if not dry_run:
             installation.carry_out(step)
         if not json:
-            _say(step, dry_run)
+            _print_step(step, dry_run)
     if json:
-        told = [{"do": one.do.value, "what": one.what, "why": one.why, "diff": one.diff} for one in steps]
-        print(jsonlib.dumps({"dry_run": dry_run, "steps": told, "would_be_refused": why_not}))
-    if why_not is not None:
-        raise SlipguardError(f"it would be refused: {why_not}")
+        described = [{"do": one.do.value, "what": one.what, "why": one.why, "diff": one.diff} for one in steps]
+        print(jsonlib.dumps({"dry_run": dry_run, "steps": described, "would_be_refused": obstacle}))
+    if obstacle is not None:
+        raise SlipguardError(f"not possible: {obstacle}")
     if not json and not uninstall and not dry_run:
-        print("`slipguard doctor` looks at the cell; then: systemctl enable --now slipguard")
-        print("where it runs already: systemctl restart slipguard, best with nothing held; the grip stays")
+        print("check the cell: slipguard doctor; then start the service: systemctl enable --now slipguard")
+        print("if it is already running: systemctl restart slipguard, preferably with nothing held; the grip is kept")
 
 
 def _executable(prefix: Path | None) -> Path:
@@ -81,8 +87,8 @@ def _executable(prefix: Path | None) -> Path:
     return scripts / "slipguard"
 
 
-def _text(config: Path | None) -> str | None:
-    """A configuration that has been checked. Raises ConfigError."""
+def _read_checked(config: Path | None) -> str | None:
+    """Return the text of a configuration. Raises ConfigError if it is invalid."""
     if config is None:
         return None
     from slipguard.config import read_config
@@ -91,22 +97,22 @@ def _text(config: Path | None) -> str | None:
     return config.read_text(encoding="utf-8")
 
 
-def _why_not(executable: Path, *, this_one: bool) -> str | None:
-    """Why the service could not start as it would be installed."""
+def _find_obstacle(executable: Path, *, this_one: bool) -> str | None:
+    """Return why the service could not start after the installation; None if it could."""
     from slipguard.installation import missing_groups, out_of_reach
 
     for path in (executable, *([Path(sys.executable)] if this_one else [])):
         why = out_of_reach(path)
         if why is not None:
-            return f"{why}; install slipguard where everybody may run it: `python3 -m venv /opt/slipguard`"
+            return f"{why}; install slipguard where every user may run it: `python3 -m venv /opt/slipguard`"
     missing = missing_groups()
     if missing:
-        return f"the unit needs the groups {' and '.join(missing)}, which are not there; `groupadd` makes them"
+        return f"the groups {' and '.join(missing)}, which the unit needs, do not exist; create them with `groupadd`"
     return None
 
 
-def _say(step: Step, dry_run: bool) -> None:
-    word = (WOULD if dry_run else SAID)[step.do]
+def _print_step(step: Step, dry_run: bool) -> None:
+    word = (DRY_RUN_WORDS if dry_run else DONE_WORDS)[step.do]
     print(f"{word:>16}  {step.what}" + (f": {step.why}" if step.why else ""))
     if dry_run and step.diff:
         print("\n".join(f"{'':18}{line}" for line in step.diff.splitlines()))

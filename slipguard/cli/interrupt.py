@@ -1,4 +1,4 @@
-"""Ctrl-C at any moment: one line, exit code 1, no traceback."""
+"""Ctrl-C at any time: one line, exit code 1, no traceback."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-SAID = "slipguard: interrupted"
+INTERRUPTED = "slipguard: interrupted"
 IMPORTER = "<frozen importlib._bootstrap>"
 
 
-class Interrupt:
-    """The handler of SIGINT. noticed: whether one came, whatever a library made of the KeyboardInterrupt."""
+class InterruptHandler:
+    """The handler of SIGINT. interrupted: whether one came, even if a library has replaced the KeyboardInterrupt."""
 
     def __init__(self) -> None:
-        self.noticed = False
+        self.interrupted = False
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Raise KeyboardInterrupt; end at once where a module is being imported.
+        """Raise KeyboardInterrupt; while a module is being imported, exit at once.
 
-        Nothing is open then, and extension modules answer the exception with tracebacks and errors of their own.
+        During an import no file or device is open, and extension modules turn the exception into other errors.
         """
-        self.noticed = True
+        self.interrupted = True
         while frame is not None:
             if frame.f_code.co_filename == IMPORTER:
-                os.write(2, f"{SAID}\n".encode())
+                os.write(2, f"{INTERRUPTED}\n".encode())
                 os._exit(1)
             frame = frame.f_back
         raise KeyboardInterrupt
@@ -34,7 +34,7 @@ class Interrupt:
 
 @contextmanager
 def default_interrupts() -> Iterator[None]:
-    """asyncio turns a Ctrl-C into a cancelled main task, but only where nobody else has put a handler."""
+    """Use Python's own SIGINT handler: only then does asyncio turn a Ctrl-C into a cancelled main task."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         yield

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from slipguard.cli.interrupt import default_interrupts
-from slipguard.cli.progress import progress_bar
+from slipguard.cli.terminal import progress_bar
 from slipguard.thread_priority import set_realtime_priority
 
 if TYPE_CHECKING:
@@ -50,17 +50,17 @@ def latency(
     if json:
         print(jsonlib.dumps(asdict(found)))
     else:
-        _show(Console(highlight=False), found)
+        _print_table(Console(highlight=False), found)
 
 
-def _show(console: Console, found: LatencyReport) -> None:
+def _print_table(console: Console, found: LatencyReport) -> None:
     from rich.table import Table
 
     from slipguard.bench.wire_latency import OWN, TOTAL
 
     options = found.options
-    pace = f"{options.baud} Bd" if options.baud else "unlimited baud rate"
-    table = Table("stage, ms", title=f"{found.commands} commands, {options.fps} fps, {pace}", title_justify="left")
+    bit_rate = f"{options.baud} Bd" if options.baud else "unlimited baud rate"
+    table = Table("stage, ms", title=f"{found.commands} commands, {options.fps} fps, {bit_rate}", title_justify="left")
     for name in ("p50", "p99", "largest"):
         table.add_column(name, justify="right")
     for stage, spread in found.stages.items():

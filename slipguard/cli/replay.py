@@ -1,4 +1,4 @@
-"""`slipguard replay`: a recording through pipeline and law again, or out of MCAP into plain files."""
+"""`slipguard replay`: process recordings again, or export them to plain files."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from slipguard.control.messages import Command
     from slipguard.tools.replay import CommandDifference, ControllerReplay, ReplayResult
 
-SHOWN = 10
+DIFFERENCES_MAX = 10
 
 
-class Kind(StrEnum):
-    """What a recording can be taken apart into."""
+class ExportFormat(StrEnum):
+    """File format of an export."""
 
     csv = "csv"
     png = "png"
@@ -29,53 +29,53 @@ class Kind(StrEnum):
 
 def replay(
     files: Annotated[list[Path], typer.Argument(help="Recordings (.mcap), or a folder of them.")],
-    model: Annotated[Path | None, typer.Option(help="Another segmentation network (.onnx).")] = None,
+    model: Annotated[Path | None, typer.Option(help="Segmentation network (.onnx). Default: the shipped one.")] = None,
     against: Annotated[
         bool,
         typer.Option(
-            "--against", help="List the commands that differ from the recorded ones; exit code 1 if any does."
+            "--against", help="List commands that differ from the recorded ones; exit code 1 if there are any."
         ),
     ] = False,
-    export: Annotated[Path | None, typer.Option(help="Folder to take the recording apart into instead.")] = None,
+    export: Annotated[Path | None, typer.Option(help="Export the recordings to this folder instead.")] = None,
     kinds: Annotated[
-        list[Kind] | None, typer.Option("--as", help="With --export: csv, png, mp4; may be given several times.")
+        list[ExportFormat] | None, typer.Option("--as", help="With --export: csv, png or mp4; may be repeated.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Play recordings again: the same frames through the pipeline, the same sights through the law.
+    """Process recordings again: the frames by the perception, the recorded estimates by the controller.
 
-    On what was recorded of the fingers the law must give the very same commands. On the frames themselves it does so
-    where they were recorded as png; jpeg moves turns by some hundredths of a degree.
+    With the recorded estimates, the controller must give the same commands. With the frames, it does so if they were
+    recorded as png; jpeg changes rotations by some hundredths of a degree.
 
     Example: `slipguard replay kept/20261121T143012.250Z.mcap --against`, `slipguard replay kept/ --export out/`
     """
     from rich.console import Console
 
-    from slipguard.tools import replay as lab
+    from slipguard.tools import replay as tool
 
-    opened = lab.recordings(files)
+    opened = tool.recordings(files)
     if export is not None:
         if model is not None or against:
-            raise InputError("--export takes a recording apart; --model and --against play it again: one or the other")
-        from slipguard.tools.replay_export import export as take_apart
+            raise InputError("--export cannot be combined with --model and --against")
+        from slipguard.tools.replay_export import export as export_files
 
-        written = take_apart(opened, export, {kind.value for kind in kinds or [Kind.csv]})
+        written = export_files(opened, export, {kind.value for kind in kinds or [ExportFormat.csv]})
         for path in written:
             print(path)
         return
     if kinds:
-        raise InputError("--as belongs to --export FOLDER")
-    done = lab.replay(opened, model)
+        raise InputError("--as needs --export FOLDER")
+    done = tool.replay(opened, model)
     if json:
         print(jsonlib.dumps(_as_json(done)))
     else:
-        _show(Console(), done, against)
+        _print_result(Console(), done, against)
     if against and (done.on_recorded.differences or done.on_frames.differences):
         raise typer.Exit(1)
     if against and not done.on_recorded.ticks:
-        raise SlipguardError("nothing was played, so nothing was compared")
+        raise SlipguardError("the recordings have no control steps, so nothing was compared")
     if model is not None and not done.asked:
-        raise SlipguardError(f"--model {model}: no frame was replayed, so it was not tried")
+        raise SlipguardError(f"--model {model}: no frame was processed, so the network was not used")
 
 
 def _as_json(done: ReplayResult) -> dict[str, Any]:
@@ -97,50 +97,62 @@ def _as_json(done: ReplayResult) -> dict[str, Any]:
     }
 
 
-def _first(law: ControllerReplay) -> dict[str, Any] | None:
-    return _plain(law.differences[0]) if law.differences else None
+def _first(replayed: ControllerReplay) -> dict[str, Any] | None:
+    return _plain(replayed.differences[0]) if replayed.differences else None
 
 
 def _plain(difference: CommandDifference) -> dict[str, Any]:
-    return {"at_s": difference.now_s, "recorded": _told(difference.recorded), "replayed": _told(difference.replayed)}
+    return {
+        "at_s": difference.now_s,
+        "recorded": _command_text(difference.recorded),
+        "replayed": _command_text(difference.replayed),
+    }
 
 
-def _told(command: Command) -> str:
-    """Only what it commands."""
+def _command_text(command: Command) -> str:
+    """Return only the fields that are set."""
     given = {one.name: getattr(command, one.name) for one in fields(command) if one.compare}
     return ", ".join(f"{name}={value}" for name, value in given.items() if value not in (None, False)) or "nothing"
 
 
-def _show(console: Any, done: ReplayResult, against: bool) -> None:
+def _print_result(console: Any, done: ReplayResult, against: bool) -> None:
     from rich.table import Table
 
     began_s = done.phases[0][0] if done.phases else 0.0
     way = ", ".join(f"{phase} {at_s - began_s:.1f} s" for at_s, phase in done.phases)
-    console.print(f"{done.on_recorded.ticks} turns of the loop: {way or 'none'}")
+    console.print(f"{done.on_recorded.ticks} control steps: {way or 'none'}")
     for fault in done.faults:
         console.print(f"fault: {fault}")
-    table = Table("replayed", "how many", "commands that differ", "turns that differ")
-    table.add_row("law on the recorded sights", str(done.on_recorded.ticks), str(len(done.on_recorded.differences)), "")
+    table = Table("processed", "control steps", "commands that differ", "rotations that differ")
+    table.add_row(
+        "controller with the recorded estimates",
+        str(done.on_recorded.ticks),
+        str(len(done.on_recorded.differences)),
+        "",
+    )
     rotations = [abs(rotation) for rotation in done.turn_differences_deg]
     told = f"{done.estimates_differ} of {len(done.asked)} frames" + (
-        f", by {max(rotations):.3f}° at most" if rotations else ""
+        f", by at most {max(rotations):.3f}°" if rotations else ""
     )
     table.add_row(
-        f"law on the frames ({done.image})", str(done.on_frames.ticks), str(len(done.on_frames.differences)), told
+        f"controller with the frames ({done.image})",
+        str(done.on_frames.ticks),
+        str(len(done.on_frames.differences)),
+        told,
     )
     console.print(table)
     if not done.asked:
-        console.print("no frame was replayed: there are no pictures, or no new reference was taken in the recording")
+        console.print("no frame was processed: there are no images, or no new reference was taken in the recording")
     for damage in done.damage:
-        console.print(f"{damage}: played up to there")
+        console.print(f"{damage}: processed up to there")
     if against:
-        for name, law in (("recorded sights", done.on_recorded), ("frames", done.on_frames)):
-            _list(console, name, law, began_s)
+        for name, replayed in (("recorded estimates", done.on_recorded), ("frames", done.on_frames)):
+            _list(console, name, replayed, began_s)
 
 
-def _list(console: Any, name: str, law: ControllerReplay, began_s: float) -> None:
-    for one in law.differences[:SHOWN]:
+def _list(console: Any, name: str, replayed: ControllerReplay, began_s: float) -> None:
+    for one in replayed.differences[:DIFFERENCES_MAX]:
         console.print(f"{name}, {one.now_s - began_s:.3f} s:")
-        console.print(f"  recorded {_told(one.recorded)}\n  replayed {_told(one.replayed)}")
-    if len(law.differences) > SHOWN:
-        console.print(f"{name}: {len(law.differences) - SHOWN} more")
+        console.print(f"  recorded {_command_text(one.recorded)}\n  replayed {_command_text(one.replayed)}")
+    if len(replayed.differences) > DIFFERENCES_MAX:
+        console.print(f"{name}: {len(replayed.differences) - DIFFERENCES_MAX} more")

@@ -1,4 +1,4 @@
-"""`slipguard run | check | version`: the daemon and what surrounds it."""
+"""`slipguard run`, `slipguard check` and `slipguard version`."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ def run(
         bool,
         typer.Option(
             "--sim",
-            help="Put the fakes in place of all devices; the file may be missing then. What is kept "
-            "lies where a real cell's would: give state.directory another place if there is one.",
+            help="Use simulated devices; the file may be missing. State and recordings are stored where those of a "
+            "real cell are: set state.directory if this machine also runs one.",
         ),
     ] = False,
     log_json: Annotated[
         bool | None,
-        typer.Option("--log-json/--log-text", help="Default: JSON unless on a terminal."),
+        typer.Option("--log-json/--log-text", help="Format of the log. Default: text on a terminal, else JSON."),
     ] = None,
 ) -> None:
-    """Run the daemon until SIGINT or SIGTERM; stopping it keeps the grip. SIGHUP takes up a changed configuration.
+    """Run the daemon until SIGINT or SIGTERM. The grip is kept when it stops. SIGHUP reloads the configuration.
 
     Example: `slipguard run --config config.toml`, then in another terminal `slipguard ctl state`
     """
@@ -54,7 +54,7 @@ def run(
     else:
         daemon = root.run(settings, bind_api, read_config=lambda: read_config(config))
     if sys.__stderr__ is not None:
-        faulthandler.enable(sys.__stderr__)  # where a loop hangs that systemd's watchdog ends is worth a look
+        faulthandler.enable(sys.__stderr__)  # shows where the loop hung if the systemd watchdog ends the daemon
     with default_interrupts():
         asyncio.run(daemon)
 
@@ -62,7 +62,7 @@ def run(
 def bind_api(config: Config) -> ServeApi:
     """Claim the daemon's socket, and return what serves API and page on it.
 
-    Raises SlipguardError if another daemon has the socket, ConfigError if it cannot be made.
+    Raises SlipguardError if another daemon has the socket, ConfigError if it cannot be created.
     """
     from slipguard.daemon.api.paths import socket_path, token_path
     from slipguard.web.host import run_api
@@ -74,9 +74,11 @@ def bind_api(config: Config) -> ServeApi:
 
 def check(
     config: ConfigOption = USUAL_FILE,
-    json: Annotated[bool, typer.Option("--json", help="The whole configuration, defaults filled in, as JSON.")] = False,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print the complete configuration with defaults as JSON.")
+    ] = False,
 ) -> None:
-    """Read and explain a configuration; touch nothing.
+    """Check and explain a configuration. Does not access any device.
 
     Example: `slipguard check --config config.toml`
     """
@@ -88,9 +90,9 @@ def check(
     from slipguard.perception.contact.segmenter import Segmenter
 
     settings = read_config(config)
-    wrong = next(_cannot_work(settings), None)
-    if wrong is not None:
-        raise ConfigError(f"{config}: {wrong}")
+    problem = next(_find_problems(settings), None)
+    if problem is not None:
+        raise ConfigError(f"{config}: {problem}")
     try:
         segmenter = Segmenter(settings.perception.model)
     except ModelError as error:
@@ -107,19 +109,19 @@ def check(
     console.print(table)
     guard = settings.guard
     console.print(
-        f"mode {guard.mode!r}: first grip {guard.first_force_n:g} N per finger, never above {guard.force_max_n:g} N, "
-        f"{guard.no_estimate_force_n:g} N where the turn cannot be seen"
+        f"mode {guard.mode!r}: first grip {guard.first_force_n:g} N per finger, force limit {guard.force_max_n:g} N, "
+        f"{guard.no_estimate_force_n:g} N without a rotation estimate"
     )
-    _, hardest_n = _devices(settings)["gripper"].force_limits_n
-    if hardest_n < guard.force_max_n:
-        console.print(f"this gripper applies {hardest_n:g} N at most")
+    _, gripper_max_n = _devices(settings)["gripper"].force_limits_n
+    if gripper_max_n < guard.force_max_n:
+        console.print(f"this gripper applies at most {gripper_max_n:g} N")
     width, height = segmenter.input_size
     console.print(f"network {segmenter.path.name} at {width}×{height}, estimator {settings.perception.estimator!r}")
-    console.print("the configuration is fine")
+    console.print("the configuration is valid")
 
 
-def _cannot_work(config: Config) -> Iterator[str]:
-    """What is well formed and fails as soon as the daemon starts, or at the first grasp; opens no device."""
+def _find_problems(config: Config) -> Iterator[str]:
+    """Yield problems that would appear only when the daemon starts, or at the first grasp; opens no device."""
     from slipguard.daemon.api.paths import socket_path
     from slipguard.daemon.run import recordings_path
     from slipguard.daemon.store.state_dir import StateDir
@@ -127,7 +129,9 @@ def _cannot_work(config: Config) -> Iterator[str]:
 
     model = config.perception.model
     if model is not None and not model.is_file():
-        yield f"perception.model = {model}: " + ("a folder; name the .onnx file" if model.is_dir() else "no such file")
+        yield f"perception.model = {model}: " + (
+            "a folder; give the path of the .onnx file" if model.is_dir() else "no such file"
+        )
     folders = {"state.directory": StateDir(config.state.directory).path}
     if config.recording.enabled:
         folders["recording.directory"] = recordings_path(config)
@@ -135,20 +139,21 @@ def _cannot_work(config: Config) -> Iterator[str]:
     for key, folder in folders.items():
         there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
         if not there.is_dir():
-            yield f"{key}: {there} is no folder; move it away, or set {key} to another place"
+            yield f"{key}: {there} is not a folder; move it, or set {key} to another path"
     if socket_path(config).is_dir():
-        yield f"api.socket = {socket_path(config)}: a folder; name a file in it"
+        yield f"api.socket = {socket_path(config)}: a folder; give the path of a file"
     try:
-        softest_n, _ = _devices(config)["gripper"].force_limits_n
+        gripper_min_n, _ = _devices(config)["gripper"].force_limits_n
     except SlipguardError as error:
         yield str(error)
         return
-    if config.guard.force_max_n < softest_n:
-        yield f"guard.force_max_n = {config.guard.force_max_n:g}: this gripper grips with {softest_n:g} N at least"
+    if config.guard.force_max_n < gripper_min_n:
+        limit_n = config.guard.force_max_n
+        yield f"guard.force_max_n = {limit_n:g}: the minimum force of this gripper is {gripper_min_n:g} N"
 
 
 def _devices(config: Config) -> dict[str, Any]:
-    """All four drivers with their settings, none opened. Raises SlipguardError for what cannot be."""
+    """Return all four drivers with their settings, not opened. Raises SlipguardError for invalid settings."""
     from slipguard.config import GROUP_OF
     from slipguard.devices import DriverContext
     from slipguard.registry import load_driver
@@ -161,9 +166,9 @@ def _devices(config: Config) -> dict[str, Any]:
 
 
 def version(
-    json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Say what runs here: slipguard, Python, libraries, drivers.
+    """Show the versions of slipguard, Python, libraries and drivers.
 
     Example: `slipguard version --json`
     """

@@ -1,4 +1,4 @@
-"""`slipguard --sim`: the campaign with a live display, a table, a picture and an exit code."""
+"""`slipguard --sim`: simulated lifts with a live display, a table and a plot."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ LIFT_TAKES_S = 7
 
 
 class Speed(StrEnum):
-    """Which clock a simulation runs on."""
+    """Clock of a simulation."""
 
     realtime = "realtime"
     fast = "fast"
 
 
 def simulate(*, seed: int, lifts: int | None, guarded: bool, json: bool, out: Path | None, speed: Speed) -> None:
-    """Run the campaign; exit code 1 if an object was dropped, or the machine was too slow to show anything."""
+    """Run the lifts; exit code 1 if an object was dropped, or the machine was too slow for a valid result."""
     import logging
 
     from rich.console import Console
@@ -61,11 +61,11 @@ def simulate(*, seed: int, lifts: int | None, guarded: bool, json: bool, out: Pa
     else:
         print_tables(console, records, realtime=realtime)
     if out is not None:
-        picture = out / ("guarded.png" if guarded else "unguarded.png")
-        draw(records, picture)
-        progress.print(f"picture: {picture}", highlight=False, soft_wrap=True)
+        plot = out / ("guarded.png" if guarded else "unguarded.png")
+        draw(records, plot)
+        progress.print(f"plot: {plot}", highlight=False, soft_wrap=True)
     if not json:
-        console.print(_what_next(settings, out), style="dim")
+        console.print(_next_steps(settings, out), style="dim")
     slow = _too_slow(records) if realtime else None
     if slow is not None:
         progress.print(slow, style="yellow", highlight=False, soft_wrap=True)
@@ -74,7 +74,7 @@ def simulate(*, seed: int, lifts: int | None, guarded: bool, json: bool, out: Pa
 
 
 def _too_slow(records: list[LiftRecord]) -> str | None:
-    """What to say where the simulated cameras or the loop did not get the time they need; None where they did."""
+    """Return a warning if the machine was too slow for the simulated cameras or the loop; None if it was not."""
     from slipguard.control.fault import FaultCode
 
     late = [record for record in records if record.why in (FaultCode.FRAMES_LOST, FaultCode.LOOP_LATE)]
@@ -82,48 +82,48 @@ def _too_slow(records: list[LiftRecord]) -> str | None:
         return None
     return (
         f"{len(late)} of {len(records)} lifts ended early ({late[0].why}): this machine is too busy or too slow to "
-        "draw two cameras and watch them at once, so they show nothing; end what else runs and try again, or add "
-        "--speed fast, which takes the time it needs"
+        "simulate two cameras in real time, so the result is not valid; stop other programs and try again, or add "
+        "--speed fast"
     )
 
 
 def _announcement(settings: CampaignSettings) -> str:
     count = len(settings.objects())
     guard = (
-        "slipguard watches the gel images and tightens the grip"
+        "slipguard tightens the grip when the gel images show slip"
         if settings.guarded
-        else "the grip stays as it is: this is what happens without the guard"
+        else "without the guard: the grip force does not change"
     )
-    takes = f"about {count * LIFT_TAKES_S} s" if settings.realtime else "as fast as it computes"
+    takes = f"about {count * LIFT_TAKES_S} s" if settings.realtime else "as fast as possible"
     return (
-        f"{count} {'lift' if count == 1 else 'lifts'} of objects held off their centre of mass, on simulated sensors, "
+        f"{count} {'lift' if count == 1 else 'lifts'} of objects held off their center of mass, on simulated sensors, "
         f"gripper and arm; {guard}. Seed {settings.seed}, {takes}."
     )
 
 
-def _what_next(settings: CampaignSettings, out: Path | None) -> str:
+def _next_steps(settings: CampaignSettings, out: Path | None) -> str:
     seed = f" --seed {settings.seed}" if settings.seed else ""
     if settings.guarded:
         steps = [(f"slipguard --sim --no-guard{seed}", "the same lifts without the guard")]
     else:
         steps = [(f"slipguard --sim{seed}", "the same lifts with the guard")]
     if out is None:
-        steps.append((f"slipguard --sim --out sim/{seed}", "a picture of every lift"))
+        steps.append((f"slipguard --sim --out sim/{seed}", "a plot of every lift"))
     steps.append(("slipguard run --sim", "the daemon, for `slipguard ctl`"))
     width = max(len(command) for command, _ in steps)
-    return "\n".join(["try next:", *(f"  {command:{width}}  {what}" for command, what in steps)])
+    return "\n".join(["next steps:", *(f"  {command:{width}}  {what}" for command, what in steps)])
 
 
 def _make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"--out {path}: the folder cannot be made ({error.strerror}); name another") from error
+        raise InputError(f"--out {path}: cannot create the folder ({error.strerror}); use another path") from error
 
 
 @contextmanager
 def _display(console: Console) -> Iterator[Callable[[LiftProgress], None]]:
-    """A live table on a terminal, nothing on a pipe."""
+    """Show a live table on a terminal; nothing on a pipe."""
     from rich.live import Live as Screen
 
     newest: list[LiftProgress] = []
@@ -146,9 +146,9 @@ def _table(live: LiftProgress | None) -> Table:
     if live is None:
         table.add_row("starting the simulated cell …")
         return table
-    rotation = "cannot tell" if live.rotation_deg is None else f"{live.rotation_deg:+6.1f}° ± {live.sigma_deg:.1f}°"
+    rotation = "no estimate" if live.rotation_deg is None else f"{live.rotation_deg:+6.1f}° ± {live.sigma_deg:.1f}°"
     table.add_row(f"lift {live.lift} of {live.lifts}", f"[bold]{live.object_name}[/]", live.phase)
-    table.add_row("turn measured", rotation, f"true {live.true_rotation_deg:+6.1f}°")
+    table.add_row("rotation", rotation, f"true {live.true_rotation_deg:+6.1f}°")
     bar = "█" * round(live.force_n / 5)
     table.add_row("grip", f"{live.force_n:5.0f} N", bar)
     if live.latency_ms is not None:

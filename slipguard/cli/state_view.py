@@ -1,4 +1,4 @@
-"""A daemon's state on one screen, for people: what is held, how well each device is, what to do about a fault."""
+"""A daemon's state as a table for the terminal: the grasp, each device, and what to do about a fault."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 
-COLOUR = {"ready": "green", "error": "yellow", "disconnected": "red"}
-SHOWN_EVENTS = 6
+HEALTH_COLORS = {"ready": "green", "error": "yellow", "disconnected": "red"}
+EVENTS_MAX = 6
 
 
-def state_table(answer: Mapping[str, Any]) -> RenderableType:
-    """What `GET /state` answered, in at most 80 columns where no reason is longer."""
+def state_table(state: Mapping[str, Any]) -> RenderableType:
+    """Return the response of `GET /state` as a table of at most 80 columns, unless a reason is longer."""
     grasp = _two_columns()
-    for name, text in _grasp(answer):
+    for name, text in _grasp_rows(state):
         grasp.add_row(name, text)
     devices = _two_columns()
     devices.add_column()
-    for name, health in answer.get("devices", {}).items():
-        state = str(health.get("state"))
-        colour = COLOUR.get(state, "white")
-        devices.add_row(name, f"[{colour}]{escape(state)}[/]", escape(_device(answer, name, health)))
+    for name, health in state.get("devices", {}).items():
+        health_state = str(health.get("state"))
+        color = HEALTH_COLORS.get(health_state, "white")
+        devices.add_row(name, f"[{color}]{escape(health_state)}[/]", escape(_device_text(state, name, health)))
     events = _two_columns()
-    for number, line in enumerate(_events(answer.get("messages", []))):
+    for number, line in enumerate(_event_lines(state.get("messages", []))):
         events.add_row("last events" if number == 0 else "", escape(line))
     return Group(grasp, "", devices, "", events)
 
@@ -38,95 +38,96 @@ def _two_columns() -> Table:
     return table
 
 
-def _grasp(answer: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    phase = str(answer.get("phase"))
-    notes = [f"mode {answer.get('mode')}", _guard(answer, phase)]
-    if answer.get("slipping"):
+def _grasp_rows(state: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    phase = str(state.get("phase"))
+    notes = [f"mode {state.get('mode')}", _guard_text(state, phase)]
+    if state.get("slipping"):
         notes.append("[red]slipping[/]")
     yield "phase", f"[{'red' if phase == 'fault' else 'bold'}]{escape(phase)}[/] ({', '.join(notes)})"
-    fault = answer.get("fault")
+    fault = state.get("fault")
     if fault:
         yield "fault", f"[red]{escape(fault['code'])}[/]: {escape(fault['observed'])}"
         yield "what to do", escape(fault["what_to_do"])
-    yield "rotation", escape(_rotation(answer))
-    yield "grip", escape(_grip(answer))
-    arm = answer.get("arm")
+    yield "rotation", escape(_rotation_text(state))
+    yield "grip", escape(_grip_text(state))
+    arm = state.get("arm")
     if arm:
         stop = "protective stop" if arm["protective_stop"] else "emergency stop" if arm["emergency_stop"] else ""
-        moving = f"moving at {arm['speed_mm_s']:.0f} mm/s" if arm["moving"] else "at rest"
-        yield "arm", f"{arm['height_mm']:.0f} mm above its start, {stop or moving}"
+        motion = f"moving at {arm['speed_mm_s']:.0f} mm/s" if arm["moving"] else "at rest"
+        yield "arm", f"{arm['height_mm']:.0f} mm above its start, {stop or motion}"
     else:
-        yield "arm", "not known"
+        yield "arm", "not connected"
 
 
-def _guard(answer: Mapping[str, Any], phase: str) -> str:
-    """Whether slip would be acted on; what the jaws hold while the law is idle, nobody guards."""
-    if phase == "idle" and (answer.get("gripper") or {}).get("holding"):
-        return "[yellow]what is held is NOT guarded: `slipguard ctl guard on`[/]"
-    return "guarding" if answer.get("guarding") else "[yellow]not guarding[/]"
+def _guard_text(state: Mapping[str, Any], phase: str) -> str:
+    """Return whether the guard acts on slip. An object that is held in phase idle is not guarded."""
+    if phase == "idle" and (state.get("gripper") or {}).get("holding"):
+        return "[yellow]the held object is NOT guarded: `slipguard ctl guard on`[/]"
+    return "guarding" if state.get("guarding") else "[yellow]not guarding[/]"
 
 
-def _rotation(answer: Mapping[str, Any]) -> str:
-    rotation = answer.get("rotation")
+def _rotation_text(state: Mapping[str, Any]) -> str:
+    rotation = state.get("rotation")
     if not rotation:
-        return "no finger sees anything now"
+        return "no fresh frames from either finger"
     if rotation.get("rotation_deg") is None:
-        return f"cannot tell: {rotation.get('declined') or answer.get('no_rotation_reason') or 'no contact'}"
-    text = f"{rotation['rotation_deg']:+.1f}° ± {rotation['sigma_deg']:.1f}°, seen by {' and '.join(rotation.get('fingers', []))}"
+        return f"no estimate: {rotation.get('declined') or state.get('no_rotation_reason') or 'no contact'}"
+    fingers = " and ".join(rotation.get("fingers", []))
+    text = f"{rotation['rotation_deg']:+.1f}° ± {rotation['sigma_deg']:.1f}°, from {fingers}"
     shift_mm = rotation.get("shift_mm")
     if shift_mm is not None:
-        text += f"; slid {shift_mm:+.1f} mm"
+        text += f"; translational slip {shift_mm:+.1f} mm"
     return text + (f"; {rotation['conflict']}" if rotation.get("conflict") else "")
 
 
-def _grip(answer: Mapping[str, Any]) -> str:
-    gripper = answer.get("gripper")
+def _grip_text(state: Mapping[str, Any]) -> str:
+    gripper = state.get("gripper")
     if not gripper:
-        return "not known"
+        return "not connected"
     if gripper.get("fault"):
         return f"gripper fault: {gripper['fault']}"
     if not gripper["active"]:
         return "gripper not activated"
-    where = f"jaws {gripper['width_mm']:.0f} mm apart"
+    width = f"jaws {gripper['width_mm']:.0f} mm apart"
     if gripper["moving"]:
-        return f"moving, {where}"
+        return f"moving, {width}"
     if gripper["closed_on_nothing"]:
-        return f"closed on nothing, {where}"
+        return f"closed on nothing, {width}"
     if not gripper["holding"]:
-        return f"empty, {where}"
-    target_n = answer.get("target_force_n") or 0.0
-    as_asked = target_n == 0.0 or abs(target_n - gripper["force_n"]) < 1.0
-    asked = "" if as_asked else f" (asked for {target_n:.0f} N)"
-    return f"holds with {gripper['force_n']:.0f} N per finger{asked}, {where}"
+        return f"empty, {width}"
+    target_n = state.get("target_force_n") or 0.0
+    reached = target_n == 0.0 or abs(target_n - gripper["force_n"]) < 1.0
+    target = "" if reached else f" (target {target_n:.0f} N)"
+    return f"holding with {gripper['force_n']:.0f} N per finger{target}, {width}"
 
 
-def _device(answer: Mapping[str, Any], name: str, health: Mapping[str, Any]) -> str:
-    """Why it is not ready, or how it does."""
+def _device_text(state: Mapping[str, Any], name: str, health: Mapping[str, Any]) -> str:
+    """Return why the device is not ready, or what it reports."""
     if health.get("reason"):
         return str(health["reason"])
-    finger = answer.get("fingers", {}).get(name)
+    finger = state.get("fingers", {}).get(name)
     if not finger:
         return ""
     estimate = finger.get("estimate") or {}
-    words = [str(finger.get("serial"))]
+    texts = [str(finger.get("serial"))]
     if estimate:
-        words.append(f"contact of {estimate['contact_area_px']} px" if estimate.get("contact") else "no contact")
+        texts.append(f"contact of {estimate['contact_area_px']} px" if estimate.get("contact") else "no contact")
     if estimate.get("declined") and estimate.get("contact"):
-        words.append(str(estimate["declined"]))
+        texts.append(str(estimate["declined"]))
     counts = finger.get("counts", {})
-    words.append(f"{counts.get('frames', 0)} frames")
-    words += [f"{counts[kind]} {kind}" for kind in ("corrupt", "frozen", "stalled", "late") if counts.get(kind)]
-    words += finger.get("remarks", [])
+    texts.append(f"{counts.get('frames', 0)} frames")
+    texts += [f"{counts[kind]} {kind}" for kind in ("corrupt", "frozen", "stalled", "late") if counts.get(kind)]
+    texts += finger.get("remarks", [])
     gel = finger.get("gel") or {}
     if gel.get("action"):
-        words.append(f"gel {gel['status']}: {gel['observed']}; {gel['action']}")
-    return ", ".join(words)
+        texts.append(f"gel {gel['status']}: {gel['observed']}; {gel['action']}")
+    return ", ".join(texts)
 
 
-def _events(said: list[str]) -> Iterator[str]:
-    """The newest last; what was said several times in a row is told once."""
-    runs = [(line, len(list(same))) for line, same in groupby(said)]
-    for line, times in runs[-SHOWN_EVENTS:]:
-        yield line if times == 1 else f"{line} (×{times})"
+def _event_lines(messages: list[str]) -> Iterator[str]:
+    """Return the newest messages, the newest last; a message that is repeated in a row appears once."""
+    runs = [(message, len(list(same))) for message, same in groupby(messages)]
+    for message, times in runs[-EVENTS_MAX:]:
+        yield message if times == 1 else f"{message} (×{times})"
     if not runs:
-        yield "nothing yet"
+        yield "none yet"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slipguard.atomic_file import write_whole
-from slipguard.cli.progress import progress_bar
+from slipguard.cli.terminal import progress_bar
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""`slipguard train`: a segmentation network from rendered frames or a data set, in one command."""
+"""`slipguard train`: train a segmentation network on rendered frames or a data set."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Network(StrEnum):
-    """What can be trained: the shipped network, and the three of the paper."""
+    """The shipped network, and the three networks of the paper."""
 
     small = "small"
     deeplabv3plus = "deeplabv3plus"
@@ -26,7 +26,7 @@ class Network(StrEnum):
 
 
 class RecipeName(StrEnum):
-    """How the paper's networks are trained: as published, or shorter, at 120x160, for a CPU."""
+    """Training of the paper's networks: as published, or shorter, at 120x160, for a CPU."""
 
     paper = "paper"
     short = "short"
@@ -38,68 +38,68 @@ SMALL, PAPER = "The small network", "The paper's networks"
 
 
 def train(
-    arch: Annotated[Network, typer.Option(help="Which network.")] = Network.small,
+    arch: Annotated[Network, typer.Option(help="Network to train.")] = Network.small,
     out: Annotated[
-        Path | None, typer.Option(help="The ONNX file to write; default: models/, named after the network.")
+        Path | None, typer.Option(help="ONNX file to write. Default: models/, named after the network.")
     ] = None,
     backgrounds: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of real no-contact images (240x320); half of the imprints are put on them.",
+            help="Folder of real background images (240x320), used for half of the frames.",
             rich_help_panel=SMALL,
         ),
     ] = None,
     validate: Annotated[
         Path | None,
-        typer.Option(help="Folder of labelled real frames to report on after every epoch.", rich_help_panel=SMALL),
+        typer.Option(help="Folder of labeled real frames to evaluate after every epoch.", rich_help_panel=SMALL),
     ] = None,
     frames: Annotated[
-        int | None, typer.Option(min=64, help="Rendered training frames; default: 32000, the paper's networks 3675.")
+        int | None, typer.Option(min=64, help="Number of rendered training frames. Default: 32000; the paper's networks: 3675.")
     ] = None,
     validation_frames: Annotated[
-        int, typer.Option(min=10, help="Rendered validation frames.", rich_help_panel=SMALL)
+        int, typer.Option(min=10, help="Number of rendered validation frames.", rich_help_panel=SMALL)
     ] = VALIDATION_FRAMES,
     epochs: Annotated[
-        int | None, typer.Option(min=1, help="Passes over the frames; default: 6, or the recipe's.")
+        int | None, typer.Option(min=1, help="Epochs. Default: 6, or those of the recipe.")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of all that is random.")] = 0,
-    batch: Annotated[int | None, typer.Option(min=2, help="Frames a step; default: 32, or the recipe's.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
+    batch: Annotated[int | None, typer.Option(min=2, help="Batch size. Default: 32, or that of the recipe.")] = None,
     rate: Annotated[
         float | None,
-        typer.Option(min=1e-6, max=1.0, help="Highest learning rate of Adam; default: 0.003, or the recipe's."),
+        typer.Option(min=1e-6, max=1.0, help="Maximum learning rate of Adam. Default: 0.003, or that of the recipe."),
     ] = None,
     threshold: Annotated[
-        float, typer.Option(min=0.05, max=0.95, help="Probability from which a pixel counts as contact.")
+        float, typer.Option(min=0.05, max=0.95, help="Minimum probability of a contact pixel.")
     ] = 0.5,
-    threads: Annotated[int, typer.Option(min=1, help="Threads torch may use.")] = 2,
+    threads: Annotated[int, typer.Option(min=1, help="Number of torch threads.")] = 2,
     bfloat16: Annotated[
-        bool, typer.Option(help="Half precision: half as long on a processor that has it, longer on others.")
+        bool, typer.Option(help="Use bfloat16: twice as fast on processors that support it, slower on others.")
     ] = False,
     start: Annotated[
         Path | None,
-        typer.Option(help="Begin with the weights.pt that an earlier training left in its work folder."),
+        typer.Option(help="Start from the weights.pt in the work folder of an earlier training."),
     ] = None,
     work: Annotated[
-        Path, typer.Option(help="Folder for rendered frames and the checkpoint; a stopped run goes on from there.")
+        Path, typer.Option(help="Folder for rendered frames and the checkpoint. A stopped training is continued.")
     ] = Path("build/train"),
     recipe: Annotated[
-        RecipeName | None, typer.Option(help="How to train; default: as in the paper.", rich_help_panel=PAPER)
+        RecipeName | None, typer.Option(help="Training settings. Default: those of the paper.", rich_help_panel=PAPER)
     ] = None,
     data: Annotated[
         Path | None,
-        typer.Option(help="A data set to train on in place of rendered frames; see `dataset`.", rich_help_panel=PAPER),
+        typer.Option(help="Data set to train on instead of rendered frames; see `slipguard dataset`.", rich_help_panel=PAPER),
     ] = None,
     encoder_weights: Annotated[
-        Path | None, typer.Option(help="A ResNet18's weights to start from; default: random.", rich_help_panel=PAPER)
+        Path | None, typer.Option(help="Initial weights of the ResNet18 encoder. Default: random.", rich_help_panel=PAPER)
     ] = None,
     int8: Annotated[
-        bool, typer.Option("--int8", help="Write a second file in int8, and measure both.", rich_help_panel=PAPER)
+        bool, typer.Option("--int8", help="Also write an int8 file, and evaluate both.", rich_help_panel=PAPER)
     ] = False,
     cluster: Annotated[
-        str | None, typer.Option(help="Render on a Dask cluster: tcp://HOST:8786.", rich_help_panel=PAPER)
+        str | None, typer.Option(help="Dask scheduler to render on: tcp://HOST:8786.", rich_help_panel=PAPER)
     ] = None,
 ) -> None:
-    """Train a segmentation network on rendered frames or a data set and export it as ONNX.
+    """Train a segmentation network and export it as ONNX.
 
     Example: `slipguard train --out models/tsnn-small.onnx --work /tmp/train`,
     `slipguard train --arch deeplabv3plus --recipe short --bfloat16`
@@ -114,17 +114,17 @@ def train(
     of_paper = (recipe, data, encoder_weights, int8, cluster)
     if arch is Network.small and any(of_paper):
         raise InputError(
-            "--recipe, --data, --encoder-weights, --int8 and --cluster are for the paper's networks; "
-            "name one with --arch, such as deeplabv3plus"
+            "--recipe, --data, --encoder-weights, --int8 and --cluster are only for the paper's networks; "
+            "choose one with --arch, such as deeplabv3plus"
         )
     if arch is not Network.small and any(of_small):
         raise InputError(f"--backgrounds, --validate and --validation-frames are for --arch small, not {arch.value}")
     if arch is not Network.small:
-        from slipguard.cli.train_paper import Request, train_paper
+        from slipguard.cli.train_paper import PaperTrainingOptions, train_paper
 
         changed = {key: value for key, value in (("epochs", epochs), ("batch", batch), ("rate", rate)) if value}
         train_paper(
-            Request(
+            PaperTrainingOptions(
                 arch=arch.value,
                 recipe=(recipe or RecipeName.paper).value,
                 changed=changed,
@@ -156,21 +156,21 @@ def train(
 
     console = Console()
     real = [frame for frame in real_frames(validate) if frame.split == "tune"] if validate else []
-    no_contact = backgrounds_in(backgrounds) if backgrounds else None
+    real_backgrounds = backgrounds_in(backgrounds) if backgrounds else None
     if start is not None and not start.is_file():
-        raise InputError(f"{start}: no such file; name the weights.pt of an earlier training's work folder")
+        raise InputError(f"--start {start}: no such file; give the weights.pt in the work folder of an earlier training")
     settings = TrainSettings(epochs, batch, rate, seed, threads, threshold, bfloat16=bfloat16)
     work.mkdir(parents=True, exist_ok=True)
     with training_progress(console) as progress:
-        drawing = progress.add_task("rendering", total=frames)
-        checking = progress.add_task("rendering for validation", total=validation_frames)
+        rendering = progress.add_task("rendering", total=frames)
+        rendering_validation = progress.add_task("rendering for validation", total=validation_frames)
         training = progress.add_task("training", total=None)
-        shown = rendered_frames(work, seed * frames, frames, lambda done: progress.update(drawing, completed=done))
+        shown = rendered_frames(work, seed * frames, frames, lambda done: progress.update(rendering, completed=done))
         held_out = rendered_frames(
             work,
             VALIDATION_SEED,
             validation_frames,
-            lambda done: progress.update(checking, completed=done),
+            lambda done: progress.update(rendering_validation, completed=done),
         )
 
         def on_epoch(figures: EpochFigures, net: SmallNet) -> None:
@@ -188,7 +188,7 @@ def train(
             work,
             lambda done, total: progress.update(training, completed=done, total=total),
             on_epoch,
-            no_contact,
+            real_backgrounds,
             start,
         )
     command = f"slipguard train --frames {frames} --epochs {epochs} --seed {seed} --batch {batch} --rate {rate:g}"
@@ -196,8 +196,8 @@ def train(
         command += " --bfloat16"
     if start:
         command += " --start weights.pt"
-    if no_contact:
-        command += f" --backgrounds ({len(no_contact)} images)"
+    if real_backgrounds:
+        command += f" --backgrounds ({len(real_backgrounds)} images)"
     metadata = small_metadata(command, seed, threshold)
     difference = export_small(net, out, metadata, held_out)
     size_kb = out.stat().st_size / 1000

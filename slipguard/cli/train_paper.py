@@ -1,4 +1,4 @@
-"""`slipguard train --arch deeplabv3plus|pspnet|unetplusplus`: from frames to a checked ONNX file, with its curves."""
+"""`slipguard train --arch deeplabv3plus|pspnet|unetplusplus`: train, export and evaluate a network of the paper."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
-    """What was asked for. changed: fields of the recipe that the command line gives otherwise; frames: None, as many
-    as the paper.
+class PaperTrainingOptions:
+    """Options of the command line.
+
+    changed: fields of the recipe that options override. frames: None for the number in the paper.
     """
 
     arch: str
@@ -38,8 +39,8 @@ class Request:
     cluster: str | None
 
 
-def train_paper(asked: Request) -> None:
-    """Train, export, check and measure; prints as it goes. Raises `InputError` and `ModelError` in one line."""
+def train_paper(asked: PaperTrainingOptions) -> None:
+    """Train, export and evaluate the network; prints the results. Raises InputError or ModelError."""
     import torch
     from rich.console import Console
 
@@ -51,27 +52,27 @@ def train_paper(asked: Request) -> None:
     from slipguard.training.paper.training import HISTORY, PaperTraining, choose_precision, train
 
     console = Console()
-    recipe = replace(RECIPES[asked.recipe], **asked.changed)
-    arch = Arch(asked.arch)
-    torch.set_num_threads(asked.threads)
-    torch.manual_seed(asked.seed)
+    recipe = replace(RECIPES[options.recipe], **options.changed)
+    arch = Arch(options.arch)
+    torch.set_num_threads(options.threads)
+    torch.manual_seed(options.seed)
     net = FrameNet(arch, recipe.height_px, recipe.width_px)
-    if asked.encoder_weights is not None:
-        net.start_encoder_from(asked.encoder_weights)
-    if asked.start is not None:
-        net.start_from(asked.start)
-    precision = choose_precision(asked.bfloat16)
-    work = asked.work / f"{arch.value}-{recipe.name}"
+    if options.encoder_weights is not None:
+        net.start_encoder_from(options.encoder_weights)
+    if options.start is not None:
+        net.start_from(options.start)
+    precision = choose_precision(options.bfloat16)
+    work = options.work / f"{arch.value}-{recipe.name}"
     work.mkdir(parents=True, exist_ok=True)
     with training_progress(console) as progress:
-        shown, held_out = _frames(asked, recipe, FRAMES, Workers(cluster=asked.cluster), progress)
-        encoder = asked.encoder_weights.name if asked.encoder_weights else "random"
-        encoder = "an earlier training's" if asked.start else encoder
-        settings = PaperTraining(arch, recipe, len(shown), asked.seed, encoder, precision.name)
+        shown, held_out = _frames(options, recipe, FRAMES, Workers(cluster=options.cluster), progress)
+        encoder = options.encoder_weights.name if options.encoder_weights else "random"
+        encoder = "an earlier training" if options.start else encoder
+        settings = PaperTraining(arch, recipe, len(shown), options.seed, encoder, precision.name)
         console.print(
             f"{arch.value}, recipe {recipe.name}: {len(shown)} frames of {recipe.width_px}x{recipe.height_px}, "
             f"{recipe.epochs} epochs, batch {recipe.batch}, Adam {recipe.rate:g} {recipe.schedule.value}, focal loss, "
-            f"encoder from {encoder} weights; {precision.name} on {precision.device}"
+            f"encoder weights: {encoder}; {precision.name} on {precision.device}"
         )
         training = progress.add_task("training", total=None)
 
@@ -92,25 +93,25 @@ def train_paper(asked: Request) -> None:
             on_epoch,
         )
     draw_curves(history, f"{arch.value}, {recipe.name}", work / "curves.png")
-    console.print(f"figures of every epoch in {work / HISTORY}, curves in {work / 'curves.png'}")
+    console.print(f"results of each epoch in {work / HISTORY}, curves in {work / 'curves.png'}")
     metadata = paper_metadata(
-        _command(asked, len(shown)), asked.seed, asked.threshold, _label(asked), (recipe.width_px, recipe.height_px)
+        _command(options, len(shown)), options.seed, options.threshold, _label(options), (recipe.width_px, recipe.height_px)
     )
-    difference = export_paper(net, asked.out, metadata, held_out)
-    size_mb = asked.out.stat().st_size / 1e6
-    console.print(f"wrote {asked.out} ({size_mb:.1f} MB); onnxruntime and torch differ by at most {difference:.1e}")
-    console.print(f"held out, {asked.out.name}: {score_network(asked.out, held_out, asked.threshold)}")
-    if asked.int8:
-        smaller = asked.out.with_name(f"{asked.out.stem}-int8.onnx")
-        write_int8(asked.out, smaller, shown.sample(CALIBRATION_FRAMES))
+    difference = export_paper(net, options.out, metadata, held_out)
+    size_mb = options.out.stat().st_size / 1e6
+    console.print(f"wrote {options.out} ({size_mb:.1f} MB); onnxruntime and torch differ by at most {difference:.1e}")
+    console.print(f"held out, {options.out.name}: {score_network(options.out, held_out, options.threshold)}")
+    if options.int8:
+        smaller = options.out.with_name(f"{options.out.stem}-int8.onnx")
+        write_int8(options.out, smaller, shown.sample(CALIBRATION_FRAMES))
         size_mb = smaller.stat().st_size / 1e6
         console.print(
-            f"held out, {smaller.name} ({size_mb:.1f} MB): {score_network(smaller, held_out, asked.threshold)}"
+            f"held out, {smaller.name} ({size_mb:.1f} MB): {score_network(smaller, held_out, options.threshold)}"
         )
 
 
 def training_progress(console: Console) -> Progress:
-    """The bars of a training: rendering, then batches, with the time they take and still need."""
+    """Return progress bars for rendering and training, with elapsed and remaining time."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -125,40 +126,40 @@ def training_progress(console: Console) -> Progress:
 
 
 def _frames(
-    asked: Request, recipe: Recipe, usual: int, workers: Any, progress: Progress
+    asked: PaperTrainingOptions, recipe: Recipe, default_count: int, workers: Any, progress: Progress
 ) -> tuple[MaskedFrames, MaskedFrames]:
     from slipguard.training.paper.frames import read_masked_frames, render_masked_frames
     from slipguard.training.paper.recipe import HELD_OUT
 
     size_px = (recipe.width_px, recipe.height_px)
-    if asked.data is not None:
-        return read_masked_frames(asked.data, size_px)
-    asked.work.mkdir(parents=True, exist_ok=True)
+    if options.data is not None:
+        return read_masked_frames(options.data, size_px)
+    options.work.mkdir(parents=True, exist_ok=True)
     parts = []
-    for count, held_out in ((asked.frames or usual, False), (HELD_OUT, True)):
-        drawing = progress.add_task("rendering held-out frames" if held_out else "rendering", total=count)
+    for count, held_out in ((options.frames or default_count, False), (HELD_OUT, True)):
+        rendering = progress.add_task("rendering held-out frames" if held_out else "rendering", total=count)
 
-        def show(done: int, task: Any = drawing) -> None:
+        def show(done: int, task: Any = rendering) -> None:
             progress.update(task, completed=done)
 
-        parts.append(render_masked_frames(asked.work, count, size_px, held_out, workers, show))
+        parts.append(render_masked_frames(options.work, count, size_px, held_out, workers, show))
     return parts[0], parts[1]
 
 
-def _label(asked: Request) -> str:
+def _label(asked: PaperTrainingOptions) -> str:
     from slipguard.datasets.importer import LABEL_NAME as IMPORTED
     from slipguard.sim.contact_label import LABEL_NAME
 
-    return LABEL_NAME if asked.data is None else IMPORTED
+    return LABEL_NAME if options.data is None else IMPORTED
 
 
-def _command(asked: Request, count: int) -> str:
-    """How to make the network again, without this machine's paths."""
-    words = [f"slipguard train --arch {asked.arch} --recipe {asked.recipe}"]
-    words += [f"--{key} {value:g}" for key, value in asked.changed.items()]
-    words += [f"--frames {asked.frames}"] if asked.frames is not None and asked.data is None else []
-    words += [f"--data ({count} frames)"] if asked.data is not None else []
-    words += ["--start weights.pt"] if asked.start is not None else []
-    words += [f"--encoder-weights ({asked.encoder_weights.name})"] if asked.encoder_weights is not None else []
-    words += ["--bfloat16"] if asked.bfloat16 else []
-    return " ".join([*words, f"--seed {asked.seed}"])
+def _command(asked: PaperTrainingOptions, count: int) -> str:
+    """Return the command that reproduces the network, without paths of this machine."""
+    words = [f"slipguard train --arch {options.arch} --recipe {options.recipe}"]
+    words += [f"--{key} {value:g}" for key, value in options.changed.items()]
+    words += [f"--frames {options.frames}"] if options.frames is not None and options.data is None else []
+    words += [f"--data ({count} frames)"] if options.data is not None else []
+    words += ["--start weights.pt"] if options.start is not None else []
+    words += [f"--encoder-weights ({options.encoder_weights.name})"] if options.encoder_weights is not None else []
+    words += ["--bfloat16"] if options.bfloat16 else []
+    return " ".join([*words, f"--seed {options.seed}"])

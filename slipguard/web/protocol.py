@@ -31,7 +31,7 @@ def encode_message(message: Mapping[str, Any], *data: bytes | memoryview) -> lis
 
 
 async def read_message(reader: asyncio.StreamReader) -> tuple[dict[str, Any], bytes] | None:
-    """Return the next message and its data; None if the connection is closed. Raises SlipguardError if it is invalid."""
+    """Return the next message and its data; None at the end of the connection. Raises SlipguardError if invalid."""
     try:
         text_bytes, data_bytes = _HEADER.unpack(await reader.readexactly(_HEADER.size))
         if text_bytes + data_bytes > MESSAGE_MAX_BYTES:

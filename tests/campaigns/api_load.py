@@ -25,7 +25,7 @@ from rich.table import Table
 
 from slipguard.bench.wire_latency import HOST, StageLatency, config_without_skipping, grip
 from slipguard.cli.interrupt import default_interrupts
-from slipguard.cli.progress import progress_bar
+from slipguard.cli.terminal import progress_bar
 from slipguard.daemon import log_setup as log
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.loop.decision import Decision

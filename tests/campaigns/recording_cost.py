@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from slipguard.cli.interrupt import default_interrupts
-from slipguard.cli.progress import progress_bar
+from slipguard.cli.terminal import progress_bar
 from slipguard.daemon import log_setup as log
 from slipguard.daemon import run as daemon
 from slipguard.daemon.loop.decision import Decision

@@ -99,7 +99,7 @@ def test_version_and_check(installed_sandbox: Sandbox) -> None:
     config = str(ROOT / "config.toml")
     done = installed_sandbox.run("-m", "slipguard", "check", "--config", config, vendor=True)
     assert done.returncode == 0, done.stderr
-    assert "the configuration is fine" in done.stdout
+    assert "the configuration is valid" in done.stdout
     done = installed_sandbox.run("-m", "slipguard", "check", "--config", config)
     assert done.returncode in (0, 2)
     assert "Traceback" not in done.stderr

@@ -252,12 +252,12 @@ UNWORKABLE = [
     (
         '# directory = "/var/lib/slipguard"',
         'directory = "{here}/c.toml"',
-        "state.directory: {here}/c.toml is no folder",
+        "state.directory: {here}/c.toml is not a folder",
     ),
     (
         '# directory = "/var/lib/slipguard/recordings"',
         'directory = "{here}/c.toml/x"',
-        "recording.directory: {here}/c.toml is no folder",
+        "recording.directory: {here}/c.toml is not a folder",
     ),
     ('# socket = "/run/slipguard/slipguard.sock"', 'socket = "{here}"', "api.socket = {here}: a folder"),
     (
@@ -292,7 +292,9 @@ def test_check_knows_the_grippers_own_limits_and_looks_for_a_replays_frames(
     path = tmp_path / "c.toml"
     text = SHIPPED.read_text().replace("force_max_n = 130", "force_max_n = 15")
     path.write_text(text.replace("first_force_n = 40", "first_force_n = 15"))
-    assert "guard.force_max_n = 15: this gripper grips with 20 N at least" in slipguard(capfd, "check", "-c", path).err
+    assert (
+        "guard.force_max_n = 15: the minimum force of this gripper is 20 N" in slipguard(capfd, "check", "-c", path).err
+    )
     path.write_text(
         f'[left]\ndriver = "replay"\nreplay.path = "{tmp_path}"\n'
         + "".join(f'[{name}]\ndriver = "fake"\n' for name in ("right", "gripper", "arm"))

@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from slipguard.cli.progress import count_bar
+from slipguard.cli.terminal import count_bar
 from slipguard.tools.parallel import Workers
 from tests.campaigns.faults.campaign import CampaignResult, FaultTally, quiet_trial, run_campaign
 from tests.campaigns.faults.trial import TrialResult

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from slipguard.cli.interrupt import default_interrupts
-from slipguard.cli.progress import progress_bar
+from slipguard.cli.terminal import progress_bar
 from slipguard.daemon import log_setup as log
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.errors import InputError

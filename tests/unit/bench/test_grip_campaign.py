@@ -25,7 +25,7 @@ from slipguard.bench.grip.trials import (
     draw,
     trials,
 )
-from slipguard.cli.bench_grip import bench_grip
+from slipguard.cli.bench import bench_grip
 from slipguard.sim.friction import needed_force_n
 from slipguard.sim.gel_view import GelView
 from slipguard.tools.parallel import Workers

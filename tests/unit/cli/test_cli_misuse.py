@@ -28,8 +28,8 @@ WRONG = {
     "--sim --speed warp": "'warp' is not one of 'realtime', 'fast'",
     "--sim --sedd 1": "--sedd",
     "--sim check": "slipguard run --config FILE --sim",
-    "--no-guard": "belong to --sim",
-    "--json": "belong to --sim",
+    "--no-guard": "need --sim",
+    "--json": "need --sim",
     "measure": "missing argument 'paths'",
     "measure nowhere": "no such file or folder",
     "measure . --reference last": "'last' is not one of",
@@ -134,7 +134,7 @@ def test_check_says_what_the_gripper_cannot(capfd: pytest.CaptureFixture[str], t
     path = tmp_path / "cell.toml"
     shipped = (Path(__file__).parents[3] / "config.toml").read_text()
     path.write_text(shipped.replace('"2F-85" ', '"2F-140"'))
-    assert "this gripper applies 125 N at most" in slipguard(capfd, "check", "--config", path).out
+    assert "this gripper applies at most 125 N" in slipguard(capfd, "check", "--config", path).out
 
 
 @pytest.mark.parametrize("words", [("--sim",), ("bench", "--quick")])
@@ -144,7 +144,7 @@ def test_out_on_a_file_is_refused_before_anything_runs(
     there = tmp_path / "there"
     there.write_text("keep me")
     ran = slipguard(capfd, *words, "--out", there)
-    assert "the folder cannot be made" in ran.complaint
+    assert "cannot create the folder" in ran.complaint
     assert ran.code == 2
     assert there.read_text() == "keep me"
 

@@ -77,7 +77,7 @@ def test_replay_against_fails_where_it_differs(
     assert run(["replay", "kept", "--against"]) == code
     assert ("hold_force_n=50.0" in capsys.readouterr().out) is differs
     assert run(["replay", "kept", "--model", "other.onnx"]) == 1
-    assert "no frame was replayed, so it was not tried" in capsys.readouterr().err
+    assert "no frame was processed, so the network was not used" in capsys.readouterr().err
     assert asked == [None, Path("other.onnx")]
 
 
@@ -119,7 +119,7 @@ def test_evaluate_on_a_cell_gets_camera_and_lens(tmp_path: Path, monkeypatch: py
         asked.append(told)
         raise SlipguardError("that was enough")
 
-    monkeypatch.setattr(evaluate, "_on_cell", on_cell)
+    monkeypatch.setattr(evaluate, "_run_on_cell", on_cell)
     (tmp_path / "protocol.toml").write_text('objects = [{name = "spanner"}]\n')
     files: list[Any] = ["--config", "config.toml", "--protocol", tmp_path / "protocol.toml", "--out", tmp_path / "eval"]
     words = ["evaluate", "run", *files, "--camera", "4", "--intrinsics", "camera.json"]

@@ -42,7 +42,7 @@ def test_one_lift_for_a_program(capfd: pytest.CaptureFixture[str], tmp_path: Pat
     assert lines[0]["lift"]["object"] == "bar"
     picture = cv2.imread(str(tmp_path / "new" / "out" / "guarded.png"))
     assert picture.std() > 5.0
-    assert ran.err.startswith("picture: ")
+    assert ran.err.startswith("plot: ")
 
 
 def record(name: str, outcome: str, why: str = "") -> LiftRecord:

@@ -66,8 +66,8 @@ def shown(answer: dict[str, Any], width: int = 80) -> str:
 def test_what_is_held_and_how_the_devices_are() -> None:
     text = shown(HELD)
     assert "lifting (mode lift, guarding, slipping)" in text
-    assert "rotation +12.3° ± 0.4°, seen by left and right; slid +0.3 mm" in text
-    assert "grip holds with 40 N per finger (asked for 61 N), jaws 28 mm apart" in text
+    assert "rotation +12.3° ± 0.4°, from left and right; translational slip +0.3 mm" in text
+    assert "grip holding with 40 N per finger (target 61 N), jaws 28 mm apart" in text
     assert "arm 53 mm above its start, moving at 50 mm/s" in text
     assert "left ready D20479, contact of 2160 px, round contact, 1280 frames, 2 corrupt, 7 late" in text
     assert "right disconnected right: no DIGIT with serial number D20510; [plugged] in are D1 and D2" in text
@@ -88,24 +88,24 @@ def test_a_fault_comes_with_what_to_do() -> None:
 CHANGES: dict[str, tuple[dict[str, Any], str]] = {
     "blind": (
         {"rotation": ROTATION | {"rotation_deg": None, "sigma_deg": None, "declined": "round contact"}},
-        "cannot tell: round",
+        "no estimate: round",
     ),
-    "no turn": ({"rotation": None}, "no finger sees anything now"),
+    "no turn": ({"rotation": None}, "no fresh frames from either finger"),
     "contradiction": ({"rotation": ROTATION | {"conflict": "left +3°, right -4°"}}, "left +3°, right -4°"),
     "not guarding": ({"guarding": False}, "not guarding"),
     "held and idle": (
         {"phase": "idle", "target_force_n": 0.0, "slipping": False},
-        "idle (mode lift, what is held is NOT guarded: `slipguard ctl guard on`)",
+        "idle (mode lift, the held object is NOT guarded: `slipguard ctl guard on`)",
     ),
-    "taken as it is": ({"phase": "idle", "target_force_n": 0.0}, "holds with 40 N per finger, jaws 28 mm apart"),
+    "taken as it is": ({"phase": "idle", "target_force_n": 0.0}, "holding with 40 N per finger, jaws 28 mm apart"),
     "idle": ({"phase": "idle", "slipping": False, "gripper": None}, "idle (mode lift, guarding)"),
-    "no gripper": ({"gripper": None}, "grip not known"),
+    "no gripper": ({"gripper": None}, "grip not connected"),
     "gripper fault": ({"gripper": HELD["gripper"] | {"fault": "under-voltage"}}, "gripper fault: under-voltage"),
     "empty": ({"gripper": HELD["gripper"] | {"holding": False}}, "empty, jaws 28 mm apart"),
     "on nothing": ({"gripper": HELD["gripper"] | {"closed_on_nothing": True}}, "closed on nothing"),
-    "no arm": ({"arm": None}, "arm not known"),
+    "no arm": ({"arm": None}, "arm not connected"),
     "stopped arm": ({"arm": HELD["arm"] | {"protective_stop": True}}, "protective stop"),
-    "new": ({"messages": []}, "last events nothing yet"),
+    "new": ({"messages": []}, "last events none yet"),
 }
 
 

@@ -19,7 +19,7 @@ def test_a_terminal_without_the_characters_costs_no_result(encoding: str) -> Non
     environment = os.environ | {"PYTHONIOENCODING": encoding, "COLUMNS": "60"}
     done = subprocess.run(command, capture_output=True, env=environment, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
-    assert "the configuration is fine" in done.stdout.decode(encoding)
+    assert "the configuration is valid" in done.stdout.decode(encoding)
 
 
 def test_a_closed_output_is_no_mistake_of_the_program() -> None:

@@ -48,7 +48,7 @@ def test_unit_rules_and_a_configuration_are_put_in_place(root: Path, install) ->
     assert (root / RULES_FILE).read_text() == (PROJECT / "systemd" / RULES).read_text()
     assert (root / CONFIG_FILE).read_text() == (PROJECT / "config.toml").read_text()
     assert all((root / path).stat().st_mode & 0o777 == 0o644 for path in PLACES.values())
-    assert ran.out.count("left out") == 5  # nothing is run for another root
+    assert ran.out.count("skipped") == 5  # nothing is run for another root
 
 
 def test_a_second_time_changes_nothing(root: Path, install) -> None:  # type: ignore[no-untyped-def]
@@ -134,7 +134,7 @@ def test_a_root_that_is_not_there_is_named(tmp_path: Path, capfd: pytest.Capture
 def test_root_is_needed_for_this_machine(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     monkeypatch.setattr(installation, "carry_out", lambda step: pytest.fail(f"{step} was done"))
-    assert "root is needed: `sudo " in slipguard(capfd, "install").complaint
+    assert "needs root: run `sudo " in slipguard(capfd, "install").complaint
 
 
 def test_a_program_that_the_service_cannot_see_is_refused(
@@ -144,7 +144,7 @@ def test_a_program_that_the_service_cannot_see_is_refused(
     monkeypatch.setattr(installation, "carry_out", lambda step: pytest.fail(f"{step} was done"))
     ran = slipguard(capfd, "install", "--prefix", "/home/me/slipguard/.venv")
     assert "is in /home, which the service does not see; install slipguard where" in ran.complaint
-    assert "it would be refused: " in slipguard(capfd, "install", "--prefix", "/home/me", "--dry-run").err
+    assert "not possible: " in slipguard(capfd, "install", "--prefix", "/home/me", "--dry-run").err
 
 
 def test_a_closed_folder_is_out_of_reach(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

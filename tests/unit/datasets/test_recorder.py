@@ -148,7 +148,7 @@ def test_the_command_records_both_fingers_of_a_configuration(tmp_path: Path, cap
         ([], "either --config config.toml or --serial"),
         (["--serial", "D 1"], "--serial"),
         (["--serial", "D99999", "--background", "nowhere.png"], "nowhere.png"),
-        (["--serial", "D99999"], "holds no no-contact image of D99999"),
+        (["--serial", "D99999"], "has no background image of D99999"),
     ],
 )
 def test_misuse_is_one_line(

@@ -100,9 +100,9 @@ def test_no_ctrl_c_is_a_workers_own() -> None:
 
 SLOW = """
 import sys
-from slipguard.cli.interrupt import Interrupt
+from slipguard.cli.interrupt import InterruptHandler
 import signal, time
-signal.signal(signal.SIGINT, Interrupt())
+signal.signal(signal.SIGINT, InterruptHandler())
 from slipguard.tools.parallel import Workers, each
 def work(item):
     print(item, flush=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from slipguard.cli.prompt import ask
+from slipguard.cli.terminal import ask
 
 
 async def test_neither_enter_nor_what_was_typed_ahead_opens_the_jaws(
