@@ -37,7 +37,7 @@ def test_the_report_says_what_the_truth_says(experiment: Path) -> None:
     assert report["aruco_error_mean_deg"] <= 0.3
     assert report["dice"]["mean"] > 0.9
     assert report["per_object"]["bar"]["hard"] == "heavy"
-    assert all(7.0 <= abs(rotation) <= 17.5 for rotation in report["per_object"]["bar"]["rotations_deg"])
+    assert all(7.0 <= abs(rotation) <= 17.5 for rotation in report["per_object"]["bar"]["turns_deg"])
     page = (experiment / "report.html").read_text()
     assert "data:image/png;base64," in page
     assert "http" not in page.replace("http-equiv", "")
@@ -82,4 +82,4 @@ def test_an_unknown_object_and_a_missing_camera_are_one_line(
     assert run(["evaluate", "run", "--sim", "--protocol", protocol, "--out", str(tmp_path / "o")]) == 2
     assert "no simulated object 'mug'" in capsys.readouterr().err
     assert run(["evaluate", "run", "--protocol", protocol, "--out", str(tmp_path / "o")]) == 2
-    assert "--config, --protocol and --intrinsics are needed" in capsys.readouterr().err
+    assert "a real cell needs --config, --protocol and --intrinsics" in capsys.readouterr().err

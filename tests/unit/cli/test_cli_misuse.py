@@ -116,8 +116,12 @@ def test_a_configuration_with_a_byte_order_mark_is_read(capfd: pytest.CaptureFix
     ("given", "changed", "said"),
     [
         ("D20479", "D 1", "left.digit.serial = 'D 1': letters and digits"),
-        ("192.168.1.10", "a b", "arm.ur5.host = 'a b': a name or an address, without blanks"),
-        ("192.168.1.10", "192.168.1.10 ", "arm.ur5.host = '192.168.1.10 ': a name or an address, without blanks"),
+        ("192.168.1.10", "a b", "arm.ur5.host = 'a b': must be a host name or an address, without blanks"),
+        (
+            "192.168.1.10",
+            "192.168.1.10 ",
+            "arm.ur5.host = '192.168.1.10 ': must be a host name or an address, without blanks",
+        ),
         ("/dev/serial", "", "gripper.robotiq.port = ''"),
     ],
 )
