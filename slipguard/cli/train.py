@@ -54,23 +54,20 @@ def train(
         typer.Option(help="Folder of labeled real frames to evaluate after every epoch.", rich_help_panel=SMALL),
     ] = None,
     frames: Annotated[
-        int | None, typer.Option(min=64, help="Number of rendered training frames. Default: 32000; the paper's networks: 3675.")
+        int | None,
+        typer.Option(min=64, help="Number of rendered training frames. Default: 32000; the paper's networks: 3675."),
     ] = None,
     validation_frames: Annotated[
         int, typer.Option(min=10, help="Number of rendered validation frames.", rich_help_panel=SMALL)
     ] = VALIDATION_FRAMES,
-    epochs: Annotated[
-        int | None, typer.Option(min=1, help="Epochs. Default: 6, or those of the recipe.")
-    ] = None,
+    epochs: Annotated[int | None, typer.Option(min=1, help="Epochs. Default: 6, or those of the recipe.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
     batch: Annotated[int | None, typer.Option(min=2, help="Batch size. Default: 32, or that of the recipe.")] = None,
     rate: Annotated[
         float | None,
         typer.Option(min=1e-6, max=1.0, help="Maximum learning rate of Adam. Default: 0.003, or that of the recipe."),
     ] = None,
-    threshold: Annotated[
-        float, typer.Option(min=0.05, max=0.95, help="Minimum probability of a contact pixel.")
-    ] = 0.5,
+    threshold: Annotated[float, typer.Option(min=0.05, max=0.95, help="Minimum probability of a contact pixel.")] = 0.5,
     threads: Annotated[int, typer.Option(min=1, help="Number of torch threads.")] = 2,
     bfloat16: Annotated[
         bool, typer.Option(help="Use bfloat16: twice as fast on processors that support it, slower on others.")
@@ -87,10 +84,13 @@ def train(
     ] = None,
     data: Annotated[
         Path | None,
-        typer.Option(help="Data set to train on instead of rendered frames; see `slipguard dataset`.", rich_help_panel=PAPER),
+        typer.Option(
+            help="Data set to train on instead of rendered frames; see `slipguard dataset`.", rich_help_panel=PAPER
+        ),
     ] = None,
     encoder_weights: Annotated[
-        Path | None, typer.Option(help="Initial weights of the ResNet18 encoder. Default: random.", rich_help_panel=PAPER)
+        Path | None,
+        typer.Option(help="Initial weights of the ResNet18 encoder. Default: random.", rich_help_panel=PAPER),
     ] = None,
     int8: Annotated[
         bool, typer.Option("--int8", help="Also write an int8 file, and evaluate both.", rich_help_panel=PAPER)
@@ -158,7 +158,9 @@ def train(
     real = [frame for frame in real_frames(validate) if frame.split == "tune"] if validate else []
     real_backgrounds = backgrounds_in(backgrounds) if backgrounds else None
     if start is not None and not start.is_file():
-        raise InputError(f"--start {start}: no such file; give the weights.pt in the work folder of an earlier training")
+        raise InputError(
+            f"--start {start}: no such file; give the weights.pt in the work folder of an earlier training"
+        )
     settings = TrainSettings(epochs, batch, rate, seed, threads, threshold, bfloat16=bfloat16)
     work.mkdir(parents=True, exist_ok=True)
     with training_progress(console) as progress:

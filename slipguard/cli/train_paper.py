@@ -39,7 +39,7 @@ class PaperTrainingOptions:
     cluster: str | None
 
 
-def train_paper(asked: PaperTrainingOptions) -> None:
+def train_paper(options: PaperTrainingOptions) -> None:
     """Train, export and evaluate the network; prints the results. Raises InputError or ModelError."""
     import torch
     from rich.console import Console
@@ -95,7 +95,11 @@ def train_paper(asked: PaperTrainingOptions) -> None:
     draw_curves(history, f"{arch.value}, {recipe.name}", work / "curves.png")
     console.print(f"results of each epoch in {work / HISTORY}, curves in {work / 'curves.png'}")
     metadata = paper_metadata(
-        _command(options, len(shown)), options.seed, options.threshold, _label(options), (recipe.width_px, recipe.height_px)
+        _command(options, len(shown)),
+        options.seed,
+        options.threshold,
+        _label(options),
+        (recipe.width_px, recipe.height_px),
     )
     difference = export_paper(net, options.out, metadata, held_out)
     size_mb = options.out.stat().st_size / 1e6
@@ -126,7 +130,7 @@ def training_progress(console: Console) -> Progress:
 
 
 def _frames(
-    asked: PaperTrainingOptions, recipe: Recipe, default_count: int, workers: Any, progress: Progress
+    options: PaperTrainingOptions, recipe: Recipe, default_count: int, workers: Any, progress: Progress
 ) -> tuple[MaskedFrames, MaskedFrames]:
     from slipguard.training.paper.frames import read_masked_frames, render_masked_frames
     from slipguard.training.paper.recipe import HELD_OUT
@@ -146,14 +150,14 @@ def _frames(
     return parts[0], parts[1]
 
 
-def _label(asked: PaperTrainingOptions) -> str:
+def _label(options: PaperTrainingOptions) -> str:
     from slipguard.datasets.importer import LABEL_NAME as IMPORTED
     from slipguard.sim.contact_label import LABEL_NAME
 
     return LABEL_NAME if options.data is None else IMPORTED
 
 
-def _command(asked: PaperTrainingOptions, count: int) -> str:
+def _command(options: PaperTrainingOptions, count: int) -> str:
     """Return the command that reproduces the network, without paths of this machine."""
     words = [f"slipguard train --arch {options.arch} --recipe {options.recipe}"]
     words += [f"--{key} {value:g}" for key, value in options.changed.items()]
