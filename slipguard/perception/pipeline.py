@@ -15,7 +15,7 @@ from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import FrameCorrupt, InputError
 from slipguard.perception.contact.change_detector import ChangeDetector
 from slipguard.perception.contact.gate import Blocks, ContactGate, block_means, blocks_near
-from slipguard.perception.contact.patch import Patch, find_patch
+from slipguard.perception.contact.patch import Patch, find_patch, resize_mask_to_frame
 from slipguard.perception.declined import DeclineReason
 from slipguard.perception.estimate import Estimate, StageTimer
 from slipguard.perception.quality.dead_lines import DeadLines
@@ -295,9 +295,3 @@ class Pipeline:
         c, s = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}[self._mounting_deg]
         right, up = shift_px[0] / self._px_per_mm, -shift_px[1] / self._px_per_mm
         return (c * right - s * up, s * right + c * up)
-
-
-def resize_mask_to_frame(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a mask of the network's resolution as (320, 240) uint8."""
-    size = (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
-    return np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
-from slipguard.perception.contact.patch import Patch
-from slipguard.perception.pipeline import resize_mask_to_frame
+from slipguard.perception.contact.patch import Patch, resize_mask_to_frame
 from slipguard.perception.rotation.skeleton import middle_line
 from slipguard.web.ttl_cache import TtlCache
 

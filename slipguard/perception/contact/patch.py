@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
+
 MARGIN_PX = 5
 """Empty rim of a patch's crop (network pixels), so that blurs and gradients have room; less at the frame's edge."""
 COMPARABLE_SHARE = 0.30
@@ -206,3 +208,9 @@ def ragged_px(mask: NDArray[np.uint8]) -> float:
         away = points - 0.5 * (around[: -2 * CONTOUR_REACH] + around[2 * CONTOUR_REACH :])
         bulge += float(np.sqrt(np.einsum("ij,ij->i", away, away)).sum())
     return RAGGED_GAIN * max(bulge / max(count, 1) - SMOOTH_PX, 0.0)
+
+
+def resize_mask_to_frame(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a mask of the network's resolution as (320, 240) uint8."""
+    size = (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
+    return np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)

@@ -17,6 +17,7 @@ from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import AxisEstimate, StageTimer
 from slipguard.perception.rotation.axial_angle import axial_difference_deg, axial_mean_deg
+from slipguard.perception.rotation.fusion import RotationEstimate, fuse_axis_rotations, rotation_between_axes
 from slipguard.perception.rotation.patch_axis import FIT_AXIS, PatchAxis, cut_share, skeleton_axis
 from slipguard.perception.rotation.round_contact import round_axis
 from slipguard.perception.rotation.skeleton import MiddleLine, middle_line
@@ -117,6 +118,27 @@ def fuse_axes(estimates: list[AxisEstimate]) -> AxisEstimate:
     if spread > 25.0 * len(given):
         return AxisEstimate("fused", None, None, given[0][0].center_px, DeclineReason.DISAGREE)
     return AxisEstimate("fused", mean, sigma, given[0][0].center_px)
+
+
+def rotation_of_axes(before: Mapping[str, AxisEstimate], now: PatchAxes, near_deg: float) -> RotationEstimate:
+    """Return the rotation from the reference's axes to those of a patch, estimator by estimator, fused.
+
+    near_deg: the expected rotation, which resolves the ambiguity of 180 degrees.
+    """
+    rotations = []
+    for name, axis in now.by_estimator.items():
+        first = before.get(name)
+        if first is None:
+            continue
+        if first.angle_deg is None or first.sigma_deg is None:
+            rotations.append(RotationEstimate(None, None, first.declined))
+        elif axis.angle_deg is None or axis.sigma_deg is None:
+            rotations.append(RotationEstimate(None, None, axis.declined))
+        else:
+            rotations.append(
+                rotation_between_axes(axis.angle_deg, axis.sigma_deg, first.angle_deg, first.sigma_deg, near_deg)
+            )
+    return fuse_axis_rotations(rotations)
 
 
 def _skeleton_estimate(patch: Patch, line: MiddleLine, round_aspect: float) -> AxisEstimate:

@@ -13,16 +13,14 @@ from numpy.typing import NDArray
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import AxisEstimate, StageTimer
-from slipguard.perception.rotation.axis import AxisEstimation, PatchAxes
+from slipguard.perception.rotation.axis import AxisEstimation, PatchAxes, rotation_of_axes
 from slipguard.perception.rotation.contour_registration import ContourFit, ContourPose, ContourRegistrar
 from slipguard.perception.rotation.contour_template import ContourTemplate, make_contour_template
 from slipguard.perception.rotation.fusion import (
     RotationEstimate,
-    fuse_axis_rotations,
     fuse_rotation,
     is_certain,
     needs_contour,
-    rotation_between_axes,
 )
 from slipguard.perception.rotation.rotation_tracker import RotationTracker
 from slipguard.perception.rotation.texture_map import TextureMap, TextureMapReader
@@ -142,7 +140,7 @@ class RotationMeter:
             return RotationMeasurement(RotationEstimate(None, None, DeclineReason.NO_REFERENCE), None, axes)
         reference, name = self.reference, self._settings.estimator
         predicted_deg = self._tracker.predicted_deg(now_s)
-        axis = _axis_rotation(reference, axes, predicted_deg)
+        axis = rotation_of_axes(reference.axes, axes, predicted_deg)
         self._note_gap(now_s)
         center_px = patch.center_px
         center_shift_px = (center_px[0] - reference.center_px[0], center_px[1] - reference.center_px[1])
@@ -166,7 +164,7 @@ class RotationMeter:
         certain = texture is not None and is_certain(texture)
         if not certain:
             axes = self._axes.all(patch, axes, timer)
-            axis = _axis_rotation(reference, axes, predicted_deg)
+            axis = rotation_of_axes(reference.axes, axes, predicted_deg)
         near_deg = predicted_deg if texture is None or texture.rotation_deg is None else texture.rotation_deg
         contour = self._measure_contour(reference, patch, axis, near_deg, center_shift_px, from_axis=not certain)
         timer.mark("register")
@@ -287,21 +285,3 @@ class RotationMeter:
         other = registrar.fit(ContourPose(axis_deg, dx / self._frame_px, dy / self._frame_px))
         better = other.declined is None and (best.declined is not None or other.residual < best.residual)
         return other if better else best
-
-
-def _axis_rotation(reference: Reference, axes: PatchAxes, near_deg: float) -> RotationEstimate:
-    """Return the rotation between the axes of the reference and those of a patch, estimator by estimator."""
-    rotations = []
-    for name, now in axes.by_estimator.items():
-        before = reference.axes.get(name)
-        if before is None:
-            continue
-        if before.angle_deg is None or before.sigma_deg is None:
-            rotations.append(RotationEstimate(None, None, before.declined))
-        elif now.angle_deg is None or now.sigma_deg is None:
-            rotations.append(RotationEstimate(None, None, now.declined))
-        else:
-            rotations.append(
-                rotation_between_axes(now.angle_deg, now.sigma_deg, before.angle_deg, before.sigma_deg, near_deg)
-            )
-    return fuse_axis_rotations(rotations)
