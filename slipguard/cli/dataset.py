@@ -62,8 +62,7 @@ def render(
 
     Example: `slipguard dataset render --out frames --count 200 --split test --show sheet.png`
     """
-    from slipguard.datasets.contact_sheet import contact_sheet
-    from slipguard.datasets.files import check_request, read_backgrounds, render_dataset
+    from slipguard.datasets.dataset_files import check_request, contact_sheet, read_backgrounds, render_dataset
     from slipguard.tools.parallel import Workers
 
     check_request(out, count, seed, split.value)
@@ -98,8 +97,7 @@ def import_(
 
     Example: `slipguard dataset import recordings --out frames --show sheet.png`
     """
-    from slipguard.datasets.contact_sheet import contact_sheet
-    from slipguard.datasets.files import check_new, read_background
+    from slipguard.datasets.dataset_files import check_new, contact_sheet, read_background
     from slipguard.datasets.importer import found_pairs, import_dataset
     from slipguard.tools.parallel import Workers
 
@@ -126,7 +124,7 @@ def show(
 
     Example: `slipguard dataset show frames --out sheet.png`
     """
-    from slipguard.datasets.contact_sheet import contact_sheet
+    from slipguard.datasets.dataset_files import contact_sheet
 
     contact_sheet(folder, out)
     print(f"overview in {out}")
@@ -155,8 +153,7 @@ def record(
     from slipguard.config import read_config
     from slipguard.daemon.api.client import Client, DaemonNotRunning
     from slipguard.daemon.api.paths import running_socket
-    from slipguard.datasets.contact_sheet import contact_sheet
-    from slipguard.datasets.files import check_new
+    from slipguard.datasets.dataset_files import check_new, contact_sheet
     from slipguard.datasets.recorder import record_dataset
 
     if (config is None) == (serial is None):
@@ -232,7 +229,7 @@ def _sensor_images(
 def _read_backgrounds(serials: list[str], given: Path | None, settings: Config | None) -> dict[str, Any]:
     """Return the background image of each sensor. Raises InputError if one is missing."""
     from slipguard.daemon.store.state_dir import StateDir
-    from slipguard.datasets.files import read_background
+    from slipguard.datasets.dataset_files import read_background
 
     if given is not None:
         return dict.fromkeys(serials, read_background(given))

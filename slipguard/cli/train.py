@@ -148,15 +148,16 @@ def train(
     from rich.console import Console
 
     from slipguard.cli.train_paper import training_progress
+    from slipguard.datasets.dataset_files import read_backgrounds
     from slipguard.datasets.frame_cache import VALIDATION_SEED, rendered_frames
-    from slipguard.datasets.mask_scores import backgrounds_in, real_frames
+    from slipguard.datasets.mask_scores import real_frames
     from slipguard.training.onnx_export import export_small, small_metadata
     from slipguard.training.train import TrainSettings, real_scores
     from slipguard.training.train import train as fit
 
     console = Console()
     real = [frame for frame in real_frames(validate) if frame.split == "tune"] if validate else []
-    real_backgrounds = backgrounds_in(backgrounds) if backgrounds else None
+    real_backgrounds = read_backgrounds(backgrounds) if backgrounds else None
     if start is not None and not start.is_file():
         raise InputError(
             f"--start {start}: no such file; give the weights.pt in the work folder of an earlier training"

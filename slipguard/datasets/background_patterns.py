@@ -1,9 +1,9 @@
-"""Procedural patterns that a real gel shows besides imprints: they teach the network what is no contact.
+"""Procedural patterns of a real gel without contact: training with them teaches the network to ignore them.
 
-Two kinds, as (160, 120, 3) float arrays in relative levels: `structure` is what a unit always shows (edges of the glow,
-streaks, dust, patches, sensor columns); `drift` is how a frame differs from the no-contact image without any contact
-(lamp edges that have crept, a new streak, column noise, slow patches). Real DIGITs show all of them: between two days
-the edge of the red glow moves by a few pixels, and a rolled pattern of columns comes and goes.
+Two kinds, as (160, 120, 3) float arrays in relative levels: `structure` is always visible on a unit (edges of the glow,
+streaks, dust, patches, sensor columns); `drift` is the difference of a frame to the background image without contact
+(moved glow edges, a new streak, column noise, slow patches). Real DIGITs show all of them: between two days the edge of
+the red glow moves by a few pixels, and column patterns appear and disappear.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ SUBPIXEL_BITS = 3
 
 
 def patterns(kind: Callable[[np.random.Generator], Pattern], count: int, seed: int) -> NDArray[np.float16]:
-    """`count` patterns of one kind, (count, 160, 120, 3) float16; the same for the same seed."""
+    """Return `count` patterns of one kind, (count, 160, 120, 3) float16, deterministic for the seed."""
     rng = np.random.default_rng(seed)
     return np.stack([kind(rng).astype(np.float16) for _ in range(count)])
 
 
 def resized(drawn: NDArray[np.float16], size: tuple[int, int]) -> NDArray[np.float16]:
-    """The same patterns at another (width, height): (count, height, width, 3) float16."""
+    """Return the patterns at another (width, height): (count, height, width, 3) float16."""
     if size == (W, H):
         return drawn
     return np.stack([cv2.resize(pattern.astype(np.float32), size).astype(np.float16) for pattern in drawn])
 
 
 def structure(rng: np.random.Generator) -> Pattern:
-    """What one unit's gel always shows, standard deviation about 1."""
+    """Return the permanent pattern of one unit's gel, standard deviation about 1."""
     field = np.zeros((H, W, 3), np.float32)
     if rng.random() < 0.7:
         field += _edges(rng, int(rng.integers(1, 4)))
@@ -51,12 +51,12 @@ def structure(rng: np.random.Generator) -> Pattern:
 
 
 def drift(rng: np.random.Generator) -> Pattern:
-    """How a frame without contact differs from the no-contact image, largest value about 1."""
+    """Return the difference of a frame without contact to the background image, largest value about 1."""
     field = np.zeros((H, W, 3), np.float32)
     if rng.random() < 0.6:
         field += _streaks(rng, int(rng.integers(1, 4)), thickness=(1, 6), blur=(0.8, 4.0))
     if rng.random() < 0.5:
-        field += 1.2 * _crept_edges(rng, int(rng.integers(1, 3)))
+        field += 1.2 * _moved_edges(rng, int(rng.integers(1, 3)))
     if rng.random() < 0.3:
         field += 0.6 * _edges(rng, int(rng.integers(1, 3)))
     if rng.random() < 0.6:
@@ -69,15 +69,15 @@ def drift(rng: np.random.Generator) -> Pattern:
 
 
 def _tint(rng: np.random.Generator) -> Pattern:
-    """A change of colour; half of them mostly grey."""
-    colour = rng.standard_normal(3)
+    """Return a color change; half of them are mostly gray."""
+    color = rng.standard_normal(3)
     if rng.random() < 0.5:
-        colour = 0.35 * colour + rng.standard_normal()
-    return colour.astype(np.float32)
+        color = 0.35 * color + rng.standard_normal()
+    return color.astype(np.float32)
 
 
 def _curve(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Points of a smooth curve that starts somewhere near the picture: (n, 2) x, y."""
+    """Return the points of a smooth curve that starts near the image: (n, 2) x, y."""
     start = rng.uniform(0.0, 2.0 * np.pi)
     at = np.array([W / 2, H / 2]) + np.array([np.cos(start), np.sin(start)]) * rng.uniform(0.0, 70.0)
     count = int(rng.integers(20, 110))
@@ -105,13 +105,13 @@ def _streaks(rng: np.random.Generator, count: int, thickness: tuple[int, int], b
     return field
 
 
-def _outline(rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Centre (x, y), points about it and size of a wavy closed curve wider than most of the view."""
-    centre = np.array([W / 2, H / 2]) + rng.normal(0.0, 1.0, 2) * [90.0, 110.0]
+def _wavy_ring(rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Return center (x, y), points relative to it, and size of a wavy closed curve wider than most of the view."""
+    center = np.array([W / 2, H / 2]) + rng.normal(0.0, 1.0, 2) * [90.0, 110.0]
     rotation = np.linspace(0.0, 2.0 * np.pi, 60)
     wave = 1.0 + 0.15 * np.sin(rotation * rng.integers(1, 4) + rng.uniform(0.0, 6.0))
     size = rng.uniform(40.0, 200.0)
-    return centre, np.stack([np.cos(rotation), np.sin(rotation)], -1) * wave[:, None] * size, size
+    return center, np.stack([np.cos(rotation), np.sin(rotation)], -1) * wave[:, None] * size, size
 
 
 def _region(points: NDArray[np.float64], blur_px: float) -> Pattern:
@@ -121,24 +121,24 @@ def _region(points: NDArray[np.float64], blur_px: float) -> Pattern:
 
 
 def _edges(rng: np.random.Generator, count: int) -> Pattern:
-    """Borders of large lit regions, softened by 1 to 8 px."""
+    """Return borders of large lit regions, blurred by 1 to 8 px."""
     field = np.zeros((H, W, 3), np.float32)
     for _ in range(count):
-        centre, ring, _ = _outline(rng)
-        region = _region(centre + ring, rng.uniform(1.0, 8.0))
+        center, ring, _ = _wavy_ring(rng)
+        region = _region(center + ring, rng.uniform(1.0, 8.0))
         fade = 0.7 + 0.5 * _patches(rng, (4, 3))[..., :1]
         field += (region - region.mean())[..., None] * fade * _tint(rng)
     return field
 
 
-def _crept_edges(rng: np.random.Generator, count: int) -> Pattern:
-    """Bands left where the border of a lit region has moved by 1 to 12 px."""
+def _moved_edges(rng: np.random.Generator, count: int) -> Pattern:
+    """Return bands where the border of a lit region has moved by 1 to 12 px."""
     field = np.zeros((H, W, 3), np.float32)
     for _ in range(count):
-        centre, ring, size = _outline(rng)
+        center, ring, size = _wavy_ring(rng)
         blur_px = rng.uniform(1.5, 5.0)
-        moved = centre + rng.normal(0.0, 2.5, 2) + ring * (1.0 + rng.uniform(-6.0, 6.0) / size)
-        band = _region(moved, blur_px) - _region(centre + ring, blur_px)
+        moved = center + rng.normal(0.0, 2.5, 2) + ring * (1.0 + rng.uniform(-6.0, 6.0) / size)
+        band = _region(moved, blur_px) - _region(center + ring, blur_px)
         fade = np.maximum(0.7 + 0.5 * _patches(rng, (4, 3))[..., :1], 0.0)
         field += (band / max(float(np.abs(band).max()), 0.05))[..., None] * fade * _tint(rng)
     return field
@@ -150,7 +150,7 @@ def _patches(rng: np.random.Generator, cells: tuple[int, int]) -> Pattern:
 
 
 def _columns(rng: np.random.Generator) -> Pattern:
-    """Fixed-pattern noise of the sensor's columns (of its rows in one of ten), stronger here and there."""
+    """Return fixed-pattern noise of the sensor's columns (rows in one of ten), of varying strength."""
     along = W if rng.random() < 0.9 else H
     line = _blurred(rng.standard_normal((1, along, 3)).astype(np.float32), rng.uniform(0.4, 2.0))
     line = line.reshape(1, along, 3) / line.std()
@@ -162,7 +162,7 @@ def _dust(rng: np.random.Generator, count: int) -> Pattern:
     field = np.zeros((H, W, 3), np.float32)
     for _ in range(count):
         spot = np.zeros((H, W), np.float32)
-        centre = (int(rng.integers(W)), int(rng.integers(H)))
-        cv2.circle(spot, centre, int(rng.integers(0, 3)), (1.0,), -1, cv2.LINE_AA)
+        center = (int(rng.integers(W)), int(rng.integers(H)))
+        cv2.circle(spot, center, int(rng.integers(0, 3)), (1.0,), -1, cv2.LINE_AA)
         field += _blurred(spot, rng.uniform(0.4, 1.2))[..., None] * _tint(rng)
     return field

@@ -19,7 +19,7 @@ from slipguard.sim.contact_label import LABEL_NAME, label
 
 CHUNK = 200
 VALIDATION_SEED = 1_000_000_000
-"""Validation frames count their seeds from here: no training run reaches it."""
+"""First seed of the validation frames, beyond all training seeds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,14 +40,14 @@ def rendered_frames(
     count: int,
     progress: Callable[[int], None],
 ) -> RenderedFrames:
-    """Frames `first_seed` to `first_seed + count`, from the cache in `work` as far as they are there.
+    """Return the frames of `count` seeds from `first_seed` on, from the cache in `work` if available.
 
-    `progress` is called with the number of frames ready. What was drawn before an interruption is kept.
+    `progress` is called with the number of frames ready. Frames rendered before an interruption are kept.
     """
     folder = work / f"frames-{_key(first_seed, count)}"
     folder.mkdir(parents=True, exist_ok=True)
-    note = folder / "ready.json"
-    ready = json.loads(note.read_text())["ready"] if note.is_file() else 0
+    progress_file = folder / "ready.json"
+    ready = json.loads(progress_file.read_text())["ready"] if progress_file.is_file() else 0
     image_shape = (count, INPUT_HEIGHT_PX, INPUT_WIDTH_PX, 3)
     mode = "r+" if ready else "w+"
     frame = _array(folder / "frame.npy", mode, image_shape)
@@ -55,16 +55,16 @@ def rendered_frames(
     labels = _array(folder / "label.npy", mode, image_shape[:3])
     progress(ready)
     while ready < count:
-        upto = min(ready + CHUNK, count)
-        for index in range(ready, upto):
-            drawn = render_sample(first_seed + index)
-            frame[index] = _halved(drawn.image)
-            background[index] = _halved(drawn.background)
-            labels[index] = _halved(label(drawn.truth) * np.uint8(255))
+        chunk_end = min(ready + CHUNK, count)
+        for index in range(ready, chunk_end):
+            rendered = render_sample(first_seed + index)
+            frame[index] = _at_network_size(rendered.image)
+            background[index] = _at_network_size(rendered.background)
+            labels[index] = _at_network_size(label(rendered.truth) * np.uint8(255))
         for array in (frame, background, labels):
             array.flush()
-        ready = upto
-        note.write_text(json.dumps({"ready": ready}))
+        ready = chunk_end
+        progress_file.write_text(json.dumps({"ready": ready}))
         progress(ready)
     return RenderedFrames(frame, background, labels)
 
@@ -77,6 +77,6 @@ def _array(path: Path, mode: Any, shape: tuple[int, ...]) -> np.memmap[Any, np.d
     return np.lib.format.open_memmap(path, mode=mode, dtype=np.uint8, shape=shape)
 
 
-def _halved(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _at_network_size(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     size = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)

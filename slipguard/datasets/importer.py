@@ -1,4 +1,4 @@
-"""Somebody's folder of images and masks, whatever its layout, as a data set that training reads."""
+"""A folder of images and masks, in any of the usual layouts, converted to a data set for training."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from slipguard.datasets.files import (
+from slipguard.datasets.dataset_files import (
     BACKGROUNDS,
     IMAGES,
     MANIFEST_NAME,
@@ -32,13 +32,13 @@ _MASK_ENDING = re.compile(rf"(?<=.)[_.-]({_MASK_WORDS})$")
 _IMAGE_FOLDER = re.compile(r"images?|imgs?|frames?|rgb|inputs?|jpegimages", re.IGNORECASE)
 LABEL_NAME = "imported"
 SHAPE_TOLERANCE = 0.02
-"""Sides may be off 3 to 4 by this share before a picture counts as stretched."""
+"""Tolerance of the 3:4 side ratio before an image counts as stretched."""
 _SIZE = (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
 
 
 @dataclass(frozen=True, slots=True)
 class ImagePair:
-    """An image and its mask. name: to tell them by, the image's path below the folder."""
+    """An image and its mask. name: the image's path relative to the folder."""
 
     name: str
     image: Path
@@ -47,7 +47,7 @@ class ImagePair:
 
 @dataclass(frozen=True, slots=True)
 class ImportResult:
-    """What came of it. turned: lay on their side; stretched: of another shape than 3 to 4; left_out: why, per name."""
+    """The result. rotated: landscape images; stretched: of another side ratio than 3:4; left_out: name and reason."""
 
     frames: int
     rotated: int
@@ -56,16 +56,16 @@ class ImportResult:
 
 
 def found_pairs(source: Path) -> tuple[list[ImagePair], list[str]]:
-    """The pairs under a folder, by name, and a complaint for each image or mask that has no partner.
+    """Return the pairs in a folder, by name, and a message for each image or mask without a partner.
 
-    Two layouts, also nested (train/, val/): folders side by side of which one is named masks, labels, gt or the like,
-    with one stem on both sides (a mask may add such a word: a.png, a_mask.png); or image and mask in one folder, told
-    apart by such an ending of the mask. Raises InputError for a folder that is missing or without a pair.
+    Two layouts are supported, also nested (train/, val/): an image folder and a mask folder (masks, labels, gt, ...)
+    with the same file stems, where a mask may add such a word (a.png, a_mask.png); or image and mask in one folder,
+    distinguished by such an ending. Raises InputError for a missing folder or one without a pair.
     """
     if not source.is_dir():
-        raise InputError(f"{source} is not a folder; name one with images and masks")
+        raise InputError(f"{source}: not a folder; name one with images and masks")
     if all((source / name).exists() for name in (MANIFEST_NAME, IMAGES, BACKGROUNDS, MASKS)):
-        raise InputError(f"{source} is a data set of slipguard already, and needs no import")
+        raise InputError(f"{source}: already a data set of slipguard; no import is needed")
     files = sorted(path for path in source.rglob("*") if path.suffix.lower() in IMAGE_ENDINGS and path.is_file())
     images: dict[tuple[str, ...], Path] = {}
     masks: dict[tuple[str, ...], Path] = {}
@@ -73,19 +73,19 @@ def found_pairs(source: Path) -> tuple[list[ImagePair], list[str]]:
         key, is_mask = _key(source, path)
         side = masks if is_mask else images
         if key in side:
-            raise InputError(f"{path} and {side[key]} would be one frame; keep one of them")
+            raise InputError(f"{path} and {side[key]} have the same name; keep one of them")
         side[key] = path
     pairs = [
         ImagePair(_named(source, images[key]), images[key], masks[key]) for key in sorted(images.keys() & masks.keys())
     ]
     if not pairs:
         raise InputError(
-            f"{source}: {len(images)} images and {len(masks)} masks, no two of one name; wanted are images/ and masks/ "
-            "with the same file names, or NAME.png with NAME_mask.png"
+            f"{source}: {len(images)} images and {len(masks)} masks, but no pair; supported are images/ and masks/ with "
+            "the same file names, or NAME.png with NAME_mask.png"
         )
-    alone = [f"{_named(source, images[key])}: no mask" for key in sorted(images.keys() - masks.keys())]
-    alone += [f"{_named(source, masks[key])}: no image" for key in sorted(masks.keys() - images.keys())]
-    return pairs, alone
+    unpaired = [f"{_named(source, images[key])}: no mask" for key in sorted(images.keys() - masks.keys())]
+    unpaired += [f"{_named(source, masks[key])}: no image" for key in sorted(masks.keys() - images.keys())]
+    return pairs, unpaired
 
 
 def import_dataset(
@@ -96,28 +96,32 @@ def import_dataset(
     progress: Callable[[int, int], None] = lambda done, total: None,
     workers: Workers | None = None,
 ) -> ImportResult:
-    """Write the pairs under `source` as a data set into a new or empty folder.
+    """Write the pairs in `source` as a data set into a new or empty folder.
 
-    Pictures become 240 wide x 320 high: shrunk or enlarged, turned upright as digit-interface does where they lie on
-    their side, stretched where they have another shape. Masks may be 0 and 1 or 0 and 255, grey or in one colour, and
-    of another size than their image if of its shape. background: the no-contact image (320, 240, 3) of all. skip: leave
-    out what has no partner or cannot be read; otherwise the first such file raises InputError. progress(done, total).
+    Images become 240 wide x 320 high: scaled, rotated upright like in digit-interface if they are landscape, and
+    stretched if their side ratio differs. Masks may be 0 and 1 or 0 and 255, gray or of one color, and of another size
+    than their image if the ratio is the same.
+
+    Args:
+        background: background image (320, 240, 3) of all images.
+        skip: leave out unpaired and unreadable files; otherwise the first one raises InputError.
+        progress: called with the number done and the total.
     """
     check_new(out_dir)
     pairs, left_out = found_pairs(source)
     if left_out and not skip:
         raise InputError(
-            f"{source}: {left_out[0]} ({len(left_out)} such files, {len(pairs)} pairs); complete them, or give --skip"
+            f"{source}: {left_out[0]} ({len(left_out)} such files, {len(pairs)} pairs); complete them or use --skip"
         )
     rotated = stretched = 0
     under = None if background is None else png(background)
     progress(0, len(pairs))
     with DataSetWriter(out_dir) as writer:
-        for done, (pair, result) in enumerate(zip(pairs, each(_read, pairs, workers), strict=True), 1):
+        for done, (pair, result) in enumerate(zip(pairs, each(_convert, pairs, workers), strict=True), 1):
             progress(done, len(pairs))
             if isinstance(result, str):
                 if not skip:
-                    raise InputError(f"{result}, or give --skip")
+                    raise InputError(f"{result}, or use --skip")
                 left_out.append(result)
                 continue
             files = result.files if under is None else result.files | {BACKGROUNDS: under}
@@ -126,63 +130,63 @@ def import_dataset(
             rotated += result.rotated
             stretched += result.stretched
     if writer.written == 0:
-        raise InputError(f"{source}: none of {len(pairs)} pairs can be used; the first: {left_out[0]}")
+        raise InputError(f"{source}: none of {len(pairs)} pairs is usable; the first: {left_out[0]}")
     return ImportResult(writer.written, rotated, stretched, tuple(left_out))
 
 
 @dataclass(frozen=True, slots=True)
-class _Read:
+class _ConvertedPair:
     files: Files
     share: float
     rotated: bool
     stretched: bool
 
 
-def _read(pair: ImagePair) -> _Read | str:
-    """What is to be written, or why it cannot be."""
+def _convert(pair: ImagePair) -> _ConvertedPair | str:
+    """Return the converted pair, or why it is unusable."""
     try:
         return _frame(pair)
     except (InputError, OSError) as error:
         return str(error)
 
 
-def _frame(pair: ImagePair) -> _Read:
+def _frame(pair: ImagePair) -> _ConvertedPair:
     image, mask = read_image(pair.image), _read_mask(pair.mask)
     if abs(mask.shape[0] * image.shape[1] / (mask.shape[1] * image.shape[0]) - 1.0) > SHAPE_TOLERANCE:
-        seen = f"{mask.shape[1]}x{mask.shape[0]}, its image {image.shape[1]}x{image.shape[0]}"
-        raise InputError(f"{pair.mask}: {seen}; a mask must have the shape of its image")
-    on_its_side = image.shape[1] > image.shape[0]
-    if on_its_side:
+        sizes = f"{mask.shape[1]}x{mask.shape[0]}, its image {image.shape[1]}x{image.shape[0]}"
+        raise InputError(f"{pair.mask}: {sizes}; a mask must have the side ratio of its image")
+    landscape = image.shape[1] > image.shape[0]
+    if landscape:
         image, mask = (np.ascontiguousarray(np.rot90(array)) for array in (image, mask))
     stretch = image.shape[1] * FRAME_HEIGHT_PX / (image.shape[0] * FRAME_WIDTH_PX)
     method = cv2.INTER_AREA if image.shape[0] >= FRAME_HEIGHT_PX else cv2.INTER_LINEAR
     fitted = np.asarray(cv2.resize(image, _SIZE, interpolation=method), np.uint8)
     contact = cv2.resize(mask * np.uint8(255), _SIZE, interpolation=cv2.INTER_LINEAR) > 127
     files = {IMAGES: png(fitted), MASKS: png(contact.astype(np.uint8) * np.uint8(255))}
-    return _Read(files, float(contact.mean()), on_its_side, abs(stretch - 1.0) > SHAPE_TOLERANCE)
+    return _ConvertedPair(files, float(contact.mean()), landscape, abs(stretch - 1.0) > SHAPE_TOLERANCE)
 
 
 def _read_mask(path: Path) -> Image:
-    """(H, W) uint8, 0 or 1."""
+    """Return a mask, (H, W) uint8, 0 or 1."""
     data = path.read_bytes()
     wrong = damage(data)
     values = None if wrong else cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if values is None:
-        raise InputError(f"{path}: {wrong or 'no image can be decoded from it'}; give a whole image file")
-    grey = values if values.ndim == 2 else values[..., :3].max(2)
-    if grey.dtype != np.uint8:
-        grey = (grey // 257).astype(np.uint8) if grey.max() > 255 else grey.astype(np.uint8)
-    if grey.max() <= 1:
-        return np.asarray(grey, np.uint8)
-    between = float(np.mean((grey > 32) & (grey < 223)))
+        raise InputError(f"{path}: {wrong or 'no image can be decoded from it'}; replace the file")
+    gray = values if values.ndim == 2 else values[..., :3].max(2)
+    if gray.dtype != np.uint8:
+        gray = (gray // 257).astype(np.uint8) if gray.max() > 255 else gray.astype(np.uint8)
+    if gray.max() <= 1:
+        return np.asarray(gray, np.uint8)
+    between = float(np.mean((gray > 32) & (gray < 223)))
     if between > SHAPE_TOLERANCE:
-        seen = ", ".join(str(value) for value in np.unique(grey)[:6])
-        raise InputError(f"{path}: values {seen} ...; a mask has 0 and 1, or 0 and 255")
-    return np.asarray(grey > 127, np.uint8)
+        values_found = ", ".join(str(value) for value in np.unique(gray)[:6])
+        raise InputError(f"{path}: values {values_found} ...; a mask has 0 and 1, or 0 and 255")
+    return np.asarray(gray > 127, np.uint8)
 
 
 def _key(source: Path, path: Path) -> tuple[tuple[str, ...], bool]:
-    """What image and mask have in common, and whether the file is a mask."""
+    """Return the key shared by image and mask, and whether the file is a mask."""
     *folders, _ = path.relative_to(source).parts
     stem = path.stem.lower()
     plain = _MASK_ENDING.sub("", stem)

@@ -1,4 +1,4 @@
-"""How well masks agree, and the labelled real frames they are judged on."""
+"""Scores that compare two masks, and the labeled real frames on which networks are scored."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from slipguard.errors import InputError
 
 NOISE_BGR = (2.9, 1.5, 2.4)
-"""Temporal noise of two real units, standard deviation in grey levels per channel."""
+"""Temporal noise of two real units, standard deviation in gray levels per channel."""
 NOISE_BLUR_PX = 0.85
-"""Gaussian blur that gives white noise the measured correlation of 0.65 between neighbouring pixels."""
+"""Gaussian blur that gives white noise the measured correlation of 0.65 between neighboring pixels."""
 
 TUNING_SPHERES = frozenset(f"{n:02d}.png" for n in range(15))
 TUNING_INDENTER_LAST = "f0132"
@@ -23,24 +23,26 @@ TUNING_BACKGROUNDS = 3
 
 
 def iou(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
-    """Intersection over union of two masks of one shape; two empty masks agree fully (1.0)."""
+    """Return the intersection over union of two masks of one shape; 1.0 if both are empty."""
     union = int(np.count_nonzero(a | b))
     return 1.0 if union == 0 else float(np.count_nonzero(a & b)) / union
 
 
 def dice(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
-    """Dice coefficient of two masks of one shape; two empty masks agree fully (1.0)."""
+    """Return the Dice coefficient of two masks of one shape; 1.0 if both are empty."""
     total = int(np.count_nonzero(a)) + int(np.count_nonzero(b))
     return 1.0 if total == 0 else 2.0 * float(np.count_nonzero(a & b)) / total
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RealFrame:
-    """One real gel image and what is known about it.
+    """One labeled real gel image.
 
-    image: (320, 240, 3) uint8 BGR. background: the unit's no-contact image, same shape, or None if unknown.
-    mask: (320, 240) bool, the labelled contact region; all False on a no-contact frame.
-    split: "tune" or "test"; figures to be believed come from "test" alone.
+    Attributes:
+        split: "tune" or "test"; report only figures from "test".
+        image: (320, 240, 3) uint8 BGR.
+        background: the unit's background image, same shape, or None if unknown.
+        mask: (320, 240) bool, the labeled contact region; all False without contact.
     """
 
     name: str
@@ -52,15 +54,19 @@ class RealFrame:
 
 
 def read_bgr(path: Path) -> NDArray[np.uint8]:
-    """A colour image (H, W, 3) uint8 BGR. Raises `InputError` naming the file where there is none."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
+    """Return the image of a file, (H, W, 3) uint8 BGR. Raises InputError if it cannot be read."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    image = cv2.imdecode(np.frombuffer(data or b"\0", np.uint8), cv2.IMREAD_COLOR)
     if image is None:
-        raise InputError(f"{path}: no image could be read here; give a PNG or JPEG file")
+        raise InputError(f"{path}: not a readable image; remove or replace it")
     return np.asarray(image, np.uint8)
 
 
 def real_frames(folder: Path) -> list[RealFrame]:
-    """Every labelled contact frame under `folder` (`taxim_sphere`, `anytouch2_force2`, `aurova`), by name."""
+    """Return the labeled contact frames in `folder` (`taxim_sphere`, `anytouch2_force2`, `aurova`)."""
     return [*_spheres(folder / "taxim_sphere"), *_indenter(folder / "anytouch2_force2"), *_aurova(folder / "aurova")]
 
 
@@ -94,7 +100,7 @@ def _aurova(folder: Path) -> list[RealFrame]:
 
 
 def another_day(background: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """A no-contact frame of the same unit later: each channel off by up to 5 grey levels, fresh camera noise."""
+    """Return a later frame without contact: each channel off by up to 5 gray levels, new camera noise."""
     white = rng.standard_normal(background.shape).astype(np.float32)
     noise = np.asarray(cv2.GaussianBlur(white, (0, 0), NOISE_BLUR_PX), np.float32)
     noise *= np.asarray(NOISE_BGR, np.float32) / noise.std((0, 1))
@@ -103,7 +109,7 @@ def another_day(background: NDArray[np.uint8], rng: np.random.Generator) -> NDAr
 
 
 def no_contact_frames(folder: Path, days: int, seed: int = 0) -> list[RealFrame]:
-    """`days` other-day frames of each of the units in `folder/backgrounds`, each with its own no-contact image."""
+    """Return `days` later frames without contact of each unit in `folder/backgrounds`, with its background image."""
     rng = np.random.default_rng(seed)
     nothing = np.zeros((320, 240), np.bool_)
     out = []
@@ -114,18 +120,3 @@ def no_contact_frames(folder: Path, days: int, seed: int = 0) -> list[RealFrame]
             image = another_day(background, rng)
             out.append(RealFrame(f"{path.stem}-{day}", "backgrounds", split, image, background, nothing))
     return out
-
-
-def backgrounds_in(folder: Path) -> list[NDArray[np.uint8]]:
-    """The no-contact images of a folder, sorted by name, each (320, 240, 3) uint8 BGR.
-
-    Raises `InputError` for a folder without images or an image of another size.
-    """
-    paths = sorted(path for path in folder.glob("*") if path.suffix.lower() in (".png", ".jpg", ".jpeg"))
-    if not paths:
-        raise InputError(f"{folder}: no PNG or JPEG image here; name a folder of no-contact images")
-    images = [read_bgr(path) for path in paths]
-    for path, image in zip(paths, images, strict=True):
-        if image.shape != (320, 240, 3):
-            raise InputError(f"{path}: {image.shape[1]}x{image.shape[0]}; a no-contact image of 240x320 is needed")
-    return images

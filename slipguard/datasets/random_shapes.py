@@ -1,4 +1,4 @@
-"""Random surfaces to press: a few simple bodies side by side, so that training sees more than a catalogue."""
+"""Random surfaces to press: a few simple bodies side by side, so that training covers more than the catalogue."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _Body = Callable[[Field, Field, np.random.Generator], Field]
 
 
 def composition(rng: np.random.Generator) -> HeightRaster:
-    """Two to four bodies at random places and angles, sometimes with a texture. Highest point near 0."""
+    """Return two to four bodies at random positions and angles, sometimes textured. Highest point near 0."""
 
     def height_mm(u: Field, v: Field) -> Field:
         bodies = []
@@ -36,7 +36,7 @@ def composition(rng: np.random.Generator) -> HeightRaster:
 
 
 def broad(rng: np.random.Generator) -> HeightRaster:
-    """A bottle, can or handle lying in the gel: gently curved across, hardly along, with soft or cut ends."""
+    """Return a bottle, can or handle: curved across, nearly straight along, with soft or cut ends."""
     across_mm, along_mm = float(rng.uniform(4.0, 25.0)), math.exp(rng.uniform(math.log(15.0), math.log(200.0)))
     half_mm, fall = float(rng.uniform(3.0, 11.0)), float(rng.uniform(0.15, 1.5))
 
@@ -47,29 +47,29 @@ def broad(rng: np.random.Generator) -> HeightRaster:
     return HeightRaster.of(height_mm, HALF_MM, PX_PER_MM)
 
 
-def resized(relief: HeightRaster, factor: float) -> HeightRaster:
-    """The same surface, `factor` times as long and wide."""
-    return HeightRaster(relief.fine, relief.coarse, relief.px_per_mm / factor)
+def resized(raster: HeightRaster, factor: float) -> HeightRaster:
+    """Return the same surface, `factor` times as long and wide."""
+    return HeightRaster(raster.fine, raster.coarse, raster.px_per_mm / factor)
 
 
-def roughened(relief: HeightRaster, rng: np.random.Generator, std_mm: float) -> HeightRaster:
-    """The surface with smooth random heights on it, correlated over about a millimetre."""
-    n = relief.fine.shape[0]
-    cells = max(int(n / relief.px_per_mm / rng.uniform(0.4, 1.6)), 4)
+def roughened(raster: HeightRaster, rng: np.random.Generator, std_mm: float) -> HeightRaster:
+    """Return the surface with smooth random heights added, correlated over about a millimeter."""
+    n = raster.fine.shape[0]
+    cells = max(int(n / raster.px_per_mm / rng.uniform(0.4, 1.6)), 4)
     bumps = rng.standard_normal((cells, cells), dtype=np.float32) * np.float32(std_mm)
-    return HeightRaster.from_raster(relief.fine + f32(cv2.resize(bumps, (n, n))), relief.px_per_mm)
+    return HeightRaster.from_raster(raster.fine + f32(cv2.resize(bumps, (n, n))), raster.px_per_mm)
 
 
-def beside(relief: HeightRaster, other: HeightRaster, rng: np.random.Generator) -> HeightRaster:
-    """Both surfaces as one body, the other turned and 4-9 mm away, up to 0.3 mm lower."""
-    n = relief.fine.shape[0]
+def with_neighbor(raster: HeightRaster, other: HeightRaster, rng: np.random.Generator) -> HeightRaster:
+    """Return both surfaces as one body, the other rotated, 4-9 mm away and up to 0.3 mm lower."""
+    n = raster.fine.shape[0]
     middle, angle = (n - 1) / 2, float(rng.uniform(0.0, 2 * math.pi))
-    distance = float(rng.uniform(4.0, 9.0)) * relief.px_per_mm
+    distance = float(rng.uniform(4.0, 9.0)) * raster.px_per_mm
     place = (middle + distance * math.cos(angle), middle + distance * math.sin(angle))
-    to_other = cv2.getRotationMatrix2D(place, float(rng.uniform(0.0, 360.0)), other.px_per_mm / relief.px_per_mm)
+    to_other = cv2.getRotationMatrix2D(place, float(rng.uniform(0.0, 360.0)), other.px_per_mm / raster.px_per_mm)
     to_other[:, 2] += (other.fine.shape[0] - 1) / 2 - np.array(place)
     second = warped(other.fine, np.asarray(to_other, np.float64), (n, n)) - np.float32(rng.uniform(0.0, 0.3))
-    return HeightRaster.from_raster(f32(np.maximum(relief.fine, np.maximum(second, FLOOR_MM))), relief.px_per_mm)
+    return HeightRaster.from_raster(f32(np.maximum(raster.fine, np.maximum(second, FLOOR_MM))), raster.px_per_mm)
 
 
 def _block(u: Field, v: Field, rng: np.random.Generator) -> Field:

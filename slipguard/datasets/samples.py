@@ -1,6 +1,6 @@
-"""Randomised rendered frames: what networks are trained and validated on.
+"""Randomized rendered frames for training and validation of networks.
 
-Ranges follow what is known of real units and goes some way beyond it; a frame follows from its seed alone.
+The ranges cover the known variation of real units and more; a frame depends on its seed only.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.datasets.random_shapes import beside, broad, composition, resized, roughened
+from slipguard.datasets.random_shapes import broad, composition, resized, roughened, with_neighbor
 from slipguard.sim.catalogue import object_names
 from slipguard.sim.contact_label import VISIBLE_MM
 from slipguard.sim.gel_camera import GelCamera, GelTruth
@@ -25,22 +25,25 @@ from slipguard.sim.sensor_unit import LightChange, random_unit
 
 Image = NDArray[np.uint8]
 UNIT_FRAMES = 50
-"""Frames with consecutive seeds that share a sensor unit; making one takes as long as several frames."""
+"""Number of consecutive seeds that share a sensor unit; creating one takes as long as several frames."""
 NO_CONTACT_SHARE = 0.15
 COMPOSITION_SHARE = 0.4
 COMPOSITION_NAME = "composition"
 BROAD_SHARE = 0.2
 BROAD_NAME = "broad"
 DEPTH_MM = {BROAD_NAME: (0.25, 2.0)}
-"""Lightest and deepest press; a broad body is pressed deeper before it fills the picture."""
+"""Lightest and deepest press; a broad body is pressed deeper before it fills the image."""
 USUAL_DEPTH_MM = (0.12, 1.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedSample:
-    """One frame. image, background: (320, 240, 3) uint8 BGR, the frame and the unit's no-contact image.
+    """One frame.
 
-    truth.image is the frame before contrast, compression and wear. has_contact: there is something to outline.
+    Attributes:
+        image, background: (320, 240, 3) uint8 BGR, the frame and the unit's background image.
+        truth: its image is the frame before contrast, compression and wear.
+        has_contact: whether there is a visible contact.
     """
 
     image: Image
@@ -51,19 +54,21 @@ class RenderedSample:
 
 
 def render_sample(seed: int, backgrounds: Sequence[Image] | None = None, split: str = "train") -> RenderedSample:
-    """Draw the frame of that seed (>= 0). About 15 % show no contact.
+    """Return the frame of a seed (>= 0). About 15 % show no contact.
 
-    backgrounds: real no-contact images, (320, 240, 3) uint8, on which half of the units are drawn. split "test": the
-    test objects alone, else the training objects, random compositions and broad bodies. Quick for consecutive seeds,
-    which share units; hand in the same list each time.
+    Consecutive seeds are fast because they share a unit; pass the same list of backgrounds each time.
+
+    Args:
+        backgrounds: real background images, (320, 240, 3) uint8, used for half of the units.
+        split: "test" for the test objects; "train" for training objects, random compositions and broad bodies.
     """
     rng = np.random.default_rng([seed, 1 if split == "test" else 0])
-    camera = _camera(seed // UNIT_FRAMES, _Pool(backgrounds))
+    camera = _camera(seed // UNIT_FRAMES, _BackgroundList(backgrounds))
     camera.reseed(int(rng.integers(2**31)))
     camera.set_light(_light(rng))
-    name, relief = _surface(rng, split)
+    name, raster = _surface(rng, split)
     view = _view(rng, name)
-    truth = camera.draw_with_truth(view, float(rng.uniform(0.004, 0.016)), relief)
+    truth = camera.draw_with_truth(view, float(rng.uniform(0.004, 0.016)), raster)
     background = camera.no_contact()
     if rng.random() < 0.5:
         background = _shifted(background, rng)
@@ -71,45 +76,45 @@ def render_sample(seed: int, backgrounds: Sequence[Image] | None = None, split: 
 
 
 def press_of(name: str, seed: int) -> RenderedSample:
-    """Draw the frame of that seed (>= 0) that shows that training object, always touching the gel in the picture.
+    """Return the frame of a seed (>= 0) that shows a given training object, always with visible contact.
 
-    Sizes, textures, poses, light and wear vary as in `sample`. Raises InputError for an unknown object.
+    Sizes, textures, poses, light and wear vary as in `render_sample`. Raises InputError for an unknown object.
     """
     rng = np.random.default_rng([seed, 2])
-    camera = _camera(seed // UNIT_FRAMES, _Pool(None))
+    camera = _camera(seed // UNIT_FRAMES, _BackgroundList(None))
     camera.reseed(int(rng.integers(2**31)))
     camera.set_light(_light(rng))
-    relief = resized(height_raster_of(name), float(rng.uniform(0.75, 1.3)))
+    raster = resized(height_raster_of(name), float(rng.uniform(0.75, 1.3)))
     if rng.random() < 0.5:
-        relief = roughened(relief, rng, float(rng.uniform(0.010, 0.080)))
+        raster = roughened(raster, rng, float(rng.uniform(0.010, 0.080)))
     while True:
         view = _press(rng, name)
-        truth = camera.draw_with_truth(view, float(rng.uniform(0.004, 0.016)), relief)
+        truth = camera.draw_with_truth(view, float(rng.uniform(0.004, 0.016)), raster)
         if truth.displacement_mm.max() > VISIBLE_MM:
             return _finished(rng, truth, camera.no_contact(), view)
 
 
 @dataclass(frozen=True, slots=True)
-class _Pool:
-    """A list of images, equal only to itself: comparing pixels would cost more than drawing."""
+class _BackgroundList:
+    """A list of images as a cache key, equal only to itself: comparing pixels would take longer than rendering."""
 
     images: Sequence[Image] | None
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Pool) and self.images is other.images
+        return isinstance(other, _BackgroundList) and self.images is other.images
 
     def __hash__(self) -> int:
         return id(self.images)
 
 
 @lru_cache(maxsize=4)
-def _camera(block: int, pool: _Pool) -> GelCamera:
+def _camera(block: int, pool: _BackgroundList) -> GelCamera:
     rng = np.random.default_rng([block, 240, 320])
     return GelCamera(random_unit(rng, pool.images), seed=block)
 
 
 def _light(rng: np.random.Generator) -> LightChange:
-    """How the light differs from that of the no-contact image: up to 6 grey levels each way, uneven."""
+    """Return a random change of the light against the background image: up to 6 gray levels, uneven."""
     if rng.random() < 0.2:
         return LightChange()
     common = rng.uniform(-4.0, 4.0)
@@ -133,18 +138,18 @@ def _surface(rng: np.random.Generator, split: str) -> tuple[str, HeightRaster]:
     names = object_names(split)
     name = names[int(rng.integers(len(names)))]
     composed = split == "train" and rng.random() < COMPOSITION_SHARE
-    relief = composition(rng) if composed else height_raster_of(name)
+    raster = composition(rng) if composed else height_raster_of(name)
     if split == "train":
-        relief = resized(relief, float(rng.uniform(0.75, 1.3)))
+        raster = resized(raster, float(rng.uniform(0.75, 1.3)))
         if rng.random() < 0.12:
-            relief = beside(relief, height_raster_of(names[int(rng.integers(len(names)))]), rng)
+            raster = with_neighbor(raster, height_raster_of(names[int(rng.integers(len(names)))]), rng)
     if rng.random() < 0.5:
-        relief = roughened(relief, rng, float(rng.uniform(0.010, 0.080)))
-    return (COMPOSITION_NAME if composed else name), relief
+        raster = roughened(raster, rng, float(rng.uniform(0.010, 0.080)))
+    return (COMPOSITION_NAME if composed else name), raster
 
 
 def _view(rng: np.random.Generator, name: str) -> GelView:
-    """No contact, or a pose: mostly in the middle, a quarter near or across the border; a third moving."""
+    """Return no contact, or a pose: a quarter near or across the border, a third moving."""
     if rng.random() < NO_CONTACT_SHARE:
         return GelView(object_name="", depth_mm=-1.0)
     return _press(rng, name)
@@ -169,7 +174,7 @@ def _press(rng: np.random.Generator, name: str) -> GelView:
 
 
 def _finished(rng: np.random.Generator, truth: GelTruth, background: Image, view: GelView) -> RenderedSample:
-    """What happens between gel and disk: wear, contrast, compression."""
+    """Return the sample with random wear, contrast and compression."""
     image = truth.image
     if rng.random() < 0.25:
         image, background = _worn(rng, image, background)
@@ -188,7 +193,7 @@ def _finished(rng: np.random.Generator, truth: GelTruth, background: Image, view
 
 
 def _shifted(image: Image, rng: np.random.Generator) -> Image:
-    """Moved by up to a pixel: the camera sits in soft plastic."""
+    """Return the image moved by up to a pixel: the camera is mounted in soft plastic."""
     dx, dy = rng.uniform(-0.7, 0.7, 2)
     matrix = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy]])
     moved = cv2.warpAffine(image, matrix, (image.shape[1], image.shape[0]), borderMode=cv2.BORDER_REPLICATE)
@@ -196,7 +201,7 @@ def _shifted(image: Image, rng: np.random.Generator) -> Image:
 
 
 def _worn(rng: np.random.Generator, image: Image, background: Image) -> tuple[Image, Image]:
-    """Scratches and specks; most are in the no-contact image too, some are new."""
+    """Return both images with scratches and specks; most are in the background image too, some are new."""
     rows, columns = image.shape[:2]
     old = np.zeros(image.shape, np.float32)
     new = np.zeros(image.shape, np.float32)

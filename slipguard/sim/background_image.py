@@ -1,4 +1,4 @@
-"""No-contact images of sensors that do not exist: glowing lobes, streaks from the lights, dust, vignette."""
+"""Procedural background images: glow of the LEDs, streaks, dust, vignette."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from slipguard.sim.raster import Field, blurred, f32
 from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
 
 _BLEED = ((0.80, 0.20, 0.12), (0.16, 0.80, 0.12), (0.12, 0.16, 0.80))
-"""How the three colours mix: no light is pure, no filter is sharp."""
+"""Mixing of the three colors by lights and filters."""
 
 
 def background_image(unit: SensorUnit) -> NDArray[np.uint8]:
-    """The no-contact image of a unit: its own real one, or one made up from its lights and seed; (320, 240, 3) BGR."""
+    """Return a unit's background image, (320, 240, 3) BGR: its real one, or a procedural one from its LEDs and seed."""
     if unit.background is not None:
         return unit.background
     rng = np.random.default_rng(unit.backdrop_seed)
     rows, columns = np.mgrid[0:FRAME_HEIGHT_PX, 0:FRAME_WIDTH_PX].astype(np.float32)
     x = columns / (FRAME_WIDTH_PX - 1) * 2 - 1
     y = 1 - rows / (FRAME_HEIGHT_PX - 1) * 2
-    crisp = rng.random() < 0.4  # some gels show where a light's cone ends
+    crisp = rng.random() < 0.4  # on some gels the edge of a light cone is visible
     planes = [_glow(rng, x, y, azimuth, crisp) + _streaks(rng, x, y, azimuth) for azimuth in unit.led_azimuth_deg]
     image = f32(cv2.transform(cv2.merge(planes), np.asarray(_BLEED, np.float32)))
     image *= (1 - rng.uniform(0.05, 0.35) * (x * x + y * y) / 2)[..., None]
@@ -35,7 +35,7 @@ def background_image(unit: SensorUnit) -> NDArray[np.uint8]:
 
 
 def _glow(rng: np.random.Generator, x: Field, y: Field, azimuth_deg: float, crisp: bool) -> Field:
-    """One colour: bright on the side away from its light, where the dome leans towards it, and a weak rest."""
+    """Return the glow of one LED: bright on the opposite side, where the dome tilts towards it."""
     glow = np.full(x.shape, rng.uniform(20, 75), np.float32)
     for k in range(int(rng.integers(2, 4))):
         away = 180.0 if k == 0 or rng.random() < 0.6 else 0.0
@@ -55,7 +55,7 @@ def _glow(rng: np.random.Generator, x: Field, y: Field, azimuth_deg: float, cris
 
 
 def _streaks(rng: np.random.Generator, x: Field, y: Field, azimuth_deg: float) -> Field:
-    """Light that enters through flaws of the gel's edge: a fan of soft rays from the light, fading on its way."""
+    """Return light through flaws of the gel's edge: a fan of soft rays from the LED that fade with distance."""
     angle = math.radians(azimuth_deg + rng.normal(0, 10))
     source = (1.5 * math.cos(angle), 1.15 * math.sin(angle))
     right, up = x - np.float32(source[0]), (y - np.float32(source[1])) * np.float32(FRAME_HEIGHT_PX / FRAME_WIDTH_PX)
@@ -71,9 +71,9 @@ def _streaks(rng: np.random.Generator, x: Field, y: Field, azimuth_deg: float) -
 
 
 def _dust(rng: np.random.Generator, image: Field) -> None:
-    """Specks and flaws of the paint, drawn into the image."""
+    """Draw specks and flaws of the paint into the image."""
     for _ in range(int(rng.integers(0, 6))):
         column, row = int(rng.integers(8, FRAME_WIDTH_PX - 8)), int(rng.integers(8, FRAME_HEIGHT_PX - 8))
-        colour = image[row, column] + rng.normal(0, 40, 3)
+        color = image[row, column] + rng.normal(0, 40, 3)
         radius = int(rng.integers(1, 3))
-        cv2.circle(image, (column, row), radius, cast("tuple[float, float, float]", tuple(colour.tolist())), -1)
+        cv2.circle(image, (column, row), radius, cast("tuple[float, float, float]", tuple(color.tolist())), -1)

@@ -50,8 +50,8 @@ def _gear(u: Field, v: Field) -> Field:
 
 
 def _coin(u: Field, v: Field) -> Field:
-    relief = s.union(s.box(u, v, 0.45, 2.0, (-1.2, 0.0)), s.path(u, v, s.arc(1.3, 110, -110, (0.4, 0.0)), 0.35))
-    sunk = s.inside(s.disc(u, v, 4.0), 0.25) * (1 - s.inside(relief - np.float32(0.15), 0.25))
+    lettering = s.union(s.box(u, v, 0.45, 2.0, (-1.2, 0.0)), s.path(u, v, s.arc(1.3, 110, -110, (0.4, 0.0)), 0.35))
+    sunk = s.inside(s.disc(u, v, 4.0), 0.25) * (1 - s.inside(lettering - np.float32(0.15), 0.25))
     milling = s.rays(u, v, 60, 0.2, 4.8) * s.inside(-s.disc(u, v, 4.7), 0.1)
     return f32(s.plateau(s.disc(u, v, 5.1), 0.3) - np.float32(0.22) * sunk - milling)
 

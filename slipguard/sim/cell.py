@@ -1,7 +1,7 @@
-"""Gripper, arm, table and object at one instant, and the step that takes them to the next: pure values.
+"""State of gripper, arm, table and object, and the simulation step: pure values.
 
-The object lies on a table between the jaws until force comes on it; from then on it moves in the fingers' frame.
-Nothing brings a dropped object back.
+The object lies on a table between the jaws until they press on it; from then on it moves in the fingers' frame.
+A dropped object stays dropped.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from slipguard.sim import arm_plant, gripper_plant
-from slipguard.sim import object_motion as rotation
+from slipguard.sim import arm_plant, gripper_plant, object_motion
 from slipguard.sim.arm_plant import ArmPlant, ArmPose
 from slipguard.sim.friction import NO_CONTACT_N
 from slipguard.sim.gel_view import GelView
@@ -21,16 +20,16 @@ from slipguard.sim.scenario import Scenario
 from slipguard.sim.sim_object import SimObject
 
 MAX_ROTATION_DEG = 60.0
-"""An object turned further than this counts as dropped."""
+"""A larger rotation counts as dropped."""
 MAX_SLIP_MM = 12.0
-"""An object that slid this far is out of the fingers: the gel is 25.5 mm high, a grasp is near its middle."""
+"""With a larger slip the object is out of the fingers: the gel is 25.5 mm high, grasps are near its center."""
 REFERENCE_PRESS_N = 40.0
-"""The force at which an object's `press_mm` holds; the depth goes with the square root of the force."""
+"""The force of an object's `press_mm`; the depth is proportional to the square root of the force."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedObject:
-    """The object that was placed: its scenario and its mechanics, friction scaled."""
+    """The placed object: its scenario and its mechanics, with scaled friction."""
 
     scenario: Scenario
     item: SimObject
@@ -40,36 +39,39 @@ class PlacedObject:
 
 @dataclass(frozen=True, slots=True)
 class CellState:
-    """Everything that moves. held: force is on the object. table_mm: finger height at which it lies flat.
+    """State of the cell.
 
-    shaken_m_s2: what the fingers' own motion does not explain (vibration, a touch), up, by time; None for nothing.
+    Attributes:
+        held: the fingers press on the object.
+        table_mm: finger height at which the object lies flat.
+        disturbance_m_s2: additional acceleration of the fingers (vibration, a touch), up, by time; None for none.
     """
 
     gripper: GripperPlant
     gripper_model: GripperDynamics
     arm: ArmPlant = field(default_factory=ArmPlant)
-    thing: PlacedObject | None = None
+    placed: PlacedObject | None = None
     motion: ObjectMotion = field(default_factory=ObjectMotion)
     table_mm: float = 0.0
     held: bool = False
     dropped: str | None = None
-    shaken_m_s2: Callable[[float], float] | None = None
+    disturbance_m_s2: Callable[[float], float] | None = None
 
     @property
     def present(self) -> PlacedObject | None:
-        """What is between the jaws."""
-        return self.thing if self.dropped is None else None
+        """The object between the jaws, None if there is none."""
+        return self.placed if self.dropped is None else None
 
 
 def step(cell: CellState, now_s: float, step_s: float, *, gripper_works: bool = True) -> CellState:
-    """The cell one step later, at `now_s`."""
+    """Return the cell one step later, at `now_s`."""
     here = arm_plant.pose(cell.arm, now_s)
-    thing = cell.present
+    placed = cell.present
     gripper = cell.gripper
     if gripper_works:
-        object_mm = thing.item.width_mm if thing is not None else None
+        object_mm = placed.item.width_mm if placed is not None else None
         gripper = gripper_plant.advance(gripper, cell.gripper_model, now_s, step_s, object_mm)
-    if thing is None:
+    if placed is None:
         return replace(cell, gripper=gripper)
     pressed = gripper.force_n > NO_CONTACT_N
     if not pressed and not cell.held:
@@ -77,22 +79,23 @@ def step(cell: CellState, now_s: float, step_s: float, *, gripper_works: bool = 
     motion = cell.motion if cell.held else ObjectMotion()
     load = ExternalLoad(
         force_n=gripper.force_n,
-        acceleration_m_s2=1e-3 * here.acceleration_mm_s2 + (cell.shaken_m_s2(now_s) if cell.shaken_m_s2 else 0.0),
+        acceleration_m_s2=1e-3 * here.acceleration_mm_s2
+        + (cell.disturbance_m_s2(now_s) if cell.disturbance_m_s2 else 0.0),
         rise_m=1e-3 * (here.height_mm - cell.table_mm),
         rise_m_s=1e-3 * here.speed_mm_s,
     )
-    motion = rotation.advance(motion, thing.body, thing.scenario.gel, load, step_s)
-    dropped = _why_dropped(motion, thing.body, gripper)
+    motion = object_motion.advance(motion, placed.body, placed.scenario.gel, load, step_s)
+    dropped = _why_dropped(motion, placed.body, gripper)
     held = pressed and dropped is None
-    if not pressed and dropped is None:  # set down: it lies still again
+    if not pressed and dropped is None:  # set down: it rests on the table
         motion = ObjectMotion(rotation_rad=motion.rotation_rad, slip_m=motion.slip_m, on_table=True)
     return replace(cell, gripper=gripper, motion=motion, held=held, dropped=dropped)
 
 
 def _why_dropped(motion: ObjectMotion, body: GraspedBody, gripper: GripperPlant) -> str | None:
-    """The reason, in words, why the object is lost in this state; None while it is not."""
+    """Return why the object is dropped in this state; None if it is not."""
     if abs(motion.rotation_rad) > math.radians(MAX_ROTATION_DEG):
-        return f"turned more than {MAX_ROTATION_DEG:.0f} deg"
+        return f"rotated more than {MAX_ROTATION_DEG:.0f} deg"
     if abs(motion.slip_m) > 1e-3 * MAX_SLIP_MM:
         return "contact lost"
     if motion.on_table or motion.load_n < body.n_fingers * body.friction * gripper.force_n:
@@ -100,15 +103,15 @@ def _why_dropped(motion: ObjectMotion, body: GraspedBody, gripper: GripperPlant)
     return "contact lost" if gripper.drive is Drive.OPENING or gripper.force_n <= NO_CONTACT_N else "f_t >= mu N"
 
 
-def is_still(before: CellState, after: CellState, now_s: float) -> bool:
-    """True if nothing will move until somebody gives a command."""
+def is_static(before: CellState, after: CellState, now_s: float) -> bool:
+    """Return True if nothing moves until the next command."""
     if not after.gripper.at_rest or now_s < after.arm.legs[-1].start_s or before.held != after.held:
         return False
     if before.gripper is not after.gripper:
         return False
     if not after.held:
         return True
-    if after.shaken_m_s2 is not None:
+    if after.disturbance_m_s2 is not None:
         return False
     old, new = before.motion, after.motion
     at_rest = abs(new.rate_rad_s) < 1e-8 and abs(new.slip_m_s) < 1e-10
@@ -116,25 +119,25 @@ def is_still(before: CellState, after: CellState, now_s: float) -> bool:
 
 
 def view(cell: CellState, finger_sign: int) -> GelView:
-    """What a finger's camera has before it; left +1, right -1 (the mirrored picture). World down is picture down."""
-    thing = cell.present
-    if thing is None:
+    """Return the view of a finger's camera; left +1, right -1 (mirrored image). World down is image down."""
+    placed = cell.present
+    if placed is None:
         return GelView(object_name="", depth_mm=-1.0)
-    motion, scenario = cell.motion, thing.scenario
+    motion, scenario = cell.motion, placed.scenario
     rotation_sign = finger_sign * scenario.lever_sign
     return GelView(
-        object_name=thing.item.name,
+        object_name=placed.item.name,
         x_mm=finger_sign * scenario.x_mm,
         y_mm=scenario.y_mm - 1e3 * motion.slip_m,
         angle_deg=finger_sign * scenario.angle_deg + rotation_sign * math.degrees(motion.rotation_rad),
-        depth_mm=depth_mm(thing.item, cell.gripper),
+        depth_mm=depth_mm(placed.item, cell.gripper),
         vy_mm_s=-1e3 * motion.slip_m_s,
         rate_deg_s=rotation_sign * math.degrees(motion.rate_rad_s),
     )
 
 
 def depth_mm(item: SimObject, gripper: GripperPlant) -> float:
-    """Indentation: minus the gap before contact, then press_mm * sqrt(N / 40 N)."""
+    """Return the indentation: minus the gap before contact, then press_mm * sqrt(N / 40 N)."""
     if gripper.force_n <= NO_CONTACT_N:
         return min(0.5 * (item.width_mm - gripper.width_mm), 0.0)
     return item.press_mm * math.sqrt(gripper.force_n / REFERENCE_PRESS_N)
@@ -142,11 +145,16 @@ def depth_mm(item: SimObject, gripper: GripperPlant) -> float:
 
 @dataclass(frozen=True, slots=True)
 class WorldTruth:
-    """What really happens; for evaluation only, never for the loop. After a drop, how it was at that moment.
+    """The true state, for evaluation only, never for the loop. After a drop: the state at that moment.
 
-    Angles are degrees in the left picture, counter-clockwise positive; turns count from the present grasp on the table:
-    rotation_deg = elastic_deg (the gel's wind-up, comes back) + slip_deg. right_*: the same in the right picture.
-    needed_force_n: per finger, to hold the level object at rest. load_n: tangential load per finger.
+    Angles are degrees in the left image, counter-clockwise positive, relative to the present grasp on the table.
+
+    Attributes:
+        rotation_deg: elastic_deg (reversible torsion of the gel) + slip_deg.
+        right_rotation_deg, right_angle_deg: the same in the right image.
+        slip_mm, slip_rate_mm_s: translational slip, downwards.
+        needed_force_n: per finger, to hold the level object at rest.
+        load_n: tangential load per finger.
     """
 
     time_s: float
@@ -172,15 +180,15 @@ class WorldTruth:
 
 
 def truth(cell: CellState, here: ArmPose, now_s: float) -> WorldTruth:
-    """Read off the cell what an evaluation needs."""
-    motion, thing = cell.motion, cell.thing
-    sign = thing.scenario.lever_sign if thing is not None else 1
-    start_deg = thing.scenario.angle_deg if thing is not None else 0.0
+    """Return the true state of the cell."""
+    motion, placed = cell.motion, cell.placed
+    sign = placed.scenario.lever_sign if placed is not None else 1
+    start_deg = placed.scenario.angle_deg if placed is not None else 0.0
     rotation_deg = sign * math.degrees(motion.rotation_rad)
     elastic_deg = sign * math.degrees(motion.twist_rad)
     return WorldTruth(
         time_s=now_s,
-        object_name=thing.item.name if thing is not None else None,
+        object_name=placed.item.name if placed is not None else None,
         rotation_deg=rotation_deg,
         elastic_deg=elastic_deg,
         slip_deg=rotation_deg - elastic_deg,
@@ -192,10 +200,10 @@ def truth(cell: CellState, here: ArmPose, now_s: float) -> WorldTruth:
         slip_rate_mm_s=1e3 * motion.slip_m_s,
         force_n=cell.gripper.force_n,
         applied_n=cell.gripper.applied_n,
-        needed_force_n=thing.needed_n if thing is not None else 0.0,
-        load_n=max(motion.load_n, 0.0) / (thing.body.n_fingers if thing is not None else 1),
+        needed_force_n=placed.needed_n if placed is not None else 0.0,
+        load_n=max(motion.load_n, 0.0) / (placed.body.n_fingers if placed is not None else 1),
         height_mm=here.height_mm,
-        on_table=thing is not None and cell.dropped is None and (not cell.held or motion.on_table),
+        on_table=placed is not None and cell.dropped is None and (not cell.held or motion.on_table),
         in_contact=cell.held,
         slipping=cell.held and motion.slipping,
         dropped=cell.dropped,

@@ -1,4 +1,4 @@
-"""A DIGIT fingertip camera, drawn: object -> gel -> light and shadow -> no-contact image -> noise."""
+"""A rendered DIGIT fingertip camera: object -> gel -> light and shadow -> background image -> noise."""
 
 from __future__ import annotations
 
@@ -23,10 +23,13 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class GelTruth:
-    """One frame and what was really there.
+    """One frame and its truth.
 
-    image: (320, 240, 3) uint8 BGR. contact: (320, 240) bool, where object and gel touch. displacement_mm: (320, 240)
-    float32, gel towards the camera, >= 0. press_mm: indentation of the object's highest point, 0 without contact.
+    Attributes:
+        image: (320, 240, 3) uint8 BGR.
+        contact: (320, 240) bool, where object and gel touch.
+        displacement_mm: (320, 240) float32, gel towards the camera, >= 0.
+        press_mm: indentation of the object's highest point, 0 without contact.
     """
 
     image: Image
@@ -36,9 +39,10 @@ class GelTruth:
 
 
 class GelCamera:
-    """The camera of one sensor unit. Its images depend on unit, seed and the sequence of calls alone.
+    """The camera of one sensor unit. Its images depend only on unit, seed and the sequence of calls.
 
-    background: no-contact image (320, 240, 3) uint8 BGR in place of the unit's own; raises InputError on another shape.
+    Args:
+        background: background image (320, 240, 3) uint8 BGR instead of the unit's; InputError for another shape.
     """
 
     def __init__(self, unit: SensorUnit, background: Image | None = None, seed: int = 0) -> None:
@@ -47,8 +51,8 @@ class GelCamera:
         shape = (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3)
         if self._background.shape != shape or self._background.dtype != np.uint8:
             raise InputError(
-                f"a background of shape {self._background.shape} and type {self._background.dtype} cannot be used; "
-                f"give one of shape {shape}, uint8 (240 wide, 320 high, BGR)"
+                f"background image of shape {self._background.shape}, {self._background.dtype}; it must be {shape}, uint8 "
+                "(240 wide, 320 high, BGR)"
             )
         self._imprinter = Imprinter(unit, self._background)
         self._noise = CameraNoise(unit.noise_bgr, unit.stripe_bgr, seed)
@@ -57,15 +61,15 @@ class GelCamera:
         self._lit_background = self._background.astype(np.float32)
 
     def no_contact(self) -> Image:
-        """The unit's no-contact image, without noise and in the light it was taken in."""
+        """Return the unit's background image, without noise and without light changes."""
         return self._background.copy()
 
     def reseed(self, seed: int) -> None:
-        """Start the noise anew, as in a camera made with this seed of the same canvas."""
+        """Restart the noise sequence with another seed, on the same noise array."""
         self._noise.reseed(seed)
 
     def set_light(self, light: LightChange) -> None:
-        """Change the light from the next frame on; `no_contact` stays as it was taken."""
+        """Change the light from the next frame on; `no_contact` stays the same."""
         if light == self._light:
             return
         x = np.linspace(-1.0, 1.0, FRAME_WIDTH_PX, dtype=np.float32)[None, :, None]
@@ -75,20 +79,25 @@ class GelCamera:
         self._lit_background += y * f32(light.tilt_up_bgr)
         self._light = light
 
-    def draw(self, view: GelView, exposure_s: float = 0.008, relief: HeightRaster | None = None) -> Image:
-        """One frame, (320, 240, 3) uint8 BGR. Raises InputError for an unknown object or a pose that is not finite.
+    def draw(self, view: GelView, exposure_s: float = 0.008, raster: HeightRaster | None = None) -> Image:
+        """Return one frame, (320, 240, 3) uint8 BGR.
 
-        view: the pose in the middle of the exposure. relief: a surface to draw in place of the named object's.
+        Args:
+            view: the pose in the middle of the exposure.
+            raster: a surface instead of the named object's.
+
+        Raises:
+            InputError: unknown object, or a pose that is not finite.
         """
         last = self._last
-        if last is None or last[:2] != (view, exposure_s) or last[2] is not relief:
-            # An object that is held still is pressed in once: only the noise is new.
-            last = self._last = (view, exposure_s, relief, self._imprinter.imprint(view, exposure_s, relief))
+        if last is None or last[:2] != (view, exposure_s) or last[2] is not raster:
+            # The imprint of an object at rest is computed once: only the noise is new.
+            last = self._last = (view, exposure_s, raster, self._imprinter.imprint(view, exposure_s, raster))
         return self._finish(last[3])
 
-    def draw_with_truth(self, view: GelView, exposure_s: float = 0.008, relief: HeightRaster | None = None) -> GelTruth:
-        """The frame `draw` would give, and what was there in the middle of its exposure."""
-        imprint = self._imprinter.imprint(view, exposure_s, relief)
+    def draw_with_truth(self, view: GelView, exposure_s: float = 0.008, raster: HeightRaster | None = None) -> GelTruth:
+        """Return the frame that `draw` would return, with the truth in the middle of its exposure."""
+        imprint = self._imprinter.imprint(view, exposure_s, raster)
         contact = np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.bool_)
         gel_mm = np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.float32)
         if imprint is not None:

@@ -1,7 +1,7 @@
-"""What a pressed object changes in a unit's picture.
+"""The change that a pressed object causes in a unit's image.
 
-Only the neighbourhood of the imprint differs from the no-contact image. The coarse grid, which is cheap, says how far
-that reaches; full pixels are computed there alone.
+Only the neighborhood of the imprint differs from the background image. A coarse grid, which is cheap, finds how far it
+reaches; the full resolution is computed only there.
 """
 
 from __future__ import annotations
@@ -22,28 +22,32 @@ from slipguard.sim.raster import Field, blurred, enlarged, f32
 from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
 
 _PAD_CELLS = 8
-"""The coarse grid goes this far beyond the frame: what is pressed out there still bends and shades the gel in it."""
+"""The coarse grid extends this far beyond the frame: a press outside still deforms and shades the gel inside."""
 _GRID = (FRAME_WIDTH_PX // STEP_PX + 2 * _PAD_CELLS, FRAME_HEIGHT_PX // STEP_PX + 2 * _PAD_CELLS)
 _RING_CELLS = 3
-"""Filters near a window's border need this much around it."""
+"""Margin of a window for the filters."""
 _RING_PX = _RING_CELLS * STEP_PX
 _VISIBLE_MM = 0.002
 _VISIBLE_SHADE = 0.005
 _GEL_BLUR_PX = 1.2
-"""The gel rounds what is finer than this."""
+"""The gel smooths finer structure."""
 _TOUCH_MM = 0.03
 """Object and gel count as touching within this distance."""
-_SMEAR_PX = 0.7
-"""A frame in which nothing moves further than this during its exposure is drawn sharp."""
+_BLUR_MIN_PX = 0.7
+"""With less motion during the exposure there is no motion blur."""
 _MOTION_REACH_MM = 8.0
 _MOTION_LIMIT_PX = 60.0
 
 
 @dataclass(frozen=True, slots=True)
 class Imprint:
-    """The part of a frame that an object changes. window: (rows, columns) of the frame, to which the arrays belong.
+    """The part of a frame that an object changes.
 
-    change_bgr: grey levels to add. contact: where object and gel touch. gel_mm: displacement towards the camera.
+    Attributes:
+        window: (rows, columns) of the frame covered by the arrays.
+        change_bgr: gray levels to add.
+        contact: where object and gel touch.
+        gel_mm: displacement towards the camera.
     """
 
     window: tuple[slice, slice]
@@ -60,97 +64,103 @@ class Imprinter:
         self._shading = Shading(unit, background, _RING_PX)
 
     def imprint(
-        self, view: GelView, exposure_s: float, relief: HeightRaster | None = None, *, whole: bool = False
+        self, view: GelView, exposure_s: float, raster: HeightRaster | None = None, *, whole: bool = False
     ) -> Imprint | None:
-        """The change an object makes, smeared by its motion; None where there is none.
+        """Return the change by an object with motion blur; None if there is none.
 
-        relief: a surface in place of the named object's. whole: compute all of the frame, for comparison.
-        Raises InputError for an unknown object or a pose that is not finite.
+        Args:
+            raster: a surface instead of the named object's.
+            whole: compute the whole frame, for comparison.
+
+        Raises:
+            InputError: unknown object, or a pose that is not finite.
         """
         pose = (view.x_mm, view.y_mm, view.angle_deg, view.depth_mm, view.vx_mm_s, view.vy_mm_s, view.rate_deg_s)
         if not all(map(math.isfinite, pose)):
-            raise InputError(f"a view with a value that is not finite cannot be drawn: {view}")
+            raise InputError(f"the pose must be finite: {view}")
         if view.depth_mm <= 0.0:
             return None
-        relief = height_raster_of(view.object_name) if relief is None else relief
-        overlap_mm = self._overlap(relief, view, STEP_PX, (-_PAD_CELLS, -_PAD_CELLS), _GRID)
+        raster = height_raster_of(view.object_name) if raster is None else raster
+        overlap_mm = self._overlap(raster, view, STEP_PX, (-_PAD_CELLS, -_PAD_CELLS), _GRID)
         if float(overlap_mm.max()) <= 0.0:
             return None
         gel_mm = displaced_gel(overlap_mm, self._unit)
-        shares = led_visibility(gel_mm, self._unit)
-        darkest = np.minimum(np.minimum(shares[0], shares[1]), shares[2])
+        visibility = led_visibility(gel_mm, self._unit)
+        darkest = np.minimum(np.minimum(visibility[0], visibility[1]), visibility[2])
         changed = (gel_mm > _VISIBLE_MM) | (darkest < 1 - _VISIBLE_SHADE)
         if whole:
             changed[:] = True
         motion_px = self._motion_px(view, exposure_s)
         cells = _frame_cells(changed, grow=1 + math.ceil(motion_px / STEP_PX))
-        return None if cells is None else self._full_size(relief, view, exposure_s, cells, gel_mm, shares)
+        return None if cells is None else self._full_size(raster, view, exposure_s, cells, gel_mm, visibility)
 
     def _full_size(
         self,
-        relief: HeightRaster,
+        raster: HeightRaster,
         view: GelView,
         exposure_s: float,
         cells: tuple[int, int, int, int],
         coarse_mm: Field,
-        shares: list[Field],
+        visibility: list[Field],
     ) -> Imprint:
-        """The imprint on the frame pixels of some cells (left, top, right, bottom)."""
+        """Return the imprint on the frame pixels of some cells (left, top, right, bottom)."""
         left, top = cells[0] - _RING_CELLS, cells[1] - _RING_CELLS
         right, bottom = cells[2] + _RING_CELLS, cells[3] + _RING_CELLS
         block = (slice(top, bottom), slice(left, right))
         size = (STEP_PX * (right - left), STEP_PX * (bottom - top))
         corner = (STEP_PX * (left - _PAD_CELLS), STEP_PX * (top - _PAD_CELLS))
-        overlap_mm = self._overlap(relief, view, 1, corner, size)
+        overlap_mm = self._overlap(raster, view, 1, corner, size)
         membrane_mm = enlarged(coarse_mm[block], size)
         contact = (overlap_mm > 0.0) & (overlap_mm >= membrane_mm - np.float32(_TOUCH_MM))
         gel_mm = blurred(f32(np.maximum(overlap_mm, membrane_mm)), _GEL_BLUR_PX)
         x, y = corner[0] + _RING_PX, corner[1] + _RING_PX
         fields = (slice(y, y + size[1]), slice(x, x + size[0]))
-        change = self._shading.change(gel_mm, [enlarged(share[block], size) for share in shares], fields)
+        change = self._shading.change(gel_mm, [enlarged(share[block], size) for share in visibility], fields)
         change = blurred(change, self._unit.psf_px)
-        if self._motion_px(view, exposure_s) > _SMEAR_PX:
-            change = self._smear(change, view, exposure_s, corner)
+        if self._motion_px(view, exposure_s) > _BLUR_MIN_PX:
+            change = self._motion_blur(change, view, exposure_s, corner)
         inner = (slice(_RING_PX, size[1] - _RING_PX), slice(_RING_PX, size[0] - _RING_PX))
         window = (slice(y, y + size[1] - 2 * _RING_PX), slice(x, x + size[0] - 2 * _RING_PX))
         return Imprint(window, change[inner], contact[inner], gel_mm[inner])
 
     def _overlap(
-        self, relief: HeightRaster, view: GelView, step: int, corner: tuple[int, int], size: tuple[int, int]
+        self, raster: HeightRaster, view: GelView, step: int, corner: tuple[int, int], size: tuple[int, int]
     ) -> Field:
-        """Overlap of the rigid object with the undeformed gel, mm, on a grid of `step` frame pixels from `corner`."""
+        """Return the overlap of rigid object and undeformed gel, mm, on a grid of `step` pixels from `corner`."""
         scale = self._unit.px_per_mm
         c, s = math.cos(math.radians(view.angle_deg)), math.sin(math.radians(view.angle_deg))
-        first = (step - 1) / 2  # of a cell's pixels the middle
+        first = (step - 1) / 2  # center of a cell's pixels
         right0 = (step * corner[0] + first - (FRAME_WIDTH_PX - 1) / 2) / scale
         up0 = -(step * corner[1] + first - (FRAME_HEIGHT_PX - 1) / 2) / scale
-        pitch = step / scale
+        spacing = step / scale
         dx, dy = right0 - view.x_mm, up0 - view.y_mm
-        to_object = np.array([[c * pitch, -s * pitch, c * dx + s * dy], [-s * pitch, -c * pitch, -s * dx + c * dy]])
-        overlap = relief.posed(to_object, size, coarse=step > 1)
+        to_object = np.array(
+            [[c * spacing, -s * spacing, c * dx + s * dy], [-s * spacing, -c * spacing, -s * dx + c * dy]]
+        )
+        overlap = raster.posed(to_object, size, coarse=step > 1)
         overlap += np.float32(view.depth_mm)
-        self._subtract_dome(overlap, view, (right0, up0), pitch)
+        self._subtract_dome(overlap, view, (right0, up0), spacing)
         return overlap
 
-    def _subtract_dome(self, overlap: Field, view: GelView, start: tuple[float, float], pitch: float) -> None:
-        """Let the dome fall away from a flat object: its sag relative to that under the object's origin."""
+    def _subtract_dome(self, overlap: Field, view: GelView, start: tuple[float, float], spacing: float) -> None:
+        """Subtract the dome's sag relative to the object's origin."""
         share = self._unit.dome_share / (2.0 * self._unit.dome_radius_mm)
         if share == 0.0:
             return
         rows, columns = overlap.shape
-        right = start[0] + pitch * np.arange(columns, dtype=np.float32)
-        up = start[1] - pitch * np.arange(rows, dtype=np.float32)
+        right = start[0] + spacing * np.arange(columns, dtype=np.float32)
+        up = start[1] - spacing * np.arange(rows, dtype=np.float32)
         overlap -= np.float32(share) * right * right
         overlap -= (np.float32(share) * up * up - np.float32(share * (view.x_mm**2 + view.y_mm**2)))[:, None]
 
     def _motion_px(self, view: GelView, exposure_s: float) -> float:
-        """The longest way a point of the imprint moves in the picture during the exposure, pixels."""
+        """Return the largest motion of a point of the imprint during the exposure, pixels."""
         rotating_mm_s = math.radians(abs(view.rate_deg_s)) * _MOTION_REACH_MM
         speed_mm_s = math.hypot(view.vx_mm_s, view.vy_mm_s) + rotating_mm_s
         return min(speed_mm_s * exposure_s * self._unit.px_per_mm, _MOTION_LIMIT_PX)
 
-    def _smear(self, change: Field, view: GelView, exposure_s: float, corner: tuple[int, int]) -> Field:
-        """Average over the poses of the exposure: each pass adds the image to itself, moved, and so doubles them."""
+    def _motion_blur(self, change: Field, view: GelView, exposure_s: float, corner: tuple[int, int]) -> Field:
+        """Average over the poses of the exposure: each pass adds the image to its shifted self, doubling the poses."""
         scale = self._unit.px_per_mm
         origin = (
             view.x_mm * scale + (FRAME_WIDTH_PX - 1) / 2 - corner[0],
@@ -172,7 +182,7 @@ class Imprinter:
 
 
 def _frame_cells(changed: NDArray[np.bool_], grow: int) -> tuple[int, int, int, int] | None:
-    """Bounds (left, top, right, bottom) of the changed cells within the frame, `grow` wider; None if there are none."""
+    """Return the bounds (left, top, right, bottom) of the changed cells in the frame, enlarged by `grow`, or None."""
     left, top, width, height = cv2.boundingRect(changed.astype(np.uint8))
     if width == 0:
         return None

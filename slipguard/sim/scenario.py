@@ -1,4 +1,4 @@
-"""One grasp to be tried: which object, how it lies, and how the cell deviates from its data sheets."""
+"""One grasp to simulate: the object, its pose, and the deviations of the cell from its data sheets."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from slipguard.sim.gripper_plant import GripperDynamics
 
 @dataclass(frozen=True, slots=True)
 class FrameDelivery:
-    """How a camera delivers during one grasp.
+    """How a camera delivers its frames during one grasp.
 
-    latency_s: from exposure to hand-over. jitter_s: standard deviation of the capture time stamps.
-    light_drift_bgr: grey levels by which the light has changed since the no-contact image was taken.
+    Attributes:
+        latency_s: from exposure to delivery.
+        jitter_s: standard deviation of the capture time stamps.
+        light_drift_bgr: change of the light since the background image was taken, gray levels.
     """
 
     fps: float = 60.0
@@ -30,7 +32,7 @@ class FrameDelivery:
 
 @dataclass(frozen=True, slots=True)
 class CameraModel(FrameDelivery):
-    """One fingertip camera: who it is, and how it delivers at present."""
+    """One fingertip camera: its identity and its present delivery."""
 
     serial: str = ""
     unit_seed: int = 0
@@ -38,10 +40,12 @@ class CameraModel(FrameDelivery):
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """One grasp. x_mm, y_mm, angle_deg: the object in the left picture when it is touched.
+    """One grasp.
 
-    lever_sign: +1 if its centre of mass lies where it turns the left picture counter-clockwise, else -1.
-    friction_scale: on the object's friction.
+    Attributes:
+        x_mm, y_mm, angle_deg: the object in the left image at contact.
+        lever_sign: +1 if the center of mass causes a counter-clockwise rotation in the left image, else -1.
+        friction_scale: factor on the object's friction.
     """
 
     object_name: str
@@ -58,10 +62,10 @@ class Scenario:
 
 
 def scenario(object_name: str, seed: int) -> Scenario:
-    """Draw one grasp of an object; the same name and seed give the same grasp on every machine.
+    """Return a random grasp of an object; name and seed give the same grasp on every machine.
 
-    Ranges of what is published and measured of such parts: dead time 20-60 ms, ramp 64-480 N/s, gain +-10 %, latency
-    30-50 ms, 0.1-1 % dropped frames, stamp jitter 1-3 ms, light +-5 grey levels; one gel in five is stiff.
+    The ranges are published or measured for such parts: dead time 20-60 ms, ramp 64-480 N/s, gain +-10 %, latency
+    30-50 ms, 0.1-1 % dropped frames, stamp jitter 1-3 ms, light +-5 gray levels; one gel in five is stiff.
     """
     name_seed = int.from_bytes(hashlib.sha256(object_name.encode()).digest()[:8], "big")
     rng = np.random.default_rng([seed, name_seed])
@@ -87,12 +91,12 @@ def scenario(object_name: str, seed: int) -> Scenario:
 
 
 def initial_delivery(seed: int, finger: str) -> FrameDelivery:
-    """How a finger's camera delivers before the first grasp."""
+    """Return the delivery of a finger's camera before the first grasp."""
     return _delivery(np.random.default_rng([seed, 1 if finger == "left" else 2]))
 
 
 def _gel(rng: np.random.Generator) -> SoftPad:
-    """A gel: mostly soft silicone that stiffens with its contact, sometimes a stiff pad."""
+    """Return a random gel: mostly soft silicone that stiffens with the contact, sometimes a stiff pad."""
     stiff = bool(rng.random() < 0.2)
     soft_n_m_rad = float(np.exp(rng.uniform(np.log(0.1), np.log(0.5))))
     relaxation_s = float(rng.uniform(0.01, 0.03))
@@ -103,7 +107,7 @@ def _gel(rng: np.random.Generator) -> SoftPad:
 
 
 def _delivery(rng: np.random.Generator) -> FrameDelivery:
-    """How one camera delivers; both run at the same nominal rate."""
+    """Return a random delivery; both cameras have the same nominal rate."""
     drift = rng.uniform(-5.0, 5.0, 3)
     return FrameDelivery(
         fps=60.0,

@@ -1,8 +1,8 @@
-"""The one world that the simulated gripper, arm and cameras share.
+"""The world shared by the simulated gripper, arm and cameras.
 
-It is the only mutable thing in the simulation: it holds frozen states and moves them on a fixed grid of steps whenever
-somebody asks, up to the time they ask for. What it answers depends on the commands and their times alone, not on
-how often it was asked. Time is handed in; an earlier time than the last is answered with the present.
+It is the only mutable object of the simulation: it holds frozen states and advances them on a fixed grid of steps up to
+the time of each call. Its state depends on the commands and their times only, not on how often it is read. Time is an
+argument; a time earlier than the last one returns the present.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SIGNS = {"left": 1, "right": -1}
 
 @dataclass(frozen=True, slots=True)
 class WorldSettings:
-    """What a world is made of before anything is placed in it. gripper: until a scenario brings its own."""
+    """An empty world. gripper: until a scenario brings its own."""
 
     step_s: float = 1e-3
     start_width_mm: float = 85.0
@@ -43,8 +43,11 @@ class WorldSettings:
 class World:
     """A gripper with two gels, an arm, a table, and at most one object.
 
-    lookup: name -> object; the catalogue where not given.
-    faults: which devices fail; the world heeds a gripper's or arm's fault from the last time it was asked.
+    Args:
+        lookup: name -> object; default: the catalogue.
+
+    Attributes:
+        faults: injected faults; a fault of gripper or arm takes effect from the world's last time on.
     """
 
     def __init__(
@@ -60,32 +63,33 @@ class World:
         self._origin_s: float | None = None
         self._now_s = -math.inf
         self._steps = 0
-        self._still = False
+        self._static = False
 
     def place(self, scenario: Scenario, now_s: float) -> None:
         """Put an object between the open jaws, on a table at the fingers' present height.
 
-        Raises CommandRefused if the jaws are closer than the object is thick or something is there already,
-        InputError for an unknown object.
+        Raises:
+            CommandRefused: the jaws are too narrow, or there is already an object.
+            InputError: unknown object.
         """
         now_s = self._advance(now_s)
         item = self._lookup(scenario.object_name)
-        there = self._cell.present
-        if there is not None:
-            raise CommandRefused(f"{there.item.name} is between the jaws; clear it first")
+        present = self._cell.present
+        if present is not None:
+            raise CommandRefused(f"{present.item.name} is between the jaws; clear it first")
         if self._cell.gripper.width_mm < item.width_mm:
             raise CommandRefused(
                 f"the jaws are {self._cell.gripper.width_mm:.1f} mm apart, {item.name} is {item.width_mm:.1f} mm "
                 "thick; release the gripper first"
             )
         item = replace(item, friction=item.friction * scenario.friction_scale)
-        thing = PlacedObject(scenario, item, GraspedBody.of(item), needed_force_n(item, scenario.gel))
+        placed = PlacedObject(scenario, item, GraspedBody.of(item), needed_force_n(item, scenario.gel))
         self._deliveries = {"left": scenario.left, "right": scenario.right}
         self._put(
             replace(
                 self._cell,
                 gripper_model=scenario.gripper,
-                thing=thing,
+                placed=placed,
                 motion=ObjectMotion(),
                 table_mm=arm_plant.pose(self._cell.arm, now_s).height_mm,
                 held=False,
@@ -94,24 +98,24 @@ class World:
         )
 
     def take_table(self, now_s: float) -> None:
-        """Take the table away from under the fingers: all of the weight comes on them at once."""
+        """Remove the table: the fingers carry the whole weight at once."""
         self._advance(now_s)
         self._put(replace(self._cell, table_mm=-math.inf))
 
     def shake(self, now_s: float, acceleration_m_s2: Callable[[float], float] | None) -> None:
-        """From now on the fingers also accelerate by this, up, by time: vibration, a touch. None ends it."""
+        """Accelerate the fingers additionally from now on, up, by time: vibration, a touch. None ends it."""
         self._advance(now_s)
-        self._put(replace(self._cell, shaken_m_s2=acceleration_m_s2))
+        self._put(replace(self._cell, disturbance_m_s2=acceleration_m_s2))
 
     def clear(self, now_s: float) -> None:
-        """Take the object away, wherever it is; the jaws stay as they are. Nothing there: nothing happens."""
+        """Remove the object, if any; the jaws stay as they are."""
         self._advance(now_s)
-        self._put(replace(self._cell, thing=None, motion=ObjectMotion(), held=False, dropped=None))
+        self._put(replace(self._cell, placed=None, motion=ObjectMotion(), held=False, dropped=None))
 
     # The gripper.
 
     def command_hold(self, now_s: float, force_n: float) -> float:
-        """Close or tighten; returns the force applied by command, per finger. A lower force changes nothing."""
+        """Close or tighten; return the commanded force per finger. A lower force changes nothing."""
         now_s = self._advance(now_s)
         _check("force_n", force_n)
         if self._gripper_faulty():
@@ -121,7 +125,7 @@ class World:
         return applied_n
 
     def command_move(self, now_s: float, width_mm: float, force_n: float) -> float:
-        """Move the fingers to a width; returns the width commanded. Opening lets go of what is held."""
+        """Move the fingers to a width; return the commanded width. Opening releases the object."""
         now_s = self._advance(now_s)
         _check("width_mm", width_mm)
         _check("force_n", force_n)
@@ -133,7 +137,7 @@ class World:
         return width_mm
 
     def command_release(self, now_s: float, width_mm: float) -> None:
-        """Open to a width and let go."""
+        """Open to a width."""
         now_s = self._advance(now_s)
         _check("width_mm", width_mm)
         if not self._gripper_faulty():
@@ -141,12 +145,12 @@ class World:
             self._put(replace(self._cell, gripper=plant))
 
     def command_halt(self, now_s: float) -> None:
-        """Stop the gripper's motor where it is; width and force stay."""
+        """Stop the gripper's motor; width and force stay."""
         self._advance(now_s)
         self._put(replace(self._cell, gripper=gripper_plant.order_halt(self._cell.gripper)))
 
     def gripper_state(self, now_s: float) -> GripperState:
-        """What the gripper says of itself."""
+        """Return the state that the gripper reports."""
         now_s = self._advance(now_s)
         return gripper_plant.report(self._cell.gripper, now_s, "internal fault" if self._gripper_faulty() else None)
 
@@ -156,7 +160,7 @@ class World:
     # The arm.
 
     def command_lift(self, now_s: float, height_mm: float, speed_mm_s: float) -> float:
-        """Move by `height_mm` from here; returns the speed applied, 0 in a protective or emergency stop."""
+        """Move by `height_mm` from here; return the speed applied, 0 in a protective or emergency stop."""
         now_s = self._advance(now_s)
         _check("height_mm", height_mm)
         _check("speed_mm_s", speed_mm_s)
@@ -172,7 +176,7 @@ class World:
         self._put(replace(self._cell, arm=arm_plant.order_stop(self._cell.arm, self.settings.arm, now_s)))
 
     def arm_state(self, now_s: float) -> ArmState:
-        """What the arm says of itself."""
+        """Return the state that the arm reports."""
         now_s = self._advance(now_s)
         active = self.faults.active("arm")
         return arm_plant.report(self._cell.arm, now_s, "protective_stop" in active, "emergency_stop" in active)
@@ -183,7 +187,7 @@ class World:
     # The cameras.
 
     def camera(self, finger: str) -> CameraModel:
-        """The camera of a finger, "left" or "right"; serial and unit stay the same for a world's life."""
+        """Return the camera of a finger, "left" or "right"; serial and unit never change."""
         _sign(finger)
         now = self._deliveries[finger]
         return CameraModel(
@@ -199,21 +203,21 @@ class World:
         )
 
     def view(self, finger: str, now_s: float) -> GelView:
-        """What this finger's camera has before it; `depth_mm` <= 0 without contact, name "" without an object."""
+        """Return the view of a finger's camera; `depth_mm` <= 0 without contact, name "" without an object."""
         self._advance(now_s)
         return cell.view(self._cell, _sign(finger))
 
     def truth(self, now_s: float) -> WorldTruth:
-        """What really happens; for evaluation only."""
+        """Return the true state; for evaluation only."""
         now_s = self._advance(now_s)
         return cell.truth(self._cell, arm_plant.pose(self._cell.arm, now_s), now_s)
 
     # Time.
 
     def _advance(self, now_s: float) -> float:
-        """Bring everything to the last step of the grid at or before `now_s`; returns the present, never earlier."""
+        """Advance to the last step of the grid at or before `now_s`; return the present, never earlier."""
         if not math.isfinite(now_s):
-            raise InputError(f"now_s is {now_s}; it must be a time in seconds")
+            raise InputError(f"now_s is {now_s}; it must be a finite time in seconds")
         if self._origin_s is None:
             self._origin_s = now_s
         self._now_s = now_s = max(now_s, self._now_s)
@@ -224,18 +228,18 @@ class World:
             if stopped is not self._cell.arm:
                 self._put(replace(self._cell, arm=stopped))
         works = not self._gripper_faulty()
-        while self._steps < goal and not self._still:
+        while self._steps < goal and not self._static:
             self._steps += 1
             at_s = self._origin_s + self._steps * step_s
             before = self._cell
             self._cell = cell.step(before, at_s, step_s, gripper_works=works)
-            self._still = cell.is_still(before, self._cell, at_s)
+            self._static = cell.is_static(before, self._cell, at_s)
         self._steps = max(self._steps, goal)
         return now_s
 
     def _put(self, changed: CellState) -> None:
         self._cell = changed
-        self._still = False
+        self._static = False
 
 
 def _sign(finger: str) -> int:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from slipguard.datasets.frame_cache import VALIDATION_SEED, RenderedFrames
 from slipguard.datasets.samples import RenderedSample, press_of, render_sample
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
-from slipguard.sim.contact_label import label, outlined
+from slipguard.sim.contact_label import closed_region, label
 from slipguard.sim.gel_camera import GelTruth
 
 HELD_OUT = ("battery", "bolt", "coin", "cone", "egg", "gear", "pen", "tee")
@@ -49,7 +49,7 @@ class StoredFrames:
         out = np.zeros(self.touching.shape, np.uint8)
         for index in range(len(self)):
             if isinstance(wanted, str):
-                out[index] = outlined(self.touching[index])
+                out[index] = closed_region(self.touching[index])
             else:
                 moved_mm = self.moved_mm[index].astype(np.float32)
                 press_mm = float(self.press_mm[index])

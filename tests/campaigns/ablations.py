@@ -19,8 +19,9 @@ import torch
 from numpy.typing import NDArray
 from rich.console import Console
 
+from slipguard.datasets.dataset_files import read_backgrounds
 from slipguard.datasets.frame_cache import RenderedFrames
-from slipguard.datasets.mask_scores import RealFrame, backgrounds_in, dice, iou, no_contact_frames, real_frames
+from slipguard.datasets.mask_scores import RealFrame, dice, iou, no_contact_frames, real_frames
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.sim.contact_label import PRESS_SHARE
 from slipguard.training.onnx_export import CALIBRATION_FRAMES, CONVOLUTIONS, open_session, write_int8
@@ -188,7 +189,7 @@ def compare_variants(
         drawn = held_out_frames(work, HELD_OUT_FRAMES, lambda _done: None)
     labelled = [*real_frames(real), *no_contact_frames(real, 4)] if real else []
     labelled = [frame for frame in labelled if frame.split == "tune"]
-    unpressed = backgrounds_in(backgrounds) if backgrounds else None
+    unpressed = read_backgrounds(backgrounds) if backgrounds else None
     rows: list[dict[str, Any]] = []
     files: dict[str, Path] = {}
     for variant in VARIANTS:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slipguard.datasets.label_proposal import propose
+from slipguard.datasets.recorder import propose_mask
 
 pytestmark = pytest.mark.real
 LEAST_OVERLAP = 0.75
@@ -22,7 +22,7 @@ def test_the_proposal_covers_what_was_outlined(real_data: Path) -> None:
     for path in sorted((folder / "frames").glob("*.png")):
         if path.stem > "f0132":
             continue
-        proposed = propose(cv2.imread(str(path)), background) > 0
+        proposed = propose_mask(cv2.imread(str(path)), background) > 0
         outlined = cv2.imread(str(folder / "masks" / path.name), cv2.IMREAD_GRAYSCALE) > 0
         overlaps.append((proposed & outlined).sum() / (proposed | outlined).sum())
     assert len(overlaps) > 20
@@ -35,4 +35,4 @@ def test_gels_at_rest_have_no_proposal(real_data: Path) -> None:
     for path in sorted((real_data / "backgrounds").glob("*.png"))[:3]:
         image = cv2.imread(str(path))
         noisy = np.clip(image + rng.normal(0.0, 2.9, image.shape), 0, 255).astype(np.uint8)
-        assert not propose(noisy, image).any()
+        assert not propose_mask(noisy, image).any()

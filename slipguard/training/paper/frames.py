@@ -14,8 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.datasets.files import data_set_pairs, read_colour
+from slipguard.datasets.dataset_files import data_set_pairs
 from slipguard.datasets.frame_cache import VALIDATION_SEED
+from slipguard.datasets.mask_scores import read_bgr
 from slipguard.datasets.samples import UNIT_FRAMES, press_of
 from slipguard.errors import InputError
 from slipguard.sim.contact_label import LABEL_NAME, label
@@ -99,8 +100,8 @@ def read_masked_frames(folder: Path, size_px: tuple[int, int]) -> tuple[MaskedFr
     pairs = data_set_pairs(folder)
     if len(pairs) < 2:
         raise InputError(f"{folder} contains one frame, minimum 2: one is held out. Add frames.")
-    images = np.stack([resized(read_colour(image), size_px) for image, _ in pairs])
-    masks = np.stack([resized(read_colour(mask)[..., 0], size_px) for _, mask in pairs])
+    images = np.stack([resized(read_bgr(image), size_px) for image, _ in pairs])
+    masks = np.stack([resized(read_bgr(mask)[..., 0], size_px) for _, mask in pairs])
     split = len(pairs) - max(len(pairs) // 10, 1)
     return MaskedFrames(images[:split], masks[:split]), MaskedFrames(images[split:], masks[split:])
 

@@ -123,7 +123,7 @@ class _SoakRun:
         self._page: Counter[str] = Counter()
 
     def build(self, config: Config, *, world: object) -> Service:
-        """Build the service; on the virtual clock with a fixed latency and perception from the world's truth in contact."""
+        """Build the service; on the virtual clock with fixed latency and, in contact, perception from the truth."""
         if not self._settings.virtual:
             return root.build_service(config, world=world)
         rng = np.random.default_rng(self._settings.seed)
@@ -142,7 +142,7 @@ class _SoakRun:
         return self._recorder
 
     def sample(self) -> ResourceSample:
-        """Return the resources now, after garbage collection; not on the real clock, where the loop would wait for it."""
+        """Return the resources now, on the virtual clock after garbage collection (the real loop would wait)."""
         if self._settings.virtual:
             gc.collect()
         at_s = asyncio.get_running_loop().time() - self._began_s

@@ -26,7 +26,7 @@ class SoakSettings:
 
     @property
     def fps(self) -> float:
-        """A quarter of the cameras' rate on the virtual clock, where a frame takes as long to process as on the real one."""
+        """A quarter of the cameras' rate on the virtual clock: processing a frame takes the same real time."""
         return 15.0 if self.virtual else 60.0
 
 

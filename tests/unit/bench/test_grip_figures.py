@@ -59,7 +59,7 @@ def test_a_row_tells_steps_and_the_time_to_arrest() -> None:
 
 
 def test_a_drop_counts_in_every_block_and_through_rendered_frames() -> None:
-    lost = made(61.0, "turned more than 60 deg")
+    lost = made(61.0, "rotated more than 60 deg")
     gone = replace(trial(), event="support gone")
     assert rows.dropped_for_nothing(played(lost, made(1.0)))
     assert rows.dropped_for_nothing(played(lost, lost))

@@ -70,13 +70,13 @@ def said(records: list[LiftRecord], width: int, *, realtime: bool = True) -> str
 
 def test_the_table_fits_80_columns_with_every_figure() -> None:
     names = ["bar", "knife_edge", "screwdriver"]
-    text = said([record(name, "dropped", "turned more than 60 deg") for name in names], 80)
+    text = said([record(name, "dropped", "rotated more than 60 deg") for name in names], 80)
     assert "…" not in text
     row = next(line for line in text.splitlines() if line.startswith("screwdriver"))
     assert row.split()[:6] == ["screwdriver", "-44.1", "-43.9", "0.20", "0.39", "128/66"]
     assert row.split()[6:] == ["dropped", "8.0/11.7", "–", "12"]
     assert "bar (heavy)" in text
-    assert "screwdriver dropped: turned more than 60 deg" in text
+    assert "screwdriver dropped: rotated more than 60 deg" in text
     assert "p50 8.0 ms, p99 11.8 ms" in " ".join(text.split())
 
 

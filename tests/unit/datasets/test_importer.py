@@ -11,7 +11,7 @@ import pytest
 from command_line import slipguard
 from numpy.typing import NDArray
 
-from slipguard.datasets.files import data_set_pairs
+from slipguard.datasets.dataset_files import data_set_pairs
 from slipguard.datasets.importer import ImportResult, found_pairs, import_dataset
 from slipguard.errors import InputError
 
@@ -142,7 +142,7 @@ def spoilt(folder: Path, kind: str) -> None:
     ("kind", "said"),
     [
         ("cut", r"b\.png: the PNG is cut short"),
-        ("no mask", r"images/b\.png: no mask \(1 such files, 2 pairs\); complete them, or give --skip"),
+        ("no mask", r"images/b\.png: no mask \(1 such files, 2 pairs\); complete them or use --skip"),
         ("no image", r"masks/b\.png: no image"),
         ("empty mask file", r"masks/b\.png: the file is empty"),
         ("grey image", r"images/b\.png: grey; colour is needed"),
@@ -168,11 +168,11 @@ def test_folders_that_hold_nothing_of_use_are_refused(tmp_path: Path) -> None:
     for name in ("images", "backgrounds", "masks"):
         (tmp_path / "own" / name).mkdir(parents=True)
     (tmp_path / "own" / "manifest.jsonl").touch()
-    with pytest.raises(InputError, match="data set of slipguard already"):
+    with pytest.raises(InputError, match="already a data set of slipguard"):
         found_pairs(tmp_path / "own")
     put(tmp_path / "masks" / "a.png", disc())
     put(tmp_path / "images" / "b.png", picture())
-    with pytest.raises(InputError, match="1 images and 1 masks, no two of one name"):
+    with pytest.raises(InputError, match="1 images and 1 masks, but no pair"):
         found_pairs(tmp_path)
     put(tmp_path / "a.png", picture())
     put(tmp_path / "images" / "a.png", picture())

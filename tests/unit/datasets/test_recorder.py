@@ -17,8 +17,7 @@ from pipe_capture import PipeCapture, delivery, found
 
 from slipguard.daemon.api.client import Client
 from slipguard.datasets import recorder as dataset_record
-from slipguard.datasets.label_proposal import propose
-from slipguard.datasets.recorder import SensorImage, from_daemon, from_sensors, record_dataset
+from slipguard.datasets.recorder import SensorImage, from_daemon, from_sensors, propose_mask, record_dataset
 from slipguard.devices import DriverContext
 from slipguard.errors import CommandRefused, DeviceLost
 from slipguard.sim.contact_label import label
@@ -37,14 +36,14 @@ def overlap(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> float:
 def test_the_proposal_is_what_a_person_would_begin_with(name: str) -> None:
     camera = GelCamera(random_unit(np.random.default_rng(3)), seed=1)
     truth = camera.draw_with_truth(GelView(name, angle_deg=40.0, depth_mm=0.6))
-    assert overlap(propose(truth.image, camera.no_contact()), label(truth)) > 0.5
+    assert overlap(propose_mask(truth.image, camera.no_contact()), label(truth)) > 0.5
 
 
 @pytest.mark.parametrize("light", [LightChange(), LightChange(offset_bgr=(6.0, -5.0, 4.0), tilt_bgr=(5.0, -4.0, 6.0))])
 def test_an_untouched_gel_has_no_proposal_whatever_the_light_does(light: LightChange) -> None:
     camera = GelCamera(random_unit(np.random.default_rng(3)), seed=1)
     camera.set_light(light)
-    assert not propose(camera.draw(GelView("bar")), camera.no_contact()).any()
+    assert not propose_mask(camera.draw(GelView("bar")), camera.no_contact()).any()
 
 
 async def two_shots() -> AsyncIterator[SensorImage]:
@@ -84,7 +83,7 @@ async def test_a_daemon_is_asked_finger_by_finger(tmp_path: Path) -> None:
 
 
 async def test_a_finger_that_stays_away_ends_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dataset_record, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(dataset_record, "NO_FRAME_TIMEOUT_S", 0.05)
     daemon = FakeDaemonApi()
     daemon.failure = CommandRefused("no frame of the left finger: unplugged")
     async with served(daemon, tmp_path / "s") as path:

@@ -11,9 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from slipguard.cli.app import run
-from slipguard.datasets.contact_sheet import contact_sheet
-from slipguard.datasets.files import DataSetWriter, read_backgrounds, render_dataset
-from slipguard.datasets.random_shapes import beside, composition, resized, roughened
+from slipguard.datasets.dataset_files import DataSetWriter, contact_sheet, read_backgrounds, render_dataset
+from slipguard.datasets.random_shapes import composition, resized, roughened, with_neighbor
 from slipguard.datasets.samples import BROAD_NAME, COMPOSITION_NAME, UNIT_FRAMES, RenderedSample, render_sample
 from slipguard.errors import InputError
 from slipguard.sim.catalogue import object_names
@@ -95,10 +94,10 @@ def test_training_frames_never_show_a_test_object(many: list[RenderedSample]) ->
 
 def test_compositions_are_surfaces() -> None:
     for seed in range(20):
-        relief = composition(np.random.default_rng(seed))
-        assert relief.fine.dtype == np.float32
-        assert float(relief.fine.max()) == pytest.approx(0.0, abs=1e-5)
-        assert float(relief.fine.min()) >= FLOOR_MM
+        raster = composition(np.random.default_rng(seed))
+        assert raster.fine.dtype == np.float32
+        assert float(raster.fine.max()) == pytest.approx(0.0, abs=1e-5)
+        assert float(raster.fine.min()) >= FLOOR_MM
 
 
 def test_a_resized_surface_is_larger_and_a_rough_one_rough() -> None:
@@ -113,7 +112,7 @@ def test_a_resized_surface_is_larger_and_a_rough_one_rough() -> None:
 
 def test_two_bodies_side_by_side_are_both_there() -> None:
     bead = height_raster_of("bead")
-    pair = beside(bead, bead, np.random.default_rng(3))
+    pair = with_neighbor(bead, bead, np.random.default_rng(3))
     count, _ = cv2.connectedComponents((pair.fine > -0.8).astype(np.uint8))
     assert count == 3  # two and the ground
     assert float(pair.fine.max()) == pytest.approx(float(bead.fine.max()), abs=0.02)
@@ -186,10 +185,10 @@ def test_backgrounds_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no image"):
         read_backgrounds(tmp_path)
     (tmp_path / "a.png").write_bytes(b"not a picture")
-    with pytest.raises(InputError, match=r"a\.png: not an image"):
+    with pytest.raises(InputError, match=r"a\.png: not a readable image"):
         read_backgrounds(tmp_path)
     (tmp_path / "a.png").write_bytes(b"")
-    with pytest.raises(InputError, match=r"a\.png: not an image"):
+    with pytest.raises(InputError, match=r"a\.png: not a readable image"):
         read_backgrounds(tmp_path)
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((240, 320, 3), np.uint8))
     with pytest.raises(InputError, match=r"320 wide x 240 high"):
@@ -199,7 +198,7 @@ def test_backgrounds_that_cannot_be_used_are_named(tmp_path: Path) -> None:
 
 
 def test_a_sheet_needs_a_data_set(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds no data set"):
+    with pytest.raises(InputError, match="no data set"):
         contact_sheet(tmp_path, tmp_path / "sheet.png")
 
 

@@ -23,10 +23,10 @@ GREY = np.full((320, 240, 3), 90, np.uint8)
 QUIET = replace(SensorUnit(), noise_bgr=(0.0, 0.0, 0.0), stripe_bgr=(0.0, 0.0, 0.0), dome_share=0.0)
 
 
-def change(unit: SensorUnit, view: GelView, relief: HeightRaster | None = None) -> NDArray[np.float64]:
+def change(unit: SensorUnit, view: GelView, raster: HeightRaster | None = None) -> NDArray[np.float64]:
     """Drawn minus no contact, without noise."""
     camera = GelCamera(unit, GREY)
-    return camera.draw(view, relief=relief).astype(float) - camera.no_contact()
+    return camera.draw(view, raster=raster).astype(float) - camera.no_contact()
 
 
 def axis_deg(mask: NDArray[np.bool_]) -> float:
@@ -193,7 +193,7 @@ def test_something_pressed_beside_the_frame_leaves_it_alone() -> None:
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_pose_that_is_not_finite_is_refused(field: str, value: float) -> None:
     view = replace(GelView("bar", depth_mm=0.5), **{field: value})
-    with pytest.raises(InputError, match="not finite"):
+    with pytest.raises(InputError, match="must be finite"):
         GelCamera(QUIET).draw(view)
 
 

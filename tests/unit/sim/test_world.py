@@ -9,7 +9,7 @@ from itertools import pairwise
 import pytest
 from world_scene import QUICK, T0, bar, follow, grasped, make
 
-from slipguard.sim.cell import CellState, is_still
+from slipguard.sim.cell import CellState, is_static
 from slipguard.sim.friction import SoftPad, needed_force_n
 from slipguard.sim.gripper_plant import GripperPlant
 from slipguard.sim.object_motion import ObjectMotion
@@ -92,7 +92,7 @@ def test_turning_too_far_is_a_drop() -> None:
     world, now_s = grasped(20.0, bar(mass_kg=2.0, lever_mm=40.0))
     world.command_lift(now_s, 200.0, 100.0)
     end = follow(world, now_s, 4.0)[-1]
-    assert end.dropped == "turned more than 60 deg"
+    assert end.dropped == "rotated more than 60 deg"
     assert not end.in_contact
     assert world.view("left", now_s + 4.0).depth_mm <= 0
     assert world.gripper_state(now_s + 6.0).closed_on_nothing
@@ -174,9 +174,9 @@ def test_set_down_and_grasped_again_it_starts_afresh() -> None:
 def test_an_even_motion_is_not_taken_for_rest() -> None:
     gripper = GripperPlant(width_mm=30.0, force_n=30.0, holding=True)
     rotating = CellState(gripper, QUICK, motion=ObjectMotion(rate_rad_s=0.5), held=True)
-    assert not is_still(rotating, rotating, T0)
+    assert not is_static(rotating, rotating, T0)
     resting = replace(rotating, motion=ObjectMotion(rotation_rad=0.5))
-    assert is_still(resting, resting, T0)
+    assert is_static(resting, resting, T0)
 
 
 def test_what_was_dropped_stays_dropped_until_cleared() -> None:

@@ -97,9 +97,9 @@ def test_faults_name_the_alternatives() -> None:
         assert board.active(device) == kinds
         board.repair(device)
         assert board.active(device) == frozenset()
-    with pytest.raises(InputError, match="there are left, right, gripper, arm"):
+    with pytest.raises(InputError, match="there are: left, right, gripper, arm"):
         board.fail("camera", "stall")
-    with pytest.raises(InputError, match="it can by corrupt, disconnect, duplicate, frozen, light, sta"):
+    with pytest.raises(InputError, match="there are: corrupt, disconnect, duplicate, frozen, light, sta"):
         board.fail("left", "fault")
     with pytest.raises(InputError, match="there are left"):
         board.active("camera")

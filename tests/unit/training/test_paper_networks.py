@@ -196,7 +196,7 @@ def test_focal_loss_is_cross_entropy_where_it_is_unsure() -> None:
     [
         ("--recipe short", "for the paper's networks"),
         ("--arch pspnet --validate somewhere", "for --arch small"),
-        ("--arch pspnet --data nowhere", "holds no data set"),
+        ("--arch pspnet --data nowhere", "no data set"),
         ("--arch pspnet --encoder-weights nowhere.pth", "cannot be read"),
     ],
 )
