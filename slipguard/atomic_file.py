@@ -1,4 +1,4 @@
-"""Replaces a file whole: a crash, or a power cut, leaves the old one or the new one."""
+"""Replace a file atomically: after a crash or a power cut, the file is either the old one or the new one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def write_whole(path: Path, content: bytes, mode: int = 0o600) -> None:
-    """Write to a temporary file beside it, flush that to the disk, rename it; folders are made. Raises OSError."""
+    """Write a temporary file in the same folder, flush it to the disk, rename it. Makes the folder. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:

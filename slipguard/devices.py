@@ -1,13 +1,13 @@
-"""The ports: what slipguard needs of a tactile sensor, a gripper and an arm, and nothing more.
+"""The ports: the interfaces of a tactile sensor, a gripper and an arm.
 
 A driver inherits its port explicitly and registers under an entry-point group
 (`slipguard.tactile`, `slipguard.gripper`, `slipguard.arm`). The registered class has a
 `Settings` (a pydantic model: its own section of config.toml) and is built as
-`Driver(settings, context)`; building touches no hardware, `open()` does.
+`Driver(settings, context)`; only `open()` uses the hardware.
 
 All times are seconds on the monotonic clock (`CLOCK_MONOTONIC`, the event loop's `time()`).
 Forces are newtons **per finger**. Commands state an intent, may be repeated, and return what was applied.
-Every method may raise `DeviceLost` (open again) or `DeviceTimeout` (ask again).
+Every method may raise `DeviceLost` (open again) or `DeviceTimeout` (try again).
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ FRAME_HEIGHT_PX = 320
 
 @dataclass(frozen=True, slots=True)
 class DriverContext:
-    """What the composition root hands to every driver it builds."""
+    """What every driver is built with, besides its settings."""
 
     name: str
-    """`left`, `right`, `gripper` or `arm`: how messages name the device."""
+    """`left`, `right`, `gripper` or `arm`: the device's name in messages."""
     world: object | None = None
     """The simulated world that the fakes share (a `slipguard.sim.world.World`); None on a real cell."""
     mode: Literal["lift", "guard"] = "lift"
-    """guard: another program moves the arm; its driver must take nothing over, refuse `lift`, and `stop` by a pause."""
+    """guard: another program moves the arm; the driver takes no control of it, refuses `lift`, and pauses to `stop`."""
 
     def require_world(self) -> Any:
         """Return the simulated world. Raises ConfigError on a real cell, which has none."""
@@ -57,23 +57,23 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class GripperState:
-    """What the gripper said. `holding`: stopped on an object while closing."""
+    """State reported by the gripper. `holding`: the fingers stopped on an object while closing."""
 
     active: bool
     moving: bool
     holding: bool
     closed_on_nothing: bool
-    """Closing ended at the end stop: no object between the fingers."""
+    """Closing ended at the end stop: there is no object between the fingers."""
     width_mm: float
     force_n: float
-    """The force last applied by command, per finger; not a measurement."""
+    """The force last applied by a command, per finger; not a measurement."""
     fault: str | None
     measured_at_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class ArmState:
-    """What the arm said. `height_mm`: tool height above where the last `open()` found it."""
+    """State reported by the arm. `height_mm`: tool height above its height at the last `open()`."""
 
     height_mm: float
     speed_mm_s: float
@@ -89,11 +89,11 @@ class TactileSensor(Protocol):
     @property
     @abstractmethod
     def serial(self) -> str:
-        """Serial number; the no-contact image is stored under it. Empty before `open()` where it is not known yet."""
+        """Serial number; the background image is stored under it. May be empty before `open()`."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What works, but not as asked, in words: another rate, too little bandwidth."""
+        """Deviations from the configuration, such as another frame rate, as text."""
         return ()
 
     @abstractmethod
@@ -102,9 +102,9 @@ class TactileSensor(Protocol):
 
     @abstractmethod
     async def next_frame(self) -> Frame:
-        """The newest frame not yet handed out; waits for one.
+        """Wait for a frame that was not returned yet, and return the newest.
 
-        Never the previous frame again. Raises `DeviceTimeout` on a stalled stream, `FrameCorrupt` on a damaged
+        Never returns the previous frame again. Raises `DeviceTimeout` on a stalled stream, `FrameCorrupt` on a damaged
         frame, `FrameFrozen` on a repeating one, `DeviceLost` when the sensor is gone.
         """
 
@@ -119,43 +119,43 @@ class Gripper(Protocol):
     @property
     @abstractmethod
     def force_limits_n(self) -> tuple[float, float]:
-        """Lowest and highest force per finger the model can apply."""
+        """Lowest and highest force per finger that the model can apply."""
 
     @abstractmethod
     async def open(self) -> None:
-        """Connect. Adopts a held object as it is: never re-activates, never moves while one may be held."""
+        """Connect. Never activates or moves the gripper while an object may be held."""
 
     @abstractmethod
     async def state(self) -> GripperState:
-        """Ask the gripper now."""
+        """Read the gripper's state now."""
 
     @abstractmethod
     async def hold(self, force_n: float) -> float:
-        """Close on what is there with `force_n`, or tighten to it; return the force really applied (quantised).
+        """Close with `force_n`, or tighten to it; return the force that is applied (quantized).
 
-        A force below the one already applied changes nothing (on a 2F it could only be had by opening).
+        A force below the applied one changes nothing (a 2F gripper would have to open for it).
         """
 
     @abstractmethod
     async def move(self, width_mm: float, force_n: float) -> float:
-        """Move the fingers to a width, empty-handed; return the width commanded (quantised, within the stroke).
+        """Move the empty fingers to a width; return the commanded width (quantized, within the stroke).
 
-        Raises `CommandRefused` while an object is held, and outwards while the fingers are closing, for they may just
-        have met something: only `release` opens then.
+        Raises `CommandRefused` while an object is held, and for opening while the fingers close, because they may have
+        just reached an object. Only `release` opens in these states.
         """
 
     @abstractmethod
     async def halt(self) -> None:
-        """Stop the fingers where they are, with the grip they have; nothing happens where they rest.
+        """Stop moving fingers where they are, with the present grip; no effect on resting fingers.
 
-        For closing and tightening while a person may be near. Never lets go. What was reached is not known: until the
-        next `hold`, `force_n` is 0 (at most the lowest limit, where something was held), and `holding` is true wherever
-        something may be between the fingers. A gripper that cannot be halted raises `CommandRefused`.
+        For closing and tightening while a person may be near. Never opens. The reached force is unknown: until the next
+        `hold`, `force_n` is 0 (at most the lowest limit if something was held), and `holding` is true if something may
+        be between the fingers. A gripper that cannot be halted raises `CommandRefused`.
         """
 
     @abstractmethod
     async def release(self, width_mm: float) -> None:
-        """Open to `width_mm`, or as far as the stroke goes. The one command that lets go."""
+        """Open to `width_mm`, limited by the stroke. The only command that opens a held object's grip."""
 
     @abstractmethod
     async def close(self) -> None:
@@ -171,19 +171,19 @@ class Arm(Protocol):
 
     @abstractmethod
     async def state(self) -> ArmState:
-        """The newest state; raises `DeviceTimeout` when it has stopped coming."""
+        """Return the newest state. Raises `DeviceTimeout` if no state arrives any more."""
 
     @abstractmethod
     async def lift(self, height_mm: float, speed_mm_s: float) -> float:
-        """Start moving by `height_mm` (down when negative), return the speed applied; replaces a motion under way.
+        """Start to move by `height_mm` (down if negative); return the applied speed. Replaces a running motion.
 
         Does not wait for its end. Raises `CommandRefused` in guard mode and while a safety stop is active.
         """
 
     @abstractmethod
     async def stop(self) -> None:
-        """Stop a motion now and hold still; in guard mode: pause who moves it. Safe to call at any time."""
+        """Stop the motion; in guard mode, pause the program that moves the arm. Safe to call at any time."""
 
     @abstractmethod
     async def close(self) -> None:
-        """Stop what this driver has moved, and disconnect. Never raises; idempotent."""
+        """Stop a motion of this driver, and disconnect. Never raises; idempotent."""

@@ -1,12 +1,12 @@
-"""Every error slipguard raises on purpose: one line that says what was seen and what to do."""
+"""The errors that slipguard raises: one line with what happened, the value and its limit, and what to do."""
 
 
 class SlipguardError(Exception):
-    """Base of all; `str(error)` is one line fit for a user."""
+    """Base class; `str(error)` is one line for the user."""
 
 
 class ConfigError(SlipguardError):
-    """The configuration is wrong: key, value and what is allowed are in the message."""
+    """The configuration is wrong; the message has the key, the value and what is allowed."""
 
 
 class InputError(SlipguardError):
@@ -14,28 +14,28 @@ class InputError(SlipguardError):
 
 
 class ModelError(SlipguardError):
-    """A network file is missing, corrupt or does not keep the model contract."""
+    """A network file is missing, damaged, or has the wrong inputs or outputs."""
 
 
 class DeviceError(SlipguardError):
-    """A device did not do what it was asked; base of the device errors."""
+    """Base class of device errors: a device did not do what was requested."""
 
 
 class DeviceLost(DeviceError):
-    """The device is gone (unplugged, connection closed): it must be opened again."""
+    """The device is gone (unplugged, connection closed) and must be opened again."""
 
 
 class DeviceTimeout(DeviceError):
-    """The device is there but did not answer or deliver in time."""
+    """The device is connected but did not respond or deliver in time."""
 
 
 class FrameCorrupt(DeviceError):
-    """A frame arrived damaged: wrong size, error flag, or an impossible value. The next may be fine."""
+    """A frame arrived damaged: wrong size, error flag, or an impossible value. The next may be good."""
 
 
 class FrameFrozen(DeviceError):
-    """The camera repeats itself: bit-identical pixels or a repeated sequence number."""
+    """The camera repeats a frame: identical pixels or a repeated sequence number."""
 
 
 class CommandRefused(SlipguardError):
-    """The command makes no sense or is not safe in the present state; the state is unchanged."""
+    """The command is not possible or not safe in the present state; the state is unchanged."""

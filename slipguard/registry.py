@@ -1,4 +1,4 @@
-"""Drivers by name: whatever registered itself under an entry-point group."""
+"""Load drivers and emulators by name, from the entry points of installed packages."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from slipguard.errors import ConfigError
 
 GROUPS = ("slipguard.tactile", "slipguard.gripper", "slipguard.arm")
 EMULATORS = "slipguard.emulator"
-"""The group of the doubles on the wire, see `slipguard.emulator`."""
+"""The group of the emulators, see `slipguard.emulator`."""
 
 
 class Driver(Protocol):
-    """What an entry point must name: a class that owns its section of the configuration.
+    """What the entry point of a driver names: a class with its section of the configuration.
 
-    `Settings` may have `only_one: ClassVar = ("serial",)`: keys whose value only one device can have.
+    `Settings` may have `only_one: ClassVar = ("serial",)`: keys whose values must differ between devices.
     """
 
     Settings: type[BaseModel]
 
     def __call__(self, settings: BaseModel, context: DriverContext) -> Any:
-        """Build the device; touches no hardware."""
+        """Build the device; opens nothing."""
         ...
 
 
 class EmulatorKind(Protocol):
-    """What an entry point of `slipguard.emulator` must name: a class whose settings become options."""
+    """What the entry point of an emulator names: a class whose settings become command-line options."""
 
     Settings: type[BaseModel]
 
@@ -40,18 +40,18 @@ class EmulatorKind(Protocol):
 
 
 def driver_names(group: str) -> list[str]:
-    """Names registered under `group`, sorted."""
+    """Return the names registered under `group`, sorted."""
     return sorted(point.name for point in entry_points(group=group))
 
 
 def load_driver(group: str, name: str) -> Driver:
-    """Import one driver. Raises ConfigError naming the alternatives, or the package that is missing."""
+    """Import a driver. Raises ConfigError with the alternatives, or with the missing package."""
     driver: Driver = _load(group, name, "driver")
     return driver
 
 
 def load_emulator(name: str) -> EmulatorKind:
-    """Import one emulator. Raises ConfigError naming the alternatives, or the package that is missing."""
+    """Import an emulator. Raises ConfigError with the alternatives, or with the missing package."""
     kind: EmulatorKind = _load(EMULATORS, name, "emulator")
     return kind
 

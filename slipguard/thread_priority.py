@@ -1,7 +1,6 @@
-"""Who may wait: what is not the guard takes the time that the guard leaves.
+"""Scheduling priorities: the control loop first, its worker threads second, everything else in the remaining time.
 
-The service runs with real-time priority (`systemd/slipguard.service`), which every thread and process that it starts
-inherits.
+The service runs with real-time priority (`systemd/slipguard.service`), which its threads and processes inherit.
 """
 
 from __future__ import annotations
@@ -12,31 +11,33 @@ import os
 from slipguard.errors import SlipguardError
 
 FIRST, SECOND = 2, 1
-"""The loop's real-time priority, and that of all who work for it: else a loop that wakes would wait for one of them to
-pause. The two lowest there are: before everything that has none, and behind what the kernel itself needs."""
+"""Real-time priorities of the loop and of its workers, so that a waking loop interrupts a worker. They are the two
+lowest: above all programs without real-time priority, and below the kernel's own threads."""
 
 
 def set_realtime_priority() -> None:
-    """Real-time priority as in the service: for this thread, and those it will start. Raises SlipguardError."""
+    """Set the loop's real-time priority for this thread and those it starts. Raises SlipguardError if not permitted."""
     try:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(FIRST))
     except OSError as error:
-        why = f"real-time priority is refused here ({error.strerror})"
-        raise SlipguardError(f"{why}; run it as root, or allow it with `ulimit -r {FIRST}`") from None
+        reason = f"real-time priority {FIRST} is not permitted ({error.strerror})"
+        raise SlipguardError(f"{reason}; run as root, or permit it with `ulimit -r {FIRST}`") from None
 
 
 def set_worker_priority() -> None:
-    """This thread, and those it will start, come behind the loop from now on; without real-time priority none does."""
+    """Set a priority below the loop's for this thread and those it starts; no effect without real-time priority."""
     with contextlib.suppress(OSError):
         if os.sched_getscheduler(0) == os.SCHED_RR:
-            os.sched_setparam(0, os.sched_param(SECOND))  # no other call is allowed to the service
+            os.sched_setparam(0, os.sched_param(SECOND))  # the service may not make any other call
 
 
 def set_batch_priority(niceness: int) -> None:
-    """Give way from now on: this thread, and the threads and processes it will start, on Linux.
+    """Set the lowest kind of priority for this thread and the threads and processes it starts.
 
-    niceness: 0 ... 19, among those that give way. A system that forbids even that leaves it as it is.
+    niceness: 0 ... 19, relative to other programs of this kind. No effect on a system that does not permit it.
     """
     with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))  # whoever it wakes for, it interrupts nobody
+        os.sched_setscheduler(
+            0, os.SCHED_BATCH, os.sched_param(0)
+        )  # a batch thread that wakes interrupts no other thread
         os.nice(niceness)

@@ -231,11 +231,11 @@ def test_gripper_without_power(there: Cell, capfd: pytest.CaptureFixture[str]) -
     "faults",
     [
         {
-            ("left.stall", "frames"): "none came",
+            ("left.stall", "frames"): "no frame within",
             ("right.corrupt", "frames"): "damaged",
             ("arm.protective_stop", "stops"): "protective",
         },
-        {("left.frozen", "frames"): "same picture", ("arm.emergency_stop", "stops"): "emergency"},
+        {("left.frozen", "frames"): "same image", ("arm.emergency_stop", "stops"): "emergency"},
         {("arm.local", "control"): "local: the robot refuses scripts"},
         {("arm.freeze", "controller"): "sends no RTDE data"},
         {("arm.silence", "controller"): "does not answer"},
