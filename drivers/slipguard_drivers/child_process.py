@@ -1,6 +1,6 @@
-"""A child process at the end of a packet socket: the home of work that must not stop the loop.
+"""A child process with a packet socket, for work that must not block the event loop.
 
-A packet has borders, so no framing is needed; an end of file says that the other side is gone, however it went.
+Packets need no framing. An end of file means that the other side has ended, for any reason.
 """
 
 from __future__ import annotations
@@ -14,21 +14,23 @@ PACKET_BYTES = 65536
 
 
 class ChildProcess:
-    """`python -m MODULE SOCKET_FD ARGUMENTS...`, started at once; `link` is this end of its socket, non-blocking.
+    """Runs `python -m MODULE SOCKET_FD ARGUMENTS...`, started at once.
 
-    keep_fds: further file descriptors that the child inherits, under the same numbers.
+    Attributes:
+        link: this end of the socket, non-blocking.
     """
 
     def __init__(self, module: str, *arguments: str, keep_fds: tuple[int, ...] = ()) -> None:
+        """keep_fds: file descriptors that the child inherits under the same numbers."""
         self.link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self.link.setblocking(False)
-            # -P: the working directory of whoever started the daemon is no place to import from.
+            # -P: do not import from the working directory of the daemon.
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", module, str(theirs.fileno()), *arguments],
                 pass_fds=(theirs.fileno(), *keep_fds),
                 stdin=subprocess.DEVNULL,
-                process_group=0,  # a Ctrl-C at the terminal is for the parent alone
+                process_group=0,  # a Ctrl-C at the terminal is for the parent only
             )
         except BaseException:
             self.link.close()
@@ -38,17 +40,17 @@ class ChildProcess:
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """Return the process id."""
         return self._process.pid
 
     @property
     def alive(self) -> bool:
-        """Whether it still runs."""
+        """Whether the process runs."""
         return self._process.poll() is None
 
     def kill(self) -> None:
-        """End it now and forget it. Idempotent. The link must have no reader in the loop any more."""
+        """End the process. Idempotent. The loop must have no reader on the link any more."""
         self.link.close()
         with contextlib.suppress(ProcessLookupError):
             self._process.kill()
-        self._process.wait()  # at once: nothing outlives SIGKILL
+        self._process.wait()  # returns at once after SIGKILL

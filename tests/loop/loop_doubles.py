@@ -24,7 +24,7 @@ from slipguard.perception.estimate import Estimate
 from slipguard.sim.cell import WorldTruth
 from slipguard.sim.world import World
 from slipguard_drivers.digit.fake import FakeSensor
-from slipguard_drivers.digit.render_worker import RenderRequest
+from slipguard_drivers.digit.fake_renderer import RenderRequest
 from slipguard_drivers.robotiq.fake import FakeGripper
 from slipguard_drivers.ur5.fake import FakeArm
 

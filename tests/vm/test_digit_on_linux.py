@@ -21,8 +21,8 @@ def test_sixty_frames_a_second_of_which_none_is_lost(machine: Machine) -> None:
         if seen["lost"] <= 0.005 * seen["taken"] and seen["fps"] == pytest.approx(60.0, abs=0.6):
             break
     else:
-        pytest.fail(f"vivid at 60 frames a second: {seen}")
-    assert seen["mode"] == "320x240 YUYV at 60 frames a second"
+        pytest.fail(f"vivid at 60 frames per second: {seen}")
+    assert seen["mode"] == "320x240 YUYV at 60 frames per second"
     assert seen["remarks"] == ["the LEDs cannot be set (Invalid argument): led_rgb has no effect"], "vivid has none"
 
 
@@ -34,7 +34,7 @@ def test_two_sensors_found_by_serial_with_leds_rights_and_their_own_pictures(mac
     for serial in seen["serials"]:
         assert f"usb-Facebook_DIGIT_{serial}-video-index0" in seen["by_id"]
     assert seen["zoom"] == [0xF73, 0x124]
-    assert seen["modes_given"] == ["320x240 YUYV at 30 frames a second"] * 2
+    assert seen["modes_given"] == ["320x240 YUYV at 30 frames per second"] * 2
     assert seen["in_order"]
     assert max(seen["own"]) < ROTATED_GREY_LEVELS < min(seen["other"])
 
@@ -45,7 +45,7 @@ def test_two_sensors_found_by_serial_with_leds_rights_and_their_own_pictures(mac
 def test_old_firmware_and_other_formats(machine: Machine, pixels: str, settings: dict[str, int], zoom: int) -> None:
     seen = machine.play("scenes:opened", pixels=pixels, **settings)
     assert seen["zoom"] == zoom
-    assert seen["mode"] == f"320x240 {'MJPG' if pixels == 'MJPG' else 'YUYV'} at 60 frames a second"
+    assert seen["mode"] == f"320x240 {'MJPG' if pixels == 'MJPG' else 'YUYV'} at 60 frames per second"
     assert [remark for remark in seen["remarks"] if "LED" in remark] == []
     assert seen["off_by"] < ROTATED_GREY_LEVELS
 

@@ -18,7 +18,7 @@ from usb_host import UsbCapture, UsbDevice, connected, exactly, listed
 
 from slipguard.errors import CommandRefused, InputError
 from slipguard_drivers.digit.capture import RawFrame, VideoMode
-from slipguard_drivers.digit.pixel_format import decode_yuyv
+from slipguard_drivers.digit.decoding import decode_yuyv
 from slipguard_drivers.digit.v4l2 import ZOOM_ABSOLUTE
 from slipguard_emulators.digit.emulator import DigitEmulator
 from slipguard_emulators.digit.usbip import BulkInEndpoint

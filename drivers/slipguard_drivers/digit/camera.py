@@ -1,4 +1,4 @@
-"""A DIGIT over V4L2: found by its serial number, frames with the kernel's time, the newest one wins."""
+"""Driver `digit`: a DIGIT over V4L2, found by its serial number, with the kernel's capture times."""
 
 from __future__ import annotations
 
@@ -10,20 +10,18 @@ from slipguard.diagnosis import CheckResult
 from slipguard.errors import DeviceLost
 from slipguard.frame_stream import FrameStream
 from slipguard_drivers.digit.capture import RawFrame, V4l2Capture, VideoMode
-from slipguard_drivers.digit.decoder import JpegDecoder
+from slipguard_drivers.digit.decoding import DamagedFrame, JpegDecoder, decode_yuyv
 from slipguard_drivers.digit.diagnostics import check_digit
 from slipguard_drivers.digit.discovery import DigitDevice, find_digit
-from slipguard_drivers.digit.pixel_format import DamagedFrame, decode_yuyv
 from slipguard_drivers.digit.rate_monitor import FrameRateMonitor
-from slipguard_drivers.digit.settings import DigitSettings
-from slipguard_drivers.digit.stream_setup import Started, reason, start_digit
+from slipguard_drivers.digit.stream_setup import DigitSettings, StartedStream, reason, start_digit
 
-EMPTY_WAKE_UPS = 100
-"""Wake-ups in a row without a frame after which a device in error is given up; else it would spin for ever."""
+EMPTY_WAKE_UPS_MAX = 100
+"""After this many wake-ups in a row without a frame, a device in error is lost; else the loop would spin forever."""
 
 
 class DigitSensor(TactileSensor):
-    """One DIGIT on USB. Opening and closing, which take as long as USB answers, run beside the event loop."""
+    """One DIGIT on USB. Opening and closing, which wait for USB, run in a thread."""
 
     Settings = DigitSettings
 
@@ -34,7 +32,7 @@ class DigitSensor(TactileSensor):
         find: Callable[[str, str], DigitDevice] = find_digit,
         capture: Callable[[str], V4l2Capture] = V4l2Capture,
     ) -> None:
-        """find, capture: how a serial becomes a device and a device an open one; for cameras without a kernel."""
+        """find, capture: replaced by tests, which have no such kernel device."""
         self._name = context.name
         self._settings = settings
         self._find = find
@@ -43,24 +41,24 @@ class DigitSensor(TactileSensor):
         self._stream: FrameStream | None = None
         self._decoder: JpegDecoder | None = None
         self.rate: FrameRateMonitor | None = None
-        """How many frames came and how many were lost since it was opened."""
+        """Number of frames received and lost since `open`."""
         self._opening_remarks: tuple[str, ...] = ()
         self._empty_wake_ups = 0
-        self.found: DigitDevice | None = None
+        self.device: DigitDevice | None = None
         """The device that was opened last."""
         self.mode: VideoMode | None = None
-        """How it delivers."""
+        """Its video mode."""
 
     @property
     def serial(self) -> str:
-        """As configured; `open` finds the sensor by it."""
+        """The configured serial number; `open` finds the sensor by it."""
         return self._settings.serial
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What is not as asked, in words: another rate, LEDs that cannot be set, frames that stay away."""
-        late = self.rate.remark if self.rate is not None else None
-        return (*self._opening_remarks, late) if late else self._opening_remarks
+        """What works, but not as configured: another rate, LEDs that cannot be set, missing frames."""
+        rate_remark = self.rate.remark if self.rate is not None else None
+        return (*self._opening_remarks, rate_remark) if rate_remark else self._opening_remarks
 
     async def open(self) -> None:
         """Find the sensor, set format, rate and LEDs, start the stream."""
@@ -70,11 +68,11 @@ class DigitSensor(TactileSensor):
         loop = asyncio.get_running_loop()
         starting = loop.run_in_executor(None, start_digit, self._settings, self._name, self._find, self._open_capture)
         try:
-            found, capture, mode, remarks = await asyncio.shield(starting)
+            device, capture, mode, remarks = await asyncio.shield(starting)
         except asyncio.CancelledError:
-            starting.add_done_callback(_close_unwanted)
+            starting.add_done_callback(_close_started)
             raise
-        self.found, self.mode, self._opening_remarks = found, mode, remarks
+        self.device, self.mode, self._opening_remarks = device, mode, remarks
         self._capture = capture
         self._stream = FrameStream(self._name, self._settings.stall_ms / 1000.0)
         self._decoder = JpegDecoder(self._stream) if mode.pixels == "MJPG" else None
@@ -83,18 +81,18 @@ class DigitSensor(TactileSensor):
         loop.add_reader(capture.fileno(), self._on_readable)
 
     async def next_frame(self) -> Frame:
-        """The newest frame not yet handed out."""
+        """Return the newest frame that was not returned before."""
         if self._stream is None:
             raise DeviceLost(f"{self._name}: the sensor is not open; open it first")
         return await self._stream.next()
 
     async def diagnose(self, *, owned: bool) -> AsyncIterator[CheckResult]:
-        """For the doctor: what there is to see from outside."""
+        """Check the device for `slipguard doctor`, without opening it."""
         for result in check_digit(self._name, self._settings):
             yield result
 
     async def close(self) -> None:
-        """Stop the stream and let go of the device."""
+        """Stop the stream and close the device."""
         capture, self._capture = self._capture, None
         self._stream = self._decoder = self.rate = None
         self._opening_remarks = ()
@@ -104,21 +102,21 @@ class DigitSensor(TactileSensor):
             await asyncio.shield(loop.run_in_executor(None, capture.close))
 
     def _lose(self, why: str) -> None:
-        """Stop listening; the device itself is let go by `close` or the next `open`."""
+        """Stop reading; `close` or the next `open` closes the device."""
         assert self._capture is not None
         assert self._stream is not None
         asyncio.get_running_loop().remove_reader(self._capture.fileno())
         self._stream.lose(why)
 
     def _on_readable(self) -> None:
-        """Drain what waits in the driver and keep the newest."""
+        """Read all waiting frames and keep the newest."""
         assert self._capture is not None
         assert self.rate is not None
         newest: RawFrame | None = None
         try:
-            while (delivery := self._capture.take()) is not None:
-                newest = delivery
-                self.rate.note(self._time_of(delivery), delivery.sequence)
+            while (frame := self._capture.take()) is not None:
+                newest = frame
+                self.rate.note(self._capture_time_s(frame), frame.sequence)
         except OSError as error:
             self._lose(f"the sensor is gone: {reason(error)}")
             return
@@ -127,29 +125,29 @@ class DigitSensor(TactileSensor):
             self._deliver(newest)
             return
         self._empty_wake_ups += 1
-        if self._empty_wake_ups >= EMPTY_WAKE_UPS:
-            self._lose("the camera driver signals an error and delivers nothing")
+        if self._empty_wake_ups >= EMPTY_WAKE_UPS_MAX:
+            self._lose("the camera driver reports an error and delivers no frames; plug the sensor in again")
 
-    def _deliver(self, delivery: RawFrame) -> None:
+    def _deliver(self, frame: RawFrame) -> None:
         assert self._stream is not None
-        if delivery.damage is not None:
-            self._stream.damaged(delivery.damage)
+        if frame.damage is not None:
+            self._stream.damaged(frame.damage)
         elif self._decoder is not None:
-            self._decoder.offer(delivery, self._time_of(delivery))
+            self._decoder.offer(frame, self._capture_time_s(frame))
         else:
             try:
-                self._stream.put(decode_yuyv(delivery.data), self._time_of(delivery), delivery.sequence)
+                self._stream.put(decode_yuyv(frame.data), self._capture_time_s(frame), frame.sequence)
             except DamagedFrame as damage:
                 self._stream.damaged(str(damage))
 
-    def _time_of(self, delivery: RawFrame) -> float:
-        """When it was captured; that it came now is all there is to say where the driver's clock is another."""
-        if delivery.captured_at_s is None:
+    def _capture_time_s(self, frame: RawFrame) -> float:
+        """Return the capture time; the time of arrival if the camera driver uses another clock."""
+        if frame.captured_at_s is None:
             return asyncio.get_running_loop().time()
-        return delivery.captured_at_s
+        return frame.captured_at_s
 
 
-def _close_unwanted(starting: asyncio.Future[Started]) -> None:
-    """The caller has gone while the sensor was being started."""
+def _close_started(starting: asyncio.Future[StartedStream]) -> None:
+    """Close a sensor whose caller was cancelled during the start."""
     if not starting.cancelled() and starting.exception() is None:
         starting.result()[1].close()

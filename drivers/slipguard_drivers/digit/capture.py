@@ -1,7 +1,7 @@
-"""Video capture with nothing between us and the kernel: ioctl, mmap, the kernel's time and sequence number.
+"""Video capture directly from the kernel: ioctl, mmap, the kernel's capture time and sequence number.
 
-Opening and configuring may take as long as USB answers; `take` blocks for microseconds only. Whoever wants to wait for
-a frame does so on `fileno()`.
+Opening and configuring wait for USB; `take` blocks for microseconds only. To wait for a frame, wait for `fileno()` to
+become readable.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from dataclasses import dataclass
 from slipguard_drivers.digit import v4l2
 
 BUFFERS = 8
-"""At 60 frames a second the process may be held up for 0.12 s before a frame is lost; the newest is taken anyway."""
+"""At 60 frames per second, no frame is lost while the process is delayed by up to 0.12 s."""
 
 
 @dataclass(frozen=True, slots=True)
 class VideoMode:
-    """A way to deliver pictures. pixels: "YUYV", "MJPG"; fps: 0 where it is not known."""
+    """One video mode. pixels: "YUYV" or "MJPG". fps: 0 if it is not known."""
 
     pixels: str
     width_px: int
@@ -31,13 +31,13 @@ class VideoMode:
     fps: float
 
     def __str__(self) -> str:
-        rate = f" at {self.fps:g} frames a second" if self.fps else ""
+        rate = f" at {self.fps:g} frames per second" if self.fps else ""
         return f"{self.width_px}x{self.height_px} {self.pixels}{rate}"
 
 
 @dataclass(frozen=True, slots=True)
 class RawFrame:
-    """One frame as the driver delivered it. captured_at_s: None where the driver's clock is not monotonic."""
+    """One frame as the camera driver delivers it. captured_at_s: None if its clock is not the monotonic one."""
 
     data: bytes
     sequence: int
@@ -46,7 +46,7 @@ class RawFrame:
 
 
 class V4l2Capture:
-    """One open capture device. Every method raises OSError, ENODEV when the device is gone."""
+    """One open capture device. Every method raises OSError, with ENODEV if the device is gone."""
 
     def __init__(self, path: str) -> None:
         self._fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -54,11 +54,11 @@ class V4l2Capture:
         self._frame_bytes: int | None = None
 
     def fileno(self) -> int:
-        """Readable when a frame waits, and in error for ever when no buffer is queued."""
+        """Return the descriptor: readable when a frame waits, permanently in error while no buffer is queued."""
         return self._fd
 
     def modes(self, width_px: int | None = None, height_px: int | None = None) -> list[VideoMode]:
-        """Every mode on offer, or those of one size. Sizes and rates that form a range are left out or named 0."""
+        """Return every mode, or those of one size. Continuous ranges are left out for sizes and 0 for rates."""
         found = []
         for description in self._each(v4l2.ENUM_FMT, v4l2.FORMAT_DESCRIPTION, "index", v4l2.CAPTURE, 0, b"", 0):
             pixels = description[4]
@@ -71,9 +71,9 @@ class V4l2Capture:
         return found
 
     def configure(self, mode: VideoMode) -> VideoMode:
-        """Ask for a mode, map the buffers, and return the mode given: a driver may change the rate.
+        """Set a mode, map the buffers, and return the actual mode: a camera driver may change the rate.
 
-        OSError EINVAL (with the reason) where it gives another size or pixel format.
+        Raises OSError EINVAL, with the reason, if it sets another size or pixel format.
         """
         raw = bytearray(
             v4l2.FORMAT.pack(v4l2.CAPTURE, mode.width_px, mode.height_px, v4l2.fourcc(mode.pixels), 1, *[0] * 8)
@@ -82,37 +82,37 @@ class V4l2Capture:
         _, width, height, number, _, stride, size, *_ = v4l2.FORMAT.unpack(raw)
         pixels = v4l2.fourcc_name(number)
         if (width, height, pixels) != (mode.width_px, mode.height_px, mode.pixels):
-            raise OSError(errno.EINVAL, f"it gives {width}x{height} {pixels} where {mode} was asked for")
+            raise OSError(errno.EINVAL, f"it sets {width}x{height} {pixels} instead of {mode}; check its firmware")
         packed = pixels == "YUYV"
         if packed and (stride, size) != (2 * width, 2 * width * height):
-            raise OSError(errno.EINVAL, f"its rows have {stride} bytes and its frames {size}, not {2 * width} a row")
+            raise OSError(errno.EINVAL, f"its rows have {stride} bytes and its frames {size}, not {2 * width} per row")
         self._frame_bytes = size if packed else None
         given = VideoMode(pixels, width, height, self._set_rate(mode.fps))
         self._map_buffers()
         return given
 
     def set_control(self, control: int, value: int) -> int:
-        """Set a control and return what it is then. OSError EINVAL where the device has no such control."""
+        """Set a control and return its actual value. Raises OSError EINVAL if the device has no such control."""
         fcntl.ioctl(self._fd, v4l2.S_CTRL, v4l2.CONTROL.pack(control, value))
         raw = bytearray(v4l2.CONTROL.pack(control, 0))
         fcntl.ioctl(self._fd, v4l2.G_CTRL, raw)
         return int(v4l2.CONTROL.unpack(raw)[1])
 
     def control_range(self, control: int) -> tuple[int, int]:
-        """Lowest and highest value of a control."""
+        """Return the lowest and highest value of a control."""
         raw = bytearray(v4l2.CONTROL_QUERY.pack(control, 0, b"", 0, 0, 0, 0, 0))
         fcntl.ioctl(self._fd, v4l2.QUERYCTRL, raw)
         _, _, _, lowest, highest, *_ = v4l2.CONTROL_QUERY.unpack(raw)
         return lowest, highest
 
     def start(self) -> None:
-        """Queue every buffer and let the frames come. OSError ENOSPC where the bus has no bandwidth for them."""
+        """Queue every buffer and start the stream. Raises OSError ENOSPC if the bus has not enough bandwidth."""
         for index in range(len(self._maps)):
             fcntl.ioctl(self._fd, v4l2.QBUF, buffer(index))
         fcntl.ioctl(self._fd, v4l2.STREAMON, struct.pack("=I", v4l2.CAPTURE))
 
     def take(self) -> RawFrame | None:
-        """The oldest frame that waits, copied, or None. Its buffer is queued again at once."""
+        """Return a copy of the oldest waiting frame, or None. Its buffer is queued again at once."""
         raw = buffer(0)
         try:
             fcntl.ioctl(self._fd, v4l2.DQBUF, raw)
@@ -126,14 +126,14 @@ class V4l2Capture:
         if flags & v4l2.FLAG_ERROR:
             damage = f"{used} bytes with the camera driver's error flag"
         elif used != (self._frame_bytes or max(used, 1)):
-            damage = f"{used} bytes instead of {self._frame_bytes or 'a picture'}"
+            damage = f"{used} bytes instead of {self._frame_bytes or 'an image'}"
         return RawFrame(data, sequence, seconds + micros * 1e-6 if monotonic else None, damage)
 
     def close(self) -> None:
-        """Stop the stream and let go of the device, which may be gone already. Idempotent."""
+        """Stop the stream and close the device, which may be gone already. Idempotent."""
         if self._fd < 0:
             return
-        with contextlib.suppress(OSError):  # never started, or unplugged: the buffers are given back either way
+        with contextlib.suppress(OSError):  # not started, or unplugged: the buffers are freed in any case
             fcntl.ioctl(self._fd, v4l2.STREAMOFF, struct.pack("=I", v4l2.CAPTURE))
         for mapped in self._maps:
             mapped.close()
@@ -142,13 +142,13 @@ class V4l2Capture:
         self._fd = -1
 
     def _each(self, code: int, layout: struct.Struct, *fields: object) -> Iterator[tuple[int, ...]]:
-        """Everything that an enumerating request lists; "index" among the fields counts up."""
+        """Yield all entries of an enumerating request; the field "index" counts up."""
         for index in range(64):
             raw = bytearray(layout.pack(*(index if field == "index" else field for field in fields)))
             try:
                 fcntl.ioctl(self._fd, code, raw)
             except OSError as error:
-                if error.errno in (errno.EINVAL, errno.ENOTTY):  # the end of the list, or no such list
+                if error.errno in (errno.EINVAL, errno.ENOTTY):  # end of the list, or no such list
                     return
                 raise
             yield layout.unpack(raw)
@@ -181,5 +181,5 @@ class V4l2Capture:
 
 
 def buffer(index: int) -> bytearray:
-    """A request about one buffer, for the kernel to fill in."""
+    """Return a request about one buffer, for the kernel to fill in."""
     return bytearray(v4l2.BUFFER.pack(index, v4l2.CAPTURE, 0, 0, 0, 0, 0, b"", 0, v4l2.MEMORY_MMAP, 0, 0, 0))

@@ -1,4 +1,4 @@
-"""Which DIGITs are plugged in, from what the kernel says in /sys: no udev, no other program needed."""
+"""Finds the connected DIGITs in the kernel's /sys; needs neither udev nor another program."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ SYSFS = Path("/sys/class/video4linux")
 DEV = Path("/dev")
 VENDOR_ID, PRODUCT_ID = "2833", "0209"
 FIRST_RGB_FIRMWARE = 200
-"""Older firmware has one brightness for all three LEDs (Facebook's digit-interface)."""
+"""Older firmware has one brightness for all three LEDs. Source: Facebook's digit-interface."""
 
 
 @dataclass(frozen=True, slots=True)
 class DigitDevice:
-    """One DIGIT. port: bus and hub ports, such as `1-4.2`. firmware: None where the number cannot be read."""
+    """One connected DIGIT. port: bus and hub ports, such as `1-4.2`. firmware: None if the number cannot be read."""
 
     path: Path
     serial: str
@@ -26,7 +26,7 @@ class DigitDevice:
 
     @property
     def bus(self) -> str:
-        """Sensors on one bus share its bandwidth."""
+        """The USB bus; sensors on one bus share its bandwidth."""
         return self.port.split("-", 1)[0]
 
     @property
@@ -35,47 +35,47 @@ class DigitDevice:
         return self.firmware is None or self.firmware >= FIRST_RGB_FIRMWARE
 
 
-def plugged_in(sysfs: Path = SYSFS, dev: Path = DEV) -> list[DigitDevice]:
-    """All DIGITs, by serial. A camera's second node, which carries no pictures, is left out."""
+def connected_digits(sysfs: Path = SYSFS, dev: Path = DEV) -> list[DigitDevice]:
+    """Return all connected DIGITs by serial number, without their metadata nodes, which carry no images."""
     found = []
     for node in sorted(sysfs.glob("video*")):
         try:
             usb = (node / "device").resolve().parent
-        except OSError:  # it was unplugged in this moment: a link that was there cannot be read any more
+        except OSError:  # unplugged at this moment
             continue
-        if (_word(usb / "idVendor"), _word(usb / "idProduct")) != (VENDOR_ID, PRODUCT_ID):
+        if (_attribute(usb / "idVendor"), _attribute(usb / "idProduct")) != (VENDOR_ID, PRODUCT_ID):
             continue
-        if _word(node / "index") != "0":
+        if _attribute(node / "index") != "0":
             continue
-        release, speed = _word(usb / "bcdDevice"), _word(usb / "speed")
+        release, speed = _attribute(usb / "bcdDevice"), _attribute(usb / "speed")
         found.append(
             DigitDevice(
                 path=dev / node.name,
-                serial=_word(usb / "serial"),
+                serial=_attribute(usb / "serial"),
                 firmware=int(release) if release.isdecimal() else None,
                 port=usb.name,
                 usb_mbit_s=float(speed) if speed.replace(".", "", 1).isdecimal() else 0.0,
             )
         )
-    return sorted(found, key=lambda one: one.serial)
+    return sorted(found, key=lambda device: device.serial)
 
 
 def find_digit(serial: str, name: str, sysfs: Path = SYSFS, dev: Path = DEV) -> DigitDevice:
-    """The DIGIT with this serial number. Raises DeviceLost naming those there are."""
-    there = plugged_in(sysfs, dev)
-    for one in there:
-        if one.serial == serial:
-            return one
-    others = ", ".join(one.serial or "one without a serial" for one in there)
+    """Return the DIGIT with this serial number. Raises DeviceLost naming the connected ones."""
+    connected = connected_digits(sysfs, dev)
+    for device in connected:
+        if device.serial == serial:
+            return device
+    others = ", ".join(device.serial or "one without a serial number" for device in connected)
     raise DeviceLost(
-        f"{name}: no DIGIT with serial {serial} is plugged in, there is {others}; compare with the configuration"
+        f"{name}: no DIGIT with serial {serial} is connected, only {others}; compare with the configuration"
         if others
-        else f"{name}: no DIGIT is plugged in, {serial} is looked for; check the USB cable"
+        else f"{name}: no DIGIT is connected (serial {serial} is configured); check the USB cable"
     )
 
 
-def _word(file: Path) -> str:
-    """One attribute of the kernel; empty where there is none, or the device has just gone."""
+def _attribute(file: Path) -> str:
+    """Return one attribute of the kernel; empty if it does not exist, or the device was just unplugged."""
     try:
         return file.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:

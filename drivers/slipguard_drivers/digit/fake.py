@@ -1,9 +1,8 @@
-"""A fingertip camera of the simulated world: it draws what a real one would see, when it would.
+"""Driver `fake` of the sensor: a fingertip camera of the simulated world, with a real camera's timing.
 
-Exposes on an absolute schedule, stamps the frames with some jitter, hands them over one
-latency later, loses some and repeats some.
-It fails on demand (`world.faults`): "disconnect", "stall", "frozen", "corrupt", "duplicate" (every second picture
-comes twice), "light" (a lamp too many), "stamps_ahead" and "stamps_behind" (a clock that is wrong).
+It exposes on an absolute schedule, stamps frames with jitter, delivers them after a latency, loses and repeats some.
+`world.faults` can make it fail: "disconnect", "stall", "frozen", "corrupt", "duplicate" (every second image comes
+twice), "light" (an additional lamp), "stamps_ahead" and "stamps_behind" (a wrong clock).
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ from slipguard_drivers.digit.fake_renderer import (
     InlineRenderer,
     ProcessRenderer,
     Renderer,
+    RenderRequest,
 )
-from slipguard_drivers.digit.render_worker import RenderRequest
 
 if TYPE_CHECKING:
     from slipguard.sim.scenario import CameraModel
@@ -35,27 +34,31 @@ if TYPE_CHECKING:
 
 WRONG_CLOCK_S = 5.0
 LAMP_LEVELS = 60.0
-"""Grey levels that a lamp too many adds to every colour."""
+"""Gray levels that the additional lamp adds to every color."""
 STAMP_ERROR_MAX = 0.4
-"""Largest error of a time stamp in frame times: stamps never run backwards."""
+"""Largest error of a time stamp in frame periods, so that stamps never run backward."""
+UNPLUGGED = "the sensor is gone (unplugged); plug it in"
+
+
+class FakeSensorSettings(BaseModel):
+    """draw: where images come from.
+
+    "process" renders in a process of its own, "inline" in this one (for virtual time). "background" repeats images
+    without contact, "encoded" carries the view as numbers: both are fast, for tests that evaluate no images.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    draw: Literal["process", "inline", "background", "encoded"] = "process"
+    stall_ms: Annotated[float, Field(ge=50.0, le=5000.0)] = 250.0
 
 
 class FakeSensor(TactileSensor):
-    """One finger of the shared world, seen through the sensor unit of its camera model."""
+    """One finger of the simulated world, seen through the sensor unit of its camera model."""
 
-    class Settings(BaseModel):
-        """draw: "process" keeps the drawing off the loop's core; "inline" is for virtual time.
+    Settings = FakeSensorSettings
 
-        "plain" is for hours of it: pictures of the untouched gel, whatever is touched. "told": numbers instead of
-        pictures, for those who need not look.
-        """
-
-        model_config = ConfigDict(frozen=True, extra="forbid")
-
-        draw: Literal["process", "inline", "plain", "told"] = "process"
-        stall_ms: Annotated[float, Field(ge=50.0, le=5000.0)] = 250.0
-
-    def __init__(self, settings: Settings, context: DriverContext) -> None:
+    def __init__(self, settings: FakeSensorSettings, context: DriverContext) -> None:
         self._name = context.name
         self._world: World = context.require_world()
         self._settings = settings
@@ -70,9 +73,9 @@ class FakeSensor(TactileSensor):
     def _make_renderer(self, draw: str, unit_seed: int) -> Renderer:
         if draw == "process":
             return ProcessRenderer(self._name, unit_seed, self._lose)
-        if draw == "told":
+        if draw == "encoded":
             return EncodingRenderer()
-        return BackgroundRenderer(unit_seed) if draw == "plain" else InlineRenderer(unit_seed)
+        return BackgroundRenderer(unit_seed) if draw == "background" else InlineRenderer(unit_seed)
 
     @property
     def serial(self) -> str:
@@ -80,7 +83,7 @@ class FakeSensor(TactileSensor):
         return self._model.serial
 
     async def open(self) -> None:
-        """Start the stream; the first frame is exposed one frame time later."""
+        """Start the stream; the first frame is exposed one frame period later."""
         if self._stream is not None and not self._stream.lost:
             return
         await self.close()
@@ -90,19 +93,19 @@ class FakeSensor(TactileSensor):
         self._stream = FrameStream(self._name, self._settings.stall_ms / 1000.0)
         self._started_at_s = asyncio.get_running_loop().time()
         self._last_image = None
-        self._expose_at(1)
+        self._schedule(1)
 
     async def next_frame(self) -> Frame:
-        """The newest frame not yet handed out."""
+        """Return the newest frame that was not returned before."""
         if self._stream is None:
             raise DeviceLost(f"{self._name}: the sensor is not open; open it first")
         if "disconnect" in self._faults():
-            self._lose("the sensor is gone (unplugged)")
+            self._lose(UNPLUGGED)
         return await self._stream.next()
 
     async def close(self) -> None:
-        """Stop the stream and the drawing."""
-        self._halt()
+        """Stop stream and renderer."""
+        self._timers.cancel_all()
         self._renderer.stop()
         self._stream = None
 
@@ -110,29 +113,26 @@ class FakeSensor(TactileSensor):
         return self._world.faults.active(self._name)
 
     def _lose(self, why: str) -> None:
-        self._halt()
+        self._timers.cancel_all()
         if self._stream is not None:
             self._stream.lose(why)
 
-    def _halt(self) -> None:
-        self._timers.cancel_all()
-
-    def _expose_at(self, sequence: int) -> None:
+    def _schedule(self, sequence: int) -> None:
         due_s = self._started_at_s + sequence / self._model.fps
         self._timers.call_at(due_s, lambda: self._expose(sequence))
 
     def _expose(self, sequence: int) -> None:
-        """Take one picture; those that a late loop has slept through are lost, as in a camera."""
+        """Take one image; exposures that a late loop has missed are lost, as in a camera."""
         now_s = asyncio.get_running_loop().time()
-        model = self._present_model()
+        model = self._update_model()
         sequence = max(sequence, math.floor((now_s - self._started_at_s) * model.fps))
-        self._expose_at(sequence + 1)
+        self._schedule(sequence + 1)
         faults = self._faults()
         if "disconnect" in faults:
-            self._lose("the sensor is gone (unplugged)")
+            self._lose(UNPLUGGED)
             return
         view = self._world.view(self._name, now_s)
-        lost, twice, error = self._random.random(), self._random.random(), self._random.gauss()
+        lost, repeated, error = self._random.random(), self._random.random(), self._random.gauss()
         if lost < model.drop_probability or "stall" in faults:
             return
         limit_s = STAMP_ERROR_MAX / model.fps
@@ -142,23 +142,24 @@ class FakeSensor(TactileSensor):
         stream = self._stream
         assert stream is not None
         if "corrupt" in faults:
-            self._timers.call_at(arrives_at_s, lambda: stream.damaged("only part of its bytes arrived"))
+            self._timers.call_at(arrives_at_s, lambda: stream.damaged("only a part of its bytes arrived"))
             return
 
         def deliver(image: Image) -> None:
             self._last_image = image
             self._timers.call_at(arrives_at_s, lambda: stream.put(image, stamp_s, sequence))
 
-        again = twice < model.duplicate_probability or ("duplicate" in faults and sequence % 2 == 0)
-        if self._last_image is not None and ("frozen" in faults or again):
+        repeat = repeated < model.duplicate_probability or ("duplicate" in faults and sequence % 2 == 0)
+        if self._last_image is not None and ("frozen" in faults or repeat):
             deliver(self._last_image)
             return
         blue, green, red = model.light_drift_bgr
         lamp = LAMP_LEVELS * ("light" in faults)
-        self._renderer.render(RenderRequest(view, (blue + lamp, green + lamp, red + lamp), model.noise_seed), deliver)
+        light_bgr = (blue + lamp, green + lamp, red + lamp)
+        self._renderer.render(RenderRequest(view, light_bgr, model.noise_seed), deliver)
 
-    def _present_model(self) -> CameraModel:
-        """How the camera delivers now; a new grasp has its own chances, which start anew with it."""
+    def _update_model(self) -> CameraModel:
+        """Return the present camera model; a new grasp restarts the random numbers."""
         model = self._world.camera(self._name)
         if model.noise_seed != self._model.noise_seed:
             self._random = random.Random(model.noise_seed)

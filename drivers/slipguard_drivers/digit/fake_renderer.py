@@ -1,4 +1,4 @@
-"""Where the fake sensor's images are drawn: here and now, or in a process of its own."""
+"""Where the simulated sensor's images come from: rendered here or in a process of its own, repeated, or encoded."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import mmap
 import os
 import pickle
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import cycle
 from typing import Protocol
 
@@ -16,112 +17,125 @@ from numpy.typing import NDArray
 
 from slipguard.errors import DeviceLost, DeviceTimeout
 from slipguard.frame_stream import SHAPE
+from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView, encode_view
+from slipguard.sim.height_raster import height_raster_of
+from slipguard.sim.sensor_unit import LightChange, random_unit
 from slipguard_drivers.child_process import PACKET_BYTES, ChildProcess
-from slipguard_drivers.digit.render_worker import IMAGE_BYTES, SLOTS, GelRenderer, RenderRequest
 
 Image = NDArray[np.uint8]
-WORKER = "slipguard_drivers.digit.render_process"
+IMAGE_BYTES = 320 * 240 * 3
+SLOTS = 4
+PROCESS = "slipguard_drivers.digit.render_process"
 BACKGROUND_IMAGES = 16
 START_TIMEOUT_S = 30.0
-"""Python, numpy and OpenCV starting on a loaded small machine; 0.5 s on an idle one."""
+"""Start of Python, numpy and OpenCV on a small busy machine; 0.5 s on an idle one."""
+
+
+@dataclass(frozen=True, slots=True)
+class RenderRequest:
+    """One image to render. light_drift_bgr: change of the gray levels since the background image was taken."""
+
+    view: GelView
+    light_drift_bgr: tuple[float, float, float]
+    noise_seed: int
+
+
+class GelRenderer:
+    """Renders the images of one sensor unit. A new noise seed restarts the noise, so a grasp can be repeated."""
+
+    def __init__(self, unit_seed: int) -> None:
+        self._camera = GelCamera(random_unit(np.random.default_rng(unit_seed)))
+        self._noise_seed: int | None = None
+
+    def render(self, request: RenderRequest) -> Image:
+        """Return an image, (320, 240, 3) uint8 BGR."""
+        if request.noise_seed != self._noise_seed:
+            self._camera.reseed(request.noise_seed)
+            self._noise_seed = request.noise_seed
+        if request.view.object_name:
+            height_raster_of(request.view.object_name)  # 20-90 ms for a new object, here before it touches the gel
+        self._camera.set_light(LightChange(offset_bgr=request.light_drift_bgr))
+        return self._camera.draw(request.view)
 
 
 class Renderer(Protocol):
-    """Turns a shot into an image, now or a little later."""
+    """Turns a request into an image, now or later."""
 
     async def start(self) -> None:
-        """Get ready to draw. Raises DeviceTimeout or DeviceLost."""
+        """Prepare. Raises DeviceTimeout or DeviceLost."""
 
-    def render(self, shot: RenderRequest, done: Callable[[Image], None]) -> bool:
-        """Draw `shot` and call `done` with the image; False where it is too busy to."""
+    def render(self, request: RenderRequest, done: Callable[[Image], None]) -> bool:
+        """Render the image and call `done` with it; return False if it is too busy."""
         ...
 
     def stop(self) -> None:
-        """Let go of everything; no `done` is called any more."""
+        """Release everything; `done` is not called any more."""
+        return
 
 
-class InlineRenderer:
-    """Draws at once, in the calling process: for virtual time, where drawing takes no time."""
+class InlineRenderer(Renderer):
+    """Renders before it returns, in the calling process: for virtual time, in which rendering takes no time."""
 
     def __init__(self, unit_seed: int) -> None:
         self._unit_seed = unit_seed
 
     async def start(self) -> None:
-        """Make the sensor unit."""
-        self._draughtsman = GelRenderer(self._unit_seed)
+        self._gel_renderer = GelRenderer(self._unit_seed)
 
-    def render(self, shot: RenderRequest, done: Callable[[Image], None]) -> bool:
-        """Draw before returning."""
-        done(self._draughtsman.draw(shot))
+    def render(self, request: RenderRequest, done: Callable[[Image], None]) -> bool:
+        done(self._gel_renderer.render(request))
         return True
 
-    def stop(self) -> None:
-        """Nothing to let go of."""
 
-
-class BackgroundRenderer:
-    """Draws the untouched gel a few times and hands those pictures out in turn for ever, whatever is touched.
-
-    For hours of virtual time, where what is touched is known in another way.
-    """
+class BackgroundRenderer(Renderer):
+    """Repeats a few images of the gel without contact, for hours of virtual time in which no image is evaluated."""
 
     def __init__(self, unit_seed: int) -> None:
         self._unit_seed = unit_seed
 
     async def start(self) -> None:
-        """Draw the pictures; they differ in their noise."""
-        untouched = RenderRequest(GelView(""), (0.0, 0.0, 0.0), noise_seed=0)
+        background = RenderRequest(GelView(""), (0.0, 0.0, 0.0), noise_seed=0)
         gel_renderer = GelRenderer(self._unit_seed)
-        self._pictures = cycle([gel_renderer.draw(untouched) for _ in range(BACKGROUND_IMAGES)])
+        self._images = cycle([gel_renderer.render(background) for _ in range(BACKGROUND_IMAGES)])
 
-    def render(self, shot: RenderRequest, done: Callable[[Image], None]) -> bool:
-        """Hand the next one out before returning."""
-        done(next(self._pictures))
+    def render(self, request: RenderRequest, done: Callable[[Image], None]) -> bool:
+        done(next(self._images))
         return True
 
-    def stop(self) -> None:
-        """Nothing to let go of."""
 
-
-class EncodingRenderer:
-    """Writes down what would be on the picture instead of drawing it (`slipguard.sim.gel_view`)."""
+class EncodingRenderer(Renderer):
+    """Encodes the view as numbers instead of rendering it (`slipguard.sim.gel_view.encode_view`)."""
 
     def __init__(self) -> None:
         self._count = 0
 
     async def start(self) -> None:
-        """Nothing to get ready."""
+        return
 
-    def render(self, shot: RenderRequest, done: Callable[[Image], None]) -> bool:
-        """Write before returning."""
+    def render(self, request: RenderRequest, done: Callable[[Image], None]) -> bool:
         self._count += 1
-        done(encode_view(shot.view, shot.light_drift_bgr, self._count))
+        done(encode_view(request.view, request.light_drift_bgr, self._count))
         return True
 
-    def stop(self) -> None:
-        """Nothing to let go of."""
 
+class ProcessRenderer(Renderer):
+    """Renders in a child process, so that rendering takes no time of the event loop.
 
-class ProcessRenderer:
-    """Draws in a child process, so that drawing does not take the loop's time.
-
-    A few numbers go over a socket, images come back through shared memory.
-
-    died: called with the reason when the child ends by itself.
+    Requests go over a socket, images come back in shared memory. on_lost: called with the reason if the child ends.
     """
 
-    def __init__(self, name: str, unit_seed: int, died: Callable[[str], None]) -> None:
+    def __init__(self, name: str, unit_seed: int, on_lost: Callable[[str], None]) -> None:
         self._name = name
         self._unit_seed = unit_seed
-        self._died = died
+        self._on_lost = on_lost
         self._child: ChildProcess | None = None
         self._memory: mmap.mmap | None = None
         self._waiting: dict[int, Callable[[Image], None]] = {}
         self._free: list[int] = []
 
     async def start(self) -> None:
-        """Start the child and wait until it can draw."""
+        """Start the child and wait until it can render."""
         self.stop()
         self._child = child = self._launch()
         loop = asyncio.get_running_loop()
@@ -131,41 +145,54 @@ class ProcessRenderer:
         except TimeoutError:
             self.stop()
             raise DeviceTimeout(
-                f"{self._name}: the drawing process was not ready after {START_TIMEOUT_S:.0f} s"
+                f"{self._name}: the rendering process is not ready after {START_TIMEOUT_S:.0f} s; end other programs"
             ) from None
         except BaseException:
             self.stop()
             raise
         if not greeting:
             self.stop()
-            raise DeviceLost(f"{self._name}: the drawing process ended before it drew anything")
+            raise DeviceLost(f"{self._name}: the rendering process ended during its start; see its error message")
         self._free = list(range(SLOTS))
-        loop.add_reader(child.link, self._on_answer)
+        loop.add_reader(child.link, self._on_reply)
 
     def _launch(self) -> ChildProcess:
-        memory_fd = os.memfd_create(f"slipguard-{self._name}")  # without a name in any folder: nothing is left behind
+        memory_fd = os.memfd_create(f"slipguard-{self._name}")  # has no name in any folder, so nothing is left behind
         try:
             os.ftruncate(memory_fd, SLOTS * IMAGE_BYTES)
-            child = ChildProcess(WORKER, str(memory_fd), str(self._unit_seed), keep_fds=(memory_fd,))
+            child = ChildProcess(PROCESS, str(memory_fd), str(self._unit_seed), keep_fds=(memory_fd,))
             self._memory = mmap.mmap(memory_fd, SLOTS * IMAGE_BYTES)
             return child
         finally:
             os.close(memory_fd)
 
-    def render(self, shot: RenderRequest, done: Callable[[Image], None]) -> bool:
-        """Ask the child for an image; False while it has all the work it can hold."""
+    def render(self, request: RenderRequest, done: Callable[[Image], None]) -> bool:
+        """Send the request to the child; return False if all slots are in use."""
         if not self._free or self._child is None:
             return False
         slot = self._free.pop()
         try:
-            self._child.link.send(pickle.dumps((slot, shot)))
-        except OSError:
+            self._child.link.send(pickle.dumps((slot, request)))
+        except OSError:  # a dead child is noticed by its end of file
             self._free.append(slot)
-            return False  # a dead child is told by its end of file
+            return False
         self._waiting[slot] = done
         return True
 
-    def _on_answer(self) -> None:
+    def stop(self) -> None:
+        """End the child and free the memory. Idempotent."""
+        self._waiting.clear()
+        self._free.clear()
+        if self._memory is not None:
+            self._memory.close()
+            self._memory = None
+        if self._child is not None:
+            with contextlib.suppress(RuntimeError):  # no loop runs any more, so none reads the link
+                asyncio.get_running_loop().remove_reader(self._child.link)
+            self._child.kill()
+            self._child = None
+
+    def _on_reply(self) -> None:
         assert self._child is not None
         assert self._memory is not None
         try:
@@ -176,27 +203,14 @@ class ProcessRenderer:
             packet = b""
         if not packet:
             self.stop()
-            self._died("the drawing process ended; open the sensor again")
+            self._on_lost("the rendering process ended; open the sensor again")
             return
-        slot, complaint = pickle.loads(packet)
+        slot, error = pickle.loads(packet)
         done = self._waiting.pop(slot)
-        if complaint is not None:
+        if error is not None:
             self.stop()
-            self._died(f"the drawing process cannot draw: {complaint}")
+            self._on_lost(f"the rendering process failed: {error}")
             return
         raw = self._memory[slot * IMAGE_BYTES : (slot + 1) * IMAGE_BYTES]
         self._free.append(slot)
         done(np.frombuffer(bytearray(raw), np.uint8).reshape(SHAPE))
-
-    def stop(self) -> None:
-        """End the child and free the memory. Idempotent."""
-        self._waiting.clear()
-        self._free.clear()
-        if self._memory is not None:
-            self._memory.close()
-            self._memory = None
-        if self._child is not None:
-            with contextlib.suppress(RuntimeError):  # no loop any more: nothing reads it either
-                asyncio.get_running_loop().remove_reader(self._child.link)
-            self._child.kill()
-            self._child = None

@@ -1,18 +1,42 @@
-"""Makes a DIGIT stream as configured, and says in words what could not be had. Everything here blocks."""
+"""The settings of a DIGIT, and starting its stream with them. Every function here blocks."""
 
 from __future__ import annotations
 
 import errno
 from collections.abc import Callable
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from slipguard.errors import DeviceLost
 from slipguard_drivers.digit.capture import V4l2Capture, VideoMode
-from slipguard_drivers.digit.discovery import DigitDevice, plugged_in
-from slipguard_drivers.digit.pixel_format import WIRE_HEIGHT_PX, WIRE_WIDTH_PX
-from slipguard_drivers.digit.settings import DigitSettings, Levels
+from slipguard_drivers.digit.decoding import WIRE_HEIGHT_PX, WIRE_WIDTH_PX
+from slipguard_drivers.digit.discovery import DigitDevice, connected_digits
 from slipguard_drivers.digit.v4l2 import ZOOM_ABSOLUTE
 
-Started = tuple[DigitDevice, V4l2Capture, VideoMode, tuple[str, ...]]
+Level = Annotated[int, Field(ge=0, le=15)]
+LedLevels = tuple[Level, Level, Level]
+StartedStream = tuple[DigitDevice, V4l2Capture, VideoMode, tuple[str, ...]]
+"""Device, open capture, mode, and remarks on what differs from the settings."""
+
+
+def _serial(text: str) -> str:
+    if not (text.isascii() and text.isalnum()):
+        raise ValueError("must consist of letters and digits, as printed on the sensor")
+    return text
+
+
+class DigitSettings(BaseModel):
+    """serial: as printed on the sensor, D and five digits. pixels: "auto" prefers YUYV."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    only_one: ClassVar = ("serial",)
+    serial: Annotated[str, AfterValidator(_serial)]
+    fps: Literal[30, 60] = 60
+    pixels: Literal["auto", "YUYV", "MJPG"] = "auto"
+    led_rgb: LedLevels = (15, 15, 15)
+    stall_ms: Annotated[float, Field(ge=50.0, le=5000.0)] = 250.0
 
 
 def start_digit(
@@ -20,30 +44,33 @@ def start_digit(
     name: str,
     find: Callable[[str, str], DigitDevice],
     open_capture: Callable[[str], V4l2Capture],
-) -> Started:
-    """Find a sensor and make it stream; what is not as asked comes last, in words. Blocks. Raises DeviceLost."""
-    found = find(settings.serial, name)
+) -> StartedStream:
+    """Find a sensor and start its stream. Raises DeviceLost."""
+    device = find(settings.serial, name)
     try:
-        capture = open_capture(str(found.path))
+        capture = open_capture(str(device.path))
     except OSError as error:
-        raise DeviceLost(f"{name}: {found.path} cannot be used: {reason(error)}") from error
+        raise DeviceLost(f"{name}: {device.path} cannot be opened: {reason(error)}") from error
     try:
-        mode = capture.configure(choose(capture.modes(WIRE_WIDTH_PX, WIRE_HEIGHT_PX), settings, capture))
-        remarks = [*_rate_remark(mode, settings.fps), *set_leds(capture, found, settings.led_rgb)]
+        mode = capture.configure(choose_mode(capture.modes(WIRE_WIDTH_PX, WIRE_HEIGHT_PX), settings, capture))
+        remarks = [*_rate_remark(mode, settings.fps), *set_leds(capture, device, settings.led_rgb)]
         capture.start()
     except OSError as error:
         capture.close()
-        why = _no_bandwidth(found, settings) if error.errno == errno.ENOSPC else reason(error)
-        raise DeviceLost(f"{name}: {found.path} does not start: {why}") from error
-    return found, capture, mode, tuple(remarks)
+        why = _no_bandwidth(device, settings) if error.errno == errno.ENOSPC else reason(error)
+        raise DeviceLost(f"{name}: {device.path} does not start: {why}") from error
+    return device, capture, mode, tuple(remarks)
 
 
-def choose(modes: list[VideoMode], settings: DigitSettings, capture: V4l2Capture) -> VideoMode:
-    """The mode to ask for: the rate first, then YUYV, which costs no decoding. OSError EINVAL where there is none."""
+def choose_mode(modes: list[VideoMode], settings: DigitSettings, capture: V4l2Capture) -> VideoMode:
+    """Return the mode to request: the nearest rate first, then YUYV, which needs no decoding.
+
+    Raises OSError EINVAL if no mode is usable.
+    """
     wanted = ("YUYV", "MJPG") if settings.pixels == "auto" else (settings.pixels,)
     usable = [mode for mode in modes if mode.pixels in wanted]
     if not usable:
-        offers = ", ".join(map(str, capture.modes())) or "nothing that can be listed"
+        offers = ", ".join(map(str, capture.modes())) or "no modes"
         raise OSError(
             errno.EINVAL,
             f"{WIRE_WIDTH_PX}x{WIRE_HEIGHT_PX} {' or '.join(wanted)} is needed, it offers {offers}; change pixels",
@@ -52,30 +79,32 @@ def choose(modes: list[VideoMode], settings: DigitSettings, capture: V4l2Capture
     return VideoMode(best.pixels, best.width_px, best.height_px, best.fps or float(settings.fps))
 
 
-def set_leds(capture: V4l2Capture, found: DigitDevice, levels: Levels) -> list[str]:
-    """Set the LEDs, the DIGIT's zoom control, and say what could not be had. OSError ENODEV when it is gone."""
-    value = led_value(levels, rgb=found.has_rgb)
+def set_leds(capture: V4l2Capture, device: DigitDevice, levels: LedLevels) -> list[str]:
+    """Set the LEDs and return remarks on what was not possible. Raises OSError ENODEV if the device is gone."""
+    value = led_value(levels, rgb=device.has_rgb)
     remarks = []
-    if not found.has_rgb and len(set(levels)) > 1:
+    if not device.has_rgb and len(set(levels)) > 1:
         remarks.append(
-            f"firmware {found.firmware} has one brightness for all LEDs, not led_rgb = {list(levels)}: "
-            f"{max(levels)} is used; update the firmware"
+            f"firmware {device.firmware} has one brightness for all LEDs, so led_rgb = {list(levels)} becomes "
+            f"{max(levels)}; update the firmware"
         )
     try:
-        given = capture.set_control(ZOOM_ABSOLUTE, value)
+        actual = capture.set_control(ZOOM_ABSOLUTE, value)
     except OSError as error:
         if error.errno == errno.ENODEV:
             raise
-        return [*remarks, f"the LEDs cannot be set ({error.strerror or error}): led_rgb has no effect"]
-    if given != value:
-        remarks.append(f"the LEDs were set to {given:#x} where {value:#x} was asked for: led_rgb is not as configured")
+        return [*remarks, f"the LEDs cannot be set ({error.strerror or error}); led_rgb has no effect"]
+    if actual != value:
+        remarks.append(f"the LEDs are set to {actual:#x} instead of {value:#x}; led_rgb is not as configured")
     return remarks
 
 
-def led_value(levels: Levels, *, rgb: bool) -> int:
-    """The zoom control's value for LED levels of 0-15 each: the DIGIT's firmware misuses zoom for its LEDs.
+def led_value(levels: LedLevels, *, rgb: bool) -> int:
+    """Return the value of the zoom control, which the DIGIT's firmware uses for its LEDs.
 
-    Without `rgb` (old firmware) one brightness of 0-255, that of the brightest.
+    Args:
+        levels: red, green, blue, 0-15 each.
+        rgb: False for old firmware, which has one brightness of 0-255: that of the brightest LED.
     """
     red, green, blue = levels
     return red << 8 | green << 4 | blue if rgb else 17 * max(levels)
@@ -83,25 +112,26 @@ def led_value(levels: Levels, *, rgb: bool) -> int:
 
 def _rate_remark(mode: VideoMode, fps: int) -> list[str]:
     if mode.fps == 0.0:
-        return [f"the camera does not say its rate; {fps} frames a second were asked for"]
-    return [f"the camera gives {mode.fps:g} frames a second where {fps} were asked for"] * (abs(mode.fps - fps) > 0.5)
+        return [f"the camera does not report its rate; {fps} frames per second were requested"]
+    differs = abs(mode.fps - fps) > 0.5
+    return [f"the camera delivers {mode.fps:g} frames per second, {fps} were requested"] if differs else []
 
 
-def _no_bandwidth(found: DigitDevice, settings: DigitSettings) -> str:
-    beside = [one.serial for one in plugged_in() if one.bus == found.bus and one.serial != found.serial]
-    beside_it = f" beside {' and '.join(beside)}" if beside else ""
+def _no_bandwidth(device: DigitDevice, settings: DigitSettings) -> str:
+    others = [other.serial for other in connected_digits() if other.bus == device.bus and other.serial != device.serial]
+    shared = f", shared with {' and '.join(others)}" if others else ""
     return (
-        f"USB bus {found.bus} ({found.usb_mbit_s:g} Mbit/s) has no bandwidth left for it{beside_it}; plug it into a "
-        f'port of another controller, or set fps = 30 or pixels = "MJPG" (now {settings.fps} and {settings.pixels})'
+        f"USB bus {device.bus} ({device.usb_mbit_s:g} Mbit/s{shared}) has not enough bandwidth; use a port of another "
+        f'USB controller, or set fps = 30 or pixels = "MJPG" (now {settings.fps} and {settings.pixels})'
     )
 
 
 def reason(error: OSError) -> str:
-    """Why a device cannot be used, and what to do where that is known."""
+    """Return why a device cannot be used, and what to do if that is known."""
     known = {
         errno.ENODEV: "it was unplugged; plug it in again",
-        errno.ENOENT: "its device node is not there yet; wait a moment",
-        errno.EBUSY: "another program is using it, or the other finger has the same serial; give each its own sensor",
-        errno.EACCES: "access is denied; `sudo slipguard install` puts the udev rule in place; join the group video",
+        errno.ENOENT: "its device node does not exist yet; wait a moment",
+        errno.EBUSY: "another program uses it, or the other finger has the same serial; check for both",
+        errno.EACCES: "access is denied; `sudo slipguard install` adds the udev rule; join the group video",
     }
     return known.get(error.errno or 0) or error.strerror or str(error)

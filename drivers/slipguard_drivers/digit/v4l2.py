@@ -1,4 +1,4 @@
-"""Video4Linux2 as the kernel speaks it: structures, request codes and numbers of <linux/videodev2.h>, 64-bit layout."""
+"""Structures, request codes and constants of <linux/videodev2.h>, in the 64-bit layout."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _WRITE, _READ = 1, 2
 
 
 def request_code(direction: int, number: int, size: int) -> int:
-    """An ioctl number of the V4L2 family, as <asm-generic/ioctl.h> composes it."""
+    """Return an ioctl number of V4L2, composed as in <asm-generic/ioctl.h>."""
     return direction << 30 | size << 16 | ord("V") << 8 | number
 
 
@@ -46,10 +46,10 @@ ENUM_FRAMEINTERVALS = request_code(_READ | _WRITE, 75, FRAME_INTERVAL.size)
 
 
 def fourcc(name: str) -> int:
-    """The number of a pixel format such as "YUYV"."""
+    """Return the number of a pixel format such as "YUYV"."""
     return int(struct.unpack("<I", name.encode("ascii"))[0])
 
 
 def fourcc_name(number: int) -> str:
-    """The name of a pixel format."""
+    """Return the name of a pixel format."""
     return struct.pack("<I", number).decode("ascii", "replace").rstrip()

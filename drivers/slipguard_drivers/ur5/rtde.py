@@ -69,7 +69,7 @@ class RtdeConnection:
         in_use = [name for name, kind in zip(names, kinds, strict=False) if kind == "IN_USE"]
         if in_use:
             raise CommandRefused(
-                f"{self._name}: another program holds {', '.join(in_use)} of the robot; usual holders are a ROS driver, "
+                f"{self._name}: another program holds {', '.join(in_use)} of the robot; usual holders: a ROS driver, "
                 "EtherNet/IP or PROFINET (disable them in the installation), or a gripper's URCap"
             )
         if not response or not response[0]:

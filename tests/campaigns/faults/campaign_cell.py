@@ -235,5 +235,5 @@ class CampaignCell:
 
 
 def _config(guard: dict[str, object]) -> Config:
-    fingers = {name: {"driver": "fake", "fake": {"draw": "told"}} for name in FINGERS}
+    fingers = {name: {"driver": "fake", "fake": {"draw": "encoded"}} for name in FINGERS}
     return parse_config({**fingers, "guard": guard}, where="the campaign", sim=True)

@@ -32,7 +32,7 @@ class SoakSettings:
 
 def soak_config(settings: SoakSettings, folder: Path) -> Config:
     """Return a configuration with the fakes, defaults, and recording limits small enough to be reached."""
-    draw = "plain" if settings.virtual else "process"
+    draw = "background" if settings.virtual else "process"
     raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": draw}} for name in FINGERS}
     raw["guard"] = {"lift_height_mm": 100.0, "lift_speed_mm_s": 80.0, "tuning": {"lower_speed_mm_s": 150.0}}
     raw["loop"] = VIRTUAL_LOOP if settings.virtual else {}

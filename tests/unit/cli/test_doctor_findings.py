@@ -20,7 +20,7 @@ from slipguard.diagnosis import CheckResult, CheckStatus, Diagnosable, ok, probl
 from slipguard.doctor import gripper, machine, run_checks, sensor, through_daemon
 from slipguard.errors import DeviceLost
 from slipguard_drivers.digit.diagnostics import RULES, check_digit
-from slipguard_drivers.digit.settings import DigitSettings
+from slipguard_drivers.digit.stream_setup import DigitSettings
 from slipguard_drivers.robotiq.serial_port import check_adapter
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from slipguard.errors import DeviceLost
-from slipguard_drivers.digit.discovery import DigitDevice, find_digit, plugged_in
+from slipguard_drivers.digit.discovery import DigitDevice, connected_digits, find_digit
 
 
 class Sysfs:
@@ -45,7 +45,7 @@ def test_a_digit_is_found_by_its_serial(sysfs: Sysfs) -> None:
     sysfs.plug("1-1", "D20002")
     sysfs.plug("1-4.2", "D20001", release="0199")
     sysfs.plug("2-1", "WEBCAM", vendor="046d")
-    assert plugged_in(sysfs.folder, Path("/dev")) == [
+    assert connected_digits(sysfs.folder, Path("/dev")) == [
         DigitDevice(Path("/dev/video2"), "D20001", 199, "1-4.2", 480.0),
         DigitDevice(Path("/dev/video0"), "D20002", 212, "1-1", 480.0),
     ]
@@ -54,7 +54,7 @@ def test_a_digit_is_found_by_its_serial(sysfs: Sysfs) -> None:
     assert find_digit("D20002", "left", sysfs.folder).has_rgb
 
 
-@pytest.mark.parametrize(("serials", "told"), [(["D20001", "D20002"], "there is D20001, D20002; "), ([], "USB cable")])
+@pytest.mark.parametrize(("serials", "told"), [(["D20001", "D20002"], "only D20001, D20002; "), ([], "USB cable")])
 def test_a_missing_one_is_told_with_those_there_are(sysfs: Sysfs, serials: list[str], told: str) -> None:
     for port, serial in enumerate(serials, 1):
         sysfs.plug(f"1-{port}", serial)
@@ -66,16 +66,16 @@ def test_a_device_that_goes_while_it_is_looked_at_is_not_there(sysfs: Sysfs) -> 
     sysfs.plug("1-1", "D20001")
     for file in (sysfs.root / "devices" / "usb1" / "1-1").glob("id*"):
         file.unlink()
-    assert plugged_in(sysfs.folder) == []
+    assert connected_digits(sysfs.folder) == []
 
 
 def test_without_any_camera_there_is_no_such_folder(tmp_path: Path) -> None:
-    assert plugged_in(tmp_path / "nowhere") == []
+    assert connected_digits(tmp_path / "nowhere") == []
 
 
 def test_a_firmware_number_that_is_none_counts_as_new(sysfs: Sysfs) -> None:
     sysfs.plug("1-1", "D20001", release="02a0")
-    (found,) = plugged_in(sysfs.folder)
+    (found,) = connected_digits(sysfs.folder)
     assert found.firmware is None
     assert found.has_rgb
 
@@ -92,4 +92,4 @@ def test_a_camera_that_goes_during_the_look_is_left_out(sysfs: Sysfs, monkeypatc
         return readlink(path)
 
     monkeypatch.setattr(os, "readlink", unplugged)
-    assert [one.serial for one in plugged_in(sysfs.folder)] == ["D20002"]
+    assert [one.serial for one in connected_digits(sysfs.folder)] == ["D20002"]

@@ -20,9 +20,9 @@ def watched(asked_fps: float, made_fps: float, taken_share: float = 1.0, frames:
     [
         (60.0, 1.0, None),
         (58.0, 0.95, None),
-        (44.8, 1.0, "only 45 of 60 frames a second come from the camera"),
-        (60.0, 0.5, "only 30 of 60 frames a second are taken: this machine is too busy"),
-        (30.0, 0.5, "come from the camera"),
+        (44.8, 1.0, "the camera delivers only 45 of 60 frames per second"),
+        (60.0, 0.5, "only 30 of 60 frames per second are read: this machine is too busy"),
+        (30.0, 0.5, "the camera delivers only"),
     ],
 )
 def test_what_is_missing_is_told(made_fps: float, taken_share: float, told: str | None) -> None:

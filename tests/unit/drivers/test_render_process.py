@@ -47,10 +47,10 @@ def new_sensor() -> FakeSensor:
 
 
 def child_of(sensor: FakeSensor) -> int:
-    painter = sensor._renderer
-    assert isinstance(painter, ProcessRenderer)
-    assert painter._child is not None
-    return painter._child.pid
+    renderer = sensor._renderer
+    assert isinstance(renderer, ProcessRenderer)
+    assert renderer._child is not None
+    return renderer._child.pid
 
 
 def runs(pid: int) -> bool:
@@ -108,7 +108,7 @@ async def test_a_process_that_dies_is_a_lost_sensor_and_open_starts_another() ->
     await sensor.open()
     first = child_of(sensor)
     os.kill(first, signal.SIGKILL)
-    with pytest.raises(DeviceLost, match="drawing process"):
+    with pytest.raises(DeviceLost, match="rendering process"):
         async with asyncio.timeout(5.0):
             await _frames_until_lost(sensor)
     await sensor.open()

@@ -22,7 +22,7 @@ from slipguard.devices import DriverContext, Frame
 from slipguard.errors import DeviceError, DeviceLost
 from slipguard.perception.estimate import Estimate
 from slipguard_drivers.digit.camera import DigitSensor
-from slipguard_drivers.digit.discovery import DigitDevice, plugged_in
+from slipguard_drivers.digit.discovery import DigitDevice, connected_digits
 from slipguard_emulators.digit.emulator import DigitEmulator, EmulatedCamera
 
 PATIENCE_S = 20.0
@@ -50,7 +50,7 @@ async def rates(seconds: float) -> dict[str, object]:
     watch, remarks, mode = sensor.rate, sensor.remarks, sensor.mode
     await sensor.close()
     return {
-        "taken": watch.taken,
+        "taken": watch.received,
         "lost": watch.lost,
         "fps": watch.fps,
         "handed_out": len(ages),
@@ -92,7 +92,7 @@ async def emulated(
         yield emulator
     finally:
         await emulator.stop()
-        await until(lambda: not plugged_in())
+        await until(lambda: not connected_digits())
 
 
 def names(folder: str) -> list[str]:
@@ -102,7 +102,7 @@ def names(folder: str) -> list[str]:
 
 def usable() -> list[DigitDevice]:
     """The sensors whose nodes udev has dealt with."""
-    return [one for one in plugged_in() if one.path.exists() and one.path.stat().st_mode & 0o777 == 0o660]
+    return [one for one in connected_digits() if one.path.exists() and one.path.stat().st_mode & 0o777 == 0o660]
 
 
 async def until(condition: Callable[[], bool]) -> float:
@@ -146,7 +146,7 @@ async def failure(sensor: DigitSensor) -> DeviceError:
 async def two_sensors() -> dict[str, object]:
     """Two sensors on one machine, the second found by its serial, both streaming; what they show is what was sent."""
     async with emulated(SERIALS) as emulator:
-        there = await asyncio.to_thread(plugged_in)
+        there = await asyncio.to_thread(connected_digits)
         nodes = [one.path.stat() for one in there]
         sensors = [
             digit(serial, fps=30, led_rgb=rgb) for serial, rgb in zip(SERIALS, ((15, 7, 3), (1, 2, 4)), strict=True)
@@ -254,7 +254,7 @@ async def replug(unplugged_s: float) -> dict[str, float]:
             emulator.control("fault unplug")
             seen_s = await until(lambda: not finger.health.ready)
             await asyncio.sleep(unplugged_s)
-            gone_from_system = not await asyncio.to_thread(plugged_in)
+            gone_from_system = not await asyncio.to_thread(connected_digits)
             emulator.control("clear")
             before = finger.counts.frames
             await attach(emulator.port)

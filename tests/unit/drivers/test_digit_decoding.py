@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slipguard_drivers.digit.pixel_format import DamagedFrame, check_jpeg, decode_jpeg, decode_yuyv
+from slipguard_drivers.digit.decoding import DamagedFrame, check_jpeg, decode_jpeg, decode_yuyv
 
 
 def jpeg(width: int = 320, height: int = 240) -> bytes:
@@ -41,8 +41,8 @@ def test_a_jpeg_is_turned_the_same_way() -> None:
 @pytest.mark.parametrize(
     ("data", "told"),
     [
-        (b"", "no JPEG"),
-        (b"no picture at all", "no JPEG"),
+        (b"", "not a JPEG"),
+        (b"no picture at all", "not a JPEG"),
         (JPEG[:-2], "without its end"),
         (JPEG + b"more", "without its end"),
         (JPEG[: JPEG.index(b"\xff\xc0") + 6], "broken at byte"),
