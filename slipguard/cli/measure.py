@@ -138,7 +138,7 @@ def _print_table(done: list[FrameMeasurement]) -> None:
         note = estimate.skipped or estimate.declined or ""
         contact = "yes" if estimate.contact else "no"
         area = str(estimate.contact_area_px)
-        table.add_row(measured.still.name, contact, area, rotation, axis, estimate.method, note)
+        table.add_row(measured.frame.name, contact, area, rotation, axis, estimate.method, note)
     console = Console()
     console.print(table)
     in_contact = [measured.estimate for measured in done if measured.estimate.contact]

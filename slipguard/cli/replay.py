@@ -74,7 +74,7 @@ def replay(
         raise typer.Exit(1)
     if against and not done.on_recorded.ticks:
         raise SlipguardError("the recordings have no control steps, so nothing was compared")
-    if model is not None and not done.asked:
+    if model is not None and not done.processed:
         raise SlipguardError(f"--model {model}: no frame was processed, so the network was not used")
 
 
@@ -84,8 +84,8 @@ def _as_json(done: ReplayResult) -> dict[str, Any]:
         "ticks": done.on_recorded.ticks,
         "commands_differ": len(done.on_recorded.differences),
         "first_difference": _first(done.on_recorded),
-        "frames": len(done.answers),
-        "frames_replayed": len(done.asked),
+        "frames": len(done.frames),
+        "frames_replayed": len(done.processed),
         "image": done.image,
         "estimates_differ": done.estimates_differ,
         "turn_difference_max_deg": max(rotations) if rotations else None,
@@ -131,7 +131,7 @@ def _print_result(console: Any, done: ReplayResult, against: bool) -> None:
         "",
     )
     rotations = [abs(rotation) for rotation in done.turn_differences_deg]
-    told = f"{done.estimates_differ} of {len(done.asked)} frames" + (
+    told = f"{done.estimates_differ} of {len(done.processed)} frames" + (
         f", by at most {max(rotations):.3f}°" if rotations else ""
     )
     table.add_row(
@@ -141,7 +141,7 @@ def _print_result(console: Any, done: ReplayResult, against: bool) -> None:
         told,
     )
     console.print(table)
-    if not done.asked:
+    if not done.processed:
         console.print("no frame was processed: there are no images, or no new reference was taken in the recording")
     for damage in done.damage:
         console.print(f"{damage}: processed up to there")

@@ -1,1 +1,1 @@
-"""`slipguard --sim`: the daemon on the fakes, one lift per object, compared with the truth."""
+"""`slipguard --sim`: the daemon with simulated devices, one lift per object, compared with the truth."""

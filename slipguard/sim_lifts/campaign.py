@@ -1,4 +1,4 @@
-"""`slipguard --sim`: the daemon on the fakes, one lift per object, beside the truth."""
+"""`slipguard --sim`: the daemon with simulated devices lifts one object after the other; the truth is recorded."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ import asyncio
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from slipguard.config import Config, parse_config
+from slipguard.control.controller import step
+from slipguard.control.messages import Command, Observation
+from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
-from slipguard.control.step import control_step
+from slipguard.control.step import ControlState, control_step
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, LiftRequest, LowerRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
@@ -25,19 +28,18 @@ from slipguard.sim.catalogue import object_names
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World
 from slipguard.sim_lifts.lift_record import FINGERS, EstimatedRotation, LiftRecord
-from slipguard.sim_lifts.unguarded import unguarded_tick
 from slipguard.tools.waiting import wait_until
 
 TRUTH_STEP_S = 0.004
 HOLD_S = 1.2
-"""How long an object is held up, after the lift, before it is put down."""
+"""Time for which an object is held after the lift, before it is put down."""
 PHASE_TIMEOUT_S = 12.0
 LIFT_HEIGHT_MM = 150.0
 LIFT_SPEED_MM_S = 80.0
 LOWER_SPEED_MM_S = 150.0
-"""Nothing is at stake on the way down any more: ten lifts in a minute and a half."""
+"""Fast, because nothing is measured while lowering: ten lifts take one and a half minutes."""
 STATED_LATENCY_S = 0.006
-"""On the fast clock a frame's answer comes this long after the frame."""
+"""With --speed fast an estimate is available this long after its frame."""
 GRIPPED = frozenset({Phase.REFERENCE, Phase.LIFTING, Phase.HOLDING, Phase.FAULT})
 HARD_CASES = {"bar": "heavy", "ball": "saturating"}
 """The two the paper finds hard: a heavy object, and one so curved that it saturates the picture."""
@@ -45,7 +47,7 @@ HARD_CASES = {"bar": "heavy", "ball": "saturating"}
 
 @dataclass(frozen=True, slots=True)
 class CampaignSettings:
-    """seed: of all that is random. lifts: None for one per test object. guarded: False lifts without the guard."""
+    """seed: of the random numbers. lifts: None for one per test object. guarded: False lifts without the guard."""
 
     seed: int = 0
     lifts: int | None = None
@@ -53,7 +55,7 @@ class CampaignSettings:
     realtime: bool = True
 
     def objects(self) -> list[tuple[str, int]]:
-        """The objects in order, each with the seed of its scenario."""
+        """Return the objects in order, each with the seed of its scenario."""
         every = object_names("test")
         count = len(every) if self.lifts is None else self.lifts
         return [(every[index % len(every)], self.seed + index // len(every)) for index in range(count)]
@@ -61,7 +63,7 @@ class CampaignSettings:
 
 @dataclass(slots=True)
 class LiftProgress:
-    """What a progress display may show at any moment."""
+    """The current state, for a progress display."""
 
     lift: int = 0
     lifts: int = 0
@@ -75,7 +77,7 @@ class LiftProgress:
 
 
 def campaign_config(settings: CampaignSettings, state_directory: Path) -> Config:
-    """The fakes with every default; drawing in processes of their own on the real clock."""
+    """Return the default configuration with simulated devices; on the real clock images are rendered in processes."""
     draw = "process" if settings.realtime else "inline"
     raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": draw}} for name in FINGERS}
     raw["guard"] = {
@@ -88,7 +90,7 @@ def campaign_config(settings: CampaignSettings, state_directory: Path) -> Config
 
 
 async def run_campaign(settings: CampaignSettings, show: Callable[[LiftProgress], None]) -> list[LiftRecord]:
-    """Run all lifts; `show` is called often with the state of affairs."""
+    """Run all lifts and return their records; `show` is called after each control step."""
     with tempfile.TemporaryDirectory(prefix="slipguard-sim-") as folder:
         config = campaign_config(settings, Path(folder))
         world = World(seed=settings.seed)
@@ -96,7 +98,7 @@ async def run_campaign(settings: CampaignSettings, show: Callable[[LiftProgress]
         def make_worker(name: str) -> Worker:
             return ThreadWorker(name) if settings.realtime else FixedLatencyWorker(STATED_LATENCY_S)
 
-        controller = control_step if settings.guarded else unguarded_tick
+        controller = control_step if settings.guarded else unguarded_step
         patches: list[TimedPatch] = []
         service = build_service(
             config,
@@ -145,7 +147,7 @@ async def _lifts(
 async def _one_lift(
     service: Service, handlers: RequestHandlers, world: World, record: LiftRecord, running: asyncio.Task[None]
 ) -> None:
-    """Grasp, lift, hold, lower and release one object, and say how it went."""
+    """Grasp, lift, hold, lower and release one object, and record the outcome."""
     loop = asyncio.get_running_loop()
     missed_before = service.deadlines_missed
 
@@ -187,7 +189,7 @@ async def _one_lift(
 def _watched(
     service: Service, world: World, record: LiftRecord, progress: LiftProgress, show: Callable[[LiftProgress], None]
 ) -> Iterator[None]:
-    """Write truth, estimates and decisions into the record while the body runs."""
+    """Add truth, estimates and decisions to the record while the body runs."""
     loop = asyncio.get_running_loop()
 
     def sample_truth() -> None:
@@ -204,7 +206,7 @@ def _watched(
 
     def decided(decision: Decision) -> None:
         progress.phase = decision.phase.value
-        fresh_grip = decision.command.new_reference  # what was seen before it belongs to an older reference
+        fresh_grip = decision.command.new_reference  # earlier estimates belong to an older reference
         if decision.phase not in GRIPPED or fresh_grip or loop.time() > record.ended_at_s:
             progress.rotation_deg = progress.sigma_deg = None
             return
@@ -231,3 +233,22 @@ def _watched(
         timers[0].cancel()
         service.hold_observers.remove(record.latency_s.append)
         service.observers.remove(decided)
+
+
+def unguarded_step(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, Command]:
+    """Return the control step for an object that seems at rest: the same phases, always with the first force."""
+    fused = observation.fused
+    if fused is not None and (fused.left_contact or fused.right_contact):
+        fused = replace(
+            fused,
+            rotation_deg=0.0,
+            sigma_deg=1.0,
+            rate_deg_s=0.0,
+            shift_mm=0.0,
+            fingers=("left", "right"),
+            conflict=None,
+            declined=None,
+        )
+    params = params.model_copy(update={"no_estimate_force_n": params.first_force_n})
+    grasp, command = step(state.grasp, replace(observation, fused=fused, fault=None), params)
+    return replace(state, grasp=grasp), command

@@ -1,4 +1,4 @@
-"""What one lift was in truth and in slipguard's eyes, and the figures that follow from it."""
+"""The record of one simulated lift, with truth and estimates, and the figures of a campaign."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from slipguard.perception.estimate import Estimate
 
 FINGERS = ("left", "right")
 IMAGE_SIGN = {"left": 1.0, "right": -1.0}
-"""A turn that is counter-clockwise in the left picture is clockwise in the right one."""
+"""A rotation that is counter-clockwise in the left image is clockwise in the right image."""
 
-ROTATION_THAT_COUNTS_DEG = 10.0
-"""Turn errors are taken over lifts whose true turn reached this."""
+MIN_ROTATION_DEG = 10.0
+"""Rotation errors are computed for lifts whose true rotation reached this."""
 
 
 @dataclass(slots=True)
 class LiftTruth:
-    """The world's truth over time, to be read at any frame's capture time."""
+    """The simulated truth over time."""
 
     time_s: list[float] = field(default_factory=list)
     rotation_deg: list[float] = field(default_factory=list)
@@ -29,13 +29,13 @@ class LiftTruth:
     height_mm: list[float] = field(default_factory=list)
 
     def rotation_at(self, when_s: float | NDArray[np.float64]) -> NDArray[np.float64]:
-        """True turn in the left picture, linearly between samples."""
+        """Return the true rotation in the left image, interpolated linearly."""
         return np.asarray(np.interp(when_s, self.time_s, self.rotation_deg), np.float64)
 
 
 @dataclass(frozen=True, slots=True)
 class EstimatedRotation:
-    """One turn slipguard stated. rotation_deg: in the left picture. captured_at_s: of the frame it speaks of."""
+    """One estimate. rotation_deg: in the left image. captured_at_s: capture time of its frame."""
 
     captured_at_s: float
     rotation_deg: float
@@ -52,7 +52,7 @@ class LiftRecord:
     estimates: dict[str, list[Estimate]] = field(default_factory=lambda: {name: [] for name in FINGERS})
     fused: list[EstimatedRotation] = field(default_factory=list)
     other_estimators: dict[str, list[list[EstimatedRotation]]] = field(default_factory=dict)
-    """Per estimator name and finger: what it would have said of the same patches."""
+    """By estimator name and finger: the estimates that it gives for the same contact patches."""
     latency_s: list[float] = field(default_factory=list)
     deadlines_missed: int = 0
     outcome: str = "held"
@@ -73,7 +73,7 @@ class LiftRecord:
 
     @property
     def true_rotation_deg(self) -> float:
-        """Largest true turn since the object was gripped, in degrees, signed as in the left picture."""
+        """Largest true rotation since the grip, in degrees, with the sign of the left image."""
         rotations = np.asarray(self.truth.rotation_deg)[np.asarray(self.truth.time_s) <= self.ended_at_s]
         if rotations.size == 0:
             return 0.0
@@ -81,27 +81,27 @@ class LiftRecord:
         return float(since[np.argmax(np.abs(since))])
 
     def measured(self, finger: str) -> list[EstimatedRotation]:
-        """What one finger stated, turned into the left picture's sign."""
+        """What one finger estimated, turned into the left picture's sign."""
         return [
             EstimatedRotation(estimate.captured_at_s, IMAGE_SIGN[finger] * estimate.angle_deg, estimate.sigma_deg)
             for estimate in self.estimates[finger]
             if estimate.angle_deg is not None and estimate.sigma_deg is not None
         ]
 
-    def errors_deg(self, stated: list[EstimatedRotation]) -> NDArray[np.float64]:
+    def errors_deg(self, estimated: list[EstimatedRotation]) -> NDArray[np.float64]:
         """Stated minus true turn, both since the first statement, for frames captured before the end."""
-        stated = [one for one in stated if one.captured_at_s <= self.ended_at_s]
-        if not stated or not self.truth.time_s:
+        estimated = [one for one in estimated if one.captured_at_s <= self.ended_at_s]
+        if not estimated or not self.truth.time_s:
             return np.empty(0)
-        when_s = np.array([one.captured_at_s for one in stated])
+        when_s = np.array([one.captured_at_s for one in estimated])
         true_deg = self.truth.rotation_at(when_s)
-        stated_deg = np.array([one.rotation_deg for one in stated], np.float64)
-        return np.asarray(stated_deg - (true_deg - true_deg[0]), np.float64)
+        estimated_deg = np.array([one.rotation_deg for one in estimated], np.float64)
+        return np.asarray(estimated_deg - (true_deg - true_deg[0]), np.float64)
 
     @property
     def counts(self) -> bool:
-        """Whether this lift enters the turn errors."""
-        return abs(self.true_rotation_deg) >= ROTATION_THAT_COUNTS_DEG
+        """Whether this lift counts for the rotation errors."""
+        return abs(self.true_rotation_deg) >= MIN_ROTATION_DEG
 
     @property
     def skips(self) -> Counter[str]:
@@ -112,18 +112,18 @@ class LiftRecord:
 
     @property
     def frames(self) -> int:
-        """Frames judged, both fingers."""
+        """Number of processed frames, both fingers."""
         return sum(len(self.estimates[name]) for name in FINGERS)
 
 
 def mean_abs(errors_deg: NDArray[np.float64]) -> float | None:
-    """Mean magnitude, or None where there is nothing to average."""
+    """Return the mean absolute value; None without values."""
     return float(np.mean(np.abs(errors_deg))) if errors_deg.size else None
 
 
 @dataclass(frozen=True, slots=True)
 class SourceRotationErrors:
-    """Turn errors of one source (a finger, the fused turn, an estimator) over all lifts that count."""
+    """Rotation errors of one source (a finger, the fused rotation, an estimator) over all lifts that count."""
 
     source: str
     lifts: int
@@ -133,19 +133,19 @@ class SourceRotationErrors:
     p95_deg: float | None
 
 
-def turn_errors(records: list[LiftRecord], source: str) -> SourceRotationErrors:
-    """Errors of `source`: "left", "right", "fused" or the name of an estimator."""
+def rotation_errors(records: list[LiftRecord], source: str) -> SourceRotationErrors:
+    """Return the errors of `source`: "left", "right", "fused" or the name of an estimator."""
     per_object: dict[str, list[NDArray[np.float64]]] = {}
     for record in records:
         if not record.counts:
             continue
         if source in FINGERS:
-            stated = [record.measured(source)]
+            estimated = [record.measured(source)]
         elif source == "fused":
-            stated = [record.fused]
+            estimated = [record.fused]
         else:
-            stated = record.other_estimators.get(source, [])
-        errors = np.concatenate([np.empty(0), *(record.errors_deg(one) for one in stated)])
+            estimated = record.other_estimators.get(source, [])
+        errors = np.concatenate([np.empty(0), *(record.errors_deg(one) for one in estimated)])
         if errors.size:
             per_object.setdefault(record.object_name, []).append(errors)
     if not per_object:
@@ -160,8 +160,8 @@ def turn_errors(records: list[LiftRecord], source: str) -> SourceRotationErrors:
 
 
 def summary(records: list[LiftRecord], *, realtime: bool) -> dict[str, object]:
-    """The figures of a campaign, under the names of the public `--json` line."""
-    fused = turn_errors(records, "fused")
+    """Return the figures of a campaign under the keys of the public `--json` line."""
+    fused = rotation_errors(records, "fused")
     rotations = np.abs([record.true_rotation_deg for record in records]) if records else np.empty(0)
     latencies_ms = 1e3 * np.array([value for record in records for value in record.latency_s])
     timed = realtime and latencies_ms.size > 0

@@ -1,4 +1,4 @@
-"""A campaign's table, picture and JSON lines."""
+"""Tables, plot and JSON lines of a campaign."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from slipguard.sim_lifts.lift_record import FINGERS, IMAGE_SIGN, LiftRecord, mean_abs, summary, turn_errors
+from slipguard.sim_lifts.lift_record import FINGERS, IMAGE_SIGN, LiftRecord, mean_abs, rotation_errors, summary
 from slipguard.tools import plotting as figures
 
 ESTIMATORS = ("skeleton", "pca", "ellipse", "moments")
 WIDE = 90
-"""Columns of a terminal from which tables are set with air."""
+"""Terminal width from which table columns have a gap."""
 LEGEND = (
-    "largest turns until the lift's end, measured: while it was told; mean error and median sigma over that, in "
-    "degrees; highest grip given / needed, N per finger; latency of the loop p50 / p99; frames answered without the "
-    "network, and why; late: deadlines missed"
+    "largest rotation until the end of the lift, true and measured; mean error and median sigma of the estimates, in "
+    "degrees; largest grip force / largest needed force, N per finger; latency of the loop p50 / p99; frames skipped, "
+    "by reason; late: missed deadlines"
 )
 
 
 def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
-    """One lift as the object of one JSON line."""
+    """Return one lift as the object of a JSON line."""
     latencies_ms = 1e3 * np.asarray(record.latency_s)
     timed = realtime and latencies_ms.size > 0
     error = mean_abs(record.errors_deg(record.fused))
@@ -50,11 +50,11 @@ def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
 
 
 def print_lines(records: list[LiftRecord], *, realtime: bool) -> None:
-    """One JSON object a lift, then the errors of each source, then the summary as the last line."""
+    """Print one JSON object per lift, then the errors of each source, then the summary as the last line."""
     for record in records:
         print(json.dumps({"lift": record_line(record, realtime=realtime)}))
     for source in (*FINGERS, "fused", *ESTIMATORS):
-        errors = turn_errors(records, source)
+        errors = rotation_errors(records, source)
         print(
             json.dumps(
                 {
@@ -73,7 +73,7 @@ def print_lines(records: list[LiftRecord], *, realtime: bool) -> None:
 
 
 def print_tables(console: Console, records: list[LiftRecord], *, realtime: bool) -> None:
-    """The same for people, within 80 columns."""
+    """Print tables that fit into 80 columns."""
     console.print(_lift_table(records, realtime=realtime, gap=1 if console.width >= WIDE else 0))
     hard = {f"{record.object_name} ({record.hard})" for record in records if record.hard}
     if hard:
@@ -82,24 +82,24 @@ def print_tables(console: Console, records: list[LiftRecord], *, realtime: bool)
         if record.why:
             console.print(f"{record.object_name} {record.outcome}: {record.why}")
     console.print(LEGEND, style="dim")
-    console.print("\nturn errors over the lifts that turned at least 10°: every frame, stated minus true")
+    console.print("\nrotation errors (estimated minus true) of all frames of the lifts with a rotation of at least 10°")
     console.print(_error_table(records))
     figures_now = summary(records, realtime=realtime)
     console.print(
         f"{figures_now['lifts']} lifts: {figures_now['held']} held, {figures_now['dropped']} dropped, "
-        f"{figures_now['refused']} refused; turned over 20° or dropped: {figures_now['over_20_deg_or_dropped']}"
+        f"{figures_now['refused']} refused; rotated over 20° or dropped: {figures_now['over_20_deg_or_dropped']}"
     )
     if figures_now["latency_p99_ms"] is not None:
         console.print(
-            f"latency, frame handed over → command issued or found needless: "
+            f"latency, frame received → command issued or not needed: "
             f"p50 {figures_now['latency_p50_ms']} ms, p99 {figures_now['latency_p99_ms']} ms"
         )
 
 
 def _lift_table(records: list[LiftRecord], *, realtime: bool, gap: int) -> Table:
-    """A row a lift; 80 columns without a `gap` between its columns."""
+    """Return a table with one row per lift; without `gap` it fits into 80 columns."""
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, gap, 0, 0))
-    for name in ("object", "true\nturn", "meas.\nturn", "error", "sigma", "grip/\nneed N"):
+    for name in ("object", "true\nrot.", "meas.\nrot.", "error", "sigma", "grip/\nneed N"):
         table.add_column(name, justify="left" if name == "object" else "right", no_wrap=name != "object")
     table.add_column("", no_wrap=True)
     table.add_column("p50/p99\nms", justify="right", no_wrap=True)
@@ -107,7 +107,7 @@ def _lift_table(records: list[LiftRecord], *, realtime: bool, gap: int) -> Table
     table.add_column("late", justify="right", no_wrap=True)
     for record in records:
         line = record_line(record, realtime=realtime)
-        colour = {"held": "green", "dropped": "red"}.get(record.outcome, "yellow")
+        color = {"held": "green", "dropped": "red"}.get(record.outcome, "yellow")
         share = {name: count / max(record.frames, 1) for name, count in record.skips.items()}
         table.add_row(
             record.object_name,
@@ -116,7 +116,7 @@ def _lift_table(records: list[LiftRecord], *, realtime: bool, gap: int) -> Table
             _degrees(line["turn_error_deg"], "{:.2f}"),
             _degrees(line["sigma_deg"], "{:.2f}"),
             f"{line['peak_force_n']:.0f}/{line['needed_force_n']:.0f}",
-            f"[{colour}]{record.outcome}[/]",
+            f"[{color}]{record.outcome}[/]",
             f"{line['latency_p50_ms']:.1f}/{line['latency_p99_ms']:.1f}" if line["latency_p50_ms"] is not None else "–",
             "\n".join(f"{100 * value:.0f}% {name}" for name, value in share.items()) or "–",
             str(record.deadlines_missed),
@@ -129,7 +129,7 @@ def _error_table(records: list[LiftRecord]) -> Table:
     for name in ("source", "lifts", "mean", "95 %", "worst object"):
         table.add_column(name, justify="left" if name == "source" else "right", no_wrap=True)
     for source in (*FINGERS, "fused", *ESTIMATORS):
-        errors = turn_errors(records, source)
+        errors = rotation_errors(records, source)
         if errors.mean_deg is None:
             table.add_row(source, "0", "–", "–", "–")
             continue
@@ -148,7 +148,7 @@ def _degrees(value: object, form: str = "{:+.1f}°") -> str:
 
 
 def draw(records: list[LiftRecord], path: Path) -> None:
-    """One small chart a lift: true and measured turn above, force and needed force below."""
+    """Plot each lift: true and estimated rotation above, force and needed force below."""
     columns = 3
     rows = -(-len(records) // columns)
     drawing = figures.figure(5.2 * columns, 3.6 * rows)
@@ -164,15 +164,15 @@ def draw(records: list[LiftRecord], path: Path) -> None:
         upper.plot(
             truth_s - start_s, rotation - (rotation[0] if rotation.size else 0.0), color="black", lw=2.2, label="true"
         )
-        for finger, colour in zip(FINGERS, ("tab:blue", "tab:orange"), strict=True):
-            stated = record.measured(finger)
+        for finger, color in zip(FINGERS, ("tab:blue", "tab:orange"), strict=True):
+            estimated = record.measured(finger)
             upper.plot(
-                [one.captured_at_s - start_s for one in stated],
-                [one.rotation_deg for one in stated],
+                [one.captured_at_s - start_s for one in estimated],
+                [one.rotation_deg for one in estimated],
                 ".",
                 ms=2.5,
-                color=colour,
-                label=finger if IMAGE_SIGN[finger] > 0 else f"{finger} (sign turned)",
+                color=color,
+                label=finger if IMAGE_SIGN[finger] > 0 else f"{finger} (sign inverted)",
             )
         upper.plot(
             [one.captured_at_s - start_s for one in record.fused],
@@ -181,7 +181,7 @@ def draw(records: list[LiftRecord], path: Path) -> None:
             lw=1.0,
             label="fused",
         )
-        upper.set_ylabel("turn / °")
+        upper.set_ylabel("rotation / °")
         upper.grid(alpha=0.3)
         upper.set_title(f"{record.object_name}: {record.outcome}", fontsize=10)
         lower.plot(truth_s - start_s, record.truth.force_n, color="tab:green", label="grip, per finger")

@@ -1,4 +1,4 @@
-"""`slipguard run --sim`: the daemon on the fakes, with somebody who keeps putting the next object between the jaws."""
+"""`slipguard run --sim`: the daemon with simulated devices; after each release the next object is placed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from slipguard.sim.world import World
 
 POLL_S = 0.2
 ROOM_MM = 60.0
-"""Jaws at least this far open count as ready for the next object."""
+"""From this width on the jaws are open for the next object."""
 log = structlog.get_logger()
 
 
@@ -25,23 +25,23 @@ async def run_simulated_cell(config: Config, bind_api: root.BindApi) -> None:
     """Run the daemon in a new simulated world until it is stopped. bind_api: see `slipguard.daemon.run`."""
     world = World(seed=0)
 
-    async def stagehand(service: Service) -> None:
-        """After each release, take the object away and bring the next."""
+    async def place_objects(service: Service) -> None:
+        """After each release, remove the object and place the next."""
         log.info("try in another terminal: slipguard ctl calibrate, then grasp, state, lift, lower, release")
         loop = asyncio.get_running_loop()
-        touched = True
+        grasped = True
         for number, name in enumerate(cycle(object_names("test"))):
-            while not (touched and service.phase is Phase.IDLE and _open(service)):
-                touched = touched or service.phase is not Phase.IDLE
+            while not (grasped and service.phase is Phase.IDLE and _is_open(service)):
+                grasped = grasped or service.phase is not Phase.IDLE
                 await asyncio.sleep(POLL_S)
             world.clear(loop.time())
             world.place(scenario(name, number), loop.time())
             log.info("an object lies between the jaws", object=name)
-            touched = False
+            grasped = False
 
-    await root.run(config, bind_api, world=world, extra_task=stagehand)
+    await root.run(config, bind_api, world=world, extra_task=place_objects)
 
 
-def _open(service: Service) -> bool:
+def _is_open(service: Service) -> bool:
     gripper = service.gripper.newest
     return gripper is not None and not gripper.moving and gripper.width_mm >= ROOM_MM

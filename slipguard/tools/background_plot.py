@@ -1,4 +1,4 @@
-"""A picture of the stored no-contact images: how each gel looks, and what has changed since its first."""
+"""Plot of the stored background images: the newest image of each gel, and its change since the first."""
 
 from __future__ import annotations
 
@@ -14,33 +14,38 @@ from slipguard.perception.quality.gel_wear import GelChange, compare_gel
 from slipguard.tools.plotting import figure, save
 
 GAIN = 8
-"""By how much the change is exaggerated."""
+"""Amplification of the change."""
 GATE_SIGMA = 7.0
 
 
 def png_of(image: NDArray[np.uint8]) -> bytes:
-    """(320, 240, 3) uint8 BGR without loss."""
+    """Return a (320, 240, 3) uint8 BGR image as PNG."""
     return cv2.imencode(".png", image)[1].tobytes()
 
 
-def draw(pictures: Mapping[str, bytes], stored: Mapping[str, Any], path: Path) -> None:
-    """Draw the newest image of each finger beside its change, with marks circled.
+def draw(images: Mapping[str, bytes], stored: Mapping[str, Any], path: Path) -> None:
+    """Draw the newest background image of each finger and its change, with marks circled.
 
-    pictures: PNGs by "finger number". stored: what `GET /no-contact` answers. Raises InputError where it cannot be
-    written.
+    Args:
+        images: PNG data by "FINGER NUMBER".
+        stored: The response of `GET /no-contact`.
+        path: The image file to write.
+
+    Raises:
+        InputError: If the file cannot be written.
     """
-    fingers = {name: told for name, told in stored.items() if told["versions"]}
+    fingers = {name: entry for name, entry in stored.items() if entry["versions"]}
     drawing = figure(7.0, 4.6 * max(len(fingers), 1))
     grid = drawing.subplots(max(len(fingers), 1), 2, squeeze=False)
     for row in grid:
         for axes in row:
             axes.set_axis_off()
-    for (now_axes, change_axes), (name, told) in zip(grid, fingers.items(), strict=False):
-        numbers = [number for number in (one["number"] for one in told["versions"]) if f"{name} {number}" in pictures]
-        first, newest = (_decoded(pictures[f"{name} {number}"]) for number in (numbers[0], numbers[-1]))
-        facts = told["versions"][-1]
+    for (now_axes, change_axes), (name, entry) in zip(grid, fingers.items(), strict=False):
+        numbers = [number for number in (one["number"] for one in entry["versions"]) if f"{name} {number}" in images]
+        first, newest = (_decoded(images[f"{name} {number}"]) for number in (numbers[0], numbers[-1]))
+        facts = entry["versions"][-1]
         now_axes.imshow(newest[..., ::-1])
-        now_axes.set_title(f"{name} {told['serial']}: image {numbers[-1]}\n{facts['created_at'][:16]}", fontsize=9)
+        now_axes.set_title(f"{name} {entry['serial']}: image {numbers[-1]}\n{facts['created_at'][:16]}", fontsize=9)
         change = compare_gel(
             newest.astype(np.float32), facts["frames"], first, facts["noise_bgr"], facts["frames"], GATE_SIGMA
         )

@@ -18,7 +18,7 @@ from slipguard.errors import InputError
 IMAGE_ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 VIDEO_ENDINGS = frozenset({".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mjpeg", ".mjpg"})
 STILL_IMAGES_FPS = 30.0
-"""Stills carry no time; they count as one recording at the DIGIT's usual rate."""
+"""Image files have no time stamps; they count as one recording at the usual rate of a DIGIT."""
 LARGEST_SIDE_PX = 8192
 DARK_LEVEL, BRIGHT_LEVEL = 8, 247
 _PNG_START = b"\x89PNG\r\n\x1a\n"
@@ -38,16 +38,17 @@ class FileFrame:
 
 
 def find_image_files(paths: list[Path]) -> list[Path]:
-    """The image and video files that `paths` stand for, in order; a folder is its images, sorted by name.
+    """Return the image and video files of `paths` in order; a folder stands for its images, sorted by name.
 
-    Raises `InputError` for a path that is not there, a folder without images, or an ending that is neither.
+    Raises:
+        InputError: If a path does not exist, a folder has no images, or a file is neither image nor video.
     """
     out: list[Path] = []
     for path in paths:
         if path.is_dir():
             inside = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_ENDINGS)
             if not inside:
-                raise InputError(f"{path}: no image in this folder; {_endings(IMAGE_ENDINGS)} are looked for")
+                raise InputError(f"{path}: no image in this folder. Supported: {_endings(IMAGE_ENDINGS)}")
             out += inside
         elif not path.exists():
             raise InputError(f"{path}: no such file or folder")
@@ -55,38 +56,38 @@ def find_image_files(paths: list[Path]) -> list[Path]:
             out.append(path)
         else:
             known = _endings(IMAGE_ENDINGS | VIDEO_ENDINGS)
-            raise InputError(f"{path}: neither an image nor a video by its ending; {known} are read")
+            raise InputError(f"{path}: unknown file type. Supported: {known}")
     return out
 
 
 def read_frames(files: list[Path]) -> Iterator[FileFrame]:
-    """Every frame of the files in order, as one recording. Raises `InputError` naming the file at the first bad one."""
+    """Yield the frames of the files in order, as one recording. Raises `InputError` at the first unusable file."""
     at_s = 0.0
     for file in files:
         if file.suffix.lower() in VIDEO_ENDINGS:
             for number, (image, step_s) in enumerate(_video(file)):
                 name = f"{file.stem}-{number:06d}"
-                yield _still(image, f"{file}, frame {number}", name, name, at_s)
+                yield _checked_frame(image, f"{file}, frame {number}", name, name, at_s)
                 at_s += step_s
         else:
-            yield _still(read_image(file), str(file), file.name, file.stem, at_s)
+            yield _checked_frame(read_image(file), str(file), file.name, file.stem, at_s)
             at_s += 1.0 / STILL_IMAGES_FPS
 
 
 def read_gel_image(path: Path) -> NDArray[np.uint8]:
-    """One gel image as (320, 240, 3) uint8 BGR. Raises `InputError` naming the file."""
-    return _still(read_image(path), str(path), path.name, path.stem, 0.0).image
+    """Return a gel image as (320, 240, 3) uint8 BGR. Raises `InputError` if it is unusable."""
+    return _checked_frame(read_image(path), str(path), path.name, path.stem, 0.0).image
 
 
 def read_image(path: Path) -> NDArray[np.uint8]:
-    """The pixels of an 8-bit colour image file, BGR. Raises `InputError` for a damaged, grey or 16-bit one."""
+    """Return the pixels of an 8-bit color image file, BGR. Raises `InputError` for a damaged, gray or 16-bit one."""
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    wrong = damage(data)
-    if wrong:
-        raise InputError(f"{path}: {wrong}; give a whole image file")
+        raise InputError(f"{path}: cannot read the file: {error.strerror}") from error
+    found_damage = damage(data)
+    if found_damage:
+        raise InputError(f"{path}: {found_damage}. Give an intact image file")
     previous = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -95,27 +96,27 @@ def read_image(path: Path) -> NDArray[np.uint8]:
     finally:
         cv2.utils.logging.setLogLevel(previous)
     if pixels is None:
-        raise InputError(f"{path}: no image can be decoded from it; give an 8-bit colour PNG or JPEG")
+        raise InputError(f"{path}: not a decodable image. Give an 8-bit color PNG or JPEG")
     if pixels.dtype != np.uint8:
-        raise InputError(f"{path}: {8 * pixels.dtype.itemsize} bits a channel; 8-bit colour is needed")
+        raise InputError(f"{path}: {8 * pixels.dtype.itemsize} bits per channel. 8-bit color is needed")
     if pixels.ndim == 2 or pixels.shape[2] < 3:
-        raise InputError(f"{path}: grey; colour is needed, it carries the slope of the gel")
+        raise InputError(f"{path}: gray image. Color is needed: it shows the slope of the gel")
     if pixels.shape[2] == 4:
         if int(pixels[..., 3].min()) < 255:
-            raise InputError(f"{path}: partly transparent; an opaque colour image is needed")
+            raise InputError(f"{path}: partly transparent. An opaque color image is needed")
         pixels = pixels[..., :3]
     return np.ascontiguousarray(pixels, np.uint8)
 
 
-def _still(image: NDArray[np.uint8], what: str, name: str, stem: str, at_s: float) -> FileFrame:
+def _checked_frame(image: NDArray[np.uint8], what: str, name: str, stem: str, at_s: float) -> FileFrame:
     height, width = image.shape[:2]
     _check_size(width, height, what)
     if int(image.max()) < DARK_LEVEL:
-        raise InputError(f"{what}: all black; check the LEDs and the exposure of the sensor")
+        raise InputError(f"{what}: all black. Check the LEDs and the exposure of the sensor")
     if int(image.min()) > BRIGHT_LEVEL:
-        raise InputError(f"{what}: all white; check the LEDs and the exposure of the sensor")
+        raise InputError(f"{what}: all white. Check the LEDs and the exposure of the sensor")
     if np.array_equal(image[..., 0], image[..., 1]) and np.array_equal(image[..., 1], image[..., 2]):
-        raise InputError(f"{what}: grey in all channels; colour is needed, it carries the slope of the gel")
+        raise InputError(f"{what}: gray image: all channels are equal. Color is needed: it shows the slope of the gel")
     if (width, height) != (FRAME_WIDTH_PX, FRAME_HEIGHT_PX):
         size = (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
@@ -124,28 +125,28 @@ def _still(image: NDArray[np.uint8], what: str, name: str, stem: str, at_s: floa
 
 
 def _check_size(width: int, height: int, what: str) -> None:
-    wanted = f"{FRAME_WIDTH_PX}x{FRAME_HEIGHT_PX} (width x height) or a larger picture of the same 3:4 shape"
+    wanted = f"{FRAME_WIDTH_PX}x{FRAME_HEIGHT_PX} (width x height) or a larger image of the same 3:4 shape"
     if width * FRAME_WIDTH_PX == height * FRAME_HEIGHT_PX:
         raise InputError(
-            f"{what}: {width}x{height} lies on its side, as the camera streams it; {wanted} is needed: "
-            "turn it upright first as digit-interface does (transpose, then flip top to bottom)"
+            f"{what}: {width}x{height} is rotated by 90 degrees, as the camera streams it. {wanted} is "
+            "needed. Transpose the image, then flip it vertically, as digit-interface does"
         )
     if width * FRAME_HEIGHT_PX != height * FRAME_WIDTH_PX or width < FRAME_WIDTH_PX:
-        raise InputError(f"{what}: {width}x{height}; {wanted} is needed")
+        raise InputError(f"{what}: {width}x{height}. {wanted} is needed")
     if height > LARGEST_SIDE_PX:
-        raise InputError(f"{what}: {width}x{height}; at most {LARGEST_SIDE_PX} pixels high are read")
+        raise InputError(f"{what}: {width}x{height}. The maximum height is {LARGEST_SIDE_PX} pixels")
 
 
 def _video(path: Path) -> Iterator[tuple[NDArray[np.uint8], float]]:
-    """(image, seconds to the next one) for every frame of a video file."""
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # our one line says it; ffmpeg's many do not
+    """Yield (image, seconds to the next one) for every frame of a video file."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # ffmpeg's messages would repeat ours
     if path.stat().st_size == 0:
-        raise InputError(f"{path}: the file is empty; give a whole video file")
+        raise InputError(f"{path}: the file is empty. Give an intact video file")
     previous = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     capture = cv2.VideoCapture(str(path))
     try:
         if not capture.isOpened():
-            raise InputError(f"{path}: no video can be decoded from it")
+            raise InputError(f"{path}: not a decodable video. Give an MP4, AVI or MKV file")
         fps = capture.get(cv2.CAP_PROP_FPS)
         step_s = 1.0 / fps if 1.0 <= fps <= 1000.0 else 1.0 / STILL_IMAGES_FPS
         announced = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
@@ -160,19 +161,19 @@ def _video(path: Path) -> Iterator[tuple[NDArray[np.uint8], float]]:
         capture.release()
         cv2.utils.logging.setLogLevel(previous)
     if count == 0:
-        raise InputError(f"{path}: a video without a frame")
+        raise InputError(f"{path}: the video has no frames")
     if announced > count + 1:  # containers are often off by one
-        raise InputError(f"{path}: ends after {count} of {announced} frames; the file is cut short")
+        raise InputError(f"{path}: ends after {count} of {announced} frames. Give an intact video file")
 
 
 def damage(data: bytes) -> str | None:
-    """What is wrong with the bytes of an image file, as far as its container tells; None if nothing."""
+    """Return the damage that an image file's container reveals; None if there is none."""
     if not data:
         return "the file is empty"
     if data.startswith(_PNG_START):
         return _png_damage(data)
     if data.startswith(_JPEG_START) and _JPEG_END not in data[-64:]:
-        return "the JPEG is cut short"
+        return "the JPEG is truncated"
     return None
 
 
@@ -189,7 +190,7 @@ def _png_damage(data: bytes) -> str | None:
         if kind == b"IEND":
             return None
         at = end
-    return "the PNG is cut short"
+    return "the PNG is truncated"
 
 
 def _endings(endings: frozenset[str]) -> str:

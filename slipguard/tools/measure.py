@@ -1,4 +1,4 @@
-"""The perception of the daemon, run over files: what `slipguard measure` says about each frame."""
+"""Perception on image files: what `slipguard measure` reports for each frame."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from slipguard.perception.settings import PerceptionSettings
 from slipguard.tools.image_files import FileFrame, find_image_files, read_frames
 
 PX_PER_MM = 18.5
-"""Scale of a DIGIT at 240 x 320; used for shifts alone."""
+"""Scale of a DIGIT at 240 x 320; only shifts depend on it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameMeasurement:
-    """One frame and what was read from it. mask: (320, 240) uint8, 0 or 1."""
+    """One frame with its estimate and mask, (320, 240) uint8, 0 or 1."""
 
-    still: FileFrame
+    frame: FileFrame
     estimate: Estimate
     mask: NDArray[np.uint8]
 
@@ -40,21 +40,22 @@ def measure(
     background: NDArray[np.uint8] | None,
     independent: bool,
 ) -> Iterator[FrameMeasurement]:
-    """Measure the frames of `paths` in order, as one recording, or each for itself when `independent`.
+    """Yield the estimate of each frame, of one recording or, if `independent`, of single frames.
 
-    Raises `InputError` naming the file at the first frame that cannot be used; what came before has been yielded.
+    Raises:
+        InputError: At the first file that cannot be used, after the frames before it were yielded.
     """
     pipeline = _pipeline(segmenter, settings, background)
-    for sequence, still in enumerate(read_frames(find_image_files(paths))):
+    for sequence, frame in enumerate(read_frames(find_image_files(paths))):
         if independent and sequence:
             pipeline = _pipeline(segmenter, settings, background)
         try:
-            estimate = pipeline.process(Frame(still.image, still.captured_at_s, sequence))
+            estimate = pipeline.process(Frame(frame.image, frame.captured_at_s, sequence))
         except FrameCorrupt as error:
-            raise InputError(f"{still.name}: {error}") from error
+            raise InputError(f"{frame.name}: {error}") from error
         mask = pipeline.last_mask if estimate.contact else None
         yield FrameMeasurement(
-            still, estimate, np.zeros(still.image.shape[:2], np.uint8) if mask is None else mask.copy()
+            frame, estimate, np.zeros(frame.image.shape[:2], np.uint8) if mask is None else mask.copy()
         )
 
 
@@ -63,10 +64,10 @@ def _pipeline(segmenter: Segmenter, settings: PerceptionSettings, background: ND
 
 
 def as_json(measured: FrameMeasurement) -> dict[str, Any]:
-    """The one object that `--json` prints for a frame."""
+    """Return the object that `--json` prints for a frame."""
     estimate = measured.estimate
     return {
-        "frame": measured.still.name,
+        "frame": measured.frame.name,
         "contact": estimate.contact,
         "contact_area_px": estimate.contact_area_px,
         "angle_deg": _rounded(estimate.angle_deg),
@@ -80,21 +81,21 @@ def as_json(measured: FrameMeasurement) -> dict[str, Any]:
 
 
 def write_mask(folder: Path, measured: FrameMeasurement) -> None:
-    """Write `<stem>.png`, 0 or 255, at the size the frame had in its file. Raises `InputError` if that fails."""
-    size = (measured.still.width_px, measured.still.height_px)
+    """Write the mask to `<stem>.png`, 0 or 255, in the size of the source frame. Raises `InputError` if that fails."""
+    size = (measured.frame.width_px, measured.frame.height_px)
     mask = measured.mask * np.uint8(255)
     if (mask.shape[1], mask.shape[0]) != size:
         mask = np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)
-    path = folder / f"{measured.still.stem}.png"
+    path = folder / f"{measured.frame.stem}.png"
     data = cv2.imencode(".png", mask)[1].tobytes()
     try:
         path.write_bytes(data)
     except OSError as error:
-        raise InputError(f"{path}: the mask cannot be written ({error.strerror})") from error
+        raise InputError(f"{path}: cannot write the mask: {error.strerror}") from error
 
 
 def plot(results: list[FrameMeasurement], path: Path, background_known: bool) -> None:
-    """Draw turn with its uncertainty, orientation and contact area over the frames into an image file."""
+    """Plot rotation with its uncertainty, orientation and contact area of the frames into an image file."""
     from slipguard.tools.plotting import figure, save
 
     drawing = figure(9.0, 6.5)
@@ -103,17 +104,17 @@ def plot(results: list[FrameMeasurement], path: Path, background_known: bool) ->
     angle = _series([r.estimate.angle_deg for r in results])
     sigma = _series([r.estimate.sigma_deg for r in results])
     rotation.fill_between(number, angle - 2.0 * sigma, angle + 2.0 * sigma, alpha=0.25, label="± 2 sigma")
-    rotation.plot(number, angle, marker=".", label="turn since the reference")
-    rotation.set_ylabel("turn, degrees (ccw +)")
+    rotation.plot(number, angle, marker=".", label="rotation since the reference")
+    rotation.set_ylabel("rotation, degrees (ccw +)")
     rotation.legend(loc="best")
     axis.plot(number, _series([r.estimate.orientation_deg for r in results]), ".", color="tab:green")
     axis.set_ylabel("orientation, degrees")
     axis.set_ylim(-95.0, 95.0)
     area.plot(number, [r.estimate.contact_area_px for r in results], color="tab:gray")
-    area.set_ylabel("contact, px")
-    area.set_xlabel(f"frame, from {results[0].still.name} to {results[-1].still.name}")
+    area.set_ylabel("contact area, px")
+    area.set_xlabel(f"frame, from {results[0].frame.name} to {results[-1].frame.name}")
     rotation.set_title(
-        "with the unit's no-contact image" if background_known else "no-contact image not given: guessed"
+        "with the sensor's background image" if background_known else "background image estimated from the frames"
     )
     for axes in (rotation, axis, area):
         axes.grid(alpha=0.3)

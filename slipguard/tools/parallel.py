@@ -1,7 +1,7 @@
-"""Many independent items computed at once, on this machine's cores or on a Dask cluster, as if one after the other.
+"""A parallel map over independent items, on the cores of this machine or on a Dask cluster.
 
-What comes out is what a plain loop would give: results in the order of the items, whatever computed them. What is
-random must therefore follow from the item (`generator`), never from the worker.
+The results are those of a plain loop, in the order of the items. Random numbers must therefore depend on the item
+(`generator`), not on the worker.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from slipguard.errors import InputError, SlipguardError
 T = TypeVar("T")
 R = TypeVar("R")
 AHEAD_PER_CORE = 4
-"""Items a cluster is given ahead of the one waited for: enough to keep it busy, few enough to keep results few."""
+"""Items submitted to a cluster ahead of the next result: enough to keep it busy, with few results in memory."""
 CONNECT_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Who computes. jobs: processes on this machine, 0 for one per core; cluster: a Dask scheduler, tcp://HOST:8786."""
+    """Where to compute. jobs: processes on this machine, 0 for one per core. cluster: Dask scheduler, tcp://HOST:8786."""
 
     jobs: int = 0
     cluster: str | None = None
 
     def __post_init__(self) -> None:
         if self.jobs < 0:
-            raise InputError(f"{self.jobs} jobs are not possible; give 1 or more, or 0 for one per core")
+            raise InputError(f"--jobs {self.jobs}: must be at least 1, or 0 for one process per core")
 
 
 def generator(seed: int, item: int) -> np.random.Generator:
-    """The random numbers of one item: the same whichever worker computes it, and whatever came before."""
+    """Return the random number generator of one item, independent of the worker and of earlier items."""
     return np.random.default_rng([seed, item])
 
 
@@ -57,12 +57,18 @@ def each(
     named: Callable[[T], str] = str,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Generator[R, None, None]:
-    """Yield work(item) of every item, in the order of the items.
+    """Yield work(item) for every item, in the order of the items.
 
-    work and items must be picklable unless one process does it all (one job or one item). progress is called with the
-    number of results handed out. Close the iterator, or let an exception pass through it, and the workers stop.
-    A `SlipguardError` of an item is raised again with the item's name before it; any other exception keeps its type
-    and carries the name as a note. Raises `InputError` where no cluster answers.
+    The workers stop when the iterator is closed, also by an exception.
+
+    Args:
+        work: Function of an item. Function and items must be picklable, except for one job or one item.
+        named: Returns the name of an item for error messages.
+        progress: Called with the number of results so far.
+
+    Raises:
+        SlipguardError: From an item, with the item's name in front. Other exceptions keep their type and get a note.
+        InputError: If the cluster does not respond.
     """
     task = _Task(work, named)
     results: Generator[R | _ItemFailure, None, None]
@@ -81,7 +87,7 @@ def each(
 
 @dataclass(frozen=True, slots=True)
 class _ItemFailure:
-    """What an item came to; carried as a result, so that failures keep the order of the items, too."""
+    """The exception of an item, returned as a result so that failures keep the order of the items."""
 
     error: Exception
 
@@ -101,9 +107,9 @@ class _Task(Generic[T, R]):
             return _ItemFailure(error)
 
 
-def _job_count(asked: int) -> int:
-    if asked:
-        return asked
+def _job_count(requested: int) -> int:
+    if requested:
+        return requested
     import joblib
 
     return int(joblib.cpu_count())
@@ -115,37 +121,37 @@ def _in_processes(task: Callable[[T], R], items: Sequence[T], jobs: int) -> Gene
 
     pool = Parallel(n_jobs=jobs, return_as="generator")
     before = signal.pthread_sigmask(signal.SIG_BLOCK, set())
-    resource_tracker.ensure_running()  # whose start unblocks SIGINT in an older Python (CPython issue 127586)
+    resource_tracker.ensure_running()  # its start unblocks SIGINT in older Python versions (CPython issue 127586)
     results = None
     try:
         try:
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # the workers start with it
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited by the workers
             results = pool(delayed(_in_worker)(task, item) for item in items)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        for result in results:  # noqa: UP028 - `yield from` would close them itself, with a warning
+        for result in results:  # noqa: UP028 - `yield from` would close the generator itself, with a warning
             yield result
-    except TerminatedWorkerError as error:  # also while the first items are handed out
+    except TerminatedWorkerError as error:  # also while the first items are submitted
         raise SlipguardError(
-            f"one of {jobs} worker processes died, perhaps for want of memory; try fewer with --jobs"
+            f"one of {jobs} worker processes ended, possibly out of memory. Use fewer processes with --jobs"
         ) from error
     finally:
         if results is not None:
-            with _quietly():
+            with _without_warnings():
                 results.close()
 
 
 @contextmanager
-def _quietly() -> Iterator[None]:
-    """Workers are killed amid their work: joblib warns of results not asked for, and loky's thread may miss one."""
+def _without_warnings() -> Iterator[None]:
+    """Suppress joblib's warning about unused results, and a KeyError in loky's thread, when workers are stopped."""
     before = threading.excepthook
 
-    def heard(failure: threading.ExceptHookArgs) -> None:
+    def ignore_key_error(failure: threading.ExceptHookArgs) -> None:
         of_loky = failure.thread is not None and failure.thread.name == "ExecutorManagerThread"
-        if not (of_loky and failure.exc_type is KeyError):  # it looks for an item that it has itself given up
+        if not (of_loky and failure.exc_type is KeyError):  # it looks up an item that was already removed
             before(failure)
 
-    threading.excepthook = heard
+    threading.excepthook = ignore_key_error
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -155,7 +161,7 @@ def _quietly() -> Iterator[None]:
 
 
 def _in_worker(task: Callable[[T], R], item: T) -> R:
-    """The worker's share: one thread, because the cores are shared out already."""
+    """Process one item on one thread, because there is one worker per core."""
     cv2.setNumThreads(1)
     return task(item)
 
@@ -177,32 +183,32 @@ def _on_cluster(task: Callable[[T], R], items: Sequence[T], address: str) -> Gen
 
 
 def _client(address: str) -> Any:
-    """A client whose workers are there and run this slipguard."""
+    """Return a client whose workers are connected and run this version of slipguard."""
     try:
         distributed: Any = importlib.import_module("distributed")
     except ImportError as error:
-        raise InputError("--cluster needs dask; install it with: pip install 'slipguard[cluster]'") from error
-    logging.getLogger("distributed").setLevel(logging.ERROR)  # what matters is raised
+        raise InputError("--cluster needs dask. Install it with: pip install 'slipguard[cluster]'") from error
+    logging.getLogger("distributed").setLevel(logging.ERROR)  # errors are raised
     try:
         client: Any = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(
-            f"no Dask scheduler answers at {address}; start one with `dask scheduler`, and give tcp://HOST:8786"
+            f"no Dask scheduler at {address}. Start one with `dask scheduler`, and give tcp://HOST:8786"
         ) from error
     try:
         client.wait_for_workers(1, timeout=CONNECT_S)
         versions = client.run(_version)
     except TimeoutError as error:
         client.close()
-        raise InputError(f"{address}: no worker is connected; start some with `dask worker {address}`") from error
+        raise InputError(f"{address}: no worker is connected. Start workers with `dask worker {address}`") from error
     except Exception as error:
         client.close()
-        raise InputError(f"{address}: a worker cannot import slipguard ({error}); install it there") from error
+        raise InputError(f"{address}: a worker cannot import slipguard ({error}). Install slipguard there") from error
     other = sorted({version for version in versions.values() if version != __version__})
     if other:
         client.close()
         raise InputError(
-            f"{address}: workers run slipguard {', '.join(other)}, this is {__version__}; install the same"
+            f"{address}: workers run slipguard {', '.join(other)}, this machine {__version__}. Install the same version"
         )
     return client
 

@@ -1,4 +1,4 @@
-"""Matplotlib without a screen and without a trace in the user's home."""
+"""Matplotlib figures without a display and without files in the user's home."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 
 def figure(width_in: float, height_in: float) -> Figure:
-    """A new figure to draw on; save it with `save`."""
+    """Return a new figure; write it with `save`."""
     if "MPLCONFIGDIR" not in os.environ:
-        # Without it matplotlib keeps its font cache under the user's home.
+        # Otherwise matplotlib stores its font cache in the user's home.
         folder = tempfile.TemporaryDirectory(prefix="slipguard-mpl-")
         atexit.register(folder.cleanup)
         os.environ["MPLCONFIGDIR"] = folder.name
@@ -27,8 +27,8 @@ def figure(width_in: float, height_in: float) -> Figure:
 
 
 def save(drawing: Figure, path: Path, **options: Any) -> None:
-    """Write the figure; the format follows the ending. Raises InputError when it cannot be written."""
+    """Write the figure in the format of the file name's ending. Raises InputError if it cannot be written."""
     try:
         drawing.savefig(path, **options)
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: the picture cannot be written: {error}") from error
+        raise InputError(f"{path}: cannot write the plot: {error}") from error

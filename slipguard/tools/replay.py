@@ -1,9 +1,9 @@
-"""A recording played again: the same frames through the pipeline, the same sights through the law, and what differs.
+"""Replay of a recording: the same frames through the pipeline, the same observations through the controller.
 
-The law is played twice: on what was recorded of the fingers (it must give the very same commands), and, where there are
-pictures, on what the pipeline says now. A finger's pipeline joins in at the first new reference of the recording: what
-it knew before is not in the file. Nothing moves in a replay: after the first difference the recorded world no longer
-answers to the commands, so the first one counts.
+The controller runs twice: on the recorded estimates, which must give exactly the recorded commands, and, if there are
+images, on the pipeline's new estimates. A finger's pipeline starts at the first new reference of the recording, because
+earlier references are not in the file. Nothing moves in a replay: after the first difference the recorded world no
+longer responds to the commands, so only the first difference counts.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from slipguard.recording.reader import RecordedItem, Recording, StoredImage, ope
 from slipguard.recording.ring import SUFFIX
 
 KEPT_ESTIMATES = 64
-"""So many estimates of a finger are remembered; the loop uses none older than 150 ms."""
+"""Estimates kept per finger; the loop uses none older than 150 ms."""
 
 
 @dataclass(frozen=True, slots=True)
 class CommandDifference:
-    """A command that a replay gave otherwise."""
+    """A command that differs between recording and replay."""
 
     now_s: float
     recorded: Command
@@ -48,7 +48,7 @@ class CommandDifference:
 
 @dataclass(frozen=True, slots=True)
 class ReplayedEstimate:
-    """One judged frame: what was recorded, and what the pipeline says now (None: it was not asked)."""
+    """One frame: its record, and the new estimate; None if the frame was not processed again."""
 
     finger: str
     recorded: m.FrameRecord
@@ -57,7 +57,7 @@ class ReplayedEstimate:
 
 @dataclass(slots=True)
 class ControllerReplay:
-    """ticks played, and every command that came out otherwise."""
+    """Number of control steps, and every command that differs."""
 
     ticks: int = 0
     differences: list[CommandDifference] = field(default_factory=list)
@@ -65,11 +65,11 @@ class ControllerReplay:
 
 @dataclass(slots=True)
 class ReplayResult:
-    """What came of a replay. on_recorded: the law on the recorded sights; on_frames: on the pipeline's answers now."""
+    """Result of a replay. on_recorded: with the recorded estimates. on_frames: with the pipeline's new estimates."""
 
     on_recorded: ControllerReplay = field(default_factory=ControllerReplay)
     on_frames: ControllerReplay = field(default_factory=ControllerReplay)
-    answers: list[ReplayedEstimate] = field(default_factory=list)
+    frames: list[ReplayedEstimate] = field(default_factory=list)
     phases: list[tuple[float, str]] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
@@ -77,37 +77,37 @@ class ReplayResult:
     image: str = "none"
 
     @property
-    def asked(self) -> list[ReplayedEstimate]:
-        """Frames that went through the pipeline again."""
-        return [answer for answer in self.answers if answer.replayed is not None]
+    def processed(self) -> list[ReplayedEstimate]:
+        """Frames that the pipeline processed again."""
+        return [one for one in self.frames if one.replayed is not None]
 
     @property
     def estimates_differ(self) -> int:
-        """How many of them it now judges otherwise, be it in the last bit."""
-        return sum(_plain(one.recorded.estimate) != _plain(one.replayed) for one in self.asked)
+        """Number of these whose estimate differs, even in the last bit."""
+        return sum(_plain(one.recorded.estimate) != _plain(one.replayed) for one in self.processed)
 
     @property
     def turn_differences_deg(self) -> list[float]:
-        """Where both tell a turn: now minus then."""
-        both = ((_rotation(one.recorded.estimate), _rotation(one.replayed)) for one in self.asked)
+        """Differences of the rotation, new minus recorded, where neither estimate was declined."""
+        both = ((_rotation(one.recorded.estimate), _rotation(one.replayed)) for one in self.processed)
         return [now - then for then, now in both if then is not None and now is not None]
 
 
 def recordings(paths: Iterable[Path]) -> list[Recording]:
-    """Open files, or all recordings of a folder, in the order of their names. Raises InputError."""
+    """Open files, or all recordings of a folder sorted by name. Raises InputError."""
     files: list[Path] = []
     for path in paths:
         found = sorted(path.glob(f"*{SUFFIX}")) if path.is_dir() else [path]
         if not found:
-            raise InputError(f"{path}: no {SUFFIX} files in this folder")
+            raise InputError(f"{path}: no {SUFFIX} files in this folder. Name a folder with recordings")
         files += found
     return [open_recording(file) for file in files]
 
 
 def replay(opened: list[Recording], model: Path | None = None) -> ReplayResult:
-    """Play recordings one after the other; each begins with the law's own memory of that moment.
+    """Replay recordings one after the other; each starts with the recorded state of the controller.
 
-    Raises ModelError for a model that is none, whether or not a frame comes that it is to see.
+    Raises ModelError if the model cannot be loaded, even if no frame needs it.
     """
     segmenter = Segmenter(model)
     done = ReplayResult(other_model=model is not None)
@@ -153,19 +153,19 @@ class _RecordingPlayer:
 
     def _judged(self, finger: str, judged: m.FrameRecord) -> None:
         picture = self._pictures.pop(finger, None)
-        if judged.new_pipeline:  # its no-contact image is in the next file
+        if judged.new_pipeline:  # its background image is in the next file
             self._live[finger], self._renewed[finger] = False, True
         if judged.new_reference:
             self._live[finger] = picture is not None and not self._renewed[finger]
             if self._live[finger]:
                 self._pipeline(finger).reset_reference()
-        boring = judged.estimate is not None and not judged.estimate.contact
-        if picture is None and not boring:
-            self._live[finger] = False  # a frame that mattered was left out
+        no_contact = judged.estimate is not None and not judged.estimate.contact
+        if picture is None and not no_contact:
+            self._live[finger] = False  # the image of a frame with contact is missing
         now = None
         if self._live[finger] and picture is not None:
             now = self._process(finger, picture, judged)
-        self._done.answers.append(ReplayedEstimate(finger, judged, now))
+        self._done.frames.append(ReplayedEstimate(finger, judged, now))
         estimate = now or judged.estimate
         if estimate is not None:
             known = self._now[finger]
@@ -174,9 +174,9 @@ class _RecordingPlayer:
                 del known[next(iter(known))]
 
     def _process(self, finger: str, picture: StoredImage, judged: m.FrameRecord) -> Estimate | None:
-        spared = judged.estimate is not None and judged.estimate.skipped == OTHER_FINGER
+        skipped = judged.estimate is not None and judged.estimate.skipped == OTHER_FINGER
         last = next(reversed(self._now[finger].values()), None)
-        if spared and last is not None:
+        if skipped and last is not None:
             self._pipeline(finger).keep_estimate(judged.captured_at_s)
             return repeat_estimate(last, judged.captured_at_s, judged.sequence)
         try:
@@ -186,7 +186,7 @@ class _RecordingPlayer:
             return None
 
     def _pipeline(self, finger: str) -> Pipeline:
-        """The finger's own, made when it is first needed."""
+        """Return the finger's pipeline, created on first use."""
         if finger not in self._pipelines:
             settings = self._settings
             self._pipelines[finger] = Pipeline(
@@ -199,33 +199,35 @@ class _RecordingPlayer:
             )
         return self._pipelines[finger]
 
-    def _tick(self, told: m.CycleRecord) -> None:
+    def _tick(self, cycle: m.CycleRecord) -> None:
         done = self._done
-        if not done.phases or done.phases[-1][1] != told.phase:
-            done.phases.append((told.now_s, told.phase))
-        fault = told.command.fault
+        if not done.phases or done.phases[-1][1] != cycle.phase:
+            done.phases.append((cycle.now_s, cycle.phase))
+        fault = cycle.command.fault
         if fault is not None and str(fault) not in done.faults:
             done.faults.append(str(fault))
         if not self._memory:
-            raise InputError(f"{self._recording.path}: a turn of the loop comes before the law's memory")
-        self._memory["recorded"] = self._compare(done.on_recorded, self._memory["recorded"], told)
+            raise InputError(
+                f"{self._recording.path}: a control step precedes the controller's state. The recording is incomplete"
+            )
+        self._memory["recorded"] = self._compare(done.on_recorded, self._memory["recorded"], cycle)
         fresh = {
             finger: self._now[finger].get(sequence) if sequence is not None else None
-            for finger, sequence in zip(m.FINGERS, (told.left_sequence, told.right_sequence), strict=True)
+            for finger, sequence in zip(m.FINGERS, (cycle.left_sequence, cycle.right_sequence), strict=True)
         }
         if not any(self._live.values()):
             self._memory["frames"] = self._memory["recorded"]
             return
-        observation = replace(told.observation, fused=fuse(fresh["left"], fresh["right"]))
+        observation = replace(cycle.observation, fused=fuse(fresh["left"], fresh["right"]))
         self._memory["frames"] = self._compare(
-            done.on_frames, self._memory["frames"], replace(told, observation=observation)
+            done.on_frames, self._memory["frames"], replace(cycle, observation=observation)
         )
 
-    def _compare(self, into: ControllerReplay, memory: ControlState, told: m.CycleRecord) -> ControlState:
-        memory, command = control_step(memory, told.observation, self._params)
+    def _compare(self, into: ControllerReplay, memory: ControlState, cycle: m.CycleRecord) -> ControlState:
+        memory, command = control_step(memory, cycle.observation, self._params)
         into.ticks += 1
-        if command != told.command:
-            into.differences.append(CommandDifference(told.now_s, told.command, command))
+        if command != cycle.command:
+            into.differences.append(CommandDifference(cycle.now_s, cycle.command, command))
         return memory
 
 
@@ -234,7 +236,7 @@ def _rotation(estimate: Estimate | None) -> float | None:
 
 
 def _plain(estimate: Estimate | None) -> Estimate | None:
-    """Without the stage times, which are never the same."""
+    """Return the estimate without stage times, which always differ."""
     return None if estimate is None else replace(estimate, stage_ms={})
 
 
@@ -244,7 +246,7 @@ def _finger(item: RecordedItem) -> str:
 
 @dataclass(frozen=True, slots=True)
 class RecordedSettings:
-    """What a recording says of the configuration it was made with."""
+    """Configuration and calibration stored in a recording."""
 
     guard: GuardParams
     perception: PerceptionSettings
@@ -253,7 +255,7 @@ class RecordedSettings:
     recording: Recording
 
     def background(self, finger: str) -> np.ndarray | None:
-        """The finger's no-contact image, (320, 240, 3) uint8."""
+        """Return the finger's background image, (320, 240, 3) uint8; None if it is not stored."""
         encoded = self.recording.attachments.get(m.background_name(finger))
         if encoded is None:
             return None
@@ -261,13 +263,13 @@ class RecordedSettings:
         return None if image is None else np.asarray(image, np.uint8)
 
     def noise_bgr(self, finger: str) -> list[float] | None:
-        """Its noise, grey levels."""
+        """Return the finger's noise in gray levels; None if it is not stored."""
         text = self.recording.facts.get(f"{finger}.noise_bgr")
         return None if text is None else [float(level) for level in json.loads(text)]
 
 
 def recorded_settings(recording: Recording) -> RecordedSettings:
-    """Raises InputError where the recording has no configuration of this version."""
+    """Return the stored configuration. Raises InputError if it is missing or of another version."""
     where = f"{recording.path}: {m.CONFIG_ATTACHMENT}"
     try:
         config = json.loads(recording.attachments[m.CONFIG_ATTACHMENT])
@@ -280,12 +282,12 @@ def recorded_settings(recording: Recording) -> RecordedSettings:
             recording,
         )
     except ValidationError as error:
-        raise InputError(f"{where}: from another version of slipguard: {first_complaint(error)}") from None
+        raise InputError(f"{where}: written by another version of slipguard: {first_complaint(error)}") from None
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{where}: missing or damaged ({error})") from None
+        raise InputError(f"{where}: missing or damaged: {error}") from None
 
 
 def items_of(opened: list[Recording]) -> Iterator[RecordedItem]:
-    """All messages of several recordings, in order."""
+    """Yield all messages of several recordings in order."""
     for recording in opened:
         yield from recording.items()

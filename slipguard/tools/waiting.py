@@ -1,4 +1,4 @@
-"""Waiting for a running service to get somewhere."""
+"""Waiting for a state of a running service."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ POLL_S = 0.01
 
 
 class WaitTimeout(SlipguardError):
-    """Something does not come to its end: nothing more is worth trying."""
+    """An expected state was not reached in time."""
 
 
 async def wait_until(
@@ -21,16 +21,21 @@ async def wait_until(
     otherwise: str | Callable[[], str],
     poll_s: float = POLL_S,
 ) -> None:
-    """Wait for a condition, looked at every `poll_s`. Raises the daemon's own failure, or Stuck after the time-out.
+    """Wait until a condition holds, checked every `poll_s`.
 
-    running: the daemon's task; None where somebody else watches it. otherwise: what is so if it is not reached.
+    Args:
+        running: The daemon's task; None if its failures are handled elsewhere.
+        otherwise: Describes the state if the condition is not reached.
+
+    Raises:
+        WaitTimeout: After the timeout, or if the daemon has ended. A failure of the daemon is raised as it is.
     """
     loop = asyncio.get_running_loop()
     deadline_s = loop.time() + timeout_s
     while not reached():
         if running is not None and running.done():
             running.result()
-            raise WaitTimeout("the daemon ended by itself")
+            raise WaitTimeout("the daemon ended unexpectedly. Check its log")
         if loop.time() >= deadline_s:
-            raise WaitTimeout(f"within {timeout_s:g} s: {otherwise if isinstance(otherwise, str) else otherwise()}")
+            raise WaitTimeout(f"after {timeout_s:g} s: {otherwise if isinstance(otherwise, str) else otherwise()}")
         await asyncio.sleep(poll_s)

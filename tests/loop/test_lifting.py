@@ -12,7 +12,7 @@ from slipguard.control.step import control_step
 from slipguard.daemon.api.requests import GraspRequest, LiftRequest
 from slipguard.daemon.loop.service import Controller
 from slipguard.errors import CommandRefused
-from slipguard.sim_lifts.unguarded import unguarded_tick
+from slipguard.sim_lifts.campaign import unguarded_step
 
 BRISK = {"lift_height_mm": 60.0, "lift_speed_mm_s": 100.0, "tuning": {"lower_speed_mm_s": 150.0}}
 
@@ -58,7 +58,7 @@ def test_an_object_is_carried_and_put_down(object_name: str, seed: int) -> None:
 
 @pytest.mark.parametrize("object_name", ["bar", "wrench"])
 def test_without_the_guard_it_turns_far(object_name: str) -> None:
-    cell, rotations = carried(object_name, 1, controller=unguarded_tick, height_mm=120.0)
+    cell, rotations = carried(object_name, 1, controller=unguarded_step, height_mm=120.0)
     assert max(rotations) > 25.0
     assert [force_n for _, what, force_n in cell.gripper.told if what == "hold"] == [pytest.approx(40.0, abs=0.9)]
 

@@ -28,7 +28,7 @@ def _short_lifts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(campaign, "HOLD_S", 0.2)
 
 
-def test_one_lift_for_a_program(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_one_lift_as_json(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     ran = slipguard(capfd, "--sim", "--speed", "fast", "--lifts", 1, "--json", "--out", tmp_path / "new" / "out")
     assert ran.code == 0
     lines: list[dict[str, Any]] = [json.loads(line) for line in ran.out.splitlines()]
@@ -59,7 +59,7 @@ def record(name: str, outcome: str, why: str = "") -> LiftRecord:
     return made
 
 
-def said(records: list[LiftRecord], width: int, *, realtime: bool = True) -> str:
+def printed(records: list[LiftRecord], width: int, *, realtime: bool = True) -> str:
     console = Console(width=width, record=True, quiet=False, highlight=False, file=open("/dev/null", "w"))  # noqa: SIM115
     try:
         print_tables(console, records, realtime=realtime)
@@ -68,9 +68,9 @@ def said(records: list[LiftRecord], width: int, *, realtime: bool = True) -> str
     return console.export_text()
 
 
-def test_the_table_fits_80_columns_with_every_figure() -> None:
+def test_the_table_fits_80_columns() -> None:
     names = ["bar", "knife_edge", "screwdriver"]
-    text = said([record(name, "dropped", "rotated more than 60 deg") for name in names], 80)
+    text = printed([record(name, "dropped", "rotated more than 60 deg") for name in names], 80)
     assert "…" not in text
     row = next(line for line in text.splitlines() if line.startswith("screwdriver"))
     assert row.split()[:6] == ["screwdriver", "-44.1", "-43.9", "0.20", "0.39", "128/66"]
@@ -80,16 +80,16 @@ def test_the_table_fits_80_columns_with_every_figure() -> None:
     assert "p50 8.0 ms, p99 11.8 ms" in " ".join(text.split())
 
 
-def test_what_was_not_measured_is_a_dash_not_a_number() -> None:
-    blind = record("ball", "held")
-    blind.fused.clear()
-    row = next(line for line in said([blind], 80, realtime=False).splitlines() if line.startswith("ball"))
+def test_a_missing_value_is_a_dash() -> None:
+    declined = record("ball", "held")
+    declined.fused.clear()
+    row = next(line for line in printed([declined], 80, realtime=False).splitlines() if line.startswith("ball"))
     assert row.split() == ["ball", "-44.1", "–", "–", "–", "128/66", "held", "–", "–", "12"]
-    line = record_line(blind, realtime=False)
+    line = record_line(declined, realtime=False)
     assert (line["measured_turn_deg"], line["turn_error_deg"], line["latency_p99_ms"]) == (None, None, None)
 
 
-def test_a_campaign_without_a_single_frame_is_still_json(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_campaign_without_frames_gives_valid_json(capfd: pytest.CaptureFixture[str]) -> None:
     print_lines([LiftRecord(object_name="bar", outcome="refused", why="no contact")], realtime=True)
     lines = capfd.readouterr().out.splitlines()
     assert set(json.loads(lines[-1])["summary"]) == SUMMARY
@@ -113,7 +113,7 @@ def test_only_a_dropped_object_is_a_failure(
 
 
 @pytest.mark.parametrize("why", ["frames lost", "loop late"])
-def test_a_machine_too_slow_to_show_anything_is_a_failure_and_said(
+def test_a_machine_that_is_too_slow_is_a_failure_with_one_line(
     why: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def campaign_of_two(settings: object, show: object) -> list[LiftRecord]:
@@ -125,10 +125,10 @@ def test_a_machine_too_slow_to_show_anything_is_a_failure_and_said(
         assert ran.code == 1
         assert ran.err.count("\n") == 1
         assert ran.err.startswith(f"1 of 2 lifts ended early ({why}): this machine is too busy or too slow")
-    assert slipguard(capfd, "--sim", "--speed", "fast").code == 0  # where time is no machine's
+    assert slipguard(capfd, "--sim", "--speed", "fast").code == 0  # virtual time does not depend on the machine
 
 
-def test_it_says_what_will_happen_and_what_to_try_next(
+def test_it_prints_what_happens_and_the_next_commands(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")

@@ -75,7 +75,7 @@ def rotating(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_turn_is_read_with_sign_and_every_key(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_rotation_is_measured_with_sign_and_all_keys(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run([rotating], background=rotating.parent / "background.png")
     seen = lines(capsys)
     assert all(set(line) == KEYS for line in seen)
@@ -92,14 +92,16 @@ def test_a_turn_is_read_with_sign_and_every_key(rotating: Path, capsys: pytest.C
     assert all((line["declined"] is None) == (line["angle_deg"] is not None) for line in seen)
 
 
-def test_reference_first_counts_from_the_first_contact(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_reference_first_measures_from_the_first_contact(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run([rotating], background=rotating.parent / "background.png", reference=ReferenceChoice.first)
     seen = lines(capsys)
     assert seen[2]["angle_deg"] == pytest.approx(0.0, abs=0.5)
     assert seen[-1]["angle_deg"] == pytest.approx(12.0, abs=1.5)
 
 
-def test_independent_frames_have_an_orientation_but_no_turn(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_independent_frames_have_an_orientation_but_no_rotation(
+    rotating: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run([rotating], background=rotating.parent / "background.png", independent=True)
     seen = lines(capsys)
     assert all(line["angle_deg"] is None for line in seen)
@@ -123,23 +125,23 @@ def test_masks_have_the_size_of_the_frame(tmp_path: Path, capsys: pytest.Capture
     assert not nothing.any()
 
 
-def test_people_get_a_table_a_summary_and_a_picture(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    picture = rotating.parent / "turn.png"
-    run([rotating], background=rotating.parent / "background.png", json=False, plot=picture)
-    said = capsys.readouterr()
-    assert "14 frames, contact in 12" in said.out
-    assert said.err == ""
-    drawn = cv2.imread(str(picture))
+def test_the_table_the_summary_and_the_plot_are_written(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plot = rotating.parent / "rotation.png"
+    run([rotating], background=rotating.parent / "background.png", json=False, plot=plot)
+    message = capsys.readouterr()
+    assert "14 frames, contact in 12" in message.out
+    assert message.err == ""
+    drawn = cv2.imread(str(plot))
     assert drawn.shape[0] > 300
     assert drawn.std() > 5.0
 
 
-def test_without_a_background_it_works_and_says_so(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_background_gives_one_warning(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run([rotating / "f05.png"])
-    said = capsys.readouterr()
-    assert "no --background given" in said.err
-    assert said.err.count("\n") == 1
-    assert json.loads(said.out)["contact"] is True
+    message = capsys.readouterr()
+    assert "no --background given" in message.err
+    assert message.err.count("\n") == 1
+    assert json.loads(message.out)["contact"] is True
 
 
 def test_a_video_is_read_frame_by_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -165,17 +167,17 @@ def damaged_png() -> bytes:
 with_alpha = np.dstack([bar(0, 20.0), np.full((320, 240), 128, np.uint8)])
 BAD = {
     "empty": (b"", "empty"),
-    "truncated PNG": (image_bytes(bar(0, 20.0))[:5000], "cut short"),
-    "truncated JPEG": (image_bytes(bar(0, 20.0), ".jpg")[:3000], "cut short"),
+    "truncated PNG": (image_bytes(bar(0, 20.0))[:5000], "truncated"),
+    "truncated JPEG": (image_bytes(bar(0, 20.0), ".jpg")[:3000], "truncated"),
     "damaged PNG": (damaged_png(), "checksum"),
-    "text": (b"not a picture at all", "no image can be decoded"),
+    "text": (b"not an image at all", "not a decodable image"),
     "1x1": (image_bytes(np.full((1, 1, 3), (9, 90, 200), np.uint8)), "1x1"),
     "16-bit": (image_bytes(bar(0, 20.0).astype(np.uint16) * 256), "16 bits"),
-    "grey": (image_bytes(bar(0, 20.0)[..., 1]), "grey"),
-    "grey as colour": (image_bytes(np.repeat(bar(0, 20.0)[..., 1:2], 3, 2)), "grey in all"),
+    "gray": (image_bytes(bar(0, 20.0)[..., 1]), "gray image"),
+    "gray as color": (image_bytes(np.repeat(bar(0, 20.0)[..., 1:2], 3, 2)), "all channels are equal"),
     "transparent": (image_bytes(with_alpha), "transparent"),
     "4K": (image_bytes(cv2.resize(bar(0, 20.0), (3840, 2160))), "3840x2160"),
-    "on its side": (image_bytes(cv2.transpose(bar(0, 20.0))), "transpose"),
+    "rotated by 90 degrees": (image_bytes(cv2.transpose(bar(0, 20.0))), "Transpose the image"),
     "too small": (image_bytes(cv2.resize(bar(0, 20.0), (120, 160))), "120x160"),
     "all black": (image_bytes(np.zeros((320, 240, 3), np.uint8)), "all black"),
     "all white": (image_bytes(np.full((320, 240, 3), 255, np.uint8)), "all white"),
@@ -183,13 +185,13 @@ BAD = {
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_a_bad_file_is_named_in_one_line_and_what_came_before_is_kept(
+def test_a_bad_file_is_named_in_one_line_and_earlier_results_are_kept(
     kind: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    data, said = BAD[kind]
+    data, message = BAD[kind]
     cv2.imwrite(str(tmp_path / "a.png"), bar(0, 20.0))
     (tmp_path / "b.png").write_bytes(data)
-    with pytest.raises(InputError, match=said) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         run([tmp_path], masks=tmp_path / "masks")
     assert str(tmp_path / "b.png") in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -206,7 +208,7 @@ def test_opaque_alpha_is_dropped(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_gel_image(path), image)
 
 
-def test_a_folder_is_its_images_by_name(tmp_path: Path) -> None:
+def test_a_folder_stands_for_its_images_by_name(tmp_path: Path) -> None:
     for name in ("f10.png", "f2.png", "f1.png", "notes.txt"):
         (tmp_path / name).write_bytes(image_bytes(bar(0, 20.0)))
     assert [path.name for path in find_image_files([tmp_path])] == ["f1.png", "f10.png", "f2.png"]
@@ -218,15 +220,15 @@ def test_a_folder_without_images_is_refused(tmp_path: Path) -> None:
         run([tmp_path])
 
 
-@pytest.mark.parametrize(("name", "said"), [("gone.png", "no such file"), ("notes.txt", "by its ending")])
-def test_other_paths_are_refused(tmp_path: Path, name: str, said: str) -> None:
+@pytest.mark.parametrize(("name", "message"), [("gone.png", "no such file"), ("notes.txt", "unknown file type")])
+def test_other_paths_are_refused(tmp_path: Path, name: str, message: str) -> None:
     (tmp_path / "notes.txt").write_text("nothing here")
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         run([tmp_path / name])
 
 
 @pytest.mark.parametrize("data", [b"", b"not a video at all"])
-def test_a_video_that_is_none_is_refused(tmp_path: Path, data: bytes) -> None:
+def test_an_invalid_video_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "clip.mp4"
     path.write_bytes(data)
     with pytest.raises(InputError, match=r"clip\.mp4"):
