@@ -24,7 +24,6 @@ from slipguard.perception.rotation.axial_angle import wrap_axial_deg
 from slipguard.perception.rotation.axis import AxisEstimation, fuse_axes
 from slipguard.perception.rotation.fusion import widen_for_light
 from slipguard.perception.rotation.rotation_meter import RotationMeter
-from slipguard.perception.rotation.skeleton import middle_line
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skipping import ALL_SKIPS, UNCHANGED, Skips
 
@@ -95,7 +94,6 @@ class Pipeline:
         if settings.skip_unchanged and skips.unchanged and self._gate.noise_known:
             self._changes = ChangeDetector(self._gate.inverse_std, self._gate.background)
         self._patch: Patch | None = None
-        self._skeleton: NDArray[np.uint8] | None = None
         self._measured: Estimate | None = None
         self.reset_reference()
 
@@ -109,11 +107,6 @@ class Pipeline:
     @property
     def has_reference(self) -> bool:
         return self._meter.reference is not None
-
-    @property
-    def reference_area_px(self) -> int | None:
-        """Contact area of the reference in frame pixels."""
-        return None if self._meter.reference is None else self._meter.reference.area_px
 
     @property
     def reference_image(self) -> NDArray[np.uint8] | None:
@@ -135,15 +128,6 @@ class Pipeline:
         fine = np.asarray(cv2.resize(near, (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)) > self._threshold, np.uint8)
         return fine if fine.any() else resize_mask_to_frame(coarse)
 
-    @property
-    def last_skeleton(self) -> NDArray[np.uint8]:
-        """The skeleton of the last contact, (320, 240) uint8, 0 or 1; thinned now if the rotation did not need it."""
-        if self._patch is None:
-            return np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.uint8)
-        if self._skeleton is None:
-            self._skeleton = middle_line(self._patch).skeleton
-        return resize_mask_to_frame(replace(self._patch, mask=self._skeleton).full_mask())
-
     def process(self, frame: Frame) -> Estimate:
         """Estimate contact and rotation in one frame.
 
@@ -159,7 +143,7 @@ class Pipeline:
 
         if self._skips.no_contact and not self._gate.may_be_contact(blocks):
             self._forget_measured()
-            self._set_patch(None)
+            self._patch = None
             timer.mark("gate")
             return self._declined(frame, DeclineReason.NO_CONTACT, timer, skipped=str(DeclineReason.NO_CONTACT))
 
@@ -174,7 +158,7 @@ class Pipeline:
         probability = self._segmenter.segment(image, self._background)
         timer.mark("segment")
         patch = find_patch(probability, self._threshold, self._settings.min_area_px, self._frame_px)
-        self._set_patch(patch)
+        self._patch = patch
         timer.mark("regions")
         if patch is None:
             estimate = self._declined(frame, DeclineReason.NO_CONTACT, timer)
@@ -189,11 +173,10 @@ class Pipeline:
 
         had_reference = self.has_reference
         measurement = self._meter.measure(image, patch, now_s, timer)
-        self._skeleton = measurement.axes.skeleton
         if not had_reference:
             self._reference_difference_levels = quality.difference_levels
         rotation = widen_for_light(measurement.rotation, quality.difference_levels - self._reference_difference_levels)
-        axis_deg = fuse_axes(list(measurement.axes.by_estimator.values())).angle_deg
+        axis_deg = fuse_axes(list(measurement.axes.values())).angle_deg
         estimate = Estimate(
             sequence=frame.sequence,
             captured_at_s=now_s,
@@ -274,9 +257,6 @@ class Pipeline:
             declined=str(declined),
             stage_ms=timer.stage_ms,
         )
-
-    def _set_patch(self, patch: Patch | None) -> None:
-        self._patch, self._skeleton = patch, None
 
     def _note_measured(
         self, blocks: Blocks, near: NDArray[np.bool_] | None, unchanged: bool, estimate: Estimate

@@ -72,7 +72,7 @@ class _RotatedContacts(AxisEstimation):
             if patch is None:
                 raise ValueError(f"no patch at {angle_deg} degrees")
             self._patches[key] = patch
-            self._known_axes[id(patch)] = PatchAxes({"moments": self._product.estimate(patch, "moments")})
+            self._known_axes[id(patch)] = {"moments": self._product.estimate(patch, "moments")}
         return self._patches[key]
 
     def fast(self, patch: Patch, timer: StageTimer) -> PatchAxes:

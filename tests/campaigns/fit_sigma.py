@@ -23,11 +23,11 @@ from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.rotation.texture_map import TextureMapReader
 from slipguard.perception.rotation.texture_registration import (
     FLOOR_DEG,
+    SIGMA_SHARES,
     TextureFit,
     TexturePose,
     fit_texture,
     parts_deg,
-    shares,
     sigma_deg,
 )
 from slipguard.perception.rotation.texture_template import make_texture_template
@@ -102,7 +102,7 @@ def sheared(folder: Path) -> Iterator[RenderedGrasp]:
 def fitted(found: Sequence[RotationSample]) -> tuple[float, ...]:
     """Return the shares of sigma's parts that maximize the likelihood; grasps of one kind have equal weights."""
     error, parts, weight = _table(found)
-    best = np.log(np.array(shares()))
+    best = np.log(np.array(SIGMA_SHARES))
     cost = _negative_log_likelihood(best, error, parts, weight)
     for step in STEPS:
         improved = True
@@ -162,7 +162,7 @@ def fit_and_report(grasps: int, real: Path | None, model: Path | None) -> None:
         tuning = [press for press in press_images(real) if press.part == "tune" and press.readable]
         found += samples((rotated_grasp(press, "relit", SEED) for press in tuning), segmenter, "relit")
         found += samples(sheared(real), segmenter, "sheared")
-    for word, constants in (("in use", shares()), ("fitted", fitted(found))):
+    for word, constants in (("in use", SIGMA_SHARES), ("fitted", fitted(found))):
         named = zip(("SPREAD", "NOISE", "GROWTH", "MISFIT"), constants, strict=True)
         print(f"{word}: " + ", ".join(f"{name} {constant:.3g}" for name, constant in named))
     for kind in KINDS:

@@ -27,7 +27,6 @@ CONTRACT = "1"
 """Networks with all three inputs at 120 x 160."""
 CONTRACT_ANY_INPUT = "2"
 """Networks that take the frame alone, or another size."""
-CONTRACTS = (CONTRACT, CONTRACT_ANY_INPUT)
 DEFAULT_MODEL = "tsnn-small.onnx"
 ROUNDING = 1e-4
 """onnxruntime's sigmoid exceeds 1 by a few units in the last place."""
@@ -180,10 +179,10 @@ def _checked_metadata(path: Path, session: Any) -> dict[str, str]:
     missing = [key for key in REQUIRED_METADATA if key not in metadata]
     if missing:
         raise ModelError(f"{path}: metadata {', '.join(missing)} missing; export it with `slipguard train`")
-    if metadata["slipguard_contract"] not in CONTRACTS:
-        known = " and ".join(CONTRACTS)
+    if metadata["slipguard_contract"] not in (CONTRACT, CONTRACT_ANY_INPUT):
         raise ModelError(
-            f"{path}: model contract {metadata['slipguard_contract']}; this slipguard reads contract {known}"
+            f"{path}: model contract {metadata['slipguard_contract']}; "
+            f"this slipguard reads contracts {CONTRACT} and {CONTRACT_ANY_INPUT}"
         )
     return metadata
 

@@ -1,17 +1,13 @@
 """Estimates the axis of a contact patch by four estimators and their weighted mean, or declines it.
 
 `moments`: second moments of the probability; `pca`: of the mask; `ellipse`: fitted to the contour; `skeleton`: a line
-through the thinned patch; `fused`: their mean. Each returns a sigma, or the reason why there is no axis.
+through the thinned patch. Each returns a sigma, or the reason why there is no axis.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
@@ -25,7 +21,7 @@ from slipguard.perception.settings import EstimatorName
 
 ESTIMATORS = ("moments", "ellipse", "pca", "skeleton")
 FUSED_ESTIMATORS = ("moments", "ellipse", "skeleton")
-"""The estimators that `fused` averages."""
+"""The estimators that the setting "fused" averages."""
 ROUND_ASPECT = 1.15
 LINE_SIGMA_MAX_DEG = 6.0
 """A middle line with a larger sigma is declined: which branch of a torn patch it follows is chance."""
@@ -39,12 +35,8 @@ _CONTOUR_PX = {"moments": 0.30, "pca": 0.33, "ellipse": 0.45, "skeleton": 0.4}
 network that do not average out."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PatchAxes:
-    """The axes of one patch, by estimator. skeleton: (h, w) uint8 of the patch's crop; None if it was not thinned."""
-
-    by_estimator: Mapping[str, AxisEstimate]
-    skeleton: NDArray[np.uint8] | None = None
+PatchAxes = Mapping[str, AxisEstimate]
+"""The axes of one patch, by estimator."""
 
 
 class AxisEstimation:
@@ -68,33 +60,31 @@ class AxisEstimation:
             return self._skeleton(patch, {}, timer)
         axis = estimate_axis(patch, self._fast, self._round_aspect)
         timer.mark("angle")
-        return PatchAxes({self._fast: axis})
+        return {self._fast: axis}
 
     def all(self, patch: Patch, fast: PatchAxes, timer: StageTimer) -> PatchAxes:
         """Return the axes by every estimator, given those by the fast one."""
         if self._name != "fused":
             return fast
-        axes = dict(fast.by_estimator)
+        axes = dict(fast)
         readable = axes[self._fast].declined is None
         if readable:
             axes["ellipse"] = estimate_axis(patch, "ellipse", self._round_aspect)
             timer.mark("angle")
         if readable or not self._skip_round:
             return self._skeleton(patch, axes, timer)
-        return PatchAxes(axes)
+        return axes
 
-    def _skeleton(self, patch: Patch, others: Mapping[str, AxisEstimate], timer: StageTimer) -> PatchAxes:
+    def _skeleton(self, patch: Patch, others: PatchAxes, timer: StageTimer) -> PatchAxes:
         line = middle_line(patch)
         timer.mark("thin")
         axis = _skeleton_estimate(patch, line, self._round_aspect)
         timer.mark("angle")
-        return PatchAxes({**others, "skeleton": axis}, line.skeleton)
+        return {**others, "skeleton": axis}
 
 
 def estimate_axis(patch: Patch, name: str, round_aspect: float = ROUND_ASPECT) -> AxisEstimate:
-    """Estimate the axis of a patch by `name`, one of `ESTIMATORS` or `fused`; never raises on any patch."""
-    if name == "fused":
-        return fuse_axes([estimate_axis(patch, each, round_aspect) for each in FUSED_ESTIMATORS])
+    """Estimate the axis of a patch by `name`, one of `ESTIMATORS`; never raises on any patch."""
     if name == "skeleton":
         return _skeleton_estimate(patch, middle_line(patch), round_aspect)
     axis, declined = FIT_AXIS[name](patch)
@@ -120,13 +110,13 @@ def fuse_axes(estimates: list[AxisEstimate]) -> AxisEstimate:
     return AxisEstimate("fused", mean, sigma, given[0][0].center_px)
 
 
-def rotation_of_axes(before: Mapping[str, AxisEstimate], now: PatchAxes, near_deg: float) -> RotationEstimate:
+def rotation_of_axes(before: PatchAxes, now: PatchAxes, near_deg: float) -> RotationEstimate:
     """Return the rotation from the reference's axes to those of a patch, estimator by estimator, fused.
 
     near_deg: the expected rotation, which resolves the ambiguity of 180 degrees.
     """
     rotations = []
-    for name, axis in now.by_estimator.items():
+    for name, axis in now.items():
         first = before.get(name)
         if first is None:
             continue

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
-from slipguard.perception.estimate import AxisEstimate, StageTimer
+from slipguard.perception.estimate import StageTimer
 from slipguard.perception.rotation.axis import AxisEstimation, PatchAxes, rotation_of_axes
 from slipguard.perception.rotation.contour_registration import ContourFit, ContourPose, ContourRegistrar
 from slipguard.perception.rotation.contour_template import ContourTemplate, make_contour_template
@@ -39,18 +38,17 @@ SECOND_START_DEG = 4.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """What rotations are measured against. axes: by estimator. Center and area in frame pixels.
+    """What rotations are measured against. axes: by estimator. Center in frame pixels.
 
     image: the reference frame, (320, 240, 3) uint8. texture: tracks the texture in the contact; None without a
     background image, or if the contact has too little texture.
     """
 
     image: NDArray[np.uint8]
-    axes: Mapping[str, AxisEstimate]
+    axes: PatchAxes
     patch: Patch
     texture: TextureTracker | None
     center_px: tuple[float, float]
-    area_px: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +206,7 @@ class RotationMeter:
             texture = None if template is None else TextureTracker(template, rotation_deg is not None)
         timer.mark("reference")
         axes = self._axes.all(patch, self._axes.fast(patch, timer), timer)
-        self.reference = Reference(image, axes.by_estimator, patch, texture, patch.center_px, patch.area_px)
+        self.reference = Reference(image, axes, patch, texture, patch.center_px)
         timer.mark("reference")
         self._tracker.start(now_s, rotation_deg or 0.0)
         self._template = None

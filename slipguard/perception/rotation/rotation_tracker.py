@@ -35,11 +35,6 @@ class RotationTracker:
         """When the rotation was last measured or found unchanged; -infinity before the reference."""
         return self._history[-1][0] if self._history else -math.inf
 
-    @property
-    def last_rotation_deg(self) -> float:
-        """The last accepted rotation; 0 at the reference."""
-        return self._last[1]
-
     def start(self, now_s: float, rotation_deg: float = 0.0) -> None:
         """Set the rotation since the reference at `now_s`; 0 if the reference is taken then."""
         self._history.clear()

@@ -46,7 +46,7 @@ STATIC_PRIOR = 1e-3
 """If a rotation changes the reference by less than this share of its square, a static pattern cannot be detected."""
 
 FLOOR_DEG = 0.03
-SPREAD, NOISE, GROWTH, MISFIT = 1.25, 0.032, 0.72, 0.25
+SIGMA_SHARES = (1.25, 0.032, 0.72, 0.25)
 """Shares in sigma of the disagreement of the contact's parts; and of the rotations that would change the texture as
 much as the camera's noise does, as its growth since the reference, and as the deformation that the fit leaves. Chosen
 by `tests.campaigns.fit_sigma` on rendered rotations of the training objects and on real presses."""
@@ -227,13 +227,8 @@ def static_pattern_bias(motion: Field, weight: Field, difference: Field, unmoved
 
 def sigma_deg(fit: TextureFit) -> float:
     """Return one standard deviation of the rotation, degrees."""
-    parts = (share * part for share, part in zip(shares(), parts_deg(fit), strict=True))
+    parts = (share * part for share, part in zip(SIGMA_SHARES, parts_deg(fit), strict=True))
     return math.hypot(FLOOR_DEG, STATIC * max(fit.static_bias_deg - STATIC_FREE_DEG, 0.0), *parts)
-
-
-def shares() -> tuple[float, float, float, float]:
-    """Return the factors on `parts_deg`."""
-    return SPREAD, NOISE, GROWTH, MISFIT
 
 
 def parts_deg(fit: TextureFit) -> tuple[float, float, float, float]:

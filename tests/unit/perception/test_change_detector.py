@@ -1,4 +1,4 @@
-"""What counts as unchanged: noise and nothing else, until rest has lasted; and no slip is seen later for it."""
+"""Only noise counts as unchanged, skipping starts after rest, and no slip is detected later because of it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,11 @@ from slipguard.perception.contact.change_detector import AVERAGED, QUIET_MAX_S, 
 from slipguard.perception.contact.gate import DEFAULT_NOISE_BGR, ContactGate, block_means, blocks_near
 
 NEAR = blocks_near(np.pad(np.ones((120, 100), np.uint8), ((100, 100), (70, 70))))
+
+
 DENT = press(press(glow(), 60, 40, (120, 130)), 50, 15, (120, 200))
+
+
 FRAME_S = 1 / 60
 
 
@@ -28,14 +32,14 @@ def still_on(scene: NDArray[np.float64], rng: np.random.Generator, frames: int =
 
 
 def rotated(degrees: float) -> NDArray[np.float64]:
-    """The dent, its smaller end turned about its middle."""
+    """The dent, its smaller end rotated about its middle."""
     a = np.radians(degrees)
     return press(press(glow(), 60, 40, (120, 130)), 50, 15, (120 + 70 * np.sin(a), 130 + 70 * np.cos(a)))
 
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=25, deadline=None)
-def test_noise_and_flickering_columns_are_unchanged(seed: int) -> None:
+def test_noise_and_flickering_columns_are_no_change(seed: int) -> None:
     rng = np.random.default_rng(seed)
     still = still_on(DENT, rng)
     columns = [DENT + rng.normal(0.0, 0.8, (1, 240, 3)) for _ in range(10)]
@@ -57,7 +61,7 @@ def test_a_shift_by_a_pixel_and_a_spot_far_away_are_changes() -> None:
         assert not any(still.unchanged(block_means(camera(scene, rng))) for _ in range(20))
 
 
-def test_a_creep_adds_up_until_it_is_seen() -> None:
+def test_creep_accumulates_until_it_is_detected() -> None:
     rng = np.random.default_rng(5)
     still = still_on(DENT, rng)
     seen = [still.unchanged(block_means(camera(rotated(0.02 * k), rng))) for k in range(60)]
@@ -65,7 +69,7 @@ def test_a_creep_adds_up_until_it_is_seen() -> None:
     assert not any(seen[50:])
 
 
-def test_rest_must_last_as_long_again_as_the_last_change_took() -> None:
+def test_rest_must_last_twice_as_long_as_the_last_change() -> None:
     rng = np.random.default_rng(6)
     still = still_on(DENT, rng)
     blocks = block_means(camera(DENT, rng))
@@ -81,7 +85,7 @@ def test_rest_must_last_as_long_again_as_the_last_change_took() -> None:
     assert not still.at_rest(59.0)
 
 
-def test_a_glitch_does_not_end_the_rest_and_a_change_that_stays_does() -> None:
+def test_a_glitch_does_not_end_rest_and_a_lasting_change_does() -> None:
     rng = np.random.default_rng(6)
     still = still_on(DENT, rng)
     same, other = (block_means(camera(scene, rng)) for scene in (DENT, rotated(5.0)))
@@ -100,14 +104,14 @@ def test_a_glitch_does_not_end_the_rest_and_a_change_that_stays_does() -> None:
     assert not still.at_rest(3.2)
 
 
-def test_a_faint_contact_is_never_at_rest_enough() -> None:
+def test_a_faint_contact_is_not_sensitive_enough_to_skip() -> None:
     rng = np.random.default_rng(7)
     faint = press(glow(), 1.5, 40, (120, 160))
     assert not still_on(faint, rng).sensitive(with_rotation=True)
     assert still_on(DENT, rng).sensitive(with_rotation=True)
 
 
-def test_nothing_is_unchanged_before_a_picture_was_kept_or_after_it_was_forgotten() -> None:
+def test_nothing_is_unchanged_without_a_kept_image() -> None:
     rng = np.random.default_rng(8)
     still = still_on(DENT, rng)
     blocks = block_means(camera(DENT, rng))
@@ -118,14 +122,14 @@ def test_nothing_is_unchanged_before_a_picture_was_kept_or_after_it_was_forgotte
     assert not still.at_rest(100.0)
 
 
-def test_a_camera_that_grows_noisy_shows_another_picture() -> None:
+def test_a_camera_that_becomes_noisy_counts_as_a_change() -> None:
     rng = np.random.default_rng(9)
     still = still_on(DENT, rng)
     noisy = [DENT + 12.0 * rng.standard_normal(DENT.shape) for _ in range(10)]
     assert not any(still.unchanged(block_means(camera(scene, rng))) for scene in noisy)
 
 
-def test_the_whole_picture_counts_where_there_is_no_contact() -> None:
+def test_without_contact_the_whole_image_is_compared() -> None:
     rng = np.random.default_rng(10)
     gate = ContactGate(None, DEFAULT_NOISE_BGR)
     still = ChangeDetector(gate.inverse_std, gate.background)

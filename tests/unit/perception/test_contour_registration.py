@@ -1,4 +1,4 @@
-"""Registration: the turn since the reference without an axis, through growth, shift and the frame's edge."""
+"""Registration of contours measures rotation without an axis, through growth, shift and the frame's edge."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def patch_of(probability: NDArray[np.float32]) -> Patch:
 def followed(
     shape: str,
     rotations: list[float],
-    centre: tuple[float, float] = (60, 80),
+    center: tuple[float, float] = (60, 80),
     growth: float = 0.0,
     ragged_px: float = 0.3,
 ) -> list[ContourFit]:
     """Register a turning shape frame by frame, each from the last pose."""
-    template = make_contour_template(patch_of(drawn(shape, 17.0, centre, ragged_px=ragged_px)))
+    template = make_contour_template(patch_of(drawn(shape, 17.0, center, ragged_px=ragged_px)))
     pose, answers = ContourPose(), []
     for k, rotation in enumerate(rotations, start=1):
-        there = (centre[0] + 0.2 * k, centre[1] - 0.1 * k)
+        there = (center[0] + 0.2 * k, center[1] - 0.1 * k)
         picture = drawn(shape, 17.0 + rotation, there, 1.0 + growth * k / len(rotations), ragged_px, seed=k)
         answers.append(ContourRegistrar(template, patch_of(picture)).fit(pose))
         pose = answers[-1].pose
@@ -44,7 +44,7 @@ ROTATIONS = [3.0 * k for k in range(1, 21)]
 
 @pytest.mark.parametrize("shape", ["bar", "rectangle", "square", "key", "wedge", "cross", "ellipse"])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_turns_are_followed_through_growth_and_shift(shape: str, sign: float) -> None:
+def test_rotations_are_tracked_through_growth_and_shift(shape: str, sign: float) -> None:
     rotations = [sign * rotation for rotation in ROTATIONS]
     for rotation, answer in zip(rotations, followed(shape, rotations, growth=0.12), strict=True):
         assert answer.declined is None
@@ -58,21 +58,21 @@ def test_shift_is_that_of_the_patch() -> None:
     assert answer.residual < 0.1
 
 
-@pytest.mark.parametrize("centre", [(60, 80), (80, 100), (40, 70)])
-def test_a_bar_cut_twice_is_followed_and_does_not_run_along_itself(centre: tuple[float, float]) -> None:
+@pytest.mark.parametrize("center", [(60, 80), (80, 100), (40, 70)])
+def test_a_bar_cut_twice_is_tracked_without_drift_along_its_axis(center: tuple[float, float]) -> None:
     rotations = [2.0 * k for k in range(1, 21)]
-    for rotation, answer in zip(rotations, followed("long bar", rotations, centre), strict=True):
+    for rotation, answer in zip(rotations, followed("long bar", rotations, center), strict=True):
         assert abs(answer.pose.rotation_deg - rotation) < 0.8
         assert np.hypot(answer.pose.dx_px, answer.pose.dy_px) < 20.0
 
 
 @pytest.mark.parametrize("shape", ["disc", "ring"])
-@pytest.mark.parametrize("centre", [(60, 80), (105, 80), (108, 150)])
-def test_round_contacts_decline(shape: str, centre: tuple[float, float]) -> None:
-    assert all(answer.declined for answer in followed(shape, ROTATIONS[:5], centre))
+@pytest.mark.parametrize("center", [(60, 80), (105, 80), (108, 150)])
+def test_round_contacts_decline(shape: str, center: tuple[float, float]) -> None:
+    assert all(answer.declined for answer in followed(shape, ROTATIONS[:5], center))
 
 
-def test_an_outline_that_repeats_declines() -> None:
+def test_a_periodic_contour_declines() -> None:
     y, x = np.mgrid[0:160, 0:120]
     radius, azimuth = np.hypot(x - 60, y - 80), np.arctan2(y - 80, x - 60)
     gear = (1 / (1 + np.exp(np.clip((radius - 36 - 5 * np.cos(14 * azimuth)) / 0.6, -30, 30)))).astype(np.float32)
@@ -82,7 +82,7 @@ def test_an_outline_that_repeats_declines() -> None:
     assert not make_contour_template(patch_of(drawn("square"))).periodic
 
 
-def test_another_contact_is_not_taken_for_the_reference() -> None:
+def test_another_contact_does_not_match_the_reference() -> None:
     template = make_contour_template(patch_of(drawn("bar", 0)))
     answer = ContourRegistrar(template, patch_of(drawn("disc"))).fit(ContourPose())
     assert answer.declined or answer.sigma_deg > 3.0

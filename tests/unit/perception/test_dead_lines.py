@@ -1,4 +1,4 @@
-"""Stuck lines of the sensor are found in the no-contact image, and hide neither the contact nor its turn."""
+"""Dead lines of the sensor are found in the background image, and hide neither a contact nor its rotation."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def with_lines(image: Image) -> Image:
     return out
 
 
-def test_stuck_lines_are_found_and_drawn_from_their_neighbours() -> None:
+def test_dead_lines_are_found_and_interpolated() -> None:
     sound = rotated_grasp(3).background
     lines = DeadLines(with_lines(sound))
     assert lines.rows == tuple(ROWS)
@@ -49,7 +49,7 @@ def test_stuck_lines_are_found_and_drawn_from_their_neighbours() -> None:
 
 
 @pytest.mark.parametrize("unit", range(6))
-def test_a_sound_unit_has_none_and_its_frames_are_not_copied(unit: int) -> None:
+def test_a_healthy_unit_has_none_and_its_frames_are_not_copied(unit: int) -> None:
     no_contact = GelCamera(random_unit(np.random.default_rng(unit)), seed=unit).no_contact()
     lines = DeadLines(no_contact)
     assert (lines.rows, lines.columns) == ((), ())
@@ -58,25 +58,25 @@ def test_a_sound_unit_has_none_and_its_frames_are_not_copied(unit: int) -> None:
 
 @pytest.mark.parametrize("spoil", sorted(set(DISTORTIONS) - {"dead lines"}))
 @pytest.mark.parametrize("strength", [0.03, 0.25, 1.0])
-def test_other_flaws_are_not_taken_for_stuck_lines(spoil: str, strength: float) -> None:
+def test_other_distortions_are_not_taken_for_dead_lines(spoil: str, strength: float) -> None:
     lines = DeadLines(DISTORTIONS[spoil](rotated_grasp(1).background, strength, np.random.default_rng(4)))
     assert (lines.rows, lines.columns) == ((), ())
 
 
-def test_a_picture_of_nothing_but_lines_is_left_as_it_is() -> None:
+def test_an_image_of_lines_only_is_left_unchanged() -> None:
     striped = np.repeat(np.arange(320, dtype=np.uint8)[:, None, None] % 2 * 200, 240, axis=1).repeat(3, axis=2)
     assert DeadLines(striped).rows == ()
     assert DeadLines(None).interpolate(striped) is striped
 
 
-def test_what_is_no_picture_is_refused_before_lines_are_drawn() -> None:
+def test_invalid_images_are_rejected_before_interpolation() -> None:
     lines = DeadLines(with_lines(rotated_grasp(3).background))
     with pytest.raises(FrameCorrupt, match="expected"):
         lines.interpolate(np.zeros((160, 120, 3), np.uint8))
 
 
 @pytest.mark.parametrize("seed", [413, 861, 2077])
-def test_stuck_lines_hold_no_turn_back_that_is_called_sure(seed: int) -> None:
+def test_dead_lines_cause_no_wrong_certain_rotation(seed: int) -> None:
     results = FamilyResults("pictures")
     IMAGES.begin(ProductFunctions())(generator("pictures", seed), seed, results)
     assert not results.failures, results.failures
@@ -89,7 +89,7 @@ def drawn_over(image: Image) -> NDArray[np.uint8]:
     return out
 
 
-def test_a_turn_is_told_under_many_stuck_lines_and_the_mask_has_no_gaps() -> None:
+def test_a_rotation_is_measured_with_many_dead_lines_and_the_mask_has_no_gaps() -> None:
     shown = rotated_grasp(12)
     segmenter = Segmenter()
     told = []

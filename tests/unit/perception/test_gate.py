@@ -1,4 +1,4 @@
-"""The gate skips only what it may: empty frames under drifting light."""
+"""The contact gate skips only frames without contact, under drifting light."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Image = NDArray[np.uint8]
 
 
 def glow(seed: int = 0) -> NDArray[np.float64]:
-    """A no-contact image: three coloured lobes."""
+    """A background image: three colored lobes."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[-1:1:320j, -1:1:240j]
     return np.stack(
@@ -50,7 +50,7 @@ def test_drift_of_the_light_is_no_contact(seed: int, level: float, right: float,
 
 
 @given(st.integers(0, 10_000), st.floats(14, 60), st.floats(12, 70))
-def test_a_press_is_let_through(seed: int, levels: float, radius_px: float) -> None:
+def test_a_press_passes_the_gate(seed: int, levels: float, radius_px: float) -> None:
     rng = np.random.default_rng(seed)
     scene = glow(seed % 7)
     at = (rng.uniform(20, 220), rng.uniform(20, 300))
@@ -77,7 +77,7 @@ def test_without_a_background_every_frame_may_be_contact() -> None:
         (None, "NoneType"),
     ],
 )
-def test_what_is_no_gel_picture_stops_at_the_door(image: Image, says: str) -> None:
+def test_invalid_frames_are_rejected(image: Image, says: str) -> None:
     with pytest.raises(FrameCorrupt, match=says) as caught:
         block_means(image)
     assert "\n" not in str(caught.value)
@@ -88,7 +88,7 @@ def test_a_good_frame_passes() -> None:
     assert block_means(glow().astype(np.uint8)).shape == (1200, 3)
 
 
-def test_senseless_noise_figures_do_not_silence_the_gate() -> None:
+def test_invalid_noise_values_do_not_disable_the_gate() -> None:
     scene = glow()
     for noise in ((float("nan"),) * 3, (1e9, 1e9, 1e9), (0.0, 0.0, 0.0)):
         gate = ContactGate(scene.astype(np.uint8), noise)

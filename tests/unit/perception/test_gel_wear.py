@@ -1,4 +1,4 @@
-"""Lasting marks on a gel are found; drifting light, a moved picture and noise are none."""
+"""Permanent marks on a gel are found; drifting light, a shifted image and noise are not reported as marks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ from slipguard.sim.background_image import background_image
 from slipguard.sim.sensor_unit import random_unit
 
 NOISE_BGR = (2.9, 1.5, 2.4)
+
+
 FRAMES = 30
+
+
 UNITS = range(6)
 
 
@@ -67,7 +71,7 @@ def compared(now: np.ndarray, known: np.ndarray, frames: int = FRAMES) -> GelCha
 
 
 @pytest.mark.parametrize("seed", UNITS)
-def test_an_unchanged_gel_has_not_changed(seed: int) -> None:
+def test_an_unchanged_gel_shows_no_change(seed: int) -> None:
     rng, known = np.random.default_rng(seed), gel(seed)
     change = compared(averaged(rng, known), known)
     assert change.marks == ()
@@ -77,7 +81,7 @@ def test_an_unchanged_gel_has_not_changed(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", UNITS)
-def test_drifting_light_and_a_moved_picture_are_no_marks(seed: int) -> None:
+def test_drifting_light_and_a_shifted_image_are_no_marks(seed: int) -> None:
     rng, known = np.random.default_rng(seed), gel(seed)
     for levels in (3.0, 6.0, 10.0):
         now = moved(drifted(rng, known, levels), *rng.uniform(-1.0, 1.0, 2))
@@ -85,14 +89,14 @@ def test_drifting_light_and_a_moved_picture_are_no_marks(seed: int) -> None:
 
 
 @pytest.mark.parametrize("gain", [0.65, 1.5])
-def test_lamps_set_to_something_else_are_no_wear(gain: float) -> None:
+def test_other_led_settings_are_no_wear(gain: float) -> None:
     for seed in UNITS:
         known = np.clip(dusty(seed), 10, 165)
         lit = known * np.array([gain, 1.0, gain])
         assert compared(averaged(np.random.default_rng(seed), lit), known).marks == (), seed
 
 
-def test_specks_that_move_with_the_picture_are_no_wear() -> None:
+def test_specks_that_move_with_the_image_are_no_wear() -> None:
     for seed in UNITS:
         rng, known = np.random.default_rng(seed), dusty(seed)
         now = moved(known, *rng.choice([-1.2, 1.2], 2))
@@ -100,7 +104,7 @@ def test_specks_that_move_with_the_picture_are_no_wear() -> None:
 
 
 @pytest.mark.parametrize("seed", UNITS)
-def test_marks_are_found_in_drifted_light_where_they_are(seed: int) -> None:
+def test_marks_are_located_in_drifted_light(seed: int) -> None:
     rng, known = np.random.default_rng(seed), gel(seed)
     lit = moved(drifted(rng, known, 5.0), 0.6, -0.4)
     change = compared(averaged(rng, spotted(lit, -35.0, 6)), known)
@@ -111,7 +115,7 @@ def test_marks_are_found_in_drifted_light_where_they_are(seed: int) -> None:
     assert compared(averaged(rng, scratched(lit, 25.0)), known).marked_px >= 40
 
 
-def test_more_wear_is_told_as_more() -> None:
+def test_more_wear_is_reported_as_a_larger_area() -> None:
     rng, known = np.random.default_rng(1), gel(1)
     areas = [
         compared(averaged(rng, scratched(known, 25.0, (130 + size, 190))), known).marked_px for size in (8, 25, 60)
@@ -121,7 +125,7 @@ def test_more_wear_is_told_as_more() -> None:
     assert heights == sorted(heights)
 
 
-def test_the_light_is_told_in_levels() -> None:
+def test_a_change_of_light_is_reported_in_grey_levels() -> None:
     rng, known = np.random.default_rng(2), np.clip(gel(2), 20, 200)
     change = compared(averaged(rng, known + np.array([5.0, -3.0, 0.0])), known)
     assert change.level_bgr == pytest.approx((5.0, -3.0, 0.0), abs=0.2)
@@ -150,7 +154,7 @@ def test_real_units_without_contact_have_no_marks(real_data: Path) -> None:
 
 
 def beside_presses(real_data: Path):  # type: ignore[no-untyped-def]
-    """Frame, contact and no-contact image of each press."""
+    """Frame, contact and background image of each press."""
     folder = real_data / "anytouch2_force2"
     known = cv2.imread(str(folder / "background.png"))
     for path in sorted((folder / "frames").glob("*.png"))[::2]:

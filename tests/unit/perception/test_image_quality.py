@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import cv2
@@ -10,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from slipguard.devices import Frame
-from slipguard.perception.contact.gate import BLOCKS_HIGH, BLOCKS_WIDE, block_means, blocks_near
+from slipguard.perception.contact.gate import BLOCKS_HIGH, BLOCKS_WIDE, DEFAULT_NOISE_BGR, block_means, blocks_near
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.declined import DeclineReason
 from slipguard.perception.estimate import Estimate
@@ -33,9 +34,17 @@ from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.trial_family import FamilyResults, generator
 
 Image = NDArray[np.uint8]
+
+
 QUIET_BGR = (0.3, 0.3, 0.3)
+
+
 NEAR = blocks_near(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
+
+
 SHOWN = 12
+
+
 """A grasp of `slipguard.stress` whose rotation is measured well on undistorted images."""
 
 
@@ -72,7 +81,19 @@ def measured(background: Image, frames: list[Image], noise_bgr: tuple[float, ...
     return pipeline, [pipeline.process(Frame(image, k / 60, k)) for k, image in enumerate(frames)]
 
 
-# Few grey levels
+def estimates_in_light(exponent: float, gain: float) -> list[Estimate]:
+    """An egg that rotates by 20 degrees, calibrated in the same light."""
+    shown = rotated_grasp(0)
+    frames = [with_light(image, exponent, gain) for image in shown.frames]
+    return measured(with_light(shown.background, exponent, gain), frames, shown.noise_bgr)[1]
+
+
+def fits(quality: ImageQuality, blocks: NDArray[np.float32], near: NDArray[np.bool_]) -> bool:
+    return math.isfinite(quality.difference_levels(blocks, near))
+
+
+def whole_frame() -> NDArray[np.uint8]:
+    return np.random.default_rng(1).integers(90, 100, (320, 240, 3), np.uint8)
 
 
 @pytest.mark.parametrize("number", range(8))
@@ -105,9 +126,6 @@ def test_a_contact_with_16_levels_is_declined_and_with_64_levels_is_measured() -
             assert estimates[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=2.0)
 
 
-# Noise
-
-
 @pytest.mark.parametrize("number", range(8))
 def test_noise_is_detected_and_a_healthy_unit_has_little(number: int) -> None:
     rng = np.random.default_rng(number)
@@ -133,9 +151,6 @@ def test_a_contact_in_strong_noise_is_declined_and_in_moderate_noise_is_measured
             assert DeclineReason.NOISY in {one.decline_reason for one in estimates}
         else:
             assert estimates[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=2.0)
-
-
-# Compression
 
 
 @pytest.mark.parametrize("number", range(8))
@@ -181,16 +196,6 @@ def test_no_certain_rotation_is_wrong_because_of_blocks_levels_or_noise(seed: in
     assert not results.failures, results.failures
 
 
-# Light
-
-
-def estimates_in_light(exponent: float, gain: float) -> list[Estimate]:
-    """An egg that rotates by 20 degrees, calibrated in the same light."""
-    shown = rotated_grasp(0)
-    frames = [with_light(image, exponent, gain) for image in shown.frames]
-    return measured(with_light(shown.background, exponent, gain), frames, shown.noise_bgr)[1]
-
-
 @pytest.mark.parametrize(("exponent", "gain"), [(5.0**0.75, 1.0), (1.0, 0.15)])
 def test_a_contact_in_the_dark_is_declined(exponent: float, gain: float) -> None:
     estimates = estimates_in_light(exponent, gain)
@@ -201,9 +206,6 @@ def test_a_contact_in_the_dark_is_declined(exponent: float, gain: float) -> None
 def test_half_the_light_is_enough() -> None:
     last = estimates_in_light(1.0, 0.5)[-1]
     assert abs((last.angle_deg or 0.0) + 20.0) < min(2.0, 4.0 * (last.sigma_deg or 0.0))
-
-
-# Focus
 
 
 @pytest.mark.parametrize("number", [12, 17, 20])
@@ -252,3 +254,108 @@ def test_focus_is_not_checked_without_background_or_with_little_gel_outside_the_
 def test_a_gel_without_any_pattern_is_never_out_of_focus() -> None:
     background = np.full((320, 240, 3), 100, np.uint8)
     assert not ImageQuality(background).out_of_focus(block_means(background), NEAR)
+
+
+def test_a_contact_that_fills_the_image_is_declined() -> None:
+    gate = ImageQuality(None)
+    blocks = block_means(whole_frame())
+    mask = np.ones((160, 120), np.uint8)
+    assert not fits(gate, blocks, blocks_near(mask))
+    mask[:, :40] = 0
+    assert fits(gate, blocks, blocks_near(mask))
+
+
+def test_drifting_light_is_accepted_and_another_gel_is_not() -> None:
+    background = whole_frame()
+    gate = ImageQuality(background)
+    near = blocks_near(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
+    brighter = background + np.uint8(20)
+    assert fits(gate, block_means(brighter), near)
+    pressed = background.copy()
+    pressed[130:190, 90:150] = 240
+    assert fits(gate, block_means(pressed), near)
+    other = background.copy()
+    other[:, :120] += np.uint8(40)
+    assert not fits(gate, block_means(other), near)
+
+
+@pytest.mark.parametrize("order", [(2, 1, 0), (1, 0, 2), (0, 2, 1), (1, 2, 0), (2, 0, 1)])
+def test_swapped_colors_are_detected_even_with_a_large_contact(order: tuple[int, int, int]) -> None:
+    shown = rotated_grasp(2)
+    gate = ImageQuality(shown.background)
+    near = blocks_near(np.pad(np.ones((120, 100), np.uint8), ((20, 20), (10, 10))))
+    for image in shown.frames:
+        assert fits(gate, block_means(image), near)
+        assert not fits(gate, block_means(np.ascontiguousarray(image[..., order])), near)
+
+
+@pytest.mark.parametrize("level", [0, 255])
+def test_a_contact_under_a_glare_or_a_dead_spot_is_declined(level: int) -> None:
+    spotted = whole_frame()
+    spotted[150:200, 110:160] = level
+    near = blocks_near(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
+    away = blocks_near(np.pad(np.ones((40, 40), np.uint8), ((10, 110), (10, 70))))
+    gate = ImageQuality(spotted)
+    assert not fits(gate, block_means(spotted), near)
+    assert fits(gate, block_means(spotted), away)
+
+
+def test_a_change_of_light_after_the_reference_increases_sigma() -> None:
+    shown = rotated_grasp(2)
+    slope = np.linspace(-9.0, 9.0, 320)[:, None, None]
+
+    def last(tilt: float) -> tuple[float, float]:
+        pipeline = Pipeline(Segmenter(), PerceptionSettings(), shown.background, None, 18.5)
+        for k, image in enumerate(shown.frames[:8]):
+            lit = image if k < 6 else np.clip(image + tilt * slope, 0, 255).astype(np.uint8)
+            answer = pipeline.process(Frame(lit, k / 60, k))
+        assert answer.angle_deg is not None
+        assert answer.sigma_deg is not None
+        return answer.angle_deg, answer.sigma_deg
+
+    (_, steady), (rotated, tilted) = last(0.0), last(1.0)
+    assert tilted > steady + 0.5
+    assert abs(rotated - shown.rotations_deg[7]) < 3.0 * tilted
+
+
+def test_a_rotation_in_an_almost_dark_image_is_not_skipped() -> None:
+    shown = rotated_grasp(0)
+    dark = [np.asarray(image // 16, np.uint8) for image in shown.frames]
+    background = np.asarray(shown.background // 16, np.uint8)
+    pipeline = Pipeline(Segmenter(), PerceptionSettings(), background, DEFAULT_NOISE_BGR, 18.5)
+    answers = [pipeline.process(Frame(image, k / 60, k)) for k, image in enumerate(dark)]
+    assert not [one for one in answers if one.contact and one.skipped]
+
+
+@pytest.mark.parametrize("noise", [2.0, 32.0])
+def test_a_camera_that_became_far_too_noisy_is_declined(noise: float) -> None:
+    background = np.full((320, 240, 3), 100, np.uint8)
+    rng = np.random.default_rng(0)
+    noisy = np.clip(background + noise * rng.standard_normal(background.shape), 0, 255).astype(np.uint8)
+    near = blocks_near(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
+    assert fits(ImageQuality(background), block_means(noisy), near) == (noise < 10.0)
+
+
+@pytest.mark.parametrize(("levels", "fit"), [(6, True), (20, True), (45, False)])
+def test_an_even_change_of_light_is_accepted_up_to_a_limit(levels: int, fit: bool) -> None:
+    background = whole_frame()
+    lamp = background.copy()
+    lamp[..., 1] += np.uint8(levels)
+    near = blocks_near(np.pad(np.ones((40, 40), np.uint8), ((60, 60), (40, 40))))
+    assert fits(ImageQuality(background), block_means(lamp), near) == fit
+
+
+@pytest.mark.parametrize(("what", "strength"), [("swapped colors", 1.0), ("negative", 0.5), ("crushed", 0.5)])
+def test_other_light_gives_no_rotation_and_no_reference(what: str, strength: float) -> None:
+    shown = rotated_grasp(0)
+    pipeline = Pipeline(Segmenter(), PerceptionSettings(), shown.background, None, 18.5)
+    rng = np.random.default_rng(0)
+    answers = [
+        pipeline.process(Frame(DISTORTIONS[what](image, strength, rng), k / 60, k))
+        for k, image in enumerate(shown.frames)
+    ]
+    assert {answer.decline_reason for answer in answers if answer.contact} <= {DeclineReason.UNLIKE_BACKGROUND}
+    assert not [answer for answer in answers if answer.angle_deg is not None]
+    assert not pipeline.has_reference
+    clean = [pipeline.process(Frame(image, (20 + k) / 60, 20 + k)) for k, image in enumerate(shown.frames)]
+    assert clean[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=3.0)

@@ -1,18 +1,18 @@
-"""Regions: what becomes the patch, what is a speck, where the frame cuts it."""
+"""Which regions form the contact patch, where the frame cuts it, how ragged its contour is."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 import pytest
-from drawn_masks import drawn
+from drawn_masks import SHAPES, drawn
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from skimage.measure import label, regionprops
 
-from slipguard.perception.contact.patch import find_patch
+from slipguard.perception.contact.patch import find_patch, ragged_px
 
 
 def disc(*spots: tuple[int, int, int]) -> NDArray[np.float32]:
@@ -26,11 +26,11 @@ def test_nothing_above_the_threshold_is_no_contact() -> None:
     assert find_patch(np.full((160, 120), 0.4, np.float32), 0.5, 200, 2.0) is None
 
 
-def test_a_speck_is_no_contact() -> None:
+def test_a_small_region_is_no_contact() -> None:
     assert find_patch(disc((60, 80, 3)), 0.5, 200, 2.0) is None
 
 
-def test_area_and_place_are_those_of_scikit_image() -> None:
+def test_area_and_position_equal_those_of_scikit_image() -> None:
     probability = drawn("key", 33, (55, 90))
     patch = find_patch(probability, 0.5, 200, 2.0)
     assert patch is not None
@@ -51,7 +51,7 @@ def test_area_and_place_are_those_of_scikit_image() -> None:
         (((50, 80, 20), (74, 80, 2)), 1),  # a speck close by
     ],
 )
-def test_regions_of_comparable_size_or_close_by_make_one_patch(
+def test_regions_of_comparable_size_or_nearby_form_one_patch(
     spots: tuple[tuple[int, int, int], ...], regions: int
 ) -> None:
     patch = find_patch(disc(*spots), 0.5, 100, 2.0)
@@ -59,7 +59,7 @@ def test_regions_of_comparable_size_or_close_by_make_one_patch(
     assert patch.regions == regions
 
 
-def test_clipped_sides_are_told() -> None:
+def test_clipped_sides_are_reported() -> None:
     patch = find_patch(drawn("long bar", 90, (10, 80)), 0.5, 200, 2.0)
     assert patch is not None
     sides = patch.clipped
@@ -87,3 +87,18 @@ def test_any_map_gives_a_patch_or_none(probability: NDArray[np.float32], thresho
         assert np.isfinite(patch.probability).all()
         assert patch.area_px >= 20
         assert set(np.unique(patch.mask)) <= {0, 1}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_contours_of_objects_are_not_ragged(shape: str) -> None:
+    for angle in (0, 20, 65):
+        patch = find_patch(drawn(shape, angle, ragged_px=0.3), 0.5, 200, 2.0)
+        assert patch is not None
+        assert patch.ragged_px < 0.4
+
+
+def test_a_mask_in_many_pieces_is_ragged_all_over() -> None:
+    mask = np.zeros((160, 120), np.uint8)
+    mask[::4, ::4] = 1
+    assert ragged_px(mask) > 3.0
+    assert ragged_px(np.zeros((5, 5), np.uint8)) == 0.0

@@ -1,4 +1,4 @@
-"""The whole way from a frame to an estimate, with a segmenter that reads the contact off the blue channel."""
+"""From a frame to an estimate, with a segmenter that reads the contact from the blue channel."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt, InputError
+from slipguard.perception.contact.patch import resize_mask_to_frame
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation.axial_angle import axial_difference_deg
+from slipguard.perception.rotation.skeleton import middle_line
 from slipguard.perception.settings import EstimatorName, PerceptionSettings
 
 ESTIMATORS: tuple[EstimatorName, ...] = ("fused", "registration", "moments", "ellipse", "pca", "skeleton")
@@ -45,7 +47,7 @@ def run(pipe: Pipeline, shape: str, angles: list[float], start: int = 0) -> list
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 @pytest.mark.parametrize(("before", "now", "rotation"), [(-6, 6, 12), (80, 100, 20), (10, -35, -45)])
-def test_turns_are_signed_and_cross_the_seam(
+def test_rotations_are_signed_and_cross_90_degrees(
     estimator: EstimatorName, before: float, now: float, rotation: float
 ) -> None:
     steps = list(np.linspace(before, now, 12))
@@ -57,7 +59,7 @@ def test_turns_are_signed_and_cross_the_seam(
     assert last.method == estimator
 
 
-def test_a_whole_revolution_is_unwrapped() -> None:
+def test_a_full_revolution_is_unwrapped() -> None:
     last = run(pipeline(), "key", [0.0] * 5 + [4.0 * k for k in range(1, 91)])[-1]
     assert last.angle_deg == pytest.approx(360.0, abs=1.5)
     assert last.rate_deg_s == pytest.approx(240.0, rel=0.1)
@@ -72,7 +74,8 @@ def test_the_reference_is_the_first_stable_contact() -> None:
     assert pipe.has_reference
     assert [e.angle_deg is None for e in still[:3]] == [True] * 3
     assert still[-1].angle_deg == pytest.approx(0.0, abs=0.3)
-    assert pipe.reference_area_px == pytest.approx(still[-1].contact_area_px, rel=0.05)
+    assert pipe._meter.reference is not None
+    assert pipe._meter.reference.patch.area_px == pytest.approx(still[-1].contact_area_px, rel=0.05)
 
 
 def test_the_reference_may_be_the_first_contact() -> None:
@@ -82,18 +85,18 @@ def test_the_reference_may_be_the_first_contact() -> None:
     assert second.angle_deg == pytest.approx(6.0, abs=0.7)
 
 
-def test_a_new_reference_starts_at_nothing() -> None:
+def test_a_new_reference_starts_at_zero() -> None:
     pipe = pipeline()
     run(pipe, "bar", [0.0] * 5 + [10.0] * 5)
     pipe.reset_reference()
     assert not pipe.has_reference
-    assert pipe.reference_area_px is None
+    assert pipe.reference_image is None
     assert run(pipe, "bar", [10.0] * 6, start=20)[-1].angle_deg == pytest.approx(0.0, abs=0.4)
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 @pytest.mark.parametrize("shape", ["disc", "ring"])
-def test_round_contacts_are_declined_but_their_shift_is_told(estimator: EstimatorName, shape: str) -> None:
+def test_round_contacts_are_declined_but_their_shift_is_measured(estimator: EstimatorName, shape: str) -> None:
     pipe = pipeline(estimator=estimator)
     run(pipe, shape, [0.0] * 6)
     moved = pipe.process(frame(drawn(shape, 25, (69.25, 61.5)), 9))
@@ -109,7 +112,7 @@ def test_round_contacts_are_declined_but_their_shift_is_told(estimator: Estimato
     ("mounting_deg", "shift_mm", "orientation_deg"),
     [(0, (1.0, 2.0), 30), (90, (-2.0, 1.0), -60), (180, (-1.0, -2.0), 30), (270, (2.0, -1.0), -60)],
 )
-def test_mounting_turns_directions_but_no_turn(
+def test_mounting_rotates_directions_but_not_rotations(
     mounting_deg: int, shift_mm: tuple[float, float], orientation_deg: float
 ) -> None:
     pipe = pipeline(mounting_deg)
@@ -130,10 +133,10 @@ def test_no_contact_needs_no_network() -> None:
         assert answer.measured_at_s == answer.captured_at_s
     assert segmenter.calls == 0
     assert not pipe.last_mask.any()
-    assert not pipe.last_skeleton.any()
+    assert pipe.last_patch is None
 
 
-def test_an_unchanged_picture_reuses_the_answer_for_a_quarter_second_at_most() -> None:
+def test_an_unchanged_image_repeats_the_estimate_for_at_most_a_quarter_second() -> None:
     segmenter = ReadsBlue()
     pipe = pipeline(segmenter=segmenter)
     picture = drawn("bar", 20)
@@ -151,7 +154,7 @@ def test_an_unchanged_picture_reuses_the_answer_for_a_quarter_second_at_most() -
 
 
 @pytest.mark.parametrize("knock", [3.0, 70.0])
-def test_after_a_knock_of_one_frame_the_answer_is_that_of_the_picture(knock: float) -> None:
+def test_after_a_glitch_of_one_frame_the_estimate_is_that_of_the_image(knock: float) -> None:
     pipe = pipeline()
     for k in range(90):
         pipe.process(frame(drawn("bar", 20), k))
@@ -164,7 +167,7 @@ def test_after_a_knock_of_one_frame_the_answer_is_that_of_the_picture(knock: flo
     assert [answer.rate_deg_s for answer in after[10:]] == pytest.approx([0.0] * 20, abs=2.0)
 
 
-def test_a_slow_turn_is_seen_within_half_a_degree_in_spite_of_skips() -> None:
+def test_a_slow_rotation_is_measured_within_half_a_degree_despite_skips() -> None:
     pipe = pipeline()
     run(pipe, "bar", [20.0] * 6)
     for k in range(6, 90):
@@ -180,7 +183,7 @@ def test_skipping_can_be_switched_off() -> None:
     assert segmenter.calls == 20
 
 
-def test_a_flipped_axis_is_not_a_turn() -> None:
+def test_a_flipped_axis_is_not_a_rotation() -> None:
     pipe = pipeline(estimator="moments")
     run(pipe, "rectangle", [0.0] * 6)
     flipped = pipe.process(frame(drawn("rectangle", 90), 7))
@@ -196,10 +199,13 @@ def test_contact_lost_and_found_keeps_its_reference() -> None:
     assert run(pipe, "bar", [8.0] * 3, start=10)[-1].angle_deg == pytest.approx(8.0, abs=0.7)
 
 
-def test_the_mask_and_the_skeleton_are_those_of_the_last_frame() -> None:
+def test_mask_and_skeleton_are_those_of_the_last_frame() -> None:
     pipe = pipeline()
     run(pipe, "bar", [30.0] * 2)
-    mask, skeleton = pipe.last_mask, pipe.last_skeleton
+    assert pipe.last_patch is not None
+    line = middle_line(pipe.last_patch)
+    skeleton = resize_mask_to_frame(dataclasses.replace(pipe.last_patch, mask=line.skeleton).full_mask())
+    mask = pipe.last_mask
     assert mask.shape == skeleton.shape == (320, 240)
     assert set(np.unique(mask)) == {0, 1}
     assert skeleton.any()
@@ -225,7 +231,7 @@ def test_stage_times_come_from_the_injected_timer() -> None:
     assert pipeline().process(frame(drawn("bar", 20), 0)).stage_ms == {}
 
 
-def test_what_is_not_finite_stops_at_the_door() -> None:
+def test_values_that_are_not_finite_are_rejected() -> None:
     answer = pipeline(segmenter=ReadsNaN()).process(frame(drawn("bar"), 0))
     assert not answer.contact
     for at in (float("nan"), float("inf")):
@@ -233,7 +239,7 @@ def test_what_is_not_finite_stops_at_the_door() -> None:
             pipeline().process(frame(drawn("bar"), 0, captured_at_s=at))
 
 
-def test_noise_in_place_of_a_mask_gives_no_sure_turn() -> None:
+def test_a_noise_mask_gives_no_certain_rotation() -> None:
     rng = np.random.default_rng(8)
     pipe = pipeline(reference="first", skip_unchanged=False)
     sure = []
@@ -254,7 +260,7 @@ def test_noise_in_place_of_a_mask_gives_no_sure_turn() -> None:
         ({"background": 0}, "background image"),
     ],
 )
-def test_a_senseless_setting_is_one_line(change: dict[str, float], says: str) -> None:
+def test_an_invalid_setting_is_one_line(change: dict[str, float], says: str) -> None:
     background = BACKGROUND[:10] if "background" in change else BACKGROUND
     with pytest.raises(InputError, match=says) as caught:
         Pipeline(

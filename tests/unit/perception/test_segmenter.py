@@ -1,4 +1,4 @@
-"""The segmenter keeps its contract, refuses what does not, and guesses a background where none is known."""
+"""The segmenter fulfills the model contract, rejects networks that do not, and estimates a missing background."""
 
 from pathlib import Path
 
@@ -13,9 +13,17 @@ from slipguard.sim.gel_view import GelView
 from slipguard.sim.sensor_unit import SensorUnit
 
 CAMERA = GelCamera(SensorUnit.default(), seed=7)
+
+
 TOUCH = GelView("ball", x_mm=0.5, y_mm=1.0, angle_deg=0.0, depth_mm=0.6)
+
+
 CENTRE = (70, 64)
+
+
 """Row and column of the ball at network resolution: 1 mm up and 0.5 mm right of the middle."""
+
+
 UNTOUCHED = GelView("", depth_mm=-1.0)
 
 
@@ -45,7 +53,7 @@ def changed_model(tmp_path: Path, old: bytes, new: bytes) -> Path:
     return path
 
 
-def test_answer_is_a_probability_at_network_size(segmenter: Segmenter) -> None:
+def test_the_output_is_a_probability_at_network_size(segmenter: Segmenter) -> None:
     answer = segmenter.segment(gel(1), gel(2))
     assert answer.shape == (160, 120)
     assert answer.dtype == np.float32
@@ -55,7 +63,7 @@ def test_answer_is_a_probability_at_network_size(segmenter: Segmenter) -> None:
     assert 0.0 < segmenter.threshold < 1.0
 
 
-def test_a_ball_is_found_where_it_is_and_nothing_where_there_is_none(segmenter: Segmenter) -> None:
+def test_a_ball_is_found_and_an_untouched_gel_has_no_contact(segmenter: Segmenter) -> None:
     background = gel(1)
     mask = segmenter.segment(with_ball(2), background) > segmenter.threshold
     rows, columns = np.nonzero(mask)
@@ -80,7 +88,7 @@ def test_without_a_background_a_clear_press_is_still_found(segmenter: Segmenter)
     assert mask[row - 8 : row + 8, column - 8 : column + 8].mean() > 0.9
 
 
-def test_guessed_background_follows_the_glow_and_passes_under_a_press() -> None:
+def test_an_estimated_background_follows_the_glow_and_passes_under_a_press() -> None:
     glow, pressed = gel(1), with_ball(1)
     guess = estimate_background(pressed).astype(int)
     assert guess.shape == pressed.shape
@@ -100,7 +108,7 @@ def test_guessed_background_follows_the_glow_and_passes_under_a_press() -> None:
     ],
     ids=["on its side", "grey", "NaN", "one pixel"],
 )
-def test_other_images_are_refused_in_words(segmenter: Segmenter, image: np.ndarray) -> None:
+def test_other_images_are_rejected_with_a_message(segmenter: Segmenter, image: np.ndarray) -> None:
     with pytest.raises(InputError, match=r"\(320, 240, 3\)"):
         segmenter.segment(image, None)
     with pytest.raises(InputError, match="background image"):
@@ -133,7 +141,7 @@ def test_corrupt_model_is_one_line(tmp_path: Path, keep: int) -> None:
     ],
     ids=["input", "metadata", "contract", "threshold range", "threshold text"],
 )
-def test_models_that_break_the_contract_are_refused(tmp_path: Path, old: bytes, new: bytes, said: str) -> None:
+def test_models_that_break_the_contract_are_rejected(tmp_path: Path, old: bytes, new: bytes, said: str) -> None:
     with pytest.raises(ModelError, match=said):
         Segmenter(changed_model(tmp_path, old, new))
 

@@ -1,4 +1,4 @@
-"""Thinning is OpenCV's Guo-Hall thinning, pixel for pixel."""
+"""Thinning equals OpenCV's Guo-Hall thinning, pixel by pixel."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ def drawn(kind: int, rng: np.random.Generator, largest_px: int = 44) -> Mask:
         noise = cv2.GaussianBlur(rng.random((height, width)).astype(np.float32), (0, 0), rng.uniform(1, 4))
         return (noise > np.quantile(noise, rng.uniform(0.1, 0.9))).astype(np.uint8)
     for _ in range(int(rng.integers(1, 4))):
-        centre = (int(rng.integers(-2, width + 2)), int(rng.integers(-2, height + 2)))
+        center = (int(rng.integers(-2, width + 2)), int(rng.integers(-2, height + 2)))
         if kind == 2:
             axes = (int(rng.integers(1, 25)), int(rng.integers(1, 12)))
-            cv2.ellipse(mask, centre, axes, float(rng.uniform(0, 180)), 0, 360, 1, -1)
+            cv2.ellipse(mask, center, axes, float(rng.uniform(0, 180)), 0, 360, 1, -1)
         elif kind == 3:
             corners = rng.integers(-6, largest_px + 6, (int(rng.integers(3, 7)), 2))
             cv2.fillPoly(mask, [corners.astype(np.int32)], 1)
         else:
             end = (int(rng.integers(0, width)), int(rng.integers(0, height)))
-            cv2.line(mask, centre, end, 1, int(rng.integers(1, 7)))
+            cv2.line(mask, center, end, 1, int(rng.integers(1, 7)))
     if kind == 3 and rng.random() < 0.3:
         mask = 1 - mask
     return mask
@@ -53,7 +53,7 @@ def test_ten_thousand_random_masks_are_thinned_as_opencv_thins_them() -> None:
 
 
 @pytest.mark.parametrize("size", [(120, 160), (240, 320)])
-def test_full_frames_too(size: tuple[int, int]) -> None:
+def test_full_frames_are_thinned_as_opencv_thins_them(size: tuple[int, int]) -> None:
     rng = np.random.default_rng(3)
     width, height = size
     for angle in (0, 20, 65, 90, 137):
@@ -64,7 +64,7 @@ def test_full_frames_too(size: tuple[int, int]) -> None:
         np.testing.assert_array_equal(thin(mask), reference(mask))
 
 
-def test_a_crop_padded_by_one_gives_the_crop_of_the_thinned_picture() -> None:
+def test_a_crop_padded_by_one_gives_the_crop_of_the_thinned_image() -> None:
     rng = np.random.default_rng(5)
     for index in range(200):
         crop = drawn(index % 5, rng)
@@ -86,7 +86,7 @@ def test_accepts_bool_and_255_and_leaves_its_input_alone() -> None:
     np.testing.assert_array_equal(mask, before)
 
 
-def test_the_removal_rule_over_all_neighbourhoods() -> None:
+def test_the_removal_rule_over_all_neighborhoods() -> None:
     for code in range(256):
         p2, p3, p4, p5, p6, p7, p8, p9 = ((code >> i) & 1 for i in range(8))
         connected = ((1 - p2) & (p3 | p4)) + ((1 - p4) & (p5 | p6)) + ((1 - p6) & (p7 | p8)) + ((1 - p8) & (p9 | p2))

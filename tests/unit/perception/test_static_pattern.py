@@ -1,4 +1,4 @@
-"""What stays in its place while a contact turns holds the fit back: the turn is less certain by that."""
+"""Patterns that stay in place while a contact rotates bias the registration and increase sigma."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def sigmas_off(found: list[TextureFit]) -> float:
 
 
 @pytest.mark.parametrize("levels", [6.0, 7.0])
-def test_dirt_that_stays_makes_the_turn_less_certain(levels: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_static_dirt_increases_sigma(levels: float, monkeypatch: pytest.MonkeyPatch) -> None:
     found = rotated(levels)
     with_it = [sigma_deg(answer) for answer in found]
     assert sigmas_off(found) < 4.0
@@ -68,14 +68,14 @@ def test_dirt_that_stays_makes_the_turn_less_certain(levels: float, monkeypatch:
     assert sigma_deg(found[-1]) < 0.95 * with_it[-1]
 
 
-def test_a_contact_that_turns_alone_is_as_sure_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_static_pattern_sigma_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
     found = rotated(0.0)
     sigmas = [sigma_deg(answer) for answer in found]
     monkeypatch.setattr(texture_registration, "STATIC", 0.0)
     assert sigmas == pytest.approx([sigma_deg(answer) for answer in found], rel=0.02)
 
 
-def test_of_a_share_that_stays_the_fit_lacks_that_share_of_the_turn() -> None:
+def test_the_bias_equals_the_share_of_the_static_pattern() -> None:
     x = np.linspace(-3.0, 3.0, 600, dtype=np.float32)
 
     def at(moved: float) -> NDArray[np.float64]:
@@ -97,7 +97,7 @@ def test_of_a_share_that_stays_the_fit_lacks_that_share_of_the_turn() -> None:
 
 
 @pytest.mark.parametrize("seed", [371, 373, 377, 741, 2533, 3817])
-def test_pictures_spoiled_in_their_place_give_no_confident_wrong_turn(seed: int) -> None:
+def test_static_distortions_give_no_wrong_certain_rotation(seed: int) -> None:
     results = FamilyResults("pictures")
     IMAGES.begin(ProductFunctions())(generator("pictures", seed), seed, results)
     assert not results.failures, results.failures

@@ -1,4 +1,4 @@
-"""A pipeline that was restarted goes on with the reference of before, or says that it does not match."""
+"""After a restart a pipeline continues with its stored reference, or finds that it does not match."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def before(shape: str, rotation_deg: float) -> StoredReference:
 
 
 @pytest.mark.parametrize("rotation_deg", [0.0, 14.0, -38.0, 70.0])
-def test_the_turn_goes_on_being_counted(rotation_deg: float) -> None:
+def test_the_rotation_continues_from_the_stored_reference(rotation_deg: float) -> None:
     pipe = pipeline()
     known = before("key", rotation_deg)
     pipe.resume(known, 10.0)
@@ -56,7 +56,7 @@ def test_the_turn_goes_on_being_counted(rotation_deg: float) -> None:
     assert on.angle_deg == pytest.approx(rotation_deg + 15.0, abs=1.0)
 
 
-def test_another_object_is_a_new_reference_counted_from_the_last_turn() -> None:
+def test_another_object_gets_a_new_reference_and_continues_from_the_last_rotation() -> None:
     pipe = pipeline()
     pipe.resume(before("key", 14.0), 10.0)
     answers = run(pipe, "disc", [0.0] * DIFFERS_AFTER, start=600)
@@ -70,7 +70,7 @@ def test_another_object_is_a_new_reference_counted_from_the_last_turn() -> None:
     assert pipe.reference_image is not None
 
 
-def test_what_was_counted_before_the_old_reference_is_counted_on() -> None:
+def test_the_rotation_before_the_stored_reference_is_added() -> None:
     known = before("key", 14.0)
     pipe = pipeline()
     pipe.resume(StoredReference(known.image, known.rotation_deg, 5.0), 10.0)
@@ -82,7 +82,7 @@ def test_what_was_counted_before_the_old_reference_is_counted_on() -> None:
     assert pipe.earlier_rotation_deg == pytest.approx(5.0 + 14.0, abs=1.0)
 
 
-def test_a_new_reference_that_was_asked_for_counts_from_nothing() -> None:
+def test_a_reset_reference_starts_at_zero() -> None:
     pipe = pipeline()
     pipe.resume(before("key", 14.0), 10.0)
     pipe.reset_reference()
@@ -99,7 +99,7 @@ def test_without_contact_nothing_is_decided() -> None:
     assert pipe.stored_reference_state == "waiting"
 
 
-def test_a_reference_without_contact_is_none() -> None:
+def test_a_stored_image_without_contact_does_not_match() -> None:
     pipe = pipeline()
     pipe.resume(StoredReference(frame(None, 1).image, 14.0), 10.0)
     assert pipe.stored_reference_state == "differs"
@@ -107,6 +107,6 @@ def test_a_reference_without_contact_is_none() -> None:
     assert last.angle_deg == pytest.approx(14.0, abs=0.5)
 
 
-def test_what_is_no_picture_is_refused() -> None:
+def test_a_stored_image_that_is_no_gel_image_is_rejected() -> None:
     with pytest.raises(FrameCorrupt):
         pipeline().resume(StoredReference(np.zeros((10, 10, 3), np.uint8), 0.0), 10.0)

@@ -1,4 +1,4 @@
-"""The camera's noise is known: it makes no contact look deformed, and hides no deformation."""
+"""Known camera noise neither looks like deformation nor hides it."""
 
 from __future__ import annotations
 
@@ -30,6 +30,8 @@ from slipguard.stress.textured_surfaces import (
 )
 
 BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
+
+
 NO_STRIPES = (0.0, 0.0, 0.0)
 
 
@@ -43,7 +45,7 @@ def seen(surface: Surface, rotation_deg: float, noise: CameraNoise) -> tuple[NDA
 
 
 def rotated(surface: Surface, known: bool) -> list[TextureFit]:
-    """Letters that have turned by 6 degrees and become another surface, seen ten times."""
+    """Letters that have rotated by 6 degrees and become another surface, seen ten times."""
     noise = CameraNoise(NOISE_STD_BGR, NO_STRIPES, 3)
     reader = TextureMapReader(BACKGROUND, NOISE_STD_BGR if known else None)
     image, patch = seen(lettered, 0.0, noise)
@@ -66,7 +68,7 @@ def sigma(found: list[TextureFit]) -> float:
 
 
 @pytest.mark.parametrize("std", [NOISE_STD_BGR, (0.9, 0.5, 0.7), (4.6, 2.4, 3.8)])
-def test_the_noise_of_the_relief_is_that_of_untouched_frames(std: tuple[float, float, float]) -> None:
+def test_the_noise_of_the_texture_map_is_that_of_untouched_frames(std: tuple[float, float, float]) -> None:
     noise = CameraNoise(std, NO_STRIPES, 5)
     reader = TextureMapReader(BACKGROUND, std)
     patch = find_patch(np.pad(np.ones((80, 60), np.float32), ((40, 40), (30, 30))), 0.5, 100, 2.0)
@@ -77,18 +79,18 @@ def test_the_noise_of_the_relief_is_that_of_untouched_frames(std: tuple[float, f
     assert reliefs[0].noise == pytest.approx(measured, rel=0.12)
 
 
-def test_a_contact_that_has_only_turned_is_surer_where_the_noise_is_known() -> None:
+def test_known_noise_lowers_sigma_of_a_contact_that_only_rotated() -> None:
     known = rotated(lettered, known=True)
     assert sigma(known) < 0.8 * sigma(rotated(lettered, known=False))
     assert all(abs(answer.pose.rotation_deg - 6.0) < 4.0 * sigma_deg(answer) for answer in known)
 
 
-def test_a_contact_that_has_deformed_is_not() -> None:
+def test_known_noise_does_not_lower_sigma_of_a_deformed_contact() -> None:
     known = rotated(partly, known=True)
     assert sigma(known) > 0.85 * sigma(rotated(partly, known=False))
     assert sigma(known) > 2.0 * sigma(rotated(lettered, known=True))
     assert all(abs(answer.pose.rotation_deg - 6.0) < 4.0 * sigma_deg(answer) for answer in known)
 
 
-def test_without_a_known_noise_none_is_taken_out() -> None:
+def test_unknown_noise_is_not_subtracted() -> None:
     assert all(parts_deg(answer)[1] == 0.0 for answer in rotated(lettered, known=False))

@@ -1,4 +1,4 @@
-"""The turn by the relief in a contact: followed under lights that stay, declined where the relief is round."""
+"""Rotation by the texture in a contact, under lights that stay in place; round textures are declined."""
 
 from __future__ import annotations
 
@@ -22,7 +22,11 @@ from slipguard.perception.rotation.texture_registration import (
 from slipguard.perception.rotation.texture_template import make_texture_template
 
 Height = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+
+
 LIGHTS_DEG = (270.0, 150.0, 30.0)
+
+
 NOISE = 2.0
 
 
@@ -100,7 +104,7 @@ ROTATIONS = [3.0 * k for k in range(1, 11)]
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("growth", [0.0, 1.2])
-def test_a_round_contact_with_texture_is_followed_while_the_force_grows(sign: float, growth: float) -> None:
+def test_a_round_contact_with_texture_is_tracked_while_the_force_rises(sign: float, growth: float) -> None:
     rotations = [sign * rotation for rotation in ROTATIONS]
     for rotation, answer in zip(rotations, followed(lettered, rotations, growth), strict=True):
         assert answer.declined is None
@@ -119,7 +123,7 @@ def worst_deg(gains: tuple[float, float, float]) -> float:
 
 
 @pytest.mark.parametrize("gains", [(1.0, 0.6, 1.5), (0.5, 1.0, 1.0), (0.15, 1.0, 1.0)])
-def test_lights_of_unequal_strength_are_learnt(
+def test_lights_of_unequal_strength_are_learned(
     gains: tuple[float, float, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     learnt = worst_deg(gains)
@@ -128,7 +132,7 @@ def test_lights_of_unequal_strength_are_learnt(
     assert learnt < 0.75 * worst_deg(gains)
 
 
-def test_lights_in_the_other_sense_are_recognised() -> None:
+def test_lights_in_the_other_sense_are_recognized() -> None:
     answers = followed(lettered, ROTATIONS, lights_deg=(270.0, 30.0, 150.0))
     assert all(answer.declined is None for answer in answers)
     assert max(abs(a.pose.rotation_deg - rotation) for a, rotation in zip(answers, ROTATIONS, strict=True)) < 0.6
@@ -141,21 +145,21 @@ def test_a_plain_ball_declines_under_any_light(gains: tuple[float, float, float]
     }
 
 
-def test_relief_of_another_object_declines() -> None:
+def test_the_texture_of_another_object_declines() -> None:
     reader, texture = referenced(lettered)
     image, patch = pressed(gear, 0.0)
     answer = fit_texture(texture, reader.read(image, patch), TexturePose())
     assert answer.declined is not None or sigma_deg(answer) > 1.0
 
 
-def test_a_contact_that_left_the_picture_declines() -> None:
+def test_a_contact_that_left_the_image_declines() -> None:
     reader, texture = referenced(lettered)
     image, patch = pressed(lettered, 20.0, at=(236.0, 160.0))
     answer = fit_texture(texture, reader.read(image, patch), TexturePose(dx_px=58.0))
     assert answer.declined == "clipped by the frame: 43% of the texture is visible, limit 45%"
 
 
-def test_a_picture_without_any_relief_gives_finite_numbers() -> None:
+def test_an_image_without_any_texture_gives_finite_numbers() -> None:
     reader, texture = referenced(lettered)
     _, patch = pressed(lettered, 20.0)
     answer = fit_texture(texture, reader.read(background(), patch), TexturePose())

@@ -1,4 +1,4 @@
-"""The relief followed through a contact that changes: a key stands in, its doubt counts, the reference comes back."""
+"""Tracking of a changing contact: a key image is used, its uncertainty counts, the reference returns."""
 
 from __future__ import annotations
 
@@ -24,7 +24,11 @@ from slipguard.stress.textured_surfaces import (
 )
 
 BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
+
+
 NOISE = 2.0
+
+
 NO_AXIS = RotationEstimate(None, None, "round contact")
 
 
@@ -66,7 +70,7 @@ class Held:
 
 
 def shaft(u: Heights, v: Heights) -> Heights:
-    """Longer than the picture, and the same all along."""
+    """Longer than the image, and the same all along."""
     away = np.maximum(np.abs(v) - 20, 0)
     return np.asarray(9.0 * np.exp(-away * away / 120.0) + 0.0 * u, np.float32)
 
@@ -74,7 +78,7 @@ def shaft(u: Heights, v: Heights) -> Heights:
 SHARES = [0.05 * k for k in range(19)]
 
 
-def test_a_contact_that_changes_is_followed_further_by_a_key(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_changing_contact_is_tracked_further_by_a_key(monkeypatch: pytest.MonkeyPatch) -> None:
     def told() -> list[TrackedTexture]:
         held = Held()
         return [held.see(becoming(share), 15.0 * share, (120.0 + 6 * share, 160.0)) for share in SHARES]
@@ -90,7 +94,7 @@ def test_a_contact_that_changes_is_followed_further_by_a_key(monkeypatch: pytest
             assert abs(one.rotation.rotation_deg - 15.0 * share) < max(4.0 * one.rotation.sigma_deg, 0.5)
 
 
-def test_the_reference_is_taken_up_again_without_a_trace() -> None:
+def test_the_reference_is_used_again_after_a_key() -> None:
     held = Held()
     for share in SHARES:
         held.see(becoming(share), 0.0)
@@ -99,7 +103,7 @@ def test_the_reference_is_taken_up_again_without_a_trace() -> None:
     assert back.deformation < 1.6
 
 
-def test_a_changing_contact_is_less_and_less_certain() -> None:
+def test_a_changing_contact_increases_sigma() -> None:
     held = Held()
     told = [held.see(becoming(share), 0.0) for share in SHARES[:8]]
     sigmas = [one.rotation.sigma_deg for one in told if one.rotation.sigma_deg is not None]
@@ -107,13 +111,13 @@ def test_a_changing_contact_is_less_and_less_certain() -> None:
     assert sum(later < before for before, later in pairwise(sigmas)) <= 2
 
 
-def test_shift_is_told_in_frame_pixels() -> None:
+def test_shift_is_in_frame_pixels() -> None:
     held = Held()
     found = [held.see(lettered, 2.0 * k, (120.0 + 2 * k, 160.0 - k)) for k in range(1, 6)][-1]
     assert found.shift_px == pytest.approx((10.0, -5.0), abs=0.5)
 
 
-def test_a_shaft_cut_by_the_frame_turns_but_tells_no_shift_along_itself() -> None:
+def test_a_shaft_cut_by_the_frame_shows_no_shift_along_itself() -> None:
     """At 70 degrees: along (0.34, -0.94), across (0.94, 0.34) right and down. It slides along, unseen, and across."""
     held = Held(shaft, 70.0)
     for k in range(1, 121):
@@ -132,7 +136,7 @@ def test_a_shaft_cut_by_the_frame_turns_but_tells_no_shift_along_itself() -> Non
     assert whole - (whole @ along) * along == pytest.approx(found.shift_px - (found.shift_px @ along) * along, abs=1e-4)
 
 
-def test_what_has_a_face_tells_all_of_its_shift() -> None:
+def test_a_texture_with_a_face_shows_every_shift() -> None:
     found = Held().see(lettered, 1.0, (121.0, 160.0))
     assert found.smooth is None
     assert found.complete_shift((50.0, 50.0)) == found.shift_px

@@ -1,4 +1,4 @@
-"""The finger that sees less is left out while the surer one sees no change, and no slip is seen later for it."""
+"""The second finger is skipped while the other one sees no change; no slip is detected later because of it."""
 
 from __future__ import annotations
 
@@ -38,10 +38,12 @@ def answer(sigma_deg: float | None, at_s: float = 1.0, skipped: str | None = Non
 
 
 SURE = answer(0.3, 1.02, "unchanged")
+
+
 SURE_LATER = replace(SURE, captured_at_s=1.24)
 
 
-def test_a_less_sure_or_blind_finger_is_spared() -> None:
+def test_a_less_certain_or_declined_finger_is_skipped() -> None:
     for own in (answer(0.5), answer(0.3), answer(None), answer(0.5, angle_deg=1.5), answer(0.3, angle_deg=1.0)):
         assert second_finger_can_skip(own, SURE, 1.02, REFRESH_S)
     assert second_finger_can_skip(answer(0.3, angle_deg=8.0), replace(SURE, angle_deg=-8.0), 1.02, REFRESH_S)
@@ -69,14 +71,14 @@ def test_a_less_sure_or_blind_finger_is_spared() -> None:
         (answer(0.5), SURE, float("nan")),
     ],
 )
-def test_a_finger_is_looked_at_wherever_it_may_add_something(
+def test_a_finger_that_may_add_information_is_measured(
     own: Estimate | None, other: Estimate | None, at_s: float
 ) -> None:
     assert not second_finger_can_skip(own, other, at_s, REFRESH_S)
 
 
 @given(st.floats(0.1, 5.0), st.floats(0.1, 5.0))
-def test_two_fingers_never_spare_each_other(left_deg: float, right_deg: float) -> None:
+def test_two_fingers_never_skip_each_other(left_deg: float, right_deg: float) -> None:
     left, right = answer(left_deg, 1.0, "unchanged"), answer(right_deg, 1.0, "unchanged")
     spared = second_finger_can_skip(left, right, 1.016, REFRESH_S)
     if spared:
@@ -120,5 +122,5 @@ def first_slip(rate_deg_s: float, spare: bool, phase_s: float) -> int:
 
 @pytest.mark.parametrize("rate_deg_s", [0.5, 2.0, 8.0, 40.0, 300.0])
 @pytest.mark.parametrize("phase_s", [0.0, 0.1, 0.2])
-def test_a_slip_is_seen_no_more_than_one_frame_later(rate_deg_s: float, phase_s: float) -> None:
+def test_a_slip_is_detected_at_most_one_frame_later(rate_deg_s: float, phase_s: float) -> None:
     assert first_slip(rate_deg_s, True, phase_s) <= first_slip(rate_deg_s, False, phase_s) + 1

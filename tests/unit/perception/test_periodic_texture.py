@@ -1,4 +1,4 @@
-"""What repeats itself is counted from frame to frame, and the count is lost where a step may have been missed."""
+"""The periods of a periodic texture are counted from frame to frame; after a gap the rotation is ambiguous."""
 
 from __future__ import annotations
 
@@ -40,6 +40,8 @@ from slipguard.stress.textured_surfaces import (
 )
 
 BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
+
+
 AT = (120.0, 160.0)
 
 
@@ -76,7 +78,7 @@ def oblong_gear(u: Heights, v: Heights) -> Heights:
     [(gear, 30.0), (nut, 60.0), (polygon(3), 120.0), (polygon(4), 90.0), (polygon(5), 72.0), (lettered, None),
      (plate, None)],
 )  # fmt: skip
-def test_the_step_of_what_repeats_itself(surface: Surface, repeats_deg: float | None) -> None:
+def test_the_period_of_periodic_textures(surface: Surface, repeats_deg: float | None) -> None:
     height = heights(surface, 20.0, AT, 1.0)
     image = shaded_image(height, LedLights(), 2.0, np.random.default_rng(1))
     patch = find_patch(contact_map(height), 0.5, 100, 2.0)
@@ -94,7 +96,7 @@ def test_the_step_of_what_repeats_itself(surface: Surface, repeats_deg: float | 
     [("cap", True), ("wrench", False), ("bar", False), ("hook", False), ("key", False), ("wedge", False),
      ("knife_edge", False), ("screwdriver", False)],
 )  # fmt: skip
-def test_of_the_test_objects_only_the_ribbed_ones_repeat(name: str, repeats: bool) -> None:
+def test_of_the_test_objects_only_the_ribbed_ones_are_periodic(name: str, repeats: bool) -> None:
     pipe = rendered(name, 3)[0]
     reference = pipe._meter.reference
     assert reference is not None
@@ -102,7 +104,7 @@ def test_of_the_test_objects_only_the_ribbed_ones_repeat(name: str, repeats: boo
     assert (reference.texture.period_deg is not None) == repeats
 
 
-def test_what_may_have_turned_unseen() -> None:
+def test_possible_rotation_in_a_gap() -> None:
     assert possible_rotation_deg(0.0, 300.0) == 0.0
     assert possible_rotation_deg(-1.0, 300.0) == 0.0
     assert possible_rotation_deg(0.01, -300.0) == pytest.approx(3.0)
@@ -133,7 +135,9 @@ class Held:
     ("surface", "gap_s", "rotation_deg"),
     [(gear, 0.1, 22.0), (nut, 0.145, 50.0), (nut, 2.0, 44.0), (polygon(4), 2.0, 75.0), (polygon(5), 0.145, 50.0)],
 )
-def test_a_gap_long_enough_for_a_step_loses_the_count(surface: Surface, gap_s: float, rotation_deg: float) -> None:
+def test_a_gap_long_enough_for_a_period_makes_the_rotation_ambiguous(
+    surface: Surface, gap_s: float, rotation_deg: float
+) -> None:
     held = Held(surface)
     for _ in range(3):
         assert held.see(0.0).angle_deg == pytest.approx(0.0, abs=0.5)
@@ -143,7 +147,7 @@ def test_a_gap_long_enough_for_a_step_loses_the_count(surface: Surface, gap_s: f
 
 
 @pytest.mark.parametrize("surface", [gear, nut, lettered])
-def test_a_frame_or_two_that_are_lost_lose_no_count(surface: Surface) -> None:
+def test_one_or_two_lost_frames_are_bridged(surface: Surface) -> None:
     held = Held(surface)
     for _ in range(3):
         held.see(0.0)
@@ -151,7 +155,7 @@ def test_a_frame_or_two_that_are_lost_lose_no_count(surface: Surface) -> None:
     assert held.see(8.0, 2.0 * FRAME_S).angle_deg == pytest.approx(8.0, abs=0.5)
 
 
-def test_what_does_not_repeat_is_told_after_any_gap() -> None:
+def test_other_textures_are_measured_after_any_gap() -> None:
     held = Held(lettered)
     for _ in range(3):
         held.see(0.0)
@@ -159,7 +163,7 @@ def test_what_does_not_repeat_is_told_after_any_gap() -> None:
 
 
 @pytest.mark.parametrize(("gap_s", "on_deg", "told"), [(0.045, 14.0, True), (0.045, 0.0, False), (0.09, 28.0, False)])
-def test_what_turns_fast_may_have_stopped(gap_s: float, on_deg: float, told: bool) -> None:
+def test_a_fast_rotation_may_have_stopped_in_a_gap(gap_s: float, on_deg: float, told: bool) -> None:
     held = Held(gear)
     rotations = [0.0, 0.0, *(6.0 * k for k in range(1, 7))]
     assert held.see(0.0).angle_deg is not None
@@ -168,7 +172,7 @@ def test_what_turns_fast_may_have_stopped(gap_s: float, on_deg: float, told: boo
     assert after == (pytest.approx(rotations[-1] + on_deg, abs=0.5) if told else None)
 
 
-def test_one_frame_of_thirty_a_second_that_is_lost_loses_no_count_of_fine_teeth() -> None:
+def test_one_lost_frame_at_30_hz_is_bridged_for_fine_teeth() -> None:
     """A cap with 26 teeth."""
     held = Held(toothed(26))
     for _ in range(3):
@@ -178,7 +182,7 @@ def test_one_frame_of_thirty_a_second_that_is_lost_loses_no_count_of_fine_teeth(
     assert held.see(1.0, 3.0 / 30.0).declined == DeclineReason.PERIOD_AMBIGUOUS
 
 
-def test_a_leap_to_the_edge_of_a_step_is_none_and_the_count_goes_on_with_the_next_frame() -> None:
+def test_a_jump_of_nearly_half_a_period_is_declined_for_that_frame_only() -> None:
     held = Held(gear)
     for _ in range(3):
         held.see(0.0)
@@ -187,7 +191,7 @@ def test_a_leap_to_the_edge_of_a_step_is_none_and_the_count_goes_on_with_the_nex
     assert [held.see(13.0).declined for _ in range(6)] == [DeclineReason.PERIOD_AMBIGUOUS] * 6
 
 
-def test_another_finger_that_sees_no_change_keeps_the_count() -> None:
+def test_a_kept_estimate_bridges_a_gap() -> None:
     told = {}
     for kept in (True, False):
         held = Held(gear)
@@ -201,7 +205,7 @@ def test_another_finger_that_sees_no_change_keeps_the_count() -> None:
     assert told[False].declined == DeclineReason.PERIOD_AMBIGUOUS
 
 
-def test_a_finger_that_the_daemon_spares_keeps_its_count() -> None:
+def test_a_finger_that_the_daemon_skips_stays_unambiguous() -> None:
     held = Held(gear)
     seen = [held.see(0.0) for _ in range(3)][-1]
     none = cast(Any, None)  # no frame comes of a sensor here, and none goes to a worker
@@ -218,7 +222,7 @@ def test_a_finger_that_the_daemon_spares_keeps_its_count() -> None:
     assert held.see(0.5, 13.0 * FRAME_S).angle_deg == pytest.approx(0.5, abs=0.3)
 
 
-def test_a_frame_left_out_does_not_mend_a_count_that_a_gap_has_lost() -> None:
+def test_a_kept_estimate_does_not_resolve_an_ambiguity() -> None:
     held = Held(gear)
     for _ in range(3):
         held.see(0.0)
@@ -226,7 +230,7 @@ def test_a_frame_left_out_does_not_mend_a_count_that_a_gap_has_lost() -> None:
     assert held.see(0.0, 1.0 + FRAME_S).declined == DeclineReason.PERIOD_AMBIGUOUS
 
 
-def test_an_axis_tells_which_step_it_is() -> None:
+def test_an_axis_resolves_the_ambiguity() -> None:
     held = Held(oblong_gear)
     for _ in range(3):
         held.see(0.0)
@@ -255,9 +259,7 @@ def rendered(name: str, seed: int) -> tuple[Pipeline, GelCamera, GelView, int]:
 
 
 @pytest.mark.parametrize(("seed", "rotation_deg"), [(1, 15.0), (1, -22.0), (2, 30.0), (4, 30.0)])
-def test_a_relief_that_is_looked_for_in_the_wrong_place_is_found_where_the_outline_is(
-    seed: int, rotation_deg: float
-) -> None:
+def test_a_texture_searched_in_the_wrong_place_is_found_near_the_contour(seed: int, rotation_deg: float) -> None:
     pipe, camera, view, frames = rendered("hook", seed)
     rotated = GelView(view.object_name, view.x_mm, view.y_mm, view.angle_deg + rotation_deg, view.depth_mm)
     for k in range(3):
