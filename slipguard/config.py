@@ -1,7 +1,7 @@
-"""The one configuration file: frozen models, unknown keys refused, ranges and units in the names.
+"""The configuration file as frozen models. Unknown keys are refused; units are in the names.
 
-Each device section names a `driver`; the table of that name inside it belongs to the driver and is checked by
-the driver's own `Settings`:
+Each device section names a `driver`. The table of that name inside it belongs to the driver, which checks it with its
+`Settings`:
 
     [left]
     driver = "digit"
@@ -30,7 +30,7 @@ from pydantic import (
     model_validator,
 )
 
-from slipguard.config_errors import at_key, first_complaint, no_such_key, shown
+from slipguard.config_errors import describe_unknown_key, describe_validation_error, error_at_key, format_value
 from slipguard.control.params import GuardParams
 from slipguard.errors import ConfigError
 from slipguard.perception.settings import PerceptionSettings
@@ -38,24 +38,24 @@ from slipguard.registry import load_driver
 
 
 class Section(BaseModel):
-    """Base of all sections: frozen, no unknown keys, no infinities; true is no number and "40" neither."""
+    """Base of all sections: frozen, no unknown keys, no infinities, no conversion of types."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
 
 
-SomePath = Annotated[Path, Strict(False)]
-"""A string in the file: TOML has no paths."""
+ConfigPath = Annotated[Path, Strict(False)]
+"""A string in the file, because TOML has no paths."""
 
 
-def _whole(given: Any) -> Any:
-    """`Literal` alone takes false for 0."""
+def _require_int(given: Any) -> Any:
+    """Refuse false, which `Literal` alone accepts as 0."""
     if type(given) is not int:
-        raise ValueError("a whole number is needed")
+        raise ValueError("must be a whole number")
     return given
 
 
 class DeviceSection(Section):
-    """A device: which driver, and the driver's own settings, already checked by the driver."""
+    """A device: its driver, and the settings that the driver has checked."""
 
     driver: str
     settings: BaseModel
@@ -64,7 +64,7 @@ class DeviceSection(Section):
 class FingerSection(DeviceSection):
     """One fingertip camera and how it is mounted."""
 
-    mounting_deg: Annotated[Literal[0, 90, 180, 270], BeforeValidator(_whole)] = 0
+    mounting_deg: Annotated[Literal[0, 90, 180, 270], BeforeValidator(_require_int)] = 0
     px_per_mm: Annotated[float, Field(ge=5.0, le=60.0)] = 18.5
 
 
@@ -81,27 +81,27 @@ class LoopSection(Section):
 
     period_ms: Annotated[float, Field(ge=2.0, le=100.0)] = 10.0
     poll_ms: Annotated[float, Field(ge=5.0, le=500.0)] = 25.0
-    """How often gripper and arm are asked for their state."""
+    """Period at which the state of gripper and arm is read."""
     retry_s: Annotated[float, Field(ge=0.05, le=60.0)] = 0.5
-    """Pause before a missing sensor is tried again, doubling up to ten times; gripper and arm: half of it at most."""
+    """Pause before a missing sensor is tried again, doubled once; gripper and arm are retried after at most half of it."""
 
 
 class ApiSection(Section):
     """The local API."""
 
-    socket: SomePath | None = None
+    socket: ConfigPath | None = None
     """Unix socket; None: `slipguard.sock` in the runtime or state directory."""
     listen: str = "127.0.0.1:8470"
-    """Address and port of page and API over TCP; empty: none. Commands need the token there."""
+    """Address and port of the page and the API over TCP; empty for none. Commands over TCP need the token."""
 
     @property
     def address(self) -> tuple[str, int] | None:
-        """Host, as a number, and port; None where TCP is not listened at."""
+        """Numeric host, and port; None without TCP."""
         return _address(self.listen)
 
     @field_validator("listen")
     @classmethod
-    def _listen_at(cls, listen: str) -> str:
+    def _check_listen(cls, listen: str) -> str:
         _address(listen)
         return listen
 
@@ -114,31 +114,31 @@ def _address(listen: str) -> tuple[str, int] | None:
     try:
         ipaddress.ip_address(host)
     except ValueError:
-        raise ValueError('an address by number and a port are needed, such as "127.0.0.1:8470", or ""') from None
+        raise ValueError('must be a numeric address and a port, such as "127.0.0.1:8470", or "" for none') from None
     if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
         raise ValueError("the port after the last colon must be 1 to 65535")
     return host, int(port)
 
 
 class StateSection(Section):
-    """What survives a restart."""
+    """Where the state for a restart is stored."""
 
-    directory: SomePath | None = None
+    directory: ConfigPath | None = None
     """None: $STATE_DIRECTORY under systemd, else ~/.local/state/slipguard."""
 
 
 class RecordingSection(Section):
-    """The ring of recordings (MCAP): the last minutes, and what is kept around every slip and fault."""
+    """Recordings (MCAP): a ring of the last minutes, and the files kept around every slip and fault."""
 
     enabled: bool = True
-    directory: SomePath | None = None
+    directory: ConfigPath | None = None
     """None: `recordings` in the state directory."""
     image: Literal["jpeg", "png", "none"] = "jpeg"
-    """png replays to the very same turns, and costs ten times the time and space; none keeps estimates only."""
+    """png replays to identical rotations, but needs ten times the time and space; none records estimates only."""
     jpeg_quality: Annotated[int, Field(ge=50, le=100)] = 90
     ring_s: Annotated[float, Field(ge=20.0, le=86_400.0)] = 600.0
     ring_max_mb: Annotated[int, Field(ge=10, le=1_000_000)] = 1000
-    """The ring is shorter where its time does not fit into this."""
+    """The ring is shorter than `ring_s` if it would need more space than this."""
     keep_before_s: Annotated[float, Field(ge=0.0, le=600.0)] = 20.0
     keep_after_s: Annotated[float, Field(ge=0.0, le=600.0)] = 20.0
     kept_max_mb: Annotated[int, Field(ge=10, le=1_000_000)] = 4000
@@ -147,7 +147,7 @@ class RecordingSection(Section):
     @model_validator(mode="after")
     def _ring_long_enough(self) -> RecordingSection:
         if self.keep_before_s > self.ring_s:
-            raise at_key("keep_before_s", self.keep_before_s, f"at most ring_s ({self.ring_s:g}): older is not there")
+            raise error_at_key("keep_before_s", self.keep_before_s, f"must be at most ring_s ({self.ring_s:g})")
         return self
 
 
@@ -158,7 +158,7 @@ class LogSection(Section):
 
 
 class Config(Section):
-    """All of config.toml."""
+    """The whole config.toml."""
 
     left: FingerSection
     right: FingerSection
@@ -185,18 +185,18 @@ _SECTIONS: dict[str, type[DeviceSection]] = {
     "gripper": GripperSection,
     "arm": ArmSection,
 }
-USUAL_DRIVER = {"left": "digit", "right": "digit", "gripper": "robotiq", "arm": "ur5"}
+DEFAULT_DRIVER = {"left": "digit", "right": "digit", "gripper": "robotiq", "arm": "ur5"}
 
 
 def read_config(path: Path, *, sim: bool = False) -> Config:
-    """Read and check a file; `sim` puts the fakes in place of all four devices.
+    """Return the checked configuration of a file. sim: with the simulated drivers for all four devices.
 
     Raises ConfigError: one line with the file, the key, the value and what is allowed.
     """
     try:
         raw = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
     except FileNotFoundError as error:
-        raise ConfigError(f"{path}: no such file; config.toml in the project is a commented start") from error
+        raise ConfigError(f"{path}: no such file; copy the commented config.toml of the project") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from error
     except (tomllib.TOMLDecodeError, RecursionError) as error:
@@ -205,19 +205,19 @@ def read_config(path: Path, *, sim: bool = False) -> Config:
 
 
 def parse_config(raw: Mapping[str, Any], *, where: str, sim: bool = False) -> Config:
-    """Check what a file holds; `where` names it in the complaint."""
+    """Return the checked configuration from the content of a file. where: names the file in errors."""
     values = dict(raw)
     for name in GROUP_OF:
         values[name] = _with_driver(values.get(name, {}), name, where, sim)
-    _nothing_used_twice(values, where)
+    _check_only_one(values, where)
     try:
         return Config.model_validate(values)
     except ValidationError as error:
-        raise ConfigError(f"{where}: {first_complaint(error, Config)}") from None
+        raise ConfigError(f"{where}: {describe_validation_error(error, Config)}") from None
 
 
-def _nothing_used_twice(devices: Mapping[str, Any], where: str) -> None:
-    """No two devices are the same thing on this machine: their drivers' `Settings` name the keys in `only_one`."""
+def _check_only_one(devices: Mapping[str, Any], where: str) -> None:
+    """Check that no two devices share a value of a key in `only_one` of their drivers' `Settings`."""
     users: dict[tuple[str, object], str] = {}
     for name in GROUP_OF:
         driver, settings = devices[name]["driver"], devices[name]["settings"]
@@ -225,16 +225,20 @@ def _nothing_used_twice(devices: Mapping[str, Any], where: str) -> None:
             value = getattr(settings, key)
             user = users.setdefault((key, value), f"{name}.{driver}.{key}")
             if user != f"{name}.{driver}.{key}":
-                raise ConfigError(f"{where}: {name}.{driver}.{key} = {shown(value)}: {user} has it; only one can")
+                raise ConfigError(
+                    f"{where}: {name}.{driver}.{key} = {format_value(value)}: already used by {user}; the values must differ"
+                )
 
 
 def _with_driver(section: Any, name: str, where: str, sim: bool) -> dict[str, Any]:
-    """Let the driver check its own table, and put the result under `settings`."""
+    """Return the section with the driver's checked table under `settings`."""
     if not isinstance(section, Mapping):
-        raise ConfigError(f"{where}: {name} = {shown(section)}: a table is needed, [{name}]")
-    named = section.get("driver", USUAL_DRIVER[name])
+        raise ConfigError(f"{where}: {name} = {format_value(section)}: must be a table, [{name}]")
+    named = section.get("driver", DEFAULT_DRIVER[name])
     if not isinstance(named, str):
-        raise ConfigError(f'{where}: {name}.driver = {shown(named)}: the name of a driver is needed, such as "digit"')
+        raise ConfigError(
+            f'{where}: {name}.driver = {format_value(named)}: must be the name of a driver, such as "digit"'
+        )
     if "settings" in section:
         raise ConfigError(f"{where}: {name}.settings: no such key; the driver's table is [{name}.{named}]")
     chosen = "fake" if sim else named
@@ -245,17 +249,17 @@ def _with_driver(section: Any, name: str, where: str, sim: bool) -> dict[str, An
     known = [key for key in _SECTIONS[name].model_fields if key != "settings"]
     for key in section:
         if key not in (named, *known) and not (sim and key == "fake"):
-            raise ConfigError(f"{where}: {name}.{key}: {no_such_key(key, [*known, named])}")
+            raise ConfigError(f"{where}: {name}.{key}: {describe_unknown_key(key, [*known, named])}")
     try:
-        # As JSON: strict, a string is still a path there, and an array a tuple.
+        # As JSON, in which strict models still accept a string as a path and an array as a tuple.
         settings = driver.Settings.model_validate_json(json.dumps(section.get(chosen, {}), default=str), strict=True)
     except ValidationError as error:
-        told = first_complaint(error, driver.Settings, under=f"{name}.{chosen}")
-        raise ConfigError(f"{where}: {told}") from None
+        message = describe_validation_error(error, driver.Settings, under=f"{name}.{chosen}")
+        raise ConfigError(f"{where}: {message}") from None
     rest = {key: value for key, value in section.items() if key not in (named, chosen)}
     return rest | {"driver": chosen, "settings": settings}
 
 
 def sim_config() -> Config:
-    """What `slipguard run --sim` runs with where there is no file: the fakes and every default."""
+    """Return the configuration of `slipguard run --sim` without a file: simulated drivers and all defaults."""
     return parse_config({}, where="--sim", sim=True)

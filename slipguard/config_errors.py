@@ -1,4 +1,4 @@
-"""A pydantic complaint as one line a person can act on: key, value, what is allowed."""
+"""Describe a pydantic validation error in one line: key, value, what is allowed."""
 
 from __future__ import annotations
 
@@ -11,68 +11,70 @@ from pydantic_core import PydanticCustomError
 
 _AT_KEY = "at_key"
 _FOLLOWS = "default_factory_not_called"
-"""Of a key that is not given and takes its value from one that is wrong: no problem of its own."""
+"""Type of the error of a missing key whose default depends on a wrong key; it is not reported."""
 _SHOWN_MAX = 80
-_PLAIN_BELOW = 1e5
-"""A number below this is shown without a fraction it does not have."""
+_SHORT_BELOW = 1e5
+"""A whole number below this is shown without a fraction."""
 
 
-def first_complaint(error: ValidationError, model: type[BaseModel] | None = None, *, under: str = "") -> str:
-    """The first problem of a validation error; how many more there are is said at the end.
+def describe_validation_error(error: ValidationError, model: type[BaseModel] | None = None, *, under: str = "") -> str:
+    """Return the first problem of a validation error and the number of further ones, in one line.
 
-    model: what was validated; if given, the keys there are stand beside an unknown one. under: the key of the table
-    that was validated. A value is shown as TOML spells it; a table or a long list is not shown in full.
+    Args:
+        error: The validation error.
+        model: The validated model; with it, an unknown key is shown with the known ones.
+        under: The key of the validated table.
     """
     problems = [problem for problem in error.errors(include_url=False) if problem["type"] != _FOLLOWS]
     more = f" ({len(problems) - 1} more after this one)" if len(problems) > 1 else ""
-    return _one(problems[0], model, under) + more
+    return _describe_problem(problems[0], model, under) + more
 
 
-def at_key(key: str, given: object, allowed: str) -> PydanticCustomError:
-    """What a check of a whole table raises: which of its keys is to be changed, its value, what is allowed.
+def error_at_key(key: str, given: object, allowed: str) -> PydanticCustomError:
+    """Return the error that the check of a table raises for one of its keys.
 
-    given: None where the key is not there.
+    given: The key's value; None if it is missing. allowed: What is allowed.
     """
     return PydanticCustomError(_AT_KEY, "{key}: {allowed}", {"key": key, "given": given, "allowed": allowed})
 
 
-def shown(given: object) -> str:
-    """A value in one short line."""
+def format_value(given: object) -> str:
+    """Return a value as TOML spells it, shortened to one line; a table is not shown."""
     if isinstance(given, bool):
         return str(given).lower()
     if isinstance(given, Mapping | BaseModel):
         return "a table"
-    text = f"{given:g}" if isinstance(given, float) and abs(given) < _PLAIN_BELOW else repr(given)
+    text = f"{given:g}" if isinstance(given, float) and abs(given) < _SHORT_BELOW else repr(given)
     return text if len(text) <= _SHOWN_MAX else f"{text[:_SHOWN_MAX]}…"
 
 
-def no_such_key(unknown: str, known: list[str]) -> str:
-    """What to say of a key that is none, beside those there are."""
+def describe_unknown_key(unknown: str, known: list[str]) -> str:
+    """Return the message for an unknown key, with the nearest or all known keys."""
     near = difflib.get_close_matches(unknown, known, n=1)
     if near:
         return f"no such key; did you mean {near[0]!r}?"
-    return "no such key" + (f"; there are: {', '.join(known)}" if known else "")
+    return "no such key" + (f"; known keys: {', '.join(known)}" if known else "")
 
 
-def _one(problem: Any, model: type[BaseModel] | None, under: str) -> str:
+def _describe_problem(problem: Any, model: type[BaseModel] | None, under: str) -> str:
     path = ([under] if under else []) + [str(part) or '""' for part in problem["loc"]]
     key = ".".join(path) or "the table"
     kind, given, context = problem["type"], problem["input"], problem.get("ctx", {})
     if kind == _AT_KEY:
-        there = "" if context["given"] is None else f" = {shown(context['given'])}"
+        there = "" if context["given"] is None else f" = {format_value(context['given'])}"
         return f"{'.'.join([*path, context['key']])}{there}: {context['allowed']}"
     if kind == "extra_forbidden":
-        known = _keys_beside(problem["loc"], model) if model is not None else []
-        return f"{key}: {no_such_key(path[-1], known)}"
+        known = _known_keys(problem["loc"], model) if model is not None else []
+        return f"{key}: {describe_unknown_key(path[-1], known)}"
     if kind == "missing":
         return f"{key}: missing; it must be given"
     message = str(context.get("error", problem["msg"]))
-    value = "" if isinstance(given, Mapping | BaseModel) else f" = {shown(given)}"
+    value = "" if isinstance(given, Mapping | BaseModel) else f" = {format_value(given)}"
     return f"{key}{value}: {message[:1].lower()}{message[1:]}"
 
 
-def _keys_beside(location: tuple[int | str, ...], model: type[BaseModel]) -> list[str]:
-    """The keys allowed where an unknown one stands."""
+def _known_keys(location: tuple[int | str, ...], model: type[BaseModel]) -> list[str]:
+    """Return the keys that are known at a location."""
     for part in location[:-1]:
         inner = model.model_fields[str(part)].annotation
         if not (isinstance(inner, type) and issubclass(inner, BaseModel)):

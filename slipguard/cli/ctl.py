@@ -267,14 +267,14 @@ def _submit(context: typer.Context, socket: Path | None, json: bool, kind: str, 
     """Submit a request of `slipguard.daemon.api.requests` and print the response."""
     from pydantic import ValidationError
 
-    from slipguard.config_errors import first_complaint
+    from slipguard.config_errors import describe_validation_error
     from slipguard.daemon.api.requests import REQUESTS
 
     model = REQUESTS[kind]
     try:
         request = model.model_validate(fields)
     except ValidationError as invalid:
-        field, _, reason = first_complaint(invalid, model).partition(" = ")
+        field, _, reason = describe_validation_error(invalid, model).partition(" = ")
         raise typer.BadParameter(reason, ctx=context, param_hint=f"--{field.replace('_', '-')}") from None
     with _client(context, socket) as client:
         response = client.submit(request)

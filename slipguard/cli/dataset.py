@@ -205,7 +205,7 @@ def _sensor_images(
     """Return images of the configured sensors, or of one DIGIT, and the serial numbers."""
     from pydantic import ValidationError
 
-    from slipguard.config_errors import first_complaint
+    from slipguard.config_errors import describe_validation_error
     from slipguard.datasets.recorder import from_sensors
     from slipguard.devices import DriverContext
     from slipguard.registry import load_driver
@@ -217,7 +217,7 @@ def _sensor_images(
         try:
             digit_settings = driver.Settings.model_validate({"serial": serial})
         except ValidationError as error:
-            raise InputError(f"--{first_complaint(error, driver.Settings)}") from None
+            raise InputError(f"--{describe_validation_error(error, driver.Settings)}") from None
         sensors.append(driver(digit_settings, DriverContext("sensor")))
     else:
         for name in ("left", "right"):

@@ -71,14 +71,14 @@ def _command(name: str, kind: EmulatorKind) -> Any:
         from pydantic import ValidationError
 
         from slipguard.cli.interrupt import default_interrupts
-        from slipguard.config_errors import first_complaint
+        from slipguard.config_errors import describe_validation_error
         from slipguard.errors import InputError
         from slipguard.tools.emulation import run
 
         try:
             settings = kind.Settings(**{key: value for key, value in options.items() if value is not None})
         except ValidationError as error:
-            raise InputError(first_complaint(error, kind.Settings)) from None
+            raise InputError(describe_validation_error(error, kind.Settings)) from None
         with default_interrupts():
             asyncio.run(run(name, lambda report: kind(settings, report), fault or [], json_lines=json))
 

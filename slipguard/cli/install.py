@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from slipguard.installation import Step
+    from slipguard.installation import InstallStep
 
 DONE_WORDS = {
     "write": "written",
@@ -57,11 +57,11 @@ def install(
     if not root.is_dir():
         raise InputError(f"{root}: no such folder; --root needs an existing folder")
     executable = _executable(prefix)
-    live = installation.live(root)
+    running = installation.running_services(root)
     if uninstall:
-        steps = list(installation.to_remove(root, live))
+        steps = list(installation.to_remove(root, running))
     else:
-        steps = list(installation.to_install(root, executable, _read_checked(config), live))
+        steps = list(installation.to_install(root, executable, _read_checked(config), running))
     if not dry_run and root.resolve() == ROOT and os.geteuid() != 0:
         raise SlipguardError(f"needs root: run `sudo {executable} install`; --dry-run shows the steps without root")
     obstacle = None if uninstall or root.resolve() != ROOT else _find_obstacle(executable, this_one=prefix is None)
@@ -111,7 +111,7 @@ def _find_obstacle(executable: Path, *, this_one: bool) -> str | None:
     return None
 
 
-def _print_step(step: Step, dry_run: bool) -> None:
+def _print_step(step: InstallStep, dry_run: bool) -> None:
     word = (DRY_RUN_WORDS if dry_run else DONE_WORDS)[step.do]
     print(f"{word:>16}  {step.what}" + (f": {step.why}" if step.why else ""))
     if dry_run and step.diff:

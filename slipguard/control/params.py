@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from slipguard.config_errors import at_key
+from slipguard.config_errors import error_at_key
 from slipguard.limit_surface import GRAVITY_M_S2, Pad, force_needed_n
 
 Force = Annotated[float, Field(ge=1.0, le=235.0)]
@@ -104,7 +104,7 @@ class GuardTuning(_Table):
     def _thresholds_in_order(self) -> GuardTuning:
         if self.sigma_threshold_max_deg < self.tighten_in_motion_deg:
             least = f"at least tighten_in_motion_deg ({self.tighten_in_motion_deg:g})"
-            raise at_key("sigma_threshold_max_deg", self.sigma_threshold_max_deg, least)
+            raise error_at_key("sigma_threshold_max_deg", self.sigma_threshold_max_deg, least)
         return self
 
 
@@ -161,10 +161,10 @@ class GuardParams(_Table):
     def _model_complete(self) -> GuardParams:
         if (self.friction is None) is not (self.mass_kg is None):
             missing, given = ("friction", "mass_kg") if self.friction is None else ("mass_kg", "friction")
-            raise at_key(missing, None, f"missing; it and {given} go together: give both, or neither")
+            raise error_at_key(missing, None, f"missing; it and {given} go together: give both, or neither")
         needed_n = self.modelled_n
         if needed_n is not None and needed_n > self.force_max_n:
-            raise at_key(
+            raise error_at_key(
                 "force_max_n",
                 self.force_max_n,
                 f"friction ({self.friction:g}), mass_kg ({self.mass_kg:g}) and lever_mm ({self.lever_mm:g}) require "
@@ -176,12 +176,12 @@ class GuardParams(_Table):
     def _forces_in_order(self) -> GuardParams:
         for key, force_n in (("first_force_n", self.first_force_n), ("no_estimate_force_n", self.no_estimate_force_n)):
             if force_n > self.force_max_n:
-                raise at_key(key, force_n, f"at most force_max_n ({self.force_max_n:g}); lower it, too")
+                raise error_at_key(key, force_n, f"at most force_max_n ({self.force_max_n:g}); lower it, too")
         if self.no_estimate_force_n < self.first_force_n:
             least = f"at least first_force_n ({self.first_force_n:g})"
-            raise at_key("no_estimate_force_n", self.no_estimate_force_n, least)
+            raise error_at_key("no_estimate_force_n", self.no_estimate_force_n, least)
         if self.on_force_limit == "lower" and self.mode == "guard":
-            raise at_key(
+            raise error_at_key(
                 "on_force_limit",
                 self.on_force_limit,
                 'for mode = "lift"; in guard mode the arm belongs to another program: leave it at "stop"',

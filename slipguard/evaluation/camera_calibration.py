@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from slipguard.config_errors import first_complaint
+from slipguard.config_errors import describe_validation_error
 from slipguard.errors import InputError
 from slipguard.evaluation.markers import charuco
 
@@ -82,7 +82,7 @@ def read_intrinsics(path: Path) -> Intrinsics:
             f"{path}: cannot be read ({error.strerror}); make it with `slipguard evaluate calibrate-camera`"
         ) from None
     except ValidationError as error:
-        raise InputError(f"{path}: no camera intrinsics: {first_complaint(error, Intrinsics)}") from None
+        raise InputError(f"{path}: no camera intrinsics: {describe_validation_error(error, Intrinsics)}") from None
 
 
 def calibrate_camera(images: Iterable[NDArray[np.uint8]]) -> Intrinsics:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from slipguard.config_errors import first_complaint
+from slipguard.config_errors import describe_validation_error
 from slipguard.daemon.loop.service import Service
 from slipguard.daemon.store.recording import RecordingObserver, header
 from slipguard.errors import InputError, SlipguardError
@@ -272,7 +272,7 @@ def _attachment(recording: Recording, name: str, kind: type[M]) -> M:
     try:
         return kind.model_validate_json(content)
     except ValidationError as error:
-        raise InputError(f"{recording.path}: {name}: {first_complaint(error, kind)}") from None
+        raise InputError(f"{recording.path}: {name}: {describe_validation_error(error, kind)}") from None
 
 
 def lift_paths(folder: Path) -> Iterator[Path]:

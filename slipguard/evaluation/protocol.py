@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from slipguard.config_errors import first_complaint
+from slipguard.config_errors import describe_validation_error
 from slipguard.errors import InputError
 
 
@@ -115,4 +115,4 @@ def read_protocol(path: Path) -> LiftProtocol:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not valid TOML: {error}") from None
     except ValidationError as error:
-        raise InputError(f"{path}: {first_complaint(error, LiftProtocol)}") from None
+        raise InputError(f"{path}: {describe_validation_error(error, LiftProtocol)}") from None

@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import to_json
 
-from slipguard.config_errors import first_complaint
+from slipguard.config_errors import describe_validation_error
 from slipguard.control.messages import Command, Observation
 from slipguard.control.step import ControlState
 from slipguard.errors import InputError
@@ -103,7 +103,7 @@ class Json(Generic[T]):
         try:
             return self._adapter.validate_json(data)
         except ValidationError as error:
-            raise InputError(f"not a {self.name} message: {first_complaint(error)}") from None
+            raise InputError(f"not a {self.name} message: {describe_validation_error(error)}") from None
 
 
 FRAME_RECORD = Json(FrameRecord)

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from pydantic import ValidationError
 
-from slipguard.config_errors import first_complaint
+from slipguard.config_errors import describe_validation_error
 from slipguard.control.finger_fusion import fuse
 from slipguard.control.messages import Command
 from slipguard.control.params import GuardParams
@@ -282,7 +282,9 @@ def recorded_settings(recording: Recording) -> RecordedSettings:
             recording,
         )
     except ValidationError as error:
-        raise InputError(f"{where}: written by another version of slipguard: {first_complaint(error)}") from None
+        raise InputError(
+            f"{where}: written by another version of slipguard: {describe_validation_error(error)}"
+        ) from None
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{where}: missing or damaged: {error}") from None
 

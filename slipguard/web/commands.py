@@ -9,7 +9,7 @@ from fastapi.responses import JSONResponse
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 
-from slipguard.config_errors import first_complaint
+from slipguard.config_errors import describe_validation_error
 from slipguard.daemon.api.requests import REQUESTS, CalibrateRequest, DaemonRequest
 from slipguard.errors import CommandRefused
 from slipguard.web.connections import is_disconnected
@@ -38,7 +38,7 @@ def _add_command(app: FastAPI, context: RouteContext, path: str, model: type[Dae
             except ValidationError as invalid:
                 if invalid.errors(include_url=False)[0]["type"] == "json_invalid":
                     return error_response(400, "the body is not JSON")
-                return error_response(422, first_complaint(invalid, model))
+                return error_response(422, describe_validation_error(invalid, model))
             if is_disconnected(http_request.scope):
                 raise CommandRefused(f"{path}: the client closed the connection; the request was not executed")
             try:

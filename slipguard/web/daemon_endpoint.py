@@ -11,7 +11,7 @@ from typing import Any
 import structlog
 from pydantic import ValidationError
 
-from slipguard.config_errors import first_complaint
+from slipguard.config_errors import describe_validation_error
 from slipguard.daemon.api.daemon_api import DaemonApi
 from slipguard.daemon.api.requests import REQUESTS
 from slipguard.daemon.loop.event_log import Event
@@ -130,5 +130,5 @@ async def _submit(daemon: DaemonApi, arguments: dict[str, Any]) -> dict[str, obj
     try:
         request = model.model_validate(arguments.get("fields"))
     except ValidationError as invalid:
-        raise SlipguardError(f"{kind}: {first_complaint(invalid, model)}") from None
+        raise SlipguardError(f"{kind}: {describe_validation_error(invalid, model)}") from None
     return dict(await daemon.submit(request))

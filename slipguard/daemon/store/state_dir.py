@@ -24,7 +24,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from slipguard.atomic_file import write_whole
-from slipguard.config_errors import first_complaint
+from slipguard.config_errors import describe_validation_error
 from slipguard.control.fault import Fault
 from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
@@ -237,7 +237,9 @@ def _read(path: Path, kind: type[_S]) -> _S:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except ValidationError as error:
-        raise InputError(f"{path}: damaged: {first_complaint(error, kind)}; move it away to go on without it") from None
+        raise InputError(
+            f"{path}: damaged: {describe_validation_error(error, kind)}; move it away to go on without it"
+        ) from None
 
 
 def _write(path: Path, content: bytes) -> None:

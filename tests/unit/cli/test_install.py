@@ -11,7 +11,7 @@ from command_line import Ran, slipguard
 
 from slipguard import installation
 from slipguard.config import read_config
-from slipguard.installation import CONFIG, PLACES, RULES, UNIT, Do, Step
+from slipguard.installation import CONFIG, PLACES, RULES, UNIT, InstallStep, StepAction
 
 PROJECT = Path(__file__).parents[3]
 UNIT_FILE, RULES_FILE, CONFIG_FILE = (PLACES[name] for name in (UNIT, RULES, CONFIG))
@@ -86,11 +86,11 @@ def test_a_configuration_that_is_there_is_never_overwritten(  # type: ignore[no-
     mine.write_text((PROJECT / "config.toml").read_text().replace("D20479", "D20001"))
     assert install("--config", mine).code == 0
     assert read_config(root / CONFIG_FILE).left.settings.serial == "D20001"  # type: ignore[attr-defined]
-    assert f"kept  {root / CONFIG_FILE}: yours" in install().out
+    assert f"kept  {root / CONFIG_FILE}: your own file" in install().out
     mine.write_text(mine.read_text().replace("D20001", "D20002"))
     ran = install("--config", mine)
     assert ran.code == 0
-    assert f"kept  {root / CONFIG_FILE}: yours, and different from the one given; to replace it move it" in ran.out
+    assert f"kept  {root / CONFIG_FILE}: your own file differs from --config; move it away" in ran.out
     assert "D20001" in (root / CONFIG_FILE).read_text()
 
 
@@ -143,7 +143,7 @@ def test_a_program_that_the_service_cannot_see_is_refused(
     monkeypatch.setattr(os, "geteuid", lambda: 0)
     monkeypatch.setattr(installation, "carry_out", lambda step: pytest.fail(f"{step} was done"))
     ran = slipguard(capfd, "install", "--prefix", "/home/me/slipguard/.venv")
-    assert "is in /home, which the service does not see; install slipguard where" in ran.complaint
+    assert "is in /home, which is hidden from the service; install slipguard where" in ran.complaint
     assert "not possible: " in slipguard(capfd, "install", "--prefix", "/home/me", "--dry-run").err
 
 
@@ -158,11 +158,11 @@ def test_a_closed_folder_is_out_of_reach(tmp_path: Path, monkeypatch: pytest.Mon
         if folder.is_relative_to(tmp_path.parents[1]):
             folder.chmod(0o755)
     program.parent.chmod(0o700)
-    assert installation.out_of_reach(program) == f"{program.parent} is closed to other users"
+    assert installation.out_of_reach(program) == f"{program.parent} is not accessible to other users"
 
 
 def test_a_command_that_fails_is_one_line() -> None:
-    with pytest.raises(Exception, match=r"`false` failed \(1\): it says nothing"):
-        installation.carry_out(Step(Do.RUN, "false"))
-    with pytest.raises(Exception, match="no-such-program`: not found; is systemd installed"):
-        installation.carry_out(Step(Do.RUN, "no-such-program"))
+    with pytest.raises(Exception, match=r"`false` failed \(1\): no output"):
+        installation.carry_out(InstallStep(StepAction.RUN, "false"))
+    with pytest.raises(Exception, match="no-such-program`: not found; install systemd"):
+        installation.carry_out(InstallStep(StepAction.RUN, "no-such-program"))
