@@ -108,6 +108,6 @@ _BODIES: tuple[_Body, ...] = (_block, _disc, _dome, _pill, _facet, _bow)
 
 
 def _texture(u: Field, v: Field, rng: np.random.Generator) -> Field:
-    pitch, depth = float(rng.uniform(0.7, 2.2)), float(rng.uniform(0.05, 0.35))
+    period, depth = float(rng.uniform(0.7, 2.2)), float(rng.uniform(0.05, 0.35))
     u, v = s.rotated(u, v, float(rng.uniform(0.0, 180.0)))
-    return s.grooves(u, pitch, depth) if rng.random() < 0.6 else s.knurl(u, v, pitch, depth)
+    return s.grooves(u, period, depth) if rng.random() < 0.6 else s.knurl(u, v, period, depth)

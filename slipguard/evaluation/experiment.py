@@ -17,7 +17,7 @@ from slipguard.errors import InputError
 from slipguard.evaluation.lift_analysis import LiftResult, analyze, result_from_json
 from slipguard.evaluation.lift_recording import lift_paths, read_lift
 from slipguard.evaluation.protocol import LiftProtocol, PlannedLift
-from slipguard.evaluation.report_data import network_scores, report_json
+from slipguard.evaluation.report_data import report_json, segmentation_scores
 from slipguard.evaluation.report_html import write_page
 from slipguard.evaluation.report_plots import draw_curves, draw_errors, draw_masks
 from slipguard.evaluation.simulated_lifts import SimulatedLift, record
@@ -121,7 +121,7 @@ def write_report(
 
 
 def _networks(out: Path, folder: Path, comparing: Callable[[str], None]) -> list[dict[str, Any]]:
-    rows = network_scores(folder)
+    rows = segmentation_scores(folder)
     for path in lift_paths(out):
         comparing(path.stem)
         data = read_lift(path)

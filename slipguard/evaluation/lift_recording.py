@@ -175,7 +175,7 @@ class TimedImage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FingerFrame:
+class LiftFrame:
     """A finger's frame record; image: None if none was recorded."""
 
     record: m.FrameRecord
@@ -198,7 +198,7 @@ class LiftData:
     intrinsics: Intrinsics
     recording: Recording
     camera: list[TimedImage] = field(default_factory=list)
-    fingers: dict[str, list[FingerFrame]] = field(default_factory=lambda: {name: [] for name in m.FINGERS})
+    fingers: dict[str, list[LiftFrame]] = field(default_factory=lambda: {name: [] for name in m.FINGERS})
     masks: dict[str, list[TimedImage]] = field(default_factory=lambda: {name: [] for name in m.FINGERS})
     true_masks: dict[str, list[TimedImage]] = field(default_factory=lambda: {name: [] for name in m.FINGERS})
     fused: list[tuple[float, float, float]] = field(default_factory=list)
@@ -236,7 +236,7 @@ def read_lift(path: Path) -> LiftData:
             data.truth.append(value)
         elif isinstance(value, m.FrameRecord):
             finger = item.topic.split("/")[1]
-            data.fingers[finger].append(FingerFrame(value, pending.pop(finger, None)))
+            data.fingers[finger].append(LiftFrame(value, pending.pop(finger, None)))
         elif isinstance(value, StoredImage):
             if item.topic in lists:
                 timed.append((lists[item.topic], item.at_ns, value))

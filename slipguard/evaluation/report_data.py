@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from slipguard.datasets.mask_scores import dice, iou
 from slipguard.errors import InputError, ModelError
 from slipguard.evaluation.lift_analysis import MASK_GAP_S, LiftResult, mask_of
-from slipguard.evaluation.lift_recording import FingerFrame, LiftData
+from slipguard.evaluation.lift_recording import LiftData, LiftFrame
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.tools.replay import recorded_settings
 
@@ -161,7 +161,7 @@ def _mean(values: Sequence[float]) -> float | None:
 EVERY = 10
 
 
-class NetworkScore:
+class SegmentationScore:
     """Accumulates the scores of one network over lifts."""
 
     def __init__(self, path: Path | None) -> None:
@@ -192,7 +192,7 @@ class NetworkScore:
                     self._dice.append(dice(found, mask_of(true)))
                     self._iou.append(iou(found, mask_of(true)))
 
-    def _segment(self, one: FingerFrame, background: NDArray[np.uint8] | None) -> NDArray[np.bool_]:
+    def _segment(self, one: LiftFrame, background: NDArray[np.uint8] | None) -> NDArray[np.bool_]:
         """Return the mask at frame size and record the time it took."""
         assert one.image is not None
         image = one.image.pixels()
@@ -212,16 +212,16 @@ class NetworkScore:
         }
 
 
-def network_scores(folder: Path) -> list[NetworkScore]:
+def segmentation_scores(folder: Path) -> list[SegmentationScore]:
     """Return the shipped network and every usable one of a folder. Raises InputError if there is none."""
     files = sorted(folder.glob("*.onnx")) if folder.is_dir() else []
     if not files:
         raise InputError(f"{folder}: no .onnx networks in this folder")
-    rows = [NetworkScore(None)]
+    rows = [SegmentationScore(None)]
     refused = []
     for file in files:
         try:
-            rows.append(NetworkScore(file))
+            rows.append(SegmentationScore(file))
         except ModelError as error:
             refused.append(str(error))
     if len(rows) == 1:

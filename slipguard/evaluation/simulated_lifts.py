@@ -72,7 +72,7 @@ def random_camera(seed: int, rise_mm: float = 100.0) -> tuple[ExternalCameraMode
     side_mm = 40.0
     camera = ExternalCameraModel(
         gripper=MarkerPlate(cells(GRIPPER_ID), side_mm, (0.0, 95.0, 3.0), roll_deg=float(rng.uniform(-8, 8))),
-        thing=MarkerPlate(cells(OBJECT_ID), side_mm, (70.0, 0.0, 6.0), roll_deg=float(rng.uniform(-20, 20))),
+        object=MarkerPlate(cells(OBJECT_ID), side_mm, (70.0, 0.0, 6.0), roll_deg=float(rng.uniform(-20, 20))),
         lens=LensModel(),
         distance_mm=max(float(rng.uniform(450.0, 850.0)), DISTANCE_PER_HEIGHT * (rise_mm + BOTH_MARKERS_MM)),
         tilt_deg=float(rng.uniform(0.0, 25.0)),
@@ -88,7 +88,7 @@ def random_camera(seed: int, rise_mm: float = 100.0) -> tuple[ExternalCameraMode
 
 def intrinsics_of(lens: LensModel) -> Intrinsics:
     """Return the true intrinsics of the rendered camera."""
-    u, v = lens.centre_px
+    u, v = lens.center_px
     return Intrinsics(
         width_px=lens.width_px, height_px=lens.height_px, fx_px=lens.focal_px, fy_px=lens.focal_px, cx_px=u, cy_px=v,
         distortion=(lens.k1, lens.k2, 0.0, 0.0, 0.0),

@@ -1,6 +1,6 @@
-"""An arm that moves up and down: trapezoid speed profiles in closed form, and stops that take time.
+"""An arm that moves up and down: trapezoidal speed profiles in closed form, and stops with finite deceleration.
 
-A motion is a short list of constant accelerations, so height, speed and acceleration are exact at any moment.
+A motion is a list of segments of constant acceleration, so height, speed and acceleration are exact at any time.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class ArmModel:
 
 @dataclass(frozen=True, slots=True)
 class MotionSegment:
-    """From `start_s` on, until the next leg: constant acceleration."""
+    """Constant acceleration from `start_s` until the next segment."""
 
     start_s: float
     height_mm: float
@@ -39,9 +39,9 @@ class MotionSegment:
 
 @dataclass(frozen=True, slots=True)
 class ArmPlant:
-    """The arm's plan. legs: in order of time, the last one at rest for ever."""
+    """The arm's motion. segments: in order of time, the last one at rest."""
 
-    legs: tuple[MotionSegment, ...] = (MotionSegment(-math.inf, 0.0, 0.0, 0.0),)
+    segments: tuple[MotionSegment, ...] = (MotionSegment(-math.inf, 0.0, 0.0, 0.0),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,77 +55,77 @@ class ArmPose:
 
 
 def pose(plant: ArmPlant, now_s: float) -> ArmPose:
-    """Where the arm is."""
-    last = plant.legs[-1]
+    """Return the pose at a time."""
+    last = plant.segments[-1]
     if now_s >= last.start_s:
         return ArmPose(last.height_mm, 0.0, 0.0, False)
-    leg = plant.legs[0]
-    for following in plant.legs[1:]:
+    segment = plant.segments[0]
+    for following in plant.segments[1:]:
         if now_s < following.start_s:
             break
-        leg = following
-    t = max(now_s - leg.start_s, 0.0)
-    a = leg.acceleration_mm_s2
-    return ArmPose(leg.height_mm + t * (leg.speed_mm_s + 0.5 * a * t), leg.speed_mm_s + a * t, a, True)
+        segment = following
+    t = max(now_s - segment.start_s, 0.0)
+    a = segment.acceleration_mm_s2
+    return ArmPose(segment.height_mm + t * (segment.speed_mm_s + 0.5 * a * t), segment.speed_mm_s + a * t, a, True)
 
 
 def order_lift(
     plant: ArmPlant, model: ArmModel, now_s: float, height_mm: float, speed_mm_s: float
 ) -> tuple[ArmPlant, float]:
-    """Move by `height_mm` from here (down when negative), within the height limits; returns plan and speed applied.
+    """Return the motion by `height_mm` from here (negative: down), within the height limits, and the speed applied.
 
-    A motion under way is replaced without a jump in speed.
+    A present motion is replaced without a jump in speed.
     """
     speed_mm_s = min(max(speed_mm_s, model.speed_min_mm_s), model.speed_max_mm_s)
     here = pose(plant, now_s)
     goal_mm = min(max(here.height_mm + height_mm, model.height_min_mm), model.height_max_mm)
     a = model.acceleration_mm_s2
     start = MotionSegment(now_s, here.height_mm, here.speed_mm_s, 0.0)
-    legs: list[MotionSegment] = []
-    way_mm = goal_mm - here.height_mm
+    segments: list[MotionSegment] = []
+    distance_mm = goal_mm - here.height_mm
     braking_mm = here.speed_mm_s * abs(here.speed_mm_s) / (2 * a)
-    # Running away from the goal, or past it whatever is done: brake first, then start from rest.
-    if here.speed_mm_s and (way_mm * here.speed_mm_s < 0 or abs(braking_mm) > abs(way_mm)):
-        start = _leg(legs, start, -math.copysign(a, here.speed_mm_s), abs(here.speed_mm_s) / a, end_speed=0.0)
-    way_mm = goal_mm - start.height_mm
-    sign = math.copysign(1.0, way_mm)
+    # Moving away from the goal, or unable to stop before it: brake first, then start from rest.
+    if here.speed_mm_s and (distance_mm * here.speed_mm_s < 0 or abs(braking_mm) > abs(distance_mm)):
+        start = _append(segments, start, -math.copysign(a, here.speed_mm_s), abs(here.speed_mm_s) / a, end_speed=0.0)
+    distance_mm = goal_mm - start.height_mm
+    sign = math.copysign(1.0, distance_mm)
     entry = abs(start.speed_mm_s)
-    if abs(way_mm) > 1e-9:
-        top = min(speed_mm_s, math.sqrt(a * abs(way_mm) + 0.5 * entry * entry))
+    if abs(distance_mm) > 1e-9:
+        top = min(speed_mm_s, math.sqrt(a * abs(distance_mm) + 0.5 * entry * entry))
         change = math.copysign(a, top - entry)
-        start = _leg(legs, start, sign * change, abs(top - entry) / a, end_speed=sign * top)
+        start = _append(segments, start, sign * change, abs(top - entry) / a, end_speed=sign * top)
         cruise_mm = abs(goal_mm - start.height_mm) - top * top / (2 * a)
-        start = _leg(legs, start, 0.0, max(cruise_mm, 0.0) / top, end_speed=sign * top)
-        start = _leg(legs, start, -sign * a, top / a, end_speed=0.0)
-    legs.append(MotionSegment(start.start_s, goal_mm, 0.0, 0.0))
-    return ArmPlant(tuple(legs)), speed_mm_s
+        start = _append(segments, start, 0.0, max(cruise_mm, 0.0) / top, end_speed=sign * top)
+        start = _append(segments, start, -sign * a, top / a, end_speed=0.0)
+    segments.append(MotionSegment(start.start_s, goal_mm, 0.0, 0.0))
+    return ArmPlant(tuple(segments)), speed_mm_s
 
 
 def order_stop(plant: ArmPlant, model: ArmModel, now_s: float) -> ArmPlant:
-    """Brake to rest from now on; at rest nothing changes."""
+    """Return the motion that brakes to rest; at rest nothing changes."""
     here = pose(plant, now_s)
     if not here.moving:
         return plant
-    legs: list[MotionSegment] = []
+    segments: list[MotionSegment] = []
     start = MotionSegment(now_s, here.height_mm, here.speed_mm_s, 0.0)
     decel = model.stop_mm_s2
-    end = _leg(legs, start, -math.copysign(decel, here.speed_mm_s), abs(here.speed_mm_s) / decel, end_speed=0.0)
-    return ArmPlant((*legs, end))
+    end = _append(segments, start, -math.copysign(decel, here.speed_mm_s), abs(here.speed_mm_s) / decel, end_speed=0.0)
+    return ArmPlant((*segments, end))
 
 
-def _leg(
-    legs: list[MotionSegment], start: MotionSegment, acceleration: float, seconds: float, end_speed: float
+def _append(
+    segments: list[MotionSegment], start: MotionSegment, acceleration: float, seconds: float, end_speed: float
 ) -> MotionSegment:
-    """Append a leg that lasts `seconds` (none if 0) and return the state at its end, as the start of the next."""
+    """Append a segment of `seconds`, none if 0, and return the state at its end, the start of the next."""
     if seconds <= 0.0:
         return start
-    legs.append(MotionSegment(start.start_s, start.height_mm, start.speed_mm_s, acceleration))
+    segments.append(MotionSegment(start.start_s, start.height_mm, start.speed_mm_s, acceleration))
     height_mm = start.height_mm + seconds * (start.speed_mm_s + 0.5 * acceleration * seconds)
     return MotionSegment(start.start_s + seconds, height_mm, end_speed, 0.0)
 
 
 def report(plant: ArmPlant, now_s: float, protective_stop: bool = False, emergency_stop: bool = False) -> ArmState:
-    """What the arm says of itself."""
+    """Return the state that the arm reports."""
     here = pose(plant, now_s)
     return ArmState(
         height_mm=here.height_mm,
@@ -139,10 +139,10 @@ def report(plant: ArmPlant, now_s: float, protective_stop: bool = False, emergen
 
 def continuous(plant: ArmPlant, tolerance_mm: float = 1e-6) -> bool:
     """True if height and speed of the plan have no jumps; what every plan promises."""
-    for leg, following in pairwise(plant.legs):
-        t = following.start_s - leg.start_s
-        height = leg.height_mm + t * (leg.speed_mm_s + 0.5 * leg.acceleration_mm_s2 * t)
-        speed = leg.speed_mm_s + t * leg.acceleration_mm_s2
+    for segment, following in pairwise(plant.segments):
+        t = following.start_s - segment.start_s
+        height = segment.height_mm + t * (segment.speed_mm_s + 0.5 * segment.acceleration_mm_s2 * t)
+        speed = segment.speed_mm_s + t * segment.acceleration_mm_s2
         if abs(height - following.height_mm) > tolerance_mm or abs(speed - following.speed_mm_s) > tolerance_mm:
             return False
     return True

@@ -20,7 +20,7 @@ def background_image(unit: SensorUnit) -> NDArray[np.uint8]:
     """Return a unit's background image, (320, 240, 3) BGR: its real one, or a procedural one from its LEDs and seed."""
     if unit.background is not None:
         return unit.background
-    rng = np.random.default_rng(unit.backdrop_seed)
+    rng = np.random.default_rng(unit.background_seed)
     rows, columns = np.mgrid[0:FRAME_HEIGHT_PX, 0:FRAME_WIDTH_PX].astype(np.float32)
     x = columns / (FRAME_WIDTH_PX - 1) * 2 - 1
     y = 1 - rows / (FRAME_HEIGHT_PX - 1) * 2

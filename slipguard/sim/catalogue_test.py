@@ -1,7 +1,7 @@
-"""The ten objects for testing: shapes that no training image shows. Their manifest is fixed.
+"""The ten test objects: shapes that are not used in training. Their manifest is fixed.
 
-Two are hard on purpose: `bar` is heavy, `ball` is so curved that it drives the picture to its limits.
-Lengths in mm. Masses and levers make every one of them need 48-75 N per finger.
+Two are difficult on purpose: `bar` is heavy, `ball` is so curved that it saturates the image. Lengths in mm. Masses and
+levers are chosen so that each needs 48-75 N per finger.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from slipguard.sim.raster import Field, f32
 from slipguard.sim.sim_object import SimObject
 
 MANIFEST_SHA256 = "acc58316d8430c44bdc77d9aa98b8215ca0a0446b27bc65f47cbf16304260958"
-"""`manifest_sha256()` of the set as published; figures on other sets cannot be compared."""
+"""`manifest_sha256()` of the published set; figures on other sets are not comparable."""
 
 
 def _bar(u: Field, v: Field) -> Field:
@@ -44,8 +44,8 @@ def _key(u: Field, v: Field) -> Field:
     bow = s.without(s.disc(u, v, 3.6, (-5.2, 0.0)), s.disc(u, v, 1.2, (-6.4, 0.0)))
     blade = [(-3, -1.2), (7.6, -1.2), (8.4, -0.2), (7.6, 0.9), (6.6, 0.2), (5.6, 1.3), (4.4, 0.5), (3.4, 1.4)]
     blade += [(2.2, 0.3), (1.2, 1.3), (-0.2, 1.5), (-3, 1.5)]
-    outline = s.union(bow, s.polygon(u, v, blade))
-    return s.plateau(outline, 0.25) - np.float32(0.25) * s.inside(s.box(u, v, 5.6, 0.22, (2.4, -0.5)), 0.15)
+    contour = s.union(bow, s.polygon(u, v, blade))
+    return s.plateau(contour, 0.25) - np.float32(0.25) * s.inside(s.box(u, v, 5.6, 0.22, (2.4, -0.5)), 0.15)
 
 
 def _screwdriver(u: Field, v: Field) -> Field:
@@ -65,7 +65,7 @@ def _ring(u: Field, v: Field) -> Field:
 
 
 def _ball(u: Field, v: Field) -> Field:
-    return s.sphere(u, v, 5.2) - s.dimples(u, v, pitch=2.3, radius=0.95, depth=0.4)
+    return s.sphere(u, v, 5.2) - s.dimples(u, v, period=2.3, radius=0.95, depth=0.4)
 
 
 def _hook(u: Field, v: Field) -> Field:
@@ -89,7 +89,7 @@ OBJECTS = (
 
 
 def manifest_sha256() -> str:
-    """Digest of names, shapes and mechanics of the whole set. Shapes: 0.01 mm steps on a fixed 1 mm grid."""
+    """Return the digest of names, shapes and mechanics. Shapes: 0.01 mm steps on a fixed 1 mm grid."""
     axis = np.arange(-12, 13, dtype=np.float32)
     u, v = np.meshgrid(axis, -axis)
     digest = hashlib.sha256()

@@ -1,6 +1,6 @@
-"""The objects that networks are trained on: other shapes than those for testing. Lengths in mm.
+"""The training objects: other shapes than the test objects. Lengths in mm.
 
-Plain balls are among them because people press balls to calibrate sensors; the ball for testing has a seam.
+They include plain balls, because balls are used to calibrate sensors; the test ball is dimpled.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ def _nut(u: Field, v: Field) -> Field:
 
 def _star(u: Field, v: Field) -> Field:
     tips, notches = s.arc(5.2, 90, 378, count=5), s.arc(2.3, 126, 414, count=5)
-    outline = [point for pair in zip(tips, notches, strict=True) for point in pair]
-    return s.plateau(s.polygon(u, v, outline), 0.3)
+    contour = [point for pair in zip(tips, notches, strict=True) for point in pair]
+    return s.plateau(s.polygon(u, v, contour), 0.3)
 
 
 def _gear(u: Field, v: Field) -> Field:
@@ -110,8 +110,8 @@ def _dovetail(u: Field, v: Field) -> Field:
 
 
 def _arrow(u: Field, v: Field) -> Field:
-    outline = [(-6, -0.7), (-6, 0.7), (0.6, 0.7), (0.6, 2.9), (5.8, 0), (0.6, -2.9), (0.6, -0.7)]
-    return s.plateau(s.polygon(u, v, outline), 0.35)
+    contour = [(-6, -0.7), (-6, 0.7), (0.6, 0.7), (0.6, 2.9), (5.8, 0), (0.6, -2.9), (0.6, -0.7)]
+    return s.plateau(s.polygon(u, v, contour), 0.35)
 
 
 def _bead(u: Field, v: Field) -> Field:

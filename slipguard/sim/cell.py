@@ -105,7 +105,7 @@ def _why_dropped(motion: ObjectMotion, body: GraspedBody, gripper: GripperPlant)
 
 def is_static(before: CellState, after: CellState, now_s: float) -> bool:
     """Return True if nothing moves until the next command."""
-    if not after.gripper.at_rest or now_s < after.arm.legs[-1].start_s or before.held != after.held:
+    if not after.gripper.at_rest or now_s < after.arm.segments[-1].start_s or before.held != after.held:
         return False
     if before.gripper is not after.gripper:
         return False

@@ -1,9 +1,9 @@
-"""Friction of soft fingertips: how much torque and load a grip can take, and what it does at that limit.
+"""Friction of soft fingertips: the limit of torque and load that a grip holds, and the slip at this limit.
 
 One fingertip presses with `force_n` on a round patch of radius a(N) = delta N^gamma (Xydas & Kao 1999). It holds
 any tangential load and torque inside the ellipsoid (f / (mu N))^2 + (tau / tau_max)^2 <= 1 (Howe & Cutkosky 1996).
-Inside, the gel only winds up and comes back; on the surface it slips along the surface's normal. There is no bristle
-that creeps below the limit, so a load that sticks stays where it is.
+Inside, the gel deforms elastically; on the surface it slips along the surface normal. There is no bristle model, which
+would creep below the limit: a sticking load does not move.
 """
 
 from __future__ import annotations
@@ -38,13 +38,14 @@ STIFFNESS_RADIUS_M = 6e-3
 
 @dataclass(frozen=True, slots=True)
 class SoftPad(Pad):
-    """The soft fingertip: contact size (as of a `Pad`), elasticity and damping, per finger.
+    """The soft fingertip: contact size (from `Pad`), elasticity and damping, per finger.
 
-    torsion_n_m_rad: torque per elastic turn. Silicone 0.1-0.5 at 6 mm radius; 50 is a stiff pad.
-    stiffening: torsion grows as (contact radius / 6 mm)^stiffening; 3 for an elastic half-space, 0 for constant.
-    relaxation_s: damping over stiffness of the gel, in twist and in shear.
-    viscous_n_m_s: torque per slip rate on top of dry friction (0.02: Costanzo et al.).
-    viscous_n_s_m: tangential force per sliding speed on top of dry friction.
+    Attributes:
+        torsion_n_m_rad: torque per elastic torsion. Silicone 0.1-0.5 at 6 mm radius; 50 is a stiff pad.
+        stiffening: torsion grows as (contact radius / 6 mm)^stiffening; 3 for an elastic half-space, 0 for constant.
+        relaxation_s: damping over stiffness of the gel, in torsion and in shear.
+        viscous_n_m_s: torque per slip rate in addition to dry friction (0.02: Costanzo et al.).
+        viscous_n_s_m: tangential force per slip speed in addition to dry friction.
     """
 
     torsion_n_m_rad: float = 50.0
@@ -54,7 +55,7 @@ class SoftPad(Pad):
     viscous_n_s_m: float = 20.0
 
     def stiffness(self, force_n: float) -> tuple[float, float]:
-        """Torsional (N m/rad) and shear (N/m) stiffness of one fingertip at this force.
+        """Return the torsional (N m/rad) and shear (N/m) stiffness of one fingertip at this force.
 
         Shear follows from torsion: for a round patch on an elastic half-space their ratio is the radius squared.
         """
@@ -66,9 +67,10 @@ class SoftPad(Pad):
 
 
 def needed_force_n(item: SimObject, gel: SoftPad, n_fingers: int = 2, acceleration_m_s2: float = 0.0) -> float:
-    """Force per finger at which a level object just does not turn nor slide.
+    """Return the force per finger at which a level object just does not slip.
 
-    acceleration_m_s2: of the lift, upward positive; the load is taken as 0 in free fall.
+    Args:
+        acceleration_m_s2: of the lift, upward positive; in free fall the load is 0.
     """
     load_n = item.mass_kg * max(GRAVITY_M_S2 + acceleration_m_s2, 0.0) / n_fingers
     return force_needed_n(load_n, item.com_offset_mm * 1e-3, item.friction, gel)
@@ -77,11 +79,11 @@ def needed_force_n(item: SimObject, gel: SoftPad, n_fingers: int = 2, accelerati
 def return_to_surface(
     load: tuple[float, float], limit: tuple[float, float], compliance: tuple[float, float]
 ) -> tuple[float, float]:
-    """The friction (force, torque) of a contact that sticking would load with `load`.
+    """Return the friction (force, torque) of a contact, given the load it would carry if it stuck.
 
-    Inside the ellipse with half-axes `limit` it is `load` itself: stick. Outside it is the point of the ellipse from
-    which the way to `load`, weighted with `compliance` (slip rate per force), is normal to the ellipse: the slip that
-    dissipates most (the associated flow rule). Limits of 0 give (0, 0); compliances are positive.
+    Inside the ellipse with half-axes `limit` this is `load`: stick. Outside it is the point of the ellipse from which
+    the vector to `load`, weighted with `compliance` (slip rate per force), is normal to the ellipse: the slip that
+    dissipates most energy (associated flow rule). Limits of 0 give (0, 0); compliances are positive.
     """
     if limit[0] <= 0.0 or limit[1] <= 0.0:
         return 0.0, 0.0

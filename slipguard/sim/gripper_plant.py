@@ -1,9 +1,9 @@
-"""A Robotiq 2F-85 as its driver meets it: late, quantised, self-locking, and not quite as strong as it says.
+"""A Robotiq 2F-85 as seen by its driver: delayed, quantized, self-locking, with a force gain error.
 
-An order waits in the serial line, then for the motor, then width or force move at a finite rate. A register written
-while the fingers rest on an object does nothing, so tightening costs two transactions (stop, go). The screw locks
-itself: force only ever rises until the fingers are opened, and stays when orders stop coming.
-Figures: 16 ms a transaction, 20-60 ms dead time, 64-480 N/s, 20 N + 0.843 N a count, 20-150 mm/s, 0.37 mm a count.
+A command passes the serial line and the motor's dead time, then width or force change at a finite rate. Writing the
+force register while the fingers rest on an object has no effect, so tightening takes two transactions (stop, go). The
+screw is self-locking: the force only rises until the fingers open, and stays without commands.
+Figures: 16 ms per transaction, 20-60 ms dead time, 64-480 N/s, 20 N + 0.843 N per count, 20-150 mm/s, 0.37 mm per count.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from enum import Enum
 from slipguard.devices import GripperState
 
 UNLOAD_N_S = 480.0
-"""How fast force falls when the fingers open at full speed (150 mm/s on half a pad's 6.4 N/mm)."""
+"""Rate at which the force falls when the fingers open at full speed (150 mm/s on half a pad's 6.4 N/mm)."""
 COUNTS = 255
 
 
 @dataclass(frozen=True, slots=True)
 class GripperDynamics:
-    """One gripper's figures. gain: true force over commanded force, which only the world knows."""
+    """Parameters of one gripper. gain: true over commanded force, unknown to the driver."""
 
     transaction_s: float = 0.016
     dead_time_s: float = 0.04
@@ -38,19 +38,19 @@ class GripperDynamics:
         """Force of one register count: 0.843 N."""
         return (self.force_max_n - self.force_min_n) / COUNTS
 
-    def quantised_force_n(self, force_n: float) -> float:
-        """The lowest force of the register that is not below `force_n`; clipped to the register's range."""
+    def quantized_force_n(self, force_n: float) -> float:
+        """Return the smallest register force not below `force_n`, clipped to the register's range."""
         counts = math.ceil((force_n - self.force_min_n) / self.force_step_n - 1e-9)
         return self.force_min_n + min(max(counts, 0), COUNTS) * self.force_step_n
 
-    def quantised_width_mm(self, width_mm: float) -> float:
-        """The nearest width of the position register."""
+    def quantized_width_mm(self, width_mm: float) -> float:
+        """Return the nearest width of the position register."""
         counts = round(min(max(width_mm, 0.0), self.width_max_mm) / self.width_step_mm)
         return min(counts * self.width_step_mm, self.width_max_mm)
 
 
 class Drive(Enum):
-    """What the motor does."""
+    """Motion of the motor."""
 
     REST = "rest"
     CLOSING = "closing"
@@ -59,7 +59,7 @@ class Drive(Enum):
 
 @dataclass(frozen=True, slots=True)
 class QueuedCommand:
-    """A command on its way through the line. target_n is the commanded force; None keeps the present one."""
+    """A command in the serial line. target_n: commanded force; None keeps the present one."""
 
     due_s: float
     goal_mm: float
@@ -69,80 +69,80 @@ class QueuedCommand:
 
 @dataclass(frozen=True, slots=True)
 class GripperPlant:
-    """The fingers at one instant. force_n: true force of each finger; applied_n: what the register says."""
+    """State of the fingers. force_n: true force of each finger; applied_n: force in the register."""
 
     width_mm: float = 85.0
     force_n: float = 0.0
     applied_n: float = 0.0
     drive: Drive = Drive.REST
     starts_s: float = 0.0
-    """The motor does not move before this (dead time)."""
+    """The motor does not move before this time (dead time)."""
     goal_mm: float = 85.0
     goal_n: float = 0.0
     """True force at which the motor stops on an object."""
     holding: bool = False
     closed_on_nothing: bool = False
-    orders: tuple[QueuedCommand, ...] = ()
+    pending: tuple[QueuedCommand, ...] = ()
 
     @property
     def at_rest(self) -> bool:
-        """Nothing moves and nothing is on its way."""
-        return self.drive is Drive.REST and not self.orders
+        """Whether the motor is at rest and no command is pending."""
+        return self.drive is Drive.REST and not self.pending
 
     @property
     def grips(self) -> bool:
-        """An object is held, or the fingers are on their way to whatever is there."""
+        """Whether an object is held, or the fingers are closing for a grip."""
         closes = self.drive is Drive.CLOSING and self.goal_mm == 0.0
-        return self.holding or closes or any(order.goal_mm == 0.0 and not order.opens for order in self.orders)
+        return self.holding or closes or any(command.goal_mm == 0.0 and not command.opens for command in self.pending)
 
 
 def order_hold(plant: GripperPlant, model: GripperDynamics, now_s: float, force_n: float) -> tuple[GripperPlant, float]:
-    """Close, or tighten, to `force_n`; returns the plant and the force applied by command.
+    """Close, or tighten, to `force_n`; return the plant and the commanded force.
 
-    A force that is not above the one already gripped or being gripped with changes nothing.
+    A force not above the present or pending grip force changes nothing.
     """
-    wanted_n = model.quantised_force_n(force_n)
+    wanted_n = model.quantized_force_n(force_n)
     if plant.grips and plant.applied_n >= wanted_n:
         return plant, plant.applied_n
-    order = QueuedCommand(_due_s(plant, model, now_s), 0.0, wanted_n)
-    return replace(plant, applied_n=wanted_n, orders=(*plant.orders, order)), wanted_n
+    command = QueuedCommand(_due_s(plant, model, now_s), 0.0, wanted_n)
+    return replace(plant, applied_n=wanted_n, pending=(*plant.pending, command)), wanted_n
 
 
 def order_move(
     plant: GripperPlant, model: GripperDynamics, now_s: float, width_mm: float, force_n: float
 ) -> tuple[GripperPlant, float]:
-    """Move the fingers to a width with at most `force_n`; returns the plant and the width commanded.
+    """Move the fingers to a width with at most `force_n`; return the plant and the commanded width.
 
-    Done as asked even with an object between them: refusing that is the driver's duty.
+    This also works with an object between them: the driver must refuse that.
     """
-    goal_mm = model.quantised_width_mm(width_mm)
+    goal_mm = model.quantized_width_mm(width_mm)
     opens = goal_mm > plant.width_mm
-    target_n = model.quantised_force_n(force_n)
-    order = QueuedCommand(_due_s(plant, model, now_s), goal_mm, target_n, opens)
+    target_n = model.quantized_force_n(force_n)
+    command = QueuedCommand(_due_s(plant, model, now_s), goal_mm, target_n, opens)
     applied_n = target_n if opens else max(target_n, plant.applied_n)
-    return replace(plant, applied_n=applied_n, orders=(*plant.orders, order)), goal_mm
+    return replace(plant, applied_n=applied_n, pending=(*plant.pending, command)), goal_mm
 
 
 def order_release(plant: GripperPlant, model: GripperDynamics, now_s: float, width_mm: float) -> GripperPlant:
-    """Open to `width_mm` and forget the force applied; a width below the present one only unloads the fingers."""
-    goal_mm = max(model.quantised_width_mm(width_mm), plant.width_mm)
-    order = QueuedCommand(_due_s(plant, model, now_s), goal_mm, None, opens=True)
-    return replace(plant, applied_n=0.0, orders=(*plant.orders, order))
+    """Open to `width_mm` and reset the commanded force; a width below the present one only unloads the fingers."""
+    goal_mm = max(model.quantized_width_mm(width_mm), plant.width_mm)
+    command = QueuedCommand(_due_s(plant, model, now_s), goal_mm, None, opens=True)
+    return replace(plant, applied_n=0.0, pending=(*plant.pending, command))
 
 
 def order_halt(plant: GripperPlant) -> GripperPlant:
-    """Stop the motor where it is; the screw keeps width and force. Orders on their way are forgotten.
+    """Stop the motor; the screw keeps width and force. Pending commands are discarded.
 
-    A grip whose force was still rising stays at what it has reached, and any force may be ordered anew.
+    A rising force stays at its present value, and any force can be commanded again.
     """
     if plant.at_rest:
         return plant
-    return replace(plant, drive=Drive.REST, orders=(), holding=plant.force_n > 0.0, applied_n=0.0)
+    return replace(plant, drive=Drive.REST, pending=(), holding=plant.force_n > 0.0, applied_n=0.0)
 
 
 def _due_s(plant: GripperPlant, model: GripperDynamics, now_s: float) -> float:
-    """When an order given now reaches the motor: one transaction, or two (stop, go) if the motor rests on an object."""
-    busy_until_s = max(now_s, plant.orders[-1].due_s) if plant.orders else now_s
+    """Return when a command reaches the motor: one transaction, or two (stop, go) if it rests on an object."""
+    busy_until_s = max(now_s, plant.pending[-1].due_s) if plant.pending else now_s
     stop_and_go = plant.holding and plant.drive is Drive.REST
     return busy_until_s + model.transaction_s * (2 if stop_and_go else 1)
 
@@ -150,9 +150,9 @@ def _due_s(plant: GripperPlant, model: GripperDynamics, now_s: float) -> float:
 def advance(
     plant: GripperPlant, model: GripperDynamics, now_s: float, step_s: float, object_mm: float | None
 ) -> GripperPlant:
-    """The fingers one step later, at `now_s`; object_mm: thickness of what is between them, None for nothing."""
-    while plant.orders and plant.orders[0].due_s <= now_s:
-        plant = _begin(plant, model, plant.orders[0])
+    """Return the fingers one step later, at `now_s`. object_mm: thickness of the object, None without one."""
+    while plant.pending and plant.pending[0].due_s <= now_s:
+        plant = _begin(plant, model, plant.pending[0])
     if object_mm is None and (plant.holding or plant.force_n > 0.0):
         plant = _lose(plant, model, now_s)
     if plant.drive is Drive.REST or now_s < plant.starts_s:
@@ -168,25 +168,25 @@ def advance(
     return replace(plant, width_mm=width_mm, drive=Drive.REST, closed_on_nothing=width_mm == 0.0)
 
 
-def _begin(plant: GripperPlant, model: GripperDynamics, order: QueuedCommand) -> GripperPlant:
-    """The motor takes up an order. A motor already closing takes a new force limit without stopping."""
-    drive = Drive.OPENING if order.opens else Drive.CLOSING
-    goal_n = 0.0 if order.opens or order.target_n is None else max(order.target_n * model.gain, plant.force_n)
+def _begin(plant: GripperPlant, model: GripperDynamics, command: QueuedCommand) -> GripperPlant:
+    """Start a command. A motor already closing takes a new force limit without stopping."""
+    drive = Drive.OPENING if command.opens else Drive.CLOSING
+    goal_n = 0.0 if command.opens or command.target_n is None else max(command.target_n * model.gain, plant.force_n)
     moving_on = plant.drive is drive
     return replace(
         plant,
         drive=drive,
-        starts_s=plant.starts_s if moving_on else order.due_s + model.dead_time_s,
-        goal_mm=order.goal_mm,
+        starts_s=plant.starts_s if moving_on else command.due_s + model.dead_time_s,
+        goal_mm=command.goal_mm,
         goal_n=goal_n,
-        holding=plant.holding and not order.opens,
-        closed_on_nothing=plant.closed_on_nothing and not order.opens,
-        orders=plant.orders[1:],
+        holding=plant.holding and not command.opens,
+        closed_on_nothing=plant.closed_on_nothing and not command.opens,
+        pending=plant.pending[1:],
     )
 
 
 def _lose(plant: GripperPlant, model: GripperDynamics, now_s: float) -> GripperPlant:
-    """What was held is gone: the pads relax, and fingers that held it go on closing."""
+    """Handle the loss of the object: the pads relax, and the fingers continue to close."""
     if plant.drive is Drive.OPENING:
         return replace(plant, force_n=0.0, holding=False)
     starts_s = plant.starts_s if plant.drive is Drive.CLOSING else now_s + model.dead_time_s
@@ -194,7 +194,7 @@ def _lose(plant: GripperPlant, model: GripperDynamics, now_s: float) -> GripperP
 
 
 def _open(plant: GripperPlant, model: GripperDynamics, step_s: float) -> GripperPlant:
-    """Unload first, then open."""
+    """Unload, then open."""
     if plant.force_n > 0.0:
         return replace(plant, force_n=max(plant.force_n - UNLOAD_N_S * step_s, 0.0))
     width_mm = min(plant.width_mm + model.speed_mm_s * step_s, plant.goal_mm)
@@ -202,7 +202,7 @@ def _open(plant: GripperPlant, model: GripperDynamics, step_s: float) -> Gripper
 
 
 def _squeeze(plant: GripperPlant, model: GripperDynamics, step_s: float) -> GripperPlant:
-    """The object stops the fingers; force rises to its limit, then the motor stops."""
+    """Raise the force on the object to its limit, then stop the motor."""
     force_n = min(plant.force_n + model.ramp_n_s * step_s, plant.goal_n)
     if force_n < plant.goal_n:
         return replace(plant, force_n=force_n)
@@ -210,7 +210,7 @@ def _squeeze(plant: GripperPlant, model: GripperDynamics, step_s: float) -> Grip
 
 
 def report(plant: GripperPlant, now_s: float, fault: str | None = None) -> GripperState:
-    """What the gripper says of itself. `holding` stays true while it tightens on what it already holds."""
+    """Return the state that the gripper reports. `holding` stays true while it tightens a grip."""
     return GripperState(
         active=fault is None,
         moving=not plant.at_rest,

@@ -1,12 +1,12 @@
-"""How a held object moves between two fingers: it turns about the grasp axis and it slides straight down.
+"""Motion of a held object between two fingers: rotation about the grasp axis, and slip straight down.
 
 (I0 + m b^2) theta'' = m (g + a) b cos(theta) - torque of the fingers and of the table
                m s'' = m (g + a)              - force of the fingers and of the table
 
-theta is 0 with the lever level and grows as the centre of mass sinks; s grows downwards in the fingers' frame. The
-inertial coupling between the two (m b theta'' on the slide) is left out: exact for the turn while s is held, and an
-object that slides freely is lost anyway. Each step is implicit in the friction: it never blows up, and what sticks
-does not creep, whatever the step.
+theta is 0 with the lever level and grows as the center of mass sinks; s grows downwards in the fingers' frame. The
+inertial coupling (m b theta'' on s) is neglected: this is exact for the rotation while s sticks, and an object that slips
+freely is dropped anyway. Each step is implicit in the friction: it is stable, and a sticking contact does not creep, for
+any step size.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from slipguard.sim.friction import (
 from slipguard.sim.sim_object import SimObject
 
 SUPPORT_M = 3e-3
-"""Lift over which the table hands the weight over to the fingers."""
+"""Lift over which the weight passes from the table to the fingers."""
 LANDING_M = 2 * SUPPORT_M
-"""An object this close to the table is still on it: what slips there lands, it is not lost."""
+"""An object this close to the table counts as on it: if it slips there it is not dropped."""
 TABLE_DAMPING = 0.2
 """Damping ratio of the table under the object."""
 
@@ -49,7 +49,7 @@ class GraspedBody:
 
     @classmethod
     def of(cls, item: SimObject, n_fingers: int = 2, translates: bool = True) -> GraspedBody:
-        """Take the mechanics of an object; raises InputError on a mass or friction that is not positive."""
+        """Return the mechanics of an object; raise InputError if mass, inertia or friction is not positive."""
         lever_m = item.com_offset_mm * 1e-3
         if item.mass_kg <= 0 or item.inertia_kg_m2 <= 0 or item.friction <= 0:
             raise InputError(f"{item.name}: mass, inertia and friction must be above 0")
@@ -59,10 +59,10 @@ class GraspedBody:
 
 @dataclass(frozen=True, slots=True)
 class ObjectMotion:
-    """Where the object is in the fingers and how it moves; all 0 at the moment it is grasped.
+    """Position and motion of the object in the fingers; all 0 when it is grasped.
 
-    rotation_rad = what has slipped + twist_rad, and likewise slip_m with shear_m; twist and shear are the gel's and come
-    back.
+    rotation_rad is slip + twist_rad, and slip_m is slip + shear_m; twist and shear are the reversible deformation of the
+    gel.
     """
 
     rotation_rad: float = 0.0
@@ -76,20 +76,21 @@ class ObjectMotion:
     shear_n: float = 0.0
     """Force stored in the gel, all fingers."""
     load_n: float = 0.0
-    """Tangential load the fingers are asked to carry, all together: weight less what the table takes."""
+    """Tangential load of all fingers: weight minus the table's share."""
     on_table: bool = False
-    """One end at least is within `LANDING_M` of the table."""
+    """At least one end is within `LANDING_M` of the table."""
     slipping: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class ExternalLoad:
-    """What acts on the object from outside during one step.
+    """The external loads during one step.
 
-    force_n: each finger's grip.
-    acceleration_m_s2: of the fingers, up.
-    rise_m, rise_m_s: of the fingers above the height at which the object lay on the table; None without a table.
-    torque_n_m: replaces the pendulum's torque where given.
+    Attributes:
+        force_n: grip force of each finger.
+        acceleration_m_s2: of the fingers, up.
+        rise_m, rise_m_s: of the fingers above the height at which the object lay on the table; None without a table.
+        torque_n_m: replaces the gravity torque if given.
     """
 
     force_n: float
@@ -100,12 +101,11 @@ class ExternalLoad:
 
 
 def table_reaction_n(motion: ObjectMotion, body: GraspedBody, load: ExternalLoad) -> tuple[float, float, bool]:
-    """Upward force of the table at the object's near end (on the grasp axis) and at its far end (two levers away).
+    """Return the table's upward force at the object's near end (on the grasp axis) and far end (two levers away).
 
-    Third: whether an end is within `LANDING_M` of it.
-
-    A bar gripped at one end: lying flat each end carries half the weight; lifted, the ends let go over `SUPPORT_M`.
-    When it turns while it is lifted the far end stays down longer: it pivots. Never negative; 0 without a table.
+    Also return whether an end is within `LANDING_M` of the table. The object is a bar gripped at one end: lying flat,
+    each end carries half the weight; lifted, the support fades over `SUPPORT_M`. If it rotates while lifted, it pivots
+    on the far end. Forces are never negative, and 0 without a table.
     """
     if load.rise_m is None:
         return 0.0, 0.0, False
@@ -124,9 +124,9 @@ def table_reaction_n(motion: ObjectMotion, body: GraspedBody, load: ExternalLoad
 
 
 def advance(motion: ObjectMotion, body: GraspedBody, gel: SoftPad, load: ExternalLoad, step_s: float) -> ObjectMotion:
-    """The motion one step later; first order, implicit in gel and friction, stable for any step and force.
+    """Return the motion one step later; first order, implicit in gel and friction, stable for any step and force.
 
-    step_s: 1 ms suffices (angles to 1 %).
+    A step of 1 ms suffices (angles accurate to 1 %).
     """
     dt = step_s
     weight_n = body.mass_kg * (GRAVITY_M_S2 + load.acceleration_m_s2)
@@ -149,14 +149,14 @@ def advance(motion: ObjectMotion, body: GraspedBody, gel: SoftPad, load: Externa
 
     n = body.n_fingers
     torsion, shear = gel.stiffness(load.force_n)
-    # What one unit of elastic rate during the step adds to the friction: spring and damper together.
-    give = dt + gel.relaxation_s
-    twist_gain, shear_gain = n * torsion * give, n * shear * give
-    # A patch that hardly touches does not drag: viscous friction comes in over the first newton.
+    # Friction per elastic rate during the step: spring and damper together.
+    elastic_s = dt + gel.relaxation_s
+    twist_gain, shear_gain = n * torsion * elastic_s, n * shear * elastic_s
+    # Viscous friction fades in over the first newton.
     touch = n * min(load.force_n, 1.0)
     drag, shear_drag = touch * gel.viscous_n_m_s, touch * gel.viscous_n_s_m
 
-    # The friction that would make the contact stick through this step.
+    # The friction that keeps the contact sticking during this step.
     inertia, mass = body.inertia_kg_m2, body.mass_kg
     stick_rate = (inertia * motion.rate_rad_s + dt * (torque_n_m - motion.twist_n_m)) / (inertia + dt * twist_gain)
     stick_torque = motion.twist_n_m + twist_gain * stick_rate
@@ -168,7 +168,7 @@ def advance(motion: ObjectMotion, body: GraspedBody, gel: SoftPad, load: Externa
 
     force_max = n * body.friction * load.force_n
     torque_max = 2.0 * pressure_shape(gel.pressure_k) * gel.contact_radius_m(load.force_n) * force_max
-    # Slip rate per missing friction: the object gains speed, the gel takes less of it, drag takes some back.
+    # Slip rate per missing friction: inertia, less elastic rate, and drag.
     rotation_compliance = dt / inertia + 1.0 / twist_gain
     slip_compliance = dt / mass + 1.0 / shear_gain
     rotation_compliance /= 1.0 + rotation_compliance * drag

@@ -1,4 +1,4 @@
-"""What makes one DIGIT sensor differ from another: lights, gel, scale, blur, noise, no-contact image."""
+"""The individual properties of one DIGIT sensor: LEDs, gel, scale, blur, noise, background image."""
 
 from __future__ import annotations
 
@@ -11,29 +11,36 @@ from numpy.typing import NDArray
 FRAME_WIDTH_PX = 240
 FRAME_HEIGHT_PX = 320
 NOISE_STD_BGR = (2.9, 1.5, 2.4)
-"""Grey levels of temporal noise, measured on two units."""
+"""Temporal noise, gray levels, measured on two units."""
 STRIPE_STD_BGR = (0.7, 0.4, 0.8)
-"""Grey levels by which whole columns differ from frame to frame; 0.65-1.6 measured on two units."""
+"""Variation of whole columns between frames, gray levels; 0.65-1.6 measured on two units."""
 
 Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class SensorUnit:
-    """Optics and gel of one sensor. Picklable; three-fold values are in the order blue, green, red.
+    """Optics and gel of one sensor. Picklable; triples are in the order blue, green, red.
 
-    px_per_mm: 18.15-18.63 on four units with a caliper, 15.9-19.6 across sources.
-    dome_radius_mm: the gel bulges towards the object; dome_share: how much of that a flat object feels (0-1).
-    led_azimuth_deg: counter-clockwise from the picture's right; led_radius_mm, led_height_mm: from the gel's crown.
-    gain_bgr: grey levels for a surface that faces the light. gain_slope_mm: relative change of gain per mm
-        to the right and per mm up, for each light. glow_share: how far a light's strength at a place follows the
-        no-contact image's brightness there (0-1). crosstalk: rows are what a pixel's channel sees of the lights.
-    falloff: light goes as 1 / distance^falloff.
-    skirt_mm: width of the gel's slope around a contact; foundation: how strongly it is pulled back (1: not at all).
-    shadow: darkness of a cast shadow, 0-1; shadow_soft_mm: depth below the shadow's edge at which it is full.
-    psf_px: standard deviation of the camera's blur. noise_bgr, stripe_bgr: standard deviations of
-        pixels and of whole columns, grey levels.
-    backdrop_seed: seed of the procedural no-contact image; background: a real one, (320, 240, 3) uint8, instead.
+    Attributes:
+        px_per_mm: 18.15-18.63 on four units with a caliper, 15.9-19.6 across sources.
+        dome_radius_mm: curvature of the gel towards the object.
+        dome_share: share of the dome's sag that affects a flat object (0-1).
+        led_azimuth_deg: counter-clockwise from the image's right.
+        led_radius_mm, led_height_mm: from the gel's crown.
+        gain_bgr: gray levels of a surface that faces the LED.
+        gain_slope_mm: relative change of gain per mm to the right and per mm up, per LED.
+        glow_share: how much an LED's local intensity follows the background image's brightness (0-1).
+        crosstalk: rows are the channels, columns the LEDs.
+        falloff: intensity is proportional to 1 / distance^falloff.
+        skirt_mm: width of the gel's slope around a contact.
+        foundation: restoring factor of the gel (1: none).
+        shadow: darkness of a cast shadow, 0-1.
+        shadow_soft_mm: depth below the shadow's edge at which it is full.
+        psf_px: standard deviation of the camera's blur.
+        noise_bgr, stripe_bgr: standard deviations of pixels and of whole columns, gray levels.
+        background_seed: seed of the procedural background image.
+        background: a real background image instead, (320, 240, 3) uint8.
     """
 
     px_per_mm: float = 18.5
@@ -58,24 +65,24 @@ class SensorUnit:
     psf_px: float = 2.2
     noise_bgr: Triple = NOISE_STD_BGR
     stripe_bgr: Triple = STRIPE_STD_BGR
-    backdrop_seed: int = 0
+    background_seed: int = 0
     background: NDArray[np.uint8] | None = field(default=None, compare=False, repr=False)
 
     @classmethod
     def default(cls) -> SensorUnit:
-        """The unit whose optics were fitted to real presses of a ball (`tests.campaigns.fit_renderer`).
+        """Return the unit fitted to real presses of a ball (`python -m tests.campaigns fit-renderer`).
 
-        These are the field defaults: difference images correlate 0.89 with 15 presses that were not fitted.
+        These are the field defaults: difference images correlate 0.89 with 15 held-out presses.
         """
         return cls()
 
 
 @dataclass(frozen=True, slots=True)
 class LightChange:
-    """How the light has changed since the no-contact image was taken.
+    """Change of the light since the background image was taken.
 
     image -> gain * image + offset_bgr + tilt_bgr * x + tilt_up_bgr * y, with x from -1 (left) to 1 (right) and y
-    from -1 (bottom) to 1 (top). Grey levels.
+    from -1 (bottom) to 1 (top). Gray levels.
     """
 
     gain: float = 1.0
@@ -85,10 +92,12 @@ class LightChange:
 
 
 def random_unit(rng: np.random.Generator, backgrounds: Sequence[NDArray[np.uint8]] | None = None) -> SensorUnit:
-    """Draw one sensor unit, within what is known to vary between units and some way beyond.
+    """Return a random sensor unit; the ranges cover the known variation between units and more.
 
-    backgrounds: real no-contact images; half of the units then carry one of them, the others a procedural one.
-    A quarter of the units have their lights in another order, a quarter are mirrored.
+    A quarter of the units have their LEDs in another order, a quarter are mirrored.
+
+    Args:
+        backgrounds: real background images, used for half of the units; the others get a procedural one.
     """
     azimuth_deg = np.array([270.0, 150.0, 30.0]) + rng.normal(0.0, 8.0, 3)
     if rng.random() < 0.25:
@@ -118,7 +127,7 @@ def random_unit(rng: np.random.Generator, backgrounds: Sequence[NDArray[np.uint8
         psf_px=float(rng.uniform(0.8, 3.2)),
         noise_bgr=_triple(np.array(NOISE_STD_BGR) * rng.uniform(0.3, 1.6)),
         stripe_bgr=_triple(np.array(STRIPE_STD_BGR) * rng.uniform(0.0, 1.6)),
-        backdrop_seed=int(rng.integers(2**31)),
+        background_seed=int(rng.integers(2**31)),
         background=background,
     )
 

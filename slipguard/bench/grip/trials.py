@@ -150,7 +150,7 @@ def draw(
     gripper = _gripper(rng, latency_s)
     lowest_n, highest_n = needed_range_n(block, gripper.gain)
     wanted_n = float(rng.uniform(lowest_n, highest_n))
-    first_n = gripper.quantised_force_n(share * wanted_n / gripper.gain)
+    first_n = gripper.quantized_force_n(share * wanted_n / gripper.gain)
     if first_n * gripper.gain / share > highest_n:
         first_n -= gripper.force_step_n
     needed_n = first_n * gripper.gain / share

@@ -77,7 +77,7 @@ def test_a_gripper_that_rounds_up_stays_within_the_budget(force_max_n: float, wa
     model = GripperDynamics()
     within = limits.budget(force_max_n, (model.force_min_n, model.force_max_n))
     assert within is not None
-    assert model.quantised_force_n(limits.allowed(wanted, 0.0, within)) <= force_max_n + 1e-6
+    assert model.quantized_force_n(limits.allowed(wanted, 0.0, within)) <= force_max_n + 1e-6
 
 
 def test_the_faster_it_turns_the_larger_the_step() -> None:

@@ -29,7 +29,7 @@ from slipguard.sim.external_camera import (
 LENS = LensModel(640, 480, 560.0, (322.0, 238.0))
 LOOK = ExternalCameraModel(
     gripper=MarkerPlate(cells(0), 40.0, (0.0, 95.0, 3.0)),
-    thing=MarkerPlate(cells(1), 40.0, (70.0, 0.0, 6.0)),
+    object=MarkerPlate(cells(1), 40.0, (70.0, 0.0, 6.0)),
     lens=LENS,
     distance_mm=450.0,
     aim_mm=(30.0, 70.0, 0.0),
@@ -153,7 +153,7 @@ def board_images(tilts_deg: list[tuple[float, float]]) -> list[np.ndarray]:
         rotated = cv2.Rodrigues(np.radians([a, b, 3.0 * number]))[0]
         corners = np.array([[-122.5, -87.5, 0], [122.5, -87.5, 0], [122.5, 87.5, 0], [-122.5, 87.5, 0]])
         seen = corners @ rotated.T + np.array([8.0 * (number % 3 - 1), 5.0 * (number % 2), 380.0])
-        pixels = (seen[:, :2] / seen[:, 2:] * LENS.focal_px + np.array(LENS.centre_px)).astype(np.float32)
+        pixels = (seen[:, :2] / seen[:, 2:] * LENS.focal_px + np.array(LENS.center_px)).astype(np.float32)
         source = np.array([[0, 0], [1400, 0], [1400, 1000], [0, 1000]], np.float32) - 0.5
         warp = cv2.getPerspectiveTransform(source, pixels)
         drawn = cv2.warpPerspective(flat, warp, (640, 480), flags=cv2.INTER_AREA, borderValue=(255,))
@@ -173,7 +173,7 @@ def test_images_of_the_board_give_the_intrinsics(tmp_path: Path) -> None:
     assert run(["evaluate", "calibrate-camera", str(boards), "--out", str(out)]) == 0
     found = read_intrinsics(out)
     assert found.focal_px == pytest.approx(LENS.focal_px, rel=0.01)
-    assert found.cx_px == pytest.approx(LENS.centre_px[0], abs=4.0)
+    assert found.cx_px == pytest.approx(LENS.center_px[0], abs=4.0)
 
 
 def test_boards_of_equal_tilt_or_too_few_boards_are_rejected() -> None:

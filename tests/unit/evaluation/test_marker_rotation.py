@@ -17,7 +17,7 @@ from slipguard.sim.external_camera import ExternalCameraModel, ExternalCameraRen
 
 LOOK = ExternalCameraModel(
     gripper=MarkerPlate(cells(0), 40.0, (0.0, 95.0, 3.0), roll_deg=4.0),
-    thing=MarkerPlate(cells(1), 40.0, (70.0, 0.0, 6.0), roll_deg=-15.0),
+    object=MarkerPlate(cells(1), 40.0, (70.0, 0.0, 6.0), roll_deg=-15.0),
     aim_mm=(30.0, 70.0, 0.0),
 )
 FRAMES = 24

@@ -15,7 +15,7 @@ AT_REST = ArmPlant()
 
 
 def end_s(plant: ArmPlant) -> float:
-    return plant.legs[-1].start_s
+    return plant.segments[-1].start_s
 
 
 def test_a_lift_is_a_trapezoid() -> None:
@@ -102,5 +102,7 @@ def test_no_sequence_of_orders_makes_it_jump(orders: list[tuple[float, float, fl
         assert after.height_mm == pytest.approx(before.height_mm, abs=1e-6)
         assert after.speed_mm_s == pytest.approx(before.speed_mm_s, abs=1e-6)
         assert continuous(plant)
-        assert all(abs(leg.acceleration_mm_s2) <= 2500.0 and abs(leg.speed_mm_s) <= 250.0 + 1e-6 for leg in plant.legs)
+        assert all(
+            abs(leg.acceleration_mm_s2) <= 2500.0 and abs(leg.speed_mm_s) <= 250.0 + 1e-6 for leg in plant.segments
+        )
         now_s += wait_s

@@ -1,4 +1,4 @@
-"""The 2F-85 as a plant: late, quantised, self-locking."""
+"""The 2F-85 as a plant: late, quantized, self-locking."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from slipguard.sim.gripper_plant import (
 MODEL = GripperDynamics(dead_time_s=0.04, ramp_n_s=200.0, speed_mm_s=100.0)
 OPEN = GripperPlant()
 STEP_S = 1e-3
-HELD_N = MODEL.quantised_force_n(40.0)
+HELD_N = MODEL.quantized_force_n(40.0)
 HELD = GripperPlant(width_mm=30.0, force_n=HELD_N, applied_n=HELD_N, goal_mm=0.0, goal_n=HELD_N, holding=True)
 
 
@@ -40,17 +40,17 @@ def run(
 
 def test_forces_are_those_of_the_register_and_never_below_what_was_asked() -> None:
     assert MODEL.force_step_n == pytest.approx(0.843, abs=5e-4)
-    assert MODEL.quantised_force_n(0.0) == 20.0
-    assert MODEL.quantised_force_n(20.0) == 20.0
-    assert MODEL.quantised_force_n(20.01) == pytest.approx(20.0 + MODEL.force_step_n)
-    assert MODEL.quantised_force_n(500.0) == pytest.approx(235.0)
+    assert MODEL.quantized_force_n(0.0) == 20.0
+    assert MODEL.quantized_force_n(20.0) == 20.0
+    assert MODEL.quantized_force_n(20.01) == pytest.approx(20.0 + MODEL.force_step_n)
+    assert MODEL.quantized_force_n(500.0) == pytest.approx(235.0)
 
 
 @given(st.floats(20.0, 235.0))
 def test_quantisation_adds_less_than_a_count_and_is_stable(force_n: float) -> None:
-    applied_n = MODEL.quantised_force_n(force_n)
+    applied_n = MODEL.quantized_force_n(force_n)
     assert force_n - 1e-6 <= applied_n < force_n + MODEL.force_step_n
-    assert MODEL.quantised_force_n(applied_n) == applied_n
+    assert MODEL.quantized_force_n(applied_n) == applied_n
 
 
 def test_closing_waits_for_line_and_motor_then_stops_on_the_object() -> None:
@@ -95,7 +95,7 @@ def test_orders_queue_in_the_line() -> None:
     plant = HELD
     for _ in range(3):
         plant, _ = order_hold(plant, MODEL, 0.0, plant.applied_n + 10.0)
-    assert [order.due_s for order in plant.orders] == pytest.approx([0.032, 0.064, 0.096])
+    assert [order.due_s for order in plant.pending] == pytest.approx([0.032, 0.064, 0.096])
 
 
 def test_true_force_has_the_gain_error_and_nobody_is_told() -> None:

@@ -101,7 +101,7 @@ def test_faults_name_the_alternatives() -> None:
         board.fail("camera", "stall")
     with pytest.raises(InputError, match="there are: corrupt, disconnect, duplicate, frozen, light, sta"):
         board.fail("left", "fault")
-    with pytest.raises(InputError, match="there are left"):
+    with pytest.raises(InputError, match="there are: left"):
         board.active("camera")
 
 
