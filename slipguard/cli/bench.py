@@ -87,13 +87,12 @@ def bench_grip(*, quick: bool, seed: int, json: bool, out: Path | None, workers:
     """Run the trials of the grip controllers; exit code 1 if a result exceeds its specified limit."""
     from rich.console import Console
 
-    from slipguard.bench.grip.campaign import Plan, run
-    from slipguard.bench.grip.checks import checks, failures
-    from slipguard.bench.grip.figures import as_json, scenarios
+    from slipguard.bench.grip.campaign import CampaignPlan, run
+    from slipguard.bench.grip.campaign_figures import as_json, checks, failures, scenarios
     from slipguard.bench.grip.report import draw, print_tables
     from slipguard.cli.terminal import progress_bar
 
-    plan = Plan.of(quick=quick, seed=seed)
+    plan = CampaignPlan.of(quick=quick, seed=seed)
     progress = Console(stderr=True)
     progress.print(
         f"{len(plan.trials)} lifts with a grip that is too weak ({plan.rendered} with rendered frames), "

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slipguard.bench.grip.modeled_perception import SightError
-from slipguard.bench.grip.rendered_perception import segmenter
+from slipguard.bench.grip.perception_models import PerceptionErrors, segmenter
 from slipguard.bench.grip.trials import TEST_OBJECTS
 from slipguard.bench.run import FULL_GRASPS, SEED
 from slipguard.datasets.rendered_grasps import render_grasp
@@ -21,7 +20,7 @@ MEDIAN_OF_A_DIFFERENCE = 0.954
 """Median absolute difference of two normal values, in standard deviations."""
 
 
-def fit_errors(object_name: str, grasps: int = FULL_GRASPS) -> SightError:
+def fit_errors(object_name: str, grasps: int = FULL_GRASPS) -> PerceptionErrors:
     """Return the error model of one object, fitted to grasps of the bench."""
     slopes, offsets, noises, sigmas = [], [], [], []
     compared_frames = declined = 0
@@ -46,11 +45,11 @@ def fit_errors(object_name: str, grasps: int = FULL_GRASPS) -> SightError:
             offsets.append(float(np.mean(error[near])))
         if far.any():
             slopes.append(float(np.median(error[far] / rotation[far])))
-    return SightError(
+    return PerceptionErrors(
         noise_deg=_rms(noises),
         bias_per_deg=_rms(slopes),
         bias_deg=_rms(offsets),
-        sigma_deg=float(np.median(sigmas)) if sigmas else SightError().sigma_deg,
+        sigma_deg=float(np.median(sigmas)) if sigmas else PerceptionErrors().sigma_deg,
         declined=declined / max(compared_frames, 1),
     )
 

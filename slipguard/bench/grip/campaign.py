@@ -10,9 +10,9 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from slipguard.bench.grip.holds import Held, Hold, hold, holds
-from slipguard.bench.grip.play import EVERYBODY, Outcome, Who, play
-from slipguard.bench.grip.trials import Block, Event, Trial, trials
+from slipguard.bench.grip.stable_holds import HoldOutcome, StableHold, hold, holds
+from slipguard.bench.grip.trial_run import CONTROLLER_NAMES, ControllerName, TrialOutcome, play
+from slipguard.bench.grip.trials import Block, Event, GripTrial, trials
 from slipguard.tools.parallel import Workers, each
 
 QUICK_TRIALS, FULL_TRIALS = 32, None
@@ -33,16 +33,16 @@ RENDERED_HOLD_CPU_S, RENDERED_LIFT_S = 1.5, 4.0
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class CampaignPlan:
     """What is to be played. minutes: of stable holds."""
 
-    trials: tuple[Trial, ...]
-    gone: tuple[Trial, ...]
-    tight: tuple[Trial, ...]
-    holds: tuple[Hold, ...]
+    trials: tuple[GripTrial, ...]
+    gone: tuple[GripTrial, ...]
+    tight: tuple[GripTrial, ...]
+    holds: tuple[StableHold, ...]
 
     @classmethod
-    def of(cls, *, quick: bool, seed: int = 0) -> Plan:
+    def of(cls, *, quick: bool, seed: int = 0) -> CampaignPlan:
         """The quick plan, or all of the matrix. The same seed gives the same plan."""
         lifted = trials(QUICK_TRIALS if quick else FULL_TRIALS, QUICK_RENDERED if quick else FULL_RENDERED, seed)
         dropped = [
@@ -74,55 +74,55 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True)
-class Played:
+class TrialOutcomes:
     """One trial: how it went for everybody with the error model, and for the law through rendered frames."""
 
-    trial: Trial
-    outcomes: dict[Who, Outcome]
-    rendered: Outcome | None = None
+    trial: GripTrial
+    outcomes: dict[ControllerName, TrialOutcome]
+    rendered: TrialOutcome | None = None
 
     @property
-    def law(self) -> Outcome:
+    def law(self) -> TrialOutcome:
         """slipguard's outcome: with rendered frames where there is one."""
         return self.outcomes["law"] if self.rendered is None else self.rendered
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class CampaignResult:
     """All that was played."""
 
-    trials: tuple[Played, ...]
-    gone: tuple[Played, ...]
-    high_need: tuple[Played, ...]
-    fragile: tuple[Played, ...]
-    holds: tuple[Held, ...]
+    trials: tuple[TrialOutcomes, ...]
+    gone: tuple[TrialOutcomes, ...]
+    high_need: tuple[TrialOutcomes, ...]
+    fragile: tuple[TrialOutcomes, ...]
+    holds: tuple[HoldOutcome, ...]
 
 
-def run(plan: Plan, workers: Workers, progress: Callable[[float], None] = lambda share: None) -> Found:
+def run(plan: CampaignPlan, workers: Workers, progress: Callable[[float], None] = lambda share: None) -> CampaignResult:
     """Play everything. progress(share done) is called now and then."""
-    everything: list[Trial | Hold] = [*plan.trials, *plan.gone, *plan.tight, *plan.holds]
+    everything: list[GripTrial | StableHold] = [*plan.trials, *plan.gone, *plan.tight, *plan.holds]
     items = sorted(everything, key=lambda item: not item.rendered)  # the dear ones first
     results = list(each(_play, items, workers, named=_named, progress=lambda done: progress(done / len(items))))
-    played = sorted((one for one in results if isinstance(one, Played)), key=lambda one: one.trial.number)
+    played = sorted((one for one in results if isinstance(one, TrialOutcomes)), key=lambda one: one.trial.number)
 
-    def block(name: Block, event: Event = "lifted") -> tuple[Played, ...]:
+    def block(name: Block, event: Event = "lifted") -> tuple[TrialOutcomes, ...]:
         return tuple(one for one in played if one.trial.block == name and one.trial.event == event)
 
-    return Found(
+    return CampaignResult(
         trials=block("matrix"),
         gone=block("matrix", "support gone"),
         high_need=block("high need"),
         fragile=block("fragile"),
-        holds=tuple(one for one in results if isinstance(one, Held)),
+        holds=tuple(one for one in results if isinstance(one, HoldOutcome)),
     )
 
 
-def _play(item: Trial | Hold) -> Played | Held:
-    if isinstance(item, Hold):
+def _play(item: GripTrial | StableHold) -> TrialOutcomes | HoldOutcome:
+    if isinstance(item, StableHold):
         return hold(item)
-    outcomes = {who: play(item, who) for who in EVERYBODY}
-    return Played(item, outcomes, play(item, "law", rendered=True) if item.rendered else None)
+    outcomes = {who: play(item, who) for who in CONTROLLER_NAMES}
+    return TrialOutcomes(item, outcomes, play(item, "law", rendered=True) if item.rendered else None)
 
 
-def _named(item: Trial | Hold) -> str:
-    return item.trial.name if isinstance(item, Hold) else item.name
+def _named(item: GripTrial | StableHold) -> str:
+    return item.trial.name if isinstance(item, StableHold) else item.name

@@ -12,21 +12,35 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from slipguard.bench.grip.campaign import Found, Played
-from slipguard.bench.grip.checks import GROUPS, checks, failures, remarks
-from slipguard.bench.grip.figures import agreement, as_json
-from slipguard.bench.grip.play import HIGH_MM, Outcome, Who, play
-from slipguard.bench.grip.rows import FLOOR_DEG, GELS, SHOWN, GripRow, by_first_grip, by_gel, of, of_gel, row
+from slipguard.bench.grip.campaign import CampaignResult, TrialOutcomes
+from slipguard.bench.grip.campaign_figures import GROUPS, agreement, as_json, checks, failures, remarks
+from slipguard.bench.grip.group_statistics import (
+    FLOOR_DEG,
+    GELS,
+    SHOWN,
+    GripRow,
+    by_first_grip,
+    by_gel,
+    of,
+    of_gel,
+    row,
+)
+from slipguard.bench.grip.trial_run import HIGH_MM, ControllerName, TrialOutcome, play
 from slipguard.bench.grip.trials import FRAGILE_MAX_N, SHARES, TIGHT_SHARES
 from slipguard.tools import plotting as drawings
 
-COLOURS: dict[Who, str] = {
+COLOURS: dict[ControllerName, str] = {
     "law": "tab:blue",
     "oracle": "tab:green",
     "fixed step": "tab:orange",
     "nobody": "tab:gray",
 }
-NAMES: dict[Who, str] = {"law": "slipguard", "oracle": "oracle", "fixed step": "fixed step", "nobody": "no guard"}
+NAMES: dict[ControllerName, str] = {
+    "law": "slipguard",
+    "oracle": "oracle",
+    "fixed step": "fixed step",
+    "nobody": "no guard",
+}
 
 
 WIDE = 130
@@ -55,7 +69,7 @@ GRIP: dict[str, Callable[[GripRow], str]] = {
 }
 
 
-def print_tables(console: Console, found: Found) -> None:
+def print_tables(console: Console, found: CampaignResult) -> None:
     """For people; two narrow tables for one wide one where the terminal is narrow."""
     blocks = [(f"lifted too weakly gripped: {len(found.trials)} trials", _all_rows(found.trials))]
     tight = [*_split("high need", found.high_need), *_split("fragile", found.fragile)]
@@ -92,7 +106,7 @@ def print_tables(console: Console, found: Found) -> None:
         console.print("held on the whole" + (", not everywhere: see above" if remarks(figures) else ""))
 
 
-def _all_rows(played: Sequence[Played]) -> list[GripRow]:
+def _all_rows(played: Sequence[TrialOutcomes]) -> list[GripRow]:
     """By first grip and all together: of all gels, then of each."""
     found = [*by_first_grip(played), row("all", played)]
     for gel in GELS:
@@ -103,7 +117,7 @@ def _all_rows(played: Sequence[Played]) -> list[GripRow]:
     return found
 
 
-def _split(title: str, played: Sequence[Played]) -> list[GripRow]:
+def _split(title: str, played: Sequence[TrialOutcomes]) -> list[GripRow]:
     """By gel and all together."""
     rows = [*by_gel(played), row("all", played)] if played else []
     return [_titled(one, f"{title}, {one.title}" if title else one.title) for one in rows]
@@ -113,7 +127,7 @@ def _titled(one: GripRow, title: str) -> GripRow:
     return replace(one, title=title)
 
 
-def _said_of_holds(found: Found, figures: dict[str, Any]) -> str:
+def _said_of_holds(found: CampaignResult, figures: dict[str, Any]) -> str:
     held = figures["holds"]
     text = (
         f"stable holds, {held['count']} of {held['minutes']} minutes in all, {held['rendered']} of them rendered: "
@@ -151,7 +165,7 @@ def _plain(title: str, heads: Sequence[str]) -> Table:
     return table
 
 
-def draw(found: Found, path: Path) -> None:
+def draw(found: CampaignResult, path: Path) -> None:
     """Slip against first grip for everybody, and one arrest over time."""
     drawing = drawings.figure(13.0, 5.0)
     left, right = drawing.subfigures(1, 2, squeeze=False)[0]
@@ -164,7 +178,7 @@ def draw(found: Found, path: Path) -> None:
     drawings.save(drawing, path)
 
 
-def _scatter(axes: Any, found: Found) -> None:
+def _scatter(axes: Any, found: CampaignResult) -> None:
     """A dot for a trial on a stiff gel, a cross for one on a soft gel."""
     for k, who in enumerate(COLOURS):
         for soft, marker in ((False, "."), (True, "x")):
@@ -180,7 +194,7 @@ def _scatter(axes: Any, found: Found) -> None:
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(COLOURS), fontsize=8)
 
 
-def _arrest(upper: Any, lower: Any, outcomes: dict[Who, Outcome], needed_n: float) -> None:
+def _arrest(upper: Any, lower: Any, outcomes: dict[ControllerName, TrialOutcome], needed_n: float) -> None:
     for who, outcome in outcomes.items():
         trace = outcome.trace
         if trace is None:

@@ -49,7 +49,7 @@ BLOCK_NUMBERS: dict[Block, int] = {"matrix": 0, "high need": 6_000, "fragile": 7
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class GripTrial:
     """One grasp that is too weak. item: mass scaled to need `needed_n`; first_n: commanded, per finger.
 
     event: the support goes away at once while the arm stands, or the arm lifts the object off its table.
@@ -72,7 +72,7 @@ class Trial:
     @property
     def force_max_n(self) -> float:
         """The budget, as commanded."""
-        return budget_n(self.block)
+        return force_limit_n(self.block)
 
     @property
     def name(self) -> str:
@@ -81,7 +81,7 @@ class Trial:
         return f"trial {self.number}: {self.item.name}, {self.share:g} of {self.needed_n:.0f} N, {gel} gel"
 
 
-def budget_n(block: Block) -> float:
+def force_limit_n(block: Block) -> float:
     """`force_max_n` in a block."""
     return FRAGILE_MAX_N if block == "fragile" else GuardParams().force_max_n
 
@@ -89,15 +89,15 @@ def budget_n(block: Block) -> float:
 def needed_range_n(block: Block, gain: float) -> tuple[float, float]:
     """Between which true forces per finger a trial's need lies, with a gripper of this gain."""
     if block == "matrix":
-        return NEEDED_MIN_N, NEEDED_MAX_SHARE * budget_n(block)
+        return NEEDED_MIN_N, NEEDED_MAX_SHARE * force_limit_n(block)
     model = GripperDynamics()
-    within = budget(budget_n(block), (model.force_min_n, model.force_max_n))
+    within = budget(force_limit_n(block), (model.force_min_n, model.force_max_n))
     assert within is not None, "a budget below the gripper's weakest grip"
     low, high = TIGHT_SHARES
     return low * gain * within.high_n, high * gain * within.high_n
 
 
-def trials(count: int | None, rendered: int, seed: int = 0, block: Block = "matrix") -> list[Trial]:
+def trials(count: int | None, rendered: int, seed: int = 0, block: Block = "matrix") -> list[GripTrial]:
     """The matrix, or `count` of it spread evenly over every axis; `rendered` of them spread evenly, too.
 
     The same seed gives the same trials; a smaller count gives some of those of a larger one. block: other needs and
@@ -137,7 +137,7 @@ def draw(
     *,
     seed: int = 0,
     block: Block = "matrix",
-) -> Trial:
+) -> GripTrial:
     """One trial: what the matrix does not fix is drawn."""
     rng = np.random.default_rng([seed, number, 5])
     friction = float(rng.uniform(*FRICTION))
@@ -169,7 +169,7 @@ def draw(
         right=_delivery(rng, fps, latency_s),
     )
     speed = float(np.exp(rng.uniform(*np.log(SPEED_MM_S))))
-    return Trial(
+    return GripTrial(
         number, item, share, latency_s, soft, fps, needed_n, first_n, scenario, lift_speed_mm_s=speed, block=block
     )
 

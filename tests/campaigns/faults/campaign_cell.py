@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from slipguard.bench.grip.modeled_perception import SightError
+from slipguard.bench.grip.perception_models import PerceptionErrors
 from slipguard.config import GROUP_OF, Config, parse_config
 from slipguard.control.step import control_step
 from slipguard.daemon.api.handlers import RequestHandlers
@@ -131,7 +131,7 @@ class CampaignCell:
         self.crashes: list[str] = []
         self.releases = 0
         """Number of release commands to the gripper."""
-        self._error = SightError(declined=0.0 if find_object(object_name).axial else 1.0)
+        self._error = PerceptionErrors(declined=0.0 if find_object(object_name).axial else 1.0)
         self._object, self._seed, self._on_line = object_name, seed, on_line
         self._config = _config({**LIFT, **guard})
         self._state = MemoryState()

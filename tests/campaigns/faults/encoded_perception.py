@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from slipguard.bench.grip.modeled_perception import ModelSight, SightError
+from slipguard.bench.grip.perception_models import ModeledFinger, PerceptionErrors
 from slipguard.devices import Frame
 from slipguard.perception.declined import DeclineReason
 from slipguard.perception.estimate import Estimate
@@ -19,10 +19,10 @@ BRIGHT_LEVELS = 30.0
 class EncodedImagePerception:
     """Estimates with the errors of `error`. mirrored: rotations have the wrong sign, as with swapped cameras."""
 
-    def __init__(self, error: SightError, rng: np.random.Generator) -> None:
+    def __init__(self, error: PerceptionErrors, rng: np.random.Generator) -> None:
         self.mirrored = False
         self.last_patch = None
-        self._model = ModelSight(error, rng)
+        self._model = ModeledFinger(error, rng)
 
     def keep_estimate(self, captured_at_s: float) -> None:
         """Do nothing for a skipped frame."""

@@ -11,17 +11,17 @@ import pytest
 import typer
 
 from slipguard.bench.grip import campaign
-from slipguard.bench.grip import checks as verdict
-from slipguard.bench.grip.modeled_perception import Drift, ModelSight, SightError
-from slipguard.bench.grip.play import EVERYBODY, play
-from slipguard.bench.grip.rows import FLOOR_DEG
+from slipguard.bench.grip import campaign_figures as verdict
+from slipguard.bench.grip.group_statistics import FLOOR_DEG
+from slipguard.bench.grip.perception_models import ModeledFinger, PerceptionErrors, RotationDrift
+from slipguard.bench.grip.trial_run import CONTROLLER_NAMES, play
 from slipguard.bench.grip.trials import (
     FRAME_RATES,
     LATENCIES_S,
     PERCEIVING_S,
     SHARES,
     TEST_OBJECTS,
-    Trial,
+    GripTrial,
     draw,
     trials,
 )
@@ -36,7 +36,7 @@ PROMISED = (
 )  # fmt: skip
 
 
-def trial(share: float = 0.9, *, soft: bool = False, number: int = 3, name: str = "wrench") -> Trial:
+def trial(share: float = 0.9, *, soft: bool = False, number: int = 3, name: str = "wrench") -> GripTrial:
     return draw(number, name, share, 0.1, soft, 60.0)
 
 
@@ -68,7 +68,7 @@ def test_a_trial_needs_what_it_says_and_is_gripped_with_its_share_of_it(number: 
 
 
 def test_the_law_is_near_the_oracle_and_far_from_a_fixed_step() -> None:
-    outcomes = {who: play(trial(), who) for who in EVERYBODY}
+    outcomes = {who: play(trial(), who) for who in CONTROLLER_NAMES}
     assert outcomes["law"].dropped is None
     assert outcomes["law"].slip_deg < 1.6 * max(outcomes["oracle"].slip_deg, FLOOR_DEG)
     assert outcomes["fixed step"].slip_deg > 1.5 * outcomes["law"].slip_deg
@@ -96,7 +96,9 @@ def test_a_support_that_goes_away_is_worse_than_a_lift() -> None:
 
 
 def test_the_error_model_takes_its_reference_and_errs_as_told() -> None:
-    sight = ModelSight(SightError(0.0, 0.1, 0.0, 0.2, 0.0), np.random.default_rng(1), Drift(0.5, 40.0, 0.0))
+    sight = ModeledFinger(
+        PerceptionErrors(0.0, 0.1, 0.0, 0.2, 0.0), np.random.default_rng(1), RotationDrift(0.5, 40.0, 0.0)
+    )
     at_rest = [sight.look(GelView("key", angle_deg=20.0, depth_mm=0.5), 0.02 * k, k) for k in range(6)]
     assert [one.angle_deg is None for one in at_rest] == [True] * 4 + [False] * 2
     rotated = sight.look(GelView("key", angle_deg=40.0, depth_mm=0.5), 0.14, 7)
@@ -104,7 +106,7 @@ def test_the_error_model_takes_its_reference_and_errs_as_told() -> None:
     assert rotated.angle_deg != pytest.approx(20.0, abs=1e-3)
     assert rotated.sigma_deg == 0.2
     assert not sight.look(GelView("key"), 0.16, 8).contact
-    blind = ModelSight(SightError(declined=1.0), np.random.default_rng(1))
+    blind = ModeledFinger(PerceptionErrors(declined=1.0), np.random.default_rng(1))
     answers = [blind.look(GelView("key", depth_mm=0.5), 0.02 * k, k) for k in range(6)]
     assert answers[-1].declined is not None
 

@@ -7,34 +7,37 @@ from typing import Any
 
 import pytest
 
-from slipguard.bench.grip import checks as verdict
-from slipguard.bench.grip import figures, rows
-from slipguard.bench.grip.campaign import Found, Played
-from slipguard.bench.grip.checks import BOUNDS, Bound
-from slipguard.bench.grip.holds import Held, Hold
-from slipguard.bench.grip.play import EVERYBODY, Outcome
-from slipguard.bench.grip.trials import Trial, draw
+from slipguard.bench.grip import campaign_figures as figures
+from slipguard.bench.grip import campaign_figures as verdict
+from slipguard.bench.grip import group_statistics as rows
+from slipguard.bench.grip.campaign import CampaignResult, TrialOutcomes
+from slipguard.bench.grip.campaign_figures import BOUNDS, FigureLimit
+from slipguard.bench.grip.stable_holds import HoldOutcome, StableHold
+from slipguard.bench.grip.trial_run import CONTROLLER_NAMES, TrialOutcome
+from slipguard.bench.grip.trials import GripTrial, draw
 
 
-def trial(share: float = 0.9, *, soft: bool = False) -> Trial:
+def trial(share: float = 0.9, *, soft: bool = False) -> GripTrial:
     return draw(3, "wrench", share, 0.1, soft, 60.0)
 
 
-def made(slip_deg: float, dropped: str | None = None) -> Outcome:
-    return Outcome("law", slip_deg, slip_deg, 90.0, 60.0, 0.1, 1, False, dropped)
+def made(slip_deg: float, dropped: str | None = None) -> TrialOutcome:
+    return TrialOutcome("law", slip_deg, slip_deg, 90.0, 60.0, 0.1, 1, False, dropped)
 
 
-def played(law: Outcome, oracle: Outcome, of: Trial | None = None) -> Played:
-    others = {who: made(5.0) for who in EVERYBODY}
-    return Played(of or trial(), {**others, "law": law, "oracle": oracle})
+def played(law: TrialOutcome, oracle: TrialOutcome, of: GripTrial | None = None) -> TrialOutcomes:
+    others = {who: made(5.0) for who in CONTROLLER_NAMES}
+    return TrialOutcomes(of or trial(), {**others, "law": law, "oracle": oracle})
 
 
-def held(false: int = 0, lifting: int = 0, failed: str | None = None, *, soft: bool = False) -> Held:
-    return Held(Hold(trial(soft=soft), 1.5, 60.0), false, lifting, false, lifting, 60.0, 0.0, 1.0, failed)
+def held(false: int = 0, lifting: int = 0, failed: str | None = None, *, soft: bool = False) -> HoldOutcome:
+    return HoldOutcome(StableHold(trial(soft=soft), 1.5, 60.0), false, lifting, false, lifting, 60.0, 0.0, 1.0, failed)
 
 
-def found(*trials: Played, gone: tuple[Played, ...] = (), holds: tuple[Held, ...] = ()) -> Found:
-    return Found(trials, gone, (), (), holds)
+def found(
+    *trials: TrialOutcomes, gone: tuple[TrialOutcomes, ...] = (), holds: tuple[HoldOutcome, ...] = ()
+) -> CampaignResult:
+    return CampaignResult(trials, gone, (), (), holds)
 
 
 def test_ratios_leave_out_drops_and_do_not_compare_noughts() -> None:
@@ -71,7 +74,7 @@ def test_a_drop_counts_in_every_block_and_through_rendered_frames() -> None:
 
 
 @pytest.mark.parametrize("outcome", [replace(made(1.0), fault="budget spent"), replace(made(1.0), up=False)])
-def test_a_lift_given_up_without_need_counts(outcome: Outcome) -> None:
+def test_a_lift_given_up_without_need_counts(outcome: TrialOutcome) -> None:
     assert rows.ended_for_nothing(played(outcome, made(1.0)))
     assert not rows.ended_for_nothing(played(made(1.0), outcome))
     assert not rows.ended_for_nothing(played(replace(outcome, dropped="contact lost"), made(1.0))), (
@@ -106,7 +109,7 @@ def fine() -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("bound", BOUNDS, ids=lambda bound: bound.key)
-def test_every_promise_is_checked_and_a_group_that_misses_it_is_told(bound: Bound) -> None:
+def test_every_promise_is_checked_and_a_group_that_misses_it_is_told(bound: FigureLimit) -> None:
     assert verdict.failures(fine()) == []
     assert verdict.remarks(fine()) == []
     limit = bound.at_most if bound.at_most is not None else bound.at_least

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from slipguard.bench.grip.play import HIGH_MM, LIFT_MM, lift_mm, play, within_budget
+from slipguard.bench.grip.trial_run import HIGH_MM, LIFT_MM, lift_mm, play, trial_params
 from slipguard.bench.grip.trials import (
     FRAGILE_MAX_N,
     LATENCIES_S,
@@ -47,9 +47,9 @@ def test_blocks_spread_over_the_same_axes_and_share_no_number() -> None:
 
 
 def test_the_parameters_of_a_trial_are_ones_that_a_user_could_set() -> None:
-    fragile = within_budget(GuardParams(), trials(1, 0, 0, "fragile")[0])
+    fragile = trial_params(GuardParams(), trials(1, 0, 0, "fragile")[0])
     assert fragile.force_max_n == fragile.no_estimate_force_n == FRAGILE_MAX_N
-    plain = within_budget(GuardParams(), trials(1, 0)[0])
+    plain = trial_params(GuardParams(), trials(1, 0)[0])
     assert plain == GuardParams(tuning=GuardTuning(probe_height_mm=0.0))
 
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from slipguard.bench.grip.closed_loop import FINGERS, TICK_S, ClosedLoop
 from slipguard.bench.grip.controllers import SlipguardController
-from slipguard.bench.grip.loop import FINGERS, TICK_S, Loop
-from slipguard.bench.grip.modeled_perception import ModelSight, SightError
+from slipguard.bench.grip.perception_models import ModeledFinger, PerceptionErrors
 from slipguard.bench.grip.trials import scaled
 from slipguard.control.messages import Command, ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
@@ -21,7 +21,7 @@ from slipguard.sim.sim_object import SimObject
 from slipguard.sim.world import World
 
 GRIPPER_TRIP_S = 0.004
-SEEN, UNSEEN = SightError(noise_deg=0.1, sigma_deg=0.1), SightError(declined=1.0)
+SEEN, UNSEEN = PerceptionErrors(noise_deg=0.1, sigma_deg=0.1), PerceptionErrors(declined=1.0)
 
 
 def bar(needed_n: float, gel: SoftPad, offset_mm: float = 100.0, friction: float = 0.8) -> SimObject:
@@ -39,10 +39,10 @@ class Run:
     def __init__(self, world: World, params: GuardParams, seed: int = 0, blind: tuple[str, ...] = ()) -> None:
         self.world, self.controller = world, SlipguardController(params)
         sights = {
-            name: ModelSight(UNSEEN if name in blind else SEEN, np.random.default_rng([seed, k]))
+            name: ModeledFinger(UNSEEN if name in blind else SEEN, np.random.default_rng([seed, k]))
             for k, name in enumerate(FINGERS)
         }
-        self.loop = Loop(world, self.controller, sights, np.random.default_rng(seed), trip_s=GRIPPER_TRIP_S)
+        self.loop = ClosedLoop(world, self.controller, sights, np.random.default_rng(seed), trip_s=GRIPPER_TRIP_S)
 
     def step(self, request: ControlRequest | None = None) -> None:
         if request is not None:

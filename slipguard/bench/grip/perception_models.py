@@ -1,8 +1,4 @@
-"""What the cameras would say, without drawing anything: the truth with the errors that the pipeline makes.
-
-The errors were fitted to the estimates of `slipguard bench`'s grasps, object by object (`python -m tests.campaigns fit-perception-errors`): an
-error that grows with the turn, drawn once a grasp; noise that is drawn each frame; frames without an answer.
-"""
+"""Two models of a finger: the truth plus the pipeline's errors, and rendered frames through the pipeline."""
 
 from __future__ import annotations
 
@@ -10,13 +6,21 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
+from slipguard.devices import Frame
+from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
+from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation.fusion import RotationEstimate
 from slipguard.perception.rotation.rotation_tracker import RotationTracker
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
+from slipguard.sim.scenario import FrameDelivery
+from slipguard.sim.sensor_unit import LightChange, random_unit
 
 REFERENCE_FRAMES = 5
 """So many frames of a stable contact make a reference."""
@@ -24,7 +28,7 @@ SHIFT_NOISE_MM = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class SightError:
+class PerceptionErrors:
     """How one object is seen. noise_deg: of a frame. bias_per_deg: one standard deviation of the error over the turn.
 
     bias_deg: one standard deviation of an error that comes with the first degree of motion and stays.
@@ -39,7 +43,7 @@ class SightError:
 
 
 @dataclass(frozen=True, slots=True)
-class Drift:
+class RotationDrift:
     """What a slow change of the light does to a turn: to and fro by `deg` with this period and phase."""
 
     deg: float = 0.0
@@ -52,18 +56,18 @@ class Drift:
 
 
 @dataclass(frozen=True, slots=True)
-class Outliers:
+class RotationOutliers:
     """Single frames that are off by `deg`: the first one captured at or after each of these times, in their order."""
 
     times_s: Sequence[float] = ()
     deg: float = 0.0
 
 
-class ModelSight:
+class ModeledFinger:
     """One finger of one trial. Same calls as `RenderedSight`."""
 
-    def __init__(self, error: SightError, rng: np.random.Generator, drift: Drift | None = None) -> None:
-        self._error, self._rng, self._drift = error, rng, drift or Drift()
+    def __init__(self, error: PerceptionErrors, rng: np.random.Generator, drift: RotationDrift | None = None) -> None:
+        self._error, self._rng, self._drift = error, rng, drift or RotationDrift()
         self._off: deque[tuple[float, float]] = deque()
         self._bias_per_deg = float(rng.normal(0.0, error.bias_per_deg))
         self._bias_deg = float(rng.normal(0.0, error.bias_deg))
@@ -76,7 +80,7 @@ class ModelSight:
         self._reference = None
         self._areas.clear()
 
-    def err_at(self, outliers: Outliers) -> None:
+    def err_at(self, outliers: RotationOutliers) -> None:
         """From now on these frames are off."""
         self._off = deque((time_s, outliers.deg) for time_s in outliers.times_s)
 
@@ -120,3 +124,56 @@ class ModelSight:
             shift_mm=shift_mm,
             declined=rotation.declined,
         )
+
+
+PERCEPTION_ERRORS: dict[str, PerceptionErrors] = {
+    "bar": PerceptionErrors(0.020, 0.0042, 0.029, 0.056, 0.0000),
+    "wedge": PerceptionErrors(0.118, 0.0135, 0.210, 0.231, 0.0000),
+    "wrench": PerceptionErrors(0.015, 0.0007, 0.026, 0.038, 0.0000),
+    "knife_edge": PerceptionErrors(0.046, 0.0199, 0.326, 0.192, 0.0000),
+    "key": PerceptionErrors(0.013, 0.0013, 0.022, 0.046, 0.0000),
+    "screwdriver": PerceptionErrors(0.032, 0.0057, 0.045, 0.436, 0.0000),
+    "cap": PerceptionErrors(0.016, 0.0009, 0.010, 0.039, 0.0000),
+    "ball": PerceptionErrors(0.067, 0.0185, 0.145, 0.253, 0.0000),
+    "hook": PerceptionErrors(0.088, 0.0447, 0.320, 0.300, 0.0000),
+}
+"""noise_deg, bias_per_deg, bias_deg, sigma_deg, declined."""
+
+
+LIGHT_LEVELS_S = 0.3
+"""The light drifts by so many grey levels a second."""
+
+
+class RenderedFinger:
+    """One finger of one trial: draws what it would see and puts it through the real pipeline.
+
+    unit_seed: which sensor unit. The drawing takes place at the moment of exposure, the answer is the pipeline's own.
+    """
+
+    def __init__(self, unit_seed: int, delivery: FrameDelivery) -> None:
+        unit = random_unit(np.random.default_rng(unit_seed))
+        self._camera = GelCamera(unit, seed=delivery.noise_seed)
+        self._delivery = delivery
+        self._began_s: float | None = None
+        self._pipeline = Pipeline(
+            segmenter(), PerceptionSettings(), self._camera.no_contact(), unit.noise_bgr, unit.px_per_mm
+        )
+
+    def reset(self) -> None:
+        """The next stable contact is the new reference."""
+        self._pipeline.reset_reference()
+
+    def look(self, view: GelView, captured_at_s: float, sequence: int) -> Estimate:
+        """What the pipeline says of the frame exposed now."""
+        if self._began_s is None:
+            self._began_s = captured_at_s
+        levels = LIGHT_LEVELS_S * (captured_at_s - self._began_s)
+        b, g, r = self._delivery.light_drift_bgr
+        self._camera.set_light(LightChange(offset_bgr=(b + levels, g + levels, r + levels)))
+        return self._pipeline.process(Frame(self._camera.draw(view), captured_at_s, sequence))
+
+
+@lru_cache(maxsize=1)
+def segmenter() -> Segmenter:
+    """The shipped network, read once a process."""
+    return Segmenter()

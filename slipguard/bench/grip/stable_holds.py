@@ -1,26 +1,81 @@
-"""Stable holds: what turns the gel but not the object. Whatever the law tightens here it tightens for nothing.
-
-Each hold begins with a lift, during which the gel winds up under the weight for the first time. Then the arm starts and
-stops, shakes, somebody brushes past, the light drifts, single frames are off and a finger fails for a moment, for
-minutes. The grip is firm: it needs no more.
-"""
+"""Stable holds: disturbances that twist the gel but do not move the object. Every tightening is a false one."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slipguard.bench.grip import disturbances
+from slipguard.bench.grip.closed_loop import FINGERS, ClosedLoop, FingerModel, LoopTrace
 from slipguard.bench.grip.controllers import SlipguardController
-from slipguard.bench.grip.loop import FINGERS, Loop, Sight, Trace
-from slipguard.bench.grip.modeled_perception import ModelSight
-from slipguard.bench.grip.rendered_perception import RenderedSight
-from slipguard.bench.grip.setup import chances, grip, model_sight, world_of
-from slipguard.bench.grip.trials import PERCEIVING_S, Trial, trials
+from slipguard.bench.grip.perception_models import ModeledFinger, RenderedFinger, RotationDrift, RotationOutliers
+from slipguard.bench.grip.trial_run import chances, grip, model_sight, world_of
+from slipguard.bench.grip.trials import PERCEIVING_S, GripTrial, trials
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
+from slipguard.sim.friction import GRAVITY_M_S2
+
+SHAKE_M_S2 = (0.05, 0.3)
+SHAKE_HZ = (8.0, 25.0)
+TOUCH_SHARE = 0.06
+"""A passing touch: so much of the weight more, for a moment."""
+TOUCH_S = (0.1, 0.4)
+TOUCH_EVERY_S = 15.0
+DRIFT_DEG = 0.15
+DRIFT_S = (20.0, 60.0)
+OUTLIER_DEG = 0.6
+"""A single frame in which both fingers tell the same turn that is none: a smear or flicker that both cameras share."""
+OUTLIER_EVERY_S = 12.0
+OUTAGE_S = (0.05, 0.8)
+OUTAGE_EVERY_S = 20.0
+"""One finger's frames fail to come for a while; the other one sees."""
+
+
+def drift(rng: np.random.Generator) -> RotationDrift:
+    """What a slow change of the light does to one finger's turns."""
+    return RotationDrift(DRIFT_DEG, float(rng.uniform(*DRIFT_S)), float(rng.uniform(0.0, 2.0 * math.pi)))
+
+
+def outliers(rng: np.random.Generator, from_s: float, seconds: float) -> dict[str, RotationOutliers]:
+    """By finger: the same moments and the same turn of the object, which has opposite signs in their pictures."""
+    times_s = sorted(from_s + float(rng.uniform(0.0, seconds)) for _ in range(_count(seconds, OUTLIER_EVERY_S)))
+    deg = float(rng.choice((-1.0, 1.0))) * OUTLIER_DEG
+    return {finger: RotationOutliers(times_s, sign * deg) for finger, sign in zip(FINGERS, (1.0, -1.0), strict=True)}
+
+
+def outages(rng: np.random.Generator, from_s: float, seconds: float) -> Callable[[str, float], bool]:
+    """When which finger's frames fail to come."""
+    each = [
+        (str(rng.choice(FINGERS)), from_s + float(rng.uniform(0.0, seconds)), float(rng.uniform(*OUTAGE_S)))
+        for _ in range(_count(seconds, OUTAGE_EVERY_S))
+    ]
+    return lambda finger, now_s: any(finger == one and at_s <= now_s < at_s + lasts_s for one, at_s, lasts_s in each)
+
+
+def shaking(rng: np.random.Generator, from_s: float, seconds: float) -> Callable[[float], float]:
+    """The arm's vibration all the time, and now and then a passing touch: acceleration by time, m/s2, up."""
+    amplitude, hz = float(rng.uniform(*SHAKE_M_S2)), float(rng.uniform(*SHAKE_HZ))
+    touches = [
+        (from_s + float(rng.uniform(0.0, seconds)), float(rng.uniform(*TOUCH_S)), float(rng.choice((-1.0, 1.0))))
+        for _ in range(_count(seconds, TOUCH_EVERY_S))
+    ]
+
+    def shaken(now_s: float) -> float:
+        value = amplitude * math.sin(2.0 * math.pi * hz * now_s)
+        for at_s, lasts_s, side in touches:
+            if at_s <= now_s < at_s + lasts_s:
+                value += side * TOUCH_SHARE * GRAVITY_M_S2 * math.sin(math.pi * (now_s - at_s) / lasts_s)
+        return value
+
+    return shaken
+
+
+def _count(seconds: float, every_s: float) -> int:
+    return max(round(seconds / every_s), 1)
+
 
 MARGIN = (1.25, 2.0)
 """True force over the force needed."""
@@ -41,25 +96,25 @@ slips."""
 
 
 @dataclass(frozen=True, slots=True)
-class Hold:
+class StableHold:
     """One hold to be played. seconds: after the lift. margin: true force over needed. rendered: through drawn frames
     and the shipped network.
     """
 
-    trial: Trial
+    trial: GripTrial
     margin: float
     seconds: float
     rendered: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class HoldOutcome:
     """How it went. tightenings: after the lift; lifting: during it. false: those of both at which nothing slipped;
     false_lifting: of these, those during the lift. slip_deg, wound_deg: true, at the end. failed: why it was no hold,
     or none to its end.
     """
 
-    hold: Hold
+    hold: StableHold
     tightenings: int
     lifting: int
     false: int
@@ -71,19 +126,19 @@ class Held:
     said: tuple[str, ...] = ()
 
 
-def holds(minutes: float, seed: int = 0, each_s: float = 60.0, *, rendered: bool = False) -> list[Hold]:
+def holds(minutes: float, seed: int = 0, each_s: float = 60.0, *, rendered: bool = False) -> list[StableHold]:
     """So many minutes of holds in all, over every object, both gels and every latency."""
     rng = np.random.default_rng([seed, 37 if rendered else 31])
     count = max(round(60.0 * minutes / each_s), 1)
     base = trials(count, 0, seed + (8 if rendered else 7))
     first = RENDERED_NUMBERS if rendered else HOLD_NUMBERS
     return [
-        Hold(replace(base[k % len(base)], number=first + k), float(rng.uniform(*MARGIN)), each_s, rendered)
+        StableHold(replace(base[k % len(base)], number=first + k), float(rng.uniform(*MARGIN)), each_s, rendered)
         for k in range(count)
     ]
 
 
-def hold(plan: Hold, params: GuardParams | None = None) -> Held:
+def hold(plan: StableHold, params: GuardParams | None = None) -> HoldOutcome:
     """Play one; the same hold gives the same answer."""
     params = params or GuardParams()
     params = params.model_copy(update={"tuning": params.tuning.model_copy(update={"probe_height_mm": 0.0})})
@@ -91,7 +146,7 @@ def hold(plan: Hold, params: GuardParams | None = None) -> Held:
     rng = np.random.default_rng([trial.number, 17])
     world = world_of(trial, STEP_S)
     controller = SlipguardController(params)
-    loop = Loop(world, controller, _sights(plan, rng), chances(trial), PERCEIVING_S)
+    loop = ClosedLoop(world, controller, _sights(plan, rng), chances(trial), PERCEIVING_S)
     grip(loop, min(plan.margin * trial.needed_n / trial.scenario.gripper.gain, params.force_max_n))
     loop.wait(SETTLE_S + trial.latency_s)
     lifted_s = loop.now_s
@@ -116,28 +171,28 @@ def hold(plan: Hold, params: GuardParams | None = None) -> Held:
     return _held(plan, loop, lifted_s, begun_s, None if fault is None else str(fault))
 
 
-def _sights(plan: Hold, rng: np.random.Generator) -> dict[str, Sight]:
+def _sights(plan: StableHold, rng: np.random.Generator) -> dict[str, FingerModel]:
     trial = plan.trial
     if plan.rendered:
         deliveries = (trial.scenario.left, trial.scenario.right)
-        return {f: RenderedSight(2 * trial.number + k, deliveries[k]) for k, f in enumerate(FINGERS)}
-    return {finger: model_sight(trial, k, disturbances.drift(rng)) for k, finger in enumerate(FINGERS)}
+        return {f: RenderedFinger(2 * trial.number + k, deliveries[k]) for k, f in enumerate(FINGERS)}
+    return {finger: model_sight(trial, k, drift(rng)) for k, finger in enumerate(FINGERS)}
 
 
-def _disturb(loop: Loop, rng: np.random.Generator, seconds: float) -> None:
-    loop.world.shake(loop.now_s, disturbances.shaking(rng, loop.now_s, seconds))
-    off = disturbances.outliers(rng, loop.now_s, seconds)
-    for finger, sight in loop.sights.items():
-        if isinstance(sight, ModelSight):
+def _disturb(loop: ClosedLoop, rng: np.random.Generator, seconds: float) -> None:
+    loop.world.shake(loop.now_s, shaking(rng, loop.now_s, seconds))
+    off = outliers(rng, loop.now_s, seconds)
+    for finger, sight in loop.fingers.items():
+        if isinstance(sight, ModeledFinger):
             sight.err_at(off[finger])
-    loop.blind = disturbances.outages(rng, loop.now_s, seconds)
+    loop.blind = outages(rng, loop.now_s, seconds)
 
 
-def _held(plan: Hold, loop: Loop, lifted_s: float, begun_s: float, failed: str | None) -> Held:
+def _held(plan: StableHold, loop: ClosedLoop, lifted_s: float, begun_s: float, failed: str | None) -> HoldOutcome:
     truth = loop.truth()
     told = [at_s for at_s, command in loop.commands if command.hold_force_n is not None and at_s > lifted_s]
     wrong = _for_nothing(told, loop.trace, lifted_s)
-    return Held(
+    return HoldOutcome(
         hold=plan,
         tightenings=sum(at_s >= begun_s for at_s in told),
         lifting=sum(at_s < begun_s for at_s in told),
@@ -151,7 +206,7 @@ def _held(plan: Hold, loop: Loop, lifted_s: float, begun_s: float, failed: str |
     )
 
 
-def _for_nothing(told_s: list[float], trace: Trace, from_s: float) -> list[float]:
+def _for_nothing(told_s: list[float], trace: LoopTrace, from_s: float) -> list[float]:
     """Those of the tightenings shortly before which the object had truly neither slipped nor slid, nor since the last.
 
     A slip that was answered, or is long over, is no reason for another.

@@ -1,8 +1,4 @@
-"""A controller in closed loop with the simulated world, event by event on a clock of its own: no waiting, no threads.
-
-Cameras expose on their schedule; an estimate reaches the controller one latency later; a command leaves at once and
-takes the world's own time to act.
-"""
+"""A controller in closed loop with the simulated world, event by event on a virtual clock."""
 
 from __future__ import annotations
 
@@ -28,7 +24,7 @@ SLIDES_MM_S = 0.5
 """Truly slipping and going down faster than this is sliding; what is slower ends within a micrometre or so."""
 
 
-class Sight(Protocol):
+class FingerModel(Protocol):
     """One finger's eye. `look` is called at each exposure with what lies before the camera."""
 
     def reset(self) -> None: ...
@@ -36,7 +32,7 @@ class Sight(Protocol):
     def look(self, view: GelView, captured_at_s: float, sequence: int) -> Estimate: ...
 
 
-class Controller(Protocol):
+class GripController(Protocol):
     """Decides from what is seen. `exposed` is for those that know the truth: called at each exposure."""
 
     def exposed(self, truth: WorldTruth) -> None: ...
@@ -45,7 +41,7 @@ class Controller(Protocol):
 
 
 @dataclass(slots=True)
-class Trace:
+class LoopTrace:
     """How it went, a sample a tick."""
 
     time_s: list[float] = field(default_factory=list)
@@ -65,7 +61,7 @@ class Trace:
 
 
 @dataclass
-class Loop:
+class ClosedLoop:
     """One run. sights: by finger; perceiving_s: from a frame's arrival to its estimate. now_s: the world's clock.
 
     looking: cameras expose only while it is set. blind: whether a finger's frames fail to come at a time. says: what
@@ -73,8 +69,8 @@ class Loop:
     """
 
     world: World
-    controller: Controller
-    sights: Mapping[str, Sight]
+    controller: GripController
+    fingers: Mapping[str, FingerModel]
     rng: np.random.Generator
     perceiving_s: float = 0.006
     trip_s: float = 0.0
@@ -83,7 +79,7 @@ class Loop:
     blind: Callable[[str, float], bool] = lambda finger, now_s: False
     commands: list[tuple[float, Command]] = field(default_factory=list)
     says: list[str] = field(default_factory=list)
-    trace: Trace = field(default_factory=Trace)
+    trace: LoopTrace = field(default_factory=LoopTrace)
 
     def __post_init__(self) -> None:
         self._estimates: dict[str, Estimate | None] = dict.fromkeys(FINGERS)
@@ -155,7 +151,7 @@ class Loop:
         limit_s = 0.4 / camera.fps
         stamp_s = self.now_s + min(max(float(self.rng.normal(0.0, camera.jitter_s)), -limit_s), limit_s)
         view = self.world.view(finger, self.now_s)
-        estimate = self.sights[finger].look(view, stamp_s, self._sequence[finger])
+        estimate = self.fingers[finger].look(view, stamp_s, self._sequence[finger])
         exposed_s = self.now_s
         self.later(self.now_s + camera.latency_s + self.perceiving_s, lambda: self._told(finger, exposed_s, estimate))
 
@@ -195,7 +191,7 @@ class Loop:
         if command.new_reference:
             self._reset_s = self.now_s
             for finger in FINGERS:
-                self.sights[finger].reset()
+                self.fingers[finger].reset()
                 self._estimates[finger] = None
         force_n, width_mm = command.hold_force_n, command.release_width_mm
         if force_n is not None:

@@ -1,7 +1,4 @@
-"""Some trials together in figures.
-
-Slips are compared as ratios; a slip below `FLOOR_DEG` counts as that much, for a ratio of two noughts means nothing.
-"""
+"""Statistics of a group of trials."""
 
 from __future__ import annotations
 
@@ -11,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipguard.bench.grip.campaign import Played
-from slipguard.bench.grip.play import Outcome, Who
+from slipguard.bench.grip.campaign import TrialOutcomes
+from slipguard.bench.grip.trial_run import ControllerName, TrialOutcome
 from slipguard.bench.grip.trials import SHARES
 from slipguard.control.params import GuardParams
 
 FLOOR_DEG = 0.5
 GELS = {"stiff": False, "soft": True}
-SHOWN: tuple[Who, ...] = ("law", "oracle", "fixed step", "nobody")
+SHOWN: tuple[ControllerName, ...] = ("law", "oracle", "fixed step", "nobody")
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +30,8 @@ class GripRow:
 
     title: str
     count: int
-    slips_deg: dict[Who, float]
-    drops: dict[Who, int]
+    slips_deg: dict[ControllerName, float]
+    drops: dict[ControllerName, int]
     avoidable: int
     ended: int
     over_oracle: float | None
@@ -67,7 +64,7 @@ class GripRow:
         }
 
 
-def row(title: str, played: Sequence[Played]) -> GripRow:
+def row(title: str, played: Sequence[TrialOutcomes]) -> GripRow:
     """The figures of some trials, of one at least."""
     over = ratios(played, "law", "oracle")
     arrests = [one.law.arrested_s for one in played if one.law.arrested_s is not None and one.law.dropped is None]
@@ -91,28 +88,30 @@ def row(title: str, played: Sequence[Played]) -> GripRow:
     )
 
 
-def by_first_grip(played: Sequence[Played]) -> list[GripRow]:
+def by_first_grip(played: Sequence[TrialOutcomes]) -> list[GripRow]:
     """One for each first grip there is."""
     parts = [(f"grip {share:.2f}", [one for one in played if one.trial.share == share]) for share in SHARES]
     return [row(title, part) for title, part in parts if part]
 
 
-def by_gel(played: Sequence[Played]) -> list[GripRow]:
+def by_gel(played: Sequence[TrialOutcomes]) -> list[GripRow]:
     """One for each gel there is."""
     return [row(f"{gel} gel", part) for gel in GELS if (part := of_gel(played, gel))]
 
 
-def of_gel(played: Sequence[Played], gel: str) -> list[Played]:
+def of_gel(played: Sequence[TrialOutcomes], gel: str) -> list[TrialOutcomes]:
     """Those on one gel."""
     return [one for one in played if one.trial.soft is GELS[gel]]
 
 
-def of(one: Played, who: Who) -> Outcome:
+def of(one: TrialOutcomes, who: ControllerName) -> TrialOutcome:
     """How it went for one; for the law with rendered frames where there are some."""
     return one.law if who == "law" else one.outcomes[who]
 
 
-def ratios(played: Iterable[Played], upper: Who, lower: Who, floor_deg: float = FLOOR_DEG) -> list[float]:
+def ratios(
+    played: Iterable[TrialOutcomes], upper: ControllerName, lower: ControllerName, floor_deg: float = FLOOR_DEG
+) -> list[float]:
     """Slip of one over slip of the other, trial by trial; without those that either dropped."""
     pairs = [(of(one, upper), of(one, lower)) for one in played]
     return [
@@ -122,7 +121,7 @@ def ratios(played: Iterable[Played], upper: Who, lower: Who, floor_deg: float = 
     ]
 
 
-def dropped_for_nothing(one: Played) -> bool:
+def dropped_for_nothing(one: TrialOutcomes) -> bool:
     """The law lost it, though the force needed is within the budget.
 
     Where the support goes at once only if the oracle, with the same gripper, kept it: some are gone before any motor
@@ -131,7 +130,7 @@ def dropped_for_nothing(one: Played) -> bool:
     return any(law.dropped is not None for law in _laws(one)) and not _beyond_help(one)
 
 
-def ended_for_nothing(one: Played) -> bool:
+def ended_for_nothing(one: TrialOutcomes) -> bool:
     """The law ended in a fault, or never lifted it as high as told, though the force needed is within the budget.
 
     Where the support goes at once only if the oracle's turn stayed within what the law gives up at.
@@ -140,12 +139,12 @@ def ended_for_nothing(one: Played) -> bool:
     return ended and not _beyond_help(one, GuardParams().tuning.rotation_max_deg)
 
 
-def _beyond_help(one: Played, rotation_deg: float = math.inf) -> bool:
+def _beyond_help(one: TrialOutcomes, rotation_deg: float = math.inf) -> bool:
     oracle = one.outcomes["oracle"]
     return one.trial.event == "support gone" and (oracle.dropped is not None or oracle.rotation_deg > rotation_deg)
 
 
-def _laws(one: Played) -> list[Outcome]:
+def _laws(one: TrialOutcomes) -> list[TrialOutcome]:
     return [one.outcomes["law"], *([] if one.rendered is None else [one.rendered])]
 
 

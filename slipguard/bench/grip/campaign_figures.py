@@ -1,16 +1,15 @@
-"""The campaign in figures for a program: first the promised ones, then what explains them."""
+"""Figures of a campaign as JSON, and their specified limits."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
-from slipguard.bench.grip.campaign import Found, Played
-from slipguard.bench.grip.holds import Held
-from slipguard.bench.grip.play import Outcome
-from slipguard.bench.grip.rows import (
+from slipguard.bench.grip.campaign import CampaignResult, TrialOutcomes
+from slipguard.bench.grip.group_statistics import (
     FLOOR_DEG,
     GELS,
     SHOWN,
@@ -23,6 +22,8 @@ from slipguard.bench.grip.rows import (
     rounded,
     row,
 )
+from slipguard.bench.grip.stable_holds import HoldOutcome
+from slipguard.bench.grip.trial_run import TrialOutcome
 from slipguard.bench.grip.trials import SHARES
 
 FINE_FLOOR_DEG = 0.1
@@ -30,7 +31,7 @@ FINE_FLOOR_DEG = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Agreement:
+class ModelAgreement:
     """Rendered frames against the error model, on the same trials: mean final slip of each, and how far apart."""
 
     count: int
@@ -40,7 +41,7 @@ class Agreement:
     differs_deg: float
 
 
-def agreement(played: Sequence[Played]) -> Agreement | None:
+def agreement(played: Sequence[TrialOutcomes]) -> ModelAgreement | None:
     """None without rendered trials. apart: relative difference of the means; differs_deg: median trial by trial."""
     pairs = [(one.rendered.slip_deg, one.outcomes["law"].slip_deg) for one in played if one.rendered is not None]
     if not pairs:
@@ -48,10 +49,10 @@ def agreement(played: Sequence[Played]) -> Agreement | None:
     rendered, model = np.asarray(pairs).T
     mean = float(model.mean())
     apart = abs(float(rendered.mean()) - mean) / max(mean, FINE_FLOOR_DEG)
-    return Agreement(len(pairs), float(rendered.mean()), mean, apart, float(np.median(np.abs(rendered - model))))
+    return ModelAgreement(len(pairs), float(rendered.mean()), mean, apart, float(np.median(np.abs(rendered - model))))
 
 
-def as_json(found: Found) -> dict[str, object]:
+def as_json(found: CampaignResult) -> dict[str, object]:
     """All of them. Ratios without a group are over the whole matrix, stiff and soft gels together."""
     everything = row("all", found.trials)
     alike = agreement(found.trials)
@@ -85,7 +86,7 @@ def as_json(found: Found) -> dict[str, object]:
     }
 
 
-def holds_as_json(held: Sequence[Held]) -> dict[str, object]:
+def holds_as_json(held: Sequence[HoldOutcome]) -> dict[str, object]:
     """The stable holds. false: a tightening while nothing slipped; in the lift into the hold, or in the hold itself.
 
     Those in the lift are told, but no promise: as long as the far end lies on its table the turn is that of the lift,
@@ -102,11 +103,11 @@ def holds_as_json(held: Sequence[Held]) -> dict[str, object]:
     }
 
 
-def _false_while_holding(held: Sequence[Held]) -> int:
+def _false_while_holding(held: Sequence[HoldOutcome]) -> int:
     return sum(one.false - one.false_lifting for one in held)
 
 
-def scenarios(found: Found) -> dict[str, object]:
+def scenarios(found: CampaignResult) -> dict[str, object]:
     """Each trial and each hold, for the file beside the picture."""
     played = [*found.trials, *found.gone, *found.high_need, *found.fragile]
     return {
@@ -115,7 +116,7 @@ def scenarios(found: Found) -> dict[str, object]:
     }
 
 
-def _of_gel(found: Found, gel: str) -> dict[str, object]:
+def _of_gel(found: CampaignResult, gel: str) -> dict[str, object]:
     """One gel's figures under the names of those of the whole."""
     played = of_gel(found.trials, gel)
     alike = agreement(played)
@@ -129,19 +130,19 @@ def _of_gel(found: Found, gel: str) -> dict[str, object]:
     }
 
 
-def _block(played: Sequence[Played]) -> dict[str, object] | None:
+def _block(played: Sequence[TrialOutcomes]) -> dict[str, object] | None:
     if not played:
         return None
     gels = {one.title.removesuffix(" gel"): one.as_json() for one in by_gel(played)}
     return row("all", played).as_json() | {"by_gel": gels}
 
 
-def _at_weakest(played: Sequence[Played]) -> float | None:
+def _at_weakest(played: Sequence[TrialOutcomes]) -> float | None:
     """Where the first grip lacks least, so that the slip begins slowly."""
     return rounded(median(ratios([one for one in played if one.trial.share == SHARES[0]], "fixed step", "law")))
 
 
-def _trial(one: Played) -> dict[str, object]:
+def _trial(one: TrialOutcomes) -> dict[str, object]:
     trial = one.trial
     told: dict[str, object] = {
         "number": trial.number,
@@ -163,7 +164,7 @@ def _trial(one: Played) -> dict[str, object]:
     return told
 
 
-def _outcome(outcome: Outcome) -> dict[str, object]:
+def _outcome(outcome: TrialOutcome) -> dict[str, object]:
     return {
         "slip_deg": round(outcome.slip_deg, 3),
         "turn_deg": round(outcome.rotation_deg, 3),
@@ -177,8 +178,105 @@ def _outcome(outcome: Outcome) -> dict[str, object]:
     }
 
 
-def _hold(held: Held) -> dict[str, object]:
+def _hold(held: HoldOutcome) -> dict[str, object]:
     trial = held.hold.trial
     named = {"number": trial.number, "object": trial.item.name, "gel": "soft" if trial.soft else "stiff"}
     plan = {"rendered": held.hold.rendered, "margin": round(held.hold.margin, 3)}
     return named | plan | {key: value for key, value in asdict(held).items() if key != "hold"}
+
+
+GROUPS = ("stiff", "soft", "high need", "fragile")
+"""Looked at beside the whole; they are told, and fail nothing by themselves."""
+
+
+@dataclass(frozen=True, slots=True)
+class FigureLimit:
+    """One promise. key: of the figures. at_most or at_least: the one that is not None counts."""
+
+    key: str
+    title: str
+    at_most: float | None = None
+    at_least: float | None = None
+
+    @property
+    def allowed(self) -> str:
+        """In words."""
+        return f"≤ {self.at_most:g}" if self.at_most is not None else f"≥ {self.at_least:g}"
+
+    def holds(self, value: float | None) -> bool:
+        """True also of nothing: there was nothing to compare."""
+        if value is None:
+            return True
+        above = self.at_most is not None and value > self.at_most
+        return not above and not (self.at_least is not None and value < self.at_least)
+
+
+BOUNDS = (
+    FigureLimit("drops_avoidable", "avoidable drops", at_most=0),
+    FigureLimit("turn_over_oracle_median", "slip / oracle's, median", at_most=1.25),
+    FigureLimit("turn_over_oracle_p95", "slip / oracle's, p95", at_most=1.6),
+    FigureLimit("fixed_step_turn_over_ours_median", "fixed step's / ours", at_least=1.2),
+    FigureLimit("fixed_step_turn_over_ours_at_0_97", "... gripped at 0.97", at_least=1.5),
+    FigureLimit("false_tightenings", "false, while held", at_most=0),
+    FigureLimit("force_over_needed_median", "peak force / needed", at_most=1.6),
+    FigureLimit("rendered_against_model", "rendered / model, apart", at_most=0.15),
+    FigureLimit("ended_without_need", "given up without need", at_most=0),
+    FigureLimit("holds_failed", "holds that failed", at_most=0),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LimitCheck:
+    """One promise and what was found: on the whole, and by group where it is known there."""
+
+    bound: FigureLimit
+    value: float | None
+    groups: dict[str, float | None]
+
+    @property
+    def held(self) -> bool:
+        """On the whole."""
+        return self.bound.holds(self.value)
+
+    def as_json(self) -> dict[str, object]:
+        """For a program."""
+        return {
+            "key": self.bound.key,
+            "allowed": self.bound.allowed,
+            "value": self.value,
+            "held": self.held,
+            "not_held_in": [group for group, value in self.groups.items() if not self.bound.holds(value)],
+        }
+
+
+def checks(figures: Mapping[str, Any]) -> list[LimitCheck]:
+    """Every promise, by the figures of `as_json`."""
+    parts: dict[str, Mapping[str, Any]] = {
+        "stiff": figures["by_gel"].get("stiff") or {},
+        "soft": figures["by_gel"].get("soft") or {},
+        "high need": figures["high_need"] or {},
+        "fragile": figures["fragile"] or {},
+    }
+    return [
+        LimitCheck(bound, figures[bound.key], {group: parts[group].get(bound.key) for group in GROUPS})
+        for bound in BOUNDS
+    ]
+
+
+def failures(figures: Mapping[str, Any]) -> list[str]:
+    """The promises that are not kept on the whole, one line each."""
+    return [
+        f"not held: {check.bound.title}: {check.value:g} ({check.bound.allowed})"
+        for check in checks(figures)
+        if not check.held
+    ]
+
+
+def remarks(figures: Mapping[str, Any]) -> list[str]:
+    """Where a promise that is kept on the whole, or not made of a group, is not kept by the group alone."""
+    return [
+        f"{group} alone: {check.bound.title}: {check.groups[group]:g} ({check.bound.allowed})"
+        for check in checks(figures)
+        for group in GROUPS
+        if not check.bound.holds(check.groups[group])
+    ]

@@ -1,4 +1,4 @@
-"""One trial, played by one controller: grip too weakly, take the support away or lift, and see how far it slips."""
+"""Run of one trial with one controller: grip too weakly, remove the support or lift, and measure the slip."""
 
 from __future__ import annotations
 
@@ -7,16 +7,58 @@ from typing import Literal
 
 import numpy as np
 
+from slipguard.bench.grip.closed_loop import FINGERS, ClosedLoop, FingerModel, LoopTrace
 from slipguard.bench.grip.controllers import REACHED_MM, FixedStep, Oracle, SlipguardController, UnguardedController
-from slipguard.bench.grip.loop import FINGERS, Loop, Sight, Trace
-from slipguard.bench.grip.rendered_perception import RenderedSight
-from slipguard.bench.grip.setup import chances, grip, model_sight, world_of
-from slipguard.bench.grip.trials import PERCEIVING_S, Trial
+from slipguard.bench.grip.perception_models import (
+    PERCEPTION_ERRORS,
+    ModeledFinger,
+    PerceptionErrors,
+    RenderedFinger,
+    RotationDrift,
+)
+from slipguard.bench.grip.trials import PERCEIVING_S, ROOM_MM, GripTrial
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
+from slipguard.sim.world import World, WorldSettings
 
-Who = Literal["law", "nobody", "fixed step", "oracle"]
-EVERYBODY: tuple[Who, ...] = ("law", "fixed step", "oracle", "nobody")
+START_S = 100.0
+CLOSING_MAX_S = 6.0
+
+
+def world_of(trial: GripTrial, step_s: float = 1e-3) -> World:
+    """The object lies between jaws that are a little wider."""
+    settings = WorldSettings(step_s=step_s, start_width_mm=trial.item.width_mm + ROOM_MM)
+    world = World(settings, seed=trial.number, lookup=lambda name: trial.item)
+    world.place(trial.scenario, START_S)
+    return world
+
+
+def model_sight(trial: GripTrial, finger: int, drift: RotationDrift | None = None) -> ModeledFinger:
+    """A finger that errs as the shipped pipeline does on this object."""
+    error = PERCEPTION_ERRORS.get(trial.item.name, PerceptionErrors())
+    return ModeledFinger(error, np.random.default_rng([trial.number, finger]), drift)
+
+
+def chances(trial: GripTrial) -> np.random.Generator:
+    """Of lost frames and inexact stamps: the same for everybody who plays the trial."""
+    return np.random.default_rng([trial.number, 9])
+
+
+def grip(loop: ClosedLoop, force_n: float) -> None:
+    """Close the jaws and wait until they are firm; the cameras look from then on."""
+    loop.looking = False
+    loop.ask(ControlRequest(RequestKind.GRASP, force_n=force_n))
+
+    def firm() -> bool:
+        state = loop.world.gripper_state(loop.now_s)
+        return state.holding and not state.moving
+
+    assert loop.until(firm, CLOSING_MAX_S), "the jaws did not close"
+    loop.looking = True
+
+
+ControllerName = Literal["law", "nobody", "fixed step", "oracle"]
+CONTROLLER_NAMES: tuple[ControllerName, ...] = ("law", "fixed step", "oracle", "nobody")
 QUIET_S = 0.7
 """Between the grip and what happens then: the fingers take their reference and the law learns how still it is."""
 AFTERWARDS_S = 3.0
@@ -29,7 +71,7 @@ SLIPPED_DEG = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class TrialOutcome:
     """How one trial went for one controller.
 
     slip_deg: true slip at the end, turn less wind-up; rotation_deg: largest true turn. arrested_s: from the first slip to
@@ -38,7 +80,7 @@ class Outcome:
     of a support that went away, True.
     """
 
-    who: Who
+    who: ControllerName
     slip_deg: float
     rotation_deg: float
     force_n: float
@@ -50,7 +92,7 @@ class Outcome:
     fault: str | None = None
     up: bool = True
     says: tuple[str, ...] = ()
-    trace: Trace | None = None
+    trace: LoopTrace | None = None
 
     @property
     def force_over_needed(self) -> float:
@@ -59,10 +101,15 @@ class Outcome:
 
 
 def play(
-    trial: Trial, who: Who, *, rendered: bool = False, traced: bool = False, params: GuardParams | None = None
-) -> Outcome:
+    trial: GripTrial,
+    who: ControllerName,
+    *,
+    rendered: bool = False,
+    traced: bool = False,
+    params: GuardParams | None = None,
+) -> TrialOutcome:
     """Play it; the same trial gives the same outcome. rendered: through drawn frames and the shipped network."""
-    loop = _loop(trial, who, rendered, within_budget(params or GuardParams(), trial))
+    loop = _loop(trial, who, rendered, trial_params(params or GuardParams(), trial))
     grip(loop, trial.first_n)
     loop.wait(QUIET_S + trial.latency_s + 6.0 / trial.fps)
     begun_s = loop.now_s
@@ -71,7 +118,7 @@ def play(
     return _outcome(loop, trial, who, begun_s, traced)
 
 
-def within_budget(params: GuardParams, trial: Trial) -> GuardParams:
+def trial_params(params: GuardParams, trial: GripTrial) -> GuardParams:
     """The parameters with the trial's budget, for a lift that begins at full speed."""
     told = {
         "force_max_n": trial.force_max_n,
@@ -81,15 +128,15 @@ def within_budget(params: GuardParams, trial: Trial) -> GuardParams:
     return GuardParams.model_validate(params.model_dump() | told)
 
 
-def lift_mm(trial: Trial) -> float:
+def lift_mm(trial: GripTrial) -> float:
     """How far it is lifted."""
     return LIFT_MM if trial.block == "matrix" else HIGH_MM
 
 
-def _loop(trial: Trial, who: Who, rendered: bool, params: GuardParams) -> Loop:
+def _loop(trial: GripTrial, who: ControllerName, rendered: bool, params: GuardParams) -> ClosedLoop:
     deliveries = {"left": trial.scenario.left, "right": trial.scenario.right}
-    sights: dict[str, Sight] = {
-        finger: RenderedSight(2 * trial.number + k, deliveries[finger]) if rendered else model_sight(trial, k)
+    fingers: dict[str, FingerModel] = {
+        finger: RenderedFinger(2 * trial.number + k, deliveries[finger]) if rendered else model_sight(trial, k)
         for k, finger in enumerate(FINGERS)
     }
     camera_s = deliveries["left"].latency_s + PERCEIVING_S
@@ -103,21 +150,21 @@ def _loop(trial: Trial, who: Who, rendered: bool, params: GuardParams) -> Loop:
         controller = Oracle(latency_s=camera_s, gain=gain, force_max_n=params.force_max_n)
     else:
         controller = UnguardedController()
-    return Loop(world_of(trial), controller, sights, chances(trial), PERCEIVING_S)
+    return ClosedLoop(world_of(trial), controller, fingers, chances(trial), PERCEIVING_S)
 
 
-def _moves(loop: Loop) -> bool:
+def _moves(loop: ClosedLoop) -> bool:
     return loop.world.gripper_state(loop.now_s).moving
 
 
-def _happen(loop: Loop, trial: Trial) -> None:
+def _happen(loop: ClosedLoop, trial: GripTrial) -> None:
     if trial.event == "support gone":
         loop.world.take_table(loop.now_s)
     else:
         loop.ask(ControlRequest(RequestKind.LIFT, height_mm=lift_mm(trial), speed_mm_s=trial.lift_speed_mm_s))
 
 
-def _watch(loop: Loop, trial: Trial) -> None:
+def _watch(loop: ClosedLoop, trial: GripTrial) -> None:
     """Run until it is up and has been at rest for long enough, is lost, or the time is over."""
     still_s = [loop.now_s]
     way_mm = _way_mm(trial)
@@ -133,11 +180,11 @@ def _watch(loop: Loop, trial: Trial) -> None:
     loop.until(over, AFTERWARDS_S + 2.0 * way_mm / trial.lift_speed_mm_s)
 
 
-def _way_mm(trial: Trial) -> float:
+def _way_mm(trial: GripTrial) -> float:
     return lift_mm(trial) - REACHED_MM if trial.event == "lifted" else 0.0
 
 
-def _outcome(loop: Loop, trial: Trial, who: Who, begun_s: float, traced: bool) -> Outcome:
+def _outcome(loop: ClosedLoop, trial: GripTrial, who: ControllerName, begun_s: float, traced: bool) -> TrialOutcome:
     truth, trace = loop.truth(), loop.trace
     times = np.asarray(trace.time_s)
     slips = np.abs(np.asarray(trace.slip_deg))
@@ -146,7 +193,7 @@ def _outcome(loop: Loop, trial: Trial, who: Who, begun_s: float, traced: bool) -
     arrested_s = None if first_slip_s is None else float(moved[-1] - first_slip_s) if moved.size else 0.0
     told = [when_s for when_s, command in loop.commands if command.hold_force_n is not None and when_s >= begun_s]
     grasp = loop.controller.guard.grasp if isinstance(loop.controller, SlipguardController) else None
-    return Outcome(
+    return TrialOutcome(
         who=who,
         slip_deg=abs(truth.slip_deg),
         rotation_deg=max(float(np.abs(trace.rotation_deg).max()), abs(truth.rotation_deg)),
