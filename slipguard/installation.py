@@ -19,7 +19,7 @@ from enum import StrEnum
 from importlib import resources
 from pathlib import Path
 
-from slipguard.atomic_file import write_whole
+from slipguard.atomic_file import write_atomically
 from slipguard.errors import InputError, SlipguardError
 
 UNIT, RULES, CONFIG = "slipguard.service", "60-slipguard.rules", "config.toml"
@@ -174,7 +174,7 @@ def _difference(before: str, after: str, name: str) -> str:
 def carry_out(step: InstallStep) -> None:
     """Carry out one step. Raises OSError, or SlipguardError if a command fails."""
     if step.do in (StepAction.WRITE, StepAction.REPLACE):
-        write_whole(Path(step.what), step.content.encode(), MODE)
+        write_atomically(Path(step.what), step.content.encode(), MODE)
     elif step.do is StepAction.REMOVE:
         Path(step.what).unlink(missing_ok=True)
     elif step.do is StepAction.RUN:

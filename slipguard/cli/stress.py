@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slipguard.atomic_file import write_whole
+from slipguard.atomic_file import write_atomically
 from slipguard.cli.terminal import progress_bar
 from slipguard.errors import InputError
 
@@ -83,6 +83,6 @@ def _make_folder(path: Path) -> None:
 
 def _write(path: Path, text: str) -> None:
     try:
-        write_whole(path, text.encode(), 0o644)
+        write_atomically(path, text.encode(), 0o644)
     except OSError as error:
         raise InputError(f"{path}: cannot write the file: {error}") from error

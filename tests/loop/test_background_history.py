@@ -65,7 +65,7 @@ def test_an_older_one_is_put_to_use_again_and_the_pipeline_built_with_it(tmp_pat
         assert known is not None
         assert int(known.image[0, 0, 0]) == 50
         assert {name: len(made) for name, made in cell.perceivers.items()} == {"left": 2, "right": 1}
-        with pytest.raises(CommandRefused, match="no no-contact image 9 is stored"):
+        with pytest.raises(CommandRefused, match="background image 9 not found"):
             await handlers.submit(RestoreBackgroundRequest(finger="left", number=9))
         with pytest.raises(ValidationError):
             RestoreBackgroundRequest.model_validate({"finger": "thumb", "number": 1})

@@ -20,7 +20,7 @@ import numpy as np
 import structlog
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from slipguard.atomic_file import write_whole
+from slipguard.atomic_file import write_atomically
 from slipguard.control.state import AT_STAKE, Phase
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.finger import Finger, PerceptionPipeline
@@ -63,7 +63,7 @@ class ReferenceStore:
         """Store a new reference. After a failure the finger has no stored reference."""
         self._sha256.pop(finger, None)
         png = cv2.imencode(".png", known.image)[1].tobytes()
-        write_whole(self._folder / f"{finger}.png", png)
+        write_atomically(self._folder / f"{finger}.png", png)
         self._sha256[finger] = hashlib.sha256(png).hexdigest()
         self.save_rotation(finger, serial, known)
 
@@ -79,7 +79,7 @@ class ReferenceStore:
             earlier_rotation_deg=known.earlier_rotation_deg,
             sha256=self._sha256[finger],
         )
-        write_whole(self._folder / f"{finger}.json", facts.model_dump_json(indent=2).encode())
+        write_atomically(self._folder / f"{finger}.json", facts.model_dump_json(indent=2).encode())
 
     def load(self, finger: str, serial: str, now: datetime | None = None) -> StoredReference | None:
         """Return the reference of a finger with this sensor; None if there is none or it is too old.

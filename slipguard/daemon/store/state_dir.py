@@ -1,12 +1,10 @@
-"""What survives a restart: each sensor's no-contact images by serial, and how the last object was held
-under which fault.
+"""The state directory: each sensor's background images, and the last grasp with its fault.
 
-    <state>/sensors/<serial>/no_contact-0003.png    mean picture, 240 x 320 BGR; older ones are kept
-    <state>/sensors/<serial>/no_contact-0003.json   noise, light, frames, when, sha256 of the picture
+    <state>/sensors/<serial>/no_contact-0003.png    background image, 240 x 320 BGR; older ones are kept
+    <state>/sensors/<serial>/no_contact-0003.json   noise, light, frames, time, sha256 of the image
     <state>/last_grasp.json
 
-Everything is written to a temporary file, flushed to the disk and renamed, the .json last: a picture without it does
-not count.
+Every file is written atomically, the .json last: an image without it is not used.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from slipguard.atomic_file import write_whole
+from slipguard.atomic_file import write_atomically
 from slipguard.config_errors import describe_validation_error
 from slipguard.control.fault import Fault
 from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
@@ -36,11 +34,11 @@ _IMAGE = re.compile(r"no_contact-(\d{4,})\.json")
 Level = Annotated[float, Field(ge=0.0, le=255.0)]
 
 
-class _Stored(BaseModel):
+class _StateFile(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class _ImageFacts(_Stored):
+class _BackgroundFacts(_StateFile):
     format: Literal[1] = 1
     serial: str
     created_at: datetime
@@ -52,12 +50,12 @@ class _ImageFacts(_Stored):
     copy_of: int | None = None
 
 
-class LastGrasp(_Stored):
-    """How an object was held when last looked at: force per finger, width of the jaws; saved_at with time zone.
+class LastGrasp(_StateFile):
+    """How an object was held: force per finger, width of the jaws; saved_at with time zone.
 
-    force_n: as last commanded; 0 where nothing was held. applied: the gripper had applied that force, and said so.
-    person_near: the arm was in a protective or emergency stop, so no force was to be added. fault: latched then.
-    release_requested, closing_interrupted: under it what the jaws had met was not to be guarded (see `GraspState`).
+    force_n: last commanded; 0 if nothing was held. applied: the gripper had confirmed that force. person_near: the arm
+    was in a protective or emergency stop, so the force was not to be increased. fault: latched at that time.
+    release_requested, closing_interrupted: the object was not to be guarded during the fault (see `GraspState`).
     """
 
     format: Literal[5] = 5
@@ -71,13 +69,13 @@ class LastGrasp(_Stored):
     closing_interrupted: bool = False
 
 
-_S = TypeVar("_S", bound=_Stored)
+_S = TypeVar("_S", bound=_StateFile)
 KEPT = 20
-"""Images of one sensor; the oldest beyond that go, but never the first of the present gel."""
+"""Background images of one sensor. The oldest beyond that are deleted, except the first one of the present gel."""
 
 
 def default_state_path(environ: Mapping[str, str] = os.environ) -> Path:
-    """$STATE_DIRECTORY under systemd, else $XDG_STATE_HOME/slipguard, else ~/.local/state/slipguard."""
+    """Return $STATE_DIRECTORY under systemd, else $XDG_STATE_HOME/slipguard, else ~/.local/state/slipguard."""
     given = environ.get("STATE_DIRECTORY", "").split(":")[0]
     if given:
         return Path(given)
@@ -86,31 +84,31 @@ def default_state_path(environ: Mapping[str, str] = os.environ) -> Path:
 
 
 class StateDir:
-    """The state directory; made when first written to.
+    """The state directory; made by the first write.
 
-    path: None for the default. Reading raises InputError on a damaged file, writing ConfigError where it cannot.
+    path: None for the default. Reading raises InputError for a damaged file, writing ConfigError if it fails.
     """
 
     def __init__(self, path: Path | None = None, environ: Mapping[str, str] = os.environ) -> None:
         self.path = path if path is not None else default_state_path(environ)
         runtime = environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
         self.runtime_path = Path(runtime) if runtime else self.path
-        """Where the socket belongs: $RUNTIME_DIRECTORY under systemd, else the state directory."""
+        """Folder of the socket: $RUNTIME_DIRECTORY under systemd, else the state directory."""
 
-    # --- no-contact images ---
+    # --- background images ---
 
     def save_background(self, serial: str, taken: BackgroundImage, *, new_gel: bool = False) -> None:
-        """Store a new no-contact image of a sensor beside its older ones. new_gel: the gel has been replaced."""
+        """Store a new background image of a sensor; older ones stay. new_gel: the gel has been replaced."""
         self._save(serial, taken, datetime.now(UTC), new_gel, None)
 
     def go_back(self, serial: str, number: int) -> BackgroundImage:
-        """Make an older image of a sensor the newest again, as a copy. Raises InputError where there is none."""
-        there = {version.number: version for version in self.background_versions(serial)}
-        if number not in there:
-            known = ", ".join(str(one) for one in there) or "none"
-            raise InputError(f"{serial}: no no-contact image {number} is stored; there are: {known}")
+        """Copy an older image of a sensor as its newest, and return it. Raises InputError if there is none."""
+        versions = {version.number: version for version in self.background_versions(serial)}
+        if number not in versions:
+            known = ", ".join(str(one) for one in versions) or "none"
+            raise InputError(f"{serial}: background image {number} not found; stored numbers: {known}")
         taken = self._load(serial, number)
-        self._save(serial, taken, there[number].created_at, False, number)
+        self._save(serial, taken, versions[number].created_at, False, number)
         return taken
 
     def _save(
@@ -120,24 +118,24 @@ class StateDir:
         number = max(self._numbers(folder), default=0) + 1
         encoded, png = cv2.imencode(".png", taken.image)
         if not encoded or taken.image.shape != (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3):
-            raise InputError(f"{serial}: the no-contact image is {taken.image.shape}; it must be 320 x 240 x 3")
-        picture = png.tobytes()
+            raise InputError(f"{serial}: the background image has shape {taken.image.shape}; it must be (320, 240, 3)")
+        png_bytes = png.tobytes()
         blue, green, red = (float(level) for level in taken.image.mean(axis=(0, 1)))
-        facts = _ImageFacts(
+        facts = _BackgroundFacts(
             serial=serial,
             created_at=created_at,
             noise_bgr=taken.noise_bgr,
             frames=taken.frames,
-            sha256=hashlib.sha256(picture).hexdigest(),
+            sha256=hashlib.sha256(png_bytes).hexdigest(),
             level_bgr=(blue, green, red),
             new_gel=new_gel,
             copy_of=copy_of,
         )
-        _write(folder / f"no_contact-{number:04d}.png", picture)
+        _write(folder / f"no_contact-{number:04d}.png", png_bytes)
         _write(folder / f"no_contact-{number:04d}.json", facts.model_dump_json(indent=2).encode())
-        self._forget_the_oldest(serial)
+        self._delete_oldest(serial)
 
-    def _forget_the_oldest(self, serial: str) -> None:
+    def _delete_oldest(self, serial: str) -> None:
         numbers = sorted(self._numbers(self._sensor(serial)))
         first = self._gel_began(self.background_versions(serial))
         for number in numbers[:-KEPT]:
@@ -147,33 +145,33 @@ class StateDir:
                 path.with_suffix(".png").unlink(missing_ok=True)
 
     def background_versions(self, serial: str) -> list[BackgroundVersion]:
-        """What is stored of a sensor, oldest first; what is damaged is left out."""
+        """Return the stored background images of a sensor, oldest first; damaged ones are left out."""
         folder = self._sensor(serial)
         found = []
         for number in sorted(self._numbers(folder)):
             try:
-                facts = _read(folder / f"no_contact-{number:04d}.json", _ImageFacts)
+                facts = _read(folder / f"no_contact-{number:04d}.json", _BackgroundFacts)
             except InputError:
                 continue
-            told = (facts.noise_bgr, facts.level_bgr, facts.frames, facts.new_gel, facts.copy_of)
-            found.append(BackgroundVersion(number, facts.created_at, *told))
+            properties = (facts.noise_bgr, facts.level_bgr, facts.frames, facts.new_gel, facts.copy_of)
+            found.append(BackgroundVersion(number, facts.created_at, *properties))
         return found
 
     @staticmethod
     def _gel_began(history: list[BackgroundVersion]) -> int | None:
-        """The number of the present gel's first image."""
+        """Return the number of the present gel's first image."""
         fresh = [version.number for version in history if version.new_gel]
         return max(fresh, default=min((version.number for version in history), default=None))
 
     def first_of_gel(self, serial: str) -> BackgroundImage | None:
-        """The first image of the gel that is on a sensor now; None if there is none. Raises InputError if damaged."""
+        """Return the first image of the gel that is on a sensor now; None if there is none. Raises InputError if damaged."""
         number = self._gel_began(self.background_versions(serial))
         return None if number is None else self._load(serial, number)
 
     def load_background(self, serial: str, number: int | None = None) -> BackgroundImage | None:
-        """A no-contact image of a sensor, the newest if not told which; None if there is none.
+        """Return a background image of a sensor; None if there is none.
 
-        Raises InputError if it is damaged.
+        number: None for the newest. Raises InputError if it is damaged.
         """
         numbers = self._numbers(self._sensor(serial))
         if number is None:
@@ -182,31 +180,33 @@ class StateDir:
 
     def _load(self, serial: str, number: int) -> BackgroundImage:
         path = self._sensor(serial) / f"no_contact-{number:04d}.json"
-        facts = _read(path, _ImageFacts)
-        png = path.with_suffix(".png")
-        repair = f"move {path.with_suffix('')}.* away or run `slipguard calibrate`"
+        facts = _read(path, _BackgroundFacts)
+        png_path = path.with_suffix(".png")
+        action = f"move {path.with_suffix('')}.* away or run `slipguard calibrate`"
         try:
-            picture = png.read_bytes()
+            png = png_path.read_bytes()
         except OSError as error:
-            raise InputError(f"{png}: cannot be read ({error.strerror}); {repair}") from None
-        if hashlib.sha256(picture).hexdigest() != facts.sha256:
-            raise InputError(f"{png}: is not the picture that was stored (its sha256 differs); {repair}")
-        image = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+            raise InputError(f"{png_path}: cannot be read ({error.strerror}); {action}") from None
+        if hashlib.sha256(png).hexdigest() != facts.sha256:
+            raise InputError(f"{png_path}: not the image that was stored (its sha256 differs); {action}")
+        image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
         if image is None or image.shape != (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3):
-            raise InputError(f"{png}: is not a picture of 240 x 320; {repair}")
+            raise InputError(f"{png_path}: not an image of 240 x 320; {action}")
         pixels = np.asarray(image, np.uint8)
         pixels.setflags(write=False)
         return BackgroundImage(pixels, facts.noise_bgr, facts.frames)
 
     def background_created_at(self, serial: str) -> datetime | None:
-        """When the newest no-contact image of a sensor was taken; None if there is none."""
+        """Return when the newest background image of a sensor was taken; None if there is none."""
         folder = self._sensor(serial)
         number = max(self._numbers(folder), default=None)
-        return None if number is None else _read(folder / f"no_contact-{number:04d}.json", _ImageFacts).created_at
+        return None if number is None else _read(folder / f"no_contact-{number:04d}.json", _BackgroundFacts).created_at
 
     def _sensor(self, serial: str) -> Path:
         if not _SERIAL.fullmatch(serial):
-            raise InputError(f"serial number {serial!r}: letters, digits, '.', '_' and '-' are allowed, at most 64")
+            raise InputError(
+                f"serial number {serial!r}: only letters, digits, '.', '_' and '-' are allowed, at most 64"
+            )
         return self.path / "sensors" / serial
 
     @staticmethod
@@ -218,16 +218,16 @@ class StateDir:
     # --- the last grasp ---
 
     def save_last_grasp(self, last: LastGrasp) -> None:
-        """Remember how the object is held, for a restart."""
+        """Store how the object is held, for a restart."""
         _write(self.path / "last_grasp.json", last.model_dump_json(indent=2).encode())
 
     def load_last_grasp(self) -> LastGrasp | None:
-        """How an object was held before the restart; None if nothing was. Raises InputError if the file is damaged."""
+        """Return how an object was held before the restart; None if nothing was. Raises InputError for a damaged file."""
         path = self.path / "last_grasp.json"
         return _read(path, LastGrasp) if path.exists() else None
 
     def delete_last_grasp(self) -> None:
-        """Nothing is held any more."""
+        """Delete the last grasp, because nothing is held any more."""
         (self.path / "last_grasp.json").unlink(missing_ok=True)
 
 
@@ -238,14 +238,14 @@ def _read(path: Path, kind: type[_S]) -> _S:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except ValidationError as error:
         raise InputError(
-            f"{path}: damaged: {describe_validation_error(error, kind)}; move it away to go on without it"
+            f"{path}: damaged: {describe_validation_error(error, kind)}; move it away to continue without it"
         ) from None
 
 
 def _write(path: Path, content: bytes) -> None:
     try:
-        write_whole(path, content)
+        write_atomically(path, content)
     except OSError as error:
         raise ConfigError(
-            f"{path}: cannot be written ({error.strerror}); set [state] directory to a folder that can"
+            f"{path}: cannot be written ({error.strerror}); set [state] directory to a writable folder"
         ) from error

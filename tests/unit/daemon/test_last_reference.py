@@ -14,7 +14,7 @@ import pytest
 from blue_contact import BACKGROUND, ReadsBlue, frame
 from drawn_masks import drawn
 
-from slipguard.atomic_file import write_whole as really_write
+from slipguard.atomic_file import write_atomically as really_write
 from slipguard.control.state import Phase
 from slipguard.daemon.store.last_reference import VALID_FOR, ReferenceSaver, ReferenceStore, restore_reference
 from slipguard.errors import InputError
@@ -124,13 +124,13 @@ async def test_a_disk_that_is_mended_takes_the_references_again(
     monkeypatch.setattr("slipguard.daemon.store.disk_writer.RETRY_S", 3600.0)
     disk = {"full": True, "writes": 0}
 
-    def write_whole(path: Path, content: bytes) -> None:
+    def write_atomically(path: Path, content: bytes) -> None:
         disk["writes"] += 1
         if disk["full"]:
             raise OSError(28, "No space left on device")
         really_write(path, content)
 
-    monkeypatch.setattr("slipguard.daemon.store.last_reference.write_whole", write_whole)
+    monkeypatch.setattr("slipguard.daemon.store.last_reference.write_atomically", write_atomically)
     said: list[str] = []
     finger = Finger(pipeline())
     keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
@@ -158,7 +158,7 @@ def test_a_turn_never_goes_with_the_picture_of_another_reference(
     shelf.save_rotation("left", "D1", StoredReference(IMAGE, 7.0))  # never saved before: as if it were
     new = StoredReference(IMAGE[::-1].copy(), 0.0)
     with monkeypatch.context() as failing:
-        failing.setattr("slipguard.daemon.store.last_reference.write_whole", fails)
+        failing.setattr("slipguard.daemon.store.last_reference.write_atomically", fails)
         with pytest.raises(OSError, match="No space left"):
             shelf.save("left", "D1", new)
     old = ReferenceStore(tmp_path).load("left", "D1")
