@@ -55,7 +55,7 @@ def calibrate_camera(
     from slipguard.evaluation import camera_calibration
     from slipguard.evaluation.external_camera import timed_frames
 
-    found = camera_calibration.calibrate_camera(picture for _, picture in timed_frames(source))
+    found = camera_calibration.calibrate_camera(image for _, image in timed_frames(source))
     try:
         out.write_text(found.model_dump_json(indent=1) + "\n")
     except OSError as error:

@@ -131,14 +131,14 @@ def _print_result(console: Any, done: ReplayResult, against: bool) -> None:
         "",
     )
     rotations = [abs(rotation) for rotation in done.turn_differences_deg]
-    told = f"{done.estimates_differ} of {len(done.processed)} frames" + (
+    rotations_text = f"{done.estimates_differ} of {len(done.processed)} frames" + (
         f", by at most {max(rotations):.3f}°" if rotations else ""
     )
     table.add_row(
         f"controller with the frames ({done.image})",
         str(done.on_frames.ticks),
         str(len(done.on_frames.differences)),
-        told,
+        rotations_text,
     )
     console.print(table)
     if not done.processed:
@@ -147,10 +147,10 @@ def _print_result(console: Any, done: ReplayResult, against: bool) -> None:
         console.print(f"{damage}: processed up to there")
     if against:
         for name, replayed in (("recorded estimates", done.on_recorded), ("frames", done.on_frames)):
-            _list(console, name, replayed, began_s)
+            _print_differences(console, name, replayed, began_s)
 
 
-def _list(console: Any, name: str, replayed: ControllerReplay, began_s: float) -> None:
+def _print_differences(console: Any, name: str, replayed: ControllerReplay, began_s: float) -> None:
     for one in replayed.differences[:DIFFERENCES_MAX]:
         console.print(f"{name}, {one.now_s - began_s:.3f} s:")
         console.print(f"  recorded {_command_text(one.recorded)}\n  replayed {_command_text(one.replayed)}")

@@ -140,7 +140,7 @@ def _add_images(app: FastAPI, context: RouteContext) -> None:
         return await with_error_response("/no-contact", respond())
 
     @app.get("/picture/{finger}", response_class=Response, responses=responses("image/jpeg", "For display."))
-    async def picture(finger: FingerName, overlay: Annotated[Literal["0", "1"], Query()] = "1") -> Response:
+    async def overlay_image(finger: FingerName, overlay: Annotated[Literal["0", "1"], Query()] = "1") -> Response:
         """Return the newest processed frame, with contour, skeleton and axis of the contact drawn over it."""
 
         async def respond() -> Response:

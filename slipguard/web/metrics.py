@@ -109,12 +109,12 @@ class _StateCollector(Collector):
         for name, device in self._state.get("devices", {}).items():
             ready.add_metric([name], float(device.get("state") == "ready"))
         yield ready
-        answers = CounterMetricFamily(
+        responses = CounterMetricFamily(
             "slipguard_device_answers", "Responses to requests for the state.", labels=["device"]
         )
         for name, count in self._counters.get("devices_answered", {}).items():
-            answers.add_metric([name], count)
-        yield answers
+            responses.add_metric([name], count)
+        yield responses
         recording = self._state.get("recording") or {}
         yield _gauge("slipguard_recording", "1 while recording.", float(recording.get("state") == "on"))
         yield CounterMetricFamily(

@@ -36,14 +36,14 @@ def chromium() -> str:
 
 @pytest.fixture(scope="session")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaemonProcess]:
-    """One daemon for all tests here; each begins with `fresh` or `held`."""
+    """Provide one daemon for all tests; each starts with `fresh` or `held`."""
     with daemon(tmp_path_factory.mktemp("page")) as made:
         yield made
 
 
 @pytest_asyncio.fixture(scope="session", loop_scope="session")
 async def browser() -> AsyncIterator[Browser]:
-    """Started once."""
+    """Start the browser once."""
     expect.set_options(timeout=TIMEOUT_MS)
     async with async_playwright() as playwright:
         started = await playwright.chromium.launch(executable_path=chromium(), args=QUIET)
@@ -53,7 +53,7 @@ async def browser() -> AsyncIterator[Browser]:
 
 @pytest_asyncio.fixture(loop_scope="session")
 async def open_page(browser: Browser, running: DaemonProcess) -> AsyncIterator[Open]:
-    """Opens the page in a window of its own: `await look(control=False)`.
+    """Open the page in a new window: `await open_page(control=False)`.
 
     At the end nothing may have gone wrong in it: no error in its console but `expected` ones, and nothing asked of any
     other host.
@@ -62,7 +62,7 @@ async def open_page(browser: Browser, running: DaemonProcess) -> AsyncIterator[O
     contexts = []
 
     async def opened(control: bool = True, expected: tuple[str, ...] = ()) -> Page:
-        def heard(message: ConsoleMessage) -> None:
+        def on_console(message: ConsoleMessage) -> None:
             asked_for = message.location.get("url", "")
             no_picture = "/picture/" in asked_for and "status of 409" in message.text  # for a moment there may be none
             known = no_picture or any(part in message.text for part in expected)
@@ -73,7 +73,7 @@ async def open_page(browser: Browser, running: DaemonProcess) -> AsyncIterator[O
         context.set_default_timeout(TIMEOUT_MS)
         contexts.append(context)
         page = await context.new_page()
-        page.on("console", heard)
+        page.on("console", on_console)
         page.on("pageerror", lambda error: wrong.append(f"page: {error}"))
         page.on(
             "request",
@@ -92,6 +92,6 @@ async def open_page(browser: Browser, running: DaemonProcess) -> AsyncIterator[O
 
 @pytest.fixture(scope="session")
 def screenshots(pytestconfig: pytest.Config) -> PageScreenshots:
-    """Where pictures of the page are put, if anywhere (`--page-images DIR`)."""
+    """Provide the folder for screenshots, if given (`--page-images DIR`)."""
     named = pytestconfig.getoption("--page-images")
     return PageScreenshots(None if named is None else Path(named))

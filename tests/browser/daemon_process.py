@@ -1,4 +1,4 @@
-"""A daemon on the fakes for the page's tests, run as a process of its own: `python daemon_process.py CONFIG`.
+"""A daemon with simulated devices for the page's tests, in a process of its own: `python daemon_process.py CONFIG`.
 
 Words on stdin: `fail DEVICE KIND`, `mend`, `fresh` (another object between the open jaws), `again` (the daemon
 stops and starts anew on the same world). Each is answered with one line on stdout as soon as it is done, the last one
@@ -32,7 +32,7 @@ LOOK_S = 0.02
 
 
 class Stage:
-    """One world, and the daemon that guards it again and again."""
+    """A simulated world, and the daemon that runs in it, with restarts."""
 
     def __init__(self, config: Path) -> None:
         self.config = read_config(config, sim=True)
@@ -42,7 +42,7 @@ class Stage:
         self.started = False
 
     def place(self) -> None:
-        """A wrench that slips at the first grip, before cameras that leave the machine some time."""
+        """Place a wrench that slips at the first grip; the cameras are slow, to save computing time."""
         drawn = scenario("wrench", 1)
         left, right = replace(drawn.left, fps=FPS), replace(drawn.right, fps=FPS)
         self.world.clear(time.monotonic())
@@ -67,7 +67,7 @@ class Stage:
         print("done", flush=True)
 
     async def listen(self, service: Service) -> None:
-        """Obey as long as the daemon runs."""
+        """Execute commands while the daemon runs."""
         if self.started:
             print("done", flush=True)
         self.started = True
@@ -77,12 +77,12 @@ class Stage:
             await asyncio.sleep(LOOK_S)
 
     def read(self) -> None:
-        """Stdin, in a thread."""
+        """Read commands from stdin, in a thread."""
         for line in sys.stdin:
             self.words.put(line)
 
     def run(self) -> None:
-        """Until a SIGTERM that nobody announced."""
+        """Run until a SIGTERM without a restart command."""
         threading.Thread(target=self.read, daemon=True).start()
         self.place()
         while self.again:

@@ -1,4 +1,4 @@
-"""How a page looks, measured: contrast, room for a gloved finger, names for those who do not see it, pictures."""
+"""Measures the page's layout: contrast, size of buttons, names for screen readers. Takes screenshots."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ CONTRAST = """() => {
   found.push([ratio(named("--soft"), named("--card")), "words in the charts"]);
   return found;
 }"""
-"""[contrast to its ground, text] of every text that is seen (WCAG 2.2, 1.4.3)."""
+"""[contrast to its background, text] of every visible text (WCAG 2.2, 1.4.3)."""
 
 SMALL = """(least) => [...document.querySelectorAll("button, a[href], label.checkbox, input[type=number]")]
   .filter((one) => one.checkVisibility() && !one.classList.contains("skip"))
@@ -77,12 +77,12 @@ NAMED_ROLES = {"button", "checkbox", "spinbutton", "textbox", "link", "image", "
 
 
 async def low_contrast_texts(page: Page, least_contrast: float = 4.5) -> list[str]:
-    """Texts that are hard to read."""
+    """Return texts with too little contrast."""
     return [f"contrast {ratio:.2f}: {text}" for ratio, text in await page.evaluate(CONTRAST) if ratio < least_contrast]
 
 
 async def layout_problems(page: Page, least_px: float = 44.0) -> list[str]:
-    """What is hard to hit, runs over the edge or out of its box."""
+    """Return elements that are too small, or exceed the window or their box."""
     small = [f"small: {one}" for one in await page.evaluate(SMALL, least_px)]
     wide = [f"beyond the edge: {one}" for one in await page.evaluate(WIDE)]
     cut = [f"too long for its box: {one}" for one in await page.evaluate(CUT)]
@@ -90,7 +90,7 @@ async def layout_problems(page: Page, least_px: float = 44.0) -> list[str]:
 
 
 async def unnamed_elements(page: Page) -> list[str]:
-    """What a screen reader meets without a name, as the browser itself tells it."""
+    """Return elements without a name in the browser's accessibility tree."""
     session = await page.context.new_cdp_session(page)
     tree: dict[str, Any] = await session.send("Accessibility.getFullAXTree")
     await session.detach()
@@ -105,14 +105,14 @@ async def unnamed_elements(page: Page) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class PageScreenshots:
-    """Takes pictures of a page, where a folder was named for them."""
+    """Takes screenshots of a page, if a folder was given."""
 
     folder: Path | None
 
     async def keep(self, page: Page, name: str) -> None:
-        """The page as it is now, to its end; under an open question only what is seen of it."""
+        """Store a screenshot of the whole page; with an open dialog, only of the visible part."""
         if self.folder is None:
             return
         self.folder.mkdir(parents=True, exist_ok=True)
-        asking = await page.locator("#dialog").is_visible()
-        await page.screenshot(path=self.folder / f"{name}.png", full_page=not asking)
+        pending = await page.locator("#dialog").is_visible()
+        await page.screenshot(path=self.folder / f"{name}.png", full_page=not pending)

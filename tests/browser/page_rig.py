@@ -1,4 +1,4 @@
-"""A guarded cell in a process of its own, for the page's tests, and its door for what a test arranges."""
+"""A simulated cell in a process of its own, for the page's tests, and commands to control it."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ stuck_timeout_s = 10
 cycle_timeout_s = 5
 tighten_effect_timeout_s = 10
 """
-"""A short lift, and more patience with devices than on a real cell: a busy machine that runs tests is no fault."""
+"""A short lift, and longer timeouts than on a real cell, because the test machine may be busy."""
 pause = Event().wait
 
 
 class DaemonProcess:
-    """The process, and a client on its Unix socket. url: of the page."""
+    """A daemon's process, and a client on its Unix socket. url: of the page."""
 
     def __init__(self, folder: Path) -> None:
         self._port = free_port()
@@ -77,28 +77,28 @@ class DaemonProcess:
 
     @property
     def log(self) -> str:
-        """All it has logged."""
+        """Return its log."""
         return self._output.read_text()
 
     def order(self, line: str) -> None:
-        """A word of `daemon_process`, obeyed when this returns."""
+        """Send a command to `daemon_process` and wait until it is executed."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.write(line + "\n")
         self._process.stdin.flush()
-        while (answer := self._process.stdout.readline()) not in ("done\n", ""):
+        while (response := self._process.stdout.readline()) not in ("done\n", ""):
             pass
-        assert answer, self.log
+        assert response, self.log
 
     def state(self) -> dict[str, Any]:
-        """Empty while nobody answers."""
+        """Return the daemon's state; empty while it does not respond."""
         try:
             return self.client.state()
         except SlipguardError:
             return {}
 
     def until(self, reached: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
-        """The first state that is as it should be."""
+        """Wait for a state, and return it."""
         ends_s = time.monotonic() + TIMEOUT_S
         while True:
             state = self.state()
@@ -109,12 +109,12 @@ class DaemonProcess:
             pause(0.05)
 
     def well(self) -> dict[str, Any]:
-        """No device fails any more; the state then."""
+        """End all device faults; return the state."""
         self.order("mend")
         return self.until(lambda state: not state["waiting_for"])
 
     def fresh(self) -> None:
-        """Everything well, nothing held, an object between the open jaws."""
+        """Reset: no faults, nothing held, an object between the open jaws."""
         self.well()
         self.client.submit(ReleaseRequest(confirm=True))
         self.until(lambda state: state["phase"] == "idle" and not state["gripper"]["moving"])
@@ -137,7 +137,7 @@ class DaemonProcess:
 
     @contextmanager
     def frozen(self) -> Iterator[None]:
-        """It hangs as long as the block lasts: it is there, and says nothing."""
+        """Suspend the process during the block."""
         self._process.send_signal(signal.SIGSTOP)
         try:
             yield
@@ -145,7 +145,7 @@ class DaemonProcess:
             self._process.send_signal(signal.SIGCONT)
 
     def stop(self) -> None:
-        """SIGTERM; it must end well."""
+        """Stop the process with SIGTERM, and check its exit code."""
         self.client.close()
         self._process.send_signal(signal.SIGTERM)
         try:
@@ -161,7 +161,7 @@ class DaemonProcess:
 
 @contextmanager
 def daemon(folder: Path) -> Iterator[DaemonProcess]:
-    """A daemon, all its devices ready; ended at the end."""
+    """Provide a daemon with all devices ready."""
     made = DaemonProcess(folder)
     try:
         made.until(lambda state: not state["waiting_for"])
@@ -171,7 +171,7 @@ def daemon(folder: Path) -> Iterator[DaemonProcess]:
 
 
 def free_port() -> int:
-    """A TCP port that nobody listened at a moment ago."""
+    """Return a TCP port that is free."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

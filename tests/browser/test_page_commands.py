@@ -1,4 +1,4 @@
-"""An operator at the page: every command asks first, is given once, and what the daemon answers is shown."""
+"""Commands on the page: each opens a dialog first, is sent once, and its response is shown."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DOUBLE_CLICK = """ms => new Promise(done => {
   const again = () => document.querySelector("#dialog-confirm").dispatchEvent(new MouseEvent("click", {bubbles: true}));
   setTimeout(() => done(again()), ms);
 })"""
-"""Both halves by the page's own clock, so that a busy machine does not part them."""
+"""Both clicks on the page's own clock, so that a busy machine does not delay the second."""
 AGAIN_AT_ONCE = """async () => {
   const press = id => document.querySelector(id).click();
   const wait = ms => new Promise(done => setTimeout(done, ms));
@@ -25,7 +25,7 @@ AGAIN_AT_ONCE = """async () => {
   await wait(250);
   return !document.querySelector("#dialog-confirm").disabled;
 }"""
-"""Closed and asked again in one turn of the page: that it closed is told only after the second asking."""
+"""Closed and opened again within one task of the page: the close event comes after the second opening."""
 COLOURS = """(canvas) => {
   const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
   copy.drawImage(canvas, 0, 0);
@@ -34,7 +34,7 @@ COLOURS = """(canvas) => {
 
 
 async def give(page: Page, name: str) -> None:
-    """Press a button and say yes to its question."""
+    """Press a button and confirm its dialog."""
     await page.click(f"#do-{name}")
     await expect(page.locator("#dialog-cancel")).to_be_focused()
     await page.click("#dialog-confirm")
@@ -62,17 +62,17 @@ async def test_a_lift_from_calibration_to_release(running: DaemonProcess, open_p
     running.until(lambda state: state["phase"] == "holding" and state["arm"]["height_mm"] > 39.0)
     for finger in ("left", "right"):
         await expect(page.locator(f"#finger-{finger}")).to_contain_text("contactyes", ignore_case=True)
-        picture = page.locator(f"#finger-{finger} canvas")
-        assert await picture.evaluate(COLOURS) > 1000, "a gel picture has noise, and many colours"
-        before = await picture.get_attribute("data-sequence")
-        await expect(picture).not_to_have_attribute("data-sequence", str(before))
+        drawn = page.locator(f"#finger-{finger} canvas")
+        assert await drawn.evaluate(COLOURS) > 1000, "a gel picture has noise, and many colours"
+        before = await drawn.get_attribute("data-sequence")
+        await expect(drawn).not_to_have_attribute("data-sequence", str(before))
     await release(running, page)
     await expect(phase).to_have_text("Idle")
     await expect(page.locator("#events")).to_contain_text("released")
 
 
 async def release(running: DaemonProcess, page: Page) -> None:
-    """Neither a double click nor the Enter key opens the jaws: the box must be ticked first."""
+    """Neither a double click nor the Enter key opens the jaws: the box must be checked first."""
     await page.dblclick("#do-release")
     yes = page.locator("#dialog-confirm")
     await expect(page.locator("#dialog-text")).to_have_text("This opens the jaws: a held object drops.")
@@ -95,24 +95,22 @@ async def release(running: DaemonProcess, page: Page) -> None:
 async def test_a_double_click_gives_one_command(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.held(again=False)
     page = await open_page()
-    asked: list[str] = []
-    page.on("request", lambda request: request.method == "POST" and asked.append(request.url))
+    requested: list[str] = []
+    page.on("request", lambda request: request.method == "POST" and requested.append(request.url))
     await page.evaluate(DOUBLE_CLICK, DOUBLE_CLICK_MS)
     await page.wait_for_timeout(100)
-    assert not asked, "the second half of a double click must not say yes, wherever it falls"
+    assert not requested, "the second half of a double click must not say yes, wherever it falls"
     await expect(page.locator("#dialog-confirm")).to_be_enabled()
     await page.locator("#dialog-confirm").dblclick()
     await expect(page.locator("#do-guard .label")).to_have_text("Guard on")
-    assert len(asked) == 1
+    assert len(requested) == 1
     assert running.state()["guarding"] is False
     await expect(page.locator("#detail")).to_contain_text("NOT guarding")
     await give(page, "guard")
     await expect(page.locator("#do-guard .label")).to_have_text("Guard off")
 
 
-async def test_a_question_asked_anew_at_once_can_be_answered_and_not_too_early(
-    running: DaemonProcess, open_page
-) -> None:  # type: ignore[no-untyped-def]
+async def test_a_dialog_reopened_at_once_is_armed_after_its_own_delay(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.held(again=False)
     page = await open_page()
     early = await page.evaluate(AGAIN_AT_ONCE)
@@ -123,7 +121,7 @@ async def test_a_question_asked_anew_at_once_can_be_answered_and_not_too_early(
     await expect(page.locator("#dialog")).to_be_hidden()
 
 
-async def test_a_refusal_is_shown_in_the_daemons_words(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+async def test_a_refusal_is_shown_with_the_daemons_reason(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.held()
     page = await open_page(expected=("status of 409",))
     await page.click("#do-lower")
@@ -143,7 +141,7 @@ async def test_a_refusal_is_shown_in_the_daemons_words(running: DaemonProcess, o
     await expect(page.locator("#message")).to_contain_text("give a height")
 
 
-async def test_everything_by_keyboard(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+async def test_all_controls_work_by_keyboard(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.held(again=False)
     page = await open_page()
     keyboard, focus = page.keyboard, page.locator(":focus")

@@ -1,6 +1,6 @@
-"""The page can be read, hit and heard by everybody: both themes, from a phone to a desk, in every state.
+"""The page is accessible: contrast, sizes and names, in both themes, from phone to desktop, in every state.
 
-`pytest tests/browser/test_page_images.py --page-images DIR` keeps pictures of it to look at.
+`pytest tests/browser/test_page_images.py --page-images DIR` stores screenshots.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ WIDTHS = {"desk": (1280, 800), "phone": (390, 844), "narrow": (320, 640)}
 THEMES = ("light", "dark")
 SETTLED_MS = 150
 MINUTE_FILLED_MS = 25_000
-"""A picture of the charts with something in them."""
+"""Time until the charts have content."""
 
 
 async def check(page: Page, screenshots: PageScreenshots, name: str) -> None:
-    """To be read in both themes, to be hit at every width; pictures of the usual widths in both."""
+    """Check contrast in both themes and layout at every width; take screenshots of the usual widths."""
     for kind, (width, height) in WIDTHS.items():
         await page.set_viewport_size({"width": width, "height": height})
         for theme in THEMES if kind == "desk" or screenshots.folder else THEMES[:1]:
@@ -35,7 +35,9 @@ async def check(page: Page, screenshots: PageScreenshots, name: str) -> None:
     assert not await unnamed_elements(page), name
 
 
-async def test_holding_asking_and_fault(running: DaemonProcess, open_page, screenshots: PageScreenshots) -> None:  # type: ignore[no-untyped-def]
+async def test_layout_while_holding_in_a_dialog_and_in_a_fault(
+    running: DaemonProcess, open_page, screenshots: PageScreenshots
+) -> None:  # type: ignore[no-untyped-def]
     running.held(again=screenshots.folder is not None)
     page = await open_page()
     if screenshots.folder is not None:
@@ -52,7 +54,9 @@ async def test_holding_asking_and_fault(running: DaemonProcess, open_page, scree
     await check(page, screenshots, "fault")
 
 
-async def test_not_ready_lost_and_looking_only(running: DaemonProcess, open_page, screenshots: PageScreenshots) -> None:  # type: ignore[no-untyped-def]
+async def test_layout_read_only_not_ready_and_offline(
+    running: DaemonProcess, open_page, screenshots: PageScreenshots
+) -> None:  # type: ignore[no-untyped-def]
     running.fresh()
     page = await open_page(control=False)
     running.order("fail left disconnect")
@@ -63,7 +67,7 @@ async def test_not_ready_lost_and_looking_only(running: DaemonProcess, open_page
         await check(page, screenshots, "lost")
 
 
-async def test_headings_landmarks_and_pictures_in_words(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+async def test_headings_landmarks_and_image_descriptions(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.held(again=False)
     page = await open_page()
     headings = page.get_by_role("heading")

@@ -1,4 +1,4 @@
-"""The page saves the operator a refusal that can be foreseen, and never forbids what the law would grant."""
+"""The page blocks commands that the controller would refuse, and never one that it would grant."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ ASK = """async (cases) => {
 
 
 def grippers() -> list[GripperState | None]:
-    """Gone, open, holding, moving."""
+    """Disconnected, open, holding, moving."""
     open_ = GripperState(True, False, False, False, 85.0, 0.0, None, NOW_S)
     held = replace(open_, holding=True, width_mm=18.0, force_n=40.0)
     return [None, open_, held, replace(open_, moving=True)]
 
 
 def arms() -> list[ArmState | None]:
-    """Gone, at rest, in each of its stops."""
+    """Disconnected, at rest, in each kind of stop."""
     rest = ArmState(50.0, 0.0, False, False, False, NOW_S)
     return [None, rest, replace(rest, protective_stop=True), replace(rest, emergency_stop=True)]
 
 
 def cases() -> list[tuple[GraspState, Observation, GuardParams]]:
-    """Every phase with everything around it."""
+    """Return every phase in combination with modes, gripper and arm states."""
     fault, slip = Fault(FaultCode.ARM_SILENT, "seen", "do"), SlipEpisode(9.0, 9.5, 3.0, 5.0, 0.0)
     made = []
     for phase, mode, guarding, slips, gripper, arm in product(
@@ -61,7 +61,7 @@ def cases() -> list[tuple[GraspState, Observation, GuardParams]]:
 
 
 def told(state: GraspState, observation: Observation, params: GuardParams) -> dict[str, Any]:
-    """What the page is told of it."""
+    """Return the state that the page receives."""
     devices = {"left": object(), "right": object(), "gripper": observation.gripper, "arm": observation.arm}
     gone = [name for name, one in devices.items() if one is None]
     return {
@@ -76,7 +76,7 @@ def granted(state: GraspState, observation: Observation, params: GuardParams, ki
     return answer(state, Command(), replace(observation, request=ControlRequest(kind)), params)[1].refused is None
 
 
-async def test_what_the_law_grants_the_page_lets_ask(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+async def test_the_page_allows_every_command_that_the_controller_grants(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     page = await open_page(control=False)
     every = cases()
     spared = 0

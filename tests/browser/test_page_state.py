@@ -1,4 +1,4 @@
-"""What the page shows is so: a fault appears at once, what is old is never shown as new, a restart is survived."""
+"""The page shows the present state: faults at once, no outdated value as new, also after a restart."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ async def test_a_fault_appears_with_what_to_do_and_is_cleared(running: DaemonPro
     await expect(page.locator("#fault")).to_be_hidden()
 
 
-async def test_a_sensor_that_is_gone_is_named_and_its_picture_is_not_shown(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+async def test_a_disconnected_sensor_is_named_and_its_image_hidden(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.fresh()
     page = await open_page()
     running.order("fail left disconnect")
@@ -68,7 +68,7 @@ async def test_a_sensor_that_is_gone_is_named_and_its_picture_is_not_shown(runni
     await expect(page.locator("#finger-left .stale")).to_contain_text("no new frame for")
 
 
-async def test_a_restart_is_survived_and_the_old_login_is_not(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+async def test_after_a_restart_the_page_reconnects_and_access_has_expired(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.held(again=False)
     page = await open_page(
         expected=("ERR_CONNECTION_REFUSED", "ERR_EMPTY_RESPONSE", "ERR_CONNECTION_RESET", "closed before")
@@ -86,7 +86,7 @@ async def test_a_restart_is_survived_and_the_old_login_is_not(running: DaemonPro
     await expect(page.locator("#phase")).to_have_text("Holding")
 
 
-async def test_without_a_connection_nothing_is_shown_as_if_it_were_so(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+async def test_without_a_connection_no_value_is_shown_as_present(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.held(again=False)
     page = await open_page()
     await expect(page.locator("#force")).to_have_text(re.compile(r"^\d+ N$"))
@@ -107,23 +107,23 @@ async def test_without_a_connection_nothing_is_shown_as_if_it_were_so(running: D
     await expect(page.locator("#connection")).to_have_text("live")
 
 
-async def test_a_page_that_nobody_looks_at_asks_for_no_pictures(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+async def test_a_hidden_page_requests_no_images(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.well()
     page: Page = await open_page()
-    asked: list[str] = []
-    page.on("request", lambda request: "/picture/" in request.url and asked.append(request.url))
+    requested: list[str] = []
+    page.on("request", lambda request: "/picture/" in request.url and requested.append(request.url))
     await page.wait_for_timeout(700)
-    assert 2 <= len(asked) <= 14, "both fingers, eight times a second at most"
+    assert 2 <= len(requested) <= 14, "both fingers, eight times a second at most"
     await page.evaluate(HIDE, True)
     await page.wait_for_timeout(300)
-    asked.clear()
+    requested.clear()
     await page.wait_for_timeout(600)
-    assert not asked
+    assert not requested
     async with page.expect_request("**/picture/right"):
         await page.evaluate(HIDE, False)
 
 
-async def test_a_browser_that_is_not_logged_in_may_only_look(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+async def test_a_browser_without_login_is_read_only(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.well()
     page = await open_page(control=False)
     await expect(page.locator("#login-title")).to_have_text("This page is read-only")

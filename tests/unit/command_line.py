@@ -1,4 +1,4 @@
-"""The command line as a user meets it, in this process."""
+"""Runs the command line in this process."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from slipguard.cli.app import run
 
 @dataclass(frozen=True)
 class Ran:
-    """What one command did."""
+    """Result of one command."""
 
     code: int
     out: str
@@ -20,7 +20,7 @@ class Ran:
 
     @property
     def complaint(self) -> str:
-        """The one line that an expected failure is; anything else fails the test."""
+        """Return the line of an expected failure; anything else fails the test."""
         assert self.code in (1, 2), f"exit code {self.code}"
         assert self.err.startswith("slipguard: "), self.err
         assert self.err.count("\n") == 1, self.err
@@ -29,11 +29,11 @@ class Ran:
 
 
 def slipguard(capfd: pytest.CaptureFixture[str], *words: object) -> Ran:
-    """Run `slipguard WORDS...`; what C libraries write is caught, too."""
+    """Run `slipguard WORDS...`; output of C libraries is captured, too."""
     capfd.readouterr()
     try:
         code = run([str(word) for word in words])
     finally:
         structlog.reset_defaults()
-    said = capfd.readouterr()
-    return Ran(code, said.out, said.err)
+    output = capfd.readouterr()
+    return Ran(code, output.out, output.err)

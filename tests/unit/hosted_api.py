@@ -1,4 +1,4 @@
-"""An API in its own web process, as the daemon has it, before a daemon that is none."""
+"""An API in its own web process, as in the daemon, with a fake daemon behind it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slipguard.web.sockets import bind, bind_tcp
 
 
 class HostedApi:
-    """A served daemon: what it warned of, and where it listens."""
+    """A served daemon: its warnings and addresses."""
 
     def __init__(self, folder: Path, port: int) -> None:
         self.socket, self.token_at = folder / "s", folder / "token"
@@ -52,7 +52,7 @@ async def hosted(daemon: FakeDaemonApi, folder: Path) -> AsyncIterator[HostedApi
 
 
 def web_process() -> int:
-    """The process id of our only child that serves."""
+    """Return the process id of the web process, a child of this process."""
     mine = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
     (found,) = [int(pid) for pid in mine if b"slipguard.web" in Path(f"/proc/{pid}/cmdline").read_bytes()]
     return found

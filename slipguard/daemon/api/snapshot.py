@@ -1,4 +1,4 @@
-"""Everything there is to know about a running service, as JSON can say it."""
+"""The complete state of a running service, as JSON-compatible values: the response of `GET /state`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from slipguard.daemon.loop.service import Service
 
 
 def snapshot(service: Service, gels: Mapping[str, GelCondition]) -> dict[str, object]:
-    """State of the grasp, of each device, and what was said last. Times are of the monotonic clock.
+    """Return the state of the grasp and of each device, and the newest messages.
 
-    now_s: when the loop last took its turn. limits: what the configuration asks for and allows.
+    Times are on the monotonic clock. now_s: start of the last cycle of the loop. limits: from the configuration.
     """
     observation, state, guard = service.observation, service.state, service.config.guard
     fault = state.fault
@@ -54,10 +54,10 @@ def snapshot(service: Service, gels: Mapping[str, GelCondition]) -> dict[str, ob
         },
         "devices": {name: device.health.as_dict() for name, device in service.devices.items()},
         "round_trips": {
-            "gripper": _trips(service.gripper.round_trips_s),
-            "arm": _trips(service.arm.round_trips_s),
+            "gripper": _latency(service.gripper.round_trips_s),
+            "arm": _latency(service.arm.round_trips_s),
         },
-        "latency": _trips(service.latency_stats.latencies_s),
+        "latency": _latency(service.latency_stats.latencies_s),
         "waiting_for": service.waiting_for,
         "deadlines_missed": service.deadlines_missed,
         "messages": service.event_log.lines[-10:],
@@ -73,17 +73,17 @@ def health_problem(service: Service) -> str | None:
     return f"not ready: {'; '.join(waiting)}" if waiting else None
 
 
-def _trips(times_s: Sequence[float]) -> dict[str, float] | None:
-    """How long the newest ones took; None where there is none."""
+def _latency(times_s: Sequence[float]) -> dict[str, float] | None:
+    """Return median and 99th percentile of the newest times; None if there are none."""
     if not times_s:
         return None
     in_order = sorted(times_s)
     p50, p99 = (1e3 * in_order[round(share * (len(in_order) - 1))] for share in (0.5, 0.99))
-    return {"p50_ms": round(p50, 3), "p99_ms": round(p99, 3), "answered": len(in_order)}
+    return {"p50_ms": round(p50, 3), "p99_ms": round(p99, 3), "count": len(in_order)}
 
 
 def _plain(value: Any) -> Any:
-    """Dataclasses as dicts, and what JSON has no number for as None."""
+    """Convert dataclasses to dicts, and infinite numbers and NaN to None."""
     if is_dataclass(value) and not isinstance(value, type):
         return {one.name: _plain(getattr(value, one.name)) for one in fields(value)}
     if isinstance(value, dict):

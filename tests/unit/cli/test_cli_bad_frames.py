@@ -1,4 +1,4 @@
-"""Bad frames and bad networks through `slipguard measure`: one line and exit code 2, never a confident wrong angle."""
+"""Bad frames and networks in `slipguard measure`: one line and exit code 2, never a confident wrong angle."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ def background(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("kind", BAD)
 def test_a_bad_frame_is_named(kind: str, background: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    data, said = BAD[kind]
+    data, output = BAD[kind]
     bad = tmp_path / ("bad.tiff" if kind == "NaN" else "bad.png")
     bad.write_bytes(data)
     ran = slipguard(capfd, "measure", bad, "--background", background, "--json")
     assert ran.complaint.startswith(f"{bad}: ")
-    assert said in ran.complaint
+    assert output in ran.complaint
     assert ran.code == 2
     assert ran.out == ""
     ran = slipguard(capfd, "measure", background, "--background", bad, "--json")
@@ -70,7 +70,7 @@ def test_a_bad_frame_is_named(kind: str, background: Path, tmp_path: Path, capfd
     assert ran.code == 2
 
 
-def test_opaque_rgba_and_4k_upright_are_read_as_the_same_picture(
+def test_opaque_rgba_and_4k_portrait_are_read_as_the_same_image(
     background: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "rgba.png").write_bytes(png(np.dstack([gel(1), np.full((320, 240), 255, np.uint8)])))
@@ -82,7 +82,7 @@ def test_opaque_rgba_and_4k_upright_are_read_as_the_same_picture(
     assert cv2.imread(str(tmp_path / "masks" / "large.png"), cv2.IMREAD_UNCHANGED).shape == (2880, 2160)
 
 
-def test_every_line_has_exactly_the_public_keys(background: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_every_line_has_exactly_the_documented_keys(background: Path, capfd: pytest.CaptureFixture[str]) -> None:
     ran = slipguard(capfd, "measure", background, "--background", background, "--json")
     assert ran.code == 0
     assert ran.err == ""
@@ -116,18 +116,18 @@ MODELS = {
 
 @pytest.mark.parametrize("kind", MODELS)
 def test_a_bad_network_is_named(kind: str, background: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    data, said = MODELS[kind]
+    data, output = MODELS[kind]
     model = tmp_path / "net.onnx"
     if data is not None:
         model.write_bytes(data)
     ran = slipguard(capfd, "measure", background, "--background", background, "--model", model)
     assert ran.complaint.startswith(f"{model}: ")
-    assert said in ran.complaint
+    assert output in ran.complaint
     assert ran.code == 2
 
 
 @pytest.mark.parametrize("option", ["--masks", "--plot"])
-def test_a_place_that_cannot_be_written_to(
+def test_a_folder_that_cannot_be_written_to(
     option: str, background: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("")
@@ -152,7 +152,7 @@ HOSTILE = {
 
 @pytest.mark.parametrize("kind", HOSTILE)
 @pytest.mark.parametrize("known", [True, False], ids=["with background", "without"])
-def test_the_pipeline_refuses_what_is_no_frame_and_goes_on(kind: str, known: bool) -> None:
+def test_the_pipeline_refuses_invalid_frames_and_continues(kind: str, known: bool) -> None:
     pipeline = Pipeline(Segmenter(), PerceptionSettings(), gel(9) if known else None, None, 18.5)
     with pytest.raises(FrameCorrupt):
         pipeline.process(Frame(HOSTILE[kind], 0.0, 0))
@@ -162,12 +162,12 @@ def test_the_pipeline_refuses_what_is_no_frame_and_goes_on(kind: str, known: boo
 
 
 @pytest.mark.parametrize("level", [0, 255])
-def test_a_dark_or_blinded_camera_never_gives_an_angle(level: int) -> None:
+def test_a_dark_or_overexposed_camera_never_gives_an_angle(level: int) -> None:
     pipeline = Pipeline(Segmenter(), PerceptionSettings(), gel(9), None, 18.5)
     for number in range(12):
         try:
-            answer = pipeline.process(Frame(np.full((320, 240, 3), level, np.uint8), 0.03 * number, number))
+            response = pipeline.process(Frame(np.full((320, 240, 3), level, np.uint8), 0.03 * number, number))
         except FrameCorrupt:
             continue
-        assert answer.angle_deg is None
-        assert answer.orientation_deg is None
+        assert response.angle_deg is None
+        assert response.orientation_deg is None

@@ -1,4 +1,4 @@
-"""`slipguard calibrate` against a served daemon: taken, shown, drawn, fetched back."""
+"""`slipguard calibrate` with a served daemon: take, show, plot and restore background images."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ async def calibrate(capfd: pytest.CaptureFixture[str], daemon: FakeDaemonApi, fo
         (["--back-to", "1", "--finger", "left"], RestoreBackgroundRequest(finger="left", number=1)),
     ],
 )
-async def test_what_is_asked_reaches_the_daemon_and_what_is_stored_is_shown(
+async def test_the_request_reaches_the_daemon_and_stored_images_are_shown(
     words: list[str],
     submitted: DaemonRequest,
     daemon: FakeDaemonApi,
@@ -56,7 +56,7 @@ async def test_what_is_asked_reaches_the_daemon_and_what_is_stored_is_shown(
     assert "+0.0 +0.0 +0.0" in ran.out
 
 
-async def test_show_takes_nothing_and_shows_every_image(
+async def test_show_takes_no_images_and_shows_all(
     daemon: FakeDaemonApi, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "120")
@@ -67,7 +67,7 @@ async def test_show_takes_nothing_and_shows_every_image(
     assert "no images were taken" in ran.out
 
 
-async def test_a_picture_of_them_is_drawn(
+async def test_stored_images_are_plotted(
     daemon: FakeDaemonApi, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     ran = await calibrate(capfd, daemon, tmp_path, "--plot", tmp_path / "gels.png")
@@ -78,13 +78,15 @@ async def test_a_picture_of_them_is_drawn(
     assert drawn.std() > 10
 
 
-async def test_programs_get_all_of_it(daemon: FakeDaemonApi, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    told = json.loads((await calibrate(capfd, daemon, tmp_path, "--json")).out)
-    assert set(told["fingers"]) == {"left", "right"}
-    assert [one["number"] for one in told["stored"]["left"]["versions"]] == [1, 2]
+async def test_json_output_is_complete(
+    daemon: FakeDaemonApi, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    received = json.loads((await calibrate(capfd, daemon, tmp_path, "--json")).out)
+    assert set(received["fingers"]) == {"left", "right"}
+    assert [one["number"] for one in received["stored"]["left"]["versions"]] == [1, 2]
 
 
-def test_what_is_stored_is_shown_without_a_sensor_plugged_in(
+def test_stored_images_are_shown_without_a_sensor(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "120")

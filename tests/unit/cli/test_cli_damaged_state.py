@@ -1,4 +1,4 @@
-"""A state directory that something has damaged never stops the daemon: the finger runs, and a calibration mends it."""
+"""A damaged state directory never stops the daemon: the finger runs, and a calibration repairs it."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ def test_the_finger_runs_without_its_damaged_image(
     finally:
         service.close()
         structlog.reset_defaults()
-    said = capfd.readouterr()
-    assert "Traceback" not in said.out + said.err
+    output = capfd.readouterr()
+    assert "Traceback" not in output.out + output.err
     if not (damage is removed and ending == "json"):
-        assert "no_contact-0001" in said.out + said.err
+        assert "no_contact-0001" in output.out + output.err
     state.save_background("SIM-L", BackgroundImage(image, (2.0, 2.0, 2.0), 30))
     again = state.load_background("SIM-L")
     assert again is not None

@@ -1,4 +1,4 @@
-"""Every command has help, and an example in it that the command line accepts as it stands."""
+"""Every command has help with an example that the command line accepts."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_the_help_is_shown(line: str, capfd: pytest.CaptureFixture[str], monkeyp
     assert ran.err == ""
 
 
-def test_a_wrong_example_would_be_noticed() -> None:
+def test_a_wrong_example_is_detected() -> None:
     for wrong in ("slipguard measure frames/ --backgrund bg.png", "slipguard measure", "slipguard ctl guard maybe"):
         with pytest.raises(Exception, match=r"(?i)no such option|missing|not one of"):
             accept(wrong)

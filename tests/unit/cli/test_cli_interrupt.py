@@ -1,4 +1,4 @@
-"""Ctrl-C at random moments: one line, exit code 1, no traceback, no drawing process and no socket left behind."""
+"""Ctrl-C at random times: one line, exit code 1, no traceback, no remaining process or socket."""
 
 from __future__ import annotations
 
@@ -76,9 +76,9 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A home with frames to measure."""
     home = tmp_path_factory.mktemp("cell")
     (home / "frames").mkdir()
-    picture = cv2.imencode(".png", np.random.default_rng(0).integers(60, 120, (320, 240, 3), np.uint8))[1].tobytes()
+    drawn = cv2.imencode(".png", np.random.default_rng(0).integers(60, 120, (320, 240, 3), np.uint8))[1].tobytes()
     for number in range(200):
-        (home / "frames" / f"{number:03d}.png").write_bytes(picture)
+        (home / "frames" / f"{number:03d}.png").write_bytes(drawn)
     return home
 
 
@@ -138,7 +138,7 @@ def test_a_second_daemon_is_refused_a_killed_one_is_replaced(tmp_path_factory: p
         second = start(home, "run", "--sim")
         _, err = second.communicate(timeout=SLOW_S)
         assert second.returncode == 1
-        assert err == f"slipguard: another daemon listens at {socket}; stop it first\n"
+        assert err == f"slipguard: another daemon is listening at {socket}; stop it first\n"
         with Client(socket) as client:
             assert client.state()["phase"] == "idle"
     finally:
@@ -170,7 +170,7 @@ slipguard.cli.app.run = run
 
 
 @pytest.mark.parametrize("kind", ["while importing", "turned into another error"])
-def test_what_libraries_make_of_a_ctrl_c_is_not_shown(kind: str, tmp_path: Path) -> None:
+def test_errors_that_libraries_raise_after_ctrl_c_are_not_shown(kind: str, tmp_path: Path) -> None:
     (tmp_path / "numpy.py").write_text(INTERRUPTS_ITSELF)
     before = SWALLOWED if kind == "turned into another error" else "import sys; sys.path.insert(0, '.')"
     command = [sys.executable, "-c", f"{before}\nfrom slipguard.cli import main\nmain()", "check"]
@@ -180,7 +180,7 @@ def test_what_libraries_make_of_a_ctrl_c_is_not_shown(kind: str, tmp_path: Path)
     assert (done.stdout, done.stderr) == ("", "slipguard: interrupted\n")
 
 
-def test_a_mistake_without_a_ctrl_c_is_not_hidden(tmp_path: Path) -> None:
+def test_an_internal_error_without_ctrl_c_is_not_hidden(tmp_path: Path) -> None:
     before = SWALLOWED.replace("os.kill(os.getpid(), signal.SIGINT)", "raise KeyError")
     command = [sys.executable, "-c", f"{before}\nfrom slipguard.cli import main\nmain()"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)

@@ -1,4 +1,4 @@
-"""Whatever is typed wrong is one line that teaches, exit code 2, and nothing on stdout."""
+"""Wrong usage: one helpful line, exit code 2, and nothing on stdout."""
 
 from __future__ import annotations
 
@@ -82,12 +82,12 @@ CONFIGS = {
 def test_a_bad_configuration_names_file_key_and_value(
     command: str, kind: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    text, said = CONFIGS[kind]
+    text, output = CONFIGS[kind]
     serials = '[left.digit]\nserial = "D1"\n[right.digit]\nserial = "D2"\n[gripper.robotiq]\nport = "/dev/null"\n'
     path = tmp_path / "cell.toml"
     path.write_text(text + (serials + '[arm.ur5]\nhost = "127.0.0.1"\n' if text else ""))
     ran = slipguard(capfd, command, "--config", path)
-    assert said in ran.complaint
+    assert output in ran.complaint
     assert ran.code == 2
     assert [entry.name for entry in tmp_path.iterdir()] == ["cell.toml"]
 
@@ -113,7 +113,7 @@ def test_a_configuration_with_a_byte_order_mark_is_read(capfd: pytest.CaptureFix
 
 
 @pytest.mark.parametrize(
-    ("given", "changed", "said"),
+    ("given", "changed", "output"),
     [
         ("D20479", "D 1", "left.digit.serial = 'D 1': letters and digits"),
         ("192.168.1.10", "a b", "arm.ur5.host = 'a b': must be a host name or an address, without blanks"),
@@ -125,16 +125,16 @@ def test_a_configuration_with_a_byte_order_mark_is_read(capfd: pytest.CaptureFix
         ("/dev/serial", "", "gripper.robotiq.port = ''"),
     ],
 )
-def test_what_can_be_no_device_is_named(
-    given: str, changed: str, said: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+def test_invalid_device_settings_are_named(
+    given: str, changed: str, output: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     path = tmp_path / "cell.toml"
     shipped = (Path(__file__).parents[3] / "config.toml").read_text()
     path.write_text(re.sub(f'"{given}[^"]*"', f'"{changed}"', shipped, count=1))
-    assert said in slipguard(capfd, "check", "--config", path).complaint
+    assert output in slipguard(capfd, "check", "--config", path).complaint
 
 
-def test_check_says_what_the_gripper_cannot(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_check_reports_the_maximum_force_of_the_gripper(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "cell.toml"
     shipped = (Path(__file__).parents[3] / "config.toml").read_text()
     path.write_text(shipped.replace('"2F-85" ', '"2F-140"'))
@@ -179,13 +179,13 @@ def test_ctl_without_a_daemon_says_how_to_start_one(command: str, capfd: pytest.
     assert ran.code == 1
 
 
-def test_ctl_at_something_that_is_no_socket(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_ctl_with_a_path_that_is_not_a_socket(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for place in ("file", "file/below", "x" * 200):
         assert slipguard(capfd, "ctl", "state", "--socket", tmp_path / place).complaint
 
 
-def test_what_the_disk_refuses_is_one_line(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_disk_error_is_one_line(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     ran = slipguard(capfd, "train", "--frames", "64", "--work", tmp_path / "file")
     assert ran.complaint
@@ -198,7 +198,7 @@ def fails_with(error: BaseException) -> Callable[..., Coroutine[None, None, None
     return run
 
 
-def test_what_a_task_of_the_daemon_fails_with_is_one_line(
+def test_a_failed_task_of_the_daemon_is_one_line(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     inner = ExceptionGroup("tasks", [ConfigError("api.socket = x: cannot be made")])
@@ -212,9 +212,7 @@ def test_what_a_task_of_the_daemon_fails_with_is_one_line(
     assert ran.code == 1
 
 
-def test_a_mistake_of_the_program_is_not_hidden(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_internal_error_is_not_hidden(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     both = ExceptionGroup("daemon", [ConfigError("x"), ValueError("a mistake")])
     monkeypatch.setattr(root, "run", fails_with(both))
     with pytest.raises(ExceptionGroup):

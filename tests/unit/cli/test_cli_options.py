@@ -1,4 +1,4 @@
-"""Options that the README shows and no other test of their command uses, each in a short run of its own."""
+"""Options that the documentation shows and no other test uses, each in a short run."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def test_emulate(emulator: str, tmp_path: Path) -> None:
     with subprocess.Popen(
         words, cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as running:
-        said, complaint = running.communicate("quit\n", timeout=60.0)
+        output, complaint = running.communicate("quit\n", timeout=60.0)
     assert (running.returncode, complaint) == (0, "")
-    assert any("ready" in json.loads(line) for line in said.splitlines())
+    assert any("ready" in json.loads(line) for line in output.splitlines())
     if emulator == "cell":
         assert 'mode = "guard"' in (tmp_path / "cell" / "config.toml").read_text()
 
 
-def test_measure_draws_what_it_measured(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_measure_plots_its_results(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     camera = GelCamera(SensorUnit.default(), seed=7)
     for name, view in (("bg", GelView("", depth_mm=-1.0)), ("bar", GelView("bar", angle_deg=20.0, depth_mm=0.8))):
         cv2.imwrite(str(tmp_path / f"{name}.png"), camera.draw(view))
@@ -62,14 +62,14 @@ def test_measure_draws_what_it_measured(tmp_path: Path, capfd: pytest.CaptureFix
 
 
 @pytest.mark.parametrize(("differs", "code"), [(True, 1), (False, 0)])
-def test_replay_against_fails_where_it_differs(
+def test_replay_against_fails_if_commands_differ(
     differs: bool, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked: list[object] = []
+    requested: list[object] = []
     other = [lab.CommandDifference(1.0, Command(), Command(hold_force_n=50.0))] if differs else []
 
     def played(opened: object, model: Path | None) -> lab.ReplayResult:
-        asked.append(model)
+        requested.append(model)
         return lab.ReplayResult(on_recorded=lab.ControllerReplay(3, other))
 
     monkeypatch.setattr(lab, "recordings", lambda files: files)
@@ -78,23 +78,23 @@ def test_replay_against_fails_where_it_differs(
     assert ("hold_force_n=50.0" in capsys.readouterr().out) is differs
     assert run(["replay", "kept", "--model", "other.onnx"]) == 1
     assert "no frame was processed, so the network was not used" in capsys.readouterr().err
-    assert asked == [None, Path("other.onnx")]
+    assert requested == [None, Path("other.onnx")]
 
 
-def test_bench_takes_further_networks_in_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[bench.BenchOptions] = []
+def test_bench_full_compares_further_networks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    requested: list[bench.BenchOptions] = []
 
     def benched(options: bench.BenchOptions, show: object) -> None:
-        asked.append(options)
+        requested.append(options)
         raise SlipguardError("that was enough")
 
     monkeypatch.setattr(bench, "bench", benched)
     assert run(["bench", "--full", "--models", str(tmp_path)]) == 1
     assert run(["bench", "--quick"]) == 1
-    assert [(one.quick, one.models) for one in asked] == [(False, tmp_path), (True, None)]
+    assert [(one.quick, one.models) for one in requested] == [(False, tmp_path), (True, None)]
 
 
-def test_bench_writes_into_no_table_without_markers(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_bench_does_not_write_to_a_file_without_markers(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "page.md").write_text("no markers\n")
     assert run(["bench", "--quick", "--table", str(tmp_path / "page.md")]) == 2
     assert "page.md" in capfd.readouterr().err
@@ -104,7 +104,7 @@ def test_bench_writes_into_no_table_without_markers(tmp_path: Path, capfd: pytes
 @pytest.mark.parametrize(
     "words", [("dataset", "render", "--count", "2", "--cluster"), ("bench", "--grip", "--full", "--cluster")]
 )
-def test_a_cluster_that_does_not_answer(
+def test_a_cluster_that_does_not_respond(
     words: tuple[str, ...], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert run([*words, "nowhere://x", "--out", str(tmp_path / "out")]) == 2
@@ -112,11 +112,11 @@ def test_a_cluster_that_does_not_answer(
     assert why in capfd.readouterr().err
 
 
-def test_evaluate_on_a_cell_gets_camera_and_lens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[object, ...]] = []
+def test_evaluate_on_a_cell_opens_camera_and_intrinsics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    requested: list[tuple[object, ...]] = []
 
-    def on_cell(*told: object) -> None:
-        asked.append(told)
+    def on_cell(*received: object) -> None:
+        requested.append(received)
         raise SlipguardError("that was enough")
 
     monkeypatch.setattr(evaluate, "_run_on_cell", on_cell)
@@ -124,16 +124,16 @@ def test_evaluate_on_a_cell_gets_camera_and_lens(tmp_path: Path, monkeypatch: py
     files: list[Any] = ["--config", "config.toml", "--protocol", tmp_path / "protocol.toml", "--out", tmp_path / "eval"]
     words = ["evaluate", "run", *files, "--camera", "4", "--intrinsics", "camera.json"]
     assert run([str(word) for word in words]) == 1
-    assert asked[0][0] == tmp_path / "eval"
-    assert asked[0][2:] == (Path("config.toml"), "4", Path("camera.json"))
+    assert requested[0][0] == tmp_path / "eval"
+    assert requested[0][2:] == (Path("config.toml"), "4", Path("camera.json"))
 
 
-def test_import_leaves_out_what_is_not_whole(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    picture = np.full((320, 240, 3), 90, np.uint8)
+def test_import_skips_incomplete_pairs(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    drawn = np.full((320, 240, 3), 90, np.uint8)
     for name in ("images/a.png", "images/b.png", "masks/a.png"):
         path = tmp_path / "in" / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(str(path), cv2.circle(picture[..., 0] * 0, (60, 80), 40, 255, -1) if "masks" in name else picture)
+        cv2.imwrite(str(path), cv2.circle(drawn[..., 0] * 0, (60, 80), 40, 255, -1) if "masks" in name else drawn)
     words = ["dataset", "import", str(tmp_path / "in"), "--out", str(tmp_path / "out")]
     assert run(words) == 2
     assert "give --skip" in capfd.readouterr().err

@@ -1,4 +1,4 @@
-"""`slipguard ctl state` for people: whatever state the daemon is in, one screen says it."""
+"""The table of `slipguard ctl state`, in every state of the daemon."""
 
 from __future__ import annotations
 
@@ -54,16 +54,16 @@ HELD: dict[str, Any] = {
 }  # fmt: skip
 
 
-def shown(answer: dict[str, Any], width: int = 80) -> str:
+def shown(response: dict[str, Any], width: int = 80) -> str:
     console = Console(width=width, highlight=False, color_system=None)
     with console.capture() as capture:
-        console.print(state_table(answer))
+        console.print(state_table(response))
     text = capture.get()
     assert all(len(line) <= width for line in text.splitlines())
     return " ".join(text.split())
 
 
-def test_what_is_held_and_how_the_devices_are() -> None:
+def test_grasp_and_devices_are_shown() -> None:
     text = shown(HELD)
     assert "lifting (mode lift, guarding, slipping)" in text
     assert "rotation +12.3° ± 0.4°, from left and right; translational slip +0.3 mm" in text
@@ -110,7 +110,7 @@ CHANGES: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_every_other_state_is_said_in_words(change: str) -> None:
+def test_every_other_state_has_a_text(change: str) -> None:
     different, expected = CHANGES[change]
     assert expected in shown(HELD | different)
 
@@ -123,15 +123,15 @@ def test_a_service_that_has_just_started_can_be_shown() -> None:
             world=World(seed=0),
             make_worker=lambda name: FixedLatencyWorker(0.006),
         )
-        answer: dict[str, Any] = json.loads(json.dumps(snapshot(service, {})))
-        return answer
+        response: dict[str, Any] = json.loads(json.dumps(snapshot(service, {})))
+        return response
 
     text = shown(asyncio.run(main()))
     assert "idle (mode lift, guarding)" in text
     assert text.count("disconnected not tried yet") == 4
 
 
-def test_what_a_sensor_does_not_give_as_asked_is_shown() -> None:
+def test_remarks_of_a_sensor_are_shown() -> None:
     left = HELD["fingers"]["left"] | {"remarks": ["only 45 of 60 frames a second come from the camera"]}
     assert "only 45 of 60 frames a second come from the camera" in shown(HELD | {"fingers": {"left": left}})
 

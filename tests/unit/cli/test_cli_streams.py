@@ -1,4 +1,4 @@
-"""The command line where its output goes to something poor: another encoding, or nowhere at all."""
+"""The command line with another encoding of its output, or without output."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CONFIG = Path(__file__).parents[3] / "config.toml"
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
-def test_a_terminal_without_the_characters_costs_no_result(encoding: str) -> None:
+def test_a_terminal_with_few_characters_still_shows_the_result(encoding: str) -> None:
     command = [sys.executable, "-c", MAIN, "check", "--config", CONFIG]
     environment = os.environ | {"PYTHONIOENCODING": encoding, "COLUMNS": "60"}
     done = subprocess.run(command, capture_output=True, env=environment, timeout=60, check=False)
@@ -22,7 +22,7 @@ def test_a_terminal_without_the_characters_costs_no_result(encoding: str) -> Non
     assert "the configuration is valid" in done.stdout.decode(encoding)
 
 
-def test_a_closed_output_is_no_mistake_of_the_program() -> None:
+def test_a_closed_output_is_not_an_internal_error() -> None:
     command = f"exec {sys.executable} -c '{MAIN}' version >&-"
     done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, b"")

@@ -1,4 +1,4 @@
-"""`slipguard ctl` against a served daemon, as a person runs it."""
+"""`slipguard ctl` with a served daemon."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ async def test_commands(words: list[str], submitted: DaemonRequest, daemon: Fake
     assert "message" in json.loads(output)
 
 
-async def test_state_for_people_and_programs(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_state_as_table_and_as_json(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     _, output = await ctl(daemon, tmp_path, "state")
     assert "holding" in output
     assert "gripped" in output
@@ -78,7 +78,7 @@ async def test_state_for_people_and_programs(daemon: FakeDaemonApi, tmp_path: Pa
     assert json.loads(output) == daemon.snapshot()
 
 
-async def test_a_release_is_asked_for_twice(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_a_release_needs_confirmation(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     code, _ = await ctl(daemon, tmp_path, "release", typed="n\n")
     assert code == 1
     assert daemon.requests == []
@@ -91,7 +91,7 @@ async def test_a_release_is_asked_for_twice(daemon: FakeDaemonApi, tmp_path: Pat
     assert daemon.requests == [ReleaseRequest(confirm=True)]
 
 
-async def test_a_refusal_comes_through(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_a_refusal_is_raised(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     daemon.failure = CommandRefused("cannot lift while idle")
     with pytest.raises(CommandRefused, match="cannot lift while idle"):
         await ctl(daemon, tmp_path, "lift")
@@ -132,7 +132,7 @@ async def test_the_refusal_is_one_line_and_exit_code_1(daemon: FakeDaemonApi, tm
     assert errors.decode() == "slipguard: refused: cannot clear: no fault is latched\n"
 
 
-def test_where_the_daemon_is_looked_for(tmp_path: Path) -> None:
+def test_where_the_daemon_is_searched(tmp_path: Path) -> None:
     assert running_socket(environ={"HOME": str(tmp_path)}) == tmp_path / ".local/state/slipguard/slipguard.sock"
     assert running_socket(environ={"RUNTIME_DIRECTORY": "/run/x", "HOME": "/h"}) == Path("/run/x/slipguard.sock")
 
@@ -197,7 +197,7 @@ def test_root_opens_no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "open the link in your own browser" in str(result.exception)
 
 
-def test_whom_to_ask_is_said_once() -> None:
+def test_conflicting_or_invalid_addresses_are_refused() -> None:
     for line, why in (
         (["--url", "http://127.0.0.1:1", "--socket", "s", "state"], "cannot be combined"),
         (["--url", "http://127.0.0.1:1", "state", "--socket", "s"], "cannot be combined"),
@@ -213,7 +213,7 @@ def test_whom_to_ask_is_said_once() -> None:
         assert why in str(result.exception), line
 
 
-def test_a_token_nobody_named_stays_on_this_machine(nowhere: Path) -> None:
+def test_the_default_token_is_only_sent_to_this_machine(nowhere: Path) -> None:
     (nowhere / "token").write_text("secret\n")
     assert paths.token_for("http://127.0.0.1:8470") == "secret"
     assert paths.token_for("http://[::1]:8470") == "secret"
@@ -222,7 +222,7 @@ def test_a_token_nobody_named_stays_on_this_machine(nowhere: Path) -> None:
         assert paths.token_for(foreign) is None
 
 
-async def test_a_socket_named_before_the_command_counts_too(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_the_socket_option_is_accepted_before_the_command(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     async with served(daemon, tmp_path / "s") as path:
         result = await asyncio.to_thread(CliRunner().invoke, app, ["--socket", str(path), "clear"])
     assert (result.exit_code, result.output) == (0, "clear: done\n")

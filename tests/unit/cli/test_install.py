@@ -1,4 +1,4 @@
-"""`slipguard install`: what it puts where, what it leaves alone, and what it refuses; all under a root of its own."""
+"""`slipguard install` below a temporary root: installed files, kept files, refusals."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def files(root: Path) -> dict[str, str]:
     return {str(path.relative_to(root)): path.read_text() for path in root.rglob("*") if path.is_file()}
 
 
-def test_unit_rules_and_a_configuration_are_put_in_place(root: Path, install) -> None:  # type: ignore[no-untyped-def]
+def test_unit_rules_and_configuration_are_installed(root: Path, install) -> None:  # type: ignore[no-untyped-def]
     ran = install()
     assert (ran.code, ran.err) == (0, "")
     assert set(files(root)) == {str(path) for path in PLACES.values()}
@@ -60,14 +60,14 @@ def test_a_second_time_changes_nothing(root: Path, install) -> None:  # type: ig
     assert {path: path.stat().st_mtime_ns for path in root.rglob("*")} == before
 
 
-def test_a_dry_run_shows_all_and_does_nothing(root: Path, install) -> None:  # type: ignore[no-untyped-def]
+def test_a_dry_run_shows_all_steps_and_changes_nothing(root: Path, install) -> None:  # type: ignore[no-untyped-def]
     ran = install("--dry-run")
     assert ran.code == 0
     assert ran.out.count("would write") == 3
     assert list(root.iterdir()) == []
 
 
-def test_what_it_would_replace_is_shown_as_a_difference(root: Path, install) -> None:  # type: ignore[no-untyped-def]
+def test_a_dry_run_shows_replaced_files_as_a_diff(root: Path, install) -> None:  # type: ignore[no-untyped-def]
     install()
     unit = root / UNIT_FILE
     unit.write_text(unit.read_text().replace("WatchdogSec=3", "WatchdogSec=30"))
@@ -79,7 +79,7 @@ def test_what_it_would_replace_is_shown_as_a_difference(root: Path, install) -> 
     assert "WatchdogSec=3\n" in unit.read_text()
 
 
-def test_a_configuration_that_is_there_is_never_overwritten(  # type: ignore[no-untyped-def]
+def test_an_existing_configuration_is_never_overwritten(  # type: ignore[no-untyped-def]
     root: Path, tmp_path: Path, install
 ) -> None:
     mine = tmp_path / "mine.toml"
@@ -103,7 +103,7 @@ def test_a_wrong_configuration_is_not_installed(root: Path, tmp_path: Path, inst
     assert list(root.iterdir()) == []
 
 
-def test_uninstall_leaves_the_configuration(root: Path, install) -> None:  # type: ignore[no-untyped-def]
+def test_uninstall_keeps_the_configuration(root: Path, install) -> None:  # type: ignore[no-untyped-def]
     install()
     ran = install("--uninstall")
     assert ran.code == 0
@@ -112,10 +112,10 @@ def test_uninstall_leaves_the_configuration(root: Path, install) -> None:  # typ
     assert install("--uninstall").code == 0
 
 
-def test_programs_get_one_object(install) -> None:  # type: ignore[no-untyped-def]
-    told = json.loads(install("--json", "--dry-run").out)
-    assert told["dry_run"] is True
-    assert [step["do"] for step in told["steps"]] == ["write"] * 3 + ["skip"] * 5
+def test_json_is_one_object(install) -> None:  # type: ignore[no-untyped-def]
+    received = json.loads(install("--json", "--dry-run").out)
+    assert received["dry_run"] is True
+    assert [step["do"] for step in received["steps"]] == ["write"] * 3 + ["skip"] * 5
 
 
 @pytest.mark.parametrize("prefix", ["/opt/my robots", "/opt/100%", '/opt/"x"'])
@@ -126,7 +126,7 @@ def test_a_path_that_systemd_would_misread_is_refused(
     assert "needs an absolute path without spaces, quotes, % and $" in ran.complaint
 
 
-def test_a_root_that_is_not_there_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_root_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     ran = slipguard(capfd, "install", "--root", tmp_path / "nowhere")
     assert "nowhere: no such folder" in ran.complaint
 
@@ -137,7 +137,7 @@ def test_root_is_needed_for_this_machine(monkeypatch: pytest.MonkeyPatch, capfd:
     assert "needs root: run `sudo " in slipguard(capfd, "install").complaint
 
 
-def test_a_program_that_the_service_cannot_see_is_refused(
+def test_a_program_that_the_service_cannot_access_is_refused(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 0)
@@ -147,7 +147,7 @@ def test_a_program_that_the_service_cannot_see_is_refused(
     assert "not possible: " in slipguard(capfd, "install", "--prefix", "/home/me", "--dry-run").err
 
 
-def test_a_closed_folder_is_out_of_reach(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_closed_to_other_users_is_inaccessible(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(installation, "HIDDEN", ())
     program = tmp_path / "bin" / "slipguard"
     program.parent.mkdir()

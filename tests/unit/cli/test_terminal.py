@@ -1,4 +1,4 @@
-"""A question at a terminal: only an answer given after it counts, and nothing keeps a Ctrl-C waiting."""
+"""Questions on the terminal: earlier input does not count, and Ctrl-C takes effect at once."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ import pytest
 from slipguard.cli.terminal import ask
 
 
-async def test_neither_enter_nor_what_was_typed_ahead_opens_the_jaws(
+async def test_neither_enter_nor_earlier_input_confirms(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     person, terminal = pty.openpty()
     with os.fdopen(terminal) as stdin:
         monkeypatch.setattr(sys, "stdin", stdin)
         os.write(person, b"release\n")
-        asking = asyncio.create_task(ask("the jaws open", "release"))
-        await _quiet(asking)
+        pending = asyncio.create_task(ask("the jaws open", "release"))
+        await _quiet(pending)
         os.write(person, b"\n")
-        await _quiet(asking)
+        await _quiet(pending)
         os.write(person, b"release\n")
-        assert await asking
+        assert await pending
         going_on = asyncio.create_task(ask("place it", ""))
         await _quiet(going_on)
         os.write(person, b"q\n")
@@ -39,7 +39,7 @@ async def test_neither_enter_nor_what_was_typed_ahead_opens_the_jaws(
     assert "type release and Enter" in capsys.readouterr().out
 
 
-async def test_input_from_a_file_ends_with_a_no(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_end_of_an_input_file_is_a_no(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "answers").write_text("\nrelease")
     with os.fdopen(os.open(tmp_path / "answers", os.O_RDONLY)) as stdin:
         monkeypatch.setattr(sys, "stdin", stdin)
@@ -48,8 +48,8 @@ async def test_input_from_a_file_ends_with_a_no(tmp_path: Path, monkeypatch: pyt
         assert not await ask("place it", "")
 
 
-async def _quiet(asking: asyncio.Task[bool]) -> None:
+async def _quiet(pending: asyncio.Task[bool]) -> None:
     """The question has had its chance and still waits."""
     for _ in range(20):
         await asyncio.sleep(0.001)
-    assert not asking.done()
+    assert not pending.done()

@@ -1,4 +1,4 @@
-"""The local API on a real Unix socket: what is granted, what is refused, and what is left behind."""
+"""The local API on a real Unix socket: requests, errors, and the socket's file."""
 
 from __future__ import annotations
 
@@ -106,7 +106,9 @@ async def test_a_frame_comes_as_a_png_with_its_sensor_number_and_time(daemon: Fa
         await on_socket(daemon, tmp_path, lambda client: client.frame("right"))
 
 
-async def test_a_refusal_and_a_device_error_come_through_in_words(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_the_client_raises_refusals_and_device_errors_with_their_text(
+    daemon: FakeDaemonApi, tmp_path: Path
+) -> None:
     daemon.failure = CommandRefused("cannot lift while idle")
     with pytest.raises(CommandRefused, match=r"^cannot lift while idle$"):
         await on_socket(daemon, tmp_path, lambda client: client.submit(LiftRequest()))
@@ -139,7 +141,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("method", "path", "body", "status", "says"), BAD)
-async def test_bad_requests_change_nothing_and_are_answered_in_one_line(
+async def test_invalid_requests_change_nothing_and_return_one_line(
     method: str, path: str, body: str, status: int, says: str, daemon: FakeDaemonApi
 ) -> None:
     async with in_memory(daemon) as http:
@@ -151,7 +153,7 @@ async def test_bad_requests_change_nothing_and_are_answered_in_one_line(
     assert daemon.requests == []
 
 
-async def test_a_mistake_of_ours_is_one_line_too(daemon: FakeDaemonApi) -> None:
+async def test_an_internal_error_is_one_line_too(daemon: FakeDaemonApi) -> None:
     daemon.failure = KeyError("secret detail")
     async with in_memory(daemon) as http:
         response = await http.post("/clear")
@@ -159,14 +161,18 @@ async def test_a_mistake_of_ours_is_one_line_too(daemon: FakeDaemonApi) -> None:
     assert response.json() == {"error": "/clear failed inside the daemon (KeyError); see the daemon's log"}
 
 
-async def test_the_socket_is_for_owner_and_group_and_is_gone_afterwards(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_the_socket_is_for_owner_and_group_and_is_removed_afterwards(
+    daemon: FakeDaemonApi, tmp_path: Path
+) -> None:
     path = tmp_path / "run" / "s"
     async with served(daemon, path):
         assert stat.S_IMODE(path.stat().st_mode) == 0o660
     assert not path.exists()
 
 
-async def test_a_dead_daemons_socket_is_replaced_and_a_live_ones_is_not(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_the_socket_of_a_dead_daemon_is_replaced_that_of_a_live_one_is_not(
+    daemon: FakeDaemonApi, tmp_path: Path
+) -> None:
     path = tmp_path / "s"
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(str(path))
@@ -176,7 +182,7 @@ async def test_a_dead_daemons_socket_is_replaced_and_a_live_ones_is_not(daemon: 
         assert await asyncio.to_thread(lambda: _state(path)) == daemon.snapshot()
 
 
-def test_sockets_that_cannot_be(tmp_path: Path) -> None:
+def test_invalid_socket_paths_are_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     with pytest.raises(ConfigError, match="not a socket"):
         bind(tmp_path / "file")
@@ -187,7 +193,7 @@ def test_sockets_that_cannot_be(tmp_path: Path) -> None:
         bind(tmp_path / ("x" * 120))
 
 
-async def test_stopping_waits_for_a_short_answer_and_not_for_an_idle_client(
+async def test_stopping_waits_for_a_short_response_but_not_for_an_idle_client(
     daemon: FakeDaemonApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
@@ -196,9 +202,9 @@ async def test_stopping_waits_for_a_short_answer_and_not_for_an_idle_client(
     daemon.delay_s = 0.3
     async with served(daemon, tmp_path / "s") as path:
         _, idle = await asyncio.open_unix_connection(path)
-        asking = asyncio.create_task(asyncio.to_thread(lambda: _clear(path)))
+        pending = asyncio.create_task(asyncio.to_thread(lambda: _clear(path)))
         await daemon.started.wait()
-    assert await asking == {"message": "clear: done"}
+    assert await pending == {"message": "clear: done"}
     idle.close()
     await idle.wait_closed()
 
@@ -212,7 +218,7 @@ async def test_without_a_daemon_the_client_says_how_to_start_one(tmp_path: Path)
         client.state()
 
 
-async def test_a_stranger_on_the_socket_is_not_believed(tmp_path: Path) -> None:
+async def test_another_server_on_the_socket_is_detected(tmp_path: Path) -> None:
     async def stranger(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await reader.readuntil(b"\r\n\r\n")
         writer.write(b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nhi")
@@ -229,10 +235,10 @@ async def test_many_clients_at_once(daemon: FakeDaemonApi, tmp_path: Path) -> No
     async with served(daemon, tmp_path / "s") as path:
         transport = httpx.AsyncHTTPTransport(uds=str(path))
         async with httpx.AsyncClient(transport=transport, base_url="http://slipguard") as http:
-            answers = await asyncio.gather(*(http.post("/lift", json={"height_mm": n}) for n in range(1, 51)))
-    assert [answer.status_code for answer in answers] == [200] * 50
+            responses = await asyncio.gather(*(http.post("/lift", json={"height_mm": n}) for n in range(1, 51)))
+    assert [response.status_code for response in responses] == [200] * 50
     assert sorted(request.height_mm for request in daemon.requests) == [float(n) for n in range(1, 51)]  # type: ignore[attr-defined]
-    assert json.loads(answers[0].content) == {"message": "lift: done"}
+    assert json.loads(responses[0].content) == {"message": "lift: done"}
 
 
 def _state(path: Path) -> dict[str, Any]:
@@ -248,7 +254,7 @@ def _clear(path: Path) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("number", "taken"), [("3", True), ("3.0", True), ("3.5", False), ("true", False), ("NaN", False)]
 )
-def test_a_whole_number_is_one_however_it_is_written(number: str, taken: bool) -> None:
+def test_an_integer_may_be_written_with_a_decimal_point(number: str, taken: bool) -> None:
     body = '{"finger": "left", "number": %s}' % number  # noqa: UP031
     if taken:
         assert RestoreBackgroundRequest.model_validate_json(body) == RestoreBackgroundRequest(finger="left", number=3)

@@ -1,4 +1,4 @@
-"""What was given up, or reported as failed, never comes true later: whoever was stopped, killed or slow meanwhile."""
+"""A request that was abandoned, or reported as failed, is never executed later."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def asked_and_gone(path: Path) -> None:
         client.sendall(RELEASE)
 
 
-async def test_a_release_given_up_while_nobody_served_is_not_done(
+async def test_a_release_abandoned_while_no_process_served_is_not_executed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(host, "RETRY_S", 0.1)
@@ -44,7 +44,7 @@ async def test_a_release_given_up_while_nobody_served_is_not_done(
     assert daemon.requests == [ClearRequest()]
 
 
-async def test_a_release_given_up_while_the_web_process_was_stopped_is_not_done(tmp_path: Path) -> None:
+async def test_a_release_abandoned_while_the_web_process_was_suspended_is_not_executed(tmp_path: Path) -> None:
     daemon = FakeDaemonApi()
     async with hosted(daemon, tmp_path) as served:
         with served.client() as client:
@@ -58,7 +58,7 @@ async def test_a_release_given_up_while_the_web_process_was_stopped_is_not_done(
     assert daemon.requests == [ClearRequest()]
 
 
-async def test_a_command_that_the_daemon_comes_to_too_late_is_not_done(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_request_that_reaches_the_daemon_too_late_is_not_executed(monkeypatch: pytest.MonkeyPatch) -> None:
     daemon = FakeDaemonApi()
     ours, theirs = socket.socketpair()
     reader, writer = await asyncio.open_connection(sock=ours)
@@ -69,7 +69,7 @@ async def test_a_command_that_the_daemon_comes_to_too_late_is_not_done(monkeypat
     with pytest.raises(SlipguardError, match="did not respond"):
         await proxy.submit(ReleaseRequest(confirm=True))
     there, back = await asyncio.open_connection(sock=theirs)
-    answering = asyncio.create_task(serve_web_process(daemon, there, back))
+    serving_task = asyncio.create_task(serve_web_process(daemon, there, back))
     monkeypatch.undo()
     monkeypatch.setattr(daemon_proxy, "REQUEST_DELIVERY_S", -1.0)
     with pytest.raises(CommandRefused, match="release: reached the daemon too late and was not executed"):
@@ -77,9 +77,9 @@ async def test_a_command_that_the_daemon_comes_to_too_late_is_not_done(monkeypat
     monkeypatch.setattr(daemon_proxy, "REQUEST_DELIVERY_S", 60.0)
     assert await proxy.submit(ClearRequest()) == {"message": "clear: done"}
     assert daemon.requests == [ClearRequest()]
-    for task in (hearing, answering):
+    for task in (hearing, serving_task):
         task.cancel()
-    await asyncio.gather(hearing, answering, return_exceptions=True)
+    await asyncio.gather(hearing, serving_task, return_exceptions=True)
     for one in (writer, back):
         one.close()
         await one.wait_closed()

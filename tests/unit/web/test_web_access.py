@@ -1,4 +1,4 @@
-"""Commands over TCP: on a real port, with the requests that a foreign page in the operator's browser could send."""
+"""Access control on a real port, with requests that another page in the operator's browser could send."""
 
 from __future__ import annotations
 
@@ -55,26 +55,26 @@ REFUSED = [
 ]
 
 
-async def test_commands_that_are_not_ours_change_nothing(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_commands_without_valid_credentials_change_nothing(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     commands = [("/release", {"confirm": True}), ("/page-link", None)]
     async with served_on_tcp(daemon, tmp_path) as (port, _):
         for headers, status in REFUSED:
-            told = {name: value.format(port=port).encode() for name, value in headers.items()}
+            received = {name: value.format(port=port).encode() for name, value in headers.items()}
             for path, body in commands:
-                answer = await ask(port, "POST", path, told, json=body)  # type: ignore[arg-type]
-                assert answer.status_code == status, (headers, answer.text)
-                assert set(answer.json()) == {"error"}
-                assert "\n" not in answer.json()["error"]
-                assert not any(name.startswith("access-control") for name in answer.headers)
+                response = await ask(port, "POST", path, received, json=body)  # type: ignore[arg-type]
+                assert response.status_code == status, (headers, response.text)
+                assert set(response.json()) == {"error"}
+                assert "\n" not in response.json()["error"]
+                assert not any(name.startswith("access-control") for name in response.headers)
     assert daemon.requests == []
 
 
-async def test_ours_are_done(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_commands_with_valid_credentials_are_executed(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     async with served_on_tcp(daemon, tmp_path) as (port, _):
         for host in (f"127.0.0.1:{port}", f"localhost:{port}"):
             for more in ({}, {"origin": f"http://{host}"}, {"sec-fetch-site": "same-origin"}):
-                answer = await ask(port, "POST", "/release", BEARER | {"host": host} | more, json={"confirm": True})
-                assert answer.json() == {"message": "release: done"}
+                response = await ask(port, "POST", "/release", BEARER | {"host": host} | more, json={"confirm": True})
+                assert response.json() == {"message": "release: done"}
     assert len(daemon.requests) == 6
 
 
@@ -82,7 +82,7 @@ READS = ("/state", "/healthz", "/access", "/picture/left", "/frame/left", "/metr
 
 
 @pytest.mark.parametrize("path", READS)
-async def test_what_only_tells_needs_no_token_but_our_name(path: str, daemon: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_reading_needs_no_token_but_the_right_host_name(path: str, daemon: FakeDaemonApi, tmp_path: Path) -> None:
     async with served_on_tcp(daemon, tmp_path) as (port, _):
         assert (await ask(port, "GET", path)).status_code == 200
         for headers in (
@@ -94,32 +94,32 @@ async def test_what_only_tells_needs_no_token_but_our_name(path: str, daemon: Fa
             assert (await ask(port, "GET", path, headers)).status_code == 403, headers
 
 
-async def test_no_page_may_frame_or_embed_ours(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_other_pages_may_not_frame_or_embed_the_page(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     async with served_on_tcp(daemon, tmp_path) as (port, _):
         for path in ("/", "/picture/left", "/nowhere"):
-            told = (await ask(port, "GET", path)).headers
-            assert "frame-ancestors 'none'" in told["content-security-policy"]
-            assert told["x-frame-options"] == "DENY"
-            assert told["cross-origin-resource-policy"] == "same-origin"
-            assert told["x-content-type-options"] == "nosniff"
+            received = (await ask(port, "GET", path)).headers
+            assert "frame-ancestors 'none'" in received["content-security-policy"]
+            assert received["x-frame-options"] == "DENY"
+            assert received["cross-origin-resource-policy"] == "same-origin"
+            assert received["x-content-type-options"] == "nosniff"
 
 
-async def test_a_link_gives_control_once_and_to_a_browser_of_ours(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_a_link_gives_control_once(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     async with served_on_tcp(daemon, tmp_path) as (port, access):
         url = (await ask(port, "POST", "/page-link", BEARER)).json()["url"]
         async with httpx.AsyncClient(trust_env=False) as browser:
             assert (await browser.get(f"http://127.0.0.1:{port}/access")).json() == {"control": False}
-            answer = await browser.get(url)
-            assert (answer.status_code, answer.headers["location"]) == (303, f"/#session={access.session_key}")
+            response = await browser.get(url)
+            assert (response.status_code, response.headers["location"]) == (303, f"/#session={access.session_key}")
             session = {"x-slipguard-session": access.session_key}
             for word in ("HttpOnly", "SameSite=strict", "Path=/"):
-                assert word in answer.headers["set-cookie"]
-            assert TOKEN not in answer.headers["set-cookie"]
+                assert word in response.headers["set-cookie"]
+            assert TOKEN not in response.headers["set-cookie"]
             assert (await browser.get(f"http://127.0.0.1:{port}/access")).json() == {"control": False}
             stolen = await browser.post(f"http://127.0.0.1:{port}/clear")
             assert stolen.status_code == 401, "whoever listens at another port of this machine is sent the cookie too"
-            told = await browser.get(f"http://127.0.0.1:{port}/access", headers=session)
-            assert told.json() == {"control": True}
+            received = await browser.get(f"http://127.0.0.1:{port}/access", headers=session)
+            assert received.json() == {"control": True}
             origin = {"origin": f"http://127.0.0.1:{port}"}
             done = await browser.post(f"http://127.0.0.1:{port}/clear", headers=origin | session)
             assert done.json() == {"message": "clear: done"}
@@ -140,7 +140,7 @@ async def test_a_link_gives_control_once_and_to_a_browser_of_ours(daemon: FakeDa
     assert daemon.requests == [ClearRequest()]
 
 
-def test_links_end() -> None:
+def test_links_expire() -> None:
     now_s = [0.0]
     access = Access(TOKEN, ("127.0.0.1", 8470), lambda: now_s[0])
     codes = [access.make_link().partition("token=")[2] for _ in range(LINKS_MAX + 1)]
@@ -152,7 +152,7 @@ def test_links_end() -> None:
     assert access.redeem("") is None
 
 
-def test_links_name_an_address_that_can_be_opened() -> None:
+def test_links_contain_a_reachable_address() -> None:
     assert Access(TOKEN, ("127.0.0.1", 8470)).make_link().startswith("http://127.0.0.1:8470/login?token=")
     assert Access(TOKEN, ("::1", 8470)).make_link().startswith("http://[::1]:8470/login?token=")
     assert Access(TOKEN, ("0.0.0.0", 8470)).make_link().startswith(f"http://{os.uname().nodename}:8470/login?token=")
@@ -175,16 +175,16 @@ HOSTS = [
 ]
 
 
-@pytest.mark.parametrize(("listening", "asked", "ours"), HOSTS)
-def test_names_that_are_ours(listening: str, asked: str, ours: bool) -> None:
+@pytest.mark.parametrize(("listening", "requested", "ours"), HOSTS)
+def test_accepted_host_names(listening: str, requested: str, ours: bool) -> None:
     from starlette.datastructures import Headers
 
     access = Access(TOKEN, (listening, 8470))
-    objection = access.find_objection({"type": "http", "method": "GET"}, Headers({"host": asked}))
+    objection = access.find_objection({"type": "http", "method": "GET"}, Headers({"host": requested}))
     assert (objection is None) is ours, objection
 
 
-async def test_two_hosts_are_none(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_two_host_headers_are_refused(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     async with served_on_tcp(daemon, tmp_path) as (port, _):
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         own = f"host: 127.0.0.1:{port}\r\n"
@@ -194,7 +194,7 @@ async def test_two_hosts_are_none(daemon: FakeDaemonApi, tmp_path: Path) -> None
         await writer.wait_closed()
 
 
-async def test_a_foreign_page_gets_no_live_stream(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+async def test_another_page_gets_no_live_stream(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     async with served_on_tcp(daemon, tmp_path) as (port, _):
         url = f"ws://127.0.0.1:{port}/live"
         for foreign in ("http://evil.example", "null", "http://127.0.0.1:1"):
@@ -208,7 +208,7 @@ async def test_a_foreign_page_gets_no_live_stream(daemon: FakeDaemonApi, tmp_pat
             assert '"history"' in await socket.recv(decode=True)
 
 
-def test_the_token_is_for_its_owner_new_each_time_and_gone_afterwards(tmp_path: Path) -> None:
+def test_the_token_file_is_private_new_each_time_and_removed_afterwards(tmp_path: Path) -> None:
     path = tmp_path / "run" / "token"
     with token_file(path) as first:
         assert len(first) == 64

@@ -1,6 +1,6 @@
-"""The OpenAPI document against the API: requests made up from it, good and bad, on a real port with the token.
+"""The API matches its OpenAPI document: generated valid and invalid requests, on a real port with the token.
 
-`pytest tests/unit/web/test_web_contract.py --api-examples 500` tries for longer.
+`pytest tests/unit/web/test_web_contract.py --api-examples 500` tries more requests.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import pytest
 from fake_daemon_api import TOKEN, FakeDaemonApi, served_on_tcp
 
 
-async def test_every_route_keeps_its_word(tmp_path: Path, pytestconfig: pytest.Config) -> None:
-    """No server error; statuses, types, headers and bodies as described; bad requests refused; the token asked for."""
+async def test_every_route_matches_its_description(tmp_path: Path, pytestconfig: pytest.Config) -> None:
+    """No server error; statuses, types, headers and bodies as described; invalid requests refused; token required."""
     daemon = FakeDaemonApi()
     async with served_on_tcp(daemon, tmp_path) as (port, _):
         trial = await asyncio.create_subprocess_exec(
@@ -26,8 +26,8 @@ async def test_every_route_keeps_its_word(tmp_path: Path, pytestconfig: pytest.C
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.STDOUT,
         )
-        said, _ = await trial.communicate()
-    assert trial.returncode == 0, said.decode()
+        output, _ = await trial.communicate()
+    assert trial.returncode == 0, output.decode()
     assert {request.kind for request in daemon.requests} >= {
         "grasp",
         "lift",

@@ -1,4 +1,4 @@
-"""The web process fails in every way there is: the daemon beside it says so, starts another, and goes on."""
+"""Failures of the web process: the daemon warns, restarts it, and continues."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from slipguard.web.sockets import bind
 GARBAGE = "#!{}\nimport os, sys, time\nos.write(int(sys.argv[4]), b'x' * 64)\ntime.sleep(600)\n"
 
 
-async def test_garbage_and_a_process_that_cannot_be_started_end_nothing(
+async def test_invalid_messages_and_a_failed_start_are_survived(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "served").mkdir()
@@ -34,9 +34,11 @@ async def test_garbage_and_a_process_that_cannot_be_started_end_nothing(
     daemon = FakeDaemonApi()
     monkeypatch.setattr(sys, "executable", str(speaking))
     async with hosted(daemon, tmp_path / "served") as served:
-        await wait_until(served.serving, lambda: len(served.warnings) == 1, 30.0, "no word of the garbage")
+        await wait_until(
+            served.serving, lambda: len(served.warnings) == 1, 30.0, "no warning about the invalid message"
+        )
         monkeypatch.setattr(sys, "executable", str(tmp_path / "nowhere"))
-        await wait_until(served.serving, lambda: len(served.warnings) == 2, 30.0, "no word of the failed start")
+        await wait_until(served.serving, lambda: len(served.warnings) == 2, 30.0, "no warning about the failed start")
         monkeypatch.undo()
         with served.client() as client:
             assert await asyncio.to_thread(client.submit, ClearRequest()) == {"message": "clear: done"}
@@ -47,20 +49,22 @@ async def test_garbage_and_a_process_that_cannot_be_started_end_nothing(
         assert not any("\n" in line for line in served.warnings)
 
 
-async def test_a_web_process_that_hangs_is_replaced_and_does_nothing_later(
+async def test_a_web_process_that_hangs_is_replaced_and_executes_nothing_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(daemon_endpoint, "SILENCE_MAX_S", 2.0)
+    monkeypatch.setattr(host, "RETRY_S", 0.05)
+    monkeypatch.setattr(host, "STOP_TIMEOUT_S", 0.1)
     daemon = FakeDaemonApi()
     async with hosted(daemon, tmp_path) as served:
         with served.client() as client:
             await asyncio.to_thread(client.state)
             hanging = web_process()
             os.kill(hanging, signal.SIGSTOP)
-            asking = asyncio.create_task(asyncio.to_thread(client.state))
+            pending = asyncio.create_task(asyncio.to_thread(client.state))
             await wait_until(served.serving, lambda: len(served.warnings) == 1, 30.0, "it is not noticed")
             assert "(it does not respond)" in served.warnings[0]
-            await asyncio.gather(asking, return_exceptions=True)
+            await asyncio.gather(pending, return_exceptions=True)
         with pytest.raises(ProcessLookupError):
             os.kill(hanging, 0)
         with served.client() as client:
@@ -68,9 +72,9 @@ async def test_a_web_process_that_hangs_is_replaced_and_does_nothing_later(
     assert daemon.requests == [ClearRequest()]
 
 
-@pytest.mark.parametrize(("well_s", "told"), [(0.0, ["reset", "wait"] * 2), (1e9, ["wait"] * 2)])
-async def test_who_was_well_for_long_is_replaced_after_the_first_pause(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, well_s: float, told: list[str]
+@pytest.mark.parametrize(("healthy_s", "expected_calls"), [(0.0, ["reset", "wait"] * 2), (1e9, ["wait"] * 2)])
+async def test_a_process_that_ran_for_long_is_replaced_after_the_shortest_pause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, healthy_s: float, expected_calls: list[str]
 ) -> None:
     found: list[str] = []
 
@@ -90,26 +94,26 @@ async def test_who_was_well_for_long_is_replaced_after_the_first_pause(
         raise OSError("no more processes")
 
     monkeypatch.setattr(host, "Backoff", Pauses)
-    monkeypatch.setattr(host, "HEALTHY_S", well_s)
+    monkeypatch.setattr(host, "HEALTHY_S", healthy_s)
     monkeypatch.setattr(host, "_run_web_process", fails)
     with pytest.raises(asyncio.CancelledError):
         await host.run_api(FakeDaemonApi(), bind(tmp_path / "s"), None, tmp_path / "token", lambda line: None)
-    assert found == told
+    assert found == expected_calls
 
 
-async def test_an_event_that_cannot_be_told_harms_nobody() -> None:
+async def test_an_event_that_cannot_be_sent_is_dropped() -> None:
     daemon = FakeDaemonApi()
     ours, theirs = socket.socketpair()
     reader, writer = await asyncio.open_connection(sock=ours)
-    answers = asyncio.create_task(serve_web_process(daemon, reader, writer))
-    await wait_until(answers, lambda: bool(daemon.subscribers), 5.0, "nobody listens")
+    responses = asyncio.create_task(serve_web_process(daemon, reader, writer))
+    await wait_until(responses, lambda: bool(daemon.subscribers), 5.0, "the web process is not served")
     hear = daemon.subscribers[0]
     hear(Event(math.nan, "info", "no time at all"))
     theirs.close()
     for _ in range(3):
         hear(Event(1.0, "info", "nobody is there"))
         await asyncio.sleep(0)
-    await answers
+    await responses
     writer.close()
     hear(Event(2.0, "info", "it is closed"))
     assert daemon.subscribers == []

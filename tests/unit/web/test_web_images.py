@@ -1,4 +1,4 @@
-"""Pictures for people: what is drawn over a frame, and that it is drawn once however many look."""
+"""Images for display: the overlay on a frame, and one encoding for all clients."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ def contact_of(mask: NDArray[np.uint8], axis_deg: float | None) -> ContactOverla
     return ContactOverlay(mask, 30, 50, (160, 213), ClippedSides(), axis_deg)
 
 
-def points(picture: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArray[np.float64]:
-    rows, columns = np.nonzero((picture == np.array(colour, np.uint8)).all(axis=2))
+def points(drawn: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArray[np.float64]:
+    rows, columns = np.nonzero((drawn == np.array(colour, np.uint8)).all(axis=2))
     return np.stack([columns, rows], axis=1).astype(np.float64)
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 30.0, -60.0, 90.0])
-def test_axis_line_and_outline_lie_on_the_contact(angle_deg: float) -> None:
-    picture = draw_contact(GREY, contact_of(bar(angle_deg), angle_deg))
+def test_axis_skeleton_and_contour_lie_on_the_contact(angle_deg: float) -> None:
+    drawn = draw_contact(GREY, contact_of(bar(angle_deg), angle_deg))
     middle = np.array([(30 + 50) * 1.5 - 0.5, (50 + 50) * 320 / 213 - 0.5])
-    outline, skeleton = points(picture, CONTOUR_BGR), points(picture, SKELETON_BGR)
+    outline, skeleton = points(drawn, CONTOUR_BGR), points(drawn, SKELETON_BGR)
     assert np.abs(outline.mean(axis=0) - middle).max() < 4.0
     reach = np.hypot(*(outline - middle).T)
     assert 38.0 < reach.max() < 52.0, "the bar is 60 network pixels long, 90 of the frame"
     assert skeleton.size == 0 or np.hypot(*(skeleton - middle).T).max() < reach.max()
-    red = (picture[..., 2].astype(int) - picture[..., 0] > 80) & (picture[..., 1] < 140)
+    red = (drawn[..., 2].astype(int) - drawn[..., 0] > 80) & (drawn[..., 1] < 140)
     rows, columns = np.nonzero(red)
     along = np.linalg.svd(np.stack([columns - columns.mean(), -(rows - rows.mean())], axis=1))[2][0]
     found_deg = np.degrees(np.arctan2(along[1], along[0]))
@@ -59,19 +59,19 @@ def test_axis_line_and_outline_lie_on_the_contact(angle_deg: float) -> None:
     assert (GREY == 90).all(), "drawn into a copy"
 
 
-def test_without_an_axis_only_line_and_outline() -> None:
-    picture = draw_contact(GREY, contact_of(bar(0.0), None))
-    assert points(picture, AXIS_BGR).size == 0
-    assert points(picture, CONTOUR_BGR).size > 0
-    assert points(picture, SKELETON_BGR).size > 0
+def test_without_an_axis_only_skeleton_and_contour_are_drawn() -> None:
+    drawn = draw_contact(GREY, contact_of(bar(0.0), None))
+    assert points(drawn, AXIS_BGR).size == 0
+    assert points(drawn, CONTOUR_BGR).size > 0
+    assert points(drawn, SKELETON_BGR).size > 0
 
 
-def test_a_contact_at_the_very_edge_can_be_drawn() -> None:
+def test_a_contact_at_the_edge_can_be_drawn() -> None:
     mask = np.ones((213, 160), np.uint8)
     draw_contact(GREY, ContactOverlay(mask, 0, 0, (160, 213), ClippedSides(True, True, True, True), 45.0))
 
 
-async def test_drawn_once_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_image_is_encoded_once_for_all_clients(monkeypatch: pytest.MonkeyPatch) -> None:
     daemon, drawn = FakeDaemonApi(), []
 
     def counting(view: FingerFrame) -> bytes:
@@ -79,18 +79,18 @@ async def test_drawn_once_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
         return b"jpeg"
 
     monkeypatch.setattr(pictures_module, "encode_jpeg_with_overlay", counting)
-    pictures = FingerImages(daemon)
-    found = await asyncio.gather(*(pictures.with_overlay("left", overlay=True) for _ in range(50)))
+    finger_images = FingerImages(daemon)
+    found = await asyncio.gather(*(finger_images.with_overlay("left", overlay=True) for _ in range(50)))
     assert drawn == [1]
     assert {one.sequence for one in found} == {1}
     await asyncio.sleep(2 * pictures_module.OVERLAY_TTL_S)
-    assert (await pictures.with_overlay("left", overlay=True)).sequence == 2
+    assert (await finger_images.with_overlay("left", overlay=True)).sequence == 2
     daemon.failure = CommandRefused("no frame of the left finger: unplugged")
     await asyncio.sleep(2 * pictures_module.OVERLAY_TTL_S)
     with pytest.raises(CommandRefused, match="unplugged"):
-        await pictures.with_overlay("left", overlay=True)
+        await finger_images.with_overlay("left", overlay=True)
     daemon.failure = None
-    assert (await pictures.with_overlay("left", overlay=True)).sequence == 3, "a refusal is not kept"
+    assert (await finger_images.with_overlay("left", overlay=True)).sequence == 3, "a refusal is not kept"
 
 
 async def test_over_http(tmp_path: Path) -> None:
@@ -99,10 +99,10 @@ async def test_over_http(tmp_path: Path) -> None:
         served_on_tcp(daemon, tmp_path) as (port, _),
         httpx.AsyncClient(base_url=f"http://127.0.0.1:{port}", trust_env=False) as http,
     ):
-        told = await http.get("/picture/left")
-        assert (told.headers["content-type"], told.headers["x-sequence"]) == ("image/jpeg", "1")
-        assert told.headers["x-serial"] == "D20001"
-        shown = cv2.imdecode(np.frombuffer(told.content, np.uint8), cv2.IMREAD_COLOR)
+        received = await http.get("/picture/left")
+        assert (received.headers["content-type"], received.headers["x-sequence"]) == ("image/jpeg", "1")
+        assert received.headers["x-serial"] == "D20001"
+        shown = cv2.imdecode(np.frombuffer(received.content, np.uint8), cv2.IMREAD_COLOR)
         plain = await http.get("/picture/left", params={"overlay": "0"})
         bare = cv2.imdecode(np.frombuffer(plain.content, np.uint8), cv2.IMREAD_COLOR)
         assert shown.shape == bare.shape == (320, 240, 3)
@@ -116,22 +116,22 @@ async def test_over_http(tmp_path: Path) -> None:
         assert (refused.status_code, refused.json()["error"]) == (409, str(daemon.failure))
 
 
-def test_a_view_without_contact_is_the_frame() -> None:
+def test_a_frame_without_contact_has_no_overlay() -> None:
     plain = pictures_module.encode_jpeg_with_overlay(FingerFrame("D1", Frame(GREY, 0.0, 1)))
     assert plain == pictures_module.encode_jpeg(FingerFrame("D1", Frame(GREY, 0.0, 1), contact_of(bar(0.0), 0.0)))
 
 
-async def test_many_who_look_at_what_is_stored_ask_the_daemon_as_one() -> None:
+async def test_simultaneous_clients_cause_one_call_to_the_daemon() -> None:
     at_once, most = 0, 0
-    asked: Counter[str] = Counter()
+    requested: Counter[str] = Counter()
 
     class Counting(FakeDaemonApi):
         async def health_problem(self) -> str | None:
-            asked["trouble"] += 1
+            requested["trouble"] += 1
             return await super().health_problem()
 
         async def backgrounds(self) -> bytes:
-            asked["no_contacts"] += 1
+            requested["no_contacts"] += 1
             return await super().backgrounds()
 
         async def background(self, finger: str, number: int | None = None) -> FingerFrame:
@@ -146,12 +146,12 @@ async def test_many_who_look_at_what_is_stored_ask_the_daemon_as_one() -> None:
     transport = httpx.ASGITransport(make_app(room))
     async with httpx.AsyncClient(transport=transport, base_url="http://s") as http:
         paths = ["/healthz", "/no-contact", "/no-contact/left", "/no-contact/right?number=1"] * 5
-        answers = await asyncio.gather(*(http.get(path) for path in paths))
-        assert {answer.status_code for answer in answers} == {200}
+        responses = await asyncio.gather(*(http.get(path) for path in paths))
+        assert {response.status_code for response in responses} == {200}
         assert most == 1
-        before = asked["no_contacts"]
+        before = requested["no_contacts"]
         assert before < 5
         assert (await http.post("/clear")).status_code == 200
         assert (await http.get("/no-contact")).status_code == 200
-        assert asked["no_contacts"] == before + 1
-    assert asked["trouble"] < 5
+        assert requested["no_contacts"] == before + 1
+    assert requested["trouble"] < 5

@@ -1,4 +1,4 @@
-"""What a slow, a silent or a crowd of clients may do: not much, and it is said."""
+"""Limits for slow, idle and many clients."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ async def closed_after_s(port: int, *pieces: bytes, pause_s: float = 0.05) -> tu
         await asyncio.sleep(pause_s)
     async with asyncio.timeout(10.0):
         try:
-            said = await reader.read()
+            output = await reader.read()
         except ConnectionError:
-            said = b""
+            output = b""
     writer.close()
-    return loop.time() - began_s, said
+    return loop.time() - began_s, output
 
 
-async def test_who_never_ends_a_request_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+async def test_unfinished_requests_time_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(connections, "REQUEST_TIMEOUT_S", 0.4)
     monkeypatch.setattr(commands, "BODY_TIMEOUT_S", 0.4)
     monkeypatch.setattr(serve, "KEEP_ALIVE_S", 1)
@@ -45,28 +45,28 @@ async def test_who_never_ends_a_request_is_not_waited_for(monkeypatch: pytest.Mo
         unfinished = closed_after_s(port, head)
         again = closed_after_s(port, head + b"\r\n", head)
         idle = closed_after_s(port, head + b"\r\n")
-        told = f"authorization: Bearer {access._token}\r\ncontent-length: 9\r\n\r\n"
-        body = closed_after_s(port, head.replace(b"GET /access", b"POST /clear") + told.encode(), b"{")
+        received = f"authorization: Bearer {access._token}\r\ncontent-length: 9\r\n\r\n"
+        body = closed_after_s(port, head.replace(b"GET /access", b"POST /clear") + received.encode(), b"{")
         found = await asyncio.gather(silent, drops, unfinished, again, idle, body)
     assert [time_s < 8.0 for time_s, _ in found] == [True] * 6
-    assert [said for _, said in found[:3]] == [b"", b"", b""]
+    assert [output for _, output in found[:3]] == [b"", b"", b""]
     assert found[3][1].count(b"200 OK") == 1
     assert found[4][1].count(b"200 OK") == 1
     assert b"408" in found[5][1]
     assert b"was not received within" in found[5][1]
 
 
-async def test_a_request_under_way_is_not_cut_off(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+async def test_a_request_in_progress_is_not_cut_off(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(connections, "REQUEST_TIMEOUT_S", 0.2)
     daemon = FakeDaemonApi()
     daemon.delay_s = 0.6
     async with served_on_tcp(daemon, tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
         token = {"authorization": f"Bearer {access._token}"}
-        answer = await http.post(f"http://127.0.0.1:{port}/clear", headers=token)
-        assert answer.json() == {"message": "clear: done"}
+        response = await http.post(f"http://127.0.0.1:{port}/clear", headers=token)
+        assert response.json() == {"message": "clear: done"}
 
 
-async def test_one_connection_too_many_ends_the_one_silent_for_longest(
+async def test_one_connection_too_many_closes_the_one_idle_longest(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(connections, "CONNECTIONS_MAX", 5)
@@ -88,26 +88,24 @@ async def test_one_connection_too_many_ends_the_one_silent_for_longest(
                 await one.wait_closed()
 
 
-async def test_too_many_connections_that_are_being_answered_are_told_so(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+async def test_a_connection_is_refused_if_all_others_are_busy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(connections, "CONNECTIONS_MAX", 1)
     daemon = FakeDaemonApi()
-    daemon.delay_s = 3.0
+    daemon.delay_s = 1.5
     async with served_on_tcp(daemon, tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
         token = {"authorization": f"Bearer {access._token}"}
-        asking = asyncio.create_task(http.post(f"http://127.0.0.1:{port}/clear", headers=token))
+        pending = asyncio.create_task(http.post(f"http://127.0.0.1:{port}/clear", headers=token))
         await daemon.started.wait()
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        said = await reader.read()
-        assert said.startswith(b"HTTP/1.1 503 ")
-        assert json.loads(said.partition(b"\r\n\r\n")[2]) == {"error": "too many connections"}
+        output = await reader.read()
+        assert output.startswith(b"HTTP/1.1 503 ")
+        assert json.loads(output.partition(b"\r\n\r\n")[2]) == {"error": "too many connections"}
         writer.close()
         await writer.wait_closed()
-        assert (await asking).json() == {"message": "clear: done"}
+        assert (await pending).json() == {"message": "clear: done"}
 
 
-async def test_whoever_may_command_finds_a_place_among_strangers(tmp_path: Path) -> None:
+async def test_clients_with_the_token_are_served_among_many_without(tmp_path: Path) -> None:
     async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, access), contextlib.AsyncExitStack() as stack:
         live = f"ws://127.0.0.1:{port}/live"
         for _ in range(middleware.UNKNOWN_STREAMS_MAX):
@@ -122,7 +120,7 @@ async def test_whoever_may_command_finds_a_place_among_strangers(tmp_path: Path)
             assert (await http.post(f"{url}/clear", headers=token)).status_code == 200
 
 
-async def test_strangers_take_no_more_than_their_places() -> None:
+async def test_clients_without_the_token_are_limited() -> None:
     done = asyncio.Event()
 
     async def app(scope: object, receive: object, send: object) -> None:
@@ -145,7 +143,7 @@ async def test_strangers_take_no_more_than_their_places() -> None:
         await asyncio.gather(own, *under_way)
 
 
-async def test_too_many_at_once_are_told_so() -> None:
+async def test_too_many_requests_get_status_503() -> None:
     full, done = asyncio.Event(), asyncio.Event()
 
     async def app(scope: object, receive: object, send: object) -> None:
@@ -156,18 +154,18 @@ async def test_too_many_at_once_are_told_so() -> None:
     first = asyncio.create_task(guarded({"type": "http"}, None, None))  # type: ignore[arg-type, dict-item]
     await full.wait()
     async with httpx.AsyncClient(transport=httpx.ASGITransport(guarded), base_url="http://s") as http:  # type: ignore[arg-type]
-        answer = await http.get("/state")
-        assert (answer.status_code, set(answer.json())) == (503, {"error"})
-        assert answer.headers["x-frame-options"] == "DENY"
+        response = await http.get("/state")
+        assert (response.status_code, set(response.json())) == (503, {"error"})
+        assert response.headers["x-frame-options"] == "DENY"
         done.set()
         await first
-    said: list[dict[str, object]] = []
+    output: list[dict[str, object]] = []
 
     async def send(message: dict[str, object]) -> None:
-        said.append(message)
+        output.append(message)
 
     await ApiMiddleware(app, clients_max=0)({"type": "websocket"}, None, send)  # type: ignore[arg-type, dict-item]
-    assert said == [
+    assert output == [
         {
             "type": "websocket.close",
             "code": 1008,

@@ -1,4 +1,4 @@
-"""The live stream: history first, states and events as they come, and a slow client that delays nobody."""
+"""The live stream: history, then states and events; a slow client does not delay the others."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Client:
         await self.gone.wait()
         return {"type": "websocket.disconnect"}
 
-    def told(self, kind: str) -> list[dict[str, Any]]:
+    def received(self, kind: str) -> list[dict[str, Any]]:
         return [message for message in self.got if message["type"] == kind]
 
 
@@ -85,14 +85,14 @@ def test_history_then_events_then_states_at_ten_a_second() -> None:
         "slipping": False,
     }  # fmt: skip
     assert samples[0] == known
-    assert len(client.told("state")) == 10
-    assert client.told("state")[0]["state"] == daemon.snapshot()
-    assert client.told("state")[0]["sample"] == known
+    assert len(client.received("state")) == 10
+    assert client.received("state")[0]["state"] == daemon.snapshot()
+    assert client.received("state")[0]["sample"] == known
     assert client.got[-1]["event"]["what_to_do"] == "clear it"
-    assert [message["event"]["text"] for message in client.told("event")] == ["gripped", "object lost"]
+    assert [message["event"]["text"] for message in client.received("event")] == ["gripped", "object lost"]
 
 
-def test_a_slow_client_loses_messages_and_delays_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_client_misses_messages_and_delays_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     slow, quick = Client(), Client()
     monkeypatch.setattr(live_module, "SEND_TIMEOUT_S", 60.0)
 
@@ -110,15 +110,15 @@ def test_a_slow_client_loses_messages_and_delays_nobody(monkeypatch: pytest.Monk
         await asyncio.gather(*serving)
 
     played(FakeDaemonApi(), scene)
-    assert len(quick.told("state")) == 3 * KEPT
-    assert len(quick.told("event")) == 1 + 3 * KEPT
-    assert len(slow.told("state")) <= 3
-    texts = [message["event"]["text"] for message in slow.told("event")]
+    assert len(quick.received("state")) == 3 * KEPT
+    assert len(quick.received("event")) == 1 + 3 * KEPT
+    assert len(slow.received("state")) <= 3
+    texts = [message["event"]["text"] for message in slow.received("event")]
     assert texts[-1] == f"event {3 * KEPT - 1}"
     assert len(texts) <= KEPT + 2
 
 
-def test_a_client_that_takes_nothing_is_dropped() -> None:
+def test_a_client_that_receives_nothing_is_disconnected() -> None:
     stuck = Client()
 
     async def scene(live: LiveStream) -> None:
@@ -130,22 +130,22 @@ def test_a_client_that_takes_nothing_is_dropped() -> None:
     assert stuck.got == []
 
 
-def test_the_daemon_is_asked_once_for_all_and_may_fail() -> None:
+def test_the_daemon_is_called_once_for_all_clients_and_may_fail() -> None:
     daemon = FakeDaemonApi()
     clients = [Client() for _ in range(20)]
-    asked: list[int] = []
+    requested: list[int] = []
 
     async def scene(live: LiveStream) -> None:
         serving = [asyncio.create_task(live.serve(one)) for one in clients]  # type: ignore[arg-type]
         await asyncio.sleep(1.05)
-        asked.append(daemon.state_calls)
+        requested.append(daemon.state_calls)
         for one in clients:
             one.gone.set()
         await asyncio.gather(*serving)
 
     played(daemon, scene)
-    assert asked == [10]
-    assert all(len(one.told("state")) == 10 for one in clients)
+    assert requested == [10]
+    assert all(len(one.received("state")) == 10 for one in clients)
 
     class Silent(FakeDaemonApi):
         async def state(self) -> bytes:
@@ -163,10 +163,10 @@ def test_the_daemon_is_asked_once_for_all_and_may_fail() -> None:
         await serving
 
     played(Silent(), silence)
-    assert len(patient.told("state")) == 6
+    assert len(patient.received("state")) == 6
 
 
-def test_a_mistake_in_one_state_ends_nothing_and_is_said_once() -> None:
+def test_an_invalid_state_is_logged_once_and_survived() -> None:
     class Mistaken(FakeDaemonApi):
         async def state(self) -> bytes:
             self.state_calls += 1
@@ -183,13 +183,13 @@ def test_a_mistake_in_one_state_ends_nothing_and_is_said_once() -> None:
         await serving
 
     structlog.reset_defaults()
-    with capture_logs() as said:
+    with capture_logs() as output:
         played(Mistaken(), scene)
-    assert len(client.told("state")) == 7
-    assert [line["event"] for line in said] == 2 * ["the live stream has missed a state"]
+    assert len(client.received("state")) == 7
+    assert [line["event"] for line in output] == 2 * ["the live stream has missed a state"]
 
 
-async def test_over_a_real_socket_and_what_clients_say_is_not_listened_to(tmp_path: Path) -> None:
+async def test_over_a_real_socket_messages_of_clients_are_ignored(tmp_path: Path) -> None:
     daemon = FakeDaemonApi()
     async with served_on_tcp(daemon, tmp_path) as (port, _), connect(f"ws://127.0.0.1:{port}/live") as socket:
         kinds = [json.loads(await socket.recv())["type"] for _ in range(4)]

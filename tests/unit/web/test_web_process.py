@@ -1,4 +1,4 @@
-"""The web process beside the daemon: asked over its sockets as anybody would, killed, and followed to its end."""
+"""The web process: requests over its sockets, restart after a kill, and shutdown."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from slipguard.web.protocol import (
 from slipguard.web.sockets import bind, bind_tcp
 
 
-async def test_everything_goes_through_and_failures_keep_their_words(tmp_path: Path) -> None:
+async def test_requests_and_failures_pass_through_unchanged(tmp_path: Path) -> None:
     daemon = FakeDaemonApi()
     async with hosted(daemon, tmp_path) as host:
         with host.client() as client:
@@ -63,7 +63,7 @@ async def test_everything_goes_through_and_failures_keep_their_words(tmp_path: P
     assert host.warnings == []
 
 
-async def test_a_killed_web_process_is_replaced_and_nobody_is_turned_away(tmp_path: Path) -> None:
+async def test_a_killed_web_process_is_replaced_without_a_refused_connection(tmp_path: Path) -> None:
     daemon = FakeDaemonApi()
     async with hosted(daemon, tmp_path) as host:
         with host.client() as client:
@@ -76,17 +76,17 @@ async def test_a_killed_web_process_is_replaced_and_nobody_is_turned_away(tmp_pa
         assert len(daemon.subscribers) == 1, "the first one's ears are taken off"
 
 
-async def test_stopping_finishes_what_was_asked(tmp_path: Path) -> None:
+async def test_stopping_finishes_requests_in_progress(tmp_path: Path) -> None:
     daemon = FakeDaemonApi()
     daemon.delay_s = 0.3
     with Client(tmp_path / "s", timeout_s=20.0) as client:
         async with hosted(daemon, tmp_path):
-            asking = asyncio.create_task(asyncio.to_thread(client.submit, ClearRequest()))
+            pending = asyncio.create_task(asyncio.to_thread(client.submit, ClearRequest()))
             await daemon.started.wait()
-        assert await asking == {"message": "clear: done"}
+        assert await pending == {"message": "clear: done"}
 
 
-async def test_a_taken_port_is_done_without(tmp_path: Path) -> None:
+async def test_without_the_port_only_the_unix_socket_is_served(tmp_path: Path) -> None:
     daemon = FakeDaemonApi()
     (tmp_path / "own").mkdir()
     with closing(bind_tcp("127.0.0.1", 0)) as taken:
@@ -105,7 +105,7 @@ async def test_a_taken_port_is_done_without(tmp_path: Path) -> None:
     assert [f"cannot listen on 127.0.0.1:{port}" in line for line in warnings] == [True]
 
 
-async def test_an_open_port_is_warned_of(tmp_path: Path) -> None:
+async def test_a_port_open_to_the_network_causes_a_warning(tmp_path: Path) -> None:
     port = free_port()
     warnings: list[str] = []
     serving = asyncio.create_task(
@@ -118,7 +118,7 @@ async def test_an_open_port_is_warned_of(tmp_path: Path) -> None:
     assert ["open to the network" in line for line in warnings] == [True]
 
 
-async def test_a_daemon_that_is_gone_is_followed(tmp_path: Path) -> None:
+async def test_the_web_process_exits_when_the_daemon_has_gone(tmp_path: Path) -> None:
     """However it went, its socket is free for the next one."""
     import sys
 
@@ -139,7 +139,7 @@ async def test_a_daemon_that_is_gone_is_followed(tmp_path: Path) -> None:
     bind(tmp_path / "s").close()
 
 
-async def test_messages_that_are_none() -> None:
+async def test_invalid_messages() -> None:
     for sent, why in (
         (b"\x00\x00\x00\x02\x00\x00\x00\x00[]", "not a JSON object"),
         (b"\x00\x00\x00\x03\x00\x00\x00\x00{a}", "is not JSON"),
@@ -158,18 +158,18 @@ async def test_messages_that_are_none() -> None:
 
 
 @pytest.mark.parametrize("axis_deg", [None, -12.5])
-def test_a_view_arrives_as_it_was(axis_deg: float | None) -> None:
+def test_a_frame_arrives_unchanged(axis_deg: float | None) -> None:
     rng = np.random.default_rng(3)
     mask = rng.integers(0, 2, (31, 47), np.uint8)
     contact = ContactOverlay(mask, 5, 7, (160, 213), ClippedSides(left=True), axis_deg)
     view = FingerFrame("D20001", Frame(rng.integers(0, 256, (320, 240, 3), np.uint8), 12.25, 99), contact)
-    told, pixels = encode_finger_frame(view)
-    found = decode_finger_frame(told, b"".join(pixels))
+    received, pixels = encode_finger_frame(view)
+    found = decode_finger_frame(received, b"".join(pixels))
     assert np.array_equal(found.frame.image, view.frame.image)
     assert (found.serial, found.frame.sequence, found.frame.captured_at_s) == ("D20001", 99, 12.25)
     assert found.contact is not None
     assert np.array_equal(found.contact.mask, mask)
     assert (found.contact.left_px, found.contact.top_px, found.contact.image_size) == (5, 7, (160, 213))
     assert (found.contact.clipped, found.contact.axis_deg) == (contact.clipped, axis_deg)
-    told, pixels = encode_finger_frame(FingerFrame("D20001", view.frame))
-    assert decode_finger_frame(told, b"".join(pixels)).contact is None
+    received, pixels = encode_finger_frame(FingerFrame("D20001", view.frame))
+    assert decode_finger_frame(received, b"".join(pixels)).contact is None
