@@ -1,8 +1,8 @@
-"""Interface of an emulator: a simulated device that speaks the real device's protocol, for `slipguard emulate`.
+"""The port of an emulator: an emulated device on the wire, for `slipguard emulate`.
 
 An emulator registers under the entry-point group `slipguard.emulator`. The registered class has `Settings` (a pydantic
-model whose fields, each with a description and a default, become the command's options), a docstring that is the
-command's help, and is built as `Emulator(settings, report)`; `start()` opens it.
+model whose fields, each with a description and a default, become the command's options) and a docstring that is the
+command's help. It is built as `Emulator(settings, report)`; building opens nothing, `start()` does.
 """
 
 from __future__ import annotations
@@ -12,34 +12,34 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 Event = Mapping[str, object]
-"""What happened: `event` (a word), `at_s` (the event loop's clock) and further values; can be written as JSON."""
+"""Something that happened: `event` (its name), `at_s` (the event loop's clock) and details; fit for JSON."""
 Report = Callable[[Event], None]
 
 
 class Emulator(Protocol):
-    """One emulated device; also built directly by tests and by the emulated cell."""
+    """One emulated device. Tests and emulated cells build it directly; the command line is only one more user."""
 
     @property
     @abstractmethod
     def address(self) -> str:
-        """Address for clients: a path, or host and port. Known after `start()`."""
+        """Where clients connect: a path, or host and port. Known after `start()`."""
 
     @abstractmethod
     async def start(self) -> None:
-        """Start to serve clients. Raises InputError if that is not possible."""
+        """Become available on the wire. Raises InputError if that is not possible."""
 
     @abstractmethod
     async def stop(self) -> None:
-        """Stop to serve clients. Never raises; idempotent."""
+        """Disappear. Never raises; idempotent."""
 
     @abstractmethod
-    def control(self, words: str) -> str:
-        """Carry out one command line and return one or more lines.
+    def control(self, line: str) -> str:
+        """Execute one command line and return its response of one or more lines.
 
-        All emulators support `fault NAME [probability|count]`, `clear [NAME]`, `state`, `log [LINES]` and `help`.
-        Raises CommandRefused with what is allowed.
+        All emulators have the commands `fault NAME [probability|count]`, `clear [NAME]`, `state`, `log [LINES]` and
+        `help`. Raises CommandRefused with what is allowed.
         """
 
     @abstractmethod
     def state(self) -> Mapping[str, object]:
-        """Return the true state, as one row of a table; can be written as JSON."""
+        """Return the true state, as one row of a table; fit for JSON."""

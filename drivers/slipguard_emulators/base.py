@@ -1,4 +1,4 @@
-"""What all emulators have in common: faults on demand, a log of the truth, and one language to control both."""
+"""What all emulators have in common: faults on demand, a log of events, and commands for both."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from slipguard.emulator import Emulator, Event, Report
 from slipguard.errors import CommandRefused
 
 LOG_EVENTS = 10_000
-"""The newest so many events are kept; whoever wants all of them listens."""
+"""How many of the newest events are kept; `report` receives all of them."""
 
 EmulatorCommand = tuple[Callable[[list[str]], str], str]
-"""What to do with the words behind it, and its line of help."""
+"""A function of the words after the command's name, and its line of help."""
 
 
 class FaultPlan:
-    """Which faults strike, and when. kinds: name -> what it does, in words.
+    """Which faults occur, and when. kinds: descriptions by name.
 
-    A fault strikes always until cleared, with a probability at each opportunity, or the next so many times.
+    A fault occurs at every opportunity until it is cleared, with a probability, or a number of times.
     """
 
     def __init__(self, kinds: Mapping[str, str], seed: int = 0) -> None:
         self.kinds = kinds
         self._rng = random.Random(seed)
         self._amounts: dict[str, float | int | None] = {}
-        self.struck: dict[str, int] = dict.fromkeys(kinds, 0)
-        """How often each has struck."""
+        self.occurred: dict[str, int] = dict.fromkeys(kinds, 0)
+        """How often each has occurred."""
 
     def set(self, name: str, amount: float | int | None = None) -> None:
-        """From now on `name` strikes: always (None), with a probability (float), or so many times (int).
+        """Start a fault: at every opportunity (None), with a probability (float), or a number of times (int).
 
-        Raises CommandRefused for an unknown name or a senseless amount.
+        Raises CommandRefused for an unknown name or an invalid amount.
         """
         self.check(name)
         if isinstance(amount, float) and not 0.0 <= amount <= 1.0:
-            raise CommandRefused(f"{amount} is no probability; it must be 0 to 1 (a count has no decimal point)")
+            raise CommandRefused(f"{amount} is not a probability; it must be 0 to 1 (a count has no decimal point)")
         if isinstance(amount, int) and amount < 1:
-            raise CommandRefused(f"{amount} times makes no sense; give a count of at least 1, or `clear {name}`")
+            raise CommandRefused(f"{amount} is not a count; give at least 1, or `clear {name}`")
         self._amounts[name] = amount
 
     def clear(self, name: str | None = None) -> None:
@@ -52,8 +52,8 @@ class FaultPlan:
             self.check(name)
             self._amounts.pop(name, None)
 
-    def strikes(self, name: str) -> bool:
-        """Ask once per opportunity whether the fault strikes now."""
+    def occurs(self, name: str) -> bool:
+        """Return whether the fault occurs now; call it once per opportunity."""
         if name not in self._amounts:
             return False
         amount = self._amounts[name]
@@ -63,28 +63,28 @@ class FaultPlan:
             self._amounts[name] = amount - 1
             if amount == 1:
                 del self._amounts[name]
-        self.struck[name] += 1
+        self.occurred[name] += 1
         return True
 
     def lasts(self, name: str) -> bool:
-        """Whether the fault was set until cleared; asking is no opportunity."""
+        """Return whether the fault was set until cleared; this call is not an opportunity."""
         return self._amounts.get(name, 0) is None
 
     @property
     def active(self) -> dict[str, str]:
-        """The faults that may strike, each with how often, in words."""
+        """Return the faults that may occur, each with how often, as text."""
         return {name: _how_often(amount) for name, amount in self._amounts.items()}
 
     def check(self, name: str) -> None:
         """Raise CommandRefused for an unknown name."""
         if name not in self.kinds:
-            raise CommandRefused(f"no fault {name!r}; there are: {', '.join(self.kinds)}")
+            raise CommandRefused(f"no fault {name!r}; the faults are: {', '.join(self.kinds)}")
 
 
 class ControlledEmulator(Emulator):
-    """An emulator with a fault plan, a log, and the words for them; subclasses add their own with `words`.
+    """An emulator with a fault plan, a log, and commands for both; subclasses add their own with `commands`.
 
-    report: called with every event as it happens.
+    report: called with every event.
     """
 
     def __init__(self, kinds: Mapping[str, str], seed: int = 0, report: Report | None = None) -> None:
@@ -93,50 +93,50 @@ class ControlledEmulator(Emulator):
         self._report = report
 
     def note(self, event: str, **details: object) -> None:
-        """Log what has really happened now."""
+        """Log an event."""
         entry = {"at_s": round(asyncio.get_running_loop().time(), 6), "event": event, **details}
         self.log.append(entry)
         if self._report is not None:
             self._report(entry)
 
     def events(self, name: str) -> list[Event]:
-        """The logged events of one name, oldest first."""
+        """Return the logged events of one name, oldest first."""
         return [entry for entry in self.log if entry["event"] == name]
 
-    def control(self, words: str) -> str:
-        """Obey one line; see `Emulator.control`."""
-        name, *rest = words.split() or [""]
-        word = self._words().get(name)
-        if word is None:
-            raise CommandRefused(f"no word {name!r}; there are: {', '.join(self._words())}")
-        return word[0](rest)
+    def control(self, line: str) -> str:
+        """Execute one command line; see `Emulator.control`."""
+        name, *rest = line.split() or [""]
+        command = self._all_commands().get(name)
+        if command is None:
+            raise CommandRefused(f"no command {name!r}; the commands are: {', '.join(self._all_commands())}")
+        return command[0](rest)
 
     @abstractmethod
-    def words(self) -> dict[str, EmulatorCommand]:
-        """The words that only this emulator knows."""
+    def commands(self) -> dict[str, EmulatorCommand]:
+        """Return the commands that only this emulator has."""
 
     def set_fault(self, name: str, amount: float | int | None = None) -> None:
-        """See `FaultPlan.set`; acts at once where the fault does."""
+        """Start a fault, see `FaultPlan.set`; some take effect at once."""
         self.faults.set(name, amount)
         self.fault_changed()
 
     def clear_fault(self, name: str | None = None) -> None:
-        """See `FaultPlan.clear`."""
+        """End faults, see `FaultPlan.clear`."""
         self.faults.clear(name)
         self.fault_changed()
 
     def fault_changed(self) -> None:
-        """Called after a fault was set or cleared; for those that act at once."""
+        """React to a fault that was set or cleared; for those that take effect at once."""
         return
 
-    def _words(self) -> dict[str, EmulatorCommand]:
+    def _all_commands(self) -> dict[str, EmulatorCommand]:
         return {
             "fault": (self._fault, "fault NAME [probability|count]: " + ", ".join(self.faults.kinds)),
             "clear": (self._clear, "clear [NAME]: end one fault, or all"),
-            **self.words(),
-            "state": (lambda rest: json.dumps(dict(self.state())), "state: the truth now"),
+            **self.commands(),
+            "state": (lambda rest: json.dumps(dict(self.state())), "state: the true state"),
             "log": (self._log, "log [LINES]: the newest events"),
-            "help": (lambda rest: "\n".join(text for _, text in self._words().values()), "help: these lines"),
+            "help": (lambda rest: "\n".join(text for _, text in self._all_commands().values()), "help: these lines"),
         }
 
     def _fault(self, rest: list[str]) -> str:
@@ -152,10 +152,10 @@ class ControlledEmulator(Emulator):
 
     def _log(self, rest: list[str]) -> str:
         if rest and not rest[0].isdecimal():
-            raise CommandRefused(f"{rest[0]!r} is no number of lines")
+            raise CommandRefused(f"{rest[0]!r} is not a number of lines")
         count = int(rest[0]) if rest else 10
         newest = list(self.log)[max(0, len(self.log) - count) :]
-        return "\n".join(json.dumps(dict(entry)) for entry in newest) or "nothing has happened yet"
+        return "\n".join(json.dumps(dict(entry)) for entry in newest) or "no events yet"
 
 
 def _amount(text: str) -> float | int:

@@ -1,4 +1,4 @@
-"""Runs one emulator for a person or a program: control words in, what really happens out."""
+"""Runs one emulator for a person or a program: commands in, events out."""
 
 from __future__ import annotations
 
@@ -14,17 +14,23 @@ from slipguard.emulator import Emulator, Event, Report
 from slipguard.errors import CommandRefused, InputError
 
 REFRESH_S = 0.25
-"""The table is drawn anew this often, where something has changed."""
+"""How often the table is drawn, if something has changed."""
 STDIN = 0
 
 
 async def run(name: str, build: Callable[[Report], Emulator], faults: list[str], *, json_lines: bool) -> None:
-    """Emulate until SIGINT, SIGTERM or `quit`. faults: NAME, NAME:PROBABILITY or NAME:COUNT.
+    """Emulate until SIGINT, SIGTERM or `quit`.
 
-    Raises InputError for a fault there is not, and what `start` raises.
+    Args:
+        faults: NAME, NAME:PROBABILITY or NAME:COUNT.
+
+    Raises:
+        InputError: for an unknown fault, and as `Emulator.start`.
     """
-    screen: Screen = JsonLines(name) if json_lines else Terminal(name) if sys.stdout.isatty() else Plain(name)
-    emulator = build(screen.event)
+    output: PlainOutput = (
+        JsonOutput(name) if json_lines else TableOutput(name) if sys.stdout.isatty() else PlainOutput(name)
+    )
+    emulator = build(output.event)
     for fault in faults:
         try:
             emulator.control(f"fault {fault.replace(':', ' ')}")
@@ -35,83 +41,80 @@ async def run(name: str, build: Callable[[Report], Emulator], faults: list[str],
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
 
-    def heed(line: str) -> None:
+    def execute(line: str) -> None:
         if line == "quit":
             ended.set()
             return
         try:
             if line == "state":
-                screen.told_state(emulator.state())
+                output.state(emulator.state())
             else:
-                screen.answer(emulator.control(line), refused=False)
+                output.response(emulator.control(line), refused=False)
         except CommandRefused as refusal:
-            screen.answer(str(refusal), refused=True)
+            output.response(str(refusal), refused=True)
 
     try:
         await emulator.start()
-        screen.ready(emulator.address)
-        threading.Thread(target=_read_lines, args=(loop, heed), name="control words", daemon=True).start()
+        output.ready(emulator.address)
+        threading.Thread(target=_read_lines, args=(loop, execute), name="commands", daemon=True).start()
         while not ended.is_set():
-            screen.show(emulator.state())
+            output.refresh(emulator.state())
             try:
                 async with asyncio.timeout(REFRESH_S):
                     await ended.wait()
             except TimeoutError:
                 continue
     finally:
-        screen.close()
+        output.close()
         await emulator.stop()
 
 
-def _read_lines(loop: asyncio.AbstractEventLoop, heed: Callable[[str], None]) -> None:
-    """Hand on lines of stdin until it ends. Plain reads: a thread inside `sys.stdin` would hold up the exit."""
+def _read_lines(loop: asyncio.AbstractEventLoop, execute: Callable[[str], None]) -> None:
+    """Pass on lines of stdin until it ends. Plain reads: a thread inside `sys.stdin` would delay the exit."""
     pending = b""
     try:
         while piece := os.read(STDIN, 4096):
             *lines, pending = (pending + piece).split(b"\n")
             for line in lines:
                 if text := line.decode(errors="replace").strip():
-                    loop.call_soon_threadsafe(heed, text)
-    except (OSError, RuntimeError):  # no stdin at all, or the loop has ended
+                    loop.call_soon_threadsafe(execute, text)
+    except (OSError, RuntimeError):  # stdin is closed, or the loop has ended
         return
 
 
-class Screen:
-    """Where it is told. Plain lines: the address, then events and answers."""
+class PlainOutput:
+    """Prints plain lines: the address, then events and responses."""
 
     def __init__(self, name: str) -> None:
         self.name = name
 
     def ready(self, address: str) -> None:
-        """It can be reached now."""
+        """Print that clients can connect."""
         print(f"{self.name} emulated at {address}", flush=True)
 
     def event(self, event: Event) -> None:
-        """Something has happened."""
-        print(_sentence(event), flush=True)
+        """Print an event."""
+        print(_event_line(event), flush=True)
 
-    def answer(self, text: str, *, refused: bool) -> None:
-        """A control word was obeyed, or not."""
+    def response(self, text: str, *, refused: bool) -> None:
+        """Print the response to a command."""
         print(f"refused: {text}" if refused else text, flush=True)
 
-    def told_state(self, state: Mapping[str, object]) -> None:
-        """The state, because it was asked for."""
-        self.answer("\n".join(f"{key}: {value}" for key, value in state.items()), refused=False)
+    def state(self, state: Mapping[str, object]) -> None:
+        """Print the requested state."""
+        self.response("\n".join(f"{key}: {value}" for key, value in state.items()), refused=False)
 
-    def show(self, state: Mapping[str, object]) -> None:
-        """The present state; offered a few times a second."""
+    def refresh(self, state: Mapping[str, object]) -> None:
+        """Show the present state; called several times per second."""
         return
 
     def close(self) -> None:
-        """It ends."""
+        """End the output."""
         return
 
 
-Plain = Screen
-
-
-class JsonLines(Screen):
-    """One JSON object a line: {"ready": address}, events as they are, {"state"}, {"answer"} or {"refused"}."""
+class JsonOutput(PlainOutput):
+    """Prints one JSON object per line: {"ready": address}, events, {"state"}, {"answer"} or {"refused"}."""
 
     def ready(self, address: str) -> None:
         print(json.dumps({"ready": address, "emulator": self.name}), flush=True)
@@ -119,15 +122,15 @@ class JsonLines(Screen):
     def event(self, event: Event) -> None:
         print(json.dumps(dict(event)), flush=True)
 
-    def answer(self, text: str, *, refused: bool) -> None:
+    def response(self, text: str, *, refused: bool) -> None:
         print(json.dumps({"refused" if refused else "answer": text}), flush=True)
 
-    def told_state(self, state: Mapping[str, object]) -> None:
+    def state(self, state: Mapping[str, object]) -> None:
         print(json.dumps({"state": dict(state)}), flush=True)
 
 
-class Terminal(Screen):
-    """A table of the state, drawn anew where it has changed; the newest lines below it."""
+class TableOutput(PlainOutput):
+    """Shows a table of the state, drawn when it changes, and the newest lines below it."""
 
     LINES = 8
 
@@ -137,7 +140,6 @@ class Terminal(Screen):
 
         self._lines: list[str] = []
         self._drawn: object = None
-        self._state: Mapping[str, object] = {}
         self._live = Live(auto_refresh=False)
         self._address = ""
 
@@ -146,21 +148,21 @@ class Terminal(Screen):
         self._live.start()
 
     def event(self, event: Event) -> None:
-        self._add(_sentence(event))
+        self._add(_event_line(event))
 
-    def answer(self, text: str, *, refused: bool) -> None:
+    def response(self, text: str, *, refused: bool) -> None:
         for line in (f"refused: {text}" if refused else text).splitlines():
             self._add(line)
 
-    def show(self, state: Mapping[str, object]) -> None:
+    def refresh(self, state: Mapping[str, object]) -> None:
         from rich.console import Group
         from rich.table import Table
         from rich.text import Text
 
-        wanted = (dict(state), tuple(self._lines))
-        if wanted == self._drawn:
-            return  # leave the line that is being typed alone
-        self._drawn = wanted
+        current = (dict(state), tuple(self._lines))
+        if current == self._drawn:
+            return  # do not overwrite the line that is being typed
+        self._drawn = current
         table = Table(title=f"{self.name} at {self._address}", show_header=False)
         for key, value in state.items():
             table.add_row(key, str(value))
@@ -174,7 +176,7 @@ class Terminal(Screen):
         self._lines = [*self._lines, line][-self.LINES :]
 
 
-def _sentence(event: Event) -> str:
-    at_s, word = event.get("at_s", ""), event.get("event", "")
-    rest = ", ".join(f"{key} {value}" for key, value in event.items() if key not in ("at_s", "event"))
-    return f"{at_s}  {word}" + (f": {rest}" if rest else "")
+def _event_line(event: Event) -> str:
+    at_s, name = event.get("at_s", ""), event.get("event", "")
+    details = ", ".join(f"{key} {value}" for key, value in event.items() if key not in ("at_s", "event"))
+    return f"{at_s}  {name}" + (f": {details}" if details else "")

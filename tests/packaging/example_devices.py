@@ -28,7 +28,7 @@ class TextGripperDevice:
         self._closing = self._halted = False
 
     def respond(self, now_s: float, command: str, values: list[float]) -> list[float]:
-        view = self._jaws.look(now_s)
+        view = self._jaws.state_at(now_s)
         if command == "state":
             maybe_held = view.holds or self._halted
             on_nothing = self._closing and not view.moving and not maybe_held

@@ -17,7 +17,7 @@ from cell_rig import PATIENT_GUARD
 from container import PROGRAM, UNIT, Container, until
 
 from slipguard.thread_priority import FIRST, SECOND
-from slipguard_emulators.cell.cell_config import CellPaths, text
+from slipguard_emulators.cell.cell_config import CellPaths, config_text
 
 pytestmark = pytest.mark.service
 CELL = CellPaths(Path("/srv/cell"))
@@ -30,7 +30,7 @@ GRASP_N = 30.0
 @pytest.fixture(scope="module")
 def config(container: Container) -> Path:
     """The emulated cell's configuration without its own socket and state folder; where it lies on this side."""
-    told = text(CELL, mode="lift", host="127.0.0.1", height_mm=60.0, speed_mm_s=60.0).partition("[api]")[0]
+    told = config_text(CELL, mode="lift", host="127.0.0.1", height_mm=60.0, speed_mm_s=60.0).partition("[api]")[0]
     told = told.replace("[guard]\n", PATIENT_GUARD).replace('.sock"\n', '.sock"\nstall_ms = 1500\n')
     (container.tree / "srv" / "config.toml").write_text(told)
     return container.tree / "etc" / "slipguard" / "config.toml"

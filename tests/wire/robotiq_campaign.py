@@ -67,7 +67,7 @@ class Outcome:
     wrong: list[str] = field(default_factory=list)
     opened: list[str] = field(default_factory=list)
     loosened: list[str] = field(default_factory=list)
-    struck: Counter[str] = field(default_factory=Counter)
+    occurred: Counter[str] = field(default_factory=Counter)
 
     def stalled_till(self, now_s: float) -> float:
         """stalled_s, with what is being lost at the moment."""
@@ -118,7 +118,7 @@ class Lane:
 
     def _on_event(self, event: Event) -> None:
         if event["event"] == "fault":
-            self.outcome.struck[str(event["kind"])] += 1
+            self.outcome.occurred[str(event["kind"])] += 1
         if event["event"] == "write":
             self.by_release = self.asked == (True, event["registers"])
         opens = event["event"] in OPENINGS and event.get("held", True)

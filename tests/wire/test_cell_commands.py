@@ -63,7 +63,7 @@ def there(tmp_path: Path) -> Iterator[Cell]:
 def test_every_command_of_a_guarded_cell(there: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     terminal = Terminal(capfd, there)
     there.config.write_text(there.config.read_text().replace("[api]\n", f'[api]\nlisten = "{free_address()}"\n'))
-    assert "fine" in terminal.run("check", "--config", there.config)
+    assert "valid" in terminal.run("check", "--config", there.config)
     with daemon(there) as client:
         terminal.patiently("calibrate")
         terminal.run("calibrate", "--config", there.config)

@@ -28,7 +28,7 @@ QVGA = VideoMode("YUYV", 320, 240, 60.0)
 
 
 @pytest.fixture(scope="session")
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two folders by serial: one dark, one bright."""
     folder = tmp_path_factory.mktemp("pictures")
     for level, serial in ((40, "D20001"), (160, "D20002")):
@@ -41,8 +41,8 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-async def emulator(pictures: Path) -> AsyncIterator[DigitEmulator]:
-    settings = DigitEmulator.Settings(serial=["D20001", "D20002"], port=0, pictures=pictures)
+async def emulator(images: Path) -> AsyncIterator[DigitEmulator]:
+    settings = DigitEmulator.Settings(serial=["D20001", "D20002"], port=0, images=images)
     emulator = DigitEmulator(settings)
     await emulator.start()
     yield emulator
@@ -96,8 +96,8 @@ async def test_each_sends_its_own_pictures_turned_as_a_digit_does(emulator: Digi
         await beside(capture.close)
 
 
-async def test_a_host_that_is_slow_to_ask_again_gets_the_next_picture_all_the_same(pictures: Path) -> None:
-    emulator = DigitEmulator(DigitEmulator.Settings(port=0, pictures=pictures))
+async def test_a_host_that_is_slow_to_ask_again_gets_the_next_picture_all_the_same(images: Path) -> None:
+    emulator = DigitEmulator(DigitEmulator.Settings(port=0, images=images))
     camera = emulator.cameras["1-1"]
     answers = Answers()
     bulk = BulkInEndpoint(answers)
@@ -230,9 +230,9 @@ async def test_a_request_taken_back_before_it_was_sent_is_answered_once_and_only
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
-        ({"pictures": "/nowhere"}, "is not a folder"),
+        ({"images": "/nowhere"}, "is not a folder"),
         ({"object": "unicorn"}, "no object 'unicorn'"),
-        ({"host": "203.0.113.1"}, "cannot be listened at"),
+        ({"host": "203.0.113.1"}, "cannot listen on"),
     ],
 )
 async def test_what_cannot_be_emulated_is_told(settings: dict[str, object], told: str) -> None:

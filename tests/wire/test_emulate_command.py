@@ -105,7 +105,7 @@ def test_without_an_input_it_goes_on(link: Path) -> None:
         (["robotiq", "--fault", "never"], "no fault 'never'"),
         (["robotiq", "--fault", "late:often"], "neither a probability"),
         (["robotiq", "--object-width-mm", "300"], "less than 140"),
-        (["robotiq", "--link", "/proc/tty"], "is no link"),
+        (["robotiq", "--link", "/proc/tty"], "is not a link"),
         (["robotiq", "--colour", "red"], "--colour"),
     ],
 )

@@ -29,7 +29,7 @@ async def test_no_state_is_wrong_no_grip_opens_and_nothing_hangs(
             f"\n{outcome.commands} commands, {outcome.states} states, {outcome.failed} failed, {outcome.refused} "
             f"refused, {outcome.restarts_holding} restarts while holding, longest call {outcome.longest_s:.3f} s "
             f"(stalled {outcome.stalled_s:.1f} s in all); "
-            f"faults: {dict(sorted(outcome.struck.items()))}"
+            f"faults: {dict(sorted(outcome.occurred.items()))}"
         )
     assert outcome.wrong == []
     assert outcome.opened == []
@@ -38,7 +38,7 @@ async def test_no_state_is_wrong_no_grip_opens_and_nothing_hangs(
     assert outcome.commands >= commands
     assert outcome.states > commands / 10
     assert outcome.restarts_holding > 0
-    assert set(outcome.struck) == set(FAULTS) or commands < 1000
+    assert set(outcome.occurred) == set(FAULTS) or commands < 1000
 
 
 def test_a_wrong_state_would_be_noticed() -> None:

@@ -46,7 +46,7 @@ class Bench:
 
     @property
     def force_n(self) -> float:
-        return self.jaws.look(self.now_s).force_n
+        return self.jaws.state_at(self.now_s).force_n
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_activation_takes_seconds_and_moves_the_jaws_all_the_way() -> None:
     bench.write(0x0100, 0, 0)
     assert bench.flags == 0x11
     bench.wait(0.7)
-    assert bench.jaws.look(bench.now_s).width_mm < 30.0
+    assert bench.jaws.state_at(bench.now_s).width_mm < 30.0
     bench.wait(3.0)
     assert bench.flags & 0x3F == 0x31
     assert bench.told[-1] == "activated"
@@ -123,10 +123,10 @@ def test_going_before_it_is_active_is_a_fault() -> None:
 
 
 def test_a_silence_is_told_and_an_automatic_release_too(bench: Bench) -> None:
-    bench.registers.heard(bench.now_s)
+    bench.registers.request_received(bench.now_s)
     bench.wait(1.5)
     assert bench.registers.read(bench.now_s)[1] >> 8 == 0x09
-    bench.registers.heard(bench.now_s)
+    bench.registers.request_received(bench.now_s)
     bench.write(0x1100, 0, 0)
     assert bench.registers.read(bench.now_s)[1] >> 8 == 0x0B
     bench.wait(10.0)
@@ -248,7 +248,7 @@ async def test_the_object_and_the_fault_are_put_there_by_words(emulator: Robotiq
 async def test_a_name_that_is_taken_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     emulator = RobotiqEmulator(RobotiqEmulator.Settings(link=tmp_path / "file"))
-    with pytest.raises(InputError, match="is no link"):
+    with pytest.raises(InputError, match="is not a link"):
         await emulator.start()
     nowhere = RobotiqEmulator(RobotiqEmulator.Settings(link=tmp_path / "no" / "tty"))
     with pytest.raises(InputError, match="cannot be made"):

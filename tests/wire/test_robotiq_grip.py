@@ -86,8 +86,8 @@ async def test_a_stop_that_was_not_taken_is_no_tightening(emulator: RobotiqEmula
 
 
 async def test_a_go_that_was_not_taken_is_not_believed(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
-    strikes = iter([False, True])
-    emulator._strikes = lambda fault: fault == "ignore" and next(strikes, False)  # type: ignore[method-assign]
+    occurs = iter([False, True])
+    emulator._occurs = lambda fault: fault == "ignore" and next(occurs, False)  # type: ignore[method-assign]
     with pytest.raises(DeviceTimeout, match="does not accept commands"):
         await held.hold(80.0)
     assert (await held.state()).force_n == pytest.approx(40.2, abs=0.1)

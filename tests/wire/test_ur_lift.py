@@ -102,7 +102,7 @@ async def test_a_loop_that_hangs_stops_the_arm(controller: UrEmulator, arm: Lift
     before = arm._worker.pid
     threading.Event().wait(0.6)  # the emulator hangs with the loop: its watchdog acts when it goes on
     assert await rests(controller)
-    assert controller.events("ended")[-1]["why"] == "its watchdog heard nothing"
+    assert controller.events("ended")[-1]["why"] == "its watchdog received nothing"
     await lost(arm)
     await arm.open()
     assert arm._worker.pid != before

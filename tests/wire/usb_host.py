@@ -248,11 +248,11 @@ class UsbCapture:
             return
         payload, self._payload = self._payload, b""
         header, flags = payload[0], payload[1]
-        picture = payload[header:]
+        image = payload[header:]
         assert flags & 0x82 == 0x82, "a header's end and a frame's end"
         damage = "the payload's error flag" if flags & 0x40 else None
-        if self._packed and len(picture) != self._frame_bytes:
-            damage = f"{len(picture)} bytes instead of {self._frame_bytes}"
-        self._queue.append(RawFrame(picture, self._sequence, self._begun_s, damage))
+        if self._packed and len(image) != self._frame_bytes:
+            damage = f"{len(image)} bytes instead of {self._frame_bytes}"
+        self._queue.append(RawFrame(image, self._sequence, self._begun_s, damage))
         self._sequence += 1
         self._ring()

@@ -1,4 +1,4 @@
-"""The configuration of an emulated cell, ready for `slipguard run`."""
+"""The files of an emulated cell, with its configuration for `slipguard run`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SOCKET_PATH_MAX_BYTES = 107
 
 @dataclass(frozen=True, slots=True)
 class CellPaths:
-    """Where everything of one cell is. folder: absolute."""
+    """The paths of one cell's files. folder: absolute."""
 
     folder: Path
 
@@ -26,7 +26,7 @@ class CellPaths:
 
     @property
     def truth(self) -> Path:
-        """What really happened, as JSON lines."""
+        """The true states, as JSON lines."""
         return self.folder / "truth.jsonl"
 
     @property
@@ -40,24 +40,28 @@ class CellPaths:
 
     @property
     def api(self) -> Path:
-        """The socket of the daemon that will guard this cell."""
+        """The socket of the daemon for this cell."""
         return self.folder / "slipguard.sock"
 
     def make(self) -> None:
-        """Make the folder. Raises InputError where it cannot be used."""
+        """Create the folder. Raises InputError if it cannot be used."""
         longest = max((self.api, self.camera("right")), key=lambda path: len(str(path)))
         if len(str(longest).encode()) > SOCKET_PATH_MAX_BYTES:
-            raise InputError(f"{longest}: longer than the {SOCKET_PATH_MAX_BYTES} bytes a socket's path may have")
+            raise InputError(
+                f"{longest}: longer than the {SOCKET_PATH_MAX_BYTES} bytes of a socket's path; use a shorter folder"
+            )
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             if self.config.exists() and not self.config.read_text().startswith(MARK):
-                raise InputError(f"{self.config} is there and was not written by an emulated cell; name another folder")
+                raise InputError(f"{self.config} exists and was not written by an emulated cell; name another folder")
         except OSError as error:
             raise InputError(f"{self.folder}: cannot be used: {error.strerror}; name another folder") from None
 
 
-def text(places: CellPaths, *, mode: Literal["lift", "guard"], host: str, height_mm: float, speed_mm_s: float) -> str:
-    """The file's text. Whatever is not said is slipguard's default."""
+def config_text(
+    places: CellPaths, *, mode: Literal["lift", "guard"], host: str, height_mm: float, speed_mm_s: float
+) -> str:
+    """Return the configuration as text; other keys have slipguard's defaults."""
     cameras = "\n".join(
         f"""[{finger}]
 driver = "socket"

@@ -18,7 +18,7 @@ from slipguard.sim.gripper_plant import GripperDynamics
 from slipguard.sim.scenario import CameraModel, scenario
 from slipguard.sim.world import World, WorldSettings
 from slipguard_emulators.base import ControlledEmulator, EmulatorCommand
-from slipguard_emulators.cell.cell_config import CellPaths, text
+from slipguard_emulators.cell.cell_config import CellPaths, config_text
 from slipguard_emulators.cell.frame_server import FrameServer
 from slipguard_emulators.cell.lift_program import LiftProgram
 from slipguard_emulators.cell.truth_log import CellTruthLog, line_of
@@ -34,33 +34,33 @@ FINGERS = ("left", "right")
 CAMERA_FAULTS = {
     "disconnect": "the camera is unplugged",
     "stall": "no frames come",
-    "frozen": "the same picture comes again and again",
+    "frozen": "the same image is repeated",
     "corrupt": "frames come damaged",
 }
-LOOK_S = 0.05
-FIRM_N = 10.0
-"""The robot's program takes a grip for one from this force on."""
-LOUD = frozenset({"gripped", "tightened", "let go", "paused", "resumed", "started", "ended", "safety", "fault"})
-"""What is told of the parts as it happens; their logs have the rest."""
+POLL_S = 0.05
+GRIP_MIN_N = 10.0
+"""From this force on, the robot's program treats the object as gripped."""
+REPORTED = frozenset({"gripped", "tightened", "let go", "paused", "resumed", "started", "ended", "safety", "fault"})
+"""Events of the parts that are reported; their logs have all events."""
 
 
 class CellWorld(World):
-    """A world whose cameras run at a given rate and whose gripper hears at once: the serial line has its own delays."""
+    """A world with a given camera rate, whose gripper reacts at once: the serial line has its own delays."""
 
     def __init__(self, seed: int, fps: float) -> None:
         super().__init__(WorldSettings(gripper=GripperDynamics(transaction_s=0.0)), seed)
         self._fps = fps
 
     def camera(self, finger: str) -> CameraModel:
-        """See `World.camera`."""
+        """Return the camera model with the given rate."""
         return replace(super().camera(finger), fps=self._fps)
 
 
 class CellEmulator(ControlledEmulator):
     """Emulate a whole cell: cameras, gripper, robot and an object that would slip; log what really happens.
 
-    Writes a configuration for `slipguard run` into the folder. Faults carry their device's name: `fault gripper.late
-    0.01`, `fault left.stall`. Further control words: `place NAME [SEED]`, `take`, `gripper WORDS`, `arm WORDS`.
+    Writes a configuration for `slipguard run` into the folder. Faults start with the device's name: `fault gripper.late
+    0.01`, `fault left.stall`. Further commands: `place NAME [SEED]`, `take`, `gripper COMMAND`, `arm COMMAND`.
 
     Example: `slipguard emulate cell --folder cell --object wrench`, then `slipguard run --config cell/config.toml`
     """
@@ -70,22 +70,24 @@ class CellEmulator(ControlledEmulator):
 
         model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-        folder: Annotated[Path, Field(description="Where sockets, port, configuration and log go.")] = Path("cell")
-        object: Annotated[str, Field(description="What lies between the jaws; `none` for nothing.")] = "wrench"
-        seed: Annotated[int, Field(ge=0, description="Seed of all that is random.")] = 0
+        folder: Annotated[Path, Field(description="Folder for sockets, port, configuration and log.")] = Path("cell")
+        object: Annotated[str, Field(description="Object between the jaws; `none` for no object.")] = "wrench"
+        seed: Annotated[int, Field(ge=0, description="Random seed.")] = 0
         mode: Annotated[
-            Literal["lift", "guard"], Field(description="Who moves the arm: slipguard, or the robot's own program.")
+            Literal["lift", "guard"],
+            Field(description="lift: slipguard moves the arm; guard: the robot's own program does."),
         ] = "lift"
         host: Annotated[str, Field(description="Address of this machine for the robot.")] = "127.0.0.1"
         series: Annotated[Literal["e", "cb3"], Field(description="Robot: cb3 125 Hz, e 500 Hz.")] = "cb3"
-        fps: Annotated[Literal["60", "30"], Field(description="Rate of the cameras; drawing 60 costs half a core.")] = (
-            "60"
-        )
-        baud: Annotated[int, Field(ge=0, description="Pace of the serial line; 0: as fast as it goes.")] = 115200
+        fps: Annotated[
+            Literal["60", "30"], Field(description="Rate of the cameras; rendering at 60 takes half a core.")
+        ] = "60"
+        baud: Annotated[int, Field(ge=0, description="Baud rate of the serial line; 0: no delay.")] = 115200
         height_mm: Annotated[float, Field(ge=1.0, le=800.0, description="Height of a lift.")] = 150.0
         speed_mm_s: Annotated[float, Field(ge=1.0, le=250.0, description="Speed of a lift.")] = 80.0
         play_again_s: Annotated[
-            float, Field(ge=0.0, le=600.0, description="Guard mode: a paused program goes on after so long; 0: never.")
+            float,
+            Field(ge=0.0, le=600.0, description="Guard mode: a paused program continues after this time; 0: never."),
         ] = 2.0
 
     def __init__(self, settings: Settings, report: Report | None = None) -> None:
@@ -107,11 +109,11 @@ class CellEmulator(ControlledEmulator):
 
     @property
     def address(self) -> str:
-        """The configuration to guard it with."""
+        """Path of the configuration for `slipguard run`."""
         return str(self.places.config)
 
     async def start(self) -> None:
-        """Appear: folder, object, cameras, gripper, robot. Raises InputError."""
+        """Create folder, object, cameras, gripper and robot. Raises InputError."""
         settings = self.settings
         self.places.make()
         self.world.truth(_now_s())
@@ -121,11 +123,13 @@ class CellEmulator(ControlledEmulator):
             for camera in self.cameras.values():
                 camera.plug()
         except OSError as error:
-            raise InputError(f"{self.places.folder}: no socket can be made there: {error.strerror}") from None
+            raise InputError(
+                f"{self.places.folder}: no socket can be created there: {error.strerror}; name another folder"
+            ) from None
         await self.gripper.start()
         await self.arm.start()
         self.places.config.write_text(
-            text(
+            config_text(
                 self.places,
                 mode=settings.mode,
                 host=settings.host,
@@ -137,10 +141,10 @@ class CellEmulator(ControlledEmulator):
         self._tasks = [asyncio.create_task(log.run(), name="truth")]
         if settings.mode == "guard":
             self.arm.controller.loaded = self._new_program
-            self._tasks.append(asyncio.create_task(self._hand_at_the_panel(), name="panel"))
+            self._tasks.append(asyncio.create_task(self._operate_panel(), name="panel"))
 
     async def stop(self) -> None:
-        """Vanish; configuration and log stay."""
+        """Disappear; configuration and log stay."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -151,29 +155,29 @@ class CellEmulator(ControlledEmulator):
         await self.arm.stop()
 
     def state(self) -> Mapping[str, object]:
-        """The truth now."""
+        """Return the true state."""
         shown = {key: value for key, value in line_of(self.world.truth(_now_s())).items() if key != "t"}
         shown["jaws_mm"] = round(self.world.gripper_state(_now_s()).width_mm, 1)
         shown["robot"] = self.arm.state()["runtime"]
         if self.settings.mode == "guard":
             shown["program"] = self.program.stage.value
-        shown["watched"] = ", ".join(name for name, one in self.cameras.items() if one.read) or "by nobody"
+        shown["watched"] = ", ".join(name for name, one in self.cameras.items() if one.read) or "no client"
         shown["faults"] = ", ".join(self._active()) or "none"
         return shown
 
-    def words(self) -> dict[str, EmulatorCommand]:
-        """The object, and the parts by name."""
+    def commands(self) -> dict[str, EmulatorCommand]:
+        """Return the commands for the object and the parts."""
         return {
-            "place": (self._place_word, "place NAME [SEED]: put an object between the open jaws"),
-            "take": (self._take, "take: take the object away, wherever it is"),
-            "gripper": (self._pass_on(self.gripper), "gripper WORDS: to the gripper, such as `gripper log 3`"),
-            "arm": (self._pass_on(self.arm), "arm WORDS: to the robot, such as `arm panel pause`"),
+            "place": (self._place_word, "place NAME [SEED]: place an object between the open jaws"),
+            "take": (self._take, "take: remove the object"),
+            "gripper": (self._pass_on(self.gripper), "gripper COMMAND: to the gripper, such as `gripper log 3`"),
+            "arm": (self._pass_on(self.arm), "arm COMMAND: to the robot, such as `arm panel pause`"),
         }
 
-    # Faults: each belongs to a part.
+    # Faults of the parts.
 
     def set_fault(self, name: str, amount: float | int | None = None) -> None:
-        """Let a part fail, `PART.FAULT`. Raises CommandRefused."""
+        """Start the fault `PART.FAULT`. Raises CommandRefused."""
         self.faults.check(name)
         part, kind = name.split(".")
         if part not in FINGERS:
@@ -246,7 +250,7 @@ class CellEmulator(ControlledEmulator):
         def held() -> bool:
             now_s = _now_s()
             truth = self.world.truth(now_s)
-            return truth.in_contact and truth.force_n > FIRM_N and not self.world.gripper_state(now_s).moving
+            return truth.in_contact and truth.force_n > GRIP_MIN_N and not self.world.gripper_state(now_s).moving
 
         settings = self.settings
         self.program = LiftProgram(
@@ -254,13 +258,13 @@ class CellEmulator(ControlledEmulator):
         )
         return self.program
 
-    async def _hand_at_the_panel(self) -> None:
-        """Somebody starts the robot's own program, and lets it go on a while after it was paused."""
+    async def _operate_panel(self) -> None:
+        """Start the robot's own program, and continue it some time after it was paused."""
         controller, wait_s = self.arm.controller, self.settings.play_again_s
         controller.play(_now_s())
         paused_s: float | None = None
         while True:
-            await asyncio.sleep(LOOK_S)
+            await asyncio.sleep(POLL_S)
             if controller.runtime != PAUSED:
                 paused_s = None
             elif paused_s is None:
@@ -269,22 +273,22 @@ class CellEmulator(ControlledEmulator):
                 controller.play(_now_s())
 
     def _part(self, name: str) -> Report:
-        def told(event: Event) -> None:
+        def log_event(event: Event) -> None:
             entry = {"at_s": event["at_s"], "part": name, **event}
             self.log.append(entry)
-            if self._report is not None and event["event"] in LOUD:
+            if self._report is not None and event["event"] in REPORTED:
                 self._report(entry)
 
-        return told
+        return log_event
 
     def _pass_on(self, part: ControlledEmulator) -> Callable[[list[str]], str]:
         return lambda rest: part.control(" ".join(rest or ["help"]))
 
 
 def _fault_names() -> dict[str, str]:
-    cameras = {f"{part}.{kind}": told for part in FINGERS for kind, told in CAMERA_FAULTS.items()}
-    gripper = {f"gripper.{kind}": told for kind, told in GRIPPER_FAULTS.items()}
-    return cameras | gripper | {f"arm.{kind}": told for kind, told in ARM_FAULTS.items()}
+    cameras = {f"{part}.{kind}": text for part in FINGERS for kind, text in CAMERA_FAULTS.items()}
+    gripper = {f"gripper.{kind}": text for kind, text in GRIPPER_FAULTS.items()}
+    return cameras | gripper | {f"arm.{kind}": text for kind, text in ARM_FAULTS.items()}
 
 
 def _now_s() -> float:

@@ -49,10 +49,10 @@ def pack_frame(image: NDArray[np.uint8], captured_at_s: float, sequence: int) ->
 
 
 class FrameServer:
-    """Opens `sensor` for a reader and sends what it delivers, faults included.
+    """Opens `sensor` for a client and sends its frames, faults included.
 
-    A repeated picture is sent as a new frame, a damaged one as a frame with too few pixels. What comes while the reader
-    has not taken the last frame is left out. fps: told to the reader.
+    A repeated image is sent as a new frame, a damaged one as a frame with too few pixels. Frames that arrive before the
+    client has read the previous one are skipped. fps: rate in the greeting.
     """
 
     def __init__(self, path: Path, sensor: TactileSensor, fps: float) -> None:
@@ -69,16 +69,16 @@ class FrameServer:
 
     @property
     def plugged(self) -> bool:
-        """Whether it can be connected to."""
+        """Whether clients can connect."""
         return self._listening is not None
 
     @property
     def read(self) -> bool:
-        """Whether somebody reads it."""
+        """Whether a client is connected."""
         return self._reader is not None and not self._reader.done()
 
     def plug(self) -> None:
-        """Appear. Idempotent. Raises OSError where the socket cannot be made."""
+        """Create the socket. Idempotent. Raises OSError."""
         if self._listening is not None:
             return
         self.path.unlink(missing_ok=True)
@@ -94,7 +94,7 @@ class FrameServer:
         self._start(self._accept(listening), "accept")
 
     def unplug(self) -> None:
-        """Vanish, in the middle of a frame if need be. Idempotent."""
+        """Remove the socket and disconnect, even in the middle of a frame. Idempotent."""
         if self._listening is None:
             return
         self._listening.close()
@@ -104,7 +104,7 @@ class FrameServer:
             task.cancel()
 
     async def close(self) -> None:
-        """Vanish and end everything."""
+        """Remove the socket and end all tasks."""
         self.unplug()
         while self._tasks:
             await asyncio.wait(self._tasks)
@@ -130,7 +130,7 @@ class FrameServer:
                 self._reader = self._start(self._serve(reader, writer), "reader")
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Send until the reader hangs up: it never says anything."""
+        """Send until the client disconnects; it never sends anything."""
         if self._lingering is not None:
             self._lingering.cancel()
         hung_up = asyncio.create_task(reader.read(1), name=f"{self.path.name}: hung up")

@@ -1,4 +1,4 @@
-"""The program of somebody else on the emulated robot: it lifts whatever the gripper holds, and knows no slipguard."""
+"""A robot program on the emulated robot that lifts what the gripper holds, independent of slipguard."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ACCELERATION_M_S2 = 1.0
 
 
 class LiftStage(Enum):
-    """What it is about."""
+    """Stage of the program."""
 
     WAITING = "waiting"
     UP = "up"
@@ -22,9 +22,9 @@ class LiftStage(Enum):
 
 
 class LiftProgram(RobotProgram):
-    """Once something has been held for `patience_s`: up, a while up there, down; and again after a release.
+    """When an object was held for `wait_s`: lift, stay, lower; again after a release.
 
-    held: whether there is something in the gripper. height_m, speed_m_s: of the lift.
+    held: returns whether the gripper holds an object. height_m, speed_m_s: of the lift.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class LiftProgram(RobotProgram):
         *,
         height_m: float,
         speed_m_s: float,
-        patience_s: float = 1.5,
+        wait_s: float = 1.5,
         stay_s: float = 2.0,
     ) -> None:
         self.name = "pick.urp"
@@ -42,16 +42,16 @@ class LiftProgram(RobotProgram):
         self._tool = tool
         self._held = held
         self._height_m, self._speed_m_s = height_m, speed_m_s
-        self._patience_s, self._stay_s = patience_s, stay_s
+        self._wait_s, self._stay_s = wait_s, stay_s
         self._since_s: float | None = None
         self._low: list[float] = []
 
     def cycle(self, now_s: float) -> str | None:
-        """One cycle; it never ends by itself."""
+        """Execute one cycle; the program never ends by itself."""
         held, at_rest = self._held(), not self._tool.under_way(now_s)
         if self.stage is LiftStage.WAITING:
             self._since_s = None if not held else self._since_s if self._since_s is not None else now_s
-            if self._since_s is not None and now_s - self._since_s >= self._patience_s:
+            if self._since_s is not None and now_s - self._since_s >= self._wait_s:
                 self._low = list(self._tool.pose(now_s))
                 self._go(LiftStage.UP, now_s)
         elif self.stage is LiftStage.UP and at_rest:
@@ -69,7 +69,7 @@ class LiftProgram(RobotProgram):
         self._tool.stop(now_s, PROGRAM_STOP_M_S2)
 
     def resume(self, now_s: float) -> None:
-        """Go on to where it was going."""
+        """Continue the interrupted motion."""
         if self.stage in (LiftStage.UP, LiftStage.DOWN):
             self._go(self.stage, now_s)
 

@@ -1,4 +1,4 @@
-"""What really happens in an emulated cell, as JSON lines: for whoever judges slipguard, never for slipguard."""
+"""Log of the true states of an emulated cell, as JSON lines. It serves to evaluate slipguard, which never reads it."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from slipguard.sim.world import World, WorldTruth
 
 STEP_S = 0.01
 QUIET_S = 1.0
-"""While nothing changes, a line comes this often."""
+"""Time between lines while nothing changes."""
 
 
 def line_of(truth: WorldTruth) -> dict[str, object]:
-    """One line. Angles are degrees in the left picture, forces newtons per finger; t is CLOCK_MONOTONIC."""
+    """Return one line. Angles in degrees in the left image, forces in newtons per finger; t is CLOCK_MONOTONIC."""
     return {
         "t": round(truth.time_s, 4),
         "object": truth.object_name,
@@ -32,7 +32,7 @@ def line_of(truth: WorldTruth) -> dict[str, object]:
 
 
 class CellTruthLog:
-    """Writes a line whenever something has changed. on_drop: called once for each object lost, with the reason."""
+    """Writes a line when something changes. on_drop: called with the reason, once for each dropped object."""
 
     def __init__(self, world: World, path: Path, on_drop: Callable[[str], None]) -> None:
         self._world = world

@@ -10,7 +10,7 @@ CLOSED_MM = 0.2
 
 
 class WorldJaws(JawsPlant):
-    """The world's gripper. It moves at the world's own speed, whatever speed is asked for."""
+    """The world's gripper. It moves at the world's own speed and ignores the requested one."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -28,7 +28,7 @@ class WorldJaws(JawsPlant):
         """See `Jaws`."""
         self._world.command_halt(now_s)
 
-    def look(self, now_s: float) -> JawsState:
+    def state_at(self, now_s: float) -> JawsState:
         """See `Jaws`."""
         state, truth = self._world.gripper_state(now_s), self._world.truth(now_s)
         return JawsState(

@@ -1,4 +1,4 @@
-"""DIGITs as USB devices over the network: a real kernel plugs them in as cameras, with faults on demand."""
+"""DIGITs as USB devices over the network: a Linux kernel attaches them as cameras, with faults on demand."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from slipguard.emulator import Report
 from slipguard.errors import InputError
 from slipguard_emulators.base import ControlledEmulator, EmulatorCommand
-from slipguard_emulators.digit.frames import drawn, on_the_wire, read
+from slipguard_emulators.digit.frames import encode_image, read, rendered_images
 from slipguard_emulators.digit.usb_descriptors import PRODUCT_ID, VENDOR_ID
 from slipguard_emulators.digit.usbip import BulkInEndpoint, UsbDevice, UsbIpServer
 from slipguard_emulators.digit.uvc_device import UvcDevice
@@ -23,10 +23,10 @@ from slipguard_emulators.digit.uvc_device import UvcDevice
 Image = NDArray[np.uint8]
 
 FAULTS = {
-    "stall": "no picture is sent",
-    "freeze": "the same picture is sent again",
-    "corrupt": "a picture is sent with the error flag of its USB payload",
-    "short": "half of a picture is sent as if it were all",
+    "stall": "no image is sent",
+    "freeze": "the same image is sent again",
+    "corrupt": "an image is sent with the error flag of its USB payload",
+    "short": "half of an image is sent as if it were complete",
     "unplug": "the cable is pulled; clear it to plug the sensor in again (it must be attached anew)",
 }
 SHARE_SENT = 0.5
@@ -35,7 +35,7 @@ SHARE_SENT = 0.5
 class DigitEmulator(ControlledEmulator):
     """Emulate DIGIT cameras as USB devices, for `usbip attach -r HOST -b 1-1` (the second sensor is 1-2).
 
-    Faults strike all sensors, or one where its serial stands before the name: `fault D20002.unplug`.
+    A fault affects all sensors, or one if its serial precedes the name: `fault D20002.unplug`.
 
     Example: `slipguard emulate digit --serial D20001 --fault corrupt:0.01`
     """
@@ -49,18 +49,18 @@ class DigitEmulator(ControlledEmulator):
             list[str],
             Field(min_length=1, max_length=8, description="Serial number of a sensor; repeat it for more sensors."),
         ] = ["D20001"]
-        host: Annotated[str, Field(description="Address to listen at.")] = "127.0.0.1"
+        host: Annotated[str, Field(description="Address to listen on.")] = "127.0.0.1"
         port: Annotated[int, Field(ge=0, le=65535, description="TCP port; 0: any free one.")] = 3240
         pixels: Annotated[Literal["YUYV", "MJPG", "both"], Field(description="Pixel formats on offer.")] = "YUYV"
-        firmware: Annotated[int, Field(ge=0, le=9999, description="212 is 2.12; below 200 its LEDs are one.")] = 212
-        pictures: Annotated[
+        firmware: Annotated[
+            int, Field(ge=0, le=9999, description="212 is 2.12; below 200 all LEDs have one brightness.")
+        ] = 212
+        images: Annotated[
             Path | None,
-            Field(
-                description="Folder of pictures, 240 wide x 320 high, or of one such folder by serial; default: drawn."
-            ),
+            Field(description="Folder of images, 240 wide x 320 high, or of a folder per serial; default: rendered."),
         ] = None
-        object: Annotated[str, Field(description="What presses into the gel in the drawn pictures.")] = "bar"
-        seed: Annotated[int, Field(ge=0, description="Seed of all that is random.")] = 0
+        object: Annotated[str, Field(description="Object that presses into the gel in the rendered images.")] = "bar"
+        seed: Annotated[int, Field(ge=0, description="Random seed.")] = 0
 
         @field_validator("serial")
         @classmethod
@@ -95,22 +95,20 @@ class DigitEmulator(ControlledEmulator):
         return int(self._address.rpartition(":")[2])
 
     async def start(self) -> None:
-        """Draw or read the pictures and listen. Raises InputError where that is not possible."""
+        """Render or read the images and listen. Raises InputError if that is not possible."""
         settings = self.settings
         for camera in self.cameras.values():
-            await asyncio.to_thread(getattr, camera, "pictures")
+            await asyncio.to_thread(getattr, camera, "images")
         try:
             self._server = await asyncio.start_server(self._usbip.serve, settings.host, settings.port)
         except OSError as error:
             where = f"{settings.host}:{settings.port}"
-            raise InputError(
-                f"{where} cannot be listened at ({error.strerror or error}); choose another port"
-            ) from None
+            raise InputError(f"cannot listen on {where} ({error.strerror or error}); choose another port") from None
         host, port = self._server.sockets[0].getsockname()[:2]
         self._address = f"{host}:{port}"
 
     async def stop(self) -> None:
-        """Vanish."""
+        """Disappear."""
         if self._server is not None:
             self._server.close()
             await self._usbip.stop()
@@ -118,29 +116,29 @@ class DigitEmulator(ControlledEmulator):
             self._server = None
 
     def state(self) -> dict[str, object]:
-        """The truth now."""
-        told: dict[str, object] = {camera.unit.serial: camera.summary for camera in self.cameras.values()}
-        return told | {"faults": self.faults.active or "none"}
+        """Return the true state."""
+        sensors: dict[str, object] = {camera.unit.serial: camera.summary for camera in self.cameras.values()}
+        return sensors | {"faults": self.faults.active or "none"}
 
-    def words(self) -> dict[str, EmulatorCommand]:
-        """None of its own."""
+    def commands(self) -> dict[str, EmulatorCommand]:
+        """Return no further commands."""
         return {}
 
     def fault_changed(self) -> None:
         """Pull or plug cables at once."""
         for camera in self.cameras.values():
-            camera.heed_cable()
+            camera.update_cable()
 
 
 class EmulatedCamera(UsbDevice):
-    """One sensor of the emulator: paces its pictures and lets the faults strike them."""
+    """One sensor of the emulator: sends images at its rate, with faults."""
 
     def __init__(self, emulator: DigitEmulator, serial: str, number: int) -> None:
         settings = emulator.settings
         formats = ("YUYV", "MJPG") if settings.pixels == "both" else (settings.pixels,)
         self.unit = UvcDevice(serial, formats, settings.firmware, emulator.note)
         self.sent = 0
-        """Pictures that went out."""
+        """Number of images sent."""
         self._emulator = emulator
         self._number = number
         self._plugged = True
@@ -151,40 +149,40 @@ class EmulatedCamera(UsbDevice):
 
     @property
     def identity(self) -> tuple[int, int, int]:
-        """As a DIGIT."""
+        """Return the identity of a DIGIT."""
         return VENDOR_ID, PRODUCT_ID, int(str(self.unit.firmware), 16)
 
     @property
     def plugged(self) -> bool:
-        """Whether its cable is in."""
+        """Whether its cable is plugged in."""
         return self._plugged
 
     @property
     def summary(self) -> str:
-        """In a few words."""
+        """Return its state as text."""
         where = "attached" if self._connection else "not attached" if self._plugged else "unplugged"
-        return f"{where}, {self.sent} pictures sent, LEDs {self.unit.zoom:#05x}"
+        return f"{where}, {self.sent} images sent, LEDs {self.unit.zoom:#05x}"
 
     @cached_property
-    def pictures(self) -> Sequence[Image]:
-        """What it sends in turn, portrait BGR."""
+    def images(self) -> Sequence[Image]:
+        """Return the images that it sends in turn, portrait BGR."""
         settings = self._emulator.settings
-        if settings.pictures is None:
-            return drawn(settings.seed + self._number, settings.object)
-        own = settings.pictures / self.unit.serial
-        return read(own if own.is_dir() else settings.pictures)
+        if settings.images is None:
+            return rendered_images(settings.seed + self._number, settings.object)
+        own = settings.images / self.unit.serial
+        return read(own if own.is_dir() else settings.images)
 
     def control(self, setup: bytes, data: bytes) -> bytes | None:
-        """As the unit."""
+        """See `UvcDevice.control`."""
         return self.unit.control(setup, data)
 
     def attached(self, connection: asyncio.StreamWriter | None) -> None:
-        """Remember whom to cut off."""
+        """Remember the connection of the host."""
         self._connection = connection
         self._emulator.note("attached" if connection else "detached", serial=self.unit.serial)
 
-    def heed_cable(self) -> None:
-        """Do what the fault `unplug` says now."""
+    def update_cable(self) -> None:
+        """Plug or unplug the cable as the fault `unplug` demands."""
         faults = self._emulator.faults
         plugged = not any(faults.lasts(name) for name in self._names("unplug") if name in faults.active)
         if plugged == self._plugged:
@@ -195,7 +193,7 @@ class EmulatedCamera(UsbDevice):
             self._connection.transport.abort()
 
     async def stream(self, bulk: BulkInEndpoint) -> None:
-        """A picture at every interval while the host reads; what it is too slow for is left out."""
+        """Send an image per interval while the host reads; images that it is too slow for are skipped."""
         loop = asyncio.get_running_loop()
         due_s = loop.time()
         while True:
@@ -207,36 +205,36 @@ class EmulatedCamera(UsbDevice):
                 await self._expose(bulk)
 
     async def _expose(self, bulk: BulkInEndpoint) -> None:
-        """Send one picture, or what the faults make of it."""
-        if self._strikes("unplug"):
+        """Send one image, with faults."""
+        if self._occurs("unplug"):
             assert self._connection is not None
             self._connection.transport.abort()
-        if self._strikes("stall"):
+        if self._occurs("stall"):
             return
         unit = self.unit
         self._exposed += 1
-        picture = self._on_the_wire(self._exposed % len(self.pictures))
-        if self._last is not None and self._strikes("freeze"):
-            picture = self._last
-        self._last = picture
-        if self._strikes("short"):
-            picture = picture[: int(SHARE_SENT * len(picture))]
-        payload = unit.payload(picture, damaged=self._strikes("corrupt"))
+        image = self._encoded(self._exposed % len(self.images))
+        if self._last is not None and self._occurs("freeze"):
+            image = self._last
+        self._last = image
+        if self._occurs("short"):
+            image = image[: int(SHARE_SENT * len(image))]
+        payload = unit.payload(image, damaged=self._occurs("corrupt"))
         await bulk.send(payload, full=len(payload) == unit.payload_max_bytes)
         self.sent += 1
 
-    def _on_the_wire(self, index: int) -> bytes:
-        """A picture in the agreed format; packed once."""
+    def _encoded(self, index: int) -> bytes:
+        """Return an image in the negotiated format; each is encoded once."""
         pixels, size = self.unit.pixels, self.unit.agreed.size
         key = (pixels, size.width_px, index)
         if key not in self._packed:
-            self._packed[key] = on_the_wire(self.pictures[index], pixels, size.width_px, size.height_px)
+            self._packed[key] = encode_image(self.images[index], pixels, size.width_px, size.height_px)
         return self._packed[key]
 
     def _names(self, fault: str) -> tuple[str, ...]:
-        """The fault for all sensors, and that for this one alone."""
+        """Return the name of the fault for all sensors, and for this one."""
         return fault, f"{self.unit.serial}.{fault}"
 
-    def _strikes(self, fault: str) -> bool:
+    def _occurs(self, fault: str) -> bool:
         faults = self._emulator.faults
-        return any(faults.strikes(name) for name in self._names(fault))
+        return any(faults.occurs(name) for name in self._names(fault))

@@ -1,6 +1,6 @@
-"""What a DIGIT says of itself on USB: a video camera's descriptors, byte by byte (USB 2.0 chapter 9, UVC 1.0).
+"""The USB descriptors of a DIGIT, a video camera (USB 2.0 chapter 9, UVC 1.0).
 
-Bulk streaming on one alternate setting, because USB/IP has no isochronous clock; everything else as the real sensor:
+It streams in bulk on one alternate setting, because USB/IP has no isochronous clock. All else is as in the real sensor:
 identity, sizes, rates, and the zoom control that sets its LEDs.
 """
 
@@ -24,7 +24,7 @@ YUYV_GUID = bytes.fromhex("5955593200001000800000aa00389b71")
 
 @dataclass(frozen=True, slots=True)
 class FrameSize:
-    """One size on offer and its rates; the first rate is the default."""
+    """One supported size and its rates; the first rate is the default."""
 
     width_px: int
     height_px: int
@@ -32,12 +32,12 @@ class FrameSize:
 
     @property
     def bytes_max(self) -> int:
-        """Of one picture, unpacked."""
+        """Size of one uncompressed image."""
         return self.width_px * self.height_px * 2
 
     @property
     def intervals(self) -> list[int]:
-        """In units of 100 ns, shortest first as the class wants them."""
+        """Frame intervals in units of 100 ns, shortest first as the class requires."""
         return sorted(UNITS_A_SECOND // rate for rate in self.rates_fps)
 
 
@@ -45,13 +45,13 @@ SIZES = (FrameSize(640, 480, (30, 15)), FrameSize(320, 240, (60, 30)))
 
 
 def device_descriptor(firmware: int) -> bytes:
-    """18 bytes. firmware: 212 is revision 2.12."""
+    """Return 18 bytes. firmware: 212 is revision 2.12."""
     release = int(str(firmware), 16)
     return _sized(1, struct.pack("<HBBBBHHHBBBB", 0x0200, 0xEF, 2, 1, 64, VENDOR_ID, PRODUCT_ID, release, 1, 2, 3, 1))
 
 
 def string_descriptor(index: int, serial: str) -> bytes | None:
-    """Language, manufacturer, product and serial; None where there is no such string."""
+    """Return the string (language, manufacturer, product or serial); None if the index is unknown."""
     texts = {1: MANUFACTURER, 2: PRODUCT, 3: serial}
     if index == 0:
         return _sized(3, struct.pack("<H", 0x0409))
@@ -59,7 +59,7 @@ def string_descriptor(index: int, serial: str) -> bytes | None:
 
 
 def configuration_descriptor(formats: tuple[str, ...]) -> bytes:
-    """The one configuration. formats: "YUYV", "MJPG", in the order of their format index."""
+    """Return the only configuration. formats: "YUYV", "MJPG", in the order of their format index."""
     control = _control_interface()
     streaming = _streaming_interface(formats)
     association = _sized(0x0B, bytes([CONTROL_INTERFACE, 2, 0x0E, 0x03, 0, 0]))
@@ -68,7 +68,7 @@ def configuration_descriptor(formats: tuple[str, ...]) -> bytes:
 
 
 def _control_interface() -> bytes:
-    """Camera in, stream out, and zoom as the camera's one control."""
+    """Return the interface with camera input, stream output, and zoom as the only control."""
     controls = struct.pack("<H", ZOOM_ABSOLUTE_BIT)
     camera = _video(0x02, struct.pack("<BHBBHHHB", CAMERA_TERMINAL, 0x0201, 0, 0, 0, 0, 0, len(controls)) + controls)
     output = _video(0x03, struct.pack("<BHBBB", OUTPUT_TERMINAL, 0x0101, 0, CAMERA_TERMINAL, 0))
@@ -92,7 +92,7 @@ def _streaming_interface(formats: tuple[str, ...]) -> bytes:
 
 
 def _format(index: int, name: str) -> bytes:
-    """A pixel format, its sizes and its colours (BT.601)."""
+    """Return a pixel format, its sizes and its colors (BT.601)."""
     if name == "YUYV":
         head = _video(0x04, bytes([index, len(SIZES)]) + YUYV_GUID + bytes([16, 1, 0, 0, 0, 0]))
         frame_kind = 0x05
@@ -114,10 +114,10 @@ def _frame(kind: int, number: int, size: FrameSize) -> bytes:
 
 
 def _video(kind: int, body: bytes) -> bytes:
-    """A class-specific interface descriptor."""
+    """Return a class-specific interface descriptor."""
     return _sized(0x24, bytes([kind]) + body)
 
 
 def _sized(kind: int, body: bytes) -> bytes:
-    """Every descriptor begins with its length and its type."""
+    """Return a descriptor, which begins with its length and its type."""
     return bytes([len(body) + 2, kind]) + body

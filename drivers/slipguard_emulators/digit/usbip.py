@@ -1,8 +1,8 @@
-"""A USB/IP server: lets a kernel with vhci-hcd plug in a device that is made of software.
+"""A USB/IP server: a Linux kernel with vhci-hcd attaches a device that is implemented in software.
 
-The protocol of the kernel's Documentation/usb/usbip_protocol.rst, version 1.1.1: all numbers big endian, first a short
-talk (which devices are there; import one), then the requests to the imported device's endpoints over the same
-connection. Whoever attaches: `usbip attach -r HOST -b 1-1`. A connection that ends is an unplugged device.
+Protocol: Documentation/usb/usbip_protocol.rst of the kernel, version 1.1.1. All numbers are big endian. A connection
+starts with a handshake (list the devices; import one); then it carries the requests to the imported device's endpoints.
+The client is `usbip attach -r HOST -b 1-1`. The end of the connection unplugs the device.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ REQUEST_MAX_BYTES = 1 << 20
 
 
 class BulkInEndpoint:
-    """The host's waiting reads on the device's one streaming endpoint."""
+    """The host's pending reads on the device's streaming endpoint."""
 
     def __init__(self, writer: asyncio.StreamWriter) -> None:
         self._writer = writer
@@ -41,20 +41,20 @@ class BulkInEndpoint:
 
     @property
     def wanted(self) -> bool:
-        """Whether the host waits for anything: it does while it streams."""
+        """Whether the host has pending reads, as it has while it streams."""
         return bool(self._reads)
 
     async def until_wanted(self) -> None:
-        """Wait for the host to read."""
+        """Wait until the host reads."""
         await self._wanted.wait()
 
     def ask(self, number: int, length: int) -> None:
-        """The host reads up to `length` bytes."""
+        """Add a pending read of up to `length` bytes."""
         self._reads.append((number, length))
         self._wanted.set()
 
     def withdraw(self, number: int) -> bool:
-        """The host no longer wants the answer to that read; False where it has had it."""
+        """Remove a pending read; return False if it was answered already."""
         kept = deque(read for read in self._reads if read[0] != number)
         found = len(kept) < len(self._reads)
         self._reads = kept
@@ -64,9 +64,9 @@ class BulkInEndpoint:
         return found
 
     async def send(self, payload: bytes, *, full: bool) -> None:
-        """Answer as many reads as it takes; the rest is dropped where the host stops reading on the way.
+        """Answer as many reads as necessary; drop the rest if the host stops reading meanwhile.
 
-        full: the payload has the agreed size, so its end needs no short answer.
+        full: the payload has the negotiated size, so its end needs no short response.
         """
         sent, ended, withdrawn = 0, False, self._withdrawn
         while not ended:
@@ -83,10 +83,10 @@ class BulkInEndpoint:
 
 
 class EarlyUnlinks:
-    """Requests that Linux takes back before it has sent them: its sending thread may overtake itself.
+    """Requests that Linux unlinks before it has sent them, because its threads may overtake each other.
 
-    They are answered when the request arrives. Answered before, the kernel would count it as returned or not, depending
-    on how far it is, and end the connection over an answer, or wait for one for ever.
+    The unlink is answered when the request arrives. If it were answered before, the kernel might end the connection
+    because of an unexpected response, or wait for one forever.
     """
 
     def __init__(self) -> None:
@@ -94,20 +94,20 @@ class EarlyUnlinks:
         self._kept: dict[int, int] = {}
 
     def keep(self, victim: int, number: int) -> bool:
-        """Whether request `victim`, taken back by unlink `number`, is still to come; numbers only rise."""
+        """Keep unlink `number` of request `victim` if that request has not arrived yet; numbers only rise."""
         if victim <= self._newest:
             return False
         self._kept[victim] = number
         return True
 
     def submitted(self, number: int) -> int | None:
-        """A request has come; the unlink that has taken it back already, if there is one."""
+        """Register a request; return the unlink that preceded it, if there is one."""
         self._newest = max(self._newest, number)
         return self._kept.pop(number, None)
 
 
 class UsbDevice(Protocol):
-    """What the server needs of a device."""
+    """A device that the server can export."""
 
     @property
     @abstractmethod
@@ -121,7 +121,7 @@ class UsbDevice(Protocol):
 
     @abstractmethod
     def control(self, setup: bytes, data: bytes) -> bytes | None:
-        """Answer a request on endpoint 0; None is a stall."""
+        """Execute a request on endpoint 0 and return its response; None is a stall."""
 
     @abstractmethod
     async def stream(self, bulk: BulkInEndpoint) -> None:
@@ -129,16 +129,16 @@ class UsbDevice(Protocol):
 
     @abstractmethod
     def attached(self, connection: asyncio.StreamWriter | None) -> None:
-        """A host has it now; None: it has it no more."""
+        """React to the host's connection; None: the host has detached the device."""
 
 
 def returned(number: int, status: int, data: bytes, length: int) -> bytes:
-    """The answer to request `number`."""
+    """Return the response to request `number`."""
     return RETURNED.pack(SUBMIT_REPLY, number, 0, 0, 0, status, length, 0, 0, 0) + data
 
 
 def unlinked(number: int, status: int) -> bytes:
-    """The answer to unlink `number`."""
+    """Return the response to unlink `number`."""
     return UNLINKED.pack(UNLINK_REPLY, number, 0, 0, 0, status)
 
 
@@ -151,7 +151,7 @@ class UsbIpServer:
         self._sessions: set[asyncio.Task[None]] = set()
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """One connection, from its first word to its end."""
+        """Serve one connection."""
         session = asyncio.current_task()
         assert session is not None
         self._sessions.add(session)
@@ -209,7 +209,7 @@ async def _request(
     bulk: BulkInEndpoint,
     early: EarlyUnlinks,
 ) -> None:
-    """One request of the host to the imported device."""
+    """Execute one request of the host to the imported device."""
     head = await reader.readexactly(STARTED_BYTES)
     command, number, _, is_read, endpoint = COMMAND.unpack_from(head)
     if command == UNLINK:
@@ -219,7 +219,7 @@ async def _request(
         return
     _, length, _, _, _, setup = SUBMITTED.unpack_from(head, COMMAND.size)
     if command != SUBMIT or not 0 <= length <= REQUEST_MAX_BYTES:
-        raise ConnectionError(f"command {command} of {length} bytes is none of USB/IP")
+        raise ConnectionError(f"command {command} of {length} bytes is not USB/IP")
     data = b"" if is_read else await reader.readexactly(length)
     if (unlink := early.submitted(number)) is not None:
         writer.write(unlinked(unlink, -ECONNRESET))
@@ -235,7 +235,7 @@ async def _request(
 
 
 def _described(bus_id: str, device: UsbDevice) -> bytes:
-    """312 bytes about one device. Bus and device number together are the id the kernel uses."""
+    """Return 312 bytes about one device. The kernel identifies it by bus and device number."""
     bus, _, port = bus_id.partition("-")
     vendor, product, release = device.identity
     path = f"/sys/devices/emulated/{bus_id}".encode()

@@ -1,4 +1,4 @@
-"""The inside of an emulated DIGIT: answers control requests, negotiates a stream and packs pictures into payloads."""
+"""The USB video class of an emulated DIGIT: control requests, stream negotiation, payloads."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ZOOM, PROBE_CONTROL, COMMIT_CONTROL = 0x0B, 0x01, 0x02
 
 @dataclass(frozen=True, slots=True)
 class NegotiatedMode:
-    """What probe and commit have settled on. interval: in units of 100 ns."""
+    """The result of probe and commit. interval: in units of 100 ns."""
 
     format_index: int
     size_index: int
@@ -36,17 +36,17 @@ class NegotiatedMode:
 
     @property
     def size(self) -> FrameSize:
-        """Of the pictures."""
+        """Size of the images."""
         return SIZES[self.size_index - 1]
 
     @property
     def interval_s(self) -> float:
-        """From picture to picture."""
+        """Time between images."""
         return self.interval / UNITS_A_SECOND
 
 
 class UvcDevice:
-    """One DIGIT behind its USB plug. note: called with what the host does."""
+    """One DIGIT as seen over USB. note: called with the events that the host causes."""
 
     def __init__(self, serial: str, formats: tuple[str, ...], firmware: int, note: Callable[..., None]) -> None:
         self.serial = serial
@@ -60,11 +60,11 @@ class UvcDevice:
 
     @property
     def pixels(self) -> str:
-        """Format of the stream."""
+        """Pixel format of the stream."""
         return self.formats[self.agreed.format_index - 1]
 
     def control(self, setup: bytes, data: bytes) -> bytes | None:
-        """Answer a request on endpoint 0: what it reads, or nothing for one that writes; None is a stall."""
+        """Execute a request on endpoint 0; return the data that it reads (empty for a write), None for a stall."""
         kind, request, value, index, length = struct.unpack("<BBHHH", setup)
         if kind == 0x80 and request == 0x06:
             described = self._descriptor(value >> 8, value & 0xFF)
@@ -78,15 +78,15 @@ class UvcDevice:
             return self._leds(request, data, length)
         return None
 
-    def payload(self, picture: bytes, *, damaged: bool = False) -> bytes:
-        """One frame as it goes over the wire: header and picture."""
+    def payload(self, image: bytes, *, damaged: bool = False) -> bytes:
+        """Return one frame in its wire format: header and image."""
         self._frame_id ^= 1
         flags = END_OF_HEADER | END_OF_FRAME | self._frame_id | (ERROR if damaged else 0)
-        return bytes([HEADER_BYTES, flags]) + picture
+        return bytes([HEADER_BYTES, flags]) + image
 
     @property
     def payload_max_bytes(self) -> int:
-        """As told in the negotiation: a payload that fills it needs no short packet to end."""
+        """Return the negotiated size: a payload of this size needs no short packet at its end."""
         return self.agreed.size.bytes_max + HEADER_BYTES
 
     def _descriptor(self, kind: int, index: int) -> bytes | None:
@@ -97,7 +97,7 @@ class UvcDevice:
         return string_descriptor(index, self.serial) if kind == 3 else None
 
     def _standard(self, kind: int, request: int, length: int) -> bytes | None:
-        """Status, configuration and alternate setting; whatever is set is accepted, there is one of each."""
+        """Answer requests for status, configuration and alternate setting; there is one of each."""
         reads = {0x00: bytes(2), 0x08: b"\x01", 0x0A: b"\x00"}
         if kind & 0x80:
             return reads[request][:length] if request in reads else None
@@ -123,12 +123,12 @@ class UvcDevice:
         if request in (GET_CUR, GET_MIN, GET_MAX, GET_DEF):
             probed = self._probed
             size_bytes = probed.size.bytes_max
-            told = (1, probed.format_index, probed.size_index, probed.interval, 0, 0, 0, 0, 0)
-            return PROBE.pack(*told, size_bytes, size_bytes + HEADER_BYTES)[:length]
+            fields = (1, probed.format_index, probed.size_index, probed.interval, 0, 0, 0, 0, 0)
+            return PROBE.pack(*fields, size_bytes, size_bytes + HEADER_BYTES)[:length]
         return {GET_LEN: struct.pack("<H", PROBE.size), GET_INFO: b"\x03"}.get(request)
 
     def _nearest(self, format_index: int, size_index: int, interval: int) -> NegotiatedMode:
-        """What comes closest to what was asked for."""
+        """Return the mode that is closest to the requested one."""
         format_index = format_index if 1 <= format_index <= len(self.formats) else 1
         size_index = size_index if 1 <= size_index <= len(SIZES) else 1
         size = SIZES[size_index - 1]

@@ -1,4 +1,4 @@
-"""A Robotiq 2F on a pseudo terminal: Modbus RTU at the pace of a real wire, with faults on demand."""
+"""A Robotiq 2F on a pseudo terminal: Modbus RTU with the timing of a real wire, with faults on demand."""
 
 from __future__ import annotations
 
@@ -22,32 +22,32 @@ from slipguard_emulators.robotiq.registers import FIGURES, RACT, ActivationStage
 
 BITS_PER_BYTE = 10
 FORGET_S = 0.02
-"""Bytes that are no whole request are forgotten after a silence; the standard says 3.5 characters."""
+"""An incomplete request is discarded after this silence; the standard says 3.5 characters."""
 FAULTS = {
-    "silence": "a request is obeyed, but not answered",
-    "deaf": "a request is not heard at all",
-    "late": "an answer, and all behind it, comes late_ms later",
+    "silence": "a request is executed, but not answered",
+    "deaf": "a request is ignored",
+    "late": "an answer, and all that follow, are late_ms late",
     "bad_crc": "an answer has a wrong checksum",
-    "half": "only the first half of an answer comes",
-    "garbage": "noise comes before an answer",
-    "noise": "noise comes instead of an answer",
-    "split": "an answer comes in two pieces",
-    "double": "an answer comes twice, back to back",
+    "half": "only the first half of an answer is sent",
+    "garbage": "noise precedes an answer",
+    "noise": "noise is sent instead of an answer",
+    "split": "an answer is sent in two parts",
+    "double": "an answer is sent twice, back to back",
     "wrong_function": "an answer has another function code; its checksum is right",
-    "wrong_length": "an answer has a register less or more; its checksum is right",
-    "wrong_echo": "an answer to a write tells another address; its checksum is right",
-    "wrong_slave": "an answer comes from another slave; its checksum is right",
-    "ignore": "a write is acknowledged, but not carried out",
-    "freeze": "the controller hangs for outage_ms: hears nothing, goes on afterwards",
+    "wrong_length": "an answer has one register too few; its checksum is right",
+    "wrong_echo": "an answer to a write has another address; its checksum is right",
+    "wrong_slave": "an answer is from another slave; its checksum is right",
+    "ignore": "a write is acknowledged, but not executed",
+    "freeze": "the controller hangs for outage_ms and continues afterwards",
     "power": "the gripper loses power for outage_ms: everything but the screw is reset",
-    "unplug": "the serial port vanishes for outage_ms",
+    "unplug": "the serial port disappears for outage_ms",
 }
 
 
 class RobotiqEmulator(ControlledEmulator):
     """Emulate a 2F gripper on a serial port: registers, moving jaws, an object, faults on demand.
 
-    Control words of its own: `object MM|none`, `gflt CODE`.
+    Further commands: `object MM|none`, `gflt CODE`.
 
     Example: `slipguard emulate robotiq --link /tmp/ttyGR --object-width-mm 40 --fault late:0.01`
     """
@@ -58,65 +58,64 @@ class RobotiqEmulator(ControlledEmulator):
         model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
         link: Annotated[Path | None, Field(description="Name of the port; default: the pseudo terminal's own.")] = None
-        model: Annotated[Literal["2F-85", "2F-140"], Field(description="Which gripper.")] = "2F-85"
-        slave_id: Annotated[int, Field(ge=1, le=247, description="Its Modbus address.")] = 9
+        model: Annotated[Literal["2F-85", "2F-140"], Field(description="Gripper model.")] = "2F-85"
+        slave_id: Annotated[int, Field(ge=1, le=247, description="Modbus address.")] = 9
         object_width_mm: Annotated[
-            float | None, Field(gt=0.0, lt=140.0, description="Width of what is between the jaws; default: nothing.")
+            float | None,
+            Field(gt=0.0, lt=140.0, description="Width of the object between the jaws; default: no object."),
         ] = None
-        activated: Annotated[bool, Field(description="Switched on and activated already.")] = False
-        baud: Annotated[int, Field(ge=0, description="Pace of the wire in bits a second; 0: as fast as it goes.")] = (
-            115200
-        )
-        response_ms: Annotated[float, Field(ge=0.0, le=1000.0, description="From a request to its answer.")] = 1.0
+        activated: Annotated[bool, Field(description="Already activated.")] = False
+        baud: Annotated[int, Field(ge=0, description="Bits per second of the wire; 0: no delay.")] = 115200
+        response_ms: Annotated[float, Field(ge=0.0, le=1000.0, description="Time from a request to its answer.")] = 1.0
         latency_timer_ms: Annotated[
-            float, Field(ge=0.0, le=255.0, description="How long the adapter keeps an answer; unset FTDI ones: 16.")
+            float, Field(ge=0.0, le=255.0, description="How long the adapter keeps an answer; FTDI default: 16.")
         ] = 1.0
-        late_ms: Annotated[float, Field(ge=0.0, le=60000.0, description="How late the fault `late` is.")] = 120.0
+        late_ms: Annotated[float, Field(ge=0.0, le=60000.0, description="Delay of the fault `late`.")] = 120.0
         outage_ms: Annotated[
-            float, Field(ge=0.0, le=60000.0, description="How long `freeze`, `power` and `unplug` last.")
+            float, Field(ge=0.0, le=60000.0, description="Duration of `freeze`, `power` and `unplug`.")
         ] = 300.0
-        quick: Annotated[float, Field(gt=0.0, le=100.0, description="Jaws so many times faster than real ones.")] = 1.0
-        seed: Annotated[int, Field(ge=0, description="Seed of all that is random.")] = 0
+        quick: Annotated[float, Field(gt=0.0, le=100.0, description="Speed of the jaws relative to real ones.")] = 1.0
+        seed: Annotated[int, Field(ge=0, description="Random seed.")] = 0
 
     def __init__(self, settings: Settings, report: Report | None = None, jaws: JawsPlant | None = None) -> None:
-        """jaws: the mechanics of a world of one's own; left out: plain jaws with at most one object."""
+        """jaws: other mechanics; default: simple jaws with at most one object."""
         super().__init__(FAULTS, settings.seed, report)
         self.settings = settings
         figures = FIGURES[settings.model]
         self.jaws = jaws if jaws is not None else SimpleJaws(figures.stroke_mm, settings.object_width_mm)
         self.registers = GripperRegisters(self.jaws, figures, self.note, settings.quick)
         self.requests = 0
-        """Requests that were heard."""
+        """Number of requests received."""
         self._rng = random.Random(settings.seed + 1)
         self._port = EmulatedPort(settings.link, self._on_bytes)
         self._started = False
         self._buffer = b""
         self._last_byte_s = 0.0
         self._free_s = 0.0
-        """When the last answer will have been sent; none overtakes another."""
+        """When the last answer will have been sent; answers stay in order."""
         self._down_until_s = 0.0
         self._timers = TimerGroup()
 
     @property
     def address(self) -> str:
-        """The port's path."""
+        """Path of the port."""
         return self._port.path
 
     async def start(self) -> None:
-        """Appear. Raises InputError where the link cannot be made."""
+        """Create the port. Raises InputError if the link cannot be created."""
         if self.settings.activated:
             self.registers.outputs, self.registers.stage = [RACT << 8, 0, 0], ActivationStage.READY
         self._port.plug()
         self._started = True
 
     async def stop(self) -> None:
-        """Vanish."""
+        """Remove the port."""
         self._timers.cancel_all()
         self._started = False
         self._port.unplug()
 
     def state(self) -> dict[str, object]:
-        """The truth now."""
+        """Return the true state."""
         now_s = asyncio.get_running_loop().time()
         view = self.registers.tick(now_s)
         return {
@@ -132,15 +131,15 @@ class RobotiqEmulator(ControlledEmulator):
             "faults": self.faults.active,
         }
 
-    def words(self) -> dict[str, EmulatorCommand]:
-        """`object`, `gflt`."""
+    def commands(self) -> dict[str, EmulatorCommand]:
+        """Return the commands `object` and `gflt`."""
         return {
-            "object": (self._object, "object MM|none: what is between the jaws"),
-            "gflt": (self._gflt, "gflt CODE: the fault that the gripper reports, such as 0x0E; 0 for none"),
+            "object": (self._object, "object MM|none: the object between the jaws"),
+            "gflt": (self._gflt, "gflt CODE: fault code that the gripper reports, such as 0x0E; 0 for none"),
         }
 
     def fault_changed(self) -> None:
-        """Unplug and power act at once where they were set until cleared."""
+        """Start `unplug` and `power` at once if they were set until cleared."""
         if self.faults.lasts("unplug"):
             self._port.unplug()
         elif self._started and not self._port.plugged and self._down_until_s <= asyncio.get_running_loop().time():
@@ -150,10 +149,10 @@ class RobotiqEmulator(ControlledEmulator):
 
     def _object(self, rest: list[str]) -> str:
         if not isinstance(self.jaws, SimpleJaws):
-            raise CommandRefused("what is between the jaws is the world's business here")
+            raise CommandRefused("the simulated world controls the object here; use `place`")
         if rest != ["none"]:
             try:
-                (width_mm,) = (float(word) for word in rest)
+                (width_mm,) = (float(text) for text in rest)
             except ValueError:
                 raise CommandRefused("write `object MM` or `object none`") from None
             if not 0.0 < width_mm < self.jaws.stroke_mm:
@@ -161,11 +160,11 @@ class RobotiqEmulator(ControlledEmulator):
             self.jaws.object_mm = width_mm
             return f"an object of {width_mm:g} mm"
         self.jaws.object_mm = None
-        return "nothing between the jaws"
+        return "no object between the jaws"
 
     def _gflt(self, rest: list[str]) -> str:
         try:
-            (code,) = (int(word, 0) for word in rest)
+            (code,) = (int(text, 0) for text in rest)
         except ValueError:
             raise CommandRefused("write `gflt CODE`, such as `gflt 0x0E`") from None
         if not 0 <= code <= 0x0F:
@@ -186,32 +185,32 @@ class RobotiqEmulator(ControlledEmulator):
             if size == 0:
                 self._buffer = b""
                 return
-            arrived_s = now_s + self._on_the_wire_s(size)
-            self._at(arrived_s, partial(self._hear, frame, arrived_s))
+            arrived_s = now_s + self._wire_time_s(size)
+            self._at(arrived_s, partial(self._on_request, frame, arrived_s))
 
-    def _hear(self, frame: bytes, arrived_s: float) -> None:
-        """The last byte of a request has come in."""
+    def _on_request(self, frame: bytes, arrived_s: float) -> None:
+        """Execute a request whose last byte has arrived."""
         request = parse(frame)
         if request is None or request.slave != self.settings.slave_id or not request.makes_sense:
             return  # the manual: exception answers are not supported
         now_s = max(arrived_s, asyncio.get_running_loop().time())
-        if self._is_down(now_s) or self._strikes("deaf"):
+        if self._is_down(now_s) or self._occurs("deaf"):
             return
         self.requests += 1
-        if request.values and not self._strikes("ignore"):
+        if request.values and not self._occurs("ignore"):
             due_s = self.registers.write(now_s, request.write_at, request.values)
             self.note("write", registers=[f"{word:04X}" for word in request.values], last_byte_s=round(arrived_s, 6))
             self._at(due_s, lambda: self.registers.tick(asyncio.get_running_loop().time()))
         plain = answer(request, lambda: self.registers.read(now_s))
-        self.registers.heard(now_s)
-        if not self._strikes("silence"):
+        self.registers.request_received(now_s)
+        if not self._occurs("silence"):
             self._send(request, plain, now_s)
 
     def _is_down(self, now_s: float) -> bool:
-        """Whether freeze, power or unplug keeps it from hearing; each request is an opportunity to begin."""
+        """Return whether freeze, power or unplug is in effect; each request is an opportunity to start one."""
         if now_s < self._down_until_s:
             return True
-        begin = {name for name in ("freeze", "power", "unplug") if self._strikes(name)}
+        begin = {name for name in ("freeze", "power", "unplug") if self._occurs(name)}
         if not begin:
             return False
         self._down_until_s = now_s + self.settings.outage_ms / 1000.0
@@ -223,37 +222,37 @@ class RobotiqEmulator(ControlledEmulator):
         return True
 
     def _send(self, request: ModbusRequest, plain: bytes, now_s: float) -> None:
-        """Answer at the pace of the wire, spoilt as the faults say."""
-        frame = self._spoilt(request, plain)
-        late_s = self.settings.late_ms / 1000.0 if self._strikes("late") else 0.0
+        """Send the answer with the timing of the wire, with faults."""
+        frame = self._with_faults(request, plain)
+        late_s = self.settings.late_ms / 1000.0 if self._occurs("late") else 0.0
         begins_s = max(now_s + self.settings.response_ms / 1000.0 + late_s, self._free_s)
-        self._free_s = begins_s + self._on_the_wire_s(len(frame))
+        self._free_s = begins_s + self._wire_time_s(len(frame))
         due_s = self._free_s + (self.settings.latency_timer_ms / 1000.0 if self.settings.baud else 0.0)
-        if self._strikes("split"):
+        if self._occurs("split"):
             first, frame = frame[:3], frame[3:]
             self._at(due_s, partial(self._port.send, first, self._port.plugs))
             due_s += 0.004
         self._at(due_s, partial(self._port.send, frame, self._port.plugs))
 
-    def _spoilt(self, request: ModbusRequest, plain: bytes) -> bytes:
-        if self._strikes("wrong_function"):
+    def _with_faults(self, request: ModbusRequest, plain: bytes) -> bytes:
+        if self._occurs("wrong_function"):
             plain = plain[:1] + bytes([{3: 4, 4: 3, 16: 6}.get(request.function, 16)]) + plain[2:]
-        if self._strikes("wrong_slave"):
+        if self._occurs("wrong_slave"):
             plain = bytes([plain[0] + 1]) + plain[1:]
-        if request.count and self._strikes("wrong_length"):
+        if request.count and self._occurs("wrong_length"):
             plain = plain[:2] + bytes([plain[2] - 2]) + plain[3:-2]
-        if request.echo and self._strikes("wrong_echo"):
+        if request.echo and self._occurs("wrong_echo"):
             plain = plain[:3] + bytes([plain[3] ^ 0x01]) + plain[4:]
         frame = plain + crc16(plain)
-        if self._strikes("bad_crc"):
+        if self._occurs("bad_crc"):
             frame = frame[:-1] + bytes([frame[-1] ^ 0x55])
-        if self._strikes("garbage"):
+        if self._occurs("garbage"):
             frame = self._rng.randbytes(self._rng.randrange(1, 6)) + frame
-        if self._strikes("noise"):
+        if self._occurs("noise"):
             frame = self._rng.randbytes(len(frame))
-        if self._strikes("half"):
+        if self._occurs("half"):
             frame = frame[: len(frame) // 2]
-        if self._strikes("double"):
+        if self._occurs("double"):
             frame += frame
         return frame
 
@@ -261,17 +260,17 @@ class RobotiqEmulator(ControlledEmulator):
         if not self.faults.lasts("unplug"):
             self._port.plug()
 
-    def _on_the_wire_s(self, size: int) -> float:
+    def _wire_time_s(self, size: int) -> float:
         return size * BITS_PER_BYTE / self.settings.baud if self.settings.baud else 0.0
 
-    def _strikes(self, fault: str) -> bool:
-        struck = self.faults.strikes(fault)
-        if struck:
+    def _occurs(self, fault: str) -> bool:
+        occurred = self.faults.occurs(fault)
+        if occurred:
             self.note("fault", kind=fault)
-        return struck
+        return occurred
 
     def _at(self, due_s: float, act: Callable[[], object]) -> None:
-        """Do it then, or at once where that has passed."""
+        """Call `act` at a time, or at once if it has passed."""
         if due_s <= asyncio.get_running_loop().time():
             act()
         else:

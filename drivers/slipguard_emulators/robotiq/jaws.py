@@ -1,7 +1,7 @@
-"""The mechanics behind the emulated registers: what the motor does, and what is between the jaws.
+"""The mechanics behind the emulated registers: the motor and the object between the jaws.
 
-`Jaws` is all that the emulated gripper asks of mechanics, so that a cell can put its own world there. Widths are mm
-between the fingers, forces newtons per finger, times those of whoever calls (they never go back).
+`Jaws` is the interface between the emulated gripper and its mechanics, so that an emulated cell can use its own world.
+Widths are mm between the fingers, forces newtons per finger; the caller's times never decrease.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from dataclasses import dataclass
 from typing import Protocol
 
 RAMP_N_S = 400.0
-"""How fast force rises once the fingers have met an object; published rises lie at 64 to 480 N/s."""
+"""Rise of the force after the fingers have reached an object; published values are 64 to 480 N/s."""
 DEAD_TIME_S = 0.02
-"""From an order to the first motion: 20 to 60 ms."""
+"""From a command to the first motion: 20 to 60 ms."""
 
 
 @dataclass(frozen=True, slots=True)
 class JawsState:
-    """The jaws at one instant. force_n: what presses on each side of an object; 0 without one.
+    """The jaws at one time. force_n: on each side of the object; 0 without an object.
 
-    met_closing, met_opening: an object stopped the motor on its way in, or out.
+    met_closing, met_opening: an object stopped the motor while closing, or opening.
     """
 
     width_mm: float
@@ -31,33 +31,33 @@ class JawsState:
 
     @property
     def holds(self) -> bool:
-        """Something would fall if the jaws opened."""
+        """Whether an object is held."""
         return self.force_n > 0.0
 
 
 class JawsPlant(Protocol):
-    """What the emulated gripper's motor works on."""
+    """The mechanics that the emulated gripper's motor moves."""
 
     @abstractmethod
     def drive(self, now_s: float, width_mm: float, speed_mm_s: float, force_n: float) -> None:
-        """Start the motor towards a width; it stops there, or where something resists with `force_n`.
+        """Start the motor toward a width; it stops there, or when an object resists with `force_n`.
 
-        Closing on what is held already tightens the grip to `force_n`; a lower one loosens nothing (the screw).
+        Closing on a held object tightens the grip to `force_n`; a lower force has no effect because of the screw.
         """
 
     @abstractmethod
     def halt(self, now_s: float) -> None:
-        """Stop the motor where it is; the screw keeps force and width."""
+        """Stop the motor; the screw keeps force and width."""
 
     @abstractmethod
-    def look(self, now_s: float) -> JawsState:
-        """How the jaws are now."""
+    def state_at(self, now_s: float) -> JawsState:
+        """Return the state at a time."""
 
 
 class SimpleJaws(JawsPlant):
-    """Jaws with at most one hard object between them, and nothing else in the world.
+    """Jaws with at most one rigid object between them.
 
-    object_mm: its thickness; None: nothing. It may be changed at any time: an object taken away no longer presses.
+    object_mm: its width; None: no object. It may be changed at any time; a removed object is no longer pressed.
     """
 
     def __init__(self, stroke_mm: float = 85.0, object_mm: float | None = None) -> None:
@@ -66,7 +66,7 @@ class SimpleJaws(JawsPlant):
         self._width_mm = stroke_mm
         self._force_n = 0.0
         self._goal_mm: float | None = None
-        """Where the motor is going; None at rest."""
+        """Goal of the motor; None at rest."""
         self._limit_n = 0.0
         self._speed_mm_s = 0.0
         self._at_s = 0.0
@@ -84,7 +84,7 @@ class SimpleJaws(JawsPlant):
         self._advance(now_s)
         self._goal_mm = None
 
-    def look(self, now_s: float) -> JawsState:
+    def state_at(self, now_s: float) -> JawsState:
         """See `Jaws`."""
         self._advance(now_s)
         return JawsState(self._width_mm, self._force_n, self._goal_mm is not None, self._met_closing)

@@ -1,4 +1,4 @@
-"""Modbus RTU as the emulated gripper speaks it: requests taken apart, answers put together, a checksum of its own."""
+"""Modbus RTU of the emulated gripper: decoding of requests, encoding of answers, checksum."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ FRAME_MAX_BYTES = 256
 
 @dataclass(frozen=True, slots=True)
 class ModbusRequest:
-    """What a frame asks for: write `values` from `write_at` on if there are any, then read `count` registers.
+    """A decoded request: write `values` from `write_at` on, then read `count` registers.
 
-    echo: how the answer to a plain write begins (without checksum).
+    echo: the beginning of the answer to a write, without checksum.
     """
 
     slave: int
@@ -29,7 +29,7 @@ class ModbusRequest:
 
     @property
     def makes_sense(self) -> bool:
-        """Whether the gripper has such registers; it has no words for a request that makes none."""
+        """Whether the gripper has these registers; it does not answer other requests."""
         writes = range(self.write_at, self.write_at + len(self.values))
         reads = range(self.read_at, self.read_at + self.count)
         if self.values and not (writes[0] in OUTPUTS and writes[-1] in OUTPUTS):
@@ -40,7 +40,7 @@ class ModbusRequest:
 
 
 def crc16(data: bytes) -> bytes:
-    """The checksum of Modbus RTU, low byte first."""
+    """Return the checksum of Modbus RTU, low byte first."""
     crc = 0xFFFF
     for byte in data:
         crc ^= byte
@@ -50,7 +50,7 @@ def crc16(data: bytes) -> bytes:
 
 
 def frame_bytes(data: bytes) -> int | None:
-    """How long the request is that `data` begins with; None as long as that cannot be told, 0 for no known function."""
+    """Return the size of the request at the start of `data`; None if too few bytes, 0 for an unknown function."""
     if len(data) < 2:
         return None
     function = data[1]
@@ -63,7 +63,7 @@ def frame_bytes(data: bytes) -> int | None:
 
 
 def parse(frame: bytes) -> ModbusRequest | None:
-    """A whole request; None where the checksum is wrong or the counts contradict each other."""
+    """Return the request; None if the checksum is wrong or the counts are inconsistent."""
     if crc16(frame[:-2]) != frame[-2:]:
         return None
     slave, function = frame[0], frame[1]
@@ -85,7 +85,7 @@ def parse(frame: bytes) -> ModbusRequest | None:
 
 
 def answer(request: ModbusRequest, read: Callable[[], Sequence[int]]) -> bytes:
-    """The answer without checksum. read: the three input registers, asked for where the request reads."""
+    """Return the answer without checksum. read: returns the three input registers."""
     if not request.count:
         return request.echo
     first = request.read_at - INPUTS[0]

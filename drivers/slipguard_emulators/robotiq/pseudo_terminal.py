@@ -1,4 +1,4 @@
-"""A serial port that is not there: a pseudo terminal behind a name that stays, as udev's by-id names do."""
+"""An emulated serial port: a pseudo terminal behind a permanent name, like udev's by-id names."""
 
 from __future__ import annotations
 
@@ -15,56 +15,56 @@ from pathlib import Path
 
 from slipguard.errors import InputError
 
-LOOK_S = 0.01
-"""How often to look whether a client has come; a hung-up terminal would wake the loop without end."""
+POLL_S = 0.01
+"""How often to check for a client; a terminal without client would wake the loop permanently."""
 
 
 class EmulatedPort:
-    """The device's end. on_bytes: called with what the client wrote.
+    """The device's end. on_bytes: called with the bytes that the client wrote.
 
-    link: the name clients use; without one they use the pseudo terminal's own, which a new plug changes.
+    link: the name for clients; without one they use the pseudo terminal's name, which changes with each `plug`.
     """
 
     def __init__(self, link: Path | None, on_bytes: Callable[[bytes], None]) -> None:
         self._link = link
         self._on_bytes = on_bytes
         self.plugs = 0
-        """How often it has appeared."""
+        """How often the port was created."""
         self._fd: int | None = None
         self._name = ""
         self._look: asyncio.TimerHandle | None = None
 
     @property
     def path(self) -> str:
-        """What a client opens."""
+        """The path for clients."""
         return str(self._link) if self._link is not None else self._name
 
     @property
     def plugged(self) -> bool:
-        """Whether it is there."""
+        """Whether the port exists."""
         return self._fd is not None
 
     def plug(self) -> None:
-        """Appear. Idempotent. Raises InputError where something else has the name."""
+        """Create the port. Idempotent. Raises InputError if the name is in use."""
         if self._fd is not None:
             return
         if self._link is not None and self._link.exists() and not self._link.is_symlink():
-            raise InputError(f"{self._link} exists and is no link; name a path that is free")
+            raise InputError(f"{self._link} exists and is not a link; name an unused path")
         self.plugs += 1
         self._fd, theirs = pty.openpty()
         self._name = os.ttyname(theirs)
         tty.setraw(theirs)
-        os.close(theirs)  # kept open it would keep what a client has set and left unread
+        os.close(theirs)  # if kept open, it would keep a client's settings and unread bytes
         os.set_blocking(self._fd, False)
         try:
             self._make_link()
         except OSError as error:
             self.unplug()
-            raise InputError(f"{self._link} cannot be made: {error.strerror}") from None
+            raise InputError(f"{self._link} cannot be created: {error.strerror}; name another path") from None
         self._wait_for_a_client()
 
     def unplug(self) -> None:
-        """Vanish, as an adapter pulled out does. Idempotent."""
+        """Remove the port, like an unplugged adapter. Idempotent."""
         if self._fd is None:
             return
         if self._look is not None:
@@ -77,9 +77,9 @@ class EmulatedPort:
         os.close(fd)
 
     def send(self, data: bytes, plug: int) -> None:
-        """Hand bytes to the client; lost where there is none, or one that does not read.
+        """Send bytes to the client; they are lost if there is no client, or if it does not read.
 
-        plug: the value of `plugs` when they were asked for; what was on its way when the port vanished is lost.
+        plug: the value of `plugs` at the request; bytes that were on their way when the port disappeared are lost.
         """
         if self._fd is not None and plug == self.plugs and not self._is_hung_up():
             with contextlib.suppress(OSError):
@@ -101,16 +101,16 @@ class EmulatedPort:
         if self._fd is None:
             return
         if self._is_hung_up():
-            self._look = loop.call_later(LOOK_S, self._wait_for_a_client)
+            self._look = loop.call_later(POLL_S, self._wait_for_a_client)
         else:
             self._look = None
             loop.add_reader(self._fd, self._read)
 
     def _closed(self) -> None:
-        """Forget what was not read, and who had it alone, as a real port does at its last close."""
+        """Discard unread bytes and exclusive use, as a real port does at its last close."""
         try:
             theirs = os.open(self._name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        except OSError:  # only root may open what was claimed, so there is a new terminal behind the name
+        except OSError:  # only root may open a claimed terminal, so create a new one behind the name
             self.unplug()
             self.plug()
             return
@@ -127,7 +127,7 @@ class EmulatedPort:
             data = os.read(self._fd, 4096)
         except BlockingIOError:
             return
-        except OSError:  # the client has gone
+        except OSError:  # the client has disconnected
             asyncio.get_running_loop().remove_reader(self._fd)
             self._closed()
             return

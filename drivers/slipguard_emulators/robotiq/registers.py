@@ -1,8 +1,8 @@
-"""A 2F gripper's controller as its registers show it; written from the manual, sharing no code with the driver.
+"""The controller of a 2F gripper behind its registers; written from the manual, without code of the driver.
 
-It keeps the habits that matter. Setting rACT activates: the jaws open and close all the way, so an object falls. A new
-force acts only while the motor runs: at rest, only a stop and then a go start it again. What is written is taken over
-once in a cycle, so a stop and a go within one cycle are no stop.
+It reproduces what matters to a driver. Setting rACT activates: the jaws open and close fully, so an object falls. A
+new force acts only while the motor runs: at rest, only a stop and then a go start it. Written registers take effect once per
+cycle, so a stop and a go within one cycle have no effect.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ INPUTS = range(0x07D0, 0x07D3)
 CYCLE_S = 0.005
 """The manual: 200 Hz is the usual speed."""
 SILENT_S = 1.0
-"""No request for so long is reported as fault 0x09."""
+"""After this time without a request, fault 0x09 is reported."""
 RACT, RGTO, RATR, RARD = 0x01, 0x08, 0x10, 0x20
 OPEN_COUNT, CLOSED_COUNT = 3, 230
-"""Where the fingers really stop, of 0 to 255."""
+"""Positions at which the fingers stop, of 0 to 255."""
 
 
 @dataclass(frozen=True, slots=True)
 class GripperFigures:
-    """What differs between the models: stroke, lowest and highest force and speed."""
+    """Data of one model: stroke, lowest and highest force and speed."""
 
     stroke_mm: float
     force_n: tuple[float, float]
@@ -41,7 +41,7 @@ FIGURES = {
 
 
 class ActivationStage(Enum):
-    """How far an activation has come; gSTA is 0 at OFF, 3 at READY, 1 in between."""
+    """Progress of the activation; gSTA is 0 at OFF, 3 at READY, 1 in between."""
 
     OFF = "off"
     OPENING = "opening"
@@ -51,16 +51,16 @@ class ActivationStage(Enum):
 
 
 class GripperRegisters:
-    """The controller. note(event, **details): told of everything that really happens.
+    """The registers and the controller behind them.
 
-    quick: activation and motion so many times faster than the real ones, for tests.
+    note(event, **details): called with every event. quick: speed of the motion relative to a real gripper.
     """
 
     def __init__(self, jaws: JawsPlant, figures: GripperFigures, note: Callable[..., None], quick: float = 1.0) -> None:
         self.jaws = jaws
         self.figures = figures
         self.fault = 0
-        """gFLT to report beyond those that follow from the registers."""
+        """gFLT to report in addition to those that follow from the registers."""
         self.stage = ActivationStage.OFF
         self.activations = 0
         self.outputs = [0, 0, 0]
@@ -68,11 +68,11 @@ class GripperRegisters:
         self._quick = quick
         self._written: tuple[float, list[int]] | None = None
         self._atr_fault = 0
-        self._heard_s: float | None = None
+        self._last_request_s: float | None = None
         self._pressed_n = 0.0
 
     def write(self, now_s: float, address: int, values: Sequence[int]) -> float:
-        """Take register values from the wire; returns when they will be taken over."""
+        """Receive register values; return when they will take effect."""
         self.tick(now_s)
         merged = list(self._written[1] if self._written is not None else self.outputs)
         merged[address - OUTPUTS[0] : address - OUTPUTS[0] + len(values)] = values
@@ -81,7 +81,7 @@ class GripperRegisters:
         return due_s
 
     def read(self, now_s: float) -> list[int]:
-        """The three input registers."""
+        """Return the three input registers."""
         view = self.tick(now_s)
         action = self.outputs[0] >> 8
         on = bool(action & RACT)
@@ -92,26 +92,26 @@ class GripperRegisters:
         return [flags << 8, self._fault_code(now_s) << 8 | echo, self._count(view.width_mm) << 8 | current]
 
     def tick(self, now_s: float) -> JawsState:
-        """Bring everything to `now_s`."""
+        """Advance to `now_s`."""
         if self._written is not None and now_s >= self._written[0]:
             due_s, values = self._written
             self._written = None
-            self._take_over(due_s, values)
-        view = self.jaws.look(now_s)
-        self._go_on_activating(now_s, view)
+            self._apply(due_s, values)
+        view = self.jaws.state_at(now_s)
+        self._continue_activation(now_s, view)
         if not view.moving and view.force_n != self._pressed_n:
             what = "empty" if not view.holds else "tightened" if self._pressed_n else "gripped"
             self._pressed_n = view.force_n
             self._note(what, width_mm=round(view.width_mm, 2), force_n=round(view.force_n, 2))
         return view
 
-    def heard(self, now_s: float) -> None:
-        """A request came in."""
-        self._heard_s = now_s
+    def request_received(self, now_s: float) -> None:
+        """Note that a request has arrived."""
+        self._last_request_s = now_s
 
     def lose_power(self, now_s: float) -> None:
-        """Everything but the screw is reset."""
-        self._note("power lost", held=self.jaws.look(now_s).holds)
+        """Reset everything but the screw."""
+        self._note("power lost", held=self.jaws.state_at(now_s).holds)
         self.jaws.halt(now_s)
         self.outputs, self._written, self.stage, self.fault, self._atr_fault = (
             [0, 0, 0],
@@ -121,11 +121,11 @@ class GripperRegisters:
             0,
         )
 
-    def _take_over(self, now_s: float, values: list[int]) -> None:
+    def _apply(self, now_s: float, values: list[int]) -> None:
         old, self.outputs = self.outputs, values
         was, action = old[0] >> 8, values[0] >> 8
         if was & RACT and not action & RACT:
-            self._note("rACT cleared", held=self.jaws.look(now_s).holds)
+            self._note("rACT cleared", held=self.jaws.state_at(now_s).holds)
             self.jaws.halt(now_s)
             self.stage, self.fault, self._atr_fault = ActivationStage.OFF, 0, 0
         elif action & RACT and self.stage is ActivationStage.OFF:
@@ -135,11 +135,11 @@ class GripperRegisters:
 
     def _activate(self, now_s: float) -> None:
         self.activations += 1
-        self._note("activating", held=self.jaws.look(now_s).holds)
+        self._note("activating", held=self.jaws.state_at(now_s).holds)
         self.stage = ActivationStage.OPENING
         self._drive(now_s, 0, 255, 0)
 
-    def _go_on_activating(self, now_s: float, view: JawsState) -> None:
+    def _continue_activation(self, now_s: float, view: JawsState) -> None:
         if view.moving or self.stage in (ActivationStage.OFF, ActivationStage.READY):
             return
         if self.stage is ActivationStage.OPENING:
@@ -163,12 +163,12 @@ class GripperRegisters:
             if was & RGTO:
                 self.jaws.halt(now_s)
             return
-        moving = self.jaws.look(now_s).moving
+        moving = self.jaws.state_at(now_s).moving
         if not was & RGTO or old[1] & 0xFF != new[1] & 0xFF or (moving and old[2] != new[2]):
             self._drive(now_s, new[1] & 0xFF, new[2] >> 8, new[2] & 0xFF)
 
     def _drive(self, now_s: float, position: int, speed: int, force: int) -> None:
-        view = self.jaws.look(now_s)
+        view = self.jaws.state_at(now_s)
         width_mm = self._width_mm(position)
         if width_mm > view.width_mm and view.holds:
             self._note("let go", width_mm=round(view.width_mm, 2))
@@ -192,7 +192,7 @@ class GripperRegisters:
 
     def _fault_code(self, now_s: float) -> int:
         """gFLT."""
-        if self._atr_fault == 0x0B and not self.jaws.look(now_s).moving:
+        if self._atr_fault == 0x0B and not self.jaws.state_at(now_s).moving:
             self._atr_fault = 0x0F
         if self.fault or self._atr_fault:
             return self.fault or self._atr_fault
@@ -201,7 +201,7 @@ class GripperRegisters:
             return 0x07
         if action & RGTO and self.stage is not ActivationStage.READY:
             return 0x05
-        silent = self._heard_s is not None and now_s - self._heard_s > SILENT_S
+        silent = self._last_request_s is not None and now_s - self._last_request_s > SILENT_S
         return 0x09 if silent else 0
 
     def _count(self, width_mm: float) -> int:

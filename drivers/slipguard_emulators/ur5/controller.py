@@ -1,4 +1,4 @@
-"""The robot behind the emulated ports: its program, its registers and who owns them, its safety state."""
+"""The robot behind the emulated ports: program, registers and their owners, safety state."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class EventLogger(Protocol):
 
 
 class EmulatedController:
-    """One robot. All times are seconds on one clock; `client` is whatever stands for one RTDE connection."""
+    """One robot. All times are seconds on one clock; `client` is any object that stands for one RTDE connection."""
 
     def __init__(self, tool: ToolPlant, note: EventLogger) -> None:
         self.tool = tool
@@ -43,7 +43,7 @@ class EmulatedController:
     # --- what RTDE clients do ---
 
     def claim(self, client: object, names: Sequence[str]) -> list[str]:
-        """Types of the inputs, each now `client`'s own; IN_USE and NOT_FOUND where that cannot be, and then none is."""
+        """Give inputs to `client` and return their types; with any IN_USE or NOT_FOUND, none is given."""
         kinds = [
             "IN_USE" if self.fieldbus or self._owners.get(name, client) is not client else type_of(name, "input")
             for name in names
@@ -53,15 +53,15 @@ class EmulatedController:
         return kinds
 
     def release(self, client: object) -> None:
-        """The connection is gone; the inputs keep their values."""
+        """Free the inputs of a closed connection; they keep their values."""
         self._owners = {name: owner for name, owner in self._owners.items() if owner is not client}
 
     def take(self, values: Mapping[str, Value], now_s: float) -> None:
-        """New input values."""
+        """Receive input values."""
         self._inputs.update(values)
         script = self.program
         if isinstance(script, ControlScript) and script.heartbeat_name in values:
-            script.heard_at_s = now_s
+            script.last_kick_s = now_s
         if "standard_digital_output_mask" in values and "standard_digital_output" in values:
             mask, wanted = (
                 int(self._number("standard_digital_output_mask")),
@@ -73,9 +73,9 @@ class EmulatedController:
                 self._note("outputs", bits=bits)
 
     def outputs(self, now_s: float) -> dict[str, Sequence[float]]:
-        """What clients are told in this cycle; everything else is zero."""
+        """Return the output values of this cycle; all others are zero."""
         pose, velocity = self.tool.pose(now_s), self.tool.velocity(now_s)
-        told: dict[str, Sequence[float]] = {
+        values: dict[str, Sequence[float]] = {
             "timestamp": (now_s,),
             "actual_TCP_pose": pose,
             "target_TCP_pose": pose,
@@ -91,21 +91,21 @@ class EmulatedController:
             "actual_digital_output_bits": (self.output_bits,),
         }
         if isinstance(self.program, ControlScript):
-            told |= self.program.outputs()
-        return told
+            values |= self.program.outputs()
+        return values
 
     # --- programs ---
 
     def upload(self, text: str, now_s: float) -> None:
-        """A script from the script port: whatever runs is replaced. Nothing happens in local control or a stop."""
+        """Start a script from the script port and end the running program; ignored in local control or a stop."""
         allowed = self.remote and self.safety == "NORMAL"
         self._note("script", name=text.split("(")[0].removeprefix("def "), accepted=allowed)
         if allowed:
-            self.end("an uploaded script took its place", now_s)
+            self.end("replaced by an uploaded script", now_s)
             self._start(ControlScript(text, self.tool, self._number, self._command, now_s))
 
     def play(self, now_s: float) -> bool:
-        """Start the loaded program, or go on with the paused one; whether it runs now."""
+        """Start the loaded program or continue the paused one; return whether it runs now."""
         if self.safety != "NORMAL" or self.runtime == PLAYING:
             return self.runtime == PLAYING
         if self.program is None:
@@ -116,8 +116,8 @@ class EmulatedController:
             self._note("resumed", program=self.program.name)
         return True
 
-    def pause(self, now_s: float, why: str = "the dashboard said so") -> bool:
-        """Pause what runs; whether there was anything."""
+    def pause(self, now_s: float, why: str = "by the dashboard") -> bool:
+        """Pause the running program; return whether there was one."""
         if self.program is None or self.runtime != PLAYING:
             return False
         self.program.pause(now_s)
@@ -126,14 +126,14 @@ class EmulatedController:
         return True
 
     def end(self, why: str, now_s: float) -> None:
-        """End what runs and brake. Nothing runs: nothing happens."""
+        """End the running program and brake, if one runs."""
         if self.program is not None:
             self._note("ended", program=self.program.name, why=why)
             self.tool.stop(now_s, PROGRAM_STOP_M_S2)
         self.program, self.runtime = None, STOPPED
 
     def set_safety(self, state: str, now_s: float) -> None:
-        """Enter or leave a stop: a protective stop pauses somebody's program and ends ur-rtde's, an emergency both."""
+        """Start or end a stop: a protective stop pauses a program and ends ur-rtde's script, an emergency ends both."""
         if state == self.safety:
             return
         self.safety = state
@@ -146,7 +146,7 @@ class EmulatedController:
             self.tool.stop(now_s, PROGRAM_STOP_M_S2)
 
     def cycle(self, now_s: float) -> None:
-        """One cycle of what runs."""
+        """Execute one cycle of the running program."""
         if self.program is not None and self.runtime == PLAYING:
             why = self.program.cycle(now_s)
             if why is not None:

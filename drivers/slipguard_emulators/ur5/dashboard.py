@@ -1,4 +1,4 @@
-"""The dashboard's questions and orders, with the answers of a real one."""
+"""The commands and questions of the dashboard, with the answers of a real one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ORDERS = ("play", "pause", "stop", "unlock protective stop", "close safety popup
 
 
 class DashboardServer:
-    """One connection to it. What a connection may do is settled when it is made: local control refuses all orders."""
+    """One connection. A connection that was made in local control refuses all commands."""
 
     def __init__(self, controller: EmulatedController, version: tuple[int, ...]) -> None:
         self._controller = controller
@@ -21,7 +21,7 @@ class DashboardServer:
         self._may_order = controller.remote
 
     def answer(self, line: str, now_s: float) -> str:
-        """Answer one line; its case does not matter."""
+        """Return the answer to one line, in upper or lower case."""
         asked = line.strip().lower()
         if asked in ORDERS:
             return self._order(asked, now_s) if self._may_order else NOT_IN_LOCAL
@@ -34,7 +34,7 @@ class DashboardServer:
         if order == "pause":
             return "Pausing program" if robot.pause(now_s) else "Failed to execute: pause"
         if order == "stop":
-            robot.end("the dashboard said stop", now_s)
+            robot.end("stopped by the dashboard", now_s)
             return "Stopped"
         if order == "unlock protective stop":
             robot.set_safety("NORMAL", now_s)

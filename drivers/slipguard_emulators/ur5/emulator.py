@@ -1,8 +1,8 @@
 """A UR controller on three TCP ports, with faults on demand: RTDE (30004), dashboard (29999), script (30003).
 
-It keeps the handshake of ur-rtde's control script instead of interpreting URScript, and moves a point in straight
-lines. So it proves a driver against ur-rtde's real client, not against a controller's kinematics or safety.
-Never run it in the process that builds ur-rtde's interfaces: their constructors keep the interpreter to themselves.
+It implements the handshake of ur-rtde's control script instead of interpreting URScript, and moves a point in straight
+lines. So it tests a driver with ur-rtde's real client, but not with a controller's kinematics or safety system.
+Never run it in the process that creates ur-rtde's interfaces: their constructors block the interpreter.
 """
 
 from __future__ import annotations
@@ -26,39 +26,39 @@ from slipguard_emulators.ur5.rtde_session import RtdeSession
 from slipguard_emulators.ur5.tool import StraightTool, ToolPlant
 
 SERIES = {"e": ((5, 17, 3, 0), 500.0), "cb3": ((3, 15, 8, 0), 125.0)}
-"""Software version and cycles a second."""
+"""Software version and cycles per second."""
 RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT = 30004, 29999, 30003
-"""A real controller's, and the only ones that ur-rtde knows."""
+"""Those of a real controller; ur-rtde supports no others."""
 FAULTS = {
-    "freeze": "RTDE data cease, connections stay; with a probability: single packets are lost",
-    "silence": "connections are accepted and nothing is answered",
-    "late": "data and answers come late_ms late",
-    "garbage": "nonsense in place of a packet or an answer",
-    "half": "half a packet or answer, and never the rest",
-    "drop": "all connections are cut; until cleared: each new one too",
-    "kill": "the controller is gone, its arm stands",
+    "freeze": "no RTDE data, connections stay; with a probability: single packets are lost",
+    "silence": "connections are accepted, but nothing is answered",
+    "late": "data and answers are late_ms late",
+    "garbage": "random bytes instead of a packet or an answer",
+    "half": "only half of a packet or answer",
+    "drop": "all connections are closed; until cleared, each new one too",
+    "kill": "the controller is gone, its arm is at rest",
     "protective_stop": "the arm stops itself; clear unlocks it",
     "emergency_stop": "the emergency stop is pressed; clear releases it and powers the arm on",
-    "local": "local control: no orders by dashboard, no scripts",
+    "local": "local control: no dashboard commands, no scripts",
     "fieldbus": "a fieldbus adapter holds all RTDE inputs: IN_USE",
 }
-Write = Callable[[bytes], None]
-Serve = Callable[[asyncio.StreamReader, Write], Awaitable[None]]
+WriteBytes = Callable[[bytes], None]
+Serve = Callable[[asyncio.StreamReader, WriteBytes], Awaitable[None]]
 
 
 class UrEmulator(ControlledEmulator):
     """A UR controller: RTDE, dashboard and script port. Example: `slipguard emulate ur --series cb3`."""
 
     class Settings(BaseModel):
-        """The ports are a real controller's: give each emulator a loopback address of its own."""
+        """Settings. The ports are fixed, so give each emulator a loopback address of its own."""
 
         model_config = ConfigDict(frozen=True, extra="forbid")
 
         host: str = Field("127.0.0.1", description="Address of this machine to listen on.")
         series: Literal["e", "cb3"] = Field("e", description="e: 500 Hz, 5.17; cb3: 125 Hz, 3.15.")
-        late_ms: Annotated[float, Field(ge=0.0, le=10_000.0)] = Field(100.0, description="How late `late` is.")
+        late_ms: Annotated[float, Field(ge=0.0, le=10_000.0)] = Field(100.0, description="Delay of the fault `late`.")
         script_start_ms: Annotated[float, Field(ge=0.0, le=10_000.0)] = Field(
-            20.0, description="From a script's upload to its start."
+            20.0, description="Time from a script's upload to its start."
         )
 
     def __init__(self, settings: Settings, report: Report | None = None, *, tool: ToolPlant | None = None) -> None:
@@ -70,7 +70,7 @@ class UrEmulator(ControlledEmulator):
         self._servers: list[asyncio.Server] = []
         self._clients: set[asyncio.StreamWriter] = set()
         self._serving: set[asyncio.Task[None]] = set()
-        self._sessions: dict[Write, RtdeSession] = {}
+        self._sessions: dict[WriteBytes, RtdeSession] = {}
         self._running: asyncio.Task[None] | None = None
 
     @property
@@ -79,13 +79,13 @@ class UrEmulator(ControlledEmulator):
         return self.settings.host
 
     async def start(self) -> None:
-        """Be reachable. Idempotent."""
+        """Listen on the ports. Idempotent."""
         if self._running is None:
             await self._listen()
             self._running = asyncio.create_task(self._run(), name="controller")
 
     async def stop(self) -> None:
-        """Vanish with all connections. Idempotent."""
+        """Close the ports and all connections. Idempotent."""
         self._hang_up()
         running, self._running = self._running, None
         await cancel_and_wait(running)
@@ -94,7 +94,7 @@ class UrEmulator(ControlledEmulator):
             await asyncio.wait(self._serving)
 
     def state(self) -> Mapping[str, object]:
-        """The truth now."""
+        """Return the true state."""
         now_s = _now_s()
         robot = self.controller
         return {
@@ -109,12 +109,12 @@ class UrEmulator(ControlledEmulator):
             "faults": self.faults.active,
         }
 
-    def words(self) -> dict[str, EmulatorCommand]:
-        """Somebody's program, and the arm's place."""
+    def commands(self) -> dict[str, EmulatorCommand]:
+        """Return the command `panel`."""
         orders: dict[str, Callable[[], object]] = {
             "play": lambda: self.controller.play(_now_s()),
-            "pause": lambda: self.controller.pause(_now_s(), "a hand at the panel"),
-            "stop": lambda: self.controller.end("a hand at the panel", _now_s()),
+            "pause": lambda: self.controller.pause(_now_s(), "pressed at the panel"),
+            "stop": lambda: self.controller.end("pressed at the panel", _now_s()),
         }
 
         def panel(rest: list[str]) -> str:
@@ -123,12 +123,10 @@ class UrEmulator(ControlledEmulator):
             orders[rest[0]]()
             return str(self.state()["runtime"])
 
-        return {
-            "panel": (panel, "panel play|pause|stop: a hand at the panel, with a program that shuttles up and down")
-        }
+        return {"panel": (panel, "panel play|pause|stop: press a button at the panel; the program moves up and down")}
 
     def fault_changed(self) -> None:
-        """Stops and local control begin and end at once, a vanished or cut connection with the next cycle."""
+        """Start and end stops and local control at once; connection faults start with the next cycle."""
         robot, active = self.controller, self.faults.active
         emergency, protective = "emergency_stop" in active, "protective_stop" in active
         state = "ROBOT_EMERGENCY_STOP" if emergency else "PROTECTIVE_STOP" if protective else "NORMAL"
@@ -137,7 +135,7 @@ class UrEmulator(ControlledEmulator):
         robot.fieldbus = "fieldbus" in active
 
     async def _run(self) -> None:
-        """The controller's cycles, by absolute deadlines; late ones are left out."""
+        """Execute the controller's cycles with absolute deadlines; missed ones are skipped."""
         loop = asyncio.get_running_loop()
         count, due_s, moving = 0, loop.time(), False
         while True:
@@ -153,13 +151,13 @@ class UrEmulator(ControlledEmulator):
                 continue
             if not self._servers:
                 await self._listen()
-            if self.faults.strikes("drop"):
+            if self.faults.occurs("drop"):
                 self._cut()
             self.controller.cycle(loop.time())
-            told = self.controller.outputs(loop.time())
+            values = self.controller.outputs(loop.time())
             for write, session in list(self._sessions.items()):
-                if session.due(count) and not self.faults.strikes("freeze"):
-                    write(session.packet(told))
+                if session.due(count) and not self.faults.occurs("freeze"):
+                    write(session.packet(values))
 
     async def _listen(self) -> None:
         ports: tuple[tuple[int, Serve], ...] = (
@@ -196,7 +194,7 @@ class UrEmulator(ControlledEmulator):
             try:
                 await serve(reader, self._writer(writer))
             except (asyncio.IncompleteReadError, OSError, ValueError, IndexError, struct.error):
-                pass  # the client is gone, or speaks nonsense: the connection ends
+                pass  # the client is gone or sends invalid data: the connection ends
             finally:
                 self._clients.discard(writer)
                 self._serving.discard(task)
@@ -204,8 +202,8 @@ class UrEmulator(ControlledEmulator):
 
         return run
 
-    def _writer(self, stream: asyncio.StreamWriter) -> Write:
-        """How one connection is written to, with whatever goes wrong on the way."""
+    def _writer(self, stream: asyncio.StreamWriter) -> WriteBytes:
+        """Return a function that writes to one connection, with faults."""
 
         loop = asyncio.get_running_loop()
         waiting: deque[bytes] = deque()
@@ -214,14 +212,14 @@ class UrEmulator(ControlledEmulator):
             _write(stream, waiting.popleft())
 
         def write(data: bytes) -> None:
-            if stream.transport.is_closing() or self.faults.strikes("silence"):
+            if stream.transport.is_closing() or self.faults.occurs("silence"):
                 return
-            if self.faults.strikes("half"):
+            if self.faults.occurs("half"):
                 data = data[: len(data) // 2]
-            if self.faults.strikes("garbage"):
+            if self.faults.occurs("garbage"):
                 data = bytes(byte ^ 0xA5 for byte in data)
-            late = self.faults.strikes("late")
-            if late or waiting:  # what follows something late waits behind it, as in every stream
+            late = self.faults.occurs("late")
+            if late or waiting:  # later data wait behind late data, as in every stream
                 waiting.append(data)
                 loop.call_later(self.settings.late_ms / 1000.0, send_next)
             else:
@@ -229,14 +227,14 @@ class UrEmulator(ControlledEmulator):
 
         return write
 
-    async def _dashboard(self, reader: asyncio.StreamReader, write: Write) -> None:
+    async def _dashboard(self, reader: asyncio.StreamReader, write: WriteBytes) -> None:
         write(GREETING.encode() + b"\n")
         dashboard = DashboardServer(self.controller, self._version)
         while line := await reader.readline():
             answer = dashboard.answer(line.decode(), _now_s())
             self.note("dashboard", asked=line.decode().strip(), answered=answer)
             if answer == "Pausing program":
-                await self._at_rest()  # only then does a real one answer
+                await self._at_rest()  # a real controller answers only then
             write(answer.encode() + b"\n")
 
     async def _at_rest(self) -> None:
@@ -245,7 +243,7 @@ class UrEmulator(ControlledEmulator):
                 return
             await asyncio.sleep(1 / self._rate_hz)
 
-    async def _script(self, reader: asyncio.StreamReader, write: Write) -> None:
+    async def _script(self, reader: asyncio.StreamReader, write: WriteBytes) -> None:
         text = b""
         while data := await reader.read(65536):
             text += data
@@ -255,7 +253,7 @@ class UrEmulator(ControlledEmulator):
                     self.controller.upload(text.decode(), _now_s())
                 text = b""
 
-    async def _rtde(self, reader: asyncio.StreamReader, write: Write) -> None:
+    async def _rtde(self, reader: asyncio.StreamReader, write: WriteBytes) -> None:
         session = RtdeSession(self.controller, self._version, self._rate_hz)
         self._sessions[write] = session
         try:

@@ -1,6 +1,6 @@
-"""RTDE version 2 as a controller speaks it: variables and their types, messages, recipes.
+"""RTDE version 2 on the controller's side: variables and their types, messages, recipes.
 
-Written from the public description of the protocol, apart from the driver's own code, so that the two check each other.
+Written from the public description of the protocol, without code of the driver, so that the two check each other.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ REGISTERS = 48
 
 
 def type_of(name: str, direction: str) -> str:
-    """RTDE type of an "input" or "output"; NOT_FOUND for what there is not."""
+    """Return the RTDE type of an "input" or "output"; NOT_FOUND for an unknown name."""
     if match := _REGISTER.fullmatch(name):
         known = match[1] == direction and int(match[3]) < REGISTERS
         return ("INT32" if match[2] == "int" else "DOUBLE") if known else "NOT_FOUND"
@@ -60,24 +60,24 @@ def type_of(name: str, direction: str) -> str:
 
 
 def message(kind: str, payload: bytes) -> bytes:
-    """Size, type, payload; big endian, the size counts itself."""
+    """Return a message: size (which includes itself), type, payload; big endian."""
     return struct.pack(">HB", 3 + len(payload), ord(kind)) + payload
 
 
 def names_in(payload: bytes) -> list[str]:
-    """The names of a recipe; a comma at the end is allowed."""
+    """Return the names of a recipe; a trailing comma is allowed."""
     return [name for name in payload.decode().split(",") if name]
 
 
 class InputRecipe:
-    """What a client sends under one number."""
+    """The inputs that a client sends under one number."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self.names = names
         self._layouts = [struct.Struct(">" + FORMATS[type_of(name, "input")]) for name in names]
 
     def values(self, payload: bytes) -> dict[str, Value]:
-        """By name; vectors as tuples."""
+        """Return the values by name; vectors as tuples."""
         found: dict[str, Value] = {}
         at = 0
         for name, layout in zip(self.names, self._layouts, strict=True):
@@ -88,7 +88,7 @@ class InputRecipe:
 
 
 class OutputRecipe:
-    """What a client is sent, every so many cycles."""
+    """The outputs that a client receives, every `every` cycles."""
 
     def __init__(self, names: Sequence[str], every: int) -> None:
         self.names = names
@@ -100,6 +100,6 @@ class OutputRecipe:
         ]
 
     def packet(self, values: Mapping[str, Sequence[float]]) -> bytes:
-        """A data message; what `values` does not name is zero."""
+        """Return a data message; variables that `values` does not name are zero."""
         parts = (values.get(name, zero) for name, zero in zip(self.names, self._zeros, strict=True))
         return message("U", self._layout.pack(1, *itertools.chain.from_iterable(parts)))

@@ -1,4 +1,4 @@
-"""One RTDE connection to the emulated controller: its handshake, its recipes, its data."""
+"""One RTDE connection to the emulated controller: handshake, recipes, data."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from slipguard_emulators.ur5.rtde import InputRecipe, OutputRecipe, names_in, ty
 
 
 class RtdeSession:
-    """What a client has asked for, and what it is to be told. rate_hz: the controller's cycles a second."""
+    """The recipes of one client. rate_hz: the controller's cycles per second."""
 
     def __init__(self, controller: EmulatedController, version: tuple[int, ...], rate_hz: float) -> None:
         self._controller = controller
@@ -21,18 +21,18 @@ class RtdeSession:
         self._started = False
 
     def due(self, cycle: int) -> bool:
-        """Whether the client is sent data in this cycle."""
+        """Return whether the client receives data in this cycle."""
         return self._started and self._output is not None and cycle % self._output.every == 0
 
-    def packet(self, told: Mapping[str, Sequence[float]]) -> bytes:
-        """The data message of this cycle. Only where one is due."""
+    def packet(self, values: Mapping[str, Sequence[float]]) -> bytes:
+        """Return the data message of this cycle. Only if one is due."""
         assert self._output is not None
-        return self._output.packet(told)
+        return self._output.packet(values)
 
     def answer(self, kind: str, payload: bytes, now_s: float) -> bytes | None:
-        """Do what a message asks; the answer's payload, or None for data, which is not answered.
+        """Execute a message; return the answer's payload, or None for data, which is not answered.
 
-        Raises ValueError, IndexError or struct.error for a message that is none.
+        Raises ValueError, IndexError or struct.error for an invalid message.
         """
         if kind == "V":
             return bytes([struct.unpack(">H", payload)[0] == 2])
@@ -48,7 +48,7 @@ class RtdeSession:
         if kind == "U":
             self._controller.take(self._inputs[payload[0] - 1].values(payload[1:]), now_s)
             return None
-        raise ValueError(f"no such message: {kind!r}")
+        raise ValueError(f"unknown message: {kind!r}")
 
     def _take_outputs(self, frequency_hz: float, names: list[str]) -> bytes:
         kinds = [type_of(name, "output") for name in names]

@@ -1,7 +1,7 @@
-"""The programs an emulated controller can run: ur-rtde's control script, and a program of somebody else's.
+"""The programs that an emulated controller can run: ur-rtde's control script, and a user's program.
 
-The control script is not interpreted: its handshake over the registers is kept, with what matters of its inside.
-A synchronous `stopL` executes `stopj`, an asynchronous one `stopl`; a second thread that moves the arm ends it all.
+The control script is not interpreted; its handshake over the registers and its relevant behavior are implemented.
+A synchronous `stopL` executes `stopj`, an asynchronous one `stopl`; a second thread that moves the arm ends the script.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from slipguard_emulators.ur5.tool import ToolPlant
 MOVE_L, SPEED_STOP, STOP_L, STOP_J, WATCHDOG, KICK, STOP_SCRIPT = 3, 15, 33, 34, 35, 99, 255
 READY, DONE = 1, 2
 PROGRAM_STOP_M_S2 = 2.5
-"""How a program that ends, by whatever cause, brakes the arm."""
+"""Deceleration of the arm when a program ends."""
 
 
 class RobotProgram(Protocol):
-    """Something that runs on the controller, cycle by cycle. name: how the dashboard calls it."""
+    """A program that runs on the controller, cycle by cycle. name: as the dashboard shows it."""
 
     name: str
 
     @abstractmethod
     def cycle(self, now_s: float) -> str | None:
-        """One cycle; why the program has ended, or None while it runs."""
+        """Execute one cycle; return why the program has ended, or None while it runs."""
 
     @abstractmethod
     def pause(self, now_s: float) -> None: ...
@@ -36,7 +36,7 @@ class RobotProgram(Protocol):
 
 
 class ShuttleProgram(RobotProgram):
-    """Somebody else's program: up and down by `stroke_m`, for ever."""
+    """A user's program: up and down by `stroke_m`, permanently."""
 
     def __init__(self, tool: ToolPlant, stroke_m: float = 0.1, speed_m_s: float = 0.1) -> None:
         self.name = "shuttle.urp"
@@ -65,18 +65,23 @@ class ShuttleProgram(RobotProgram):
 class ControlScript(RobotProgram):
     """ur-rtde's script, from its upload on.
 
-    number: reads an input register by name. tell: is called with each command carried out.
+    number: returns an input register by name. on_command: called with each executed command.
     """
 
     def __init__(
-        self, text: str, tool: ToolPlant, number: Callable[[str], float], tell: Callable[[int, str], None], now_s: float
+        self,
+        text: str,
+        tool: ToolPlant,
+        number: Callable[[str], float],
+        on_command: Callable[[int, str], None],
+        now_s: float,
     ) -> None:
         self.name = "<unnamed>"
         offset = re.search(r"reg_offset_int *=[^\d\n]*\n?(\d+)", text)
         self.offset = int(offset[1]) if offset else 0
         self.watchdog_s: float | None = None
-        self.heard_at_s = now_s
-        self._tool, self._number, self._tell = tool, number, tell
+        self.last_kick_s = now_s
+        self._tool, self._number, self._on_command = tool, number, on_command
         self._answer = READY
         self._executing: int | None = None
         self._thread: str | None = None
@@ -89,7 +94,7 @@ class ControlScript(RobotProgram):
         return f"input_int_register_{self.offset}"
 
     def outputs(self) -> dict[str, Sequence[float]]:
-        """The registers it writes."""
+        """Return the registers that it writes."""
         progress = self._operation << 24 | self._changes << 16 | (self._thread is not None) << 15
         return {
             f"output_int_register_{self.offset}": (self._answer,),
@@ -100,11 +105,11 @@ class ControlScript(RobotProgram):
         self._tool.stop(now_s, PROGRAM_STOP_M_S2)
 
     def resume(self, now_s: float) -> None:
-        """A move that was paused is not taken up again: nobody needs that here."""
+        """Do nothing: a paused move is not continued."""
 
     def cycle(self, now_s: float) -> str | None:
-        if self.watchdog_s is not None and now_s - self.heard_at_s > self.watchdog_s:
-            return "its watchdog heard nothing"
+        if self.watchdog_s is not None and now_s - self.last_kick_s > self.watchdog_s:
+            return "its watchdog received nothing"
         if self._thread is not None and not self._tool.under_way(now_s):
             self._note(started=False)
         command = int(self._number(self.heartbeat_name))
@@ -119,7 +124,7 @@ class ControlScript(RobotProgram):
         return self._begin(command, now_s)
 
     def _busy(self, now_s: float) -> bool:
-        """A synchronous command is still at work."""
+        """Return whether a synchronous command is running."""
         return self._executing in (MOVE_L, STOP_L, STOP_J) and self._thread is None and self._tool.under_way(now_s)
 
     def _begin(self, command: int, now_s: float) -> str | None:
@@ -129,27 +134,27 @@ class ControlScript(RobotProgram):
         if command == MOVE_L:
             if self._thread == "stop":
                 return "another thread is already controlling the robot"
-            self._tell(command, "movel" + " in a thread" * asynchronous)
+            self._on_command(command, "movel" + " in a thread" * asynchronous)
             self._tool.move(now_s, doubles[:6], doubles[6], doubles[7])
             self._note(started=asynchronous, thread="move")
         elif command in (STOP_L, STOP_J):
-            self._tell(command, "stopl" if command == STOP_L and asynchronous else "stopj")
+            self._on_command(command, "stopl" if command == STOP_L and asynchronous else "stopj")
             self._tool.stop(now_s, doubles[0])
             self._note(started=asynchronous, thread="stop")
         elif command == WATCHDOG:
-            self._tell(command, f"watchdog at {doubles[0]:g} Hz")
-            self.watchdog_s, self.heard_at_s = 1.0 / doubles[0], now_s
+            self._on_command(command, f"watchdog at {doubles[0]:g} Hz")
+            self.watchdog_s, self.last_kick_s = 1.0 / doubles[0], now_s
         elif command == STOP_SCRIPT:
-            self._tell(command, "end")
-            return "it was told to end"
+            self._on_command(command, "end")
+            return "it was commanded to end"
         else:
-            self._tell(command, f"command {command}")
+            self._on_command(command, f"command {command}")
         if not self._busy(now_s):
             self._answer = DONE
         return None
 
     def _note(self, *, started: bool, thread: str = "") -> None:
-        """Write the progress register: an operation has begun in a thread, or none is under way."""
+        """Write the progress register: an operation has begun in a thread, or none is running."""
         self._thread = thread if started else None
         self._changes = (self._changes + 1) % 128
         self._operation = (self._operation + started) % 128

@@ -1,7 +1,7 @@
-"""What the emulated controller moves: a plant behind one small interface, and the two there are.
+"""The tool that the emulated controller moves: an interface and its two implementations.
 
-Poses are (x, y, z, rx, ry, rz): metres and a rotation vector in radians, in the frame of the arm's base; velocities are
-metres and radians a second. Times are seconds on the loop's clock.
+Poses are (x, y, z, rx, ry, rz): meters and a rotation vector in radians, in the frame of the arm's base; velocities are
+meters and radians per second. Times are seconds on the loop's clock.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ STEP_S = 0.001
 
 
 class ToolPlant(Protocol):
-    """A tool that can be sent somewhere and stopped. An earlier time than the last is answered with the present."""
+    """A tool that can be moved and stopped. For an earlier time than the last, the present state is returned."""
 
     @abstractmethod
     def pose(self, now_s: float) -> Sequence[float]:
-        """Where it is: six numbers."""
+        """Return the pose: six numbers."""
 
     @abstractmethod
     def velocity(self, now_s: float) -> Sequence[float]:
-        """How fast it moves: six numbers."""
+        """Return the velocity: six numbers."""
 
     @abstractmethod
     def under_way(self, now_s: float) -> bool:
-        """Whether it still moves, or is about to."""
+        """Return whether it moves or is about to move."""
 
     @abstractmethod
     def move(self, now_s: float, goal: Sequence[float], speed_m_s: float, acceleration_m_s2: float) -> None:
-        """Start a straight move to a pose; replaces one under way."""
+        """Start a straight move to a pose; replaces the current one."""
 
     @abstractmethod
     def stop(self, now_s: float, deceleration_m_s2: float) -> None:
@@ -43,7 +43,7 @@ class ToolPlant(Protocol):
 
 
 class StraightTool(ToolPlant):
-    """A point on straight lines, by steps of a millisecond; its orientation stays."""
+    """A point that moves on straight lines, in steps of a millisecond, with constant orientation."""
 
     def __init__(self) -> None:
         self._pose = list(START_POSE)
@@ -100,9 +100,9 @@ class StraightTool(ToolPlant):
 
 
 class WorldTool(ToolPlant):
-    """The arm of a simulated world. It knows the vertical only: a move takes the height of its goal from there.
+    """The arm of a simulated world. It moves vertically only: of a goal, the height counts.
 
-    base_z_m: where the base sees the world's height 0.
+    base_z_m: z of the world's height 0 in the base frame.
     """
 
     def __init__(self, world: World, base_z_m: float = START_POSE[2]) -> None:

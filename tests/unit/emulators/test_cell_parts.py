@@ -12,7 +12,7 @@ from slipguard.errors import CommandRefused, InputError
 from slipguard.sim.gripper_plant import GripperDynamics
 from slipguard.sim.scenario import Scenario
 from slipguard.sim.world import World, WorldSettings
-from slipguard_emulators.cell.cell_config import MARK, CellPaths, text
+from slipguard_emulators.cell.cell_config import MARK, CellPaths, config_text
 from slipguard_emulators.cell.emulator import CellEmulator, CellWorld
 from slipguard_emulators.cell.lift_program import LiftProgram, LiftStage
 from slipguard_emulators.cell.truth_log import line_of
@@ -33,45 +33,45 @@ def world() -> World:
 def test_the_jaws_close_on_the_object_and_tighten(world: World) -> None:
     jaws = WorldJaws(world)
     jaws.drive(0.0, 0.0, 150.0, 40.0)
-    assert jaws.look(0.1).moving
-    held = jaws.look(3.0)
+    assert jaws.state_at(0.1).moving
+    held = jaws.state_at(3.0)
     assert held.met_closing
     assert held.holds
     assert held.force_n == pytest.approx(40.0, abs=0.9)
     jaws.halt(3.0)
-    assert jaws.look(3.1) == held, "a motor at rest cannot be stopped"
+    assert jaws.state_at(3.1) == held, "a motor at rest cannot be stopped"
     jaws.drive(3.1, 0.0, 150.0, 80.0)
-    assert jaws.look(5.0).force_n == pytest.approx(80.0, abs=0.9)
+    assert jaws.state_at(5.0).force_n == pytest.approx(80.0, abs=0.9)
     jaws.drive(5.0, 0.0, 150.0, 30.0)
-    assert jaws.look(6.0).force_n == pytest.approx(80.0, abs=0.9), "the screw loosens nothing"
+    assert jaws.state_at(6.0).force_n == pytest.approx(80.0, abs=0.9), "the screw loosens nothing"
 
 
 def test_a_halt_keeps_the_force_reached_and_a_drive_goes_on_from_there(world: World) -> None:
     jaws = WorldJaws(world)
     jaws.drive(0.0, 0.0, 150.0, 40.0)
-    jaws.look(3.0)
+    jaws.state_at(3.0)
     jaws.drive(3.0, 0.0, 150.0, 120.0)
     jaws.halt(3.2)
-    stopped = jaws.look(4.0)
+    stopped = jaws.state_at(4.0)
     assert 60.0 < stopped.force_n < 90.0
     assert not stopped.moving
     jaws.drive(4.0, 0.0, 150.0, 120.0)
-    assert jaws.look(6.0).force_n == pytest.approx(120.0, abs=0.9)
+    assert jaws.state_at(6.0).force_n == pytest.approx(120.0, abs=0.9)
 
 
 def test_the_jaws_open_wide_and_let_go(world: World) -> None:
     jaws = WorldJaws(world)
     jaws.drive(0.0, 0.0, 150.0, 40.0)
-    jaws.look(3.0)
+    jaws.state_at(3.0)
     jaws.drive(3.0, 85.0, 150.0, 20.0)
-    opened = jaws.look(6.0)
+    opened = jaws.state_at(6.0)
     assert (opened.width_mm, opened.holds) == (85.0, False)
 
 
 def test_the_robots_program_lifts_what_is_held_and_goes_on_after_a_pause() -> None:
     world, held = World(), False
     tool = WorldTool(world)
-    program = LiftProgram(tool, lambda: held, height_m=0.1, speed_m_s=0.1, patience_s=1.0, stay_s=0.5)
+    program = LiftProgram(tool, lambda: held, height_m=0.1, speed_m_s=0.1, wait_s=1.0, stay_s=0.5)
     low = tool.pose(0.0)[2]
     stages, now_s, paused = [], 0.0, False
     while now_s < 12.0:
@@ -101,7 +101,7 @@ def test_the_robots_program_lifts_what_is_held_and_goes_on_after_a_pause() -> No
 @pytest.mark.parametrize("mode", ["lift", "guard"])
 def test_the_configuration_is_one_that_slipguard_reads(tmp_path: Path, mode: str) -> None:
     places = CellPaths(tmp_path)
-    places.config.write_text(text(places, mode=mode, host="127.0.0.9", height_mm=80.0, speed_mm_s=50.0))  # type: ignore[arg-type]
+    places.config.write_text(config_text(places, mode=mode, host="127.0.0.9", height_mm=80.0, speed_mm_s=50.0))  # type: ignore[arg-type]
     config = read_config(places.config)
     assert (config.guard.mode, config.guard.lift_height_mm) == (mode, 80.0)
     assert config.left.driver == "socket"

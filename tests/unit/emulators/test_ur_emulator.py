@@ -124,7 +124,7 @@ async def test_control_words_and_an_address_that_is_taken() -> None:
     assert (first.state()["safety"], first.state()["runtime"]) == ("robot emergency stop", "stopped")
     first.control("clear")
     assert first.state()["safety"] == "normal"
-    with pytest.raises(CommandRefused, match="there are: freeze, silence"):
+    with pytest.raises(CommandRefused, match="the faults are: freeze, silence"):
         first.control("fault nonsense")
     assert "panel play|pause|stop" in first.control("help")
     reader, writer = await asyncio.open_connection(HOST, 29999)

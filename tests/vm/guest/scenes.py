@@ -28,7 +28,7 @@ from slipguard_emulators.digit.emulator import DigitEmulator, EmulatedCamera
 PATIENCE_S = 20.0
 SERIALS = ("D20001", "D20002")
 SERIAL = SERIALS[0]
-PICTURES = Path("/tmp/pictures")
+IMAGES = Path("/tmp/pictures")
 RETRY_S = 0.5
 """The daemon's own (`loop.retry_s`)."""
 
@@ -64,7 +64,7 @@ async def rates(seconds: float) -> dict[str, object]:
 def draw_pictures() -> None:
     """Something for the emulated sensors to send that is quickly drawn: a bar that turns, in noise."""
     for seed, serial in enumerate(SERIALS):
-        folder = PICTURES / serial
+        folder = IMAGES / serial
         folder.mkdir(parents=True)
         rng = np.random.default_rng(seed)
         for number in range(12):
@@ -83,7 +83,7 @@ async def emulated(
     modprobe("uvcvideo")
     modprobe("vhci-hcd")
     Path("/sys/module/uvcvideo/parameters/nodrop").write_text(str(nodrop))  # noqa: ASYNC240
-    emulator = DigitEmulator(DigitEmulator.Settings(serial=list(serials), port=0, pictures=PICTURES, **settings))
+    emulator = DigitEmulator(DigitEmulator.Settings(serial=list(serials), port=0, images=IMAGES, **settings))
     await emulator.start()
     try:
         for slot, bus_id in enumerate(emulator.cameras):
@@ -177,7 +177,7 @@ async def two_sensors() -> dict[str, object]:
 
 def likeness(frames: list[Frame], camera: EmulatedCamera) -> float:
     """Largest distance of a frame from the nearest picture that was sent, in mean grey levels."""
-    sent = np.stack(camera.pictures).astype(np.int16)
+    sent = np.stack(camera.images).astype(np.int16)
     return max(float(np.abs(sent - frame.image).mean(axis=(1, 2, 3)).min()) for frame in frames[:3])
 
 
