@@ -1,4 +1,4 @@
-"""An indenter that is pressed and sheared and never turns: how far the pipeline says that it has. Test part."""
+"""An indenter that is pressed and sheared but never rotates: the rotation that the pipeline estimates. Test part."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ from slipguard.perception.settings import PerceptionSettings
 
 pytestmark = pytest.mark.real
 FRAMES_APART = 4
-"""Labelled frames are every fourth of the film."""
+"""Every fourth frame of the video is labeled."""
 PX_PER_MM = 18.5
 
 
-def told(folder: Path, frames: list[Path], begin: int) -> list[float]:
-    """Turns (without sign) that are told of the frames from `begin` on, since the first stable contact of all."""
+def measured(folder: Path, frames: list[Path], begin: int) -> list[float]:
+    """Absolute rotations estimated from frame `begin` on, since the first stable contact."""
     background = cv2.imread(str(folder / "background.png"))
     pipeline = Pipeline(Segmenter(), PerceptionSettings(), background, None, PX_PER_MM)
     rotations = []
     for index, path in enumerate(frames):
-        answer = pipeline.process(Frame(cv2.imread(str(path)), index * FRAMES_APART / 60.0, index))
-        if index >= begin and answer.angle_deg is not None:
-            rotations.append(abs(answer.angle_deg))
+        estimate = pipeline.process(Frame(cv2.imread(str(path)), index * FRAMES_APART / 60.0, index))
+        if index >= begin and estimate.angle_deg is not None:
+            rotations.append(abs(estimate.angle_deg))
     print(
         f"{len(rotations)} of {len(frames) - begin} told, p95 {np.percentile(rotations, 95):.2f}°, largest {max(rotations):.2f}°"
     )
     return rotations
 
 
-def test_followed_from_the_first_press_on_as_a_guard_does_it_has_hardly_turned(real_data: Path) -> None:
+def test_tracked_from_the_first_press_it_hardly_rotates(real_data: Path) -> None:
     folder = real_data / "anytouch2_force2"
     frames = sorted((folder / "frames").glob("*.png"))
     begin = sum(path.stem <= TUNING_INDENTER_LAST for path in frames)
-    rotations = told(folder, frames, begin)
+    rotations = measured(folder, frames, begin)
     assert len(rotations) >= 12
     assert np.percentile(rotations, 95) <= 2.0
 
 
-def test_begun_in_the_middle_of_the_shear_on_the_test_frames_alone(real_data: Path) -> None:
+def test_started_in_the_middle_of_the_shear_on_the_test_frames(real_data: Path) -> None:
     folder = real_data / "anytouch2_force2"
     frames = [path for path in sorted((folder / "frames").glob("*.png")) if path.stem > TUNING_INDENTER_LAST]
-    rotations = told(folder, frames, 0)
+    rotations = measured(folder, frames, 0)
     assert len(rotations) >= 15
     # 2° was aimed at; README says why it is missed. This keeps what was reached.
     assert np.percentile(rotations, 95) <= 4.0

@@ -83,8 +83,10 @@ def test_no_contact_is_reported_on_untouched_gels(
 
 
 def test_no_real_gel_has_a_stuck_line(real_data: Path) -> None:
-    pictures = [cv2.imread(str(path)) for path in sorted(real_data.glob("**/*.png")) if "masks" not in path.parts]
-    frames = [picture for picture in pictures if picture is not None and picture.shape == (320, 240, 3)]
+    frame_images = [cv2.imread(str(path)) for path in sorted(real_data.glob("**/*.png")) if "masks" not in path.parts]
+    frames = [
+        frame_image for frame_image in frame_images if frame_image is not None and frame_image.shape == (320, 240, 3)
+    ]
     assert len(frames) > 50
     assert all(DeadLines(frame).interpolate(frame) is frame for frame in frames)
 

@@ -1,4 +1,4 @@
-"""Proposed labels on real presses: good enough to begin with, never the last word."""
+"""Proposed labels on real presses are good enough to start from; a person corrects them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ pytestmark = pytest.mark.real
 LEAST_OVERLAP = 0.75
 
 
-def test_the_proposal_covers_what_was_outlined(real_data: Path) -> None:
-    """The indenter's frames that the settings were chosen on; the rest of them gives 0.88."""
+def test_the_proposal_covers_the_labeled_contact(real_data: Path) -> None:
+    """The indenter frames on which the settings were chosen; the others give 0.88."""
     folder = real_data / "anytouch2_force2"
     background = cv2.imread(str(folder / "background.png"))
     overlaps = []
@@ -29,8 +29,8 @@ def test_the_proposal_covers_what_was_outlined(real_data: Path) -> None:
     assert np.mean(overlaps) > LEAST_OVERLAP
 
 
-def test_gels_at_rest_have_no_proposal(real_data: Path) -> None:
-    """Against themselves under a little noise; no two recordings of one untouched unit are there."""
+def test_untouched_gels_have_no_proposal(real_data: Path) -> None:
+    """Compared with themselves under slight noise; there is only one recording of each untouched unit."""
     rng = np.random.default_rng(0)
     for path in sorted((real_data / "backgrounds").glob("*.png"))[:3]:
         image = cv2.imread(str(path))

@@ -15,7 +15,7 @@ FITTED_PRESSES = 15
 
 
 @pytest.mark.real
-def test_drawn_presses_look_like_held_out_real_ones(real_data: Path) -> None:
+def test_rendered_presses_resemble_held_out_real_ones(real_data: Path) -> None:
     presses = read_presses(real_data / "taxim_sphere")[FITTED_PRESSES:]
     assert len(presses) == 15
     unit = SensorUnit.default()
@@ -28,7 +28,7 @@ def test_drawn_presses_look_like_held_out_real_ones(real_data: Path) -> None:
 
 
 @pytest.mark.real
-def test_exchanging_red_and_blue_is_seen_in_the_figure(real_data: Path) -> None:
+def test_swapping_red_and_blue_changes_the_score(real_data: Path) -> None:
     presses = read_presses(real_data / "taxim_sphere")[FITTED_PRESSES::5]
     unit = SensorUnit.default()
     for press in presses:

@@ -1,7 +1,7 @@
 """Fuses the rotations by texture, contour and axis of one contact into one. Pure functions.
 
-The texture inside a contact and its outline err independently, so their mean is better than either. Contour and axis
-come from the same mask and err together, so the axis only checks the contour.
+The texture inside a contact and its shape (contour and axis) err independently, so their mean is better than either.
+Contour and axis come from the same mask and err together, so the axis only checks the contour.
 """
 
 from __future__ import annotations
@@ -59,12 +59,12 @@ def fuse_rotation(
         axis: Rotation of the patch's axis; None if the estimator does not use it.
         deformation: Factor on the contour's sigma: 1, more if the contact has deformed since the reference.
     """
-    outline = axis
+    shape = axis
     if contour is not None:
-        outline = contour if axis is None else check_contour(contour, axis)
-        if outline.sigma_deg is not None:
-            outline = RotationEstimate(outline.rotation_deg, deformation * outline.sigma_deg)
-    given = [measurement for measurement in (texture, outline) if measurement is not None]
+        shape = contour if axis is None else check_contour(contour, axis)
+        if shape.sigma_deg is not None:
+            shape = RotationEstimate(shape.rotation_deg, deformation * shape.sigma_deg)
+    given = [measurement for measurement in (texture, shape) if measurement is not None]
     return given[0] if len(given) == 1 else weighted_mean(*given)
 
 
@@ -99,22 +99,22 @@ def check_contour(contour: RotationEstimate, axis: RotationEstimate) -> Rotation
     return _covering(better, apart, "contour and axis")
 
 
-def weighted_mean(texture: RotationEstimate, outline: RotationEstimate) -> RotationEstimate:
+def weighted_mean(texture: RotationEstimate, shape: RotationEstimate) -> RotationEstimate:
     """Return the mean of two independent rotations, weighted by 1 / sigma^2.
 
     One alone is used as is. If both are declined the texture's reason counts. Where they do not agree the better one
     is used, with a sigma that covers both; far apart, both are declined.
     """
     if texture.rotation_deg is None or texture.sigma_deg is None:
-        return outline if outline.rotation_deg is not None else texture
-    if outline.rotation_deg is None or outline.sigma_deg is None:
+        return shape if shape.rotation_deg is not None else texture
+    if shape.rotation_deg is None or shape.sigma_deg is None:
         return texture
-    apart = abs(texture.rotation_deg - outline.rotation_deg)
-    if apart > AGREE_SIGMAS * math.hypot(texture.sigma_deg, outline.sigma_deg):
-        better = texture if texture.sigma_deg <= outline.sigma_deg else outline
+    apart = abs(texture.rotation_deg - shape.rotation_deg)
+    if apart > AGREE_SIGMAS * math.hypot(texture.sigma_deg, shape.sigma_deg):
+        better = texture if texture.sigma_deg <= shape.sigma_deg else shape
         return _covering(better, apart, "texture and contour")
-    weight, other = texture.sigma_deg**-2, outline.sigma_deg**-2
-    mean = (weight * texture.rotation_deg + other * outline.rotation_deg) / (weight + other)
+    weight, other = texture.sigma_deg**-2, shape.sigma_deg**-2
+    mean = (weight * texture.rotation_deg + other * shape.rotation_deg) / (weight + other)
     return RotationEstimate(mean, (weight + other) ** -0.5)
 
 

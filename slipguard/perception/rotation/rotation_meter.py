@@ -151,7 +151,7 @@ class RotationMeter:
         found = None
         if texture_map is not None and reference.texture is not None:
             found = reference.texture.track(texture_map, patch, predicted_deg, axis)
-        timer.mark("relief")
+        timer.mark("relief")  # the texture; the name is a key of the JSON of `bench`
         texture = None if found is None else found.rotation
         shift_px = center_shift_px if found is None else found.complete_shift(center_shift_px)
 
@@ -167,8 +167,8 @@ class RotationMeter:
         contour = self._measure_contour(reference, patch, axis, near_deg, center_shift_px, from_axis=not certain)
         timer.mark("register")
         if found is not None and texture_map is not None and reference.texture is not None:
-            outline = contour.axis if contour.rotation.rotation_deg is None else contour.rotation
-            found = reference.texture.track_again(texture_map, patch, predicted_deg, found, outline, contour.shift_px)
+            shape = contour.axis if contour.rotation.rotation_deg is None else contour.rotation
+            found = reference.texture.track_again(texture_map, patch, predicted_deg, found, shape, contour.shift_px)
         timer.mark("relief")
         rotation = fuse_rotation(
             None if found is None else found.rotation,

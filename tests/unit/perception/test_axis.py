@@ -160,9 +160,9 @@ def test_ragged_contours_increase_every_sigma(shape: str) -> None:
         assert rough is not None
         assert rough.ragged_px > 0.8
         for name in ("moments", "pca", "ellipse"):
-            sure, unsure = axis_by(clean, name).sigma_deg, axis_by(rough, name).sigma_deg
-            assert sure is not None
-            assert unsure is None or unsure > 2.0 * sure
+            certain, uncertain = axis_by(clean, name).sigma_deg, axis_by(rough, name).sigma_deg
+            assert certain is not None
+            assert uncertain is None or uncertain > 2.0 * certain
 
 
 @pytest.mark.parametrize("name", ["moments", "pca", "ellipse", "fused"])

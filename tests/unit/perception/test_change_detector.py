@@ -64,9 +64,9 @@ def test_a_shift_by_a_pixel_and_a_spot_far_away_are_changes() -> None:
 def test_creep_accumulates_until_it_is_detected() -> None:
     rng = np.random.default_rng(5)
     still = still_on(DENT, rng)
-    seen = [still.unchanged(block_means(camera(rotated(0.02 * k), rng))) for k in range(60)]
-    assert seen[:5] == [True] * 5
-    assert not any(seen[50:])
+    shown = [still.unchanged(block_means(camera(rotated(0.02 * k), rng))) for k in range(60)]
+    assert shown[:5] == [True] * 5
+    assert not any(shown[50:])
 
 
 def test_rest_must_last_twice_as_long_as_the_last_change() -> None:

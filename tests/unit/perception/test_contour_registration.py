@@ -30,13 +30,13 @@ def followed(
 ) -> list[ContourFit]:
     """Register a turning shape frame by frame, each from the last pose."""
     template = make_contour_template(patch_of(drawn(shape, 17.0, center, ragged_px=ragged_px)))
-    pose, answers = ContourPose(), []
+    pose, estimates = ContourPose(), []
     for k, rotation in enumerate(rotations, start=1):
         there = (center[0] + 0.2 * k, center[1] - 0.1 * k)
-        picture = drawn(shape, 17.0 + rotation, there, 1.0 + growth * k / len(rotations), ragged_px, seed=k)
-        answers.append(ContourRegistrar(template, patch_of(picture)).fit(pose))
-        pose = answers[-1].pose
-    return answers
+        image = drawn(shape, 17.0 + rotation, there, 1.0 + growth * k / len(rotations), ragged_px, seed=k)
+        estimates.append(ContourRegistrar(template, patch_of(image)).fit(pose))
+        pose = estimates[-1].pose
+    return estimates
 
 
 ROTATIONS = [3.0 * k for k in range(1, 21)]
@@ -46,30 +46,30 @@ ROTATIONS = [3.0 * k for k in range(1, 21)]
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_rotations_are_tracked_through_growth_and_shift(shape: str, sign: float) -> None:
     rotations = [sign * rotation for rotation in ROTATIONS]
-    for rotation, answer in zip(rotations, followed(shape, rotations, growth=0.12), strict=True):
-        assert answer.declined is None
-        assert abs(answer.pose.rotation_deg - rotation) < min(1.6, 4.0 * answer.sigma_deg)
+    for rotation, estimate in zip(rotations, followed(shape, rotations, growth=0.12), strict=True):
+        assert estimate.declined is None
+        assert abs(estimate.pose.rotation_deg - rotation) < min(1.6, 4.0 * estimate.sigma_deg)
 
 
 def test_shift_is_that_of_the_patch() -> None:
-    answer = followed("key", ROTATIONS)[-1]
+    estimate = followed("key", ROTATIONS)[-1]
     m = followed("key", [0.5] * 20)[-1]
     assert (m.pose.dx_px, m.pose.dy_px) == pytest.approx((4.0, -2.0), abs=0.6)
-    assert answer.residual < 0.1
+    assert estimate.residual < 0.1
 
 
 @pytest.mark.parametrize("center", [(60, 80), (80, 100), (40, 70)])
 def test_a_bar_cut_twice_is_tracked_without_drift_along_its_axis(center: tuple[float, float]) -> None:
     rotations = [2.0 * k for k in range(1, 21)]
-    for rotation, answer in zip(rotations, followed("long bar", rotations, center), strict=True):
-        assert abs(answer.pose.rotation_deg - rotation) < 0.8
-        assert np.hypot(answer.pose.dx_px, answer.pose.dy_px) < 20.0
+    for rotation, estimate in zip(rotations, followed("long bar", rotations, center), strict=True):
+        assert abs(estimate.pose.rotation_deg - rotation) < 0.8
+        assert np.hypot(estimate.pose.dx_px, estimate.pose.dy_px) < 20.0
 
 
 @pytest.mark.parametrize("shape", ["disc", "ring"])
 @pytest.mark.parametrize("center", [(60, 80), (105, 80), (108, 150)])
 def test_round_contacts_decline(shape: str, center: tuple[float, float]) -> None:
-    assert all(answer.declined for answer in followed(shape, ROTATIONS[:5], center))
+    assert all(estimate.declined for estimate in followed(shape, ROTATIONS[:5], center))
 
 
 def test_a_periodic_contour_declines() -> None:
@@ -84,8 +84,8 @@ def test_a_periodic_contour_declines() -> None:
 
 def test_another_contact_does_not_match_the_reference() -> None:
     template = make_contour_template(patch_of(drawn("bar", 0)))
-    answer = ContourRegistrar(template, patch_of(drawn("disc"))).fit(ContourPose())
-    assert answer.declined or answer.sigma_deg > 3.0
+    estimate = ContourRegistrar(template, patch_of(drawn("disc"))).fit(ContourPose())
+    assert estimate.declined or estimate.sigma_deg > 3.0
 
 
 @given(
@@ -97,6 +97,6 @@ def test_any_two_maps_give_finite_numbers(before: NDArray[np.float32], now: NDAr
     reference, patch = find_patch(before, 0.5, 20, 2.0), find_patch(now, 0.5, 20, 2.0)
     if reference is None or patch is None:
         return
-    answer = ContourRegistrar(make_contour_template(reference), patch).fit(ContourPose(start))
-    assert np.isfinite([answer.pose.rotation_deg, answer.sigma_deg, answer.residual]).all()
-    assert answer.sigma_deg > 0.0
+    estimate = ContourRegistrar(make_contour_template(reference), patch).fit(ContourPose(start))
+    assert np.isfinite([estimate.pose.rotation_deg, estimate.sigma_deg, estimate.residual]).all()
+    assert estimate.sigma_deg > 0.0

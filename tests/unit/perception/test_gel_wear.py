@@ -34,36 +34,36 @@ def dusty(seed: int) -> np.ndarray:
     return np.rint(image).astype(np.uint8)
 
 
-def averaged(rng: np.random.Generator, picture: np.ndarray, frames: int = FRAMES) -> np.ndarray:
+def averaged(rng: np.random.Generator, frame_image: np.ndarray, frames: int = FRAMES) -> np.ndarray:
     """The mean of noisy frames; neighbouring pixels share some of their noise, as the sensor's do."""
-    noise = cv2.GaussianBlur(rng.normal(0.0, 1.0, picture.shape).astype(np.float32), (0, 0), 0.6)
-    noisy = picture + noise / noise.std() * np.asarray(NOISE_BGR) / np.sqrt(frames)
+    noise = cv2.GaussianBlur(rng.normal(0.0, 1.0, frame_image.shape).astype(np.float32), (0, 0), 0.6)
+    noisy = frame_image + noise / noise.std() * np.asarray(NOISE_BGR) / np.sqrt(frames)
     return np.clip(noisy, 0, 255).astype(np.float32)
 
 
-def drifted(rng: np.random.Generator, picture: np.ndarray, levels: float) -> np.ndarray:
+def drifted(rng: np.random.Generator, frame_image: np.ndarray, levels: float) -> np.ndarray:
     """Lamp edges crept, streaks, columns, another gain and level."""
     pattern = cv2.resize(drift(rng), (240, 320)) * levels
     return np.clip(
-        picture * (1.0 + rng.normal(0.0, 0.003 * levels)) + pattern + rng.normal(0.0, 0.4 * levels, 3), 0, 255
+        frame_image * (1.0 + rng.normal(0.0, 0.003 * levels)) + pattern + rng.normal(0.0, 0.4 * levels, 3), 0, 255
     )
 
 
-def moved(picture: np.ndarray, x_px: float, y_px: float) -> np.ndarray:
+def moved(frame_image: np.ndarray, x_px: float, y_px: float) -> np.ndarray:
     matrix = np.array([[1.0, 0.0, x_px], [0.0, 1.0, y_px]])
-    return cv2.warpAffine(picture.astype(np.float32), matrix, (240, 320), borderMode=cv2.BORDER_REPLICATE)
+    return cv2.warpAffine(frame_image.astype(np.float32), matrix, (240, 320), borderMode=cv2.BORDER_REPLICATE)
 
 
-def spotted(picture: np.ndarray, levels: float, radius_px: int, at: tuple[int, int] = (100, 200)) -> np.ndarray:
+def spotted(frame_image: np.ndarray, levels: float, radius_px: int, at: tuple[int, int] = (100, 200)) -> np.ndarray:
     spot = np.zeros((320, 240), np.float32)
     cv2.circle(spot, at, radius_px, 1.0, -1, cv2.LINE_AA)
-    return np.clip(picture + levels * cv2.GaussianBlur(spot, (0, 0), 0.8)[..., None], 0, 255)
+    return np.clip(frame_image + levels * cv2.GaussianBlur(spot, (0, 0), 0.8)[..., None], 0, 255)
 
 
-def scratched(picture: np.ndarray, levels: float, end: tuple[int, int] = (160, 220)) -> np.ndarray:
+def scratched(frame_image: np.ndarray, levels: float, end: tuple[int, int] = (160, 220)) -> np.ndarray:
     line = np.zeros((320, 240), np.float32)
     cv2.line(line, (130, 190), end, 1.0, 2, cv2.LINE_AA)
-    return np.clip(picture + levels * cv2.GaussianBlur(line, (0, 0), 0.8)[..., None], 0, 255)
+    return np.clip(frame_image + levels * cv2.GaussianBlur(line, (0, 0), 0.8)[..., None], 0, 255)
 
 
 def compared(now: np.ndarray, known: np.ndarray, frames: int = FRAMES) -> GelChange:
@@ -149,8 +149,8 @@ def test_real_units_without_contact_have_no_marks(real_data: Path) -> None:
         assert compared(now, known).marked_px <= 30, path.name
         assert compared(averaged(rng, spotted(now, 35.0, 6)), known).marked_px >= 40, path.name
     for frame, mask, known in beside_presses(real_data):
-        beside = np.where(cv2.dilate(mask, np.ones((41, 41), np.uint8))[..., None] > 0, known, frame)
-        assert compared(beside, known, frames=1).marks == ()
+        outside = np.where(cv2.dilate(mask, np.ones((41, 41), np.uint8))[..., None] > 0, known, frame)
+        assert compared(outside, known, frames=1).marks == ()
 
 
 def beside_presses(real_data: Path):  # type: ignore[no-untyped-def]

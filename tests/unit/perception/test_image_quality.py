@@ -308,10 +308,10 @@ def test_a_change_of_light_after_the_reference_increases_sigma() -> None:
         pipeline = Pipeline(Segmenter(), PerceptionSettings(), shown.background, None, 18.5)
         for k, image in enumerate(shown.frames[:8]):
             lit = image if k < 6 else np.clip(image + tilt * slope, 0, 255).astype(np.uint8)
-            answer = pipeline.process(Frame(lit, k / 60, k))
-        assert answer.angle_deg is not None
-        assert answer.sigma_deg is not None
-        return answer.angle_deg, answer.sigma_deg
+            last_estimate = pipeline.process(Frame(lit, k / 60, k))
+        assert last_estimate.angle_deg is not None
+        assert last_estimate.sigma_deg is not None
+        return last_estimate.angle_deg, last_estimate.sigma_deg
 
     (_, steady), (rotated, tilted) = last(0.0), last(1.0)
     assert tilted > steady + 0.5
@@ -323,8 +323,8 @@ def test_a_rotation_in_an_almost_dark_image_is_not_skipped() -> None:
     dark = [np.asarray(image // 16, np.uint8) for image in shown.frames]
     background = np.asarray(shown.background // 16, np.uint8)
     pipeline = Pipeline(Segmenter(), PerceptionSettings(), background, DEFAULT_NOISE_BGR, 18.5)
-    answers = [pipeline.process(Frame(image, k / 60, k)) for k, image in enumerate(dark)]
-    assert not [one for one in answers if one.contact and one.skipped]
+    estimates = [pipeline.process(Frame(image, k / 60, k)) for k, image in enumerate(dark)]
+    assert not [one for one in estimates if one.contact and one.skipped]
 
 
 @pytest.mark.parametrize("noise", [2.0, 32.0])
@@ -350,12 +350,14 @@ def test_other_light_gives_no_rotation_and_no_reference(what: str, strength: flo
     shown = rotated_grasp(0)
     pipeline = Pipeline(Segmenter(), PerceptionSettings(), shown.background, None, 18.5)
     rng = np.random.default_rng(0)
-    answers = [
+    estimates = [
         pipeline.process(Frame(DISTORTIONS[what](image, strength, rng), k / 60, k))
         for k, image in enumerate(shown.frames)
     ]
-    assert {answer.decline_reason for answer in answers if answer.contact} <= {DeclineReason.UNLIKE_BACKGROUND}
-    assert not [answer for answer in answers if answer.angle_deg is not None]
+    assert {last_estimate.decline_reason for last_estimate in estimates if last_estimate.contact} <= {
+        DeclineReason.UNLIKE_BACKGROUND
+    }
+    assert not [last_estimate for last_estimate in estimates if last_estimate.angle_deg is not None]
     assert not pipeline.has_reference
     clean = [pipeline.process(Frame(image, (20 + k) / 60, 20 + k)) for k, image in enumerate(shown.frames)]
     assert clean[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=3.0)

@@ -16,10 +16,10 @@ from slipguard.perception.contact.patch import find_patch, ragged_px
 
 
 def disc(*spots: tuple[int, int, int]) -> NDArray[np.float32]:
-    picture = np.zeros((160, 120), np.float32)
+    image = np.zeros((160, 120), np.float32)
     for x, y, radius in spots:
-        cv2.circle(picture, (x, y), radius, 1.0, -1)
-    return picture
+        cv2.circle(image, (x, y), radius, 1.0, -1)
+    return image
 
 
 def test_nothing_above_the_threshold_is_no_contact() -> None:

@@ -162,14 +162,16 @@ def test_other_textures_are_measured_after_any_gap() -> None:
     assert held.see(8.0, 5.0).angle_deg == pytest.approx(8.0, abs=0.5)
 
 
-@pytest.mark.parametrize(("gap_s", "on_deg", "told"), [(0.045, 14.0, True), (0.045, 0.0, False), (0.09, 28.0, False)])
-def test_a_fast_rotation_may_have_stopped_in_a_gap(gap_s: float, on_deg: float, told: bool) -> None:
+@pytest.mark.parametrize(
+    ("gap_s", "on_deg", "measured"), [(0.045, 14.0, True), (0.045, 0.0, False), (0.09, 28.0, False)]
+)
+def test_a_fast_rotation_may_have_stopped_in_a_gap(gap_s: float, on_deg: float, measured: bool) -> None:
     held = Held(gear)
     rotations = [0.0, 0.0, *(6.0 * k for k in range(1, 7))]
     assert held.see(0.0).angle_deg is not None
     assert [held.see(rotation).angle_deg for rotation in rotations] == pytest.approx(rotations, abs=0.5)
     after = held.see(rotations[-1] + on_deg, gap_s).angle_deg
-    assert after == (pytest.approx(rotations[-1] + on_deg, abs=0.5) if told else None)
+    assert after == (pytest.approx(rotations[-1] + on_deg, abs=0.5) if measured else None)
 
 
 def test_one_lost_frame_at_30_hz_is_bridged_for_fine_teeth() -> None:
@@ -192,7 +194,7 @@ def test_a_jump_of_nearly_half_a_period_is_declined_for_that_frame_only() -> Non
 
 
 def test_a_kept_estimate_bridges_a_gap() -> None:
-    told = {}
+    measured = {}
     for kept in (True, False):
         held = Held(gear)
         for _ in range(3):
@@ -200,25 +202,25 @@ def test_a_kept_estimate_bridges_a_gap() -> None:
         for k in range(1, 13):
             if kept:
                 held.pipe.keep_estimate(held.now_s + k * FRAME_S)
-        told[kept] = held.see(0.5, 13.0 * FRAME_S)
-    assert told[True].angle_deg == pytest.approx(0.5, abs=0.3)
-    assert told[False].declined == DeclineReason.PERIOD_AMBIGUOUS
+        measured[kept] = held.see(0.5, 13.0 * FRAME_S)
+    assert measured[True].angle_deg == pytest.approx(0.5, abs=0.3)
+    assert measured[False].declined == DeclineReason.PERIOD_AMBIGUOUS
 
 
 def test_a_finger_that_the_daemon_skips_stays_unambiguous() -> None:
     held = Held(gear)
-    seen = [held.see(0.0) for _ in range(3)][-1]
+    shown = [held.see(0.0) for _ in range(3)][-1]
     none = cast(Any, None)  # no frame comes of a sensor here, and none goes to a worker
     finger, other = (Finger(name, none, none, lambda _: held.pipe, 1.0, lambda: None) for name in ("left", "right"))
     finger.skip_frames_after(other, 0.25)
-    finger.newest = TimedEstimate(seen, seen.captured_at_s, seen.captured_at_s)
-    picture = np.zeros((320, 240, 3), np.uint8)
+    finger.newest = TimedEstimate(shown, shown.captured_at_s, shown.captured_at_s)
+    frame_image = np.zeros((320, 240, 3), np.uint8)
     for k in range(1, 13):
         at_s = held.now_s + k * FRAME_S
-        other.newest = TimedEstimate(replace(seen, captured_at_s=at_s, skipped=UNCHANGED), at_s, at_s)
-        spared = finger._kept_estimate(Frame(picture, at_s, k), held.pipe)
-        assert spared is not None
-        finger.newest = TimedEstimate(spared, at_s, at_s)
+        other.newest = TimedEstimate(replace(shown, captured_at_s=at_s, skipped=UNCHANGED), at_s, at_s)
+        repeated = finger._kept_estimate(Frame(frame_image, at_s, k), held.pipe)
+        assert repeated is not None
+        finger.newest = TimedEstimate(repeated, at_s, at_s)
     assert held.see(0.5, 13.0 * FRAME_S).angle_deg == pytest.approx(0.5, abs=0.3)
 
 
@@ -244,8 +246,8 @@ def test_an_axis_resolves_the_ambiguity() -> None:
 
 def rendered(name: str, seed: int) -> tuple[Pipeline, GelCamera, GelView, int]:
     """A bench object in a rendered sensor, its reference taken on the last of 6 frames."""
-    thing, relief = bench_object(name)
-    assert relief is None
+    thing, height_map = bench_object(name)
+    assert height_map is None
     rng = np.random.default_rng(seed)
     unit = random_unit(rng)
     camera = GelCamera(unit, seed=seed)
@@ -263,7 +265,7 @@ def test_a_texture_searched_in_the_wrong_place_is_found_near_the_contour(seed: i
     pipe, camera, view, frames = rendered("hook", seed)
     rotated = GelView(view.object_name, view.x_mm, view.y_mm, view.angle_deg + rotation_deg, view.depth_mm)
     for k in range(3):
-        answer = pipe.process(Frame(camera.draw(rotated), (frames + k) * FRAME_S + 0.1, frames + k))
-        assert answer.angle_deg == pytest.approx(rotation_deg, abs=2.0)
-        assert answer.sigma_deg is not None
-        assert answer.sigma_deg < 0.5
+        last_estimate = pipe.process(Frame(camera.draw(rotated), (frames + k) * FRAME_S + 0.1, frames + k))
+        assert last_estimate.angle_deg == pytest.approx(rotation_deg, abs=2.0)
+        assert last_estimate.sigma_deg is not None
+        assert last_estimate.sigma_deg < 0.5

@@ -127,10 +127,14 @@ def test_no_contact_needs_no_network() -> None:
     segmenter = ReadsBlue()
     pipe = pipeline(segmenter=segmenter)
     for k in range(5):
-        answer = pipe.process(frame(None, k))
-        assert (answer.contact, answer.skipped, answer.declined) == (False, "no contact", "no contact")
-        assert answer.contact_area_px == 0
-        assert answer.measured_at_s == answer.captured_at_s
+        last_estimate = pipe.process(frame(None, k))
+        assert (last_estimate.contact, last_estimate.skipped, last_estimate.declined) == (
+            False,
+            "no contact",
+            "no contact",
+        )
+        assert last_estimate.contact_area_px == 0
+        assert last_estimate.measured_at_s == last_estimate.captured_at_s
     assert segmenter.calls == 0
     assert not pipe.last_mask.any()
     assert pipe.last_patch is None
@@ -139,15 +143,15 @@ def test_no_contact_needs_no_network() -> None:
 def test_an_unchanged_image_repeats_the_estimate_for_at_most_a_quarter_second() -> None:
     segmenter = ReadsBlue()
     pipe = pipeline(segmenter=segmenter)
-    picture = drawn("bar", 20)
-    answers = [pipe.process(frame(picture, k)) for k in range(180)]
+    frame_image = drawn("bar", 20)
+    estimates = [pipe.process(frame(frame_image, k)) for k in range(180)]
     calls = segmenter.calls
     assert 36 <= calls <= 60  # half a second to be sure of the rest, then four a second
-    reused = [a for a in answers if a.skipped]
+    reused = [a for a in estimates if a.skipped]
     assert {a.skipped for a in reused} == {"unchanged"}
     assert all(0.0 < a.captured_at_s - a.measured_at_s < 0.25 for a in reused)
-    assert [a.sequence for a in answers] == list(range(180))
-    assert all(a.contact and a.angle_deg is not None for a in answers[6:])
+    assert [a.sequence for a in estimates] == list(range(180))
+    assert all(a.contact and a.angle_deg is not None for a in estimates[6:])
     rotated = pipe.process(frame(drawn("bar", 21.5), 180))
     assert rotated.skipped is None
     assert rotated.angle_deg == pytest.approx(1.5, abs=0.4)
@@ -162,9 +166,9 @@ def test_after_a_glitch_of_one_frame_the_estimate_is_that_of_the_image(knock: fl
     assert struck.skipped is None
     after = [pipe.process(frame(drawn("bar", 20), k)) for k in range(91, 121)]
     assert after[0].skipped is None
-    assert {answer.skipped for answer in after} == {None, "unchanged"}
-    assert [answer.angle_deg for answer in after] == pytest.approx([0.0] * 30, abs=0.5)
-    assert [answer.rate_deg_s for answer in after[10:]] == pytest.approx([0.0] * 20, abs=2.0)
+    assert {last_estimate.skipped for last_estimate in after} == {None, "unchanged"}
+    assert [last_estimate.angle_deg for last_estimate in after] == pytest.approx([0.0] * 30, abs=0.5)
+    assert [last_estimate.rate_deg_s for last_estimate in after[10:]] == pytest.approx([0.0] * 20, abs=2.0)
 
 
 def test_a_slow_rotation_is_measured_within_half_a_degree_despite_skips() -> None:
@@ -172,8 +176,8 @@ def test_a_slow_rotation_is_measured_within_half_a_degree_despite_skips() -> Non
     run(pipe, "bar", [20.0] * 6)
     for k in range(6, 90):
         true = 0.05 * (k - 5)
-        answer = pipe.process(frame(drawn("bar", 20.0 + true), k))
-        assert answer.angle_deg == pytest.approx(true, abs=0.5)
+        last_estimate = pipe.process(frame(drawn("bar", 20.0 + true), k))
+        assert last_estimate.angle_deg == pytest.approx(true, abs=0.5)
 
 
 def test_skipping_can_be_switched_off() -> None:
@@ -225,15 +229,15 @@ def test_the_mask_is_finer_than_the_networks_pixels() -> None:
 def test_stage_times_come_from_the_injected_timer() -> None:
     ticks = itertools.count()
     pipe = Pipeline(ReadsBlue(), PerceptionSettings(), BACKGROUND, None, 18.5, timer=lambda: 0.001 * next(ticks))
-    answers = [pipe.process(frame(drawn("bar", 20 + k), k)) for k in range(8)]
-    assert set(answers[-1].stage_ms) == {"gate", "segment", "regions", "relief", "angle", "track"}
-    assert all(value == pytest.approx(round(value)) and value > 0.9 for value in answers[-1].stage_ms.values())
+    estimates = [pipe.process(frame(drawn("bar", 20 + k), k)) for k in range(8)]
+    assert set(estimates[-1].stage_ms) == {"gate", "segment", "regions", "relief", "angle", "track"}
+    assert all(value == pytest.approx(round(value)) and value > 0.9 for value in estimates[-1].stage_ms.values())
     assert pipeline().process(frame(drawn("bar", 20), 0)).stage_ms == {}
 
 
 def test_values_that_are_not_finite_are_rejected() -> None:
-    answer = pipeline(segmenter=ReadsNaN()).process(frame(drawn("bar"), 0))
-    assert not answer.contact
+    last_estimate = pipeline(segmenter=ReadsNaN()).process(frame(drawn("bar"), 0))
+    assert not last_estimate.contact
     for at in (float("nan"), float("inf")):
         with pytest.raises(FrameCorrupt, match="no capture time"):
             pipeline().process(frame(drawn("bar"), 0, captured_at_s=at))
@@ -242,14 +246,14 @@ def test_values_that_are_not_finite_are_rejected() -> None:
 def test_a_noise_mask_gives_no_certain_rotation() -> None:
     rng = np.random.default_rng(8)
     pipe = pipeline(reference="first", skip_unchanged=False)
-    sure = []
+    certain = []
     for k in range(60):
         blobs = cv2.GaussianBlur(rng.random((160, 120)).astype(np.float32), (0, 0), rng.uniform(2, 8))
         blobs = ((blobs - blobs.min()) / (blobs.max() - blobs.min()) > 0.55).astype(np.float32)
-        answer = pipe.process(frame(blobs, k))
-        if k and answer.angle_deg is not None and cast("float", answer.sigma_deg) < 2.0:
-            sure.append(k)
-    assert len(sure) <= 3
+        last_estimate = pipe.process(frame(blobs, k))
+        if k and last_estimate.angle_deg is not None and cast("float", last_estimate.sigma_deg) < 2.0:
+            certain.append(k)
+    assert len(certain) <= 3
 
 
 @pytest.mark.parametrize(

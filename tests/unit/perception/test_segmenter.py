@@ -18,7 +18,7 @@ CAMERA = GelCamera(SensorUnit.default(), seed=7)
 TOUCH = GelView("ball", x_mm=0.5, y_mm=1.0, angle_deg=0.0, depth_mm=0.6)
 
 
-CENTRE = (70, 64)
+CENTER = (70, 64)
 
 
 """Row and column of the ball at network resolution: 1 mm up and 0.5 mm right of the middle."""
@@ -54,11 +54,11 @@ def changed_model(tmp_path: Path, old: bytes, new: bytes) -> Path:
 
 
 def test_the_output_is_a_probability_at_network_size(segmenter: Segmenter) -> None:
-    answer = segmenter.segment(gel(1), gel(2))
-    assert answer.shape == (160, 120)
-    assert answer.dtype == np.float32
-    assert answer.min() >= 0.0
-    assert answer.max() <= 1.0
+    estimate = segmenter.segment(gel(1), gel(2))
+    assert estimate.shape == (160, 120)
+    assert estimate.dtype == np.float32
+    assert estimate.min() >= 0.0
+    assert estimate.max() <= 1.0
     assert segmenter.input_size == (120, 160)
     assert 0.0 < segmenter.threshold < 1.0
 
@@ -68,8 +68,8 @@ def test_a_ball_is_found_and_an_untouched_gel_has_no_contact(segmenter: Segmente
     mask = segmenter.segment(with_ball(2), background) > segmenter.threshold
     rows, columns = np.nonzero(mask)
     assert mask.sum() > 500
-    assert abs(rows.mean() - CENTRE[0]) < 4
-    assert abs(columns.mean() - CENTRE[1]) < 4
+    assert abs(rows.mean() - CENTER[0]) < 4
+    assert abs(columns.mean() - CENTER[1]) < 4
     assert not (segmenter.segment(gel(3), background) > segmenter.threshold).any()
 
 
@@ -84,16 +84,16 @@ def test_a_new_background_replaces_the_remembered_one(segmenter: Segmenter) -> N
 
 def test_without_a_background_a_clear_press_is_still_found(segmenter: Segmenter) -> None:
     mask = segmenter.segment(with_ball(2), None) > segmenter.threshold
-    row, column = CENTRE
+    row, column = CENTER
     assert mask[row - 8 : row + 8, column - 8 : column + 8].mean() > 0.9
 
 
 def test_an_estimated_background_follows_the_glow_and_passes_under_a_press() -> None:
     glow, pressed = gel(1), with_ball(1)
-    guess = estimate_background(pressed).astype(int)
-    assert guess.shape == pressed.shape
-    patch = np.s_[2 * CENTRE[0] - 30 : 2 * CENTRE[0] + 30, 2 * CENTRE[1] - 30 : 2 * CENTRE[1] + 30]
-    assert np.abs(guess - pressed)[patch].mean() > 1.5 * np.abs(guess - glow)[patch].mean()
+    estimated = estimate_background(pressed).astype(int)
+    assert estimated.shape == pressed.shape
+    patch = np.s_[2 * CENTER[0] - 30 : 2 * CENTER[0] + 30, 2 * CENTER[1] - 30 : 2 * CENTER[1] + 30]
+    assert np.abs(estimated - pressed)[patch].mean() > 1.5 * np.abs(estimated - glow)[patch].mean()
     smooth = np.full((320, 240, 3), (90, 60, 140), np.uint8)
     np.testing.assert_allclose(estimate_background(smooth), smooth, atol=1)
 

@@ -68,8 +68,8 @@ def test_a_crop_padded_by_one_gives_the_crop_of_the_thinned_image() -> None:
     rng = np.random.default_rng(5)
     for index in range(200):
         crop = drawn(index % 5, rng)
-        picture = np.pad(crop, 9)
-        np.testing.assert_array_equal(thin(np.pad(crop, 1))[1:-1, 1:-1], thin(picture)[9:-9, 9:-9])
+        image = np.pad(crop, 9)
+        np.testing.assert_array_equal(thin(np.pad(crop, 1))[1:-1, 1:-1], thin(image)[9:-9, 9:-9])
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1), (2, 2), (3, 3)])

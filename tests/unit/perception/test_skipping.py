@@ -19,7 +19,7 @@ from slipguard.perception.skipping import OTHER_FINGER, repeat_estimate, second_
 REFRESH_S = 0.25
 
 
-def answer(sigma_deg: float | None, at_s: float = 1.0, skipped: str | None = None, **changes: object) -> Estimate:
+def estimate_of(sigma_deg: float | None, at_s: float = 1.0, skipped: str | None = None, **changes: object) -> Estimate:
     said = Estimate(
         sequence=60,
         captured_at_s=at_s,
@@ -37,38 +37,44 @@ def answer(sigma_deg: float | None, at_s: float = 1.0, skipped: str | None = Non
     return replace(said, **changes)  # type: ignore[arg-type]
 
 
-SURE = answer(0.3, 1.02, "unchanged")
+CERTAIN = estimate_of(0.3, 1.02, "unchanged")
 
 
-SURE_LATER = replace(SURE, captured_at_s=1.24)
+CERTAIN_LATER = replace(CERTAIN, captured_at_s=1.24)
 
 
 def test_a_less_certain_or_declined_finger_is_skipped() -> None:
-    for own in (answer(0.5), answer(0.3), answer(None), answer(0.5, angle_deg=1.5), answer(0.3, angle_deg=1.0)):
-        assert second_finger_can_skip(own, SURE, 1.02, REFRESH_S)
-    assert second_finger_can_skip(answer(0.3, angle_deg=8.0), replace(SURE, angle_deg=-8.0), 1.02, REFRESH_S)
-    assert second_finger_can_skip(answer(0.5, captured_at_s=1.235), SURE_LATER, 1.24, REFRESH_S)
+    for own in (
+        estimate_of(0.5),
+        estimate_of(0.3),
+        estimate_of(None),
+        estimate_of(0.5, angle_deg=1.5),
+        estimate_of(0.3, angle_deg=1.0),
+    ):
+        assert second_finger_can_skip(own, CERTAIN, 1.02, REFRESH_S)
+    assert second_finger_can_skip(estimate_of(0.3, angle_deg=8.0), replace(CERTAIN, angle_deg=-8.0), 1.02, REFRESH_S)
+    assert second_finger_can_skip(estimate_of(0.5, captured_at_s=1.235), CERTAIN_LATER, 1.24, REFRESH_S)
 
 
 @pytest.mark.parametrize(
     ("own", "other", "at_s"),
     [
-        (answer(0.2), SURE, 1.02),
-        (answer(0.5), replace(SURE, skipped=None), 1.02),
-        (answer(0.5), replace(SURE, skipped=OTHER_FINGER), 1.02),
-        (answer(0.5), replace(SURE, contact=False), 1.02),
-        (answer(0.5), replace(SURE, captured_at_s=0.9), 1.02),
-        (answer(0.5), answer(None, 1.02, "unchanged"), 1.02),
-        (answer(0.5), SURE, 1.26),
-        (answer(0.5, captured_at_s=1.225), SURE_LATER, 1.24),
-        (answer(0.3, angle_deg=1.5), SURE, 1.02),
-        (answer(0.3, angle_deg=-1.5), SURE, 1.02),
-        (answer(0.5), SURE, 0.9),
-        (answer(0.5, contact=False), SURE, 1.02),
-        (answer(0.5, shift_mm=None), SURE, 1.02),
-        (None, SURE, 1.02),
-        (answer(0.5), None, 1.02),
-        (answer(0.5), SURE, float("nan")),
+        (estimate_of(0.2), CERTAIN, 1.02),
+        (estimate_of(0.5), replace(CERTAIN, skipped=None), 1.02),
+        (estimate_of(0.5), replace(CERTAIN, skipped=OTHER_FINGER), 1.02),
+        (estimate_of(0.5), replace(CERTAIN, contact=False), 1.02),
+        (estimate_of(0.5), replace(CERTAIN, captured_at_s=0.9), 1.02),
+        (estimate_of(0.5), estimate_of(None, 1.02, "unchanged"), 1.02),
+        (estimate_of(0.5), CERTAIN, 1.26),
+        (estimate_of(0.5, captured_at_s=1.225), CERTAIN_LATER, 1.24),
+        (estimate_of(0.3, angle_deg=1.5), CERTAIN, 1.02),
+        (estimate_of(0.3, angle_deg=-1.5), CERTAIN, 1.02),
+        (estimate_of(0.5), CERTAIN, 0.9),
+        (estimate_of(0.5, contact=False), CERTAIN, 1.02),
+        (estimate_of(0.5, shift_mm=None), CERTAIN, 1.02),
+        (None, CERTAIN, 1.02),
+        (estimate_of(0.5), None, 1.02),
+        (estimate_of(0.5), CERTAIN, float("nan")),
     ],
 )
 def test_a_finger_that_may_add_information_is_measured(
@@ -79,16 +85,16 @@ def test_a_finger_that_may_add_information_is_measured(
 
 @given(st.floats(0.1, 5.0), st.floats(0.1, 5.0))
 def test_two_fingers_never_skip_each_other(left_deg: float, right_deg: float) -> None:
-    left, right = answer(left_deg, 1.0, "unchanged"), answer(right_deg, 1.0, "unchanged")
-    spared = second_finger_can_skip(left, right, 1.016, REFRESH_S)
-    if spared:
+    left, right = estimate_of(left_deg, 1.0, "unchanged"), estimate_of(right_deg, 1.0, "unchanged")
+    repeated = second_finger_can_skip(left, right, 1.016, REFRESH_S)
+    if repeated:
         left = repeat_estimate(left, 1.016, 61)
         assert left.skipped == OTHER_FINGER
         assert left.measured_at_s == 1.0
-    assert not (spared and second_finger_can_skip(right, left, 1.016, REFRESH_S))
+    assert not (repeated and second_finger_can_skip(right, left, 1.016, REFRESH_S))
 
 
-def first_slip(rate_deg_s: float, spare: bool, phase_s: float) -> int:
+def first_slip(rate_deg_s: float, skip_second: bool, phase_s: float) -> int:
     """Frame on which the law sees the slip; the right finger answers second, with twice the noise."""
     rng = np.random.default_rng(3)
     detector, params = SlipMemory(), GuardParams()
@@ -105,11 +111,11 @@ def first_slip(rate_deg_s: float, spare: bool, phase_s: float) -> int:
         if rests and left is not None:
             left = replace(left, captured_at_s=at_s, skipped="unchanged")
         else:
-            left = answer(0.1, at_s, angle_deg=moved + 0.1 * noise[0], rate_deg_s=rate)
-        if spare and second_finger_can_skip(right, left, at_s, REFRESH_S) and right is not None:
+            left = estimate_of(0.1, at_s, angle_deg=moved + 0.1 * noise[0], rate_deg_s=rate)
+        if skip_second and second_finger_can_skip(right, left, at_s, REFRESH_S) and right is not None:
             right = repeat_estimate(right, at_s, k)
         else:
-            right = answer(0.2, at_s, angle_deg=-moved + 0.2 * noise[1], rate_deg_s=-rate)
+            right = estimate_of(0.2, at_s, angle_deg=-moved + 0.2 * noise[1], rate_deg_s=-rate)
         fused = fuse(left, right)
         assert fused is not None
         assert at_s - fused.measured_at_s < REFRESH_S + 1e-9

@@ -27,7 +27,7 @@ from slipguard.stress.trial_family import FamilyResults, generator
 ROTATIONS_DEG = (2.0, 4.0, 8.0, 12.0)
 
 
-def seen(rotation_deg: float, levels: float) -> tuple[NDArray[np.uint8], Patch]:
+def shown(rotation_deg: float, levels: float) -> tuple[NDArray[np.uint8], Patch]:
     """Letters that turn under dirt that stays where it is."""
     height = heights(lettered, 15.0 + rotation_deg, (120.0, 160.0), 1.0)
     patch = find_patch(contact_map(height), 0.5, 100, 2.0)
@@ -41,13 +41,13 @@ def seen(rotation_deg: float, levels: float) -> tuple[NDArray[np.uint8], Patch]:
 
 def rotated(levels: float) -> list[TextureFit]:
     reader = TextureMapReader(np.full((320, 240, 3), 100, np.uint8), (2.0, 2.0, 2.0))
-    image, patch = seen(0.0, levels)
+    image, patch = shown(0.0, levels)
     reader.learn(image, patch)
     reference = make_texture_template(reader.read(image, patch), patch)
     assert reference is not None
     pose, found = TexturePose(), []
     for rotation in ROTATIONS_DEG:
-        image, patch = seen(rotation, levels)
+        image, patch = shown(rotation, levels)
         found.append(fit_texture(reference, reader.read(image, patch), pose))
         pose = found[-1].pose
     return found
@@ -62,7 +62,7 @@ def sigmas_off(found: list[TextureFit]) -> float:
 @pytest.mark.parametrize("levels", [6.0, 7.0])
 def test_static_dirt_increases_sigma(levels: float, monkeypatch: pytest.MonkeyPatch) -> None:
     found = rotated(levels)
-    with_it = [sigma_deg(answer) for answer in found]
+    with_it = [sigma_deg(estimate) for estimate in found]
     assert sigmas_off(found) < 4.0
     monkeypatch.setattr(texture_registration, "STATIC", 0.0)
     assert sigma_deg(found[-1]) < 0.95 * with_it[-1]
@@ -70,9 +70,9 @@ def test_static_dirt_increases_sigma(levels: float, monkeypatch: pytest.MonkeyPa
 
 def test_without_a_static_pattern_sigma_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
     found = rotated(0.0)
-    sigmas = [sigma_deg(answer) for answer in found]
+    sigmas = [sigma_deg(estimate) for estimate in found]
     monkeypatch.setattr(texture_registration, "STATIC", 0.0)
-    assert sigmas == pytest.approx([sigma_deg(answer) for answer in found], rel=0.02)
+    assert sigmas == pytest.approx([sigma_deg(estimate) for estimate in found], rel=0.02)
 
 
 def test_the_bias_equals_the_share_of_the_static_pattern() -> None:
@@ -83,16 +83,20 @@ def test_the_bias_equals_the_share_of_the_static_pattern() -> None:
 
     value, motion = at(0.0), np.gradient(at(0.0), x)
     share, true = 0.3, 0.1
-    told = (1 - share) * true
+    measured = (1 - share) * true
 
-    mixed = share * at(-told) + (1 - share) * at(true - told)
+    mixed = share * at(-measured) + (1 - share) * at(true - measured)
     motions = np.stack([motion, value], axis=1)
     left = mixed - motions @ np.linalg.lstsq(motions, mixed, rcond=None)[0]
-    back = static_pattern_bias(*(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), left, at(-told))))
-    assert back * told == pytest.approx(true - told, rel=0.2)
-    none = static_pattern_bias(*(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), 0 * left, at(-told))))
+    back = static_pattern_bias(*(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), left, at(-measured))))
+    assert back * measured == pytest.approx(true - measured, rel=0.2)
+    none = static_pattern_bias(
+        *(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), 0 * left, at(-measured)))
+    )
     assert none == 0.0
-    most = static_pattern_bias(*(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), 1e3 * left, at(-told))))
+    most = static_pattern_bias(
+        *(np.asarray(a, np.float32) for a in (motions, np.ones_like(x), 1e3 * left, at(-measured)))
+    )
     assert most == STATIC_BIAS_MAX
 
 

@@ -45,12 +45,12 @@ def test_the_rotation_continues_from_the_stored_reference(rotation_deg: float) -
     pipe.resume(known, 10.0)
     assert pipe.stored_reference_state == "waiting"
     assert pipe.reference_image is None
-    answers = run(pipe, "key", [rotation_deg + 3.0] * 6, start=600)
-    assert [answer.declined for answer in answers[: MATCHES_AFTER - 1]] == [DeclineReason.CHECKING_STORED_REFERENCE] * (
-        MATCHES_AFTER - 1
-    )
+    estimates = run(pipe, "key", [rotation_deg + 3.0] * 6, start=600)
+    assert [last_estimate.declined for last_estimate in estimates[: MATCHES_AFTER - 1]] == [
+        DeclineReason.CHECKING_STORED_REFERENCE
+    ] * (MATCHES_AFTER - 1)
     assert pipe.stored_reference_state == "matches"
-    assert answers[-1].angle_deg == pytest.approx(rotation_deg + 3.0, abs=1.0)
+    assert estimates[-1].angle_deg == pytest.approx(rotation_deg + 3.0, abs=1.0)
     assert pipe.reference_image is known.image
     on = run(pipe, "key", list(np.linspace(rotation_deg + 3.0, rotation_deg + 15.0, 6)), start=606)[-1]
     assert on.angle_deg == pytest.approx(rotation_deg + 15.0, abs=1.0)
@@ -59,9 +59,9 @@ def test_the_rotation_continues_from_the_stored_reference(rotation_deg: float) -
 def test_another_object_gets_a_new_reference_and_continues_from_the_last_rotation() -> None:
     pipe = pipeline()
     pipe.resume(before("key", 14.0), 10.0)
-    answers = run(pipe, "disc", [0.0] * DIFFERS_AFTER, start=600)
-    assert {answer.declined for answer in answers[:-1]} == {DeclineReason.CHECKING_STORED_REFERENCE}
-    assert answers[-1].angle_deg is None
+    estimates = run(pipe, "disc", [0.0] * DIFFERS_AFTER, start=600)
+    assert {last_estimate.declined for last_estimate in estimates[:-1]} == {DeclineReason.CHECKING_STORED_REFERENCE}
+    assert estimates[-1].angle_deg is None
     assert pipe.stored_reference_state == "differs"
     run(pipe, "bar", [40.0] * 6, start=600 + DIFFERS_AFTER)
     rotated = run(pipe, "bar", list(np.linspace(40.0, 47.0, 6)), start=620)[-1]
@@ -74,8 +74,8 @@ def test_the_rotation_before_the_stored_reference_is_added() -> None:
     known = before("key", 14.0)
     pipe = pipeline()
     pipe.resume(StoredReference(known.image, known.rotation_deg, 5.0), 10.0)
-    answers = run(pipe, "key", [16.0] * 6, start=600)
-    assert answers[-1].angle_deg == pytest.approx(5.0 + 16.0, abs=1.0)
+    estimates = run(pipe, "key", [16.0] * 6, start=600)
+    assert estimates[-1].angle_deg == pytest.approx(5.0 + 16.0, abs=1.0)
     assert pipe.earlier_rotation_deg == 5.0
     pipe.resume(StoredReference(known.image, known.rotation_deg, 5.0), 10.0)
     run(pipe, "disc", [0.0] * DIFFERS_AFTER, start=700)

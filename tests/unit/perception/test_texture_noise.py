@@ -35,7 +35,7 @@ BACKGROUND = np.full((320, 240, 3), 100, np.uint8)
 NO_STRIPES = (0.0, 0.0, 0.0)
 
 
-def seen(surface: Surface, rotation_deg: float, noise: CameraNoise) -> tuple[NDArray[np.uint8], Patch]:
+def shown(surface: Surface, rotation_deg: float, noise: CameraNoise) -> tuple[NDArray[np.uint8], Patch]:
     """A frame with the sensor's own noise, and its patch."""
     height = heights(surface, 15.0 + rotation_deg, (120.0, 160.0), 1.0)
     patch = find_patch(contact_map(height), 0.5, 100, 2.0)
@@ -48,13 +48,13 @@ def rotated(surface: Surface, known: bool) -> list[TextureFit]:
     """Letters that have rotated by 6 degrees and become another surface, seen ten times."""
     noise = CameraNoise(NOISE_STD_BGR, NO_STRIPES, 3)
     reader = TextureMapReader(BACKGROUND, NOISE_STD_BGR if known else None)
-    image, patch = seen(lettered, 0.0, noise)
+    image, patch = shown(lettered, 0.0, noise)
     reader.learn(image, patch)
     reference = make_texture_template(reader.read(image, patch), patch)
     assert reference is not None
     found = []
     for _ in range(10):
-        image, patch = seen(surface, 6.0, noise)
+        image, patch = shown(surface, 6.0, noise)
         found.append(fit_texture(reference, reader.read(image, patch), TexturePose(rotation_deg=5.0)))
     return found
 
@@ -64,7 +64,7 @@ def partly(u: Heights, v: Heights) -> Heights:
 
 
 def sigma(found: list[TextureFit]) -> float:
-    return float(np.median([sigma_deg(answer) for answer in found]))
+    return float(np.median([sigma_deg(estimate) for estimate in found]))
 
 
 @pytest.mark.parametrize("std", [NOISE_STD_BGR, (0.9, 0.5, 0.7), (4.6, 2.4, 3.8)])
@@ -82,15 +82,15 @@ def test_the_noise_of_the_texture_map_is_that_of_untouched_frames(std: tuple[flo
 def test_known_noise_lowers_sigma_of_a_contact_that_only_rotated() -> None:
     known = rotated(lettered, known=True)
     assert sigma(known) < 0.8 * sigma(rotated(lettered, known=False))
-    assert all(abs(answer.pose.rotation_deg - 6.0) < 4.0 * sigma_deg(answer) for answer in known)
+    assert all(abs(estimate.pose.rotation_deg - 6.0) < 4.0 * sigma_deg(estimate) for estimate in known)
 
 
 def test_known_noise_does_not_lower_sigma_of_a_deformed_contact() -> None:
     known = rotated(partly, known=True)
     assert sigma(known) > 0.85 * sigma(rotated(partly, known=False))
     assert sigma(known) > 2.0 * sigma(rotated(lettered, known=True))
-    assert all(abs(answer.pose.rotation_deg - 6.0) < 4.0 * sigma_deg(answer) for answer in known)
+    assert all(abs(estimate.pose.rotation_deg - 6.0) < 4.0 * sigma_deg(estimate) for estimate in known)
 
 
 def test_unknown_noise_is_not_subtracted() -> None:
-    assert all(parts_deg(answer)[1] == 0.0 for answer in rotated(lettered, known=False))
+    assert all(parts_deg(estimate)[1] == 0.0 for estimate in rotated(lettered, known=False))

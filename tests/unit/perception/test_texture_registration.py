@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch, find_patch
-from slipguard.perception.rotation import texture_map as relief
+from slipguard.perception.rotation import texture_map as height_map
 from slipguard.perception.rotation.texture_map import TextureMapReader
 from slipguard.perception.rotation.texture_registration import (
     TextureFit,
@@ -89,14 +89,14 @@ def referenced(height: Height, **how: object) -> tuple[TextureMapReader, Texture
 
 def followed(height: Height, rotations: list[float], growth: float = 0.0, **how: object) -> list[TextureFit]:
     reader, texture = referenced(height, **how)
-    pose, answers = TexturePose(), []
+    pose, estimates = TexturePose(), []
     for k, rotation in enumerate(rotations, start=1):
         force = 1.0 + growth * k / len(rotations)
         at = (120.0 + 0.6 * k, 160.0 - 0.4 * k)
         image, patch = pressed(height, 20.0 + rotation, at=at, force=force, seed=k, **how)  # type: ignore[arg-type]
-        answers.append(fit_texture(texture, reader.read(image, patch), pose))
-        pose = answers[-1].pose
-    return answers
+        estimates.append(fit_texture(texture, reader.read(image, patch), pose))
+        pose = estimates[-1].pose
+    return estimates
 
 
 ROTATIONS = [3.0 * k for k in range(1, 11)]
@@ -106,10 +106,10 @@ ROTATIONS = [3.0 * k for k in range(1, 11)]
 @pytest.mark.parametrize("growth", [0.0, 1.2])
 def test_a_round_contact_with_texture_is_tracked_while_the_force_rises(sign: float, growth: float) -> None:
     rotations = [sign * rotation for rotation in ROTATIONS]
-    for rotation, answer in zip(rotations, followed(lettered, rotations, growth), strict=True):
-        assert answer.declined is None
-        assert abs(answer.pose.rotation_deg - rotation) < 0.4
-        assert abs(answer.pose.rotation_deg - rotation) < 5.0 * sigma_deg(answer)
+    for rotation, last_estimate in zip(rotations, followed(lettered, rotations, growth), strict=True):
+        assert last_estimate.declined is None
+        assert abs(last_estimate.pose.rotation_deg - rotation) < 0.4
+        assert abs(last_estimate.pose.rotation_deg - rotation) < 5.0 * sigma_deg(last_estimate)
 
 
 def test_the_shift_is_that_of_the_object() -> None:
@@ -118,8 +118,8 @@ def test_the_shift_is_that_of_the_object() -> None:
 
 
 def worst_deg(gains: tuple[float, float, float]) -> float:
-    answers = followed(lettered, ROTATIONS, gains=gains)
-    return max(abs(a.pose.rotation_deg - rotation) for a, rotation in zip(answers, ROTATIONS, strict=True))
+    estimates = followed(lettered, ROTATIONS, gains=gains)
+    return max(abs(a.pose.rotation_deg - rotation) for a, rotation in zip(estimates, ROTATIONS, strict=True))
 
 
 @pytest.mark.parametrize("gains", [(1.0, 0.6, 1.5), (0.5, 1.0, 1.0), (0.15, 1.0, 1.0)])
@@ -128,40 +128,40 @@ def test_lights_of_unequal_strength_are_learned(
 ) -> None:
     learnt = worst_deg(gains)
     assert learnt < 0.5
-    monkeypatch.setattr(relief, "NOMINAL_WEIGHT", 1e6)  # nothing is learnt
+    monkeypatch.setattr(height_map, "NOMINAL_WEIGHT", 1e6)  # nothing is learnt
     assert learnt < 0.75 * worst_deg(gains)
 
 
 def test_lights_in_the_other_sense_are_recognized() -> None:
-    answers = followed(lettered, ROTATIONS, lights_deg=(270.0, 30.0, 150.0))
-    assert all(answer.declined is None for answer in answers)
-    assert max(abs(a.pose.rotation_deg - rotation) for a, rotation in zip(answers, ROTATIONS, strict=True)) < 0.6
+    estimates = followed(lettered, ROTATIONS, lights_deg=(270.0, 30.0, 150.0))
+    assert all(last_estimate.declined is None for last_estimate in estimates)
+    assert max(abs(a.pose.rotation_deg - rotation) for a, rotation in zip(estimates, ROTATIONS, strict=True)) < 0.6
 
 
 @pytest.mark.parametrize("gains", [(1.0, 1.0, 1.0), (1.0, 0.6, 1.5)])
 def test_a_plain_ball_declines_under_any_light(gains: tuple[float, float, float]) -> None:
-    assert {(answer.declined or "").partition(":")[0] for answer in followed(dome, ROTATIONS, gains=gains)} == {
-        "round contact"
-    }
+    assert {
+        (last_estimate.declined or "").partition(":")[0] for last_estimate in followed(dome, ROTATIONS, gains=gains)
+    } == {"round contact"}
 
 
 def test_the_texture_of_another_object_declines() -> None:
     reader, texture = referenced(lettered)
     image, patch = pressed(gear, 0.0)
-    answer = fit_texture(texture, reader.read(image, patch), TexturePose())
-    assert answer.declined is not None or sigma_deg(answer) > 1.0
+    last_estimate = fit_texture(texture, reader.read(image, patch), TexturePose())
+    assert last_estimate.declined is not None or sigma_deg(last_estimate) > 1.0
 
 
 def test_a_contact_that_left_the_image_declines() -> None:
     reader, texture = referenced(lettered)
     image, patch = pressed(lettered, 20.0, at=(236.0, 160.0))
-    answer = fit_texture(texture, reader.read(image, patch), TexturePose(dx_px=58.0))
-    assert answer.declined == "clipped by the frame: 43% of the texture is visible, limit 45%"
+    last_estimate = fit_texture(texture, reader.read(image, patch), TexturePose(dx_px=58.0))
+    assert last_estimate.declined == "clipped by the frame: 43% of the texture is visible, limit 45%"
 
 
 def test_an_image_without_any_texture_gives_finite_numbers() -> None:
     reader, texture = referenced(lettered)
     _, patch = pressed(lettered, 20.0)
-    answer = fit_texture(texture, reader.read(background(), patch), TexturePose())
-    assert answer.declined is not None
-    assert np.isfinite([answer.pose.rotation_deg, sigma_deg(answer), answer.alike]).all()
+    last_estimate = fit_texture(texture, reader.read(background(), patch), TexturePose())
+    assert last_estimate.declined is not None
+    assert np.isfinite([last_estimate.pose.rotation_deg, sigma_deg(last_estimate), last_estimate.alike]).all()

@@ -79,13 +79,13 @@ SHARES = [0.05 * k for k in range(19)]
 
 
 def test_a_changing_contact_is_tracked_further_by_a_key(monkeypatch: pytest.MonkeyPatch) -> None:
-    def told() -> list[TrackedTexture]:
+    def measured() -> list[TrackedTexture]:
         held = Held()
         return [held.see(becoming(share), 15.0 * share, (120.0 + 6 * share, 160.0)) for share in SHARES]
 
-    with_key = told()
+    with_key = measured()
     monkeypatch.setattr(TextureTracker, "_take_key", lambda *_: None)
-    without = told()
+    without = measured()
     assert sum(one.rotation.rotation_deg is not None for one in with_key) > sum(
         one.rotation.rotation_deg is not None for one in without
     )
@@ -105,8 +105,8 @@ def test_the_reference_is_used_again_after_a_key() -> None:
 
 def test_a_changing_contact_increases_sigma() -> None:
     held = Held()
-    told = [held.see(becoming(share), 0.0) for share in SHARES[:8]]
-    sigmas = [one.rotation.sigma_deg for one in told if one.rotation.sigma_deg is not None]
+    measured = [held.see(becoming(share), 0.0) for share in SHARES[:8]]
+    sigmas = [one.rotation.sigma_deg for one in measured if one.rotation.sigma_deg is not None]
     assert sigmas[-1] > 3.0 * sigmas[0]
     assert sum(later < before for before, later in pairwise(sigmas)) <= 2
 
@@ -130,9 +130,9 @@ def test_a_shaft_cut_by_the_frame_shows_no_shift_along_itself() -> None:
     along = np.array(found.smooth)
     assert abs(along @ (np.cos(np.radians(76.0)), -np.sin(np.radians(76.0)))) == pytest.approx(1.0, abs=1e-3)
     assert found.shift_px == pytest.approx((6 * 0.94, 6 * 0.34), abs=1.5)
-    outline = (50.0, -40.0)
-    whole = np.array(found.complete_shift(outline))
-    assert whole @ along == pytest.approx(along @ outline, abs=1e-4)
+    contour_shift = (50.0, -40.0)
+    whole = np.array(found.complete_shift(contour_shift))
+    assert whole @ along == pytest.approx(along @ contour_shift, abs=1e-4)
     assert whole - (whole @ along) * along == pytest.approx(found.shift_px - (found.shift_px @ along) * along, abs=1e-4)
 
 

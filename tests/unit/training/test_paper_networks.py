@@ -50,10 +50,10 @@ def words(data: Path, work: Path, epochs: int = 2) -> list[str]:
 
 def test_the_command_leaves_what_it_promises(trained: Path) -> None:
     work = trained / "pspnet-short"
-    told = json.loads((work / "history.json").read_text())
-    assert [epoch["number"] for epoch in told["epochs"]] == [1, 2]
-    assert all(0.0 <= epoch["iou"] <= epoch["dice"] <= 1.0 for epoch in told["epochs"])
-    assert told["settings"]["encoder"] == "random"
+    measured = json.loads((work / "history.json").read_text())
+    assert [epoch["number"] for epoch in measured["epochs"]] == [1, 2]
+    assert all(0.0 <= epoch["iou"] <= epoch["dice"] <= 1.0 for epoch in measured["epochs"])
+    assert measured["settings"]["encoder"] == "random"
     curves = cv2.imread(str(work / "curves.png"))
     assert curves is not None
     assert curves.std() > 5.0
@@ -67,12 +67,12 @@ def test_the_product_runs_the_file(trained: Path) -> None:
     assert segmenter.metadata["label"] == "imported"
     assert segmenter.metadata["command"].startswith("slipguard train --arch pspnet --recipe short --epochs 2")
     image = np.random.default_rng(0).integers(0, 256, (320, 240, 3)).astype(np.uint8)
-    answer = segmenter.segment(image, None)
-    assert answer.shape == (160, 120)
-    assert np.array_equal(answer, segmenter.segment(image, image))
+    estimate = segmenter.segment(image, None)
+    assert estimate.shape == (160, 120)
+    assert np.array_equal(estimate, segmenter.segment(image, image))
     smaller = Segmenter(trained / "net-int8.onnx")
     assert smaller.metadata["command"].endswith("--int8")
-    assert np.abs(smaller.segment(image, None) - answer).mean() < 0.1
+    assert np.abs(smaller.segment(image, None) - estimate).mean() < 0.1
     assert smaller.path.stat().st_size < 0.7 * segmenter.path.stat().st_size
 
 
@@ -185,10 +185,10 @@ def test_focal_loss_is_cross_entropy_where_it_is_unsure() -> None:
 
     from slipguard.training.paper.training import focal_loss
 
-    unsure = focal_loss(torch.zeros(4), torch.tensor([0.0, 1.0, 0.0, 1.0]))
-    assert float(unsure) == pytest.approx(0.25 * np.log(2.0), rel=1e-5)
-    sure = focal_loss(torch.tensor([6.0]), torch.tensor([1.0]))
-    assert float(sure) < 1e-4 * float(unsure)
+    uncertain = focal_loss(torch.zeros(4), torch.tensor([0.0, 1.0, 0.0, 1.0]))
+    assert float(uncertain) == pytest.approx(0.25 * np.log(2.0), rel=1e-5)
+    certain = focal_loss(torch.tensor([6.0]), torch.tensor([1.0]))
+    assert float(certain) < 1e-4 * float(uncertain)
 
 
 @pytest.mark.parametrize(
