@@ -83,7 +83,7 @@ class LoopSection(Section):
     poll_ms: Annotated[float, Field(ge=5.0, le=500.0)] = 25.0
     """Period at which the state of gripper and arm is read."""
     retry_s: Annotated[float, Field(ge=0.05, le=60.0)] = 0.5
-    """Pause before a missing sensor is tried again, doubled once; gripper and arm are retried after at most half of it."""
+    """Pause before a missing sensor is tried again, doubled once; gripper and arm: at most half of it."""
 
 
 class ApiSection(Section):
@@ -226,7 +226,8 @@ def _check_only_one(devices: Mapping[str, Any], where: str) -> None:
             user = users.setdefault((key, value), f"{name}.{driver}.{key}")
             if user != f"{name}.{driver}.{key}":
                 raise ConfigError(
-                    f"{where}: {name}.{driver}.{key} = {format_value(value)}: already used by {user}; the values must differ"
+                    f"{where}: {name}.{driver}.{key} = {format_value(value)}: "
+                    f"already used by {user}; the values must differ"
                 )
 
 

@@ -1,4 +1,4 @@
-"""How much load and torque a soft fingertip takes before it slips: closed forms, for the law and for the world.
+"""Load and torque that a soft fingertip holds before it slips: closed forms, for controller and simulation.
 
 One fingertip presses with a force N on a round patch of radius a(N) = delta N^gamma (Xydas & Kao 1999) and holds any
 tangential load f and torque tau inside the ellipsoid (f / (mu N))^2 + (tau / tau_max)^2 <= 1 (Howe & Cutkosky 1996).
@@ -29,18 +29,18 @@ class Pad:
     pressure_k: float = 4.0
 
     def contact_radius_m(self, force_n: float) -> float:
-        """Radius of the contact patch at this force."""
+        """Return the radius of the contact patch at this force."""
         return self.radius_m * math.pow(max(force_n, 0.0), self.gamma)
 
 
 @lru_cache(maxsize=32)
 def pressure_shape(k: float) -> float:
-    """The factor xi nu of the pressure profile: 3 pi / 32 for Hertz (k = 2), 1/3 for uniform (k infinite).
+    """Return the factor xi nu of the pressure profile: 3 pi / 32 for Hertz (k = 2), 1/3 for uniform (k infinite).
 
     xi nu = (3/8) Gamma(3/k)^2 / (Gamma(2/k) Gamma(4/k)); from slipping_control (Costanzo et al.). k > 0.
     """
     if not k > 0.0:
-        raise InputError(f"pressure exponent {k} is not above 0; use 2 (Hertz) to infinity (uniform)")
+        raise InputError(f"pressure exponent is {k}; it must be above 0: 2 (Hertz) to infinity (uniform)")
     if k > 1e6:
         return 1.0 / 3.0
     log = 2 * math.lgamma(3 / k) - math.lgamma(2 / k) - math.lgamma(4 / k)
@@ -48,9 +48,9 @@ def pressure_shape(k: float) -> float:
 
 
 def torque_limit_n_m(force_n: float, friction: float, pad: Pad, tangential_n: float = 0.0) -> float:
-    """Torque one finger can take while it also carries `tangential_n`; 0 when the load alone makes it slide.
+    """Return the torque one finger holds while it carries `tangential_n`; 0 if the load alone makes it slip.
 
-    tau_max = 2 mu xi_nu delta N^(1 + gamma), lessened by sqrt(1 - (f / (mu N))^2).
+    tau_max = 2 mu xi_nu delta N^(1 + gamma), multiplied by sqrt(1 - (f / (mu N))^2).
     """
     if force_n <= NO_CONTACT_N:
         return 0.0
@@ -62,7 +62,7 @@ def torque_limit_n_m(force_n: float, friction: float, pad: Pad, tangential_n: fl
 
 
 def force_needed_n(load_n: float, lever_m: float, friction: float, pad: Pad) -> float:
-    """Force of a finger that carries `load_n` at a lever, at which it just neither turns nor slides.
+    """Return the smallest force at which a finger that carries `load_n` at a lever slips in neither way.
 
     Solves (f / (mu N))^2 + (tau / tau_max(N))^2 = 1 with tau = f * lever by bisection to 1e-12 relative. 0 for no load.
     """
@@ -73,7 +73,7 @@ def force_needed_n(load_n: float, lever_m: float, friction: float, pad: Pad) -> 
     def overload(force_n: float) -> float:
         return (load_n / (friction * force_n)) ** 2 + (torque_n_m / torque_limit_n_m(force_n, friction, pad)) ** 2
 
-    low = load_n / friction  # sliding alone needs this much
+    low = load_n / friction  # needed against translational slip alone
     high = 2.0 * low
     while overload(high) > 1.0:
         high *= 2.0

@@ -87,7 +87,7 @@ def test_a_newer_command_replaces_one_not_yet_begun() -> None:
     assert drive(scenario).done == ["slow", "new"]
 
 
-def test_a_firm_command_is_replaced_by_firm_ones_only() -> None:
+def test_an_urgent_command_is_replaced_by_urgent_ones_only() -> None:
     async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
         await asyncio.sleep(0.1)
 

@@ -83,7 +83,7 @@ def play(scene: Callable[[Bench], Coroutine[Any, Any, None]], store: Any = None)
     run_virtual(main())
 
 
-def test_a_gel_as_it_was_is_fine_and_nothing_is_said() -> None:
+def test_an_unchanged_gel_is_ok_and_not_logged() -> None:
     async def scene(bench: Bench) -> None:
         assert "left" not in bench.watch.conditions
         await bench.show(gel(), 300.0)
@@ -186,7 +186,7 @@ def test_contact_without_end_is_said_where_the_jaws_are_open() -> None:
     play(scene)
 
 
-def test_a_comparison_that_fails_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_comparison_does_not_end_the_monitor(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*told: object) -> None:
         raise ZeroDivisionError("a mistake")
 

@@ -126,7 +126,7 @@ def test_a_disk_that_is_mended_gets_the_grip_though_the_force_has_not_changed(tm
     ]
 
 
-def test_a_force_counts_as_taken_once_the_gripper_says_so(tmp_path: Path) -> None:
+def test_a_force_counts_as_applied_once_the_gripper_confirms_it(tmp_path: Path) -> None:
     """A daemon killed between a command and its effect must leave nothing behind that looks like a firm grip."""
     shelf = StateDir(tmp_path)
 
@@ -142,11 +142,11 @@ def test_a_force_counts_as_taken_once_the_gripper_says_so(tmp_path: Path) -> Non
         await asyncio.sleep(0.15)
         untaken = await noted(shelf)
         assert untaken.force_n == pytest.approx(120.0, abs=0.85)
-        assert not untaken.taken
+        assert not untaken.applied
         cell.world.faults.repair("gripper")
         await cell.until(lambda: cell.truth.force_n > 115.0)
         await asyncio.sleep(0.3)
-        assert (await noted(shelf)).taken
+        assert (await noted(shelf)).applied
 
     play(Cell("wrench", 1), scene)
 

@@ -18,7 +18,7 @@ from slipguard.devices import Frame
 from slipguard.perception.estimate import Estimate
 
 
-def test_five_minutes_of_holding_tighten_nothing_and_keep_nothing() -> None:
+def test_five_minutes_of_holding_neither_tighten_nor_grow() -> None:
     """30,000 beats of 10 ms. Frames at 30 a second and a slow poll: what is not looked at here is left cheap."""
 
     async def scene(cell: Cell) -> None:
@@ -69,7 +69,7 @@ def weight(cell: Cell) -> int:
     return total
 
 
-def test_what_was_said_is_kept_up_to_a_limit() -> None:
+def test_the_number_of_kept_messages_is_limited() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
         for on in [False, True] * 40:
@@ -98,7 +98,7 @@ def test_the_newest_frame_wins_when_the_worker_is_slow() -> None:
     play(Cell(latency_s=0.05), scene)
 
 
-def test_an_answer_under_way_when_a_new_reference_is_asked_for_does_not_count() -> None:
+def test_an_estimate_computed_during_a_reset_of_the_reference_is_dropped() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
         finger, oracle = cell.service.fingers["left"], cell.perceivers["left"][0]
@@ -114,7 +114,7 @@ def test_an_answer_under_way_when_a_new_reference_is_asked_for_does_not_count() 
     play(Cell("wrench", 1, latency_s=0.03), scene)
 
 
-def test_a_blocked_loop_counts_what_it_missed_and_does_not_burst() -> None:
+def test_a_blocked_loop_counts_missed_ticks_and_does_not_burst() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
         beats: list[float] = []
@@ -142,7 +142,7 @@ def test_a_loop_blocked_for_long_is_a_fault() -> None:
     play(Cell("wrench", 1), scene)
 
 
-def test_a_bug_in_perception_ends_the_service_and_not_in_silence() -> None:
+def test_a_bug_in_perception_ends_the_service_with_an_error() -> None:
     """Better a restart that takes the object over than a guard that sees nothing and says nothing."""
 
     def bug(frame: Frame) -> Estimate:
@@ -160,7 +160,7 @@ def test_a_bug_in_perception_ends_the_service_and_not_in_silence() -> None:
     assert [what for _, what, _ in cell.gripper.told] == ["hold"]
 
 
-async def test_on_the_real_clock_with_threads_it_grips_and_leaves_no_thread_behind() -> None:
+async def test_on_the_real_clock_with_threads_it_grips_and_ends_its_threads() -> None:
     others = set(threading.enumerate())  # an earlier test's may not have noticed yet that nobody needs them
     cell = Cell(
         "key",

@@ -81,7 +81,7 @@ def test_two_wishes_at_once_are_both_answered_in_order() -> None:
     play(Cell(), scene)
 
 
-def test_a_loop_that_does_not_answer_is_said_in_time_and_the_wish_does_not_come_true_later() -> None:
+def test_a_request_that_times_out_is_refused_and_not_carried_out_later() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
         rotation = cell.service._run_cycle

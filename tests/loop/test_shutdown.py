@@ -121,7 +121,9 @@ async def one_that_stays() -> None:
         await asyncio.Event().wait()
 
 
-def test_a_task_that_goes_on_is_named_and_cancelled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_task_that_ignores_cancellation_is_named_and_cancelled_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     async def idle(*handlers: object) -> None:  # the real API would be disturbed in its last responses
         await asyncio.Event().wait()
 
@@ -144,7 +146,7 @@ def test_a_task_that_goes_on_is_named_and_cancelled_again(tmp_path: Path, monkey
     assert said[-1]["event"] == "slipguard stops; the grip stays as it is"
 
 
-async def test_what_heeds_nothing_is_left_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_hanging_process_exits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lifecycle, "EXIT_S", 0.05)
     left, codes = threading.Event(), list[int]()
 
@@ -162,7 +164,7 @@ async def test_what_heeds_nothing_is_left_behind(monkeypatch: pytest.MonkeyPatch
     assert "process exits" in said[-1]["event"]
 
 
-async def test_what_has_ended_is_not_left() -> None:
+async def test_a_shutdown_that_ended_does_not_exit_the_process() -> None:
     codes: list[int] = []
     Shutdown(codes.append).end()
     ending = Shutdown(codes.append)

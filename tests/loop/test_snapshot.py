@@ -10,7 +10,7 @@ import pytest
 from loop_cell import Cell, play
 
 
-def test_rates_ages_and_latencies_are_told() -> None:
+def test_the_state_has_rates_ages_and_latencies() -> None:
     told: dict[str, Any] = {}
 
     async def scene(cell: Cell) -> None:

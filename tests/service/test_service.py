@@ -84,7 +84,7 @@ def held(state: dict[str, Any]) -> bool:
     return state["phase"] == "holding" and not state["waiting_for"] and state["target_force_n"] >= GRASP_N
 
 
-def test_it_is_installed_and_a_second_time_finds_all_in_place(container: Container, config: Path) -> None:
+def test_installing_twice_changes_nothing(container: Container, config: Path) -> None:
     first = container.run(PROGRAM, "install", "--config", "/srv/config.toml")
     assert first.returncode == 0, first.stderr
     assert f"ExecStart={PROGRAM} run" in (container.tree / "etc/systemd/system" / UNIT).read_text()
@@ -93,7 +93,7 @@ def test_it_is_installed_and_a_second_time_finds_all_in_place(container: Contain
     assert config.stat().st_mode & 0o777 == 0o644
 
 
-def test_it_starts_without_any_device_and_says_for_what_it_waits(
+def test_the_service_starts_without_devices_and_names_them(
     container: Container, before: dict[str, tuple[int, int]]
 ) -> None:
     container.systemctl("start")
@@ -105,7 +105,7 @@ def test_it_starts_without_any_device_and_says_for_what_it_waits(
     assert "active (running)" in status
 
 
-def test_devices_that_come_late_are_taken_up(container: Container, cell: Callable[[], list[dict[str, Any]]]) -> None:
+def test_devices_that_appear_later_are_used(container: Container, cell: Callable[[], list[dict[str, Any]]]) -> None:
     container.wait_for(lambda state: not state["waiting_for"], "the devices are not taken up")
     shown = container.run(PROGRAM, "ctl", "state")
     assert shown.returncode == 0, shown.stderr
@@ -113,7 +113,7 @@ def test_devices_that_come_late_are_taken_up(container: Container, cell: Callabl
         assert re.search(rf"^{device} +(ready|troubled)\b", shown.stdout, re.M), shown.stdout
 
 
-def test_it_grips_and_is_confined_while_it_works(
+def test_the_service_grips_and_is_confined(
     container: Container, cell: Callable[[], list[dict[str, Any]]], capsys: pytest.CaptureFixture[str]
 ) -> None:
     ask(container, "calibrate")
@@ -134,7 +134,7 @@ def test_it_grips_and_is_confined_while_it_works(
     assert container.run("stat", "--format=%U %a", "/run/slipguard/slipguard.sock").stdout.split()[0] != "root"
 
 
-def test_it_takes_up_a_changed_configuration(container: Container, config: Path) -> None:
+def test_the_service_reloads_a_changed_configuration(container: Container, config: Path) -> None:
     config.write_text(config.read_text().replace("[guard]\n", "[guard]\nforce_max_n = 120\n"))
     container.systemctl("reload")
     until(lambda: said(container, "guard.force_max_n: 130.0 -> 120.0"), "not taken up", container.journal)
@@ -147,7 +147,7 @@ def test_it_takes_up_a_changed_configuration(container: Container, config: Path)
 
 
 @pytest.mark.parametrize(("signal", "restarts"), [("STOP", "1"), ("KILL", "2")])
-def test_hung_or_killed_it_is_started_anew_and_the_grip_stays(
+def test_a_hung_or_killed_service_is_restarted_and_the_grip_stays(
     container: Container, cell: Callable[[], list[dict[str, Any]]], signal: str, restarts: str
 ) -> None:
     force_n, main = cell()[-1]["force"], container.shown("MainPID")
@@ -165,7 +165,7 @@ def test_hung_or_killed_it_is_started_anew_and_the_grip_stays(
         assert "Fatal Python error: Aborted" in told  # and where each thread was
 
 
-def test_stopped_it_keeps_the_grip(container: Container, cell: Callable[[], list[dict[str, Any]]]) -> None:
+def test_a_stopped_service_keeps_the_grip(container: Container, cell: Callable[[], list[dict[str, Any]]]) -> None:
     began = len(cell())
     container.systemctl("stop")
     assert container.shown("Result") == "success"
@@ -197,7 +197,7 @@ def is_event(line: str) -> bool:
     return isinstance(told, dict) and {"event", "level", "timestamp"} <= set(told)
 
 
-def test_it_has_written_nowhere_else(container: Container, before: dict[str, tuple[int, int]]) -> None:
+def test_the_service_writes_to_its_own_folders_only(container: Container, before: dict[str, tuple[int, int]]) -> None:
     after = container.files()
     assert any(path.startswith(OWN[0]) for path in after), "it has stored nothing"
     written = sorted(path for path, facts in after.items() if before.get(path) != facts)

@@ -37,7 +37,7 @@ def complaint(raw: dict[str, Any], *, sim: bool = True) -> str:
     return text
 
 
-def test_the_shipped_file_is_fine_and_complete() -> None:
+def test_the_included_file_is_valid_and_complete() -> None:
     made = read_config(SHIPPED)
     assert (made.left.driver, made.gripper.driver, made.arm.driver) == ("digit", "robotiq", "ur5")
     text = SHIPPED.read_text()
@@ -113,7 +113,7 @@ def test_a_wrong_value_is_shown_with_its_key(raw: dict[str, Any], expected: str)
     assert len(text) < 250
 
 
-def test_an_unknown_driver_lists_those_there_are() -> None:
+def test_an_unknown_driver_lists_the_known_ones() -> None:
     text = complaint(
         {name: {"driver": "fake"} for name in ("left", "right", "arm")} | {"gripper": {"driver": "robotik"}}, sim=False
     )
@@ -122,14 +122,14 @@ def test_an_unknown_driver_lists_those_there_are() -> None:
 
 
 @pytest.mark.parametrize("content", [b"a = ", b"\xff\xfe", b"[left"])
-def test_an_unreadable_file_says_so(tmp_path: Path, content: bytes) -> None:
+def test_an_unreadable_file_is_an_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "c.toml"
     path.write_bytes(content)
     with pytest.raises(ConfigError, match=r"c\.toml"):
         read_config(path)
 
 
-def test_a_missing_file_and_a_folder_say_so(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_folder_are_errors(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no such file"):
         read_config(tmp_path / "none.toml")
     with pytest.raises(ConfigError, match="cannot be read"):
@@ -146,7 +146,7 @@ def test_a_missing_file_and_a_folder_say_so(tmp_path: Path) -> None:
         ("", None),
     ],
 )
-def test_addresses_to_listen_at(listen: str, address: tuple[str, int] | None) -> None:
+def test_valid_listen_addresses(listen: str, address: tuple[str, int] | None) -> None:
     made = parse_config({"api": {"listen": listen}}, where="test", sim=True)
     assert made.api.address == address
 
@@ -154,7 +154,7 @@ def test_addresses_to_listen_at(listen: str, address: tuple[str, int] | None) ->
 @pytest.mark.parametrize(
     "listen", ["8470", ":8470", "127.0.0.1", "127.0.0.1:0", "127.0.0.1:65536", "cell:8470", "1.2.3.4:+5"]
 )
-def test_addresses_that_are_none(listen: str) -> None:
+def test_invalid_listen_addresses(listen: str) -> None:
     with pytest.raises(ConfigError, match=r"api\.listen = .*(numeric address|port after)"):
         parse_config({"api": {"listen": listen}}, where="test", sim=True)
 
@@ -179,19 +179,19 @@ def test_addresses_that_are_none(listen: str) -> None:
         ({"force_max_n": 500}, "force_max_n = 500: input should be less than or equal to 235"),
     ],
 )
-def test_what_does_not_go_together_names_the_key_to_change(guard: dict[str, Any], expected: str) -> None:
+def test_inconsistent_values_name_the_key_to_change(guard: dict[str, Any], expected: str) -> None:
     text = complaint({"guard": guard})
     assert text.startswith(f"c.toml: guard.{expected}")
     assert len(text) < 250
     assert "more after this one" not in text
 
 
-def test_no_more_is_kept_than_the_ring_holds() -> None:
+def test_keep_before_is_at_most_the_length_of_the_ring() -> None:
     text = complaint({"recording": {"ring_s": 30, "keep_before_s": 60}})
     assert text == "c.toml: recording.keep_before_s = 60: must be at most ring_s (30)"
 
 
-def test_a_drivers_table_that_does_not_go_together_is_not_printed() -> None:
+def test_an_inconsistent_drivers_table_is_not_printed() -> None:
     devices = {name: {"driver": "fake"} for name in ("left", "right", "gripper")}
     text = complaint(devices | {"arm": {"ur5": {"host": "cell", "stop_by": "digital_output"}}}, sim=False)
     assert text == 'c.toml: arm.ur5: stop_by = "digital_output" needs a number: digital_output = 0 to 7'
@@ -211,7 +211,7 @@ def test_one_sensor_for_both_fingers_is_refused() -> None:
     most=st.none() | st.floats(1.0, 235.0),
     key=st.sampled_from(["first_force_n", "force_max_n", "stop_on_slip", "tighten_at_rest_deg", "mode"]),
 )
-def test_a_grip_that_is_not_given_fits_those_that_are(first: int | None, most: float | None, key: str) -> None:
+def test_the_default_of_a_missing_force_fits_the_given_ones(first: int | None, most: float | None, key: str) -> None:
     forces = {"first_force_n": first, "force_max_n": most}
     guard = {name: force for name, force in forces.items() if force is not None}
     if (first or 40) > (most or 130.0):
@@ -232,7 +232,7 @@ def leaves(table: dict[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[
             yield (*path, key), value
 
 
-def test_every_key_of_the_shipped_file_refuses_another_type() -> None:
+def test_every_key_of_the_included_file_refuses_another_type() -> None:
     """A number in quotes, a truth for a number and a number for a truth, a number for a word, a list of one."""
     for path, value in leaves(tomllib.loads(SHIPPED.read_text())):
         for wrong in ([value], 7 if isinstance(value, str) else str(value), 1 if isinstance(value, bool) else True):
@@ -269,7 +269,7 @@ UNWORKABLE = [
 
 
 @pytest.mark.parametrize(("before", "after", "expected"), UNWORKABLE)
-def test_check_fails_on_what_could_not_work(
+def test_check_fails_if_the_daemon_could_not_work(
     before: str, after: str, expected: str | None, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     text = SHIPPED.read_text()
@@ -286,7 +286,7 @@ def test_check_fails_on_what_could_not_work(
             assert ran.err.count("\n") == 1
 
 
-def test_check_knows_the_grippers_own_limits_and_looks_for_a_replays_frames(
+def test_check_knows_the_grippers_limits_and_the_frames_of_a_replay(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "c.toml"

@@ -1,4 +1,4 @@
-"""Small asyncio building blocks of the loop: the newest value, ticks with absolute deadlines, pauses between retries."""
+"""Small asyncio helpers of the loop: newest value, ticks with absolute deadlines, pauses between retries."""
 
 from __future__ import annotations
 

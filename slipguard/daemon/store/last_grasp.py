@@ -41,7 +41,7 @@ class LastGraspStore(Protocol):
 
 
 def restore_control_state(store: LastGraspStore, now: datetime | None = None) -> ControlState:
-    """Return the controller's state for a start; a missing, old or damaged file gives the default, a damaged one is logged."""
+    """Return the controller's state for a start: the default if the file is missing, old or damaged (then logged)."""
     try:
         last = store.load_last_grasp()
     except SlipguardError as error:

@@ -164,7 +164,7 @@ class StateDir:
         return max(fresh, default=min((version.number for version in history), default=None))
 
     def first_of_gel(self, serial: str) -> BackgroundImage | None:
-        """Return the first image of the gel that is on a sensor now; None if there is none. Raises InputError if damaged."""
+        """Return the first image of a sensor's present gel; None if there is none. Raises InputError if it is damaged."""
         number = self._gel_began(self.background_versions(serial))
         return None if number is None else self._load(serial, number)
 
@@ -222,7 +222,7 @@ class StateDir:
         _write(self.path / "last_grasp.json", last.model_dump_json(indent=2).encode())
 
     def load_last_grasp(self) -> LastGrasp | None:
-        """Return how an object was held before the restart; None if nothing was. Raises InputError for a damaged file."""
+        """Return how an object was held before a restart; None if nothing was. Raises InputError if damaged."""
         path = self.path / "last_grasp.json"
         return _read(path, LastGrasp) if path.exists() else None
 

@@ -44,7 +44,7 @@ def well() -> Listener:
     return listener
 
 
-def test_trouble_that_lasts_is_said_once_and_so_is_its_end() -> None:
+def test_a_lasting_problem_and_its_end_are_logged_once() -> None:
     listener = well()
     listener.look("left: no frame for 250 ms", 0.14)
     assert listener.lines == []
@@ -59,7 +59,7 @@ def test_trouble_that_lasts_is_said_once_and_so_is_its_end() -> None:
     assert len(listener.said) == 2
 
 
-def test_a_glitch_is_not_worth_a_line_but_three_in_a_second_are() -> None:
+def test_one_glitch_is_not_logged_but_three_in_a_second_are() -> None:
     listener = well()
     for _ in range(2):
         listener.look("glitch", 0.02)
@@ -74,7 +74,7 @@ def test_a_glitch_is_not_worth_a_line_but_three_in_a_second_are() -> None:
     assert listener.lines == []
 
 
-def test_another_trouble_is_said_too_but_not_a_flood_of_them() -> None:
+def test_a_second_problem_is_logged_too_but_with_a_limited_rate() -> None:
     listener = well()
     listener.look("one", 1.0)
     listener.look("other", 1.0)
@@ -86,20 +86,20 @@ def test_another_trouble_is_said_too_but_not_a_flood_of_them() -> None:
 
 
 @pytest.mark.parametrize(("wait_s", "lines"), [(1.9, 0), (2.1, 1)])
-def test_getting_ready_takes_a_while(wait_s: float, lines: int) -> None:
+def test_a_device_not_tried_yet_is_logged_after_the_start_time(wait_s: float, lines: int) -> None:
     listener = Listener()
     listener.look("not tried yet", wait_s)
     assert len(listener.said) == lines
 
 
-def test_a_device_that_is_not_there_at_the_start_is_said_soon() -> None:
+def test_a_device_missing_at_the_start_is_logged_soon() -> None:
     listener = Listener()
     listener.look("left: no DIGIT with serial D1; plug it in", 0.3)
     assert listener.lines == ["left: no DIGIT with serial D1; plug it in"]
 
 
 @pytest.mark.parametrize("phase", Phase)
-def test_a_late_loop_is_said_where_the_law_does_not(phase: Phase) -> None:
+def test_a_late_loop_is_logged_in_phases_without_a_fault(phase: Phase) -> None:
     listener = well()
     for late_s, lines in ((0.45, 0), (0.55, phase in (Phase.IDLE, Phase.RELEASED))):
         listener.now_s += late_s
@@ -115,7 +115,7 @@ def found(view: Observation, **not_ready: str) -> dict[str, str | None]:
     return {name: why for name, why in find_problems(view, holders).items() if why is not None}
 
 
-def test_what_is_wrong_in_words() -> None:
+def test_problems_are_described_by_device() -> None:
     fine = observation(10.0)
     assert found(fine) == {}
     assert found(fine, arm="gone") == {"arm": "gone"}

@@ -55,7 +55,7 @@ async def settled(keeper: ReferenceSaver, *decisions: Any) -> None:
         await wait_until(None, lambda: not keeper._disk.busy, 60.0, "the disk does not get done")
 
 
-async def test_a_reference_that_is_held_for_hours_does_not_grow_old(tmp_path: Path) -> None:
+async def test_a_reference_that_is_held_for_hours_stays_valid(tmp_path: Path) -> None:
     finger = Finger(pipeline())
     keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, [].append, [].append)  # type: ignore[dict-item]
     finger.sees(20.0, frames=12)
@@ -66,7 +66,7 @@ async def test_a_reference_that_is_held_for_hours_does_not_grow_old(tmp_path: Pa
     assert [one != before for before, one in pairwise(noted)] == [False, True, False, True, False]
 
 
-async def test_a_restart_goes_on_with_the_reference_and_says_so(tmp_path: Path) -> None:
+async def test_a_restart_continues_with_the_reference_and_reports_it(tmp_path: Path) -> None:
     said: list[str] = []
     old = Finger(pipeline())
     keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": old}, said.append, said.append)  # type: ignore[dict-item]
@@ -91,7 +91,7 @@ async def test_a_restart_goes_on_with_the_reference_and_says_so(tmp_path: Path) 
     assert ReferenceStore(tmp_path).load("left", "D1") is None
 
 
-async def test_what_does_not_match_is_said_with_the_turn_it_counts_from(tmp_path: Path) -> None:
+async def test_a_different_contact_is_reported_with_the_earlier_rotation(tmp_path: Path) -> None:
     said: list[str] = []
     ReferenceStore(tmp_path).save("left", "D1", StoredReference(IMAGE, 12.0))
     finger = Finger(pipeline())
@@ -105,7 +105,7 @@ async def test_what_does_not_match_is_said_with_the_turn_it_counts_from(tmp_path
     assert (written["rotation_deg"], written["earlier_rotation_deg"]) == (pytest.approx(0.0, abs=0.5), 12.0)
 
 
-async def test_a_full_disk_is_said_once(tmp_path: Path) -> None:
+async def test_a_full_disk_is_reported_once(tmp_path: Path) -> None:
     class Full(ReferenceStore):
         def save(self, finger: str, serial: str, known: StoredReference) -> None:
             raise OSError(28, "No space left on device")
@@ -118,9 +118,7 @@ async def test_a_full_disk_is_said_once(tmp_path: Path) -> None:
     assert said == ["the references could not be saved for a restart: No space left on device; check the disk"]
 
 
-async def test_a_disk_that_is_mended_takes_the_references_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_references_are_saved_again_on_a_repaired_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slipguard.daemon.store.disk_writer.RETRY_S", 3600.0)
     disk = {"full": True, "writes": 0}
 
@@ -151,7 +149,7 @@ async def test_a_disk_that_is_mended_takes_the_references_again(
     assert ReferenceStore(tmp_path).load("left", "D1") is None, "deleting needs no room"
 
 
-def test_a_turn_never_goes_with_the_picture_of_another_reference(
+def test_a_rotation_is_never_stored_with_the_image_of_another_reference(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shelf = ReferenceStore(tmp_path)
@@ -174,7 +172,7 @@ def fails(path: Path, content: bytes) -> None:
     raise OSError(28, "No space left on device")
 
 
-def test_only_the_same_sensor_and_not_for_long(tmp_path: Path) -> None:
+def test_a_reference_is_valid_for_the_same_sensor_and_for_an_hour(tmp_path: Path) -> None:
     shelf = ReferenceStore(tmp_path)
     shelf.save("left", "D1", StoredReference(IMAGE, 7.0, 1.0))
     known = ReferenceStore(tmp_path).load("left", "D1")
@@ -187,7 +185,7 @@ def test_only_the_same_sensor_and_not_for_long(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["no json", "half a picture", "no picture", "another picture"])
-def test_a_damaged_one_counts_as_none(tmp_path: Path, damage: str) -> None:
+def test_a_damaged_reference_is_not_used(tmp_path: Path, damage: str) -> None:
     shelf = ReferenceStore(tmp_path)
     shelf.save("left", "D1", StoredReference(IMAGE, 7.0))
     png = tmp_path / "left.png"

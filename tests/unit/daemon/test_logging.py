@@ -33,7 +33,7 @@ def logged(monkeypatch: pytest.MonkeyPatch, stream: io.StringIO, **options: bool
     return stream.getvalue()
 
 
-def test_a_journal_gets_json_and_a_terminal_colours(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_json_for_a_journal_and_colors_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     line = json.loads(logged(monkeypatch, io.StringIO()))
     assert (line["event"], line["level"], line["rotation_deg"]) == ("the grip slips", "warning", 3.5)
     assert line["timestamp"].endswith("Z")
@@ -42,7 +42,7 @@ def test_a_journal_gets_json_and_a_terminal_colours(monkeypatch: pytest.MonkeyPa
     assert "\x1b[" not in logged(monkeypatch, io.StringIO(), json_lines=False)
 
 
-def test_a_mistake_is_logged_without_the_values_it_had(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exception_is_logged_without_the_values_of_variables(monkeypatch: pytest.MonkeyPatch) -> None:
     for stream in (Terminal(), io.StringIO()):
         monkeypatch.setattr(sys, "stderr", stream)
         configure()
@@ -55,7 +55,7 @@ def test_a_mistake_is_logged_without_the_values_it_had(monkeypatch: pytest.Monke
         assert "secret" not in stream.getvalue()
 
 
-def test_the_level_can_change_while_it_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_log_level_can_be_changed(monkeypatch: pytest.MonkeyPatch) -> None:
     stream = io.StringIO()
     monkeypatch.setattr(sys, "stderr", stream)
     configure()
@@ -67,7 +67,7 @@ def test_the_level_can_change_while_it_runs(monkeypatch: pytest.MonkeyPatch) -> 
     assert [json.loads(line)["event"] for line in stream.getvalue().splitlines()] == ["heard"]
 
 
-def test_a_stream_that_fails_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_stream_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     class Gone(io.StringIO):
         def write(self, text: str) -> int:
             raise BrokenPipeError("the terminal was closed")
@@ -80,7 +80,7 @@ def test_a_stream_that_fails_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> No
     structlog.get_logger().info("to nobody")
 
 
-def test_of_lines_that_differ_in_figures_one_a_second_is_logged_and_all_are_told(
+def test_similar_messages_are_logged_once_per_second_and_listeners_get_all(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     stream, told, now_s = io.StringIO(), list[str](), 0.0
@@ -115,7 +115,7 @@ def test_faults_are_never_held_back(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(stream.getvalue().splitlines()) == 3
 
 
-def test_what_is_remembered_is_bounded() -> None:
+def test_the_memory_of_message_kinds_is_bounded() -> None:
     limit = OncePerSecond()
     for number in range(20 * KINDS_MAX):
         kind = "".join(chr(ord("a") + int(digit)) for digit in str(number))

@@ -52,7 +52,7 @@ def listening(path: Path) -> Iterator[Path]:
         yield path
 
 
-def test_the_users_own_comes_first_then_the_systems(config: Config) -> None:
+def test_the_users_daemon_is_found_before_the_systems(config: Config) -> None:
     own = socket_path(config)
     for asked in (config, None):
         assert running_socket(asked) == own, "where one would be"
@@ -65,7 +65,7 @@ def test_the_users_own_comes_first_then_the_systems(config: Config) -> None:
             assert running_socket(asked) == own
 
 
-def test_what_a_dead_daemon_left_hides_no_live_one(config: Config) -> None:
+def test_a_socket_of_a_dead_daemon_does_not_hide_a_running_one(config: Config) -> None:
     with listening(socket_path(config)):
         pass
     assert socket_path(config).exists()
@@ -79,7 +79,7 @@ def test_a_configured_socket_is_the_only_one(config: Config, tmp_path: Path) -> 
         assert running_socket(named) == tmp_path / "named.sock"
 
 
-def test_a_daemon_that_may_not_be_asked_counts(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_daemon_without_access_permission_is_found(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its devices are in use all the same."""
 
     def connect(self: socket.socket, address: str) -> None:
@@ -116,7 +116,7 @@ def refusing(path: Path) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("command", ["calibrate", "dataset record --out {}/new", "doctor"])
-def test_the_systems_daemon_is_asked_and_no_device_opened(
+def test_the_systems_daemon_is_used_and_no_device_opened(
     command: str, config: Config, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "config.toml").write_text(CONFIG)

@@ -23,7 +23,7 @@ def no_contact(level: int = 90) -> BackgroundImage:
     return BackgroundImage(image, (2.9, 1.5, 2.4), 30)
 
 
-def test_gives_back_what_was_stored(tmp_path: Path) -> None:
+def test_a_stored_background_is_loaded_unchanged(tmp_path: Path) -> None:
     state = StateDir(tmp_path / "new" / "state")
     assert state.load_background("D20479") is None
     assert state.background_created_at("D20479") is None
@@ -40,7 +40,7 @@ def test_gives_back_what_was_stored(tmp_path: Path) -> None:
     assert abs(datetime.now(UTC) - created) < timedelta(minutes=1)
 
 
-def test_the_newest_counts_and_the_older_ones_stay(tmp_path: Path) -> None:
+def test_the_newest_background_is_used_and_older_ones_stay(tmp_path: Path) -> None:
     state = StateDir(tmp_path)
     for level in (50, 90, 130):
         state.save_background("D20479", no_contact(level))
@@ -52,7 +52,7 @@ def test_the_newest_counts_and_the_older_ones_stay(tmp_path: Path) -> None:
     assert state.load_background("D20480") is None
 
 
-def test_a_picture_without_its_facts_does_not_count(tmp_path: Path) -> None:
+def test_an_image_without_its_json_is_not_used(tmp_path: Path) -> None:
     """What a crash between the two files leaves."""
     state = StateDir(tmp_path)
     state.save_background("D20479", no_contact(50))
@@ -64,7 +64,7 @@ def test_a_picture_without_its_facts_does_not_count(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("keep", [0, 20, 1000])
-def test_a_damaged_picture_is_named(tmp_path: Path, keep: int) -> None:
+def test_a_damaged_image_is_an_error_with_its_name(tmp_path: Path, keep: int) -> None:
     state = StateDir(tmp_path)
     state.save_background("D20479", no_contact())
     png = tmp_path / "sensors" / "D20479" / "no_contact-0001.png"
@@ -74,7 +74,7 @@ def test_a_damaged_picture_is_named(tmp_path: Path, keep: int) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_picture_of_another_size_is_named(tmp_path: Path) -> None:
+def test_an_image_of_another_size_is_an_error_with_its_name(tmp_path: Path) -> None:
     state = StateDir(tmp_path)
     state.save_background("D20479", no_contact())
     facts = tmp_path / "sensors" / "D20479" / "no_contact-0001.json"
@@ -87,7 +87,7 @@ def test_a_picture_of_another_size_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 2}', '{"format": 1, "serial": "D20479"}'])
-def test_damaged_facts_are_named(tmp_path: Path, text: str) -> None:
+def test_a_damaged_json_is_an_error_with_its_name(tmp_path: Path, text: str) -> None:
     state = StateDir(tmp_path)
     state.save_background("D20479", no_contact())
     (tmp_path / "sensors" / "D20479" / "no_contact-0001.json").write_text(text)
@@ -96,7 +96,7 @@ def test_damaged_facts_are_named(tmp_path: Path, text: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_picture_is_named(tmp_path: Path) -> None:
+def test_a_missing_image_is_an_error_with_its_name(tmp_path: Path) -> None:
     state = StateDir(tmp_path)
     state.save_background("D20479", no_contact())
     (tmp_path / "sensors" / "D20479" / "no_contact-0001.png").unlink()
@@ -105,7 +105,7 @@ def test_a_missing_picture_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("serial", ["", "../up", "a/b", ".hidden", "x" * 65, "D20479\n"])
-def test_a_serial_cannot_lead_out_of_the_directory(tmp_path: Path, serial: str) -> None:
+def test_a_serial_number_cannot_contain_a_path(tmp_path: Path, serial: str) -> None:
     with pytest.raises(InputError, match="serial number"):
         StateDir(tmp_path).load_background(serial)
 
@@ -115,7 +115,7 @@ def test_an_image_of_another_size_is_not_stored(tmp_path: Path) -> None:
         StateDir(tmp_path).save_background("D1", BackgroundImage(np.zeros((10, 10, 3), np.uint8), (1.0, 1.0, 1.0), 1))
 
 
-def test_a_failed_write_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_write_leaves_the_old_file_intact(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     state = StateDir(tmp_path)
     before = LastGrasp(saved_at=datetime.now(UTC), force_n=40.0, width_mm=18.0)
     state.save_last_grasp(before)
@@ -131,7 +131,7 @@ def test_a_failed_write_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: p
     assert [entry.name for entry in tmp_path.iterdir()] == ["last_grasp.json"]
 
 
-def test_the_last_grasp_can_be_forgotten_and_damage_is_named(tmp_path: Path) -> None:
+def test_the_last_grasp_can_be_deleted_and_damage_is_an_error(tmp_path: Path) -> None:
     state = StateDir(tmp_path)
     assert state.load_last_grasp() is None
     state.delete_last_grasp()
@@ -143,13 +143,13 @@ def test_the_last_grasp_can_be_forgotten_and_damage_is_named(tmp_path: Path) -> 
         state.load_last_grasp()
 
 
-def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_writable_is_an_error_with_its_name(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match=r"cannot be written .*\[state\] directory"):
         StateDir(tmp_path / "file" / "state").save_background("D1", no_contact())
 
 
-def test_where_the_state_is_kept(tmp_path: Path) -> None:
+def test_default_state_directory(tmp_path: Path) -> None:
     assert default_state_path({"STATE_DIRECTORY": "/var/lib/slipguard:/x", "HOME": "/h"}) == Path("/var/lib/slipguard")
     assert default_state_path({"XDG_STATE_HOME": "/s", "HOME": "/h"}) == Path("/s/slipguard")
     assert default_state_path({"HOME": "/h"}) == Path("/h/.local/state/slipguard")
@@ -170,7 +170,7 @@ def test_each_image_is_a_version_with_its_time_noise_and_light(tmp_path: Path) -
     assert second.level_bgr[0] - first.level_bgr[0] == pytest.approx(10.0, abs=0.5)  # type: ignore[index]
 
 
-def test_going_back_makes_a_copy_the_newest_and_loses_nothing(tmp_path: Path) -> None:
+def test_restoring_an_older_image_adds_a_copy_and_deletes_nothing(tmp_path: Path) -> None:
     state = StateDir(tmp_path)
     for level in (50, 60):
         state.save_background("D20479", no_contact(level))
@@ -189,7 +189,7 @@ def test_going_back_makes_a_copy_the_newest_and_loses_nothing(tmp_path: Path) ->
         state.go_back("D20479", 9)
 
 
-def test_the_oldest_go_but_not_the_gels_first(tmp_path: Path) -> None:
+def test_the_oldest_images_are_deleted_except_the_first_of_the_gel(tmp_path: Path) -> None:
     state = StateDir(tmp_path)
     for number in range(KEPT + 5):
         state.save_background("D20479", no_contact(50 + number), new_gel=number == 2)
@@ -201,7 +201,7 @@ def test_the_oldest_go_but_not_the_gels_first(tmp_path: Path) -> None:
     assert len(list((tmp_path / "sensors" / "D20479").iterdir())) == 2 * len(numbers)
 
 
-def test_files_of_before_there_were_versions_are_read(tmp_path: Path) -> None:
+def test_files_without_version_data_are_read(tmp_path: Path) -> None:
     state = StateDir(tmp_path)
     state.save_background("D20479", no_contact())
     path = tmp_path / "sensors" / "D20479" / "no_contact-0001.json"

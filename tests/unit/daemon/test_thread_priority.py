@@ -10,6 +10,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+import structlog
 
 from slipguard.cli.app import run
 from slipguard.errors import SlipguardError
@@ -31,7 +32,7 @@ def standing() -> tuple[int, int]:
     return os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
 
 
-def test_one_thread_stands_back_and_what_it_starts_with_it() -> None:
+def test_batch_priority_applies_to_one_thread_and_its_children() -> None:
     before = standing()
     with ThreadPoolExecutor(1) as back:
         back.submit(set_batch_priority, 7).result()
@@ -44,20 +45,20 @@ def test_one_thread_stands_back_and_what_it_starts_with_it() -> None:
 
 
 @pytest.mark.parametrize("module", ["slipguard.web", "slipguard_drivers.digit.render_process"])
-def test_a_process_that_stands_back_does_so_before_it_imports_anything_heavy(module: str) -> None:
+def test_batch_processes_set_their_priority_before_heavy_imports(module: str) -> None:
     heavy = ("asyncio", "cv2", "fastapi", "numpy", "slipguard.sim", "starlette", "structlog", "uvicorn")
     told = subprocess.check_output((sys.executable, "-c", UNTIL_IT_STANDS_BACK, module, *heavy), text=True)
     assert told == "stands back, with []\n"
 
 
-def test_what_the_system_forbids_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_forbidden_priority_change_has_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
     before = standing()
     monkeypatch.setattr(os, "sched_setscheduler", forbidden)
     set_batch_priority(7)
     assert standing() == before
 
 
-def test_the_guard_goes_first_by_the_least_that_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_loop_gets_the_second_lowest_realtime_priority(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[int, int, int]] = []
 
     def noted(pid: int, policy: int, how: os.sched_param) -> None:
@@ -69,7 +70,7 @@ def test_the_guard_goes_first_by_the_least_that_does(monkeypatch: pytest.MonkeyP
     assert os.sched_get_priority_min(os.SCHED_RR) == SECOND < FIRST
 
 
-def test_whoever_works_for_the_loop_comes_one_behind_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_get_the_lowest_realtime_priority(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[int, int]] = []
     monkeypatch.setattr(os, "sched_setparam", lambda pid, how: asked.append((pid, how.sched_priority)))
     set_worker_priority()
@@ -93,6 +94,7 @@ def test_refused_realtime_priority_is_an_error_that_says_what_to_do(
         assert command(arguments) != 0
         (line,) = capsys.readouterr().err.strip().splitlines()
         assert "ulimit -r 2" in line
+    structlog.reset_defaults()  # the commands have configured the log
 
 
 def forbidden(*asked: object) -> None:

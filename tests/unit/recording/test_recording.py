@@ -49,7 +49,7 @@ def play(one: Recorder, times: np.ndarray, keep_at: float | None = None) -> None
     one.stop(20.0)
 
 
-def test_the_laws_memory_survives_to_the_last_bit() -> None:
+def test_the_controllers_values_keep_every_bit() -> None:
     memory = ControlState(
         GraspState(Phase.LIFTING, 0.1 + 0.2, detector=SlipMemory(1 / 3, frames=2), commanded_s=-math.inf)
     )
@@ -58,7 +58,7 @@ def test_the_laws_memory_survives_to_the_last_bit() -> None:
     assert m.CYCLE_RECORD.decode(m.CYCLE_RECORD.encode(tick)) == tick
 
 
-def test_what_was_written_is_read(tmp_path: Path) -> None:
+def test_a_recording_is_read_as_written(tmp_path: Path) -> None:
     written(tmp_path / "a.mcap").close()
     recording = open_recording(tmp_path / "a.mcap")
     items = list(recording.items())
@@ -105,7 +105,7 @@ def test_a_file_cut_anywhere_is_readable_up_to_there(tmp_path: Path) -> None:
         assert len(ticks) >= (share - 0.05) * len(expected) - 2
 
 
-def test_a_flipped_byte_ends_the_reading_and_never_crashes_it(tmp_path: Path) -> None:
+def test_a_flipped_byte_ends_reading_without_a_crash(tmp_path: Path) -> None:
     written(tmp_path / "whole.mcap", 30).close()
     whole = (tmp_path / "whole.mcap").read_bytes()
     bad = tmp_path / "bad.mcap"
@@ -119,13 +119,13 @@ def test_a_flipped_byte_ends_the_reading_and_never_crashes_it(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("content", [b"", b"nothing of the kind", b"\x89MCAP0\r\n", os.urandom(500)])
-def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_no_recording_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.mcap").write_bytes(content)
     with pytest.raises(InputError, match=r"a\.mcap"):
         open_recording(tmp_path / "a.mcap")
 
 
-def test_a_killed_recorder_leaves_all_but_the_last_moment(tmp_path: Path) -> None:
+def test_a_killed_recorder_loses_only_the_last_moment(tmp_path: Path) -> None:
     file = written(tmp_path / "a.mcap", 300)
     file.abandon()
     recording = open_recording(tmp_path / "a.mcap")
@@ -134,7 +134,7 @@ def test_a_killed_recorder_leaves_all_but_the_last_moment(tmp_path: Path) -> Non
     assert recording.damage == "is cut off (killed, or the disk was full)"
 
 
-def test_around_an_event_files_are_kept_and_others_leave_the_ring(tmp_path: Path) -> None:
+def test_files_around_an_event_are_kept_and_others_deleted(tmp_path: Path) -> None:
     limits = RingLimits(3, 10**9, 10**9)
     one = Recorder(
         Ring(tmp_path, limits),
@@ -153,7 +153,7 @@ def test_around_an_event_files_are_kept_and_others_leave_the_ring(tmp_path: Path
     assert len(list((tmp_path / "ring").iterdir())) == 3
 
 
-def test_kept_files_have_their_limit_too(tmp_path: Path) -> None:
+def test_kept_files_are_limited(tmp_path: Path) -> None:
     ring = Ring(tmp_path, RingLimits(10, 10**9, 2500))
     for number in range(5):
         path = ring.new(CLOCK.wall_ns + number * 10**9)
@@ -172,7 +172,7 @@ def test_kept_files_have_their_limit_too(tmp_path: Path) -> None:
     assert [path.name for path in sorted((tmp_path / "kept").iterdir())] == kept, "none makes room for an older one"
 
 
-def test_what_an_event_keeps_is_within_the_limit_at_once(tmp_path: Path) -> None:
+def test_kept_files_are_limited_at_once(tmp_path: Path) -> None:
     one = Recorder(
         Ring(tmp_path, RingLimits(100, 10**9, 1)),
         RecorderSettings("none", segment_s=1.0, keep_before_s=5.0),
@@ -184,7 +184,7 @@ def test_what_an_event_keeps_is_within_the_limit_at_once(tmp_path: Path) -> None
     assert [path.name for path in (tmp_path / "kept").iterdir()] == [one.path.name if one.path else None]
 
 
-def test_what_a_killed_daemon_left_is_kept(tmp_path: Path) -> None:
+def test_unfinished_files_of_a_killed_daemon_are_kept(tmp_path: Path) -> None:
     ring = Ring(tmp_path, LIMITS)
     written(ring.new(CLOCK.wall_ns), 100).abandon()
     written(ring.new(CLOCK.wall_ns + 10**9), 3).close()
@@ -193,7 +193,7 @@ def test_what_a_killed_daemon_left_is_kept(tmp_path: Path) -> None:
     assert len(list((tmp_path / "ring").iterdir())) == 1
 
 
-def test_files_of_a_future_that_never_was_leave_first(tmp_path: Path) -> None:
+def test_files_dated_in_the_future_are_deleted_first(tmp_path: Path) -> None:
     """The clock of a computer that has just started may be years ahead; what is written later must not go for that."""
     ring = Ring(tmp_path, RingLimits(3, 10**9, 2500))
     ahead_s = time.time() + 5 * 365 * 86400.0
@@ -215,7 +215,7 @@ def test_files_of_a_future_that_never_was_leave_first(tmp_path: Path) -> None:
     assert sorted((tmp_path / "kept").iterdir()) == kept
 
 
-def test_every_file_reads_the_wall_clock_anew(tmp_path: Path) -> None:
+def test_every_file_reads_the_wall_clock(tmp_path: Path) -> None:
     clocks = iter((RecordingClock(0, 0.0), *[CLOCK] * 9))  # a computer without the time, until it is told
     one = Recorder(
         Ring(tmp_path, LIMITS),
@@ -230,7 +230,7 @@ def test_every_file_reads_the_wall_clock_anew(tmp_path: Path) -> None:
     assert next(item.at_ns for item in open_recording(second).items()) == CLOCK.ns(1.0)
 
 
-def test_any_other_trouble_stops_the_recording_and_not_its_thread(
+def test_any_other_failure_stops_the_recording_but_not_its_thread(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("slipguard.recording.recorder.RETRY_S", 0.0)
@@ -255,7 +255,7 @@ def test_any_other_trouble_stops_the_recording_and_not_its_thread(
     assert len(list((tmp_path / "ring").iterdir())) == 1
 
 
-def test_a_full_disk_stops_the_recording_with_one_line(tmp_path: Path) -> None:
+def test_a_full_disk_stops_the_recording_with_one_message(tmp_path: Path) -> None:
     said: list[str] = []
     one = Recorder(
         Ring(tmp_path, LIMITS),
@@ -273,7 +273,7 @@ def test_a_full_disk_stops_the_recording_with_one_line(tmp_path: Path) -> None:
     assert any(isinstance(item.value, m.CycleRecord) for item in open_recording(path).items())
 
 
-def test_handing_over_never_waits_and_leaves_pictures_out_first(tmp_path: Path) -> None:
+def test_adding_values_never_waits_and_leaves_out_images_first(tmp_path: Path) -> None:
     one = recorder(tmp_path)
     for number in range(2500):  # not started: nobody takes anything
         one.add(RecordedFrame("left", number / 60, judged_at(number / 60), picture() if number < 600 else None))

@@ -100,7 +100,7 @@ def whole(path: Path) -> bool:
     return recording.damage is None
 
 
-def test_the_ring_gives_back_what_the_guard_needs_of_the_disk(tmp_path: Path, playing: Callable[..., Playing]) -> None:
+def test_the_ring_frees_the_reserve_of_the_disk(tmp_path: Path, playing: Callable[..., Playing]) -> None:
     disk = Disk(tmp_path, others=15 * MB)
     one = playing(Ring(tmp_path, LIMITS, disk.usage))
     one.play(0.0, 12.0)  # some 7 MB
@@ -113,7 +113,7 @@ def test_the_ring_gives_back_what_the_guard_needs_of_the_disk(tmp_path: Path, pl
     assert ticks(held[-1])[-1] == pytest.approx(11.9)
 
 
-def test_others_that_fill_the_disk_stop_the_recording_once_and_its_end_is_whole(
+def test_a_disk_filled_by_others_stops_the_recording_once_and_the_file_is_complete(
     tmp_path: Path, playing: Callable[..., Playing]
 ) -> None:
     disk = Disk(tmp_path)
@@ -138,9 +138,7 @@ def test_others_that_fill_the_disk_stop_the_recording_once_and_its_end_is_whole(
     assert whole(path)
 
 
-def test_a_stop_for_want_of_room_ends_its_file_whole_and_keeps_it(
-    tmp_path: Path, playing: Callable[..., Playing]
-) -> None:
+def test_a_stop_without_space_completes_and_keeps_the_file(tmp_path: Path, playing: Callable[..., Playing]) -> None:
     disk = Disk(tmp_path)
     one = playing(Ring(tmp_path, LIMITS, disk.usage), segment_s=1.0)
     one.play(0.0, 1.5, keep_at=1.3)
@@ -153,9 +151,7 @@ def test_a_stop_for_want_of_room_ends_its_file_whole_and_keeps_it(
     one.recorder.stop()
 
 
-def test_a_disk_without_room_takes_of_the_ring_first_and_goes_on(
-    tmp_path: Path, playing: Callable[..., Playing]
-) -> None:
+def test_on_a_full_disk_the_ring_is_freed_first(tmp_path: Path, playing: Callable[..., Playing]) -> None:
     """Free by its own account, as under a quota."""
     room = iter((400_000, 10**9))
     (tmp_path / "ring").mkdir(exist_ok=True)
@@ -172,7 +168,7 @@ def test_a_disk_without_room_takes_of_the_ring_first_and_goes_on(
 
 
 @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO])
-def test_what_could_not_be_begun_leaves_no_file_and_takes_none_with_it(
+def test_a_recording_that_cannot_begin_leaves_no_file(
     tmp_path: Path, playing: Callable[..., Playing], error: int
 ) -> None:
     ring = Ring(tmp_path, RingLimits(5, 10**9, 10**9))
@@ -209,7 +205,7 @@ class Broken(FullDisk):
         return super().write(data)
 
 
-def test_a_slip_before_the_disk_is_full_is_kept_with_what_was_before_it(
+def test_a_slip_before_the_disk_is_full_is_kept_with_the_time_before_it(
     tmp_path: Path, playing: Callable[..., Playing]
 ) -> None:
     room = iter((10**9, 10**9, 500_000, *[0] * 1000))
@@ -224,7 +220,7 @@ def test_a_slip_before_the_disk_is_full_is_kept_with_what_was_before_it(
     one.recorder.stop()
 
 
-def test_a_slip_while_nothing_is_recorded_keeps_what_was_and_what_comes(
+def test_a_slip_while_nothing_is_recorded_keeps_earlier_and_later_files(
     tmp_path: Path, playing: Callable[..., Playing]
 ) -> None:
     room = iter((10**9, 500_000, *[0] * 6, *[10**9] * 9))
@@ -239,7 +235,7 @@ def test_a_slip_while_nothing_is_recorded_keeps_what_was_and_what_comes(
     assert max(times) == pytest.approx(2.9)
 
 
-def test_what_could_not_be_kept_at_once_is_kept_later(
+def test_a_failed_move_is_tried_again(
     tmp_path: Path, playing: Callable[..., Playing], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trouble = iter((True, True))
@@ -271,7 +267,7 @@ def test_the_ring_stays_within_its_megabytes(tmp_path: Path, playing: Callable[.
 
 
 @pytest.mark.parametrize("other_s", [-50.0, 86_400.0], ids=["too long ago", "written while the clock was wrong"])
-def test_a_slip_soon_after_a_restart_keeps_what_was_before_it(
+def test_a_slip_soon_after_a_restart_keeps_files_from_before_it(
     tmp_path: Path, playing: Callable[..., Playing], other_s: float
 ) -> None:
     ring = Ring(tmp_path, LIMITS)
@@ -287,7 +283,7 @@ def test_a_slip_soon_after_a_restart_keeps_what_was_before_it(
     assert names(tmp_path / "ring") == ["a.mcap"]
 
 
-def test_a_disk_that_tells_no_size_is_recorded_on(tmp_path: Path, playing: Callable[..., Playing]) -> None:
+def test_a_disk_that_reports_no_size_is_usable(tmp_path: Path, playing: Callable[..., Playing]) -> None:
     one = playing(Ring(tmp_path, LIMITS, lambda path: (0, 0, 0)))
     one.play(0.0, 1.0)
     one.recorder.stop()
