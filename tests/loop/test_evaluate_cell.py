@@ -24,10 +24,11 @@ from slipguard.daemon.loop.virtual_time import FixedLatencyWorker, run_virtual
 from slipguard.daemon.run import build_service
 from slipguard.errors import SlipguardError
 from slipguard.evaluation import real_lifts
-from slipguard.evaluation.experiment import write_report
+from slipguard.evaluation.experiment import results
 from slipguard.evaluation.external_camera import ExternalCamera
 from slipguard.evaluation.protocol import LiftProtocol
 from slipguard.evaluation.real_lifts import daemon_socket_held, run_on_cell
+from slipguard.evaluation.report_data import report_json
 from slipguard.evaluation.simulated_lifts import intrinsics_of, random_camera
 from slipguard.recording.writer import RecordingFile
 from slipguard.sim.external_camera import ExternalCameraRenderer, LensModel, MarkerScene
@@ -63,7 +64,7 @@ class RenderedCamera:
         while True:
             truth = self.world.truth(asyncio.get_running_loop().time())
             receiver(self.renderer.draw(MarkerScene(truth.rotation_deg, truth.height_mm, truth.slip_mm)))
-            await asyncio.sleep(1 / 30)
+            await asyncio.sleep(1 / 20)
 
 
 class Bench:
@@ -132,6 +133,7 @@ def at_rate(fps: float) -> Scenario:
 def service_of(world: World, state: Path) -> Service:
     raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in ("left", "right")}
     raw["state"] = {"directory": str(state)}
+    raw["guard"] = {"tuning": {"lower_speed_mm_s": 150.0}}
     config = parse_config(raw, where="test", sim=True)
     return build_service(config, world=world, make_worker=lambda name: FixedLatencyWorker(0.006))
 
@@ -175,13 +177,14 @@ def test_the_operator_is_asked_before_every_lift_and_before_the_jaws_open(
         video.release()
 
     run_virtual(main())
-    (bench.out / "lifts" / "001-spanner-1.json").unlink()
+    if filmed_by != "slipguard":  # the video was not complete yet when the lift was analyzed
+        (bench.out / "lifts" / "001-spanner-1.json").unlink()
     assert len(bench.asked) == 2
     assert filmed_by != "slipguard" or "error 0." in bench.asked[1]
     assert bench.held
     assert abs(bench.lifted_mm) < 1.0
     assert not bench.holds()
-    report = write_report(bench.out, Workers(1))
+    report = report_json(results(bench.out, Workers(1)))
     assert report["lifts_compared"] == 1
     assert report["turn_error_mean_deg"] < 1.0
     assert report["lag_error_frames"] is None
@@ -241,7 +244,7 @@ def test_a_full_disk_ends_the_experiment_after_the_release(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with pytest.raises(SlipguardError, match=r"001-spanner-1.mcap: not recorded \(No space left on device\)"):
-        run_virtual(bench.while_lifting(lambda: monkeypatch.setattr(RecordingFile, "judged", full)))
+        run_virtual(bench.while_lifting(lambda: monkeypatch.setattr(RecordingFile, "frame", full)))
     assert "No space left" in bench.asked[1]
     assert bench.held
     assert abs(bench.lifted_mm) < 1.0
