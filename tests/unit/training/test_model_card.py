@@ -1,4 +1,4 @@
-"""What models/README.md says of the shipped network is true of the file."""
+"""models/README.md describes the shipped network correctly."""
 
 import hashlib
 import re
@@ -8,7 +8,7 @@ from slipguard.perception.contact.segmenter import Segmenter, default_model_path
 LARGEST_BYTES = 1_500_000
 
 
-def test_the_card_names_the_file_that_is_shipped() -> None:
+def test_the_card_lists_the_shipped_file() -> None:
     path = default_model_path()
     data = path.read_bytes()
     card = (path.parent / "README.md").read_text()
@@ -19,7 +19,7 @@ def test_the_card_names_the_file_that_is_shipped() -> None:
     assert len(data) <= LARGEST_BYTES
 
 
-def test_the_card_says_how_the_file_was_made() -> None:
+def test_the_card_contains_the_training_command() -> None:
     segmenter = Segmenter()
     card = (segmenter.path.parent / "README.md").read_text()
     assert segmenter.metadata["command"] in card

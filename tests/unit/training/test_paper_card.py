@@ -1,4 +1,4 @@
-"""What models/README.md says of the paper's network is true of the file beside it."""
+"""models/README.md describes the paper's network correctly."""
 
 import hashlib
 import re
@@ -11,7 +11,7 @@ NAME = "deeplabv3plus-resnet18.onnx"
 LARGEST_BYTES = 26_000_000
 
 
-def test_the_card_names_the_papers_network_and_its_command() -> None:
+def test_the_card_lists_the_papers_network_and_its_command() -> None:
     data = (MODELS / NAME).read_bytes()
     card = (MODELS / "README.md").read_text()
     row = re.search(rf"`{NAME}` .*\| ([0-9.]+) MB \| `([0-9a-f]{{64}})`", card)
@@ -24,7 +24,7 @@ def test_the_card_names_the_papers_network_and_its_command() -> None:
     assert not segmenter.needs_background
 
 
-def test_every_model_is_named_with_its_checksum() -> None:
+def test_every_model_is_listed_with_its_checksum() -> None:
     card = (MODELS / "README.md").read_text()
     listed = dict(re.findall(r"^\| `([^`]+\.onnx)` \|.*\| `([0-9a-f]{64})` \|$", card, re.MULTILINE))
     for name in ("tsnn-small.onnx", NAME, "peer-deeplabv3plus-resnet18-timing.onnx"):
@@ -32,5 +32,5 @@ def test_every_model_is_named_with_its_checksum() -> None:
     assert not listed
 
 
-def test_it_is_not_in_the_wheel() -> None:
+def test_the_papers_network_is_not_in_the_wheel() -> None:
     assert f'"models/{NAME}" =' not in (MODELS.parent / "pyproject.toml").read_text()

@@ -1,4 +1,4 @@
-"""The paper's networks: built, trained in short, stopped and resumed, exported, and run by the product."""
+"""The paper's networks are built, trained briefly, resumed, exported and run by the product."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.extras("torch", "onnx", "segmentation_models_pytorch")
 
 @pytest.fixture(scope="module")
 def data_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Seven frames with a bright disc, which is the contact."""
+    """Return a data set of seven frames with a bright disc as contact."""
     folder = tmp_path_factory.mktemp("discs")
     rng = np.random.default_rng(0)
     for kind in ("images", "masks"):
@@ -35,7 +35,7 @@ def data_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def trained(data_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder in which the command trained a PSPNet; the network is net.onnx, beside it net-int8.onnx."""
+    """Return the folder of a trained PSPNet, net.onnx and net-int8.onnx."""
     from slipguard.cli.app import run
 
     folder = tmp_path_factory.mktemp("trained")
@@ -48,7 +48,7 @@ def words(data: Path, work: Path, epochs: int = 2) -> list[str]:
     return line.split()
 
 
-def test_the_command_leaves_what_it_promises(trained: Path) -> None:
+def test_the_command_writes_history_and_curves(trained: Path) -> None:
     work = trained / "pspnet-short"
     measured = json.loads((work / "history.json").read_text())
     assert [epoch["number"] for epoch in measured["epochs"]] == [1, 2]
@@ -76,7 +76,7 @@ def test_the_product_runs_the_file(trained: Path) -> None:
     assert smaller.path.stat().st_size < 0.7 * segmenter.path.stat().st_size
 
 
-def test_weights_are_stored_in_half_the_size(trained: Path) -> None:
+def test_large_weights_are_stored_as_float16(trained: Path) -> None:
     import onnx
 
     weights = onnx.load(str(trained / "net.onnx")).graph.initializer
@@ -84,7 +84,7 @@ def test_weights_are_stored_in_half_the_size(trained: Path) -> None:
     assert large == {onnx.TensorProto.FLOAT16}
 
 
-def test_a_stopped_training_goes_on(
+def test_a_stopped_training_resumes(
     data_set: Path, trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     from slipguard.training.paper import training
@@ -111,7 +111,7 @@ def test_a_stopped_training_goes_on(
     assert "holds a training with" in other.complaint
 
 
-def test_averages_over_unequal_cells_are_those_of_torch() -> None:
+def test_averages_over_unequal_cells_equal_those_of_torch() -> None:
     import torch
 
     from slipguard.training.paper.networks import _cell_means
@@ -125,7 +125,7 @@ def test_averages_over_unequal_cells_are_those_of_torch() -> None:
 
 @pytest.mark.parametrize("arch", ["deeplabv3plus", "unetplusplus"])
 @pytest.mark.parametrize(("height", "width"), [(160, 120), (320, 240)])
-def test_the_larger_ones_answer_at_the_size_of_the_frame(arch: str, height: int, width: int) -> None:
+def test_the_larger_networks_return_masks_of_frame_size(arch: str, height: int, width: int) -> None:
     import torch
 
     from slipguard.training.paper.networks import FrameNet
@@ -137,7 +137,7 @@ def test_the_larger_ones_answer_at_the_size_of_the_frame(arch: str, height: int,
 
 
 @pytest.mark.parametrize(("weight", "allowed"), [(None, -1.0), (math.nan, 1.0)])
-def test_an_export_that_differs_or_tells_no_numbers_is_not_written(
+def test_an_export_that_differs_or_is_not_finite_is_not_written(
     weight: float | None, allowed: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from slipguard.training import onnx_export
@@ -180,7 +180,7 @@ def test_an_encoder_starts_from_given_weights(tmp_path: Path) -> None:
             target.start_from(tmp_path / wrong)
 
 
-def test_focal_loss_is_cross_entropy_where_it_is_unsure() -> None:
+def test_focal_loss_is_cross_entropy_for_uncertain_pixels() -> None:
     import torch
 
     from slipguard.training.paper.training import focal_loss

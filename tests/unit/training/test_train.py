@@ -1,4 +1,4 @@
-"""Training says what it needs, goes on where it was stopped, and its export keeps the contract."""
+"""Training resumes after an interruption, and its export fulfills the model contract."""
 
 import importlib.util
 from pathlib import Path
@@ -12,7 +12,7 @@ from slipguard.errors import InputError
 needs_torch = pytest.mark.extras("torch", "onnx")
 
 
-def test_without_torch_one_line_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_torch_the_error_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pip install 'slipguard\[train\]'") as caught:
         train_command()
@@ -20,7 +20,7 @@ def test_without_torch_one_line_says_how_to_install_it(monkeypatch: pytest.Monke
 
 
 @needs_torch
-def test_a_stopped_training_goes_on_and_its_export_keeps_the_contract(tmp_path: Path) -> None:
+def test_a_stopped_training_resumes_and_its_export_fulfills_the_contract(tmp_path: Path) -> None:
     import torch
 
     from slipguard.datasets.frame_cache import RenderedFrames
@@ -68,7 +68,7 @@ def test_a_stopped_training_goes_on_and_its_export_keeps_the_contract(tmp_path: 
 
 
 @needs_torch
-def test_rendered_frames_come_from_the_cache_the_second_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rendered_frames_are_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from slipguard.datasets import frame_cache
 
     drawn: list[int] = []
