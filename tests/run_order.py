@@ -22,6 +22,8 @@ ON_DEMAND = ("browser", "campaign", "extras", "real", "service", "vm")
 """Markers of tests that run only if a path or `-m` selects them, as `.ci/run` does."""
 SERIAL_FOLDERS = {"contract": "contracts", **dict.fromkeys(("browser", "service", "vm", "wire"), "whole programs")}
 """Of the tests in folders of the same kind, never two run at once."""
+LONG_FOLDERS = {"loop", "packaging", "stress", "web"}
+"""Their tests start first, so that no process ends long after the others."""
 WAITING_WORKERS = 1
 """Processes beyond one per core: the tests in SERIAL_FOLDERS wait most of the time."""
 REALTIME = "realtime"
@@ -53,8 +55,9 @@ def select(config: pytest.Config, items: list[pytest.Item]) -> None:
 
 def _rank(item: pytest.Item) -> int:
     if item.get_closest_marker(REALTIME):
-        return 2
-    return 0 if SERIAL_FOLDERS.keys() & set(item.path.parts) else 1
+        return 3
+    folders = set(item.path.parts)
+    return 0 if SERIAL_FOLDERS.keys() & folders else 1 if LONG_FOLDERS & folders else 2
 
 
 def need_what_it_names(item: pytest.Item) -> None:
