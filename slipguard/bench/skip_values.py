@@ -20,8 +20,8 @@ from slipguard.bench.slip_onset import (
     first_detection,
 )
 from slipguard.control.finger_fusion import fuse
-from slipguard.control.slip_baselines import SlipMemory
-from slipguard.control.slip_detector import look
+from slipguard.control.slip_detector import assess_slip
+from slipguard.control.slip_memory import SlipMemory
 from slipguard.datasets.rendered_grasps import ROUND_PLAIN, render_grasp
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.settings import PerceptionSettings
@@ -197,8 +197,8 @@ def measure_second_finger(default: BenchPipeline) -> SkipResult:
                 continue
             if shot.compared and fused.rotation_deg is not None:
                 run.errors_deg.append(abs(fused.rotation_deg - shot.rotation_deg))
-            sight = look(detectors[skip], fused, PARAMS)
-            detectors[skip] = sight.detector
+            sight = assess_slip(detectors[skip], fused, PARAMS)
+            detectors[skip] = sight.memory
             if sight.slipping and not slipping[skip]:
                 run.slips.append(index)
             slipping[skip] = sight.slipping

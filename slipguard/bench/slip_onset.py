@@ -9,8 +9,8 @@ import numpy as np
 
 from slipguard.control.finger_fusion import fuse
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_baselines import SlipMemory
-from slipguard.control.slip_detector import look
+from slipguard.control.slip_detector import assess_slip
+from slipguard.control.slip_memory import SlipMemory
 from slipguard.datasets.rendered_grasps import FRAME_S, GraspFrame, RenderedGrasp
 from slipguard.devices import Frame
 from slipguard.perception.estimate import Estimate
@@ -70,13 +70,13 @@ class SlipOnset:
 
 def first_detection(process: Callable[[Frame], Estimate], frames: Iterable[Frame]) -> int | None:
     """Return the index of the frame at which the controller detects slip with this finger only; None if never."""
-    detector = SlipMemory()
+    memory = SlipMemory()
     for index, frame in enumerate(frames):
         fused = fuse(process(frame), None)
         if fused is None:
             continue
-        sight = look(detector, fused, PARAMS)
-        detector = sight.detector
+        sight = assess_slip(memory, fused, PARAMS)
+        memory = sight.memory
         if sight.slipping:
             return index
     return None

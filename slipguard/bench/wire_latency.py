@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.config import Config, parse_config
-from slipguard.control.messages import Command, Observation
+from slipguard.control.control_step import ControlState, control_step
+from slipguard.control.messages import HoldForce, Observation, StepOutput
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
-from slipguard.control.step import ControlState, control_step
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest
 from slipguard.daemon.loop.decision import Decision
@@ -63,27 +63,27 @@ class ProbingController:
 
     def __call__(
         self, state: ControlState, observation: Observation, params: GuardParams
-    ) -> tuple[ControlState, Command]:
+    ) -> tuple[ControlState, StepOutput]:
         """Return the state and the command of one control step."""
-        state, command = control_step(state, observation, params)
+        state, output = control_step(state, observation, params)
         fused = observation.fused
         if fused is None or fused.captured_at_s <= self._captured_at_s:
-            return state, command
+            return state, output
         self._captured_at_s = fused.captured_at_s
-        force_n = state.grasp.target_n + STEP_N
-        settled = state.grasp.phase is Phase.HOLDING and state.grasp.slip is None and command.hold_force_n is None
+        force_n = state.grasp.grip.target_n + STEP_N
+        settled = state.grasp.phase is Phase.HOLDING and state.grasp.held.slip is None and output.hold_force_n is None
         if (
             not settled
             or self.left <= 0
             or observation.now_s < self._due_s
             or force_n > observation.gripper_limits_n[1]
         ):
-            return state, command
+            return state, output
         self.left -= 1
         self._due_s = observation.now_s + self._random.uniform(*PAUSE_S)
         self.probes.append(ForceProbe(force_n, fused.captured_at_s, observation.now_s))
-        grasp = replace(state.grasp, target_n=force_n, commanded_s=observation.now_s)
-        return replace(state, grasp=grasp), replace(command, hold_force_n=force_n)
+        grasp = state.grasp.with_target(force_n, observation.now_s)
+        return replace(state, grasp=grasp), replace(output, gripper=HoldForce(force_n))
 
 
 HOST = f"127.90.{os.getpid() >> 8 & 255}.{os.getpid() % 254 + 1}"
@@ -191,7 +191,7 @@ async def _probe(
     sent: list[_CommandTimes] = []
 
     def decided(decision: Decision) -> None:
-        if len(probe.probes) > len(sent) and decision.command.hold_force_n is not None:
+        if len(probe.probes) > len(sent) and decision.output.hold_force_n is not None:
             newest = [finger.newest for finger in service.fingers.values() if finger.newest is not None]
             last = max(newest, key=lambda one: one.ready_at_s)
             now_s = asyncio.get_running_loop().time()

@@ -13,7 +13,7 @@ import typer
 from slipguard.errors import InputError, SlipguardError
 
 if TYPE_CHECKING:
-    from slipguard.control.messages import Command
+    from slipguard.control.messages import StepOutput
     from slipguard.tools.replay import CommandDifference, ControllerReplay, ReplayResult
 
 DIFFERENCES_MAX = 10
@@ -109,9 +109,9 @@ def _plain(difference: CommandDifference) -> dict[str, Any]:
     }
 
 
-def _command_text(command: Command) -> str:
+def _command_text(output: StepOutput) -> str:
     """Return only the fields that are set."""
-    given = {one.name: getattr(command, one.name) for one in fields(command) if one.compare}
+    given = {one.name: getattr(output, one.name) for one in fields(output) if one.compare}
     return ", ".join(f"{name}={value}" for name, value in given.items() if value not in (None, False)) or "nothing"
 
 

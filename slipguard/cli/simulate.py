@@ -75,7 +75,7 @@ def simulate(*, seed: int, lifts: int | None, guarded: bool, json: bool, out: Pa
 
 def _too_slow(records: list[LiftRecord]) -> str | None:
     """Return a warning if the machine was too slow for the simulated cameras or the loop; None if it was not."""
-    from slipguard.control.fault import FaultCode
+    from slipguard.control.reports import FaultCode
 
     late = [record for record in records if record.why in (FaultCode.FRAMES_LOST, FaultCode.LOOP_LATE)]
     if not late:

@@ -1,98 +1,101 @@
-"""What the arm is told while an object is held: to stand, and to put down what no force of the budget can hold.
+"""What the arm is commanded while an object is held: legs of a lift, stops, and putting down at the force limit.
 
-Putting down is for lift mode with `on_budget_spent = "lower"`: back along the path just lifted, slowly, no further than
-where it began. The fault stays latched; anything else that goes wrong on the way stops the arm for good.
+Putting down is for lift mode with `on_force_limit = "lower"`: back along the path just lifted, slowly, no further than
+where it began. The fault stays latched; any other fault on the way stops the arm for good.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from slipguard.control.fault import FaultCode
-from slipguard.control.messages import ArmLift, Command, Observation, in_one_line
+from slipguard.control.messages import LiftArm, Observation, StepOutput, StopArm
 from slipguard.control.params import GuardParams
-from slipguard.control.state import GraspState
+from slipguard.control.reports import FaultCode, Text
+from slipguard.control.state import GraspState, Phase
 from slipguard.devices import ArmState
 
 REPEAT_S = 0.1
-"""A command that had no effect is given again after this time."""
+"""A command without effect is repeated after this time."""
 START_S = 0.25
-"""An arm at rest this long after it was told to move has ended its motion, or not taken it up."""
+"""An arm at rest this long after a command has ended its motion, or has not begun it."""
 FRESH_S = 0.1
-"""What an arm said longer ago is no reason to move it; it is asked every 25 ms."""
+"""An older state is no reason to move the arm; it is read every 25 ms."""
 REACHED_MM = 0.5
-SPENT = frozenset({FaultCode.BUDGET_SPENT, FaultCode.TURNED_TOO_FAR})
-"""Faults with all the force of the budget applied, and the object slipping on."""
-SAME_SLIP = SPENT | {FaultCode.NO_HELP}
-"""What may still be said of the same slip while the object is put down."""
+AT_LIMIT = frozenset({FaultCode.FORCE_LIMIT_REACHED, FaultCode.ROTATED_TOO_FAR})
+"""Faults at the force limit, with the object still slipping."""
+SAME_SLIP = AT_LIMIT | {FaultCode.TIGHTENING_INEFFECTIVE}
+"""Faults that the same slip may still raise while the object is put down."""
 
-Outcome = tuple[GraspState, Command]
+Result = tuple[GraspState, StepOutput]
 
 
-def stop(state: GraspState, observation: Observation, command: Command, *, at_once: bool = False) -> Outcome:
-    """Stop the arm, again and again until it says that it stands."""
+def stop(state: GraspState, observation: Observation, output: StepOutput, *, at_once: bool = False) -> Result:
+    """Stop the arm, and repeat it until the arm reports that it stands."""
     stands = observation.arm is not None and not observation.arm.moving
-    if at_once or (not stands and observation.now_s - state.arm_sent_s >= REPEAT_S):
-        return replace(state, arm_sent_s=observation.now_s), replace(command, arm="stop")
-    return state, command
+    if at_once or (not stands and observation.now_s - state.arm.commanded_s >= REPEAT_S):
+        return _commanded(state, observation), replace(output, arm=StopArm())
+    return state, output
 
 
-def brake(state: GraspState, observation: Observation, command: Command) -> Outcome:
-    """Stop an arm that is to stand before the jaws open, until it has once said that it does; then it is free."""
-    arm = observation.arm
-    known = (
-        arm is not None and arm.measured_at_s > state.arm_sent_s and observation.now_s - arm.measured_at_s <= FRESH_S
-    )
-    if arm is not None and known and not arm.moving:
-        return (replace(state, braking=False) if state.braking else state), command
-    if not state.braking or observation.now_s - state.arm_sent_s < REPEAT_S:
-        return state, command
-    return replace(state, arm_sent_s=observation.now_s), replace(command, arm="stop")
+def is_current(state: GraspState, arm: ArmState, now_s: float) -> bool:
+    """Return whether the arm's state is recent, and newer than the last command to it."""
+    return arm.measured_at_s > state.arm.commanded_s and now_s - arm.measured_at_s <= FRESH_S
 
 
-def ended(state: GraspState, arm: ArmState, now_s: float) -> bool:
-    """The arm rests, as it has said just now, and has had the time to take up what it was told last."""
-    known = arm.measured_at_s > state.arm_sent_s and now_s - arm.measured_at_s <= FRESH_S
-    return known and not arm.moving and now_s - state.arm_sent_s >= START_S
+def has_ended(state: GraspState, arm: ArmState, now_s: float) -> bool:
+    """Return whether the arm certainly rests, and had the time to begin what it was last commanded."""
+    return is_current(state, arm, now_s) and not arm.moving and now_s - state.arm.commanded_s >= START_S
 
 
-def put_down(latched: Outcome, observation: Observation, params: GuardParams) -> Outcome:
-    """The way down of an object whose fault has just been latched; as it was where the arm is to stand."""
-    state, command = latched
-    spent = state.fault is not None and state.fault.code in SPENT
-    if not spent or params.on_force_limit != "lower" or params.mode != "lift" or state.person_near:
-        return state, command
-    if observation.arm is None or state.ground_mm is None:
-        said = "it is not put down: it is not known where the lift began"
-        return state, replace(command, say=in_one_line(command.say, said))
-    way_mm = state.ground_mm - observation.arm.height_mm
+def next_leg(state: GraspState, height_mm: float, params: GuardParams) -> LiftArm:
+    """Return the next leg to the goal: the first `probe_height_mm` of a lift slowly, the rest in one."""
+    goal_mm = state.arm.goal_mm if state.arm.goal_mm is not None else height_mm
+    way_mm, tuning = goal_mm - height_mm, params.tuning
+    if state.phase is Phase.LOWERING:
+        return LiftArm(way_mm, state.arm.speed_mm_s or tuning.lower_speed_mm_s)
+    speed_mm_s = state.arm.speed_mm_s or params.lift_speed_mm_s
+    ground_mm = state.arm.ground_mm if state.arm.ground_mm is not None else height_mm
+    probe_mm = ground_mm + tuning.probe_height_mm - height_mm
+    if probe_mm <= REACHED_MM:
+        return LiftArm(way_mm, speed_mm_s)
+    return LiftArm(min(way_mm, probe_mm), min(tuning.probe_speed_mm_s, speed_mm_s))
+
+
+def put_down(latched: Result, observation: Observation, params: GuardParams) -> Result:
+    """Begin to put down the object of a fault that has just been latched; or leave the arm stopped."""
+    state, output = latched
+    at_limit = state.fault is not None and state.fault.code in AT_LIMIT
+    if not at_limit or params.on_force_limit != "lower" or params.mode != "lift" or state.person.now:
+        return state, output
+    arm, ground_mm = observation.arm, state.arm.ground_mm
+    if arm is None or ground_mm is None:
+        return state, output.with_messages(Text.NO_WAY_DOWN.message())
+    way_mm = ground_mm - arm.height_mm
     if way_mm > -REACHED_MM:
-        return state, command
-    state = replace(state, putting_down=True, goal_mm=state.ground_mm, arm_sent_s=observation.now_s)
-    said = f"putting it down by {-way_mm:.0f} mm"
-    return state, replace(command, arm=_leg(way_mm, params), say=in_one_line(command.say, said))
+        return state, output
+    motion = replace(state.arm, putting_down=True, goal_mm=ground_mm, commanded_s=observation.now_s)
+    output = replace(output, arm=_leg_down(way_mm, params))
+    return replace(state, arm=motion), output.with_messages(Text.PUTTING_DOWN.message(height_mm=-way_mm))
 
 
-def go_on_down(state: GraspState, observation: Observation, command: Command, params: GuardParams) -> Outcome:
-    """One tick on the way down."""
-    arm, goal_mm = observation.arm, state.goal_mm
-    other = any(fault.code not in SAME_SLIP for fault in (observation.fault, *observation.also) if fault is not None)
-    if arm is None or goal_mm is None or state.person_near or other:
-        why = "not put down any further"
-        return stop(
-            replace(state, putting_down=False),
-            observation,
-            replace(command, say=in_one_line(command.say, why)),
-            at_once=True,
-        )
-    if not ended(state, arm, observation.now_s):
-        return state, command
+def continue_down(state: GraspState, observation: Observation, output: StepOutput, params: GuardParams) -> Result:
+    """Go on putting the object down, for one step."""
+    arm, goal_mm = observation.arm, state.arm.goal_mm
+    other = any(fault.code not in SAME_SLIP for fault in observation.faults)
+    done = replace(state, arm=replace(state.arm, putting_down=False))
+    if arm is None or goal_mm is None or state.person.now or other:
+        return stop(done, observation, output.with_messages(Text.PUT_DOWN_STOPPED.message()), at_once=True)
+    if not has_ended(state, arm, observation.now_s):
+        return state, output
     way_mm = goal_mm - arm.height_mm
     if way_mm > -REACHED_MM:
-        said = "put down where the lift began; release lets go"
-        return replace(state, putting_down=False), replace(command, say=in_one_line(command.say, said))
-    return replace(state, arm_sent_s=observation.now_s), replace(command, arm=_leg(way_mm, params))
+        return done, output.with_messages(Text.PUT_DOWN.message())
+    return _commanded(state, observation), replace(output, arm=_leg_down(way_mm, params))
 
 
-def _leg(way_mm: float, params: GuardParams) -> ArmLift:
-    return ArmLift(way_mm, min(params.tuning.probe_speed_mm_s, params.tuning.lower_speed_mm_s))
+def _leg_down(way_mm: float, params: GuardParams) -> LiftArm:
+    return LiftArm(way_mm, min(params.tuning.probe_speed_mm_s, params.tuning.lower_speed_mm_s))
+
+
+def _commanded(state: GraspState, observation: Observation) -> GraspState:
+    return replace(state, arm=replace(state.arm, commanded_s=observation.now_s))

@@ -1,4 +1,4 @@
-"""How hard the law may grip: the budget of a grasp on a given gripper, and the steps within it.
+"""How hard the controller may grip: the forces that gripper and force limit allow, and the steps between them.
 
 All forces are newtons per finger.
 """
@@ -16,17 +16,31 @@ REGISTER_COUNTS = 255
 
 @dataclass(frozen=True, slots=True)
 class ForceRange:
-    """The forces the law may command: low_n, low_n + step_n, ... up to high_n, which is on that grid."""
+    """The forces the controller may command: low_n, low_n + step_n, ... up to high_n, which is on that grid."""
 
     low_n: float
     high_n: float
     step_n: float
 
+    def allowed(self, force_n: float, present_n: float) -> float:
+        """Return the force to command: rounded up to the grid, within the range, never below the present one.
 
-def budget(force_max_n: float, gripper_limits_n: tuple[float, float]) -> ForceRange | None:
-    """What `force_max_n` leaves of a gripper's range; None if it allows less than the gripper's weakest grip.
+        A present force above the range (taken over from another program's grip) is kept.
+        """
+        if self.step_n > 0.0:
+            counts = math.ceil((force_n - self.low_n) / self.step_n - 1e-9)
+            force_n = self.low_n + counts * self.step_n
+        return max(min(max(force_n, self.low_n), self.high_n), present_n)
 
-    The top is rounded down to the register's grid, so that a driver that rounds up stays within the budget.
+    def raised(self, present_n: float, multiplier: float) -> float:
+        """Return the next force when tightening by `multiplier`: at least one step more, as far as the range goes."""
+        return self.allowed(max(present_n * multiplier, present_n + self.step_n), present_n)
+
+
+def force_range(force_max_n: float, gripper_limits_n: tuple[float, float]) -> ForceRange | None:
+    """Return what `force_max_n` leaves of a gripper's range; None if it is below the gripper's weakest grip.
+
+    The top is rounded down to the register's grid, so that a driver that rounds up stays within the force limit.
     """
     low_n, strongest_n = gripper_limits_n
     if force_max_n < low_n:
@@ -38,22 +52,11 @@ def budget(force_max_n: float, gripper_limits_n: tuple[float, float]) -> ForceRa
     return ForceRange(low_n, low_n + counts * step_n, step_n)
 
 
-def allowed(force_n: float, present_n: float, within: ForceRange) -> float:
-    """The force to command when `force_n` is wanted: rounded up to the grid, in the budget, never below the present.
-
-    A present force above the budget (adopted from somebody else's grip) is kept.
-    """
-    if within.step_n > 0.0:
-        counts = math.ceil((force_n - within.low_n) / within.step_n - 1e-9)
-        force_n = within.low_n + counts * within.step_n
-    return max(min(max(force_n, within.low_n), within.high_n), present_n)
-
-
 def firm_n(params: GuardParams, gripper_limits_n: tuple[float, float]) -> float:
-    """The force that is tightened to at once: what friction and mass ask for where they are given, else a share of the
-    budget; infinite where there is no budget.
+    """Return the force of the first tightening, at least: what friction and mass require if they are given, else a
+    fraction of the force limit; infinite if the gripper cannot stay within the limit.
     """
-    within = budget(params.force_max_n, gripper_limits_n)
+    within = force_range(params.force_max_n, gripper_limits_n)
     if within is None:
         return math.inf
     modelled_n = params.modelled_n
@@ -61,15 +64,10 @@ def firm_n(params: GuardParams, gripper_limits_n: tuple[float, float]) -> float:
 
 
 def first_n(params: GuardParams) -> float:
-    """The first grip where none is asked for: gentle, but no weaker than friction and mass ask for."""
+    """Return the first grip where the request names none: gentle, but no weaker than friction and mass require."""
     return max(params.first_force_n, params.modelled_n or 0.0)
 
 
-def raised(present_n: float, multiple: float, within: ForceRange) -> float:
-    """The next force when tightening by `multiple`: at least one step of the grid more, as far as the budget goes."""
-    return allowed(max(present_n * multiple, present_n + within.step_n), present_n, within)
-
-
-def multiple(base: float, rate_deg_s: float, per_100_deg_s: float) -> float:
-    """By how much to tighten an object turning at `rate_deg_s`: the faster it turns, the more force it lacks."""
+def multiplier(base: float, rate_deg_s: float, per_100_deg_s: float) -> float:
+    """Return by how much to tighten: the faster the object rotates, the more force it lacks."""
     return base + per_100_deg_s * max(rate_deg_s, 0.0) / 100.0

@@ -1,29 +1,31 @@
-"""What goes into the law and what comes out of it, once a tick."""
+"""Inputs and outputs of one control step: the observation, the request in it, and the commands that follow."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Literal
+from typing import Annotated, Literal
 
-from slipguard.control.fault import Fault
+from pydantic import Field
+
 from slipguard.control.finger_fusion import FusedEstimate
+from slipguard.control.reports import Fault, Message
 from slipguard.devices import ArmState, GripperState
 
 
 class Condition(StrEnum):
-    """How a finger's frames are coming."""
+    """How a finger's frames arrive."""
 
     FRESH = "fresh"
     STALE = "stale"
-    """None lately, or frozen or corrupt ones; the sensor is there."""
+    """No recent frame, or only frozen or corrupt ones; the sensor is connected."""
     LOST = "lost"
-    """The sensor is gone."""
+    """The sensor is not connected."""
 
 
 @dataclass(frozen=True, slots=True)
 class FingerHealth:
-    """One finger's frames. age_s: since the last good one was captured. why: in a few words, where not fresh."""
+    """One finger's frames. age_s: since the last good one was captured. why: the reason if they are not fresh."""
 
     condition: Condition = Condition.FRESH
     age_s: float = 0.0
@@ -31,7 +33,7 @@ class FingerHealth:
 
 
 class RequestKind(StrEnum):
-    """What a person or another program may ask for."""
+    """What a person or another program may request."""
 
     NONE = "none"
     GRASP = "grasp"
@@ -46,7 +48,7 @@ class RequestKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ControlRequest:
-    """One wish, handed in for one tick. What is None comes from the configuration.
+    """One request, handled in one control step. A value that is None comes from the configuration.
 
     grasp: force_n. lift, lower: height_mm (above 0), speed_mm_s. gripper: width_mm, force_n. release: width_mm.
     """
@@ -64,12 +66,13 @@ _FIGURES = str.maketrans("", "", "0123456789.+-")
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """All the law knows at one tick. now_s and every time in it: the same monotonic clock.
+    """Everything the controller knows in one step. now_s and every time in it: the same monotonic clock.
 
-    fused: of the fingers whose frames are fresh; None if neither has said anything.
-    gripper, arm: the newest state; None where the device is gone.
-    gripper_limits_n: weakest and strongest grip of this gripper, per finger.
-    fault: what the supervisor finds wrong now, the gravest; also: what else it finds.
+    Args:
+        fused: estimate from the fingers whose frames are fresh; None if there is none.
+        gripper, arm: the newest state; None if the device is not connected.
+        gripper_limits_n: weakest and strongest grip of this gripper, newtons per finger.
+        fault: the gravest fault the supervisor finds now; other_faults: what else it finds.
     """
 
     now_s: float
@@ -81,47 +84,113 @@ class Observation:
     request: ControlRequest = NO_REQUEST
     gripper_limits_n: tuple[float, float] = (20.0, 235.0)
     fault: Fault | None = None
-    also: tuple[Fault, ...] = ()
+    other_faults: tuple[Fault, ...] = ()
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """All faults the supervisor finds now, the gravest first."""
+        return () if self.fault is None else (self.fault, *self.other_faults)
+
+    def with_fault(self, fault: Fault) -> Observation:
+        """Return the same observation with one more fault, the least grave one."""
+        if self.fault is None:
+            return replace(self, fault=fault)
+        return replace(self, other_faults=(*self.other_faults, fault))
+
+    @property
+    def rotation_deg(self) -> float:
+        """Rotation since the reference, without sign; 0 if there is no estimate."""
+        rotation_deg = self.fused.rotation_deg if self.fused is not None else None
+        return 0.0 if rotation_deg is None else abs(rotation_deg)
 
 
 @dataclass(frozen=True, slots=True)
-class ArmLift:
-    """Move the arm by height_mm (down when negative) at speed_mm_s."""
+class HoldForce:
+    """`Gripper.hold`: grip with this force, newtons per finger."""
+
+    force_n: float
+    kind: Literal["hold"] = "hold"
+
+
+@dataclass(frozen=True, slots=True)
+class MoveJaws:
+    """`Gripper.move`: move the jaws to a width, with at most this force."""
+
+    width_mm: float
+    force_n: float
+    kind: Literal["move"] = "move"
+
+
+@dataclass(frozen=True, slots=True)
+class HaltJaws:
+    """`Gripper.halt`: stop the jaws where they are."""
+
+    kind: Literal["halt"] = "halt"
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseJaws:
+    """`Gripper.release`: open the jaws to a width."""
+
+    width_mm: float
+    kind: Literal["release"] = "release"
+
+
+@dataclass(frozen=True, slots=True)
+class StopArm:
+    """`Arm.stop`."""
+
+    kind: Literal["stop"] = "stop"
+
+
+@dataclass(frozen=True, slots=True)
+class LiftArm:
+    """`Arm.lift`: move the arm by height_mm (down if negative) at speed_mm_s."""
 
     height_mm: float
     speed_mm_s: float
+    kind: Literal["lift"] = "lift"
+
+
+GripperCommand = Annotated[HoldForce | MoveJaws | HaltJaws | ReleaseJaws, Field(discriminator="kind")]
+ArmCommand = Annotated[StopArm | LiftArm, Field(discriminator="kind")]
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
-    """What the devices should do now; None: nothing new.
+class StepOutput:
+    """What follows from one control step.
 
-    hold_force_n: `Gripper.hold`. halt: `Gripper.halt`. move_width_mm with move_force_n: `Gripper.move`.
-    release_width_mm: `Gripper.release`. arm: `Arm.stop` or `Arm.lift`. new_reference: both fingers take a new
-    reference from the next stable contact on.
-    say: one line for log and page. warn: it tells of trouble; no part of what is commanded.
-    refused: why this tick's request was not granted.
-    fault: latched now or before.
+    Args:
+        gripper, arm: the new command to each device; None: none.
+        new_reference: both fingers take a new reference from the next stable contact on.
+        messages: what log and page show. is_warning: they report trouble; not compared.
+        refusal: why this step's request was refused.
+        fault: the latched fault.
     """
 
-    hold_force_n: float | None = None
-    halt: bool = False
-    move_width_mm: float | None = None
-    move_force_n: float | None = None
-    release_width_mm: float | None = None
-    arm: Literal["stop"] | ArmLift | None = None
+    gripper: GripperCommand | None = None
+    arm: ArmCommand | None = None
     new_reference: bool = False
-    say: str | None = None
-    warn: bool = field(default=False, compare=False)
-    refused: str | None = None
+    messages: tuple[Message, ...] = ()
+    is_warning: bool = field(default=False, compare=False)
+    refusal: Message | None = None
     fault: Fault | None = None
+
+    @property
+    def hold_force_n(self) -> float | None:
+        """The force of a hold commanded in this step; None if there is none."""
+        return self.gripper.force_n if isinstance(self.gripper, HoldForce) else None
+
+    @property
+    def text(self) -> str | None:
+        """All messages as one line; None if there are none."""
+        return "; ".join(message.text for message in self.messages) or None
+
+    def with_messages(self, *messages: Message | None) -> StepOutput:
+        """Return the same output with more messages; None stands for no message."""
+        return replace(self, messages=(*self.messages, *(message for message in messages if message is not None)))
 
 
 def without_figures(text: str) -> str:
-    """What is left of a line whose figures change all the time: the same for the same thing."""
+    """Return a text without its figures: equal for two messages that differ in values only."""
     return text.translate(_FIGURES)
-
-
-def in_one_line(*said: str | None) -> str | None:
-    """Several things to say as one; None where there are none."""
-    return "; ".join(part for part in said if part is not None) or None

@@ -1,6 +1,6 @@
-"""What people and other programs may ask for, and in which phase; a refusal is one line that says why.
+"""Grant or refuse what people and other programs request, by phase. A refusal is one message with the reason.
 
-Releasing is not here: it is granted in every phase, before anything else is looked at.
+Release is not here: it is granted in every phase, before anything else.
 """
 
 from __future__ import annotations
@@ -9,260 +9,243 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from slipguard.control import force_limits as limits
-from slipguard.control.fault import FaultCode
-from slipguard.control.messages import ArmLift, Command, Observation, RequestKind, in_one_line
+from slipguard.control import arm_motion, force_limits
+from slipguard.control.arm_motion import Result
+from slipguard.control.messages import HoldForce, MoveJaws, Observation, RequestKind, StepOutput
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_baselines import SlipMemory
-from slipguard.control.state import GraspState, Phase, emptied, entered, gripper_at_rest, taken_over
+from slipguard.control.reports import FaultCode, Message, Text
+from slipguard.control.slip_memory import SlipMemory
+from slipguard.control.state import GraspState, HandsOff, Phase, gripper_at_rest
+from slipguard.devices import ArmState, GripperState
 
-MAY_LAST = frozenset({FaultCode.ESTIMATE_UNTRUSTED})
-"""Faults that only a clear can end: it takes a new reference, and what still cannot be told then latches again."""
-INTERRUPTED = "the closing was interrupted and the jaws apply 0 N"
-
-Outcome = tuple[GraspState, Command]
-
-
-def answer(state: GraspState, command: Command, observation: Observation, params: GuardParams) -> Outcome:
-    """Grant or refuse this tick's request, on top of what the phase has commanded already."""
-    granted = _ANSWERS.get(observation.request.kind)
-    if granted is None:
-        return state, command
-    state, answered = granted(state, command, observation, params)
-    if answered.say != command.say:
-        answered = replace(answered, say=in_one_line(command.say, answered.say))
-    return state, answered
+CLEAR_ENDS = frozenset({FaultCode.ESTIMATE_UNTRUSTED})
+"""Faults whose cause may persist at a clear: it takes a new reference, and without an estimate they latch again."""
 
 
-def next_leg(state: GraspState, height_mm: float, params: GuardParams) -> ArmLift:
-    """The next piece of the way to the goal: the first `probe_height_mm` of a lift slowly, the rest in one."""
-    goal_mm = state.goal_mm if state.goal_mm is not None else height_mm
-    way_mm = goal_mm - height_mm
-    if state.phase is Phase.LOWERING:
-        return ArmLift(way_mm, state.lift_speed_mm_s or params.tuning.lower_speed_mm_s)
-    speed_mm_s = state.lift_speed_mm_s or params.lift_speed_mm_s
-    ground_mm = state.ground_mm if state.ground_mm is not None else height_mm
-    probe_mm = ground_mm + params.tuning.probe_height_mm - height_mm
-    if probe_mm > 0.5 and way_mm > probe_mm:
-        return ArmLift(probe_mm, min(params.tuning.probe_speed_mm_s, speed_mm_s))
-    if probe_mm > 0.5:
-        return ArmLift(way_mm, min(params.tuning.probe_speed_mm_s, speed_mm_s))
-    return ArmLift(way_mm, speed_mm_s)
+def handle_request(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:
+    """Grant or refuse the request of this step, on top of what the phase has commanded already."""
+    handle = _HANDLERS.get(observation.request.kind)
+    return (state, output) if handle is None else handle(state, output, observation, params)
 
 
-def _refuse(state: GraspState, command: Command, why: str) -> Outcome:
-    return state, replace(command, refused=why)
+def _refuse(state: GraspState, output: StepOutput, why: Message) -> Result:
+    return state, replace(output, refusal=why)
 
 
-def _grasp(state: GraspState, command: Command, observation: Observation, params: GuardParams) -> Outcome:
-    if state.phase is not Phase.IDLE:
-        why = _latched(state) or f"cannot grasp while {state.phase}; release first"
-        return _refuse(state, command, why)
-    if observation.gripper is None:
-        return _refuse(state, command, "the gripper is not there; see its health in `slipguard ctl state`")
-    if observation.gripper.fault is not None or not observation.gripper.active:
-        return _refuse(state, command, f"the gripper is not ready ({observation.gripper.fault or 'not activated'})")
-    if observation.gripper.holding and not state.closing_interrupted:
-        return _refuse(state, command, "something is held already; `guard on` guards it, `release` lets it go")
-    if state.person_near:
-        return _refuse(state, command, "the arm is in a protective or emergency stop; end that first")
-    within = limits.budget(params.force_max_n, observation.gripper_limits_n)
-    if within is None:
-        weakest = f"force_max_n = {params.force_max_n:g} N is below the {observation.gripper_limits_n[0]:g} N"
-        return _refuse(state, command, f"{weakest} this gripper applies at least")
-    wanted_n = observation.request.force_n if observation.request.force_n is not None else limits.first_n(params)
-    if wanted_n > params.force_max_n:
-        return _refuse(state, command, f"{wanted_n:g} N is above force_max_n = {params.force_max_n:g} N")
-    force_n = limits.allowed(wanted_n, 0.0, within)
-    state = replace(emptied(state, Phase.CLOSING, observation.now_s), target_n=force_n, commanded_s=observation.now_s)
-    return state, replace(command, hold_force_n=force_n, say=f"closing with {force_n:.0f} N")
-
-
-def _lift(state: GraspState, command: Command, observation: Observation, params: GuardParams) -> Outcome:
-    why = _no_motion(state, observation, params, "lift")
-    if why is None and state.guarding and state.blind is not None and params.on_no_estimate == "refuse":
-        why = f"the turn cannot be seen ({state.blind}); grip it elsewhere, or set on_blind = 'grip'"
-    if why is not None or observation.arm is None:
-        return _refuse(state, command, why or "")
-    height_mm = observation.request.height_mm if observation.request.height_mm is not None else params.lift_height_mm
-    here_mm = observation.arm.height_mm
-    state = replace(
-        entered(state, Phase.LIFTING, observation.now_s),
-        ground_mm=here_mm if state.ground_mm is None else state.ground_mm,
-        goal_mm=here_mm + height_mm,
-        lift_speed_mm_s=observation.request.speed_mm_s,
-        arm_sent_s=observation.now_s,
-    )
-    leg = next_leg(state, here_mm, params)
-    return state, replace(command, arm=leg, say=f"lifting by {height_mm:g} mm")
-
-
-def _lower(state: GraspState, command: Command, observation: Observation, params: GuardParams) -> Outcome:
-    why = _no_motion(state, observation, params, "lower")
-    if why is None and state.ground_mm is None and observation.request.height_mm is None:
-        why = "the way down is not known (no lift since it was gripped, or the arm was away); give a height"
-    if why is not None or observation.arm is None:
-        return _refuse(state, command, why or "")
-    here_mm = observation.arm.height_mm
-    if observation.request.height_mm is not None:
-        goal_mm = here_mm - observation.request.height_mm
-    else:
-        goal_mm = state.ground_mm if state.ground_mm is not None else here_mm
-    state = replace(
-        entered(state, Phase.LOWERING, observation.now_s),
-        goal_mm=goal_mm,
-        lift_speed_mm_s=observation.request.speed_mm_s,
-        arm_sent_s=observation.now_s,
-    )
-    leg = next_leg(state, here_mm, params)
-    return state, replace(command, arm=leg, say=f"lowering by {here_mm - goal_mm:.0f} mm")
-
-
-def _latched(state: GraspState) -> str | None:
-    """What comes before any command but a release: the fault, if there is one."""
+def _latched(state: GraspState) -> Message | None:
+    """Return the refusal while a fault is latched."""
     if state.phase is not Phase.FAULT or state.fault is None:
         return None
-    return f"a fault is latched ({state.fault.code}); clear it first"
+    return Text.FAULT_LATCHED.message(code=state.fault.code)
 
 
-def _no_motion(state: GraspState, observation: Observation, params: GuardParams, verb: str) -> str | None:
-    """Why slipguard may not move the arm now; None if it may."""
-    if params.mode == "guard":
-        return f"cannot {verb}: in guard mode the arm belongs to another program"
-    if state.phase is not Phase.HOLDING:
-        return _latched(state) or f"cannot {verb} while {state.phase}; grasp and wait for 'holding'"
-    if state.slip is not None:
-        return f"cannot {verb}: the object is slipping; wait until it is calm"
-    if observation.gripper is None or not gripper_at_rest(state, observation.gripper):
-        return f"cannot {verb}: the grip is not yet firm; ask again in a moment"
-    if observation.arm is None:
-        return f"cannot {verb}: the arm is not there; see its health in `slipguard ctl state`"
-    if state.person_near:
-        return f"cannot {verb}: the arm is in a protective or emergency stop; end that first"
+def _gripper_unfit(gripper: GripperState | None) -> Message | None:
+    """Return why the gripper cannot be commanded."""
+    if gripper is None:
+        return Text.GRIPPER_MISSING.message()
+    if gripper.fault is not None or not gripper.active:
+        return Text.GRIPPER_NOT_READY.message(why=gripper.fault or "not activated")
     return None
 
 
-def _guard_on(state: GraspState, command: Command, observation: Observation, params: GuardParams) -> Outcome:
-    state = replace(state, guarding=True)
-    if state.phase is Phase.FAULT and state.hands_off:
-        return _guard_again(state, command, observation)
-    if state.phase is Phase.FAULT:
-        return state, replace(command, say="guarding; the fault stays latched until it is cleared")
+def _grasp(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:
     if state.phase is not Phase.IDLE:
-        return state, replace(command, say="guarding")
-    if observation.gripper is None or not observation.gripper.holding:
+        busy = Text.NOT_IN_PHASE.message(verb="grasp", phase=state.phase, hint="release first")
+        return _refuse(state, output, _latched(state) or busy)
+    gripper, limit_n = observation.gripper, params.force_max_n
+    if (why := _gripper_unfit(gripper)) is not None:
+        return _refuse(state, output, why)
+    if gripper is not None and gripper.holding and not state.hands_off.closing_interrupted:
+        return _refuse(state, output, Text.ALREADY_HELD.message())
+    if state.person.now:
+        return _refuse(state, output, Text.ARM_STOPPED.message(verb="grasp"))
+    force_range = force_limits.force_range(limit_n, observation.gripper_limits_n)
+    if force_range is None:
+        weakest_n = observation.gripper_limits_n[0]
+        return _refuse(state, output, Text.LIMIT_BELOW_GRIPPER.message(limit_n=limit_n, weakest_n=weakest_n))
+    requested_n = observation.request.force_n
+    force_n = requested_n if requested_n is not None else force_limits.first_n(params)
+    if force_n > limit_n:
+        return _refuse(state, output, Text.ABOVE_FORCE_LIMIT.message(force_n=force_n, limit_n=limit_n))
+    force_n = force_range.allowed(force_n, 0.0)
+    state = state.emptied(Phase.CLOSING, observation.now_s).with_target(force_n, observation.now_s)
+    return state, replace(output, gripper=HoldForce(force_n)).with_messages(Text.CLOSING.message(force_n=force_n))
+
+
+def _no_motion(state: GraspState, observation: Observation, params: GuardParams, verb: str) -> Message | None:
+    """Return why slipguard must not move the arm now."""
+    if params.mode == "guard":
+        return Text.NOT_IN_GUARD_MODE.message(verb=verb)
+    if state.phase is not Phase.HOLDING:
+        hint = "grasp and wait for 'holding'"
+        return _latched(state) or Text.NOT_IN_PHASE.message(verb=verb, phase=state.phase, hint=hint)
+    if state.held.slip is not None:
+        return Text.NOT_WHILE_SLIPPING.message(verb=verb)
+    if observation.gripper is None or not gripper_at_rest(state, observation.gripper):
+        return Text.GRIP_NOT_FIRM.message(verb=verb)
+    if observation.arm is None:
+        return Text.ARM_MISSING.message(verb=verb)
+    if state.person.now:
+        return Text.ARM_STOPPED.message(verb=verb)
+    return None
+
+
+def _lift(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:
+    why, reason = _no_motion(state, observation, params, "lift"), state.held.no_estimate
+    if why is None and state.guarding and reason is not None and params.on_no_estimate == "refuse":
+        why = Text.NO_ESTIMATE_REFUSED.message(why=reason)
+    arm = observation.arm
+    if why is not None or arm is None:
+        return _refuse(state, output, why or Text.ARM_MISSING.message(verb="lift"))
+    requested_mm = observation.request.height_mm
+    height_mm = requested_mm if requested_mm is not None else params.lift_height_mm
+    ground_mm = arm.height_mm if state.arm.ground_mm is None else state.arm.ground_mm
+    message = Text.LIFTING.message(height_mm=height_mm)
+    state = replace(state, arm=replace(state.arm, ground_mm=ground_mm))
+    return _start(state, Phase.LIFTING, arm.height_mm + height_mm, arm, observation, params, output, message)
+
+
+def _lower(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:
+    why, requested_mm = _no_motion(state, observation, params, "lower"), observation.request.height_mm
+    ground_mm, arm = state.arm.ground_mm, observation.arm
+    if why is None and ground_mm is None and requested_mm is None:
+        why = Text.WAY_DOWN_UNKNOWN.message()
+    if why is not None or arm is None:
+        return _refuse(state, output, why or Text.ARM_MISSING.message(verb="lower"))
+    goal_mm = ground_mm if requested_mm is None and ground_mm is not None else arm.height_mm - (requested_mm or 0.0)
+    message = Text.LOWERING.message(height_mm=arm.height_mm - goal_mm)
+    return _start(state, Phase.LOWERING, goal_mm, arm, observation, params, output, message)
+
+
+def _start(
+    state: GraspState,
+    phase: Phase,
+    goal_mm: float,
+    arm: ArmState,
+    observation: Observation,
+    params: GuardParams,
+    output: StepOutput,
+    message: Message,
+) -> Result:
+    """Begin a lift or lowering with its first leg."""
+    state = state.entered(phase, observation.now_s)
+    speed_mm_s = observation.request.speed_mm_s
+    motion = replace(state.arm, goal_mm=goal_mm, speed_mm_s=speed_mm_s, commanded_s=observation.now_s)
+    state = replace(state, arm=motion)
+    leg = arm_motion.next_leg(state, arm.height_mm, params)
+    return state, replace(output, arm=leg).with_messages(message)
+
+
+def _guard_on(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:
+    state, gripper = replace(state, guarding=True), observation.gripper
+    if state.phase is Phase.FAULT and state.hands_off:
+        return _guard_in_fault(state, output, gripper)
+    if state.phase is Phase.FAULT:
+        return state, output.with_messages(Text.GUARDING_IN_FAULT.message())
+    if state.phase is not Phase.IDLE:
+        return state, output.with_messages(Text.GUARDING.message())
+    if gripper is None or not gripper.holding:
         if params.mode == "guard":
-            return state, replace(command, say="will guard what is gripped")
-        return _refuse(state, command, "nothing is held; grasp something first")
-    if state.closing_interrupted and observation.gripper.force_n <= 0.0:
-        return _refuse(state, command, f"{INTERRUPTED}; grasp again, or release")
-    said = f"guarding what is held with {observation.gripper.force_n:.0f} N"
-    return taken_over(state, observation.gripper, observation.now_s), replace(command, new_reference=True, say=said)
+            return state, output.with_messages(Text.WILL_GUARD.message())
+        return _refuse(state, output, Text.NOTHING_HELD.message())
+    if state.hands_off.closing_interrupted and gripper.force_n <= 0.0:
+        return _refuse(state, output, Text.INTERRUPTED.message())
+    message = Text.GUARDING_HELD.message(force_n=gripper.force_n)
+    state = state.taken_over(gripper, observation.now_s)
+    return state, replace(output, new_reference=True).with_messages(message)
 
 
-def _guard_again(state: GraspState, command: Command, observation: Observation) -> Outcome:
-    """In a fault, guard an object after a release request or an interrupted closing. The fault stays latched.
+def _guard_in_fault(state: GraspState, output: StepOutput, gripper: GripperState | None) -> Result:
+    """Guard an object after a release request or an interrupted closing. The fault stays latched.
 
     An interrupted closing counts as a grip only if the gripper reports a force; the force target never falls.
     """
-    if observation.gripper is None or not observation.gripper.holding:
-        return _refuse(state, command, "nothing is held; clear, then grasp something first")
-    force_n = observation.gripper.force_n
-    if state.closing_interrupted and force_n <= 0.0:
-        return _refuse(state, command, f"{INTERRUPTED}; clear and grasp again, or release")
-    state = replace(
-        state,
-        release_requested=False,
-        closing_interrupted=False,
-        gripped=True,
-        target_n=max(state.target_n, force_n),
-        commanded_s=-math.inf,
-        detector=SlipMemory(),
-    )
-    return state, replace(command, new_reference=True, say=f"guarding what is held with {force_n:.0f} N")
+    if gripper is None or not gripper.holding:
+        return _refuse(state, output, Text.NOTHING_HELD_IN_FAULT.message())
+    if state.hands_off.closing_interrupted and gripper.force_n <= 0.0:
+        return _refuse(state, output, Text.INTERRUPTED_IN_FAULT.message())
+    target_n = max(state.grip.target_n, gripper.force_n)
+    grip = replace(state.grip, target_n=target_n, commanded_s=-math.inf, closed=True)
+    held = replace(state.held, memory=SlipMemory())
+    message = Text.GUARDING_HELD.message(force_n=gripper.force_n)
+    state = replace(state, grip=grip, held=held, hands_off=HandsOff())
+    return state, replace(output, new_reference=True).with_messages(message)
 
 
-def _guard_off(state: GraspState, command: Command, observation: Observation, params: GuardParams) -> Outcome:
+def _guard_off(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:
     if (why := _latched(state)) is not None:
-        return _refuse(state, command, why)
-    state = replace(state, guarding=False, slip=None, detector=SlipMemory())
-    return state, replace(command, say="not guarding: slip is not acted on")
+        return _refuse(state, output, why)
+    held = replace(state.held, memory=SlipMemory(), slip=None)
+    return replace(state, guarding=False, held=held), output.with_messages(Text.NOT_GUARDING.message())
 
 
-def _gripper(state: GraspState, command: Command, observation: Observation, params: GuardParams) -> Outcome:
-    """Another program's grip: granted empty-handed; with an object held only ever tighter."""
-    request, gripper = observation.request, observation.gripper
+def _gripper(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:
+    """Grant another program's grip if nothing is held; with an object held only a tighter one."""
+    request, gripper, limit_n = observation.request, observation.gripper, params.force_max_n
     if request.width_mm is None and request.force_n is None:
-        return _refuse(state, command, "say what the jaws shall do: give a width, a force or both")
+        return _refuse(state, output, Text.GIVE_WIDTH_OR_FORCE.message())
     force_n = request.force_n if request.force_n is not None else params.first_force_n
-    within = limits.budget(params.force_max_n, observation.gripper_limits_n)
-    if gripper is None:
-        return _refuse(state, command, "the gripper is not there; see its health in `slipguard ctl state`")
-    if gripper.fault is not None or not gripper.active:
-        return _refuse(state, command, f"the gripper is not ready ({gripper.fault or 'not activated'})")
-    if within is None or force_n > params.force_max_n:
-        return _refuse(state, command, f"{force_n:g} N is not within force_max_n = {params.force_max_n:g} N")
-    if state.person_near:
-        return _refuse(state, command, "the arm is in a protective or emergency stop; end that first")
+    force_range = force_limits.force_range(limit_n, observation.gripper_limits_n)
+    why = _gripper_unfit(gripper)
+    if why is not None or gripper is None:
+        return _refuse(state, output, why or Text.GRIPPER_MISSING.message())
+    if force_range is None or force_n > limit_n:
+        return _refuse(state, output, Text.NOT_WITHIN_FORCE_LIMIT.message(force_n=force_n, limit_n=limit_n))
+    if state.person.now:
+        return _refuse(state, output, Text.ARM_STOPPED.message(verb="move the jaws"))
+    guarded = params.mode == "guard" and state.guarding  # then an object that the jaws meet is guarded by itself
     if state.phase is Phase.IDLE and not gripper.holding:
         if request.width_mm is None:
-            return _refuse(state, command, "nothing is held: give the width the jaws shall move to")
-        force_n = limits.allowed(force_n, 0.0, within)
-        said = f"moving the jaws to {request.width_mm:g} mm with {force_n:.0f} N"
-        if request.width_mm < gripper.width_mm:
-            said += _nobody_guards(state, params)
-        return state, replace(command, move_width_mm=request.width_mm, move_force_n=force_n, say=said)
+            return _refuse(state, output, Text.GIVE_WIDTH.message())
+        force_n = force_range.allowed(force_n, 0.0)
+        opens = request.width_mm >= gripper.width_mm
+        text = Text.MOVING_JAWS if opens or guarded else Text.MOVING_JAWS_UNGUARDED
+        output = replace(output, gripper=MoveJaws(request.width_mm, force_n))
+        return state, output.with_messages(text.message(width_mm=request.width_mm, force_n=force_n))
     if state.phase in (Phase.CLOSING, Phase.RELEASED, Phase.FAULT):
-        return _refuse(state, command, _latched(state) or f"cannot move the jaws while {state.phase}")
+        busy = Text.NOT_IN_PHASE.message(verb="move the jaws", phase=state.phase, hint="wait, or release")
+        return _refuse(state, output, _latched(state) or busy)
     if request.width_mm is not None and request.width_mm > gripper.width_mm:
-        return _refuse(state, command, "an object is held and opening would drop it; use release")
-    target_n = limits.allowed(force_n, max(state.target_n, gripper.force_n), within)
-    said = f"holding with {target_n:.0f} N, as asked"
+        return _refuse(state, output, Text.WOULD_DROP.message())
+    target_n = force_range.allowed(force_n, max(state.grip.target_n, gripper.force_n))
+    output = replace(output, gripper=HoldForce(target_n))
     if state.phase is Phase.IDLE:
-        return state, replace(command, hold_force_n=target_n, say=said + _nobody_guards(state, params))
-    state = replace(state, target_n=target_n, commanded_s=observation.now_s)
-    return state, replace(command, hold_force_n=target_n, say=said)
+        text = Text.HOLDING_AS_REQUESTED if guarded else Text.HOLDING_UNGUARDED
+        return state, output.with_messages(text.message(force_n=target_n))
+    message = Text.HOLDING_AS_REQUESTED.message(force_n=target_n)
+    return state.with_target(target_n, observation.now_s), output.with_messages(message)
 
 
-def _nobody_guards(state: GraspState, params: GuardParams) -> str:
-    """In guard mode what the jaws meet is guarded by itself; in lift mode it may be anything."""
-    by_itself = params.mode == "guard" and state.guarding
-    return "" if by_itself else "; what they grip is not guarded until `guard on`"
-
-
-def _clear(state: GraspState, command: Command, observation: Observation, params: GuardParams) -> Outcome:
-    """Out of FAULT, into the phase that fits what the gripper holds."""
+def _clear(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:
+    """Leave FAULT for the phase that fits what the gripper holds."""
+    gripper, now_s = observation.gripper, observation.now_s
     if state.phase is not Phase.FAULT:
-        return _refuse(state, command, "no fault is latched")
-    if state.putting_down:
-        return _refuse(state, command, "the object is being put down; clear when the arm stands, or release")
-    lasting = [
-        fault for fault in (observation.fault, *observation.also) if fault is not None and fault.code not in MAY_LAST
-    ]
+        return _refuse(state, output, Text.NO_FAULT.message())
+    if state.arm.putting_down:
+        return _refuse(state, output, Text.BEING_PUT_DOWN.message())
+    lasting = [fault for fault in observation.faults if fault.code not in CLEAR_ENDS]
     if lasting:
-        return _refuse(state, command, f"the cause is still there: {lasting[0]}")
-    if observation.gripper is None:
-        return _refuse(state, command, "the gripper is not there, so it is not known what it holds")
-    if state.person_near:
-        return _refuse(state, command, "the arm is in a protective or emergency stop; end that first")
-    if observation.gripper.moving and not observation.gripper.holding:
-        return _refuse(state, command, "the gripper is moving, so it is not known what it will hold; ask again")
-    if not observation.gripper.holding:
-        return emptied(state, Phase.IDLE, observation.now_s), replace(command, say="cleared; nothing is held")
-    if state.closing_interrupted:
-        said = "cleared; the closing was cut short: grasp again, or release"
-        return replace(emptied(state, Phase.IDLE, observation.now_s), closing_interrupted=True), replace(
-            command, say=said
-        )
-    ground_mm, target_n = state.ground_mm, max(state.target_n, observation.gripper.force_n)
-    commanded_s = state.commanded_s
-    state = taken_over(state, observation.gripper, observation.now_s)
-    state = replace(state, ground_mm=ground_mm, target_n=target_n, commanded_s=commanded_s)
-    said = f"cleared; holding with {target_n:.0f} N"
-    return state, replace(command, new_reference=True, say=said)
+        return _refuse(state, output, Text.CAUSE_PERSISTS.message(fault=lasting[0]))
+    if gripper is None:
+        return _refuse(state, output, Text.HOLD_UNKNOWN.message())
+    if state.person.now:
+        return _refuse(state, output, Text.ARM_STOPPED.message(verb="clear"))
+    if gripper.moving and not gripper.holding:
+        return _refuse(state, output, Text.HOLD_UNKNOWN_YET.message())
+    if not gripper.holding:
+        return state.emptied(Phase.IDLE, now_s), output.with_messages(Text.CLEARED_EMPTY.message())
+    if state.hands_off.closing_interrupted:
+        state = replace(state.emptied(Phase.IDLE, now_s), hands_off=HandsOff(closing_interrupted=True))
+        return state, output.with_messages(Text.CLEARED_INTERRUPTED.message())
+    before, state = state, state.taken_over(gripper, now_s)
+    target_n = max(before.grip.target_n, gripper.force_n)
+    grip = replace(state.grip, target_n=target_n, commanded_s=before.grip.commanded_s)
+    state = replace(state, grip=grip, arm=replace(state.arm, ground_mm=before.arm.ground_mm))
+    message = Text.CLEARED_HOLDING.message(force_n=target_n)
+    return state, replace(output, new_reference=True).with_messages(message)
 
 
-_ANSWERS: dict[RequestKind, Callable[[GraspState, Command, Observation, GuardParams], Outcome]] = {
+_HANDLERS: dict[RequestKind, Callable[[GraspState, StepOutput, Observation, GuardParams], Result]] = {
     RequestKind.GRASP: _grasp,
     RequestKind.LIFT: _lift,
     RequestKind.LOWER: _lower,

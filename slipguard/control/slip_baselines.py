@@ -1,206 +1,152 @@
-"""What is remembered of a held object from frame to frame: where it was, where it rests, and who told it."""
+"""Baselines of the slip detector: the angles and shifts from which motion of a held object counts."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from slipguard.control.finger_fusion import FusedEstimate
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_thresholds import MotionCase, RestingPlace, moved
 
 SHIFT_TAU_S = 0.05
 """Time constant of the filtered derivative of the shift: three frames at 60 fps."""
-CALM_SHIFT_MM = 0.3
-"""A patch centre that wanders less than this is at rest; its noise is about 0.05 mm."""
-HANDOVER_DEG, HANDOVER_MM = 2.0, 0.5
-"""Two fingers tell the same turn and the same slide no further apart than this, all in all; more is motion."""
-SAME_DEG = 1e-6
-"""Places no further apart are one, but for rounding."""
-SECOND_LOOK_S = 0.1
-"""A later frame is no second look at a change of finger: the object may have turned."""
+SETTLED_SHIFT_MM = 0.3
+"""A contact centre that wanders less than this is at rest; its noise is about 0.05 mm."""
+SWITCH_MAX_DEG, SWITCH_MAX_MM = 2.0, 0.5
+"""Two fingers differ by no more than this in total; more is motion of the object."""
 
 
 @dataclass(frozen=True, slots=True)
-class Handover:
-    """Others, of whom nothing is known yet, tell the turn since a moment ago.
+class Baselines:
+    """The angles (and downward shifts) from which motion of the object counts. None: unknown.
 
-    told: what was told before, and when. near: where the turn was on average while the arm stood, None while it moved.
-    by: what it moved. newest_at_s: of the measurements that moved it.
+        rotation
+           ^                            * frame        while the arm is at rest:
+           |                          *                  frame - previous_deg   the sensor's noise
+           |   - - - - - - - - - - -*- - - resting_deg   frame - resting_deg    slip if above a fraction of a degree
+           |  ______settled_deg______                    frame - settled_deg    not settled if above settle_deg
+           | _____episode_deg____________                frame - episode_deg    slip if above 2 degrees and fast
+           |___before_motion_deg_____________> time      frame - before_motion_deg   stays after a motion of the arm: slip
+
+    Args:
+        episode_deg, episode_mm: where the object was when the last slip episode ended, or at the start.
+        settled_deg, settled_mm, settled_since_s: where it has been within the settling tolerance, and since when.
+        resting_deg: where it rests, slowly followed; while the arm moves: where it last rested.
+        previous_deg: the frame before, at rest.
+        before_motion_deg: where it rested before the arm's motions, as long as none has rotated it.
     """
 
-    told_deg: float
-    told_s: float
-    near_deg: float | None
+    episode_deg: float | None = None
+    episode_mm: float | None = None
+    settled_deg: float | None = None
+    settled_mm: float | None = None
+    settled_since_s: float | None = None
+    resting_deg: float | None = None
+    previous_deg: float | None = None
+    before_motion_deg: float | None = None
+
+    def moved(self, by_deg: float, by_mm: float = 0.0) -> Baselines:
+        """Return the same baselines as fingers see them whose estimates differ by this offset."""
+        return Baselines(
+            plus(self.episode_deg, by_deg),
+            plus(self.episode_mm, by_mm),
+            plus(self.settled_deg, by_deg),
+            plus(self.settled_mm, by_mm),
+            self.settled_since_s,
+            plus(self.resting_deg, by_deg),
+            plus(self.previous_deg, by_deg),
+            plus(self.before_motion_deg, by_deg),
+        )
+
+    def with_settled(self, fused: FusedEstimate, params: GuardParams) -> Baselines:
+        """Return where the object has settled and since when: within `settle_deg` (or two sigma) and 0.3 mm."""
+        tuning = params.tuning
+        settle_deg = max(tuning.settle_deg, min(2.0 * (fused.sigma_deg or 0.0), tuning.sigma_threshold_max_deg))
+        near = _near(fused.rotation_deg, self.settled_deg, settle_deg)
+        if near and _near(fused.shift_mm, self.settled_mm, SETTLED_SHIFT_MM) and self.settled_since_s is not None:
+            return replace(
+                self,
+                settled_deg=fused.rotation_deg if self.settled_deg is None else self.settled_deg,
+                settled_mm=fused.shift_mm if self.settled_mm is None else self.settled_mm,
+            )
+        return replace(
+            self, settled_deg=fused.rotation_deg, settled_mm=fused.shift_mm, settled_since_s=fused.captured_at_s
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class FingerSwitch:
+    """A switch to fingers whose offset is unknown yet: what was estimated just before.
+
+    by_deg: the offset of the first frame. newest_at_s: of the measurements it comes from.
+    """
+
+    last_deg: float
+    last_s: float
+    resting_deg: float | None
     by_deg: float = 0.0
     newest_at_s: float = -math.inf
 
+    def offset_deg(self, fused: FusedEstimate, total_deg: float) -> float:
+        """Return how far the new fingers are from the former ones, less what the object has rotated since."""
+        rotation_deg = fused.rotation_deg or 0.0
+        rotated_deg = (fused.rate_deg_s or 0.0) * (fused.captured_at_s - self.last_s)
+        by_deg = rotation_deg - self.last_deg - rotated_deg
+        if self.resting_deg is not None:
+            by_deg = min(by_deg, rotation_deg - self.resting_deg, key=abs)
+        return within(total_deg + by_deg, SWITCH_MAX_DEG) - total_deg
+
 
 @dataclass(frozen=True, slots=True)
-class SlipMemory:
-    """What is remembered between frames.
+class ReportingFingers:
+    """Which fingers the estimate comes from, and the offset between fingers.
 
-    base: where the object was when it was last calm. turns, slides: episodes of either that were answered with force.
-    patient: one of turning is over, answered or not. told: who told the turn last, what and when.
-    handed: by how much all changes of finger have moved it. known: how much that is with which fingers, of those who
-    have told. handover: the last change, until it has been looked at twice. frames, counted_s: how many in a row showed
-    slip, and the newest measurement of the last of them. far_frames: measured frames in a row beyond the turn at which
-    it is given up.
+    Args:
+        names: the fingers of the last estimate. last_deg, last_s: that estimate and when it was captured.
+        total_deg, total_mm: by how much all switches together have moved the baselines.
+        known: that total for each set of fingers that has reported.
+        switch: the last switch, until a second frame has confirmed its offset.
     """
 
-    base_rotation_deg: float | None = None
-    base_shift_mm: float | None = None
-    measured_s: float = -math.inf
-    captured_s: float = -math.inf
-    frames: int = 0
-    counted_s: float = -math.inf
-    far_frames: int = 0
-    rotations: int = 0
-    slides: int = 0
-    patient: bool = False
-    told_by: tuple[str, ...] = ()
-    told_deg: float = 0.0
-    told_s: float = 0.0
-    handed_deg: float = 0.0
-    handed_mm: float = 0.0
+    names: tuple[str, ...] = ()
+    last_deg: float = 0.0
+    last_s: float = 0.0
+    total_deg: float = 0.0
+    total_mm: float = 0.0
     known: tuple[tuple[tuple[str, ...], float], ...] = ()
-    handover: Handover | None = None
-    smooth_shift_mm: float | None = None
-    slip_rate_mm_s: float = 0.0
-    rest_rotation_deg: float | None = None
-    rest_shift_mm: float | None = None
-    rest_since_s: float | None = None
-    alert: RestingPlace = field(default_factory=RestingPlace)
-
-    def elsewhere(self, before: SlipMemory) -> bool:
-        """Whether turns count from another place than before, or are told by others, who may contradict them."""
-        if before.told_by and self.told_by != before.told_by:
-            return True
-        if self.base_rotation_deg is None or before.base_rotation_deg is None:
-            return self.base_rotation_deg is not before.base_rotation_deg
-        moved_deg = (self.base_rotation_deg - self.handed_deg) - (before.base_rotation_deg - before.handed_deg)
-        return abs(moved_deg) > SAME_DEG
-
-    def rebased(self, *, rotated: bool, slid: bool, raised: bool) -> SlipMemory:
-        """An episode is over: from here on only what moves further counts. raised: it was answered with force."""
-        return replace(
-            self,
-            base_rotation_deg=None,
-            base_shift_mm=None,
-            frames=0,
-            handover=None,
-            rotations=self.rotations + (rotated and raised),
-            slides=self.slides + (slid and raised),
-            patient=self.patient or rotated,
-            alert=replace(self.alert, near_deg=None, rested_deg=None),
-        )
+    switch: FingerSwitch | None = None
 
 
-def handed_over(detector: SlipMemory, fused: FusedEstimate) -> SlipMemory:
-    """Other fingers than before tell the turn: what is remembered moves by the difference between them.
+@dataclass(frozen=True, slots=True)
+class ShiftFilter:
+    """The smoothed downward shift and its rate."""
 
-    What the object has turned and slid in between, by its rates, is no part of that, nor what is beyond all difference.
-    A finger that comes and goes hides no slip: by what it differs is settled when it first tells alone, and undone when
-    it does no longer. What a single frame is off by would stay for good: the smallest difference counts, of two
-    frames, and from where the turn was on average as from where it was told last.
-    """
-    if fused.rotation_deg is None:
-        return replace(detector, handover=None)
-    if fused.fingers == detector.told_by:
-        return _seen_twice(detector, fused)
-    now = replace(detector, told_by=fused.fingers, handover=None)
-    if not detector.told_by:
-        return now
-    known = {**dict(now.known), detector.told_by: now.handed_deg}
-    now = replace(now, known=tuple(known.items()))
-    if fused.fingers in known:
-        by_deg = known[fused.fingers] - now.handed_deg
-    else:
-        first = Handover(now.told_deg, now.told_s, now.alert.near_deg if now.alert.case is MotionCase.REST else None)
-        by_deg = _differ_by(first, fused, now.handed_deg)
-        now = replace(now, handover=replace(first, by_deg=by_deg, newest_at_s=fused.newest_at_s))
-    now = replace(_moved_by(now, by_deg), told_deg=now.told_deg + by_deg)
-    if fused.shift_mm is None or now.smooth_shift_mm is None:
-        return now
-    slid_mm = now.slip_rate_mm_s * SHIFT_TAU_S
-    handed_mm = _within(now.handed_mm + fused.shift_mm - now.smooth_shift_mm - slid_mm, HANDOVER_MM)
-    by_mm = handed_mm - now.handed_mm
-    return replace(
-        now,
-        handed_mm=handed_mm,
-        base_shift_mm=moved(now.base_shift_mm, by_mm),
-        rest_shift_mm=moved(now.rest_shift_mm, by_mm),
-        smooth_shift_mm=now.smooth_shift_mm + by_mm,
-    )
+    smooth_mm: float | None = None
+    rate_mm_s: float = 0.0
+
+    def next(self, fused: FusedEstimate, captured_s: float) -> ShiftFilter:
+        """Return the filter after one more estimate. captured_s: of the one before."""
+        if fused.shift_mm is None:
+            return ShiftFilter()
+        if self.smooth_mm is None:
+            return replace(self, smooth_mm=fused.shift_mm)
+        passed_s = fused.captured_at_s - captured_s
+        if passed_s <= 0.0:
+            return self
+        share = 1.0 - math.exp(-passed_s / SHIFT_TAU_S)
+        smooth_mm = self.smooth_mm + share * (fused.shift_mm - self.smooth_mm)
+        return ShiftFilter(smooth_mm, (fused.shift_mm - smooth_mm) / SHIFT_TAU_S)
 
 
-def _seen_twice(detector: SlipMemory, fused: FusedEstimate) -> SlipMemory:
-    """The first frame after a change of fingers may have been off by itself."""
-    first = detector.handover
-    if first is None or fused.measured_at_s <= first.newest_at_s:
-        return detector
-    if fused.captured_at_s - first.newest_at_s > SECOND_LOOK_S:
-        return replace(detector, handover=None)
-    second_deg = _differ_by(first, fused, detector.handed_deg - first.by_deg)
-    by_deg = min(first.by_deg, second_deg, key=abs)
-    return replace(_moved_by(detector, by_deg - first.by_deg), handover=None)
+def plus(value: float | None, by: float) -> float | None:
+    """Return the sum; None stays None."""
+    return None if value is None else value + by
 
 
-def _differ_by(before: Handover, fused: FusedEstimate, handed_deg: float) -> float:
-    """How far these fingers are from what the others told, but for what the object has turned since."""
-    rotation_deg = fused.rotation_deg or 0.0
-    rotated_deg = (fused.rate_deg_s or 0.0) * (fused.captured_at_s - before.told_s)
-    by_deg = rotation_deg - before.told_deg - rotated_deg
-    if before.near_deg is not None:
-        by_deg = min(by_deg, rotation_deg - before.near_deg, key=abs)
-    return _within(handed_deg + by_deg, HANDOVER_DEG) - handed_deg
+def _near(value: float | None, other: float | None, within: float) -> bool:
+    return value is None or other is None or abs(value - other) <= within
 
 
-def _moved_by(detector: SlipMemory, by_deg: float) -> SlipMemory:
-    """The places that are remembered, moved to where these fingers would have seen them."""
-    return replace(
-        detector,
-        handed_deg=detector.handed_deg + by_deg,
-        base_rotation_deg=moved(detector.base_rotation_deg, by_deg),
-        rest_rotation_deg=moved(detector.rest_rotation_deg, by_deg),
-        alert=detector.alert.handed_over(by_deg),
-    )
-
-
-def follow_shift(detector: SlipMemory, fused: FusedEstimate) -> SlipMemory:
-    """Filtered derivative of the shift; the first shift after none starts it anew."""
-    if fused.shift_mm is None:
-        return replace(detector, smooth_shift_mm=None, slip_rate_mm_s=0.0)
-    if detector.smooth_shift_mm is None:
-        return replace(detector, smooth_shift_mm=fused.shift_mm)
-    passed_s = fused.captured_at_s - detector.captured_s
-    if passed_s <= 0.0:
-        return detector
-    share = 1.0 - math.exp(-passed_s / SHIFT_TAU_S)
-    smooth_mm = detector.smooth_shift_mm + share * (fused.shift_mm - detector.smooth_shift_mm)
-    return replace(detector, smooth_shift_mm=smooth_mm, slip_rate_mm_s=(fused.shift_mm - smooth_mm) / SHIFT_TAU_S)
-
-
-def follow_rest(detector: SlipMemory, fused: FusedEstimate, params: GuardParams) -> SlipMemory:
-    """Where the object rests and since when: within `calm_deg` (or two sigma) and 0.3 mm of one place."""
-    calm_deg = max(params.tuning.settle_deg, min(2.0 * (fused.sigma_deg or 0.0), params.tuning.sigma_threshold_max_deg))
-    rests = _near(fused.rotation_deg, detector.rest_rotation_deg, calm_deg) and _near(
-        fused.shift_mm, detector.rest_shift_mm, CALM_SHIFT_MM
-    )
-    if rests and detector.rest_since_s is not None:
-        return replace(
-            detector,
-            rest_rotation_deg=fused.rotation_deg if detector.rest_rotation_deg is None else detector.rest_rotation_deg,
-            rest_shift_mm=fused.shift_mm if detector.rest_shift_mm is None else detector.rest_shift_mm,
-        )
-    return replace(
-        detector, rest_rotation_deg=fused.rotation_deg, rest_shift_mm=fused.shift_mm, rest_since_s=fused.captured_at_s
-    )
-
-
-def _near(value: float | None, place: float | None, within: float) -> bool:
-    return value is None or place is None or abs(value - place) <= within
-
-
-def _within(value: float, most: float) -> float:
+def within(value: float, most: float) -> float:
+    """Return the value, limited to -most to most."""
     return min(max(value, -most), most)

@@ -1,7 +1,11 @@
-"""Tells slip from noise: a turn or a slide beyond its level, at a rate, in several measured frames.
+"""Distinguish slip from noise and from elastic torsion, estimate by estimate.
 
-A gel that winds up under load turns and slides too, but it comes to rest; rate and persistence tell the two apart, and
-what the arm does says how much of it is to be expected (`alert`).
+A gel under load twists and shifts elastically, too, but it comes to rest: rate and persistence tell slip from it. How
+little counts as slip depends on the arm. An object at rest in the air rotates for one reason only, so a fraction of a
+degree is enough. While the arm moves, the gel twists with the load: by as much as it is twisted already, times the
+change of the load. While an object leaves the table, the gel is loaded for the first time, and no image tells that from
+slip, for the far end still rests on the table. Raising the grip costs little then, so it is raised once; after that it
+is trusted for some degrees more.
 """
 
 from __future__ import annotations
@@ -11,59 +15,60 @@ from dataclasses import dataclass, replace
 
 from slipguard.control.finger_fusion import FusedEstimate
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_baselines import CALM_SHIFT_MM, SlipMemory, follow_rest, follow_shift, handed_over
-from slipguard.control.slip_thresholds import (
-    SWING_SHARE,
-    MotionCase,
-    attend,
-    growth,
-    level_deg,
-    quick_level_deg,
-    unsure_deg,
-)
+from slipguard.control.slip_baselines import SETTLED_SHIFT_MM
+from slipguard.control.slip_memory import ArmCase, SlipMemory
 from slipguard.devices import ArmState
 
+GROWTH_MAX = 4.0
+"""However often the grip was tightened, no threshold grows beyond this multiple."""
+SWING_SHARE = 0.5
+"""Arms stop with 2.5 m/s2, a quarter of gravity, and a gel without much damping responds with twice that."""
 PLAIN_TIMES = 1.5
-"""In a lift-off a turn beyond so many times its level, told by both fingers, counts as two frames,"""
+"""In a lift-off a rotation beyond this multiple of its threshold, estimated by both fingers, counts as two frames,"""
 BEGUN_SHARE = 0.25
-"""if the frame before had begun it by this share of the level: one that leaps alone is a flash of light or a knock."""
+"""if the frame before had begun it by this share of the threshold: a single leap is a flash of light or a knock."""
 APART_S = 0.02
-"""At rest there is time for a second look: both fingers' frames so much later than the first one's, or one flash of
+"""At rest there is time to confirm: both fingers' frames are this much later than the first one's, or one flash of
 light that falls on a frame of each counts twice."""
 CHANGE_SHARE = 0.5
-"""Half of a turn's sigma is alike from frame to frame and falls out of a change; the rest was learnt at rest, before
-the lift. At rest itself there is time to be sure."""
+"""Half of a rotation's sigma is the same from frame to frame and cancels in a change; the rest was learned at rest,
+before the lift. At rest itself there is time to be sure."""
 
 
 @dataclass(frozen=True, slots=True)
 class SlipAssessment:
-    """What one look saw.
+    """What one estimate shows.
 
-    rotation_deg: away from the base, without sign. rate_deg_s: positive while that grows. slip_mm, slip_rate_mm_s:
-    downwards. moving: one of the rates is that of slip. turns, slides: this frame shows slip of that kind.
-    slipping: slip, in enough frames. still_s: at rest for so long.
+    Args:
+        memory: the memory after it.
+        rotation_deg: away from the episode's baseline, without sign; rate_deg_s: positive while that grows.
+        slip_mm, slip_rate_mm_s: downwards from that baseline.
+        moving: one of the rates is that of slip.
+        rotates, translates: this frame shows rotational or translational slip.
+        slipping: slip is confirmed by enough frames.
+        settled_s: the object has been at rest for this time.
     """
 
-    detector: SlipMemory
+    memory: SlipMemory
     rotation_deg: float = 0.0
     rate_deg_s: float = 0.0
     slip_mm: float = 0.0
     slip_rate_mm_s: float = 0.0
     moving: bool = False
-    rotations: bool = False
-    slides: bool = False
+    rotates: bool = False
+    translates: bool = False
     slipping: bool = False
-    still_s: float = 0.0
+    settled_s: float = 0.0
 
     @property
     def what(self) -> str:
-        """In words, with figures."""
-        rotation = f"turned {self.rotation_deg:.1f}° at {self.rate_deg_s:.0f}°/s"
-        return f"{rotation}, slid {self.slip_mm:.1f} mm" if self.slip_mm > CALM_SHIFT_MM else rotation
+        """The motion in words, with values."""
+        rotation = f"rotated {self.rotation_deg:.1f}° at {self.rate_deg_s:.0f}°/s"
+        return f"{rotation}, moved {self.slip_mm:.1f} mm" if self.slip_mm > SETTLED_SHIFT_MM else rotation
 
 
-def look(
-    detector: SlipMemory,
+def assess_slip(
+    memory: SlipMemory,
     fused: FusedEstimate,
     params: GuardParams,
     *,
@@ -71,141 +76,199 @@ def look(
     firm: bool = False,
     only_outward: bool = False,
 ) -> SlipAssessment:
-    """Compare the newest answer with the base.
+    """Return what the newest estimate shows, compared with the baselines.
 
-    arm: its newest state; without it no turn is as suspicious as it is at rest. firm: the grip uses most of the budget.
-    only_outward: a turn back towards the reference is no slip, as when an object is put down.
+    Args:
+        memory: from the step before.
+        fused: the newest estimate; the same one may come several times.
+        params: thresholds.
+        arm: its newest state; without it every rotation is judged as in motion.
+        firm: the grip uses most of the force limit.
+        only_outward: a rotation back towards the reference is no slip, as when an object is put down.
     """
-    new = fused.measured_at_s > detector.measured_s  # both fingers: what one frame shows counts once
-    detector = handed_over(detector, fused)
-    near_deg = detector.alert.near_deg
-    alert = attend(detector.alert, fused, arm, params, putting_down=only_outward)
-    detector = replace(follow_shift(detector, fused), alert=alert)
-    anew = alert.anew  # what the arm's motion has wound up stays
-    rebased = anew or detector.base_rotation_deg is None
-    detector = replace(
-        detector,
-        base_rotation_deg=fused.rotation_deg if rebased else detector.base_rotation_deg,
-        base_shift_mm=fused.shift_mm if anew or detector.base_shift_mm is None else detector.base_shift_mm,
-        measured_s=max(fused.measured_at_s, fused.newest_at_s) if new else detector.measured_s,
-        captured_s=max(fused.captured_at_s, detector.captured_s),
-    )
-    strayed_from_deg = _strayed_from(detector, fused, params)
-    if strayed := strayed_from_deg is not None:
-        detector = replace(detector, base_rotation_deg=strayed_from_deg)
-    if strayed or rebased or near_deg is None:  # these fingers' own places move by no second look
-        detector = replace(detector, handover=None)
-    detector = follow_rest(detector, fused, params)
-    rotation, rate, rotating = _rotating(detector, fused, params, only_outward)
-    suddenly = 0 if anew else _suddenly(detector, fused, params, near_deg, firm, only_outward)
-    slide = (fused.shift_mm or 0.0) - (detector.base_shift_mm or 0.0) if fused.shift_mm is not None else 0.0
-    slides_fast = detector.slip_rate_mm_s >= params.tuning.slip_rate_mm_s
-    times = growth(detector.slides, params)
-    sliding = slide > params.tuning.slip_mm * times and (slides_fast or slide > params.tuning.creep_mm * times)
-    if new:
-        detector = _counted(detector, fused, rotating or strayed or sliding, suddenly, params)
+    is_new = fused.measured_at_s > memory.measured_s  # of both fingers: what one frame shows counts once
+    memory = memory.switched(fused)
+    rested_deg = memory.baselines.resting_deg  # before this frame
+    memory, new_rest = _follow(memory, fused, arm, params, putting_down=only_outward)
+    memory, rests_further_out = _count_from(memory, fused, params, is_new=is_new, new_rest=new_rest, rested=rested_deg)
+    rotation_deg, rate_deg_s, rotates = _rotation(memory, fused, params, only_outward)
+    sudden = 0 if new_rest else _sudden(memory, fused, params, rested_deg, firm, only_outward)
+    slip_mm = (fused.shift_mm or 0.0) - (memory.baselines.episode_mm or 0.0) if fused.shift_mm is not None else 0.0
+    rate_mm_s, tuning = memory.shift.rate_mm_s, params.tuning
+    fast = rate_mm_s >= tuning.slip_rate_mm_s
+    times = growth(memory.translations, params)
+    translates = slip_mm > tuning.slip_mm * times and (fast or slip_mm > tuning.creep_mm * times)
+    if is_new:
+        memory = _count(memory, fused, rotates or rests_further_out or translates, sudden, params)
+    settled_since_s = memory.baselines.settled_since_s
     return SlipAssessment(
-        detector=detector,
-        rotation_deg=rotation,
-        rate_deg_s=rate,
-        slip_mm=slide,
-        slip_rate_mm_s=detector.slip_rate_mm_s,
-        moving=rate >= params.tuning.slip_rate_deg_s or slides_fast,
-        rotations=rotating or strayed or suddenly > 0,
-        slides=sliding,
-        slipping=detector.frames >= params.tuning.confirm_frames,
-        still_s=detector.captured_s - detector.rest_since_s if detector.rest_since_s is not None else 0.0,
+        memory=memory,
+        rotation_deg=rotation_deg,
+        rate_deg_s=rate_deg_s,
+        slip_mm=slip_mm,
+        slip_rate_mm_s=rate_mm_s,
+        moving=rate_deg_s >= tuning.slip_rate_deg_s or fast,
+        rotates=rotates or rests_further_out or sudden > 0,
+        translates=translates,
+        slipping=memory.frames >= tuning.confirm_frames,
+        settled_s=memory.captured_s - settled_since_s if settled_since_s is not None else 0.0,
     )
 
 
-def _counted(
-    detector: SlipMemory, fused: FusedEstimate, plainly: bool, suddenly: int, params: GuardParams
-) -> SlipMemory:
-    """What a new answer adds to the frames that show slip, or that none is left of them.
+def growth(episodes: int, params: GuardParams) -> float:
+    """Return the multiple of the thresholds after this many episodes that were answered with force."""
+    return min(params.tuning.threshold_growth**episodes, GROWTH_MAX)
 
-    plainly: it shows slip whatever the arm does. suddenly: for how many frames it counts where nothing should move.
+
+def uncertainty_deg(sigma_deg: float, params: GuardParams) -> float:
+    """Return the rotation that may be no more than the estimate's error."""
+    return min(params.tuning.threshold_sigmas * sigma_deg, params.tuning.sigma_threshold_max_deg)
+
+
+def threshold_deg(sigma_deg: float, episodes: int, params: GuardParams) -> float:
+    """Return the rotation below which nothing is slip after this many episodes of it, whatever the arm does."""
+    return max(params.tuning.tighten_in_motion_deg, uncertainty_deg(sigma_deg, params)) * growth(episodes, params)
+
+
+def _follow(
+    memory: SlipMemory, fused: FusedEstimate, arm: ArmState | None, params: GuardParams, *, putting_down: bool
+) -> tuple[SlipMemory, bool]:
+    """Return the memory with arm, resting angle and shift followed, and whether the arm's motion has just changed.
+
+    At such a change, the elastic torsion up to now is the new baseline.
     """
-    counts = max(int(plainly), suddenly)
-    at_rest_again = detector.alert.case is MotionCase.REST and detector.frames > 0 and not plainly
-    waits = counts > 0 and at_rest_again and fused.measured_at_s < detector.counted_s + APART_S
+    before = memory.arm
+    context = before.next(fused, arm, putting_down=putting_down)
+    new_rest = context.case is not before.case and (context.case is ArmCase.REST or before.case is ArmCase.LIFT_OFF)
+    baselines = memory.baselines
+    if before.leaves_table(context.case) or putting_down:
+        baselines = replace(baselines, before_motion_deg=None)
+    elif context.case is ArmCase.REST and baselines.before_motion_deg is None:
+        baselines = replace(baselines, before_motion_deg=fused.rotation_deg)
+    shift = memory.shift.next(fused, memory.captured_s)
+    memory = replace(memory, arm=context, baselines=baselines, shift=shift)
+    return memory.followed(fused, context.case, new_rest=new_rest, params=params), new_rest
+
+
+def _count_from(
+    memory: SlipMemory, fused: FusedEstimate, params: GuardParams, *, is_new: bool, new_rest: bool, rested: float | None
+) -> tuple[SlipMemory, bool]:
+    """Return the memory with the baselines of this frame, and whether the object rests further out than before.
+
+    rested: the resting angle before this frame.
+    """
+    baselines = memory.baselines
+    rebased = new_rest or baselines.episode_deg is None
+    baselines = replace(
+        baselines,
+        episode_deg=fused.rotation_deg if rebased else baselines.episode_deg,
+        episode_mm=fused.shift_mm if new_rest or baselines.episode_mm is None else baselines.episode_mm,
+    )
+    further_out_from = _further_out_from(replace(memory, baselines=baselines), fused, params)
+    if further_out_from is not None:
+        baselines = replace(baselines, episode_deg=further_out_from)
+    fingers = memory.fingers
+    if further_out_from is not None or rebased or rested is None:  # these fingers' own baselines: nothing to confirm
+        fingers = replace(fingers, switch=None)
+    memory = replace(
+        memory,
+        baselines=baselines.with_settled(fused, params),
+        fingers=fingers,
+        measured_s=max(fused.measured_at_s, fused.newest_at_s) if is_new else memory.measured_s,
+        captured_s=max(fused.captured_at_s, memory.captured_s),
+    )
+    return memory, further_out_from is not None
+
+
+def _count(memory: SlipMemory, fused: FusedEstimate, plain: bool, sudden: int, params: GuardParams) -> SlipMemory:
+    """Return the memory with a new estimate counted: more frames in a row that show slip, or none.
+
+    plain: it shows slip whatever the arm does. sudden: how many frames it counts for where nothing should move.
+    """
+    counts = max(int(plain), sudden)
+    again_at_rest = memory.arm.case is ArmCase.REST and memory.frames > 0 and not plain
+    waits = counts > 0 and again_at_rest and fused.measured_at_s < memory.counted_s + APART_S
     far = abs(fused.rotation_deg or 0.0) > params.tuning.rotation_max_deg and fused.conflict is None
+    fingers = memory.fingers
+    if fused.rotation_deg is not None:
+        fingers = replace(fingers, last_deg=fused.rotation_deg, last_s=fused.captured_at_s)
     return replace(
-        detector,
-        frames=detector.frames if waits else detector.frames + counts if counts else 0,
-        counted_s=fused.newest_at_s if counts and not waits else detector.counted_s,
-        far_frames=detector.far_frames + 1 if far else 0,
-        told_deg=detector.told_deg if fused.rotation_deg is None else fused.rotation_deg,
-        told_s=detector.told_s if fused.rotation_deg is None else fused.captured_at_s,
+        memory,
+        fingers=fingers,
+        frames=memory.frames if waits else memory.frames + counts if counts else 0,
+        counted_s=fused.newest_at_s if counts and not waits else memory.counted_s,
+        far_frames=memory.far_frames + 1 if far else 0,
     )
 
 
-def _strayed_from(detector: SlipMemory, fused: FusedEstimate, params: GuardParams) -> float | None:
-    """Where an object was that rests further out than at its last rest: what turned it in between has come to stay.
+def _further_out_from(memory: SlipMemory, fused: FusedEstimate, params: GuardParams) -> float | None:
+    """Return where an object was that now rests further out than at its last rest; None if it does not.
 
-    None if it does not. At rest the same load winds the gel up by the same angle, but for the first time the arm has
-    lifted it.
+    At rest the same load twists the gel by the same angle, except after the first lift.
     """
-    alert, base_deg = detector.alert, detector.base_rotation_deg
-    if fused.rotation_deg is None or fused.sigma_deg is None or base_deg is None:
+    rested_deg, episode_deg = memory.baselines.before_motion_deg, memory.baselines.episode_deg
+    if fused.rotation_deg is None or fused.sigma_deg is None or episode_deg is None:
         return None
-    if alert.rested_deg is None or alert.case is not MotionCase.REST:
+    if rested_deg is None or memory.arm.case is not ArmCase.REST:
         return None
     rotation_deg = fused.rotation_deg
-    level = level_deg(fused.sigma_deg, detector.rotations, params)
-    level = level if alert.aloft else max(level, params.tuning.torsion_after_tightening_deg)
-    if abs(rotation_deg - alert.rested_deg) <= level or abs(rotation_deg) <= abs(alert.rested_deg):
+    least_deg = threshold_deg(fused.sigma_deg, memory.rotations, params)
+    least_deg = least_deg if memory.arm.aloft else max(least_deg, params.tuning.torsion_after_tightening_deg)
+    if abs(rotation_deg - rested_deg) <= least_deg or abs(rotation_deg) <= abs(rested_deg):
         return None
-    return max(alert.rested_deg, base_deg, key=lambda place_deg: abs(rotation_deg - place_deg))
+    return max(rested_deg, episode_deg, key=lambda baseline_deg: abs(rotation_deg - baseline_deg))
 
 
-def _rotating(
-    detector: SlipMemory, fused: FusedEstimate, params: GuardParams, only_outward: bool
+def _rotation(
+    memory: SlipMemory, fused: FusedEstimate, params: GuardParams, only_outward: bool
 ) -> tuple[float, float, bool]:
-    """Turn from the base, rate away from it, and whether that is slip whatever the arm does."""
-    if fused.rotation_deg is None or fused.sigma_deg is None or detector.base_rotation_deg is None:
+    """Return rotation from the episode's baseline, rate away from it, and whether that is slip whatever the arm does."""
+    episode_deg, tuning = memory.baselines.episode_deg, params.tuning
+    if fused.rotation_deg is None or fused.sigma_deg is None or episode_deg is None:
         return 0.0, 0.0, False
-    away_deg = fused.rotation_deg - detector.base_rotation_deg
+    away_deg = fused.rotation_deg - episode_deg
     rotation_deg = abs(away_deg)
     rate_deg_s = math.copysign(1.0, away_deg) * (fused.rate_deg_s or 0.0)
-    if only_outward and abs(fused.rotation_deg) <= abs(detector.base_rotation_deg):
+    if only_outward and abs(fused.rotation_deg) <= abs(episode_deg):
         return rotation_deg, 0.0, False
-    level = level_deg(fused.sigma_deg, detector.rotations, params)
-    creep_deg = params.tuning.creep_deg * growth(detector.rotations, params)
-    if detector.alert.case is MotionCase.MOVING:
-        level = max(level, SWING_SHARE * abs(detector.base_rotation_deg))
-    if detector.alert.case is MotionCase.LIFT_OFF and detector.patient:
-        # The far end still on its table leads the turn: its rate is the arm's.
-        return rotation_deg, rate_deg_s, rotation_deg > params.tuning.torsion_after_tightening_deg
-    fast = rate_deg_s >= params.tuning.slip_rate_deg_s
-    return rotation_deg, rate_deg_s, rotation_deg > level and (fast or rotation_deg > max(creep_deg, level))
+    least_deg = threshold_deg(fused.sigma_deg, memory.rotations, params)
+    creep_deg = tuning.creep_deg * growth(memory.rotations, params)
+    if memory.arm.case is ArmCase.MOVING:
+        least_deg = max(least_deg, SWING_SHARE * abs(episode_deg))
+    if memory.arm.case is ArmCase.LIFT_OFF and memory.had_rotation:
+        # The far end on the table leads the rotation: its rate is the arm's.
+        return rotation_deg, rate_deg_s, rotation_deg > tuning.torsion_after_tightening_deg
+    fast = rate_deg_s >= tuning.slip_rate_deg_s
+    return rotation_deg, rate_deg_s, rotation_deg > least_deg and (fast or rotation_deg > max(creep_deg, least_deg))
 
 
-def _suddenly(
-    detector: SlipMemory,
+def _sudden(
+    memory: SlipMemory,
     fused: FusedEstimate,
     params: GuardParams,
-    near_deg: float | None,
+    rested_deg: float | None,
     firm: bool,
     only_outward: bool,
 ) -> int:
-    """For how many frames a turn from where the object rested counts, where nothing but slip should turn it.
+    """Return for how many frames a rotation from the resting angle counts, where nothing but slip should rotate it.
 
-    near_deg: where it rested before this look.
+    rested_deg: the resting angle before this frame.
     """
-    alert = detector.alert
-    if fused.rotation_deg is None or fused.sigma_deg is None or near_deg is None or only_outward:
+    case = memory.arm.case
+    if fused.rotation_deg is None or fused.sigma_deg is None or rested_deg is None or only_outward:
         return 0
-    if alert.case is MotionCase.MOVING or (alert.case is MotionCase.LIFT_OFF and detector.patient):
+    if case is ArmCase.MOVING or (case is ArmCase.LIFT_OFF and memory.had_rotation):
         return 0
-    if fused.conflict is not None:  # it is the larger of two turns then, a leap in itself
+    if fused.conflict is not None:  # the larger of two rotations is used then, a leap in itself
         return 0
-    away_deg = fused.rotation_deg - near_deg
-    may_change = CHANGE_SHARE if alert.case is MotionCase.LIFT_OFF else 1.0
-    quick_deg = quick_level_deg(alert, params, firm=firm)
-    level = max(quick_deg, may_change * unsure_deg(fused.sigma_deg, params)) * growth(detector.rotations, params)
-    if abs(away_deg) <= level:
+    away_deg = fused.rotation_deg - rested_deg
+    error_share = CHANGE_SHARE if case is ArmCase.LIFT_OFF else 1.0
+    least_deg = memory.quick_threshold_deg(case, params, firm=firm)
+    least_deg = max(least_deg, error_share * uncertainty_deg(fused.sigma_deg, params))
+    least_deg *= growth(memory.rotations, params)
+    if abs(away_deg) <= least_deg:
         return 0
-    if alert.case is MotionCase.REST:
+    if case is ArmCase.REST:
         return 1
-    begun = math.copysign(1.0, away_deg) * (detector.told_deg - near_deg) > BEGUN_SHARE * level
-    return 2 if abs(away_deg) > PLAIN_TIMES * level and begun and len(fused.fingers) == 2 else 1
+    begun = math.copysign(1.0, away_deg) * (memory.fingers.last_deg - rested_deg) > BEGUN_SHARE * least_deg
+    return 2 if abs(away_deg) > PLAIN_TIMES * least_deg and begun and len(fused.fingers) == 2 else 1

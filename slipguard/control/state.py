@@ -1,4 +1,4 @@
-"""What the law remembers from tick to tick."""
+"""What the controller remembers from step to step: one record for each concern."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from slipguard.control.fault import Fault, FaultCode
-from slipguard.control.gripper_delay import GripperDelay
-from slipguard.control.slip_baselines import SlipMemory
+from slipguard.control.reports import Fault, FaultCode
+from slipguard.control.slip_memory import SlipMemory
 from slipguard.devices import GripperState
 
 
@@ -30,144 +29,261 @@ class Phase(StrEnum):
 
 
 AT_STAKE = frozenset({Phase.CLOSING, Phase.REFERENCE, Phase.LIFTING, Phase.HOLDING, Phase.LOWERING})
-"""Phases in which something is, or is about to be, between the fingers: faults latch."""
+"""Phases in which an object is, or is about to be, between the jaws: faults latch."""
 MOVING = frozenset({Phase.LIFTING, Phase.LOWERING})
 """Phases in which slipguard moves the arm."""
+FORCE_TOLERANCE_N = 0.5
+SAME_WIDTH_MM = 1.0
+"""Jaws within this of their former width still hold the same object: a self-locking gripper does not creep."""
+MOVED_MM = 0.5
+"""A count of a Robotiq's position is 0.37 mm."""
+STOP_AND_GO_S = 0.016
+"""Tightening takes one transaction more than closing: stop, then go."""
+
+
+@dataclass(frozen=True, slots=True)
+class GripperDelay:
+    """Time from a command to its effect, measured while the jaws close.
+
+    Args:
+        commanded_s, from_mm: the closing that is being timed.
+        delay_s: from a command to its first effect; None: not measured yet.
+    """
+
+    commanded_s: float | None = None
+    from_mm: float = 0.0
+    delay_s: float | None = None
+
+    def measured(self, commanded_s: float, gripper: GripperState | None) -> GripperDelay:
+        """Return the delay after one more state of jaws that were commanded to close at `commanded_s`."""
+        if gripper is None:
+            return self
+        if self.commanded_s != commanded_s:
+            return replace(self, commanded_s=commanded_s, from_mm=gripper.width_mm)
+        if self.from_mm - gripper.width_mm <= MOVED_MM or self.delay_s is not None:
+            return self
+        return replace(self, delay_s=max(gripper.measured_at_s - commanded_s, 0.0) + STOP_AND_GO_S)
+
+
+@dataclass(frozen=True, slots=True)
+class Grip:
+    """The grip.
+
+    Args:
+        target_n: force per finger last commanded or taken over; 0 with nothing held.
+        commanded_s: when the gripper was last commanded; -inf: not since the grip was taken over, or, in RELEASED,
+            the jaws have not been commanded to open yet.
+        closed: the jaws have met an object since they closed.
+        delay: of the gripper.
+    """
+
+    target_n: float = 0.0
+    commanded_s: float = -math.inf
+    closed: bool = False
+    delay: GripperDelay = field(default_factory=GripperDelay)
 
 
 @dataclass(frozen=True, slots=True)
 class SlipEpisode:
-    """One episode of slip, from the trigger until all is calm. turn, rate and slide: when it was last tightened.
+    """One episode of slip, from the first tightening until object and gripper have settled.
 
-    turns, slides: which of the two it was, or both. raised: the force was raised.
+    Args:
+        began_s, tightened_s: when it began, and when it was last tightened.
+        rotation_deg, rate_deg_s, slip_mm: at the last tightening, or where progress counts from since then.
+        rotates, translates: rotational or translational slip was seen, or both.
+        raised: the force was raised.
     """
 
     began_s: float
-    stepped_s: float
+    tightened_s: float
     rotation_deg: float
     rate_deg_s: float
     slip_mm: float
-    rotations: bool = False
-    slides: bool = False
+    rotates: bool = False
+    translates: bool = False
     raised: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class HeldObject:
+    """The object between the jaws, as the fingers see it.
+
+    Args:
+        referenced: its rotation was estimated when it was gripped; no_estimate: else the reason.
+        memory: of the slip detector. slip: the present episode.
+        lost_since_s: since when it seems to be lost.
+    """
+
+    referenced: bool = False
+    no_estimate: str | None = None
+    memory: SlipMemory = field(default_factory=SlipMemory)
+    slip: SlipEpisode | None = None
+    lost_since_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ArmMotion:
+    """The arm and its motion with the object.
+
+    Args:
+        ground_mm: height where the lift began; None: unknown. goal_mm: where the present motion ends.
+        speed_mm_s: requested for this motion; None: from the configuration.
+        commanded_s: when the arm was last commanded.
+        paused: in LIFTING and LOWERING, the arm waits until the object has settled.
+        putting_down: in FAULT, the arm goes back down to where the lift began.
+    """
+
+    ground_mm: float | None = None
+    goal_mm: float | None = None
+    speed_mm_s: float | None = None
+    commanded_s: float = -math.inf
+    paused: bool = False
+    putting_down: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """A release in progress, in RELEASED. arm_may_move: the arm has not reported since the request that it stands."""
+
+    width_mm: float
+    arm_may_move: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class HandsOff:
+    """Why the jaws' content is neither guarded nor tightened until a person requests it.
+
+    Args:
+        release_requested: it was to be released.
+        closing_interrupted: the jaws were halted before they had met it, so it may be a hand.
+    """
+
+    release_requested: bool = False
+    closing_interrupted: bool = False
+
+    def __bool__(self) -> bool:
+        return self.release_requested or self.closing_interrupted
+
+
+@dataclass(frozen=True, slots=True)
+class PersonNear:
+    """A person may be near: the arm reports a protective or emergency stop, so no force is added.
+
+    halted_s: when the jaws were last halted for it; -inf: not in this stop.
+    """
+
+    now: bool = False
+    halted_s: float = -math.inf
 
 
 @dataclass(frozen=True, slots=True)
 class RememberedGrip:
     """How an object was held before a restart: the force per finger last commanded, and the jaws' width then.
 
-    applied: the gripper had applied that force, and said so; else nobody knows whether it was told in time.
+    applied: the gripper had confirmed that force; otherwise the command may never have arrived.
     """
 
     force_n: float
     width_mm: float
     applied: bool = True
 
+    def fits(self, gripper: GripperState) -> bool:
+        """Return whether the jaws still are where they held the object."""
+        return abs(self.width_mm - gripper.width_mm) <= SAME_WIDTH_MM
 
-FORCE_TOLERANCE_N = 0.5
-SAME_WIDTH_MM = 1.0
-"""Jaws within this of where they were still hold the same thing: a self-locking gripper does not creep."""
+
+@dataclass(frozen=True, slots=True)
+class Adoption:
+    """What the gripper held at the start.
+
+    Args:
+        done: its first state has been used.
+        found: an object was found in it; taking it over waits for a finger.
+        remembered: the grip before the restart, until done.
+    """
+
+    done: bool = False
+    found: bool = False
+    remembered: RememberedGrip | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Reported:
+    """What has been reported already.
+
+    Args:
+        note, noted_s: the last message about a finger's estimate, and when it last applied.
+        faults: in FAULT, all that is wrong.
+    """
+
+    note: str | None = None
+    noted_s: float = -math.inf
+    faults: frozenset[FaultCode] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
 class GraspState:
-    """The law's whole memory.
+    """The controller's whole memory.
 
-    since_s: when the phase began. guarding: slip is acted on (`guard off` ends that until `guard on`).
-    target_n: the force per finger last commanded or adopted; 0 with nothing held. commanded_s: when.
-    ground_mm, goal_mm: arm heights where the lift began and where the present motion ends.
-    arm_sent_s: when the arm was last told something. paused: the arm waits for calm.
-    putting_down: in FAULT, the arm goes back to where the lift began.
-    gripped: the jaws have met something since they closed.
-    referenced: the turn could be read when the object was gripped. blind: why it could not.
-    person_near: the arm was last seen in a protective or emergency stop, so no force is added.
-    halted_s: when the jaws were last halted for that; -inf: not in this stop.
-    closing_interrupted: they were halted before they had met something, so the grasp must be asked for again.
-    release_requested: a release was asked for. braking: the arm has not said since then that it stands.
-    adopted: the gripper's first state has been looked at. found: it was seen to hold something already.
-    remembered: the grip before a restart, until the gripper's first state has been looked at.
-    note: what was last said against a finger's turn. noted_s: when it was last so.
-    besides: what is wrong and has been said while a fault is latched.
+    Args:
+        since_s: when the phase began.
+        guarding: slip has an effect (`guard off` ends that until `guard on`).
+        release: in RELEASED only.
+        fault: in FAULT only: the latched one.
     """
 
     phase: Phase = Phase.IDLE
     since_s: float = 0.0
     guarding: bool = True
-    target_n: float = 0.0
-    commanded_s: float = -math.inf
-    delay: GripperDelay = field(default_factory=GripperDelay)
-    detector: SlipMemory = field(default_factory=SlipMemory)
-    slip: SlipEpisode | None = None
-    ground_mm: float | None = None
-    goal_mm: float | None = None
-    lift_speed_mm_s: float | None = None
-    arm_sent_s: float = -math.inf
-    paused: bool = False
-    putting_down: bool = False
-    gripped: bool = False
-    referenced: bool = False
-    blind: str | None = None
-    person_near: bool = False
-    halted_s: float = -math.inf
-    closing_interrupted: bool = False
-    release_requested: bool = False
-    braking: bool = False
-    lost_since_s: float | None = None
-    adopted: bool = False
-    found: bool = False
-    remembered: RememberedGrip | None = None
-    note: str | None = None
-    noted_s: float = -math.inf
-    besides: frozenset[FaultCode] = frozenset()
+    grip: Grip = field(default_factory=Grip)
+    held: HeldObject = field(default_factory=HeldObject)
+    arm: ArmMotion = field(default_factory=ArmMotion)
+    release: Release | None = None
+    hands_off: HandsOff = field(default_factory=HandsOff)
+    person: PersonNear = field(default_factory=PersonNear)
+    adoption: Adoption = field(default_factory=Adoption)
+    reported: Reported = field(default_factory=Reported)
     fault: Fault | None = None
 
     @property
-    def hands_off(self) -> bool:
-        """What may be between the jaws is not to be tightened or guarded until a person says so."""
-        return self.release_requested or self.closing_interrupted
+    def waits_for_gripper(self) -> bool:
+        """A fault or a grip is known from before a restart, and the gripper has not reported yet what it holds."""
+        if self.phase is Phase.IDLE:
+            return not self.adoption.done and self.adoption.remembered is not None
+        return not self.adoption.done and self.phase is Phase.FAULT
+
+    def entered(self, phase: Phase, now_s: float) -> GraspState:
+        """Return the state at the beginning of another phase."""
+        arm = replace(self.arm, paused=False, putting_down=False)
+        return replace(self, phase=phase, since_s=now_s, arm=arm, release=None)
+
+    def emptied(self, phase: Phase, now_s: float) -> GraspState:
+        """Return the state with nothing held: everything about the object is forgotten."""
+        return GraspState(phase, now_s, self.guarding, person=PersonNear(self.person.now), adoption=Adoption(done=True))
+
+    def taken_over(self, gripper: GripperState, now_s: float) -> GraspState:
+        """Return the state that guards what the gripper holds, with the grip it has, from a new reference on.
+
+        A gripper that has not been commanded since its connection was opened knows no force. If the jaws are as wide
+        as before the restart, the object is held with the force confirmed then.
+        """
+        force_n, before = gripper.force_n, self.adoption.remembered
+        if before is not None and before.applied and before.fits(gripper):
+            force_n = max(force_n, before.force_n)
+        return replace(self.emptied(Phase.REFERENCE, now_s), grip=Grip(force_n, closed=True))
+
+    def with_target(self, force_n: float, now_s: float) -> GraspState:
+        """Return the state after this force was commanded."""
+        return replace(self, grip=replace(self.grip, target_n=force_n, commanded_s=now_s))
 
 
 def gripper_at_rest(state: GraspState, gripper: GripperState) -> bool:
-    """The gripper is at rest, and said so after it was last told something."""
-    return not gripper.moving and gripper.measured_at_s > state.commanded_s
+    """Return whether the gripper has reported since the last command that it is at rest."""
+    return not gripper.moving and gripper.measured_at_s > state.grip.commanded_s
 
 
 def force_applied(state: GraspState, gripper: GripperState) -> bool:
-    """The gripper applies the force it was last told, as it said at rest; one taken over was told nothing."""
-    if state.commanded_s == -math.inf:
+    """Return whether the gripper has confirmed the commanded force; a grip that was taken over counts as confirmed."""
+    if state.grip.commanded_s == -math.inf:
         return True
-    return gripper_at_rest(state, gripper) and gripper.force_n >= state.target_n - FORCE_TOLERANCE_N
-
-
-def waiting(state: GraspState) -> bool:
-    """Something was held before a restart, or a fault latched, and nobody has seen yet what the gripper holds now."""
-    if state.phase is Phase.IDLE:
-        return not state.adopted and state.remembered is not None
-    return not state.adopted and state.phase is Phase.FAULT
-
-
-def as_wide(before: RememberedGrip, gripper: GripperState) -> bool:
-    """The jaws still are where they held what is remembered."""
-    return abs(before.width_mm - gripper.width_mm) <= SAME_WIDTH_MM
-
-
-def entered(state: GraspState, phase: Phase, now_s: float) -> GraspState:
-    """The same memory at the beginning of another phase."""
-    return replace(state, phase=phase, since_s=now_s, paused=False, putting_down=False)
-
-
-def emptied(state: GraspState, phase: Phase, now_s: float) -> GraspState:
-    """Nothing is held any more: everything about the object is forgotten."""
-    return GraspState(phase=phase, since_s=now_s, guarding=state.guarding, person_near=state.person_near, adopted=True)
-
-
-def taken_over(state: GraspState, gripper: GripperState, now_s: float) -> GraspState:
-    """The object the gripper holds, with the grip it has, is guarded from a new reference on.
-
-    A gripper that has been asked nothing since its connection was opened knows no force: where the jaws are as wide as
-    before the restart, the object is held with the force that it had taken by then.
-    """
-    force_n, before = gripper.force_n, state.remembered
-    if before is not None and before.applied and as_wide(before, gripper):
-        force_n = max(force_n, before.force_n)
-    return replace(emptied(state, Phase.REFERENCE, now_s), target_n=force_n, gripped=True)
+    return gripper_at_rest(state, gripper) and gripper.force_n >= state.grip.target_n - FORCE_TOLERANCE_N

@@ -1,7 +1,7 @@
-"""The second pair of eyes: is everything the law relies on still there, and does tightening help?
+"""Check separately that everything the controller relies on is still there, and that tightening has an effect.
 
-Separate from the law on purpose: it looks at the same inputs, decides nothing about force, and only says what is wrong
-now. The law latches what it says. A fault that has passed is no longer said, so that it can be cleared.
+The supervisor sees the same inputs as the controller, decides nothing about force, and only reports what is wrong now.
+The controller latches what it reports. A fault that has passed is no longer reported, so that it can be cleared.
 """
 
 from __future__ import annotations
@@ -9,19 +9,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from slipguard.control.fault import Fault, FaultCode
 from slipguard.control.messages import Condition, FingerHealth, Observation
 from slipguard.control.params import GuardParams
-from slipguard.control.state import AT_STAKE, MOVING, GraspState, Phase, waiting
+from slipguard.control.reports import Fault, FaultCode
+from slipguard.control.state import AT_STAKE, MOVING, GraspState, Phase
 
-HELP_DEG = 5.0
-"""An object that has turned this much further after it was tightened, and still turns, is not helped."""
-ARM_WAIT_S = 5.0
-"""An arm not yet heard since the start may take so long to appear; a UR's control program starts within 2 s."""
-FIRST_WAIT_S = 2.0
-"""Sensors and gripper not yet heard may take so long from the start, or their time-out where that is longer."""
-MOMENT_S = 0.6
-"""A contradiction is not settled by one finger saying nothing for so long: one left out is asked again each 0.25 s."""
+NO_EFFECT_DEG = 5.0
+"""Tightening has no effect if the object has rotated this much further after it, and still rotates."""
+ARM_START_S = 5.0
+"""An arm that has not reported since the start gets this time; a UR's control program starts within 2 s."""
+DEVICE_START_S = 2.0
+"""Sensors and gripper that have not reported since the start get this time, or their timeout if that is longer."""
+LEFT_OUT_S = 0.6
+"""A contradiction is not settled by one finger without an estimate for this time: one left out is asked each 0.25 s."""
 GAIN_MM = 1.0
 """Less height than this gained counts as none."""
 
@@ -30,79 +30,81 @@ GAIN_MM = 1.0
 class Supervision:
     """What the supervisor remembers. Times are None while all is well.
 
-    began_s: the first tick. arm_known, gripper_known, frames_known: heard since then. untrusted, untrusted_since_s:
-    why the turn cannot be believed, and since when; contradicted_s: when the fingers contradicted each other last.
-    help_rotation_deg, help_since_s: the first tightening of the present episode. mark_mm, mark_s: last progress of the
-    arm, while it should move.
+    Args:
+        began_s, stepped_s: the first and the newest step.
+        arm_known, gripper_known, frames_known: received since then.
+        frames_since_s, gripper_since_s, arm_since_s: since when they are missing.
+        untrusted, untrusted_since_s: why the rotation estimate cannot be trusted, and since when.
+        contradicted_s: when the fingers last contradicted each other.
+        tightened_deg, tightened_since_s: rotation at the first tightening of the present episode, and since when.
+        gained_mm, gained_s: last progress of the arm, while it should move.
     """
 
     began_s: float = -math.inf
-    tick_s: float | None = None
-    frames_since_s: float | None = None
-    untrusted: str | None = None
-    untrusted_since_s: float | None = None
-    contradicted_s: float = -math.inf
-    gripper_since_s: float | None = None
-    arm_since_s: float | None = None
+    stepped_s: float | None = None
     arm_known: bool = False
     gripper_known: bool = False
     frames_known: bool = False
-    help_rotation_deg: float | None = None
-    help_since_s: float | None = None
-    mark_mm: float | None = None
-    mark_s: float = 0.0
+    frames_since_s: float | None = None
+    gripper_since_s: float | None = None
+    arm_since_s: float | None = None
+    untrusted: str | None = None
+    untrusted_since_s: float | None = None
+    contradicted_s: float = -math.inf
+    tightened_deg: float | None = None
+    tightened_since_s: float | None = None
+    gained_mm: float | None = None
+    gained_s: float = 0.0
 
 
-def watch(
+def supervise(
     memory: Supervision, state: GraspState, observation: Observation, params: GuardParams
 ) -> tuple[Supervision, tuple[Fault, ...]]:
-    """What is wrong now, the gravest first; nothing while nothing is at stake.
+    """Return the memory and what is wrong now, the gravest first; nothing while nothing is at stake.
 
-    While what was held before a restart is still to be found, only what would find it is looked at.
+    While what was held before a restart is still to be found, only gripper and fingers are checked.
     """
     now_s = observation.now_s
-    late_s = now_s - memory.tick_s if memory.tick_s is not None else 0.0
-    known = Supervision(
-        began_s=now_s if memory.tick_s is None else memory.began_s,
-        tick_s=now_s,
-        arm_known=memory.arm_known or observation.arm is not None,
-        gripper_known=memory.gripper_known or observation.gripper is not None,
-        frames_known=memory.frames_known or math.isfinite(min(observation.left.age_s, observation.right.age_s)),
-    )
+    late_s = now_s - memory.stepped_s if memory.stepped_s is not None else 0.0
+    began_s = now_s if memory.stepped_s is None else memory.began_s
+    arm_known = memory.arm_known or observation.arm is not None
+    gripper_known = memory.gripper_known or observation.gripper is not None
+    youngest_s = min(observation.left.age_s, observation.right.age_s)
+    frames_known = memory.frames_known or math.isfinite(youngest_s)
     held = state.phase in AT_STAKE or state.phase is Phase.FAULT
-    if not held and not waiting(state):
-        return known, ()
+    if not held and not state.waits_for_gripper:
+        return Supervision(began_s, now_s, arm_known, gripper_known, frames_known), ()
     memory = replace(
         memory,
-        began_s=known.began_s,
-        tick_s=now_s,
-        arm_known=known.arm_known,
-        gripper_known=known.gripper_known,
-        frames_known=known.frames_known,
+        began_s=began_s,
+        stepped_s=now_s,
+        arm_known=arm_known,
+        gripper_known=gripper_known,
+        frames_known=frames_known,
         frames_since_s=_since(memory.frames_since_s, _no_frames(observation, params), now_s),
         gripper_since_s=_since(memory.gripper_since_s, observation.gripper is None, now_s),
         arm_since_s=_since(memory.arm_since_s, observation.arm is None, now_s),
     )
-    finders = _gripper(memory, observation, params), _frames(memory, observation, params)
+    devices = _gripper(memory, observation, params), _frames(memory, observation, params)
     if not held:
-        return memory, tuple(fault for fault in finders if fault is not None)
+        return memory, tuple(fault for fault in devices if fault is not None)
     memory = _follow_trust(memory, state, observation)
-    memory = _follow_help(memory, state, observation)
+    memory = _follow_tightening(memory, state, observation)
     memory = _follow_arm(memory, state, observation)
     checks = (
         _arm_stop(observation),
-        *finders,
+        *devices,
         _arm(memory, state, observation, params),
         _arm_stuck(memory, state, observation, params),
-        _no_help(memory, observation, params),
-        _trust(memory, state, observation, params),
+        _no_effect(memory, observation, params),
+        _untrusted(memory, state, observation, params),
         _late(late_s, params),
     )
     return memory, tuple(fault for fault in checks if fault is not None)
 
 
 def _since(since_s: float | None, wrong: bool, now_s: float) -> float | None:
-    """When it went wrong; None if it is not."""
+    """Return since when it is wrong; None if it is not."""
     if not wrong:
         return None
     return now_s if since_s is None else since_s
@@ -113,103 +115,100 @@ def _lasts(since_s: float | None, now_s: float, limit_s: float) -> bool:
 
 
 def _silent_s(measured_at_s: float | None, since_s: float | None, now_s: float) -> float:
-    """How long a device has said nothing."""
+    """Return for how long a device has not reported."""
     if measured_at_s is not None:
         return now_s - measured_at_s
     return now_s - since_s if since_s is not None else 0.0
 
 
 def _starts(memory: Supervision, known: bool, now_s: float, timeout_s: float) -> bool:
-    """A device that has said nothing yet still has the time to appear."""
-    return not known and now_s - memory.began_s < max(timeout_s, FIRST_WAIT_S)
+    """Return whether a device that has not reported yet still has time to do so."""
+    return not known and now_s - memory.began_s < max(timeout_s, DEVICE_START_S)
 
 
 def _arm_stop(observation: Observation) -> Fault | None:
-    if observation.arm is None or not (observation.arm.emergency_stop or observation.arm.protective_stop):
+    arm = observation.arm
+    if arm is None or not (arm.emergency_stop or arm.protective_stop):
         return None
-    code = FaultCode.ARM_EMERGENCY if observation.arm.emergency_stop else FaultCode.ARM_STOPPED
     return Fault(
-        code,
-        f"the arm stopped itself at {observation.arm.height_mm:.0f} mm",
-        "see why, end the stop at the robot's panel, then clear; no force is added meanwhile",
+        FaultCode.ARM_EMERGENCY if arm.emergency_stop else FaultCode.ARM_STOPPED,
+        f"the arm stopped itself at {arm.height_mm:.0f} mm",
+        "find the cause, end the stop at the robot's panel, then clear; meanwhile no force is added",
     )
 
 
 def _gripper(memory: Supervision, observation: Observation, params: GuardParams) -> Fault | None:
-    gripper = observation.gripper
-    silent_s = _silent_s(gripper.measured_at_s if gripper else None, memory.gripper_since_s, observation.now_s)
-    starts = _starts(memory, memory.gripper_known, observation.now_s, params.tuning.gripper_timeout_s)
-    if silent_s >= params.tuning.gripper_timeout_s and not starts:
+    gripper, now_s, timeout_s = observation.gripper, observation.now_s, params.tuning.gripper_timeout_s
+    silent_s = _silent_s(gripper.measured_at_s if gripper else None, memory.gripper_since_s, now_s)
+    if silent_s >= timeout_s and not _starts(memory, memory.gripper_known, now_s, timeout_s):
         return Fault(
             FaultCode.GRIPPER_SILENT,
-            f"no answer for {silent_s:.1f} s",
-            "check its cable and power; the fingers lock themselves and keep the grip; then clear",
+            f"no response for {silent_s:.1f} s",
+            "check its cable and power; the jaws lock themselves and keep the grip; then clear",
         )
     if gripper is not None and (gripper.fault is not None or not gripper.active):
         return Fault(
             FaultCode.GRIPPER_FAULT,
-            f"the gripper says: {gripper.fault or 'not activated'}",
+            f"the gripper reports: {gripper.fault or 'not activated'}",
             "support the object before the gripper is reset: activating opens it",
         )
     return None
 
 
 def _no_frames(observation: Observation, params: GuardParams) -> bool:
-    return all(_blind(finger, params) for finger in (observation.left, observation.right))
+    return all(_is_old(finger, params) for finger in (observation.left, observation.right))
 
 
-def _blind(finger: FingerHealth, params: GuardParams) -> bool:
+def _is_old(finger: FingerHealth, params: GuardParams) -> bool:
     return finger.condition is not Condition.FRESH or finger.age_s >= params.tuning.frames_timeout_s
 
 
 def _frames(memory: Supervision, observation: Observation, params: GuardParams) -> Fault | None:
+    now_s, timeout_s = observation.now_s, params.tuning.frames_timeout_s
     if memory.frames_since_s is None:
         return None
-    silent_s = max(min(observation.left.age_s, observation.right.age_s), observation.now_s - memory.frames_since_s)
-    starts = _starts(memory, memory.frames_known, observation.now_s, params.tuning.frames_timeout_s)
-    if silent_s < params.tuning.frames_timeout_s or starts:
+    silent_s = max(min(observation.left.age_s, observation.right.age_s), now_s - memory.frames_since_s)
+    if silent_s < timeout_s or _starts(memory, memory.frames_known, now_s, timeout_s):
         return None
-    both = " and ".join(
-        f"{name}: {finger.why or finger.condition}"
-        for name, finger in (("left", observation.left), ("right", observation.right))
-    )
+    fingers = (("left", observation.left), ("right", observation.right))
+    both = " and ".join(f"{name}: {finger.why or finger.condition}" for name, finger in fingers)
     return Fault(
         FaultCode.FRAMES_LOST,
         f"no good frame for {silent_s:.1f} s ({both})" if math.isfinite(silent_s) else f"never a good frame ({both})",
-        "check the sensors' cables, then clear; until then nobody sees a slip",
+        "check the sensors' cables, then clear; until then slip is not detected",
     )
 
 
 def _follow_trust(memory: Supervision, state: GraspState, observation: Observation) -> Supervision:
-    """Why the turn cannot be believed though it could be read when the object was gripped, and since when."""
-    fused = observation.fused
-    if fused is None or not state.referenced or state.phase is Phase.REFERENCE:
+    """Follow why the rotation, estimated when the object was gripped, cannot be trusted now, and since when."""
+    fused, now_s = observation.fused, observation.now_s
+    if fused is None or not state.held.referenced or state.phase is Phase.REFERENCE:
         return replace(memory, untrusted=None, untrusted_since_s=None)
     why = fused.conflict if fused.conflict is not None or fused.rotation_deg is not None else fused.declined
-    contradicted_s = memory.contradicted_s if fused.conflict is None else observation.now_s
-    if why is None and len(fused.fingers) == 1 and observation.now_s - contradicted_s < MOMENT_S:
+    contradicted_s = memory.contradicted_s if fused.conflict is None else now_s
+    if why is None and len(fused.fingers) == 1 and now_s - contradicted_s < LEFT_OUT_S:
         why = memory.untrusted
-    since_s = _since(memory.untrusted_since_s, why is not None, observation.now_s)
+    since_s = _since(memory.untrusted_since_s, why is not None, now_s)
     return replace(memory, untrusted=why, untrusted_since_s=since_s, contradicted_s=contradicted_s)
 
 
-def _trust(memory: Supervision, state: GraspState, observation: Observation, params: GuardParams) -> Fault | None:
-    if not state.guarding or not _lasts(memory.untrusted_since_s, observation.now_s, params.tuning.estimate_timeout_s):
+def _untrusted(memory: Supervision, state: GraspState, observation: Observation, params: GuardParams) -> Fault | None:
+    timeout_s = params.tuning.estimate_timeout_s
+    if not state.guarding or not _lasts(memory.untrusted_since_s, observation.now_s, timeout_s):
         return None
     return Fault(
         FaultCode.ESTIMATE_UNTRUSTED,
-        f"for {params.tuning.estimate_timeout_s:g} s: {memory.untrusted}",
-        "look at both fingers; clear takes a new reference, release lets go",
+        f"for {timeout_s:g} s: {memory.untrusted}",
+        "check both fingers; clear takes a new reference, release opens the jaws",
     )
 
 
 def _arm(memory: Supervision, state: GraspState, observation: Observation, params: GuardParams) -> Fault | None:
-    silent_s = _silent_s(
-        observation.arm.measured_at_s if observation.arm else None, memory.arm_since_s, observation.now_s
-    )
-    gone_on_the_way = observation.arm is None and (state.phase in MOVING or state.putting_down)
-    limit_s = params.tuning.arm_timeout_s if memory.arm_known else ARM_WAIT_S
-    if silent_s < limit_s and not gone_on_the_way:
+    arm = observation.arm
+    silent_s = _silent_s(arm.measured_at_s if arm else None, memory.arm_since_s, observation.now_s)
+    gone_in_motion = arm is None and (state.phase in MOVING or state.arm.putting_down)
+    limit_s = params.tuning.arm_timeout_s if memory.arm_known else ARM_START_S
+    if silent_s < limit_s and not gone_in_motion:
         return None
     return Fault(
         FaultCode.ARM_SILENT,
@@ -219,53 +218,51 @@ def _arm(memory: Supervision, state: GraspState, observation: Observation, param
 
 
 def _follow_arm(memory: Supervision, state: GraspState, observation: Observation) -> Supervision:
-    """Mark each millimetre the arm gains while it should be moving."""
-    goes = state.putting_down or (state.phase in MOVING and state.slip is None)
-    if not goes or observation.arm is None:
-        return memory if memory.mark_mm is None else replace(memory, mark_mm=None)
-    if memory.mark_mm is None or abs(observation.arm.height_mm - memory.mark_mm) >= GAIN_MM:
-        return replace(memory, mark_mm=observation.arm.height_mm, mark_s=observation.now_s)
+    """Follow each millimeter the arm gains while it should be moving."""
+    arm = observation.arm
+    goes = state.arm.putting_down or (state.phase in MOVING and state.held.slip is None)
+    if not goes or arm is None:
+        return replace(memory, gained_mm=None)
+    if memory.gained_mm is None or abs(arm.height_mm - memory.gained_mm) >= GAIN_MM:
+        return replace(memory, gained_mm=arm.height_mm, gained_s=observation.now_s)
     return memory
 
 
 def _arm_stuck(memory: Supervision, state: GraspState, observation: Observation, params: GuardParams) -> Fault | None:
-    if (
-        memory.mark_mm is None
-        or observation.arm is None
-        or observation.now_s - memory.mark_s < params.tuning.stuck_timeout_s
-    ):
+    arm, timeout_s = observation.arm, params.tuning.stuck_timeout_s
+    if memory.gained_mm is None or arm is None or observation.now_s - memory.gained_s < timeout_s:
         return None
     return Fault(
         FaultCode.ARM_STUCK,
-        f"at {observation.arm.height_mm:.0f} mm for {params.tuning.stuck_timeout_s:g} s on the way to {state.goal_mm or 0.0:.0f} mm",
-        "see what stops the arm (its limits, its program, an obstacle), then clear",
+        f"at {arm.height_mm:.0f} mm for {timeout_s:g} s on the way to {state.arm.goal_mm or 0.0:.0f} mm",
+        "find what stops the arm (its limits, its program, an obstacle), then clear",
     )
 
 
-def _follow_help(memory: Supervision, state: GraspState, observation: Observation) -> Supervision:
-    """Mark where the object stood when it was first tightened."""
+def _follow_tightening(memory: Supervision, state: GraspState, observation: Observation) -> Supervision:
+    """Note the rotation at the first tightening of an episode."""
     rotation_deg = observation.fused.rotation_deg if observation.fused is not None else None
-    if state.slip is None:
-        return memory if memory.help_since_s is None else replace(memory, help_rotation_deg=None, help_since_s=None)
-    if memory.help_rotation_deg is None and rotation_deg is not None:
-        return replace(memory, help_rotation_deg=rotation_deg, help_since_s=observation.now_s)
+    if state.held.slip is None:
+        return replace(memory, tightened_deg=None, tightened_since_s=None)
+    if memory.tightened_deg is None and rotation_deg is not None:
+        return replace(memory, tightened_deg=rotation_deg, tightened_since_s=observation.now_s)
     return memory
 
 
-def _no_help(memory: Supervision, observation: Observation, params: GuardParams) -> Fault | None:
-    fused = observation.fused
-    if fused is None or fused.rotation_deg is None or memory.help_rotation_deg is None:
+def _no_effect(memory: Supervision, observation: Observation, params: GuardParams) -> Fault | None:
+    fused, timeout_s = observation.fused, params.tuning.tighten_effect_timeout_s
+    if fused is None or fused.rotation_deg is None or memory.tightened_deg is None:
         return None
-    further_deg = fused.rotation_deg - memory.help_rotation_deg
+    further_deg = fused.rotation_deg - memory.tightened_deg
     outward_deg_s = (fused.rate_deg_s or 0.0) * (1.0 if further_deg > 0.0 else -1.0)
-    if not _lasts(memory.help_since_s, observation.now_s, params.tuning.tighten_effect_timeout_s):
+    if not _lasts(memory.tightened_since_s, observation.now_s, timeout_s):
         return None
-    if abs(further_deg) < HELP_DEG or outward_deg_s < params.tuning.slip_rate_deg_s:
+    if abs(further_deg) < NO_EFFECT_DEG or outward_deg_s < params.tuning.slip_rate_deg_s:
         return None
     return Fault(
-        FaultCode.NO_HELP,
-        f"{abs(further_deg):.0f}° further and still turning at {outward_deg_s:.0f}°/s "
-        f"{params.tuning.tighten_effect_timeout_s:g} s after tightening",
+        FaultCode.TIGHTENING_INEFFECTIVE,
+        f"{abs(further_deg):.0f}° further and still rotating at {outward_deg_s:.0f}°/s "
+        f"{timeout_s:g} s after tightening",
         "support the object; grip it nearer to its centre of mass",
     )
 
@@ -275,6 +272,6 @@ def _late(late_s: float, params: GuardParams) -> Fault | None:
         return None
     return Fault(
         FaultCode.LOOP_LATE,
-        f"nothing was decided for {late_s:.2f} s",
-        "see what keeps the machine busy, then clear",
+        f"no control step for {late_s:.2f} s (limit {params.tuning.cycle_timeout_s:g} s)",
+        "find what keeps the machine busy, then clear",
     )

@@ -93,7 +93,7 @@ def current_grip(service: Service) -> CurrentGrip:
     """Return how the service holds now."""
     state, gripper = service.state, service.gripper.newest
     measured_n = gripper.force_n if gripper is not None and gripper.holding else 0.0
-    return CurrentGrip(state.phase, state.slip is not None, max(state.target_n, measured_n))
+    return CurrentGrip(state.phase, state.held.slip is not None, max(state.grip.target_n, measured_n))
 
 
 class Reloader:

@@ -18,7 +18,7 @@ import structlog
 
 from slipguard import __version__
 from slipguard.config import GROUP_OF, Config
-from slipguard.control.step import control_step
+from slipguard.control.control_step import control_step
 from slipguard.daemon.api.daemon_api import DaemonApi
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.paths import socket_path

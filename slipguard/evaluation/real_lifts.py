@@ -215,7 +215,7 @@ class _Cell:
 
 def _lifted_mm(service: Service) -> float:
     """Return the height above where the lift began; 0 if that is not known."""
-    arm, ground_mm = service.arm.newest, service.state.ground_mm
+    arm, ground_mm = service.arm.newest, service.state.arm.ground_mm
     return 0.0 if arm is None or ground_mm is None else arm.height_mm - ground_mm
 
 

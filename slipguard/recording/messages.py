@@ -15,12 +15,12 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import to_json
 
 from slipguard.config_errors import describe_validation_error
-from slipguard.control.messages import Command, Observation
-from slipguard.control.step import ControlState
+from slipguard.control.control_step import ControlState
+from slipguard.control.messages import Observation, StepOutput
 from slipguard.errors import InputError
 from slipguard.perception.estimate import Estimate
 
-FORMAT = "1"
+FORMAT = "2"
 FINGERS = ("left", "right")
 CAMERA = "camera"
 """Source name of the external camera in the recordings of an experiment."""
@@ -64,7 +64,7 @@ class CycleRecord:
     now_s: float
     phase: str
     observation: Observation
-    command: Command
+    output: StepOutput
     left_sequence: int | None = None
     right_sequence: int | None = None
 

@@ -18,7 +18,7 @@ from mcap.records import Attachment, Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 
-from slipguard.control.step import ControlState
+from slipguard.control.control_step import ControlState
 from slipguard.errors import InputError
 from slipguard.recording import messages as m
 

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.control.step import ControlState
+from slipguard.control.control_step import ControlState
 from slipguard.perception.contact.patch import resize_mask_to_frame
 from slipguard.recording import messages as m
 from slipguard.recording.ring import NoRoom, Retention, Ring

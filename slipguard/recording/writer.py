@@ -15,7 +15,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from slipguard.control.step import ControlState
+from slipguard.control.control_step import ControlState
 from slipguard.recording import messages as m
 
 CHUNK_BYTES = 64 * 1024

@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from slipguard.config import Config, parse_config
-from slipguard.control.controller import step
-from slipguard.control.messages import Command, Observation
+from slipguard.control.control_step import ControlState, control_step, step
+from slipguard.control.messages import Observation, StepOutput
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
-from slipguard.control.step import ControlState, control_step
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, LiftRequest, LowerRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
@@ -206,7 +205,7 @@ def _watched(
 
     def decided(decision: Decision) -> None:
         progress.phase = decision.phase.value
-        fresh_grip = decision.command.new_reference  # earlier estimates belong to an older reference
+        fresh_grip = decision.output.new_reference  # earlier estimates belong to an older reference
         if decision.phase not in GRIPPED or fresh_grip or loop.time() > record.ended_at_s:
             progress.rotation_deg = progress.sigma_deg = None
             return
@@ -235,7 +234,9 @@ def _watched(
         service.observers.remove(decided)
 
 
-def unguarded_step(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, Command]:
+def unguarded_step(
+    state: ControlState, observation: Observation, params: GuardParams
+) -> tuple[ControlState, StepOutput]:
     """Return the control step for an object that seems at rest: the same phases, always with the first force."""
     fused = observation.fused
     if fused is not None and (fused.left_contact or fused.right_contact):
@@ -250,5 +251,5 @@ def unguarded_step(state: ControlState, observation: Observation, params: GuardP
             declined=None,
         )
     params = params.model_copy(update={"no_estimate_force_n": params.first_force_n})
-    grasp, command = step(state.grasp, replace(observation, fused=fused, fault=None), params)
-    return replace(state, grasp=grasp), command
+    grasp, output = step(state.grasp, replace(observation, fused=fused, fault=None), params)
+    return replace(state, grasp=grasp), output

@@ -18,10 +18,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from slipguard.config_errors import describe_validation_error
+from slipguard.control.control_step import ControlState, control_step
 from slipguard.control.finger_fusion import fuse
-from slipguard.control.messages import Command
+from slipguard.control.messages import StepOutput
 from slipguard.control.params import GuardParams
-from slipguard.control.step import ControlState, control_step
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt, InputError
 from slipguard.perception.contact.segmenter import Segmenter
@@ -42,8 +42,8 @@ class CommandDifference:
     """A command that differs between recording and replay."""
 
     now_s: float
-    recorded: Command
-    replayed: Command
+    recorded: StepOutput
+    replayed: StepOutput
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +203,7 @@ class _RecordingPlayer:
         done = self._done
         if not done.phases or done.phases[-1][1] != cycle.phase:
             done.phases.append((cycle.now_s, cycle.phase))
-        fault = cycle.command.fault
+        fault = cycle.output.fault
         if fault is not None and str(fault) not in done.faults:
             done.faults.append(str(fault))
         if not self._memory:
@@ -224,10 +224,10 @@ class _RecordingPlayer:
         )
 
     def _compare(self, into: ControllerReplay, memory: ControlState, cycle: m.CycleRecord) -> ControlState:
-        memory, command = control_step(memory, cycle.observation, self._params)
+        memory, output = control_step(memory, cycle.observation, self._params)
         into.ticks += 1
-        if command != cycle.command:
-            into.differences.append(CommandDifference(cycle.now_s, cycle.command, command))
+        if output != cycle.output:
+            into.differences.append(CommandDifference(cycle.now_s, cycle.output, output))
         return memory
 
 

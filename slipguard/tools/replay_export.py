@@ -78,14 +78,14 @@ def _estimate_row(item: RecordedItem, judged: m.FrameRecord) -> list[Any]:
 
 
 def _tick_row(item: RecordedItem, tick: m.CycleRecord) -> list[Any]:
-    fused, gripper, arm, command = tick.observation.fused, tick.observation.gripper, tick.observation.arm, tick.command
+    fused, gripper, arm, output = tick.observation.fused, tick.observation.gripper, tick.observation.arm, tick.output
     rotation = (
         [fused.rotation_deg, fused.sigma_deg, fused.rate_deg_s, fused.shift_mm] if fused is not None else [None] * 4
     )
     grip = [gripper.force_n, gripper.width_mm, gripper.holding] if gripper is not None else [None] * 3
     height_mm = arm.height_mm if arm is not None else None
-    fault = str(command.fault) if command.fault is not None else None
-    commanded = [command.hold_force_n, command.arm, command.say, fault]
+    fault = str(output.fault) if output.fault is not None else None
+    commanded = [output.hold_force_n, output.arm, output.text, fault]
     return [item.at_ns, tick.now_s, tick.phase, *rotation, *grip, height_mm, *commanded]
 
 

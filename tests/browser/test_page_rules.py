@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from page_rig import DaemonProcess
 
-from slipguard.control.fault import Fault, FaultCode
-from slipguard.control.messages import Command, ControlRequest, Observation, RequestKind
+from slipguard.control.messages import ControlRequest, Observation, RequestKind, StepOutput
 from slipguard.control.params import GuardParams
-from slipguard.control.requests import answer
-from slipguard.control.state import GraspState, Phase, SlipEpisode
+from slipguard.control.reports import Fault, FaultCode
+from slipguard.control.requests import handle_request
+from slipguard.control.state import Adoption, ArmMotion, GraspState, Grip, HeldObject, PersonNear, Phase, SlipEpisode
 from slipguard.devices import ArmState, GripperState
 
 pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="session")]
@@ -53,8 +53,8 @@ def cases() -> list[tuple[GraspState, Observation, GuardParams]]:
     ):
         near = arm is not None and (arm.protective_stop or arm.emergency_stop)
         state = GraspState(
-            phase=phase, since_s=5.0, guarding=guarding, slip=slips, ground_mm=0.0, person_near=near, adopted=True,
-            commanded_s=5.0, fault=fault if phase is Phase.FAULT else None,
+            phase, 5.0, guarding, Grip(commanded_s=5.0), HeldObject(slip=slips), ArmMotion(ground_mm=0.0),
+            person=PersonNear(near), adoption=Adoption(done=True), fault=fault if phase is Phase.FAULT else None,
         )  # fmt: skip
         made.append((state, Observation(NOW_S, gripper=gripper, arm=arm), GuardParams(mode=mode)))
     return made
@@ -65,15 +65,18 @@ def told(state: GraspState, observation: Observation, params: GuardParams) -> di
     devices = {"left": object(), "right": object(), "gripper": observation.gripper, "arm": observation.arm}
     gone = [name for name, one in devices.items() if one is None]
     return {
-        "phase": state.phase.value, "mode": params.mode, "guarding": state.guarding, "slipping": state.slip is not None,
-        "putting_down": state.putting_down, "waiting_for": [f"{name}: gone" for name in gone],
+        "phase": state.phase.value, "mode": params.mode, "guarding": state.guarding, "slipping": state.held.slip is not None,
+        "putting_down": state.arm.putting_down, "waiting_for": [f"{name}: gone" for name in gone],
         "gripper": observation.gripper and {name: getattr(observation.gripper, name) for name in GripperState.__slots__},
         "arm": observation.arm and {name: getattr(observation.arm, name) for name in ArmState.__slots__},
     }  # fmt: skip
 
 
 def granted(state: GraspState, observation: Observation, params: GuardParams, kind: RequestKind) -> bool:
-    return answer(state, Command(), replace(observation, request=ControlRequest(kind)), params)[1].refused is None
+    return (
+        handle_request(state, StepOutput(), replace(observation, request=ControlRequest(kind)), params)[1].refusal
+        is None
+    )
 
 
 async def test_the_page_allows_every_command_that_the_controller_grants(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]

@@ -15,8 +15,8 @@ import numpy as np
 from loop_doubles import FlatSensor, LoggedArm, LoggedGripper, Memory, Oracle, Shelf
 
 from slipguard.config import Config, parse_config
+from slipguard.control.control_step import control_step
 from slipguard.control.state import Phase
-from slipguard.control.step import control_step
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import DaemonRequest, GraspRequest, LiftRequest, LowerRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
@@ -105,8 +105,8 @@ class Cell:
 
     def _watch(self, decision: Decision) -> None:
         self.ticks += 1
-        if decision.command.say is not None:
-            self.says.append(decision.command.say)
+        if decision.output.text is not None:
+            self.says.append(decision.output.text)
         if not self.phases or decision.phase is not self.phases[-1]:
             self.phases.append(decision.phase)
         if self.watched:

@@ -12,7 +12,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 from loop_cell import Cell, play
 
-from slipguard.control.fault import FaultCode
+from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import ClearRequest, GraspRequest, LiftRequest, LowerRequest, MoveJawsRequest
 from slipguard.errors import CommandRefused
@@ -66,7 +66,7 @@ def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
         await reach(cell)
-        failed_at_s, force_n = cell.now_s, cell.service.state.target_n
+        failed_at_s, force_n = cell.now_s, cell.service.state.grip.target_n
         for device in devices:
             cell.world.faults.fail(device, kind)
         await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
@@ -81,7 +81,7 @@ def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
         assert "lift" not in told
         await asyncio.sleep(0.3)
         if devices == ("arm",) and kind in STANDS:
-            assert cell.service.state.target_n == force_n
+            assert cell.service.state.grip.target_n == force_n
         if devices != ("arm",) or kind in STANDS:
             height_mm = cell.truth.height_mm
             await asyncio.sleep(0.2)

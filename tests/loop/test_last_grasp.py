@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from loop_cell import Cell, play
 
-from slipguard.control.fault import Fault, FaultCode
-from slipguard.control.messages import Command, Observation
-from slipguard.control.state import GraspState, Phase, RememberedGrip
-from slipguard.control.step import ControlState
+from slipguard.control.control_step import ControlState
+from slipguard.control.messages import Observation, StepOutput
+from slipguard.control.reports import Fault, FaultCode
+from slipguard.control.state import Adoption, GraspState, HandsOff, PersonNear, Phase, RememberedGrip
 from slipguard.daemon.api.requests import ClearRequest, MoveJawsRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.store.disk_writer import RETRY_S
@@ -31,13 +31,13 @@ def test_the_grip_is_noted_down_tightened_and_forgotten(tmp_path: Path) -> None:
         await asyncio.sleep(0.1)
         first = shelf.load_last_grasp()
         assert first is not None
-        assert first.force_n == cell.service.state.target_n
+        assert first.force_n == cell.service.state.grip.target_n
         await cell.lift()
         await asyncio.sleep(0.5)
         tightened = shelf.load_last_grasp()
         assert tightened is not None
-        assert tightened.force_n == cell.service.state.target_n > first.force_n
-        assert restore_control_state(shelf).grasp.remembered == RememberedGrip(
+        assert tightened.force_n == cell.service.state.grip.target_n > first.force_n
+        assert restore_control_state(shelf).grasp.adoption.remembered == RememberedGrip(
             tightened.force_n, tightened.width_mm, applied=True
         )
         await cell.lower()
@@ -111,13 +111,13 @@ def test_a_disk_that_is_mended_gets_the_grip_though_the_force_has_not_changed(tm
         cell.service.observers.append(LastGraspSaver(shelf, said.append, said.append).add_decision)
         await cell.grasp()
         await cell.until(lambda: shelf.writes > 0)
-        before, force_n = shelf.writes, cell.service.state.target_n
+        before, force_n = shelf.writes, cell.service.state.grip.target_n
         await asyncio.sleep(1.0)
         assert (shelf.writes, before) == (1, 1), "not at once again"
         await asyncio.sleep(3 * RETRY_S)
         last = shelf.load_last_grasp()
         assert last is not None
-        assert last.force_n == force_n == cell.service.state.target_n
+        assert last.force_n == force_n == cell.service.state.grip.target_n
 
     play(Cell("wrench", 1), scene)
     assert [line.partition(" for a restart")[0] for line in said] == [
@@ -135,7 +135,7 @@ def test_a_force_counts_as_applied_once_the_gripper_confirms_it(tmp_path: Path) 
         cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).add_decision)
         await cell.grasp()
         await asyncio.sleep(0.1)
-        assert cell.service.state.target_n == pytest.approx(40.0, abs=0.85)
+        assert cell.service.state.grip.target_n == pytest.approx(40.0, abs=0.85)
         assert (await noted(shelf)).applied
         cell.world.faults.fail("gripper", "timeout")
         await cell.submit(MoveJawsRequest(force_n=120.0))
@@ -154,7 +154,7 @@ def test_a_force_counts_as_applied_once_the_gripper_confirms_it(tmp_path: Path) 
 async def noted(shelf: StateDir) -> RememberedGrip:
     """What a daemon started now would know of the grip."""
     await asyncio.sleep(0.05)
-    grip = restore_control_state(shelf).grasp.remembered
+    grip = restore_control_state(shelf).grasp.adoption.remembered
     assert grip is not None
     return grip
 
@@ -172,9 +172,9 @@ def test_a_latched_fault_is_noted_until_it_is_cleared(tmp_path: Path) -> None:
         await asyncio.sleep(0.1)
         grasp = restore_control_state(shelf).grasp
         assert (grasp.phase, grasp.fault) == (Phase.FAULT, cell.service.state.fault)
-        assert grasp.remembered == grip, "as it was when the gripper was last heard"
+        assert grasp.adoption.remembered == grip, "as it was when the gripper was last heard"
         old = restore_control_state(shelf, datetime.now(UTC) + timedelta(days=3)).grasp
-        assert (old.phase, old.fault, old.remembered) == (Phase.FAULT, grasp.fault, None)
+        assert (old.phase, old.fault, old.adoption.remembered) == (Phase.FAULT, grasp.fault, None)
         cell.world.faults.repair("gripper")
         await cell.ready()
         await cell.submit(ClearRequest())
@@ -201,16 +201,18 @@ def test_a_fault_without_a_gripper_is_noted_with_the_grip_of_before_the_restart(
 
     async def scene() -> None:
         keeper = LastGraspSaver(shelf, list[str]().append, list[str]().append)
-        before = ControlState(GraspState(remembered=grip, person_near=True))
-        rotation = Decision(1.0, Phase.IDLE, Observation(1.0), Command(), before)
+        before = ControlState(GraspState(adoption=Adoption(remembered=grip), person=PersonNear(True)))
+        rotation = Decision(1.0, Phase.IDLE, Observation(1.0), StepOutput(), before)
         keeper.add_decision(rotation)
         await asyncio.sleep(0.1)
         assert shelf.load_last_grasp() is None, "nothing is known yet"
-        keeper.add_decision(replace(rotation, phase=Phase.FAULT, command=Command(fault=fault)))
+        keeper.add_decision(replace(rotation, phase=Phase.FAULT, output=StepOutput(fault=fault)))
         await asyncio.sleep(0.1)
 
     asyncio.run(scene())
-    assert restore_control_state(shelf).grasp == GraspState(Phase.FAULT, remembered=grip, person_near=True, fault=fault)
+    assert restore_control_state(shelf).grasp == GraspState(
+        Phase.FAULT, adoption=Adoption(remembered=grip), person=PersonNear(True), fault=fault
+    )
 
 
 def test_what_was_to_be_let_go_is_noted_with_its_fault(tmp_path: Path) -> None:
@@ -219,14 +221,12 @@ def test_what_was_to_be_let_go_is_noted_with_its_fault(tmp_path: Path) -> None:
 
     async def scene() -> None:
         keeper = LastGraspSaver(shelf, list[str]().append, list[str]().append)
-        grasp = GraspState(Phase.FAULT, release_requested=True, closing_interrupted=True, fault=fault)
-        keeper.add_decision(Decision(1.0, Phase.FAULT, Observation(1.0), Command(fault=fault), ControlState(grasp)))
+        grasp = GraspState(Phase.FAULT, hands_off=HandsOff(True, True), fault=fault)
+        keeper.add_decision(Decision(1.0, Phase.FAULT, Observation(1.0), StepOutput(fault=fault), ControlState(grasp)))
         await asyncio.sleep(0.1)
 
     asyncio.run(scene())
-    assert restore_control_state(shelf).grasp == GraspState(
-        Phase.FAULT, release_requested=True, closing_interrupted=True, fault=fault
-    )
+    assert restore_control_state(shelf).grasp == GraspState(Phase.FAULT, hands_off=HandsOff(True, True), fault=fault)
 
 
 @pytest.mark.parametrize(
@@ -248,7 +248,9 @@ def test_an_old_note_counts_as_none(tmp_path: Path) -> None:
     shelf.save_last_grasp(LastGrasp(saved_at=now - timedelta(hours=2), force_n=90.0, width_mm=18.0))
     assert restore_control_state(shelf, now) == ControlState()
     shelf.save_last_grasp(LastGrasp(saved_at=now - timedelta(minutes=2), force_n=90.0, width_mm=18.0))
-    assert restore_control_state(shelf, now) == ControlState(GraspState(remembered=RememberedGrip(90.0, 18.0)))
+    assert restore_control_state(shelf, now) == ControlState(
+        GraspState(adoption=Adoption(remembered=RememberedGrip(90.0, 18.0)))
+    )
 
 
 def test_a_stop_for_a_person_is_remembered_until_the_arm_is_heard(tmp_path: Path) -> None:
@@ -261,9 +263,9 @@ def test_a_stop_for_a_person_is_remembered_until_the_arm_is_heard(tmp_path: Path
         await cell.grasp()
         cell.world.faults.fail("arm", "protective_stop")
         await asyncio.sleep(0.3)
-        assert restore_control_state(shelf).grasp.person_near
+        assert restore_control_state(shelf).grasp.person.now
         cell.world.faults.repair("arm")
         await asyncio.sleep(0.3)
-        assert not restore_control_state(shelf).grasp.person_near
+        assert not restore_control_state(shelf).grasp.person.now
 
     play(Cell("wrench", 1), scene)

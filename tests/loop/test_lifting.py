@@ -7,8 +7,8 @@ import asyncio
 import pytest
 from loop_cell import Cell, play
 
+from slipguard.control.control_step import control_step
 from slipguard.control.state import Phase
-from slipguard.control.step import control_step
 from slipguard.daemon.api.requests import GraspRequest, LiftRequest
 from slipguard.daemon.loop.service import Controller
 from slipguard.errors import CommandRefused
@@ -69,7 +69,7 @@ BLIND = {"left": "round contact", "right": "round contact"}
 def test_what_cannot_be_seen_turning_is_gripped_firmly_before_it_is_lifted() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
-        assert cell.service.state.blind is not None
+        assert cell.service.state.held.no_estimate is not None
         assert cell.truth.applied_n >= 100.0
         assert cell.truth.force_n >= 85.0  # a gripper may be 10 % weaker than it says
         assert cell.truth.height_mm == 0.0
@@ -91,7 +91,7 @@ def test_it_is_not_lifted_before_the_firm_grip_is_there() -> None:
         holding = asyncio.Event()
         cell.service.observers.append(lambda decision: decision.phase is Phase.HOLDING and holding.set())
         await holding.wait()
-        with pytest.raises(CommandRefused, match="the grip is not yet firm"):
+        with pytest.raises(CommandRefused, match="the grip is not firm yet"):
             await cell.submit(LiftRequest())
         await cell.until(cell.steady)
         await cell.submit(LiftRequest())
@@ -103,7 +103,7 @@ def test_it_is_not_lifted_before_the_firm_grip_is_there() -> None:
 def test_what_cannot_be_seen_turning_is_not_lifted_where_that_is_refused() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
-        with pytest.raises(CommandRefused, match=r"the turn cannot be seen \(left finger: round contact"):
+        with pytest.raises(CommandRefused, match=r"no rotation estimate \(left finger: round contact"):
             await cell.submit(LiftRequest())
         assert cell.truth.applied_n < 45.0
         assert not [told for told in cell.arm.told if told[1] == "lift"]
@@ -115,7 +115,7 @@ def test_what_cannot_be_seen_turning_is_not_lifted_where_that_is_refused() -> No
 def test_one_finger_that_sees_is_enough() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
-        assert cell.service.state.referenced
+        assert cell.service.state.held.referenced
         await cell.lift()
         await asyncio.sleep(0.5)
         assert cell.phase is Phase.HOLDING

@@ -35,7 +35,7 @@ def test_a_tightening_that_was_not_taken_is_commanded_again() -> None:
         assert cell.gripper.failures == []
         holds = [value for _, what, value in cell.gripper.told[before:] if what == "hold"]
         assert holds[0] == holds[1]
-        assert cell.truth.applied_n == pytest.approx(cell.service.state.target_n, abs=0.5)
+        assert cell.truth.applied_n == pytest.approx(cell.service.state.grip.target_n, abs=0.5)
         assert cell.truth.dropped is None
 
     play(Cell("wrench", 1), scene)
@@ -70,7 +70,7 @@ def test_two_wishes_at_once_are_both_answered_in_order() -> None:
         both = [cell.submit(GraspRequest()), cell.submit(ReleaseRequest(confirm=True))]
         first, second = await asyncio.gather(*both)
         assert first.startswith("closing with")
-        assert second.startswith("releasing, as asked")
+        assert second.startswith("releasing, as requested")
         assert cell.now_s - asked_s < 0.05
         await cell.until(lambda: cell.phase is Phase.IDLE)
         twice = await asyncio.gather(cell.submit(GraspRequest()), cell.submit(GraspRequest()), return_exceptions=True)

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from slipguard.control.fault import FaultCode
+from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import ClearRequest, GraspRequest, LiftRequest, MoveJawsRequest
 from slipguard.daemon.loop.virtual_time import run_virtual
@@ -79,7 +79,7 @@ def test_a_latched_fault_outlives_the_daemon() -> None:
         rig.world.faults.repair("gripper")
         await asyncio.sleep(DEAD_S)
         rig.start()
-        await until(lambda: rig.service.state.gripped)
+        await until(lambda: rig.service.state.grip.closed)
         assert (rig.service.phase, rig.service.state.fault) == (Phase.FAULT, fault)
         assert fault is not None
         assert fault.code is FaultCode.GRIPPER_FAULT

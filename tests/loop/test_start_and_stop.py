@@ -45,7 +45,7 @@ def test_with_no_device_at_all_the_service_waits_and_says_for_what() -> None:
         assert [line.split(":")[0] for line in cell.service.waiting_for] == list(DEVICES)
         assert cell.phase is Phase.IDLE
         said = await cell.submit(ReleaseRequest(confirm=True))
-        assert said == "releasing, as asked: when the arm stands, 0.5 s from now at the latest"
+        assert said == "releasing, as requested: when the arm stands, after 0.5 s at the latest"
 
     play(Cell(), scene)
 
@@ -117,7 +117,7 @@ def test_a_restart_takes_over_what_is_held_and_guards_on(first: str) -> None:
                 world.faults.repair(device)
                 await asyncio.sleep(0.3)
             await new.until(new.steady)
-            assert new.service.state.referenced
+            assert new.service.state.held.referenced
             assert new.truth.applied_n == held_n
             assert new.gripper.told == []
             assert Phase.FAULT not in new.phases, new.says

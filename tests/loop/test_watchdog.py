@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from loop_cell import Cell, play
 
-from slipguard.control.messages import Command, Observation
+from slipguard.control.control_step import ControlState, control_step
+from slipguard.control.messages import Observation, StepOutput
 from slipguard.control.params import GuardParams
-from slipguard.control.step import ControlState, control_step
 from slipguard.daemon.lifecycle import notify_systemd, watchdog_period_s
 
 WATCHDOG_S = 3.0
@@ -61,7 +61,7 @@ def test_a_law_that_fails_ends_the_service_and_feeds_nothing_more(systemd: socke
     """Sensors, gripper and arm go on answering until then: they are no sign of health."""
     rotations = 0
 
-    def broken(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, Command]:
+    def broken(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, StepOutput]:
         nonlocal rotations
         rotations += 1
         if rotations > 50:

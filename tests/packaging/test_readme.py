@@ -12,7 +12,7 @@ import typer
 from sandbox import ROOT
 
 from slipguard.cli.app import app
-from slipguard.control.fault import FaultCode
+from slipguard.control.reports import FaultCode
 from tests.campaigns.command_line import app as campaigns
 
 README_MAX_BYTES = 10_240

@@ -136,7 +136,7 @@ def guarded_at_s(process: Process) -> float:
         return [line["timestamp"] for line in lines() if line.get("event") == "phase" and line["now"] == "holding"]
 
     until(holding, "not guarding", lambda: process.said[-2000:])
-    assert any("turn seen" in line["event"] for line in lines()), process.said
+    assert any("rotation estimated" in line["event"] for line in lines()), process.said
     return datetime.fromisoformat(holding()[0]).timestamp()
 
 

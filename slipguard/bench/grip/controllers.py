@@ -1,45 +1,45 @@
-"""The controllers that are compared: slipguard's, no guard, a fixed step, and an oracle that knows the truth."""
+"""Who may hold the object: slipguard's law, nobody, a fixed step as the field does it, and one that sees the truth."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from slipguard.control.messages import ArmLift, Command, Observation, RequestKind
+from slipguard.control.control_step import ControlState, control_step
+from slipguard.control.messages import HoldForce, LiftArm, Observation, RequestKind, StepOutput, StopArm
 from slipguard.control.params import GuardParams
-from slipguard.control.step import ControlState, control_step
 from slipguard.sim.world import WorldTruth
 
 STEP = 1.10
 STEP_ABOVE_DEG = 5.0
-"""The fixed step increases the force by 10 % at each frame with a rotation above this."""
+"""The fixed step: 10 % of the present force more, each frame in which the turn is above this."""
 ORACLE_ABOVE_DEG = 0.1
-"""From this slip on the oracle tightens."""
+"""Slip smaller than this has not begun."""
 ORACLE_TIMES = 1.5
-SETTLED_DEG, SETTLE_S = 1.0, 0.3
-"""A stopped arm continues after a rotation below this for this time, as with slipguard's controller."""
+CALM_DEG, CALM_S = 1.0, 0.3
+"""An arm that was stopped goes on when nothing has moved by more than this for so long: as the law does it."""
 REACHED_MM = 0.5
 
 
 @dataclass(slots=True)
 class SlipguardController:
-    """slipguard's supervisor and controller."""
+    """slipguard's own: supervisor and law together."""
 
     params: GuardParams
-    guard: ControlState = field(default_factory=ControlState)
+    state: ControlState = field(default_factory=ControlState)
 
     def exposed(self, truth: WorldTruth) -> None:
-        """Ignore the truth."""
+        """Does not look."""
 
-    def decide(self, observation: Observation) -> Command:
-        self.guard, command = control_step(self.guard, observation, self.params)
-        return command
+    def decide(self, observation: Observation) -> StepOutput:
+        self.state, output = control_step(self.state, observation, self.params)
+        return output
 
 
 @dataclass(slots=True)
 class UnguardedController:
-    """Grips and lifts as requested. Subclasses tighten; the arm then pauses until the object has settled.
+    """Grips once, as told, and lifts, as told; the arm waits while `pauses` and goes on when all is calm.
 
-    goal_mm, speed_mm_s: of the lift. still_deg: rotation since still_s.
+    goal_mm, speed_mm_s: of the lift. still_deg: the turn that has lasted since still_s.
     """
 
     target_n: float = 0.0
@@ -49,46 +49,46 @@ class UnguardedController:
     still_s: float = 0.0
 
     def exposed(self, truth: WorldTruth) -> None:
-        """Ignore the truth."""
+        """Does not look."""
 
-    def decide(self, observation: Observation) -> Command:
+    def decide(self, observation: Observation) -> StepOutput:
         request = observation.request
         if request.kind is RequestKind.GRASP and request.force_n is not None:
             self.target_n = request.force_n
-            return Command(hold_force_n=self.target_n)
+            return StepOutput(HoldForce(self.target_n))
         if request.kind is RequestKind.LIFT and request.height_mm is not None and observation.arm is not None:
             self.goal_mm, self.speed_mm_s = observation.arm.height_mm + request.height_mm, request.speed_mm_s or 0.0
-            return Command(arm=ArmLift(request.height_mm, self.speed_mm_s))
+            return StepOutput(arm=LiftArm(request.height_mm, self.speed_mm_s))
         more_n = self.more_n(observation)
         if more_n is not None:
             self.target_n, self.still_s = more_n, observation.now_s
-            return Command(hold_force_n=more_n, arm="stop")
-        return Command(arm=self._continue_lift(observation))
+            return StepOutput(HoldForce(more_n), StopArm())
+        return StepOutput(arm=self._go_on(observation))
 
     def more_n(self, observation: Observation) -> float | None:
-        """Return the force to tighten to, above `target_n`; None to keep the force."""
+        """The force to tighten to now, above `target_n`; None for none."""
         return None
 
-    def _continue_lift(self, observation: Observation) -> ArmLift | None:
-        """Return the rest of the lift if the arm has stopped early and object and gripper have settled."""
+    def _go_on(self, observation: Observation) -> LiftArm | None:
+        """An arm that stands below its goal goes on when neither object nor gripper has moved for a while."""
         rotation_deg = observation.fused.rotation_deg if observation.fused is not None else None
         moves = observation.gripper is None or observation.gripper.moving or rotation_deg is None
-        if moves or abs((rotation_deg or 0.0) - self.still_deg) > SETTLED_DEG:
+        if moves or abs((rotation_deg or 0.0) - self.still_deg) > CALM_DEG:
             self.still_deg, self.still_s = rotation_deg or 0.0, observation.now_s
         if (
             self.goal_mm is None
             or observation.arm is None
             or observation.arm.moving
-            or observation.now_s - self.still_s < SETTLE_S
+            or observation.now_s - self.still_s < CALM_S
         ):
             return None
-        rest_mm = self.goal_mm - observation.arm.height_mm
-        return ArmLift(rest_mm, self.speed_mm_s) if rest_mm > REACHED_MM else None
+        way_mm = self.goal_mm - observation.arm.height_mm
+        return LiftArm(way_mm, self.speed_mm_s) if way_mm > REACHED_MM else None
 
 
 @dataclass(slots=True)
 class FixedStep(UnguardedController):
-    """Increases the force by 10 % at each new frame with a rotation above 5 degrees, up to `force_max_n`."""
+    """Each new frame in which the turn is above 5 degrees: ten per cent more, up to `force_max_n`."""
 
     force_max_n: float = 130.0
     captured_s: float = -1.0
@@ -105,9 +105,9 @@ class FixedStep(UnguardedController):
 
 @dataclass(slots=True)
 class Oracle(UnguardedController):
-    """Knows the true slip one latency later, the needed force and the gripper's gain; it needs one command.
+    """Knows the true slip of each frame one latency later, the force needed and the gripper's gain: one command.
 
-    latency_s: from exposure to the decision.
+    latency_s: from exposure to its decision.
     """
 
     latency_s: float = 0.0

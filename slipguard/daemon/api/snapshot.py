@@ -25,15 +25,15 @@ def snapshot(service: Service, gels: Mapping[str, GelCondition]) -> dict[str, ob
         "mode": guard.mode,
         "phase": state.phase.value,
         "guarding": state.guarding,
-        "slipping": state.slip is not None,
-        "putting_down": state.putting_down,
-        "target_force_n": state.target_n,
+        "slipping": state.held.slip is not None,
+        "putting_down": state.arm.putting_down,
+        "target_force_n": state.grip.target_n,
         "limits": {
             "first_force_n": guard.first_force_n,
             "force_max_n": guard.force_max_n,
             "lift_height_mm": guard.lift_height_mm,
         },
-        "no_rotation_reason": state.blind,
+        "no_rotation_reason": state.held.no_estimate,
         "fault": None
         if fault is None
         else {"code": fault.code.value, "observed": fault.observed, "what_to_do": fault.what_to_do},

@@ -6,9 +6,9 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from slipguard.control.messages import Command, Observation
+from slipguard.control.control_step import ControlState
+from slipguard.control.messages import Observation, StepOutput
 from slipguard.control.state import Phase
-from slipguard.control.step import ControlState
 from slipguard.perception.estimate import Estimate
 
 LATENCIES_KEPT = 2000
@@ -29,7 +29,7 @@ class Decision:
     now_s: float
     phase: Phase
     observation: Observation
-    command: Command
+    output: StepOutput
     memory: ControlState
     estimates: Mapping[str, Estimate | None] = field(default_factory=dict)
     new_estimates: Mapping[str, Estimate] = field(default_factory=dict)

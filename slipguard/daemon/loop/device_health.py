@@ -144,7 +144,7 @@ class DeviceAlerts:
         since_s = 0.0 if self._last_s is None else now_s - self._last_s
         if since_s >= late_s and phase not in AT_STAKE and phase is not Phase.FAULT:
             self._warning(
-                f"loop: nothing was decided for {since_s:.2f} s (limit {late_s:g} s); check what keeps the machine busy"
+                f"loop: no control step for {since_s:.2f} s (limit {late_s:g} s); check what keeps the machine busy"
             )
         self._last_s = now_s
         for name, reason in problems.items():

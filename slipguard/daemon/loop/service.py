@@ -13,12 +13,23 @@ from collections.abc import Callable, Mapping
 import structlog
 
 from slipguard.config import Config
-from slipguard.control.fault import Fault
+from slipguard.control.control_step import ControlState, control_step
 from slipguard.control.finger_fusion import fuse
-from slipguard.control.messages import ArmLift, Command, ControlRequest, FingerHealth, Observation
+from slipguard.control.messages import (
+    ControlRequest,
+    FingerHealth,
+    HaltJaws,
+    HoldForce,
+    LiftArm,
+    MoveJaws,
+    Observation,
+    ReleaseJaws,
+    StepOutput,
+    StopArm,
+)
 from slipguard.control.params import GuardParams
+from slipguard.control.reports import Fault
 from slipguard.control.state import GraspState, Phase, gripper_at_rest
-from slipguard.control.step import ControlState, control_step
 from slipguard.daemon.lifecycle import notify_systemd, watchdog_period_s
 from slipguard.daemon.loop.actuator import Actuator
 from slipguard.daemon.loop.async_tools import Ticker
@@ -34,7 +45,7 @@ from slipguard.perception.estimate import Estimate
 FINGERS = ("left", "right")
 REQUEST_TIMEOUT_S = 2.0
 
-Controller = Callable[[ControlState, Observation, GuardParams], tuple[ControlState, Command]]
+Controller = Callable[[ControlState, Observation, GuardParams], tuple[ControlState, StepOutput]]
 log = structlog.get_logger()
 
 
@@ -111,7 +122,7 @@ class Service:
         state, gripper = self._memory.grasp, self.gripper.newest
         return (
             state.phase is Phase.HOLDING
-            and state.slip is None
+            and state.held.slip is None
             and gripper is not None
             and gripper_at_rest(state, gripper)
         )
@@ -196,11 +207,11 @@ class Service:
         fresh, observation = self._gather(now_s, request)
         new = self._take_new_estimates()
         before = self._memory
-        self._memory, command = self._controller(before, observation, self.config.guard)
+        self._memory, output = self._controller(before, observation, self.config.guard)
         self.observation = observation
-        self._issue(command, max((one.received_at_s for one in new.values()), default=now_s))
-        self._respond(command, response)
-        self._publish(before, command, fresh, new)
+        self._issue(output, max((one.received_at_s for one in new.values()), default=now_s))
+        self._respond(output, response)
+        self._publish(before, output, fresh, new)
 
     def _next_request(self) -> tuple[ControlRequest, asyncio.Future[str]] | None:
         """Return the oldest request whose caller still waits; one that was given up is not carried out later."""
@@ -237,7 +248,8 @@ class Service:
             self._used[name] = newest
         return new
 
-    def _issue(self, command: Command, received_at_s: float) -> None:
+    def _issue(self, output: StepOutput, received_at_s: float) -> None:
+        """Pass the commands to the devices' tasks, without waiting for any."""
         gripper, arm = self._gripper_device, self._arm_device
 
         async def hold(force_n: float) -> None:
@@ -245,39 +257,37 @@ class Service:
                 observer(asyncio.get_running_loop().time() - received_at_s)
             await gripper.hold(force_n)
 
-        if command.release_width_mm is not None:
-            width_mm = command.release_width_mm
-            self.gripper.command(lambda: gripper.release(width_mm), urgent=True)
-        elif command.halt:
-            self.gripper.command(gripper.halt)
-        elif command.hold_force_n is not None:
-            force_n = command.hold_force_n
-            self.gripper.command(lambda: hold(force_n))
-        elif command.move_width_mm is not None and command.move_force_n is not None:
-            move_mm, with_n = command.move_width_mm, command.move_force_n
-            self.gripper.command(lambda: gripper.move(move_mm, with_n))
-        if command.arm == "stop":
-            self.arm.command(arm.stop)
-        elif isinstance(command.arm, ArmLift):
-            way = command.arm
-            self.arm.command(lambda: arm.lift(way.height_mm, way.speed_mm_s))
-        if command.new_reference:
+        match output.gripper:
+            case ReleaseJaws(width_mm=width_mm):
+                self.gripper.command(lambda: gripper.release(width_mm), urgent=True)
+            case HaltJaws():
+                self.gripper.command(gripper.halt)
+            case HoldForce(force_n=force_n):
+                self.gripper.command(lambda: hold(force_n))
+            case MoveJaws(width_mm=width_mm, force_n=force_n):
+                self.gripper.command(lambda: gripper.move(width_mm, force_n))
+        match output.arm:
+            case StopArm():
+                self.arm.command(arm.stop)
+            case LiftArm(height_mm=height_mm, speed_mm_s=speed_mm_s):
+                self.arm.command(lambda: arm.lift(height_mm, speed_mm_s))
+        if output.new_reference:
             for finger in self.fingers.values():
                 finger.reset_reference()
 
-    def _respond(self, command: Command, response: asyncio.Future[str] | None) -> None:
+    def _respond(self, output: StepOutput, response: asyncio.Future[str] | None) -> None:
         """Give the caller of a request its response."""
         if response is None or response.done():
             return
-        if command.refused is not None:
-            response.set_exception(CommandRefused(command.refused))
+        if output.refusal is not None:
+            response.set_exception(CommandRefused(output.refusal.text))
         else:
-            response.set_result(command.say or self.phase.value)
+            response.set_result(output.text or self.phase.value)
 
     def _publish(
         self,
         before: ControlState,
-        command: Command,
+        output: StepOutput,
         fresh: Mapping[str, Estimate | None],
         new: Mapping[str, TimedEstimate],
     ) -> None:
@@ -285,11 +295,11 @@ class Service:
         assert self.observation is not None
         now_s, done_s = self.observation.now_s, asyncio.get_running_loop().time()
         latencies_s = tuple(done_s - one.received_at_s for one in new.values())
-        if command.say is not None:
-            (self.event_log.warning if command.warn else self.event_log.info)(command.say)
-        if command.fault is not None and command.fault != self._last_fault:
-            self.event_log.fault(command.fault.code.value, command.fault.observed, command.fault.what_to_do)
-        self._last_fault = command.fault
+        if output.text is not None:
+            (self.event_log.warning if output.is_warning else self.event_log.info)(output.text)
+        if output.fault is not None and output.fault != self._last_fault:
+            self.event_log.fault(output.fault.code.value, output.fault.observed, output.fault.what_to_do)
+        self._last_fault = output.fault
         if self.phase is not before.grasp.phase:
             log.info("phase", now=self.phase.value, before=before.grasp.phase.value)
             notify_systemd(f"STATUS={self.phase.value}")
@@ -299,11 +309,11 @@ class Service:
             now_s,
             self.phase,
             self.observation,
-            command,
+            output,
             before,
             fresh,
             {name: one.estimate for name, one in new.items()},
-            latencies_s if command.hold_force_n is None else (),
+            latencies_s if output.hold_force_n is None else (),
         )
         for observer in self.observers:
             observer(decision)

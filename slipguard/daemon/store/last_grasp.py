@@ -12,9 +12,18 @@ from typing import Protocol
 
 import structlog
 
-from slipguard.control.fault import Fault
-from slipguard.control.state import AT_STAKE, GraspState, Phase, RememberedGrip, force_applied
-from slipguard.control.step import ControlState
+from slipguard.control.control_step import ControlState
+from slipguard.control.reports import Fault
+from slipguard.control.state import (
+    AT_STAKE,
+    Adoption,
+    GraspState,
+    HandsOff,
+    PersonNear,
+    Phase,
+    RememberedGrip,
+    force_applied,
+)
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.store.disk_writer import DiskWriter
 from slipguard.daemon.store.state_dir import LastGrasp
@@ -52,14 +61,13 @@ def restore_control_state(store: LastGraspStore, now: datetime | None = None) ->
     grasp = GraspState()
     if (now or datetime.now(UTC)) - last.saved_at <= VALID_FOR:
         grip = RememberedGrip(last.force_n, last.width_mm, last.applied) if last.force_n > 0.0 else None
-        grasp = replace(grasp, remembered=grip, person_near=last.person_near)
+        grasp = replace(grasp, adoption=Adoption(remembered=grip), person=PersonNear(last.person_near))
     if last.fault is not None:
         grasp = replace(
             grasp,
             phase=Phase.FAULT,
             fault=last.fault,
-            release_requested=last.release_requested,
-            closing_interrupted=last.closing_interrupted,
+            hands_off=HandsOff(last.release_requested, last.closing_interrupted),
         )
     return ControlState(grasp)
 
@@ -100,24 +108,24 @@ class LastGraspSaver:
         """Save what has changed; to be called after every cycle of the loop."""
         if self._disk.busy:
             return  # a later cycle will do
-        grasp, gripper, fault = decision.memory.grasp, decision.observation.gripper, decision.command.fault
+        grasp, gripper, fault = decision.memory.grasp, decision.observation.gripper, decision.output.fault
         held = decision.phase in AT_STAKE or decision.phase is Phase.FAULT
-        new = _SavedGrasp(None, grasp.person_near)
+        new = _SavedGrasp(None, grasp.person.now)
         if fault is not None:
             new = replace(
                 new,
                 fault=fault,
-                release_requested=grasp.release_requested,
-                closing_interrupted=grasp.closing_interrupted,
+                release_requested=grasp.hands_off.release_requested,
+                closing_interrupted=grasp.hands_off.closing_interrupted,
             )
-        if held and gripper is not None and gripper.holding and not gripper.moving and grasp.target_n > 0.0:
-            grip = RememberedGrip(grasp.target_n, gripper.width_mm, force_applied(grasp, gripper))
+        if held and gripper is not None and gripper.holding and not gripper.moving and grasp.grip.target_n > 0.0:
+            grip = RememberedGrip(grasp.grip.target_n, gripper.width_mm, force_applied(grasp, gripper))
             self._save(replace(new, grip=grip), decision)
         elif not held and gripper is not None and not gripper.holding:
             self._save(_SavedGrasp(), decision)
         elif new.latched != self._saved.latched:
             # Whether something is held is unknown now, so the last known grip stays.
-            self._save(replace(new, grip=self._saved.grip if self._known else grasp.remembered), decision)
+            self._save(replace(new, grip=self._saved.grip if self._known else grasp.adoption.remembered), decision)
 
     def _save(self, new: _SavedGrasp, decision: Decision) -> None:
         same = self._known and not _differs(new, self._saved)

@@ -131,7 +131,7 @@ class RecordingObserver:
     def add_decision(self, decision: Decision) -> None:
         """Record a cycle of the loop; the files around the beginning of a slip or a fault are kept."""
         grasp = decision.memory.grasp
-        slipping, faulty = grasp.slip is not None, decision.command.fault is not None
+        slipping, faulty = grasp.held.slip is not None, decision.output.fault is not None
         keep = (slipping and not self._slipping) or (faulty and not self._faulty)
         self._slipping, self._faulty = slipping, faulty
         self._idle = decision.phase is Phase.IDLE
@@ -140,7 +140,7 @@ class RecordingObserver:
             decision.now_s,
             decision.phase.value,
             decision.observation,
-            decision.command,
+            decision.output,
             _sequence(estimates.get("left")),
             _sequence(estimates.get("right")),
         )

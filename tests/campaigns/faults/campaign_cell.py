@@ -12,7 +12,7 @@ import numpy as np
 
 from slipguard.bench.grip.perception_models import PerceptionErrors
 from slipguard.config import GROUP_OF, Config, parse_config
-from slipguard.control.step import control_step
+from slipguard.control.control_step import control_step
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.loop.service import FINGERS, Service
 from slipguard.daemon.loop.virtual_time import FixedLatencyWorker

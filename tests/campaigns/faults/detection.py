@@ -93,7 +93,7 @@ def _camera(finger: str, fault: str, cell: CampaignCell) -> bool:
         return False
     if fault != "disconnect" and cell.service.fingers[finger].health.state == "disconnected":
         return False
-    held = cell.service.phase in GUARDED or (cell.service.phase is Phase.FAULT and cell.service.state.gripped)
+    held = cell.service.phase in GUARDED or (cell.service.phase is Phase.FAULT and cell.service.state.grip.closed)
     if fault == "light":
         return held
     if fault == "mirrored":
@@ -120,7 +120,7 @@ def _both_rotated(cell: CampaignCell) -> bool:
 def _stuck(no_progress: NoProgress, cell: CampaignCell) -> bool:
     """Return whether the arm was commanded to move and has kept its height for `stuck_timeout_s`."""
     service = cell.service
-    moves = service.phase in MOVING and service.state.slip is None and service.arm.newest is not None
+    moves = service.phase in MOVING and service.state.held.slip is None and service.arm.newest is not None
     height_mm = cell.truth.height_mm
     if not moves or abs(height_mm - no_progress.height_mm) >= 1.0:
         no_progress.since_s, no_progress.height_mm = cell.now_s, height_mm
@@ -147,5 +147,5 @@ def holding(cell: CampaignCell) -> bool:
     """Return whether the guard holds an object, or assumes so."""
     phase, state = cell.service.phase, cell.service.state
     return cell.alive and (
-        (phase in AT_STAKE and phase is not Phase.CLOSING) or (phase is Phase.FAULT and state.gripped)
+        (phase in AT_STAKE and phase is not Phase.CLOSING) or (phase is Phase.FAULT and state.grip.closed)
     )

@@ -31,9 +31,9 @@ _CAMERA_WORDS = {
 }
 _GRIPPER_WORDS = {
     "disconnect": "no gripper answers|connection is (gone|not open)",
-    "timeout": "no answer",
+    "timeout": "no answer|no response",
     "wrong_echo": "something else than was asked",
-    "late": "newest response is|no answer for",
+    "late": "newest response is|no answer for|no response for",
     "fault": "internal fault",
 }
 _ARM_WORDS = {
@@ -72,7 +72,7 @@ def _kinds() -> dict[str, FaultKind]:
             found.append(FaultKind(finger, fault, re.compile(words if both or not words else f"{finger}.*({words})")))
     found += [FaultKind("gripper", fault, re.compile(f"gripper.*({words})")) for fault, words in _GRIPPER_WORDS.items()]
     found += [FaultKind("arm", fault, re.compile(f"arm.*({words})")) for fault, words in _ARM_WORDS.items()]
-    found.append(FaultKind("loop", "late", re.compile("nothing was decided for")))
+    found.append(FaultKind("loop", "late", re.compile("no control step for")))
     found.append(FaultKind("daemon", "killed", re.compile("is held with|taken over")))
     found.append(FaultKind("object", "taken", re.compile("object lost|closed on nothing")))
     return {kind.name: kind for kind in found}

@@ -13,7 +13,7 @@ from slipguard.bench.holding import HoldingScene, measure_holding
 from slipguard.bench.pipelines import NO_SKIP, BenchPipeline, with_small_network
 from slipguard.bench.segmentation_cache import CLOCK, CachedSegmenter
 from slipguard.bench.slip_onset import SlipOnset
-from slipguard.control.slip_baselines import SlipMemory
+from slipguard.control.slip_memory import SlipMemory
 from slipguard.datasets.rendered_grasps import render_grasp
 from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
@@ -32,7 +32,7 @@ def default() -> BenchPipeline:
 class NoSlip:
     """An assessment that never detects slip."""
 
-    detector: SlipMemory
+    memory: SlipMemory
     slipping: bool = False
 
 
@@ -66,7 +66,7 @@ def test_skipping_the_second_finger_misses_no_slip(monkeypatch: pytest.MonkeyPat
     worth = skip_values.measure_second_finger(default())
     assert worth.frames_later is not None
     assert worth.frames_later <= 1
-    monkeypatch.setattr(skip_values, "look", lambda detector, fused, law: NoSlip(detector))
+    monkeypatch.setattr(skip_values, "assess_slip", lambda memory, fused, params: NoSlip(memory))
     assert skip_values.measure_second_finger(default()).frames_later is None
     assert not worth.how.startswith("0 of")
     assert abs(worth.error_added_deg or 0.0) < 0.3

@@ -15,9 +15,9 @@ from slipguard.bench.wire_latency import (
     _CommandTimes,
     _evaluate,
 )
+from slipguard.control.control_step import ControlState
 from slipguard.control.messages import Observation
 from slipguard.control.params import GuardParams
-from slipguard.control.step import ControlState
 from slipguard.errors import SlipguardError
 
 
@@ -59,5 +59,5 @@ def test_no_force_step_is_added_before_an_object_is_held() -> None:
     assert issued.hold_force_n is None
     assert probe.left == 5
     assert not probe.probes
-    assert state.grasp.target_n == 0.0
+    assert state.grasp.grip.target_n == 0.0
     assert STEP_N > 215.0 / 255.0, "at least one count of the register"

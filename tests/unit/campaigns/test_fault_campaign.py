@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slipguard.control.messages import Command, Observation
+from slipguard.control.control_step import ControlState, control_step
+from slipguard.control.messages import HaltJaws, Observation, ReleaseJaws, StepOutput
 from slipguard.control.params import GuardParams
-from slipguard.control.step import ControlState, control_step
 from slipguard.daemon.loop import device_health
 from slipguard.daemon.loop.service import Service
 from slipguard.sim.injected_faults import KINDS as ON_THE_BOARD
@@ -61,9 +61,9 @@ def test_a_removed_object_and_a_stuck_arm_are_named(monkeypatch: pytest.MonkeyPa
 
 
 def test_it_detects_jaws_that_open(monkeypatch: pytest.MonkeyPatch) -> None:
-    def opens(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, Command]:
-        state, command = control_step(state, observation, params)
-        return state, replace(command, release_width_mm=60.0) if command.fault is not None else command
+    def opens(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, StepOutput]:
+        state, output = control_step(state, observation, params)
+        return state, replace(output, gripper=ReleaseJaws(60.0)) if output.fault is not None else output
 
     monkeypatch.setattr(campaign_cell, "control_step", opens)
     result = with_plans(monkeypatch, ("arm.timeout", 3.0, np.inf))
@@ -72,9 +72,9 @@ def test_it_detects_jaws_that_open(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_it_detects_jaws_that_go_on_in_a_stop_of_the_arm(monkeypatch: pytest.MonkeyPatch) -> None:
-    def goes_on(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, Command]:
-        state, command = control_step(state, observation, params)
-        return state, replace(command, halt=False)
+    def goes_on(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, StepOutput]:
+        state, output = control_step(state, observation, params)
+        return state, replace(output, gripper=None if isinstance(output.gripper, HaltJaws) else output.gripper)
 
     plan = ("arm.emergency_stop", 0.3, np.inf)
     assert with_plans(monkeypatch, plan).presses == 0
@@ -86,10 +86,12 @@ def test_it_detects_jaws_that_go_on_in_a_stop_of_the_arm(monkeypatch: pytest.Mon
 
 
 def test_it_detects_a_drop_that_holding_would_have_prevented(monkeypatch: pytest.MonkeyPatch) -> None:
-    def lets_slip(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, Command]:
-        state, command = control_step(state, observation, params)
+    def lets_slip(
+        state: ControlState, observation: Observation, params: GuardParams
+    ) -> tuple[ControlState, StepOutput]:
+        state, output = control_step(state, observation, params)
         late = observation.arm is not None and observation.arm.height_mm > 140.0
-        return state, replace(command, release_width_mm=70.0) if late else command
+        return state, replace(output, gripper=ReleaseJaws(70.0)) if late else output
 
     monkeypatch.setattr(campaign_cell, "control_step", lets_slip)
     monkeypatch.setitem(campaign_cell.LIFT, "lift_height_mm", 150.0)

@@ -31,7 +31,7 @@ def rig(phase: Phase = Phase.HOLDING, rotations_deg: tuple[float, float] = (5.0,
     )
     service = SimpleNamespace(
         phase=phase,
-        state=SimpleNamespace(gripped=True, slip=None),
+        state=SimpleNamespace(grip=SimpleNamespace(closed=True), held=SimpleNamespace(slip=None)),
         fingers=fingers,
         gripper=gripper,
         arm=SimpleNamespace(newest=object()),
@@ -116,7 +116,7 @@ def test_a_finger_s_estimate_does_not_count_when_nothing_is_held(fault: str) -> 
     assert not seen(f"left.{fault}", rig(Phase.IDLE))
     cell = rig(Phase.FAULT)
     assert seen(f"left.{fault}", cell)
-    cell.service.state.gripped = False
+    cell.service.state.grip.closed = False
     assert not is_observable(watched(f"left.{fault}", cell), cell)
     assert seen("left.corrupt", rig(Phase.IDLE))
 
@@ -142,7 +142,7 @@ def test_an_arm_is_stuck_after_gaining_no_height_for_the_stuck_timeout() -> None
     cell.truth.height_mm += 2.0
     assert not is_observable(one, cell), "it has gained height"
     cell.now_s += 2.0 * GuardParams().tuning.stuck_timeout_s
-    cell.service.state.slip = object()
+    cell.service.state.held.slip = object()
     assert not is_observable(one, cell), "it waits until settled: it was not commanded to move"
     still = rig(Phase.HOLDING)
     assert not seen("arm.stuck", still)
@@ -197,7 +197,7 @@ def test_only_observable_time_counts_until_the_fault_is_named() -> None:
 def test_a_fault_named_at_once_counts_as_observable() -> None:
     one = watched("daemon.killed", rig())
     assert not one.due
-    one.read_line("an object is held with 60 N already: taken over as it is")
+    one.read_line("an object is already held with 60 N: taken over as it is")
     assert one.due
     assert one.named_after_s == 0.0
 

@@ -16,7 +16,7 @@ import pytest
 from slipguard.bench import run as bench
 from slipguard.cli import evaluate
 from slipguard.cli.app import run
-from slipguard.control.messages import Command
+from slipguard.control.messages import HoldForce, StepOutput
 from slipguard.errors import SlipguardError
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
@@ -66,7 +66,7 @@ def test_replay_against_fails_if_commands_differ(
     differs: bool, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     requested: list[object] = []
-    other = [lab.CommandDifference(1.0, Command(), Command(hold_force_n=50.0))] if differs else []
+    other = [lab.CommandDifference(1.0, StepOutput(), StepOutput(HoldForce(50.0)))] if differs else []
 
     def played(opened: object, model: Path | None) -> lab.ReplayResult:
         requested.append(model)
@@ -75,7 +75,7 @@ def test_replay_against_fails_if_commands_differ(
     monkeypatch.setattr(lab, "recordings", lambda files: files)
     monkeypatch.setattr(lab, "replay", played)
     assert run(["replay", "kept", "--against"]) == code
-    assert ("hold_force_n=50.0" in capsys.readouterr().out) is differs
+    assert ("force_n=50.0" in capsys.readouterr().out) is differs
     assert run(["replay", "kept", "--model", "other.onnx"]) == 1
     assert "no frame was processed, so the network was not used" in capsys.readouterr().err
     assert requested == [None, Path("other.onnx")]

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from observations import arm, ask, fused, gripper, guard_params, observation
+from records import changed, grasp_state, released_mm, slip_memory
 
-from slipguard.control.fault import Fault, FaultCode
-from slipguard.control.messages import ArmLift, Command, Observation, RequestKind
+from slipguard.control.control_step import ControlState, control_step
+from slipguard.control.messages import LiftArm, Observation, RequestKind, StepOutput
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_baselines import SlipMemory
-from slipguard.control.slip_thresholds import MotionCase, RestingPlace
-from slipguard.control.state import GraspState, Phase
-from slipguard.control.step import ControlState, control_step
+from slipguard.control.reports import Fault, FaultCode
+from slipguard.control.slip_memory import ArmCase
+from slipguard.control.state import GraspState, Phase, Release
 
 COARSE = {
     "tighten_at_rest_deg": 10.0, "tighten_at_lift_off_deg": 10.0, "first_fraction": 0.1, "first_multiplier": 1.5,
@@ -22,24 +20,25 @@ PARAMS = guard_params(**COARSE)
 GUARD_MODE = guard_params(mode="guard", **COARSE)
 NOW_S = 10.0
 FAULT = Fault(FaultCode.ARM_SILENT, "no state for 0.5 s", "check the network")
-PRIMED = SlipMemory(
-    base_rotation_deg=0.0, base_shift_mm=0.0, measured_s=NOW_S - 0.02, captured_s=NOW_S - 0.02, frames=1,
-    smooth_shift_mm=0.0, rest_rotation_deg=0.0, rest_shift_mm=0.0, rest_since_s=NOW_S - 2.0,
-    alert=RestingPlace(start_mm=0.0, near_deg=0.0, measured_s=NOW_S - 0.02, case=MotionCase.REST),
+PRIMED = slip_memory(
+    episode_deg=0.0, episode_mm=0.0, measured_s=NOW_S - 0.02, captured_s=NOW_S - 0.02, frames=1,
+    smooth_mm=0.0, settled_deg=0.0, settled_mm=0.0, settled_since_s=NOW_S - 2.0,
+    start_mm=0.0, resting_deg=0.0, followed_s=NOW_S - 0.02, case=ArmCase.REST,
 )  # fmt: skip
 """One frame of slip has been seen already."""
 
 
 def state_in(phase: Phase, **changes: object) -> GraspState:
-    """A plausible memory in a phase that began two seconds ago."""
+    """Return a plausible state of a phase that began half a second ago."""
     held = phase not in (Phase.IDLE, Phase.RELEASED)
-    base = GraspState(
-        phase=phase, since_s=NOW_S - 0.5, adopted=True, target_n=40.0 if held else 0.0, commanded_s=NOW_S - 0.5,
-        detector=PRIMED, referenced=held, ground_mm=0.0 if held else None, arm_sent_s=NOW_S - 0.5,
-        goal_mm={Phase.LIFTING: 100.0, Phase.LOWERING: 0.0, Phase.RELEASED: 85.0}.get(phase),
-        fault=FAULT if phase is Phase.FAULT else None, release_requested=phase is Phase.RELEASED,
+    released = phase is Phase.RELEASED
+    base = grasp_state(
+        phase, since_s=NOW_S - 0.5, adopted=True, target_n=40.0 if held else 0.0, commanded_s=NOW_S - 0.5,
+        memory=PRIMED, referenced=held, ground_mm=0.0 if held else None, arm_commanded_s=NOW_S - 0.5,
+        goal_mm={Phase.LIFTING: 100.0, Phase.LOWERING: 0.0}.get(phase), fault=FAULT if phase is Phase.FAULT else None,
+        release=Release(85.0) if released else None, release_requested=released,
     )  # fmt: skip
-    return replace(base, **changes)  # type: ignore[arg-type]
+    return changed(base, **changes)
 
 
 def seen_in(phase: Phase, **changes: object) -> Observation:
@@ -55,7 +54,7 @@ def seen_in(phase: Phase, **changes: object) -> Observation:
     # the reference is still awaited in REFERENCE
     view = fused(at_s=NOW_S) if touches and phase is not Phase.REFERENCE else fused(None, shift_mm=None, at_s=NOW_S)
     base = observation(NOW_S, gripper=jaws, arm=rising, fused=view if touches else none)
-    return replace(base, **changes)  # type: ignore[arg-type]
+    return changed(base, **changes)  # type: ignore[arg-type]
 
 
 class Play:
@@ -66,27 +65,27 @@ class Play:
         self.jaws = gripper(0.0, holding=False, width_mm=85.0)
         self.here = arm()
         self.view = fused(None, contact=False, shift_mm=None)
-        self.commands: list[Command] = []
+        self.commands: list[StepOutput] = []
         self.lazy = False
 
-    def step(self, kind: RequestKind = RequestKind.NONE, **values: float) -> Command:
+    def step(self, kind: RequestKind = RequestKind.NONE, **values: float) -> StepOutput:
         self.now_s += 0.02
         if not self.lazy:
-            self.view = replace(self.view, captured_at_s=self.now_s, measured_at_s=self.now_s)
-        jaws = self.jaws and replace(self.jaws, measured_at_s=self.now_s)
-        here = self.here and replace(self.here, measured_at_s=self.now_s)
+            self.view = changed(self.view, captured_at_s=self.now_s, measured_at_s=self.now_s)
+        jaws = self.jaws and changed(self.jaws, measured_at_s=self.now_s)
+        here = self.here and changed(self.here, measured_at_s=self.now_s)
         view = observation(self.now_s, fused=self.view, gripper=jaws, arm=here, request=ask(kind, **values))
         self.guard, command = control_step(self.guard, view, self.params)
         self.commands.append(command)
         if command.hold_force_n is not None:
-            self.jaws = replace(self.jaws, force_n=command.hold_force_n, holding=True)
-        if command.release_width_mm is not None:
-            self.jaws = replace(self.jaws, force_n=0.0, holding=False)
-        if isinstance(command.arm, ArmLift):
-            self.here = replace(self.here, height_mm=self.here.height_mm + command.arm.height_mm)
+            self.jaws = changed(self.jaws, force_n=command.hold_force_n, holding=True)
+        if released_mm(command) is not None:
+            self.jaws = changed(self.jaws, force_n=0.0, holding=False)
+        if isinstance(command.arm, LiftArm):
+            self.here = changed(self.here, height_mm=self.here.height_mm + command.arm.height_mm)
         return command
 
-    def steps(self, seconds: float) -> list[Command]:
+    def steps(self, seconds: float) -> list[StepOutput]:
         return [self.step() for _ in range(round(seconds / 0.02))]
 
     @property
@@ -103,7 +102,7 @@ class Play:
         self.steps(0.5)
         return self
 
-    def slips(self, rotation_deg: float = 4.0, rate_deg_s: float = 30.0, frames: int = 2) -> Command:
+    def slips(self, rotation_deg: float = 4.0, rate_deg_s: float = 30.0, frames: int = 2) -> StepOutput:
         """Measured frames of slip; the last one's command."""
-        self.view = replace(self.view, rotation_deg=rotation_deg, rate_deg_s=rate_deg_s)
+        self.view = changed(self.view, rotation_deg=rotation_deg, rate_deg_s=rate_deg_s)
         return [self.step() for _ in range(frames)][-1]

@@ -1,36 +1,27 @@
-"""The law written out: every phase, every wish and everything that can go wrong, what was commanded, said, remembered.
+"""What the controller commands, reports and enters: every phase, every request and everything that can go wrong.
 
-`python tests/unit/control/golden_cases.py` rewrites `golden_cases.txt`; review the changes before
-you commit them. Slip detection and its answer are not in it: they have tests of their own.
+`python tests/unit/control/golden_cases.py` rewrites `golden/<phase>.txt`, a case in each line; review the changes before
+you commit them. Slip detection and the response to it have tests of their own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 from controller_steps import NOW_S, seen_in, state_in
 from observations import ask, fused, guard_params
+from records import changed
 
-from slipguard.control.fault import Fault, FaultCode
-from slipguard.control.messages import (
-    ArmLift,
-    Command,
-    Condition,
-    ControlRequest,
-    FingerHealth,
-    Observation,
-    RequestKind,
-)
+from slipguard.control.control_step import ControlState, control_step
+from slipguard.control.messages import Condition, ControlRequest, FingerHealth, Observation, RequestKind, StepOutput
 from slipguard.control.params import GuardParams
+from slipguard.control.reports import Fault, FaultCode
 from slipguard.control.state import AT_STAKE, GraspState, Phase, RememberedGrip
-from slipguard.control.step import ControlState, control_step
 from slipguard.control.supervisor import Supervision
 
-LEDGER = Path(__file__).with_suffix(".txt")
-LEFT_OUT = ("detector", "delay", "slip", "fault")
+FOLDER = Path(__file__).parent / "golden"
 PARAMS = {
     "lift": guard_params(lift_height_mm=80.0),
     "lower": guard_params(on_force_limit="lower", on_no_estimate="refuse", stop_on_slip=False),
@@ -42,19 +33,19 @@ View = Callable[[Observation], Observation]
 
 
 def jaws(**changes: Any) -> View:
-    return lambda view: replace(view, gripper=view.gripper and replace(view.gripper, **changes))
+    return lambda view: changed(view, gripper=view.gripper and changed(view.gripper, **changes))
 
 
 def here(**changes: Any) -> View:
-    return lambda view: replace(view, arm=view.arm and replace(view.arm, **changes))
+    return lambda view: changed(view, arm=view.arm and changed(view.arm, **changes))
 
 
 def sight(**changes: Any) -> View:
-    return lambda view: replace(view, fused=fused(at_s=view.now_s, **changes))
+    return lambda view: changed(view, fused=fused(at_s=view.now_s, **changes))
 
 
 def fixed(**changes: Any) -> View:
-    return lambda view: replace(view, **changes)
+    return lambda view: changed(view, **changes)
 
 
 EVENTS: dict[str, View] = {
@@ -83,15 +74,15 @@ EVENTS: dict[str, View] = {
     "old fingers": fixed(fused=None, left=OLD, right=OLD),
     "one finger": sight(fingers=("left",), note="right finger: round contact"),
     "round": sight(rotation_deg=None, declined="left finger: round contact; right finger: round contact"),
-    "conflict": sight(conflict="both pictures turn the same way (left +2.0°, right +2.1°)"),
+    "conflict": sight(conflict="both images rotate the same way (left +2.0°, right +2.1°)"),
     "no contact": sight(rotation_deg=None, contact=False, shift_mm=None, declined="no contact"),
-    "no contact, one finger": lambda view: replace(
-        view, fused=replace(fused(None, at_s=view.now_s, contact=False, shift_mm=None), left_contact=None)
+    "no contact in one finger": lambda view: changed(
+        view, fused=changed(fused(None, at_s=view.now_s, contact=False, shift_mm=None), left_contact=None)
     ),
-    "turned far": sight(rotation_deg=60.0),
-    "told": sight(),
+    "rotated far": sight(rotation_deg=60.0),
+    "estimated": sight(),
 }
-WISHES: dict[str, ControlRequest] = {
+REQUESTS: dict[str, ControlRequest] = {
     "grasp": ask(RequestKind.GRASP),
     "grasp 60": ask(RequestKind.GRASP, force_n=60.0),
     "grasp 200": ask(RequestKind.GRASP, force_n=200.0),
@@ -109,7 +100,7 @@ WISHES: dict[str, ControlRequest] = {
     "release 70": ask(RequestKind.RELEASE, width_mm=70.0),
     "clear": ask(RequestKind.CLEAR),
 }
-BESIDE_A_WISH = (
+WITH_A_REQUEST = (
     "nothing", "no gripper", "gripper fault", "not active", "empty", "closing", "held", "no arm", "arm rests",
     "protective stop", "emergency stop", "round", "tightening",
 )  # fmt: skip
@@ -118,88 +109,108 @@ STARTS: dict[str, dict[str, Any]] = {
     "unguarded": {"guarding": False},
     "paused": {"paused": True},
     "no ground": {"ground_mm": None},
-    "blind": {"blind": "round contact", "referenced": False},
+    "no estimate": {"no_estimate": "round contact", "referenced": False},
     "person": {"person_near": True},
-    "nobody commanded": {"commanded_s": float("-inf")},
+    "not commanded": {"commanded_s": float("-inf")},
     "just commanded": {"commanded_s": NOW_S + 0.03},
     "long ago": {"since_s": NOW_S - 6.0},
-    "down": {"putting_down": True, "goal_mm": 0.0, "fault": Fault(FaultCode.BUDGET_SPENT, "slips", "support it")},
-}
+    "down": {
+        "putting_down": True, "goal_mm": 0.0, "fault": Fault(FaultCode.FORCE_LIMIT_REACHED, "slips", "support it"),
+    },
+    "interrupted": {"closing_interrupted": True},
+}  # fmt: skip
+
+Story = tuple[str, GuardParams, dict[str, Any], View, ControlRequest, float]
 
 
-def stories() -> Iterator[tuple[str, GuardParams, Phase, dict[str, Any], View, ControlRequest, float]]:
-    """Name, parameters, phase, how its memory differs, what happens, what is asked first, time between ticks."""
-    for phase in Phase:
-        for event, view in EVENTS.items():
-            yield f"{phase}: {event}", PARAMS["lift"], phase, {}, view, ControlRequest(), 0.12
-            yield f"{phase}: {event}, for long", PARAMS["lift"], phase, {}, view, ControlRequest(), 0.45
-        for wish, request in WISHES.items():
-            for event in BESIDE_A_WISH:
-                yield f"{phase}: {wish}, {event}", PARAMS["lift"], phase, {}, EVENTS[event], request, 0.12
-            for name in ("lower", "guard"):
-                yield f"{phase}: {wish} ({name})", PARAMS[name], phase, {}, EVENTS["nothing"], request, 0.12
-            for start, changes in STARTS.items():
-                yield f"{phase}: {wish}, {start}", PARAMS["lift"], phase, changes, EVENTS["nothing"], request, 0.12
+def stories() -> Iterator[Story]:
+    """Name, parameters, how the state differs, what happens, what is requested in the second step, time between."""
+    for event, view in EVENTS.items():
+        yield event, PARAMS["lift"], {}, view, ControlRequest(), 0.12
+        yield f"{event}, slowly", PARAMS["lift"], {}, view, ControlRequest(), 0.45
+    for name, request in REQUESTS.items():
+        for event in WITH_A_REQUEST:
+            yield f"{name}, {event}", PARAMS["lift"], {}, EVENTS[event], request, 0.12
+        for mode in ("lower", "guard"):
+            yield f"{name} ({mode})", PARAMS[mode], {}, EVENTS["nothing"], request, 0.12
         for start, changes in STARTS.items():
-            for event, view in EVENTS.items():
-                yield f"{phase}: {event}, {start}", PARAMS["lower"], phase, changes, view, ControlRequest(), 0.3
+            yield f"{name}, {start}", PARAMS["lift"], changes, EVENTS["nothing"], request, 0.12
+    for start, changes in STARTS.items():
+        for event, view in EVENTS.items():
+            yield f"{event}, {start}", PARAMS["lower"], changes, view, ControlRequest(), 0.3
 
 
 def moment(phase: Phase, now_s: float) -> Observation:
     view = seen_in(phase)
-    return replace(
+    return changed(
         view,
         now_s=now_s,
-        gripper=view.gripper and replace(view.gripper, measured_at_s=now_s),
-        arm=view.arm and replace(view.arm, measured_at_s=now_s),
-        fused=view.fused and replace(view.fused, captured_at_s=now_s, measured_at_s=now_s),
+        gripper=view.gripper and changed(view.gripper, measured_at_s=now_s),
+        arm=view.arm and changed(view.arm, measured_at_s=now_s),
+        fused=view.fused and changed(view.fused, captured_at_s=now_s, measured_at_s=now_s),
     )
 
 
-def ledger() -> list[str]:
-    """Stories with the same outcome in one line: the outcome, then their names."""
-    lines: dict[str, list[str]] = {}
-    for name, params, phase, changes, view, request, step_s in stories():
-        grasp = replace(state_in(phase, gripped=phase in AT_STAKE - {Phase.CLOSING} or phase is Phase.FAULT), **changes)
-        guard = ControlState(grasp, Supervision(tick_s=NOW_S - 0.02, arm_known=True))
-        told = []
+def cases(phase: Phase) -> list[str]:
+    """A line for each case: its name, then what follows in each of four steps; "." where nothing does."""
+    lines = []
+    for name, params, changes, view, request, step_s in stories():
+        closed = phase in AT_STAKE - {Phase.CLOSING} or phase is Phase.FAULT
+        state = ControlState(
+            changed(state_in(phase, closed=closed), **changes), Supervision(stepped_s=NOW_S - 0.02, arm_known=True)
+        )
+        steps = []
         for number in range(4):
             observation = view(moment(phase, NOW_S + step_s * number))
-            observation = replace(observation, request=request if number == 1 else ControlRequest())
-            before = guard.grasp
-            guard, command = control_step(guard, observation, params)
-            told.append(f"{_changes(before, guard.grasp)} {_command(command)}".strip())
-        lines.setdefault(" | ".join(told), []).append(name)
-    return [f"{'; '.join(names)} => {told}" for told, names in lines.items()]
+            observation = changed(observation, request=request if number == 1 else ControlRequest())
+            before = state.grasp
+            state, output = control_step(state, observation, params)
+            steps.append(" ".join([*_entered(before, state.grasp), *_output(output)]) or ".")
+        lines.append(f"{name}: {' | '.join(steps)}")
+    return lines
 
 
-def _changes(before: GraspState, after: GraspState) -> str:
-    """The fields that changed, and what to."""
-    names = [one.name for one in fields(GraspState) if one.name not in LEFT_OUT]
-    changed = [name for name in names if getattr(before, name) != getattr(after, name)]
-    kept = [name for name in ("fault",) if getattr(before, name) != getattr(after, name)]
-    return " ".join(
-        [f"{name}={_plain(getattr(after, name))}" for name in changed]
-        + [f"{name}={getattr(after, name) and getattr(after, name).code.value}" for name in kept]
-    )
+def _entered(before: GraspState, after: GraspState) -> Iterator[str]:
+    """The phase and the conditions that have changed, and the force target."""
+    if after.phase is not before.phase:
+        yield f"-> {after.phase}"
+    if after.grip.target_n != before.grip.target_n:
+        yield f"target {after.grip.target_n:g}"
+    conditions = {
+        "guarding": lambda state: state.guarding,
+        "closed": lambda state: state.grip.closed,
+        "referenced": lambda state: state.held.referenced,
+        "adopted": lambda state: state.adoption.done,
+        "paused": lambda state: state.arm.paused,
+        "putting down": lambda state: state.arm.putting_down,
+        "lost?": lambda state: state.held.lost_since_s is not None,
+        "person near": lambda state: state.person.now,
+        "release requested": lambda state: state.hands_off.release_requested,
+        "closing interrupted": lambda state: state.hands_off.closing_interrupted,
+    }
+    for name, holds in conditions.items():
+        if holds(before) is not holds(after):
+            yield f"{'' if holds(after) else 'not '}{name}"
 
 
-def _command(command: Command) -> str:
-    told = [(one.name, getattr(command, one.name)) for one in fields(Command) if one.name != "fault"]
-    plain = [f"{name}:{_plain(value)}" for name, value in told if value not in (None, False)]
-    return " ".join(plain + (["FAULT"] if command.fault is not None else []))
+def _output(output: StepOutput) -> Iterator[str]:
+    for command in (output.gripper, output.arm):
+        if command is not None:
+            values = [getattr(command, name) for name in command.__slots__ if name != "kind"]
+            yield " ".join([command.kind.upper(), *(f"{value:g}" for value in values)])
+    if output.new_reference:
+        yield "REFERENCE"
+    if output.refusal is not None:
+        yield f"refused:{output.refusal.name}"
+    yield from (f"[{message.name}]" for message in output.messages)
 
 
-def _plain(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:g}"
-    if isinstance(value, ArmLift):
-        return f"{value.height_mm:g}@{value.speed_mm_s:g}"
-    if isinstance(value, frozenset):
-        return ",".join(sorted(value))
-    return str(value)
+def write() -> None:
+    """Rewrite the golden files."""
+    FOLDER.mkdir(exist_ok=True)
+    for phase in Phase:
+        (FOLDER / f"{phase}.txt").write_text("".join(f"{line}\n" for line in cases(phase)), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    LEDGER.write_text("\n".join(ledger()) + "\n", encoding="utf-8")
-    print(f"{LEDGER}: {len(ledger())} stories; look at what has changed")
+    write()

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
+from records import changed
 
-from slipguard.bench.grip.closed_loop import FINGERS, STEP_S, ClosedLoop
+from slipguard.bench.grip.closed_loop import FINGERS, TICK_S, ClosedLoop
 from slipguard.bench.grip.controllers import SlipguardController
 from slipguard.bench.grip.perception_models import ModeledFinger, PerceptionErrors
 from slipguard.bench.grip.trials import scaled
-from slipguard.control.messages import Command, ControlRequest, RequestKind
+from slipguard.control.control_step import ControlState
+from slipguard.control.messages import ControlRequest, RequestKind, StepOutput
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
-from slipguard.control.step import ControlState
 from slipguard.sim.friction import SoftPad
 from slipguard.sim.scenario import Scenario
 from slipguard.sim.sim_object import SimObject
@@ -47,7 +47,7 @@ class Run:
     def step(self, request: ControlRequest | None = None) -> None:
         if request is not None:
             self.loop.ask(request)
-        self.loop.wait(STEP_S)
+        self.loop.wait(TICK_S)
 
     def until(self, done: Callable[[], bool], limit_s: float) -> bool:
         return self.loop.until(done, limit_s)
@@ -57,8 +57,8 @@ class Run:
         return self.loop.now_s
 
     @property
-    def commands(self) -> list[tuple[float, Command]]:
-        return self.loop.commands
+    def commands(self) -> list[tuple[float, StepOutput]]:
+        return self.loop.outputs
 
     @property
     def says(self) -> list[str]:
@@ -70,22 +70,22 @@ class Run:
 
     @property
     def phase(self) -> Phase:
-        return self.controller.guard.grasp.phase
+        return self.controller.state.grasp.phase
 
     @property
     def guard(self) -> ControlState:
-        return self.controller.guard
+        return self.controller.state
 
     @guard.setter
     def guard(self, guard: ControlState) -> None:
-        self.controller.guard = guard
+        self.controller.state = guard
 
 
 def placed(item: SimObject, scenario: Scenario, params: GuardParams, seed: int = 0, blind: tuple[str, ...] = ()) -> Run:
     """A run with the object between the open jaws."""
     world = World(seed=seed, lookup=lambda name: item)
     run = Run(world, params, seed, blind)
-    world.place(replace(scenario, object_name=item.name), run.now_s)
+    world.place(changed(scenario, object_name=item.name), run.now_s)
     return run
 
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from controller_steps import NOW_S, PARAMS, seen_in, state_in
 from observations import arm, ask, estimate, fused, gripper, observation
+from records import changed, grasp_state, released_mm
 
-from slipguard.control.controller import step
+from slipguard.control.control_step import step
 from slipguard.control.finger_fusion import FusedEstimate, fuse
-from slipguard.control.messages import RequestKind
-from slipguard.control.slip_baselines import SlipMemory
+from slipguard.control.messages import RequestKind, StopArm
+from slipguard.control.slip_memory import SlipMemory
 from slipguard.control.state import GraspState, Phase, RememberedGrip, SlipEpisode
 from slipguard.devices import GripperState
 
@@ -22,13 +21,13 @@ def test_what_is_found_held_waits_for_a_finger_but_not_for_the_arm() -> None:
         now_s = 100.0 + 0.1 * number
         view = observation(now_s, gripper=gripper(60.0, at_s=now_s), arm=None, fused=fused() if number > 10 else None)
         state, command = step(state, view, PARAMS)
-        said += [(round(now_s - 100.0, 1), command.say)] if command.say else []
-        assert command.hold_force_n is command.release_width_mm is command.arm is None
+        said += [(round(now_s - 100.0, 1), command.text)] if command.text else []
+        assert command.hold_force_n is released_mm(command) is command.arm is None
     assert said[:2] == [
-        (0.0, "an object is held with 60 N already: waiting for a finger"),
-        (1.1, "an object is held with 60 N already: taken over as it is"),
+        (0.0, "an object is already held with 60 N: waiting for a finger"),
+        (1.1, "an object is already held with 60 N: taken over as it is"),
     ]
-    assert (state.phase, state.target_n, state.gripped) == (Phase.REFERENCE, 60.0, True)
+    assert (state.phase, state.grip.target_n, state.grip.closed) == (Phase.REFERENCE, 60.0, True)
 
 
 @pytest.mark.parametrize(("fingers", "here"), [(fused(), arm()), (fused(None, contact=False), arm())])
@@ -39,29 +38,27 @@ def test_with_finger_and_arm_it_is_taken_over_at_once(fingers: FusedEstimate, he
 
 
 def test_the_force_of_before_is_said_where_it_was_greater() -> None:
-    remembered = GraspState(remembered=RememberedGrip(91.0, 30.0))
+    remembered = grasp_state(remembered=RememberedGrip(91.0, 30.0))
     _, command = step(remembered, observation(100.0, gripper=gripper(20.0, at_s=100.0)), PARAMS)
-    assert (
-        command.say == "an object is held with 20 N already: taken over as it is, with the 91 N of before the restart"
-    )
+    assert command.text == "an object is already held with 20 N: taken over with the 91 N from before the restart"
     _, command = step(remembered, observation(100.0, gripper=gripper(95.0, at_s=100.0)), PARAMS)
-    assert command.say == "an object is held with 95 N already: taken over as it is"
+    assert command.text == "an object is already held with 95 N: taken over as it is"
 
 
 @pytest.mark.parametrize(
     ("jaws", "says"),
     [
-        (gripper(40.0), "something is held already"),
+        (gripper(40.0), "an object is already held"),
         (gripper(0.0, holding=False, active=False), "the gripper is not ready (not activated)"),
         (gripper(0.0, holding=False, fault="9"), "the gripper is not ready (9)"),
-        (None, "the gripper is not there"),
+        (None, "the gripper is not connected"),
     ],
 )
 def test_a_grasp_is_refused_in_words(jaws: GripperState | None, says: str) -> None:
     state, command = step(
         state_in(Phase.IDLE), seen_in(Phase.IDLE, gripper=jaws, request=ask(RequestKind.GRASP)), PARAMS
     )
-    assert says in (command.refused or "")
+    assert says in str(command.refusal)
     assert command.hold_force_n is None
     assert state.phase is Phase.IDLE
 
@@ -79,8 +76,8 @@ def test_clear_needs_to_know_what_is_held(jaws: GripperState, phase: Phase, says
         state_in(Phase.FAULT), seen_in(Phase.FAULT, gripper=jaws, request=ask(RequestKind.CLEAR)), PARAMS
     )
     assert state.phase is phase
-    assert says in (command.refused or "")
-    assert (command.refused is None) is (says == "")
+    assert says in str(command.refusal)
+    assert (command.refusal is None) is (says == "")
 
 
 def test_a_gripper_too_strong_for_the_budget_is_never_told_to_tighten() -> None:
@@ -88,10 +85,10 @@ def test_a_gripper_too_strong_for_the_budget_is_never_told_to_tighten() -> None:
     state = state_in(Phase.HOLDING)
     for number in range(10):
         now_s = NOW_S + 0.02 * number
-        state, command = step(state, replace(view, now_s=now_s, fused=fused(20.0, 40.0, at_s=now_s)), PARAMS)
+        state, command = step(state, changed(view, now_s=now_s, fused=fused(20.0, 40.0, at_s=now_s)), PARAMS)
         assert command.hold_force_n is None
-    assert state.slip is not None
-    assert command.arm in ("stop", None)
+    assert state.held.slip is not None
+    assert command.arm in (StopArm(), None)
 
 
 @pytest.mark.parametrize(
@@ -109,7 +106,7 @@ def test_a_gripper_too_strong_for_the_budget_is_never_told_to_tighten() -> None:
     ],
 )
 def test_no_number_is_no_turn(bad: dict[str, object]) -> None:
-    one = replace(estimate(3.0, 0.5, shift_mm=(0.0, 0.0)), **bad)  # type: ignore[arg-type]
+    one = changed(estimate(3.0, 0.5, shift_mm=(0.0, 0.0)), **bad)  # type: ignore[arg-type]
     answer = fuse(one, None)
     assert answer is not None
     assert answer.rotation_deg is answer.sigma_deg is answer.rate_deg_s is answer.shift_mm is None
@@ -121,7 +118,7 @@ def test_no_number_is_no_turn(bad: dict[str, object]) -> None:
 
 @pytest.mark.parametrize("bad", [{"captured_at_s": float("nan")}, {"measured_at_s": float("inf")}])
 def test_without_a_time_a_finger_says_nothing(bad: dict[str, float]) -> None:
-    one = replace(estimate(3.0, 0.5), **bad)  # type: ignore[arg-type]
+    one = changed(estimate(3.0, 0.5), **bad)  # type: ignore[arg-type]
     assert fuse(one, None) is None
     beside = fuse(one, estimate(-4.0, 0.5))
     assert beside is not None
@@ -136,7 +133,7 @@ def test_the_ends_of_what_a_sigma_may_be(sigma_deg: float) -> None:
 
 
 def test_no_force_is_added_to_what_is_found_until_the_arm_says_that_nobody_is_near() -> None:
-    state = GraspState(person_near=True)
+    state = grasp_state(person_near=True)
     for number in range(100):
         now_s = 100.0 + 0.02 * number
         view = observation(
@@ -151,7 +148,7 @@ def test_no_force_is_added_to_what_is_found_until_the_arm_says_that_nobody_is_ne
         for number in range(100, 140):
             now_s = 100.0 + 0.02 * number
             view = observation(now_s, gripper=gripper(60.0, at_s=now_s), fused=fused(0.25 * number, 12.0, at_s=now_s))
-            state, command = step(state, replace(view, arm=replace(here, measured_at_s=now_s)), PARAMS)
+            state, command = step(state, changed(view, arm=changed(here, measured_at_s=now_s)), PARAMS)
             if command.hold_force_n is not None:
                 break
         assert (command.hold_force_n is not None) is told
@@ -160,5 +157,5 @@ def test_no_force_is_added_to_what_is_found_until_the_arm_says_that_nobody_is_ne
 def test_guard_off_ends_an_episode_of_slip() -> None:
     slipping = state_in(Phase.HOLDING, slip=SlipEpisode(NOW_S - 1.0, NOW_S - 1.0, 4.0, 20.0, 0.0))
     state, command = step(slipping, seen_in(Phase.HOLDING, request=ask(RequestKind.GUARD_OFF)), PARAMS)
-    assert (state.slip, state.guarding, state.detector) == (None, False, SlipMemory())
-    assert (command.say or "").endswith("; not guarding: slip is not acted on")
+    assert (state.held.slip, state.guarding, state.held.memory) == (None, False, SlipMemory())
+    assert (command.text or "").endswith("; not guarding: slip has no effect on grip and arm")

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from controller_steps import NOW_S, PARAMS, Play, seen_in, state_in
 from observations import arm, ask, fused, gripper, guard_params, observation
+from records import changed, released_mm
 
-from slipguard.control.controller import step
-from slipguard.control.fault import FaultCode
-from slipguard.control.messages import ArmLift, RequestKind
+from slipguard.control.control_step import step
+from slipguard.control.messages import LiftArm, RequestKind
 from slipguard.control.params import GuardParams
+from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 
 
@@ -26,22 +25,22 @@ def test_grasp_lift_hold_lower_release() -> None:
     play.view = fused()
     play.steps(0.1)
     assert play.grasp.phase is Phase.HOLDING
-    assert play.grasp.referenced
+    assert play.grasp.held.referenced
     command = play.step(RequestKind.LIFT)
-    assert command.arm == ArmLift(15.0, 20.0)  # the slow probe first
+    assert command.arm == LiftArm(15.0, 20.0)  # the slow probe first
     legs = [command.arm for command in play.steps(1.0) if command.arm is not None]
-    assert legs == [ArmLift(85.0, 50.0)]
+    assert legs == [LiftArm(85.0, 50.0)]
     assert play.grasp.phase is Phase.HOLDING
     command = play.step(RequestKind.LOWER)
-    assert command.arm == ArmLift(-100.0, 30.0)
+    assert command.arm == LiftArm(-100.0, 30.0)
     play.steps(0.5)
     assert play.grasp.phase is Phase.HOLDING
     command = play.step(RequestKind.RELEASE)
-    assert command.release_width_mm == 85.0
+    assert released_mm(command) == 85.0
     play.step()
     assert play.grasp.phase is Phase.IDLE
-    assert play.grasp.target_n == 0.0
-    opened = [command for command in play.commands if command.release_width_mm is not None]
+    assert play.grasp.grip.target_n == 0.0
+    opened = [command for command in play.commands if released_mm(command) is not None]
     assert len(opened) == 1
 
 
@@ -51,22 +50,22 @@ def test_what_was_asked_replaces_the_configuration() -> None:
     play.step()
     play.view = fused()
     play.step()
-    assert play.step(RequestKind.LIFT, height_mm=8.0, speed_mm_s=10.0).arm == ArmLift(8.0, 10.0)
+    assert play.step(RequestKind.LIFT, height_mm=8.0, speed_mm_s=10.0).arm == LiftArm(8.0, 10.0)
     play.steps(0.5)
-    assert play.step(RequestKind.LOWER, height_mm=3.0, speed_mm_s=5.0).arm == ArmLift(-3.0, 5.0)
+    assert play.step(RequestKind.LOWER, height_mm=3.0, speed_mm_s=5.0).arm == LiftArm(-3.0, 5.0)
     play.steps(0.5)
-    assert play.step(RequestKind.RELEASE, width_mm=40.0).release_width_mm == 40.0
+    assert released_mm(play.step(RequestKind.RELEASE, width_mm=40.0)) == 40.0
 
 
 def test_closing_on_nothing_ends_idle_and_not_closing_ends_in_a_fault() -> None:
     play = Play()
     play.step(RequestKind.GRASP)
     play.jaws = gripper(40.0, holding=False, nothing=True, width_mm=0.0)
-    assert play.step().say == "the gripper closed on nothing"
+    assert play.step().text == "the gripper closed on nothing"
     assert play.grasp.phase is Phase.IDLE
     play.jaws = gripper(40.0, holding=False, moving=True)
     play.step(RequestKind.GRASP)
-    play.jaws = replace(play.jaws, holding=False, moving=True)
+    play.jaws = changed(play.jaws, holding=False, moving=True)
     play.steps(5.2)
     assert play.grasp.fault is not None
     assert play.grasp.fault.code is FaultCode.GRIPPER_STUCK
@@ -75,7 +74,7 @@ def test_closing_on_nothing_ends_idle_and_not_closing_ends_in_a_fault() -> None:
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"jaws": None}, "not there"),
+        ({"jaws": None}, "not connected"),
         ({"jaws": gripper(0.0, holding=False, fault="5")}, "not ready"),
         ({"jaws": gripper(0.0, holding=False, active=False)}, "not activated"),
         ({"here": arm(emergency=True)}, "emergency stop"),
@@ -87,15 +86,15 @@ def test_grasps_that_are_refused(changes: dict[str, object], says: str) -> None:
     for name, value in changes.items():
         setattr(play, name, value)
     command = play.step(RequestKind.GRASP)
-    assert command.refused is not None
-    assert says in command.refused
+    assert command.refusal is not None
+    assert says in str(command.refusal)
     assert command.hold_force_n is None
     assert play.grasp.phase is Phase.IDLE
 
 
 def test_more_than_the_budget_cannot_be_asked_for() -> None:
-    assert "130 N" in (Play().step(RequestKind.GRASP, force_n=131.0).refused or "")
-    assert "130 N" in (Play().held().step(RequestKind.GRIPPER, force_n=131.0).refused or "")
+    assert "130 N" in str(Play().step(RequestKind.GRASP, force_n=131.0).refusal)
+    assert "130 N" in str(Play().held().step(RequestKind.GRIPPER, force_n=131.0).refusal)
 
 
 def test_one_finger_will_do_after_the_time_out() -> None:
@@ -105,7 +104,7 @@ def test_one_finger_will_do_after_the_time_out() -> None:
     play.view = fused(0.0, fingers=("left",), note="right finger: round contact")
     play.steps(0.9)
     assert play.grasp.phase is Phase.REFERENCE
-    said = [command.say for command in play.steps(0.2) if command.say]
+    said = [command.text for command in play.steps(0.2) if command.text]
     assert play.grasp.phase is Phase.HOLDING
     assert "one finger only (right finger: round contact)" in said[0]
 
@@ -131,17 +130,17 @@ def blind(params: GuardParams) -> Play:
 
 def test_without_a_reference_it_grips_firmly_before_lifting() -> None:
     play = blind(PARAMS)
-    assert play.grasp.target_n == pytest.approx(100.0, abs=0.85)
-    assert "round contact" in (play.grasp.blind or "")
-    assert isinstance(play.step(RequestKind.LIFT).arm, ArmLift)
+    assert play.grasp.grip.target_n == pytest.approx(100.0, abs=0.85)
+    assert "round contact" in (play.grasp.held.no_estimate or "")
+    assert isinstance(play.step(RequestKind.LIFT).arm, LiftArm)
     play.steps(3.0)
     assert play.grasp.phase is Phase.HOLDING  # nobody asks for a turn that never could be told
 
 
 def test_without_a_reference_it_refuses_the_lift_in_words() -> None:
     play = blind(guard_params(on_no_estimate="refuse"))
-    assert play.grasp.target_n == pytest.approx(40.0, abs=0.85)
-    refused = play.step(RequestKind.LIFT).refused
+    assert play.grasp.grip.target_n == pytest.approx(40.0, abs=0.85)
+    refused = str(play.step(RequestKind.LIFT).refusal)
     assert refused is not None
     assert "round contact" in refused
 
@@ -152,36 +151,36 @@ def test_a_blind_grip_that_is_firm_already_or_near_a_person_is_left_as_it_is() -
         view = seen_in(Phase.REFERENCE, gripper=gripper(force_n, at_s=NOW_S), arm=here, fused=None)
         state, command = step(state, view, PARAMS)
         assert state.phase is Phase.HOLDING
-        assert state.blind == "no frames from either finger"
+        assert state.held.no_estimate == "no frames from either finger"
         assert command.hold_force_n is None
 
 
 def test_an_object_gripped_blind_is_still_guarded_against_sliding() -> None:
     play = blind(PARAMS)
-    before_n = play.grasp.target_n
+    before_n = play.grasp.grip.target_n
     for number in range(6):
-        play.view = replace(play.view, shift_mm=0.3 * number)
+        play.view = changed(play.view, shift_mm=0.3 * number)
         play.step()
-    assert play.grasp.target_n > before_n
+    assert play.grasp.grip.target_n > before_n
 
 
 def test_a_release_that_did_not_reach_the_gripper_is_said_again_and_then_given_up() -> None:
     state, command = step(state_in(Phase.HOLDING), observation(NOW_S, request=ask(RequestKind.RELEASE)), PARAMS)
-    opened = int(command.release_width_mm is not None)
+    opened = int(released_mm(command) is not None)
     for number in range(1, 150):
         now_s = NOW_S + 0.02 * number
         state, command = step(state, observation(now_s, gripper=gripper(40.0, at_s=now_s)), PARAMS)
-        opened += command.release_width_mm is not None
+        opened += released_mm(command) is not None
     assert opened > 10
     assert state.phase is Phase.FAULT
     assert state.fault is not None
     assert state.fault.code is FaultCode.GRIPPER_STUCK
     _, command = step(state, observation(NOW_S + 5.0, gripper=gripper(40.0)), PARAMS)
-    assert command.release_width_mm is None  # one request does not open the jaws for ever
+    assert released_mm(command) is None  # one request does not open the jaws for ever
 
 
 def test_a_gripper_that_comes_back_late_does_not_open() -> None:
     state, _ = step(state_in(Phase.HOLDING), observation(NOW_S, request=ask(RequestKind.RELEASE)), PARAMS)
     state, _ = step(state, observation(NOW_S + 3.0, gripper=None), PARAMS)
     state, command = step(state, observation(NOW_S + 60.0, gripper=gripper(40.0, at_s=NOW_S + 60.0)), PARAMS)
-    assert command.release_width_mm is None
+    assert released_mm(command) is None

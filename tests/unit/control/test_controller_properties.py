@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from observations import arm, ask, fused, gripper, guard_params, observation
+from records import changed, grasp_state, moved_mm, released_mm
 
-from slipguard.control.fault import Fault, FaultCode
+from slipguard.control.control_step import ControlState, control_step
 from slipguard.control.messages import (
-    ArmLift,
-    Command,
     Condition,
     ControlRequest,
     FingerHealth,
+    LiftArm,
     Observation,
     RequestKind,
+    StepOutput,
+    StopArm,
 )
 from slipguard.control.params import GuardParams
 from slipguard.control.release import OPEN_ANYWAY_S
-from slipguard.control.state import AT_STAKE, MOVING, GraspState, Phase
-from slipguard.control.step import ControlState, control_step
+from slipguard.control.reports import Fault, FaultCode
+from slipguard.control.state import AT_STAKE, MOVING, Phase, Release
 
 HELD = (AT_STAKE - {Phase.CLOSING}) | {Phase.FAULT}
 
@@ -64,7 +64,7 @@ gaps = st.sampled_from([0.005, 0.01, 0.01, 0.02, 0.1, 0.4, 1.2])
 def moment(
     gap_s: float, view: object, jaw: object, here: object, left: object, right: object
 ) -> tuple[float, Observation]:
-    return gap_s, replace(observation(0.0), fused=view, gripper=jaw, arm=here, left=left, right=right)  # type: ignore[arg-type]
+    return gap_s, changed(observation(0.0), fused=view, gripper=jaw, arm=here, left=left, right=right)  # type: ignore[arg-type]
 
 
 moments = st.builds(moment, gaps, views, jaws, arms, healths, healths)
@@ -74,25 +74,28 @@ modes = st.sampled_from(
 
 
 def start(phase: Phase) -> ControlState:
-    goal_mm = {Phase.RELEASED: 85.0, Phase.LIFTING: 100.0, Phase.LOWERING: 0.0}.get(phase)
+    goal_mm = {Phase.LIFTING: 100.0, Phase.LOWERING: 0.0}.get(phase)
+    release = Release(85.0) if phase is Phase.RELEASED else None
     held = phase not in (Phase.IDLE, Phase.RELEASED)
     fault = Fault(FaultCode.LOOP_LATE, "late", "look") if phase is Phase.FAULT else None
-    state = GraspState(phase, target_n=40.0 * held, referenced=held, ground_mm=0.0, goal_mm=goal_mm, fault=fault)
-    return ControlState(replace(state, adopted=phase is not Phase.IDLE))
+    state = grasp_state(
+        phase, target_n=40.0 * held, referenced=held, ground_mm=0.0, goal_mm=goal_mm, release=release, fault=fault
+    )
+    return ControlState(changed(state, adopted=phase is not Phase.IDLE))
 
 
 def play(
     guard: ControlState, story: list[tuple[tuple[float, Observation], ControlRequest]], params: GuardParams
-) -> list[tuple[ControlState, Observation, Command, ControlState]]:
+) -> list[tuple[ControlState, Observation, StepOutput, ControlState]]:
     """Every tick: before, seen, command, after. Devices and fingers were read a little before the tick."""
     now_s, played = 0.0, []
     for (gap_s, view), request in story:
         now_s += gap_s
-        view = replace(
+        view = changed(
             view, now_s=now_s, request=request,
-            fused=view.fused and replace(view.fused, captured_at_s=now_s - 0.04, measured_at_s=now_s - 0.04),
-            gripper=view.gripper and replace(view.gripper, measured_at_s=now_s - 0.003),
-            arm=view.arm and replace(view.arm, measured_at_s=now_s - 0.003),
+            fused=view.fused and changed(view.fused, captured_at_s=now_s - 0.04, measured_at_s=now_s - 0.04),
+            gripper=view.gripper and changed(view.gripper, measured_at_s=now_s - 0.003),
+            arm=view.arm and changed(view.arm, measured_at_s=now_s - 0.003),
         )  # fmt: skip
         after, command = control_step(guard, view, params)
         played.append((guard, view, command, after))
@@ -113,12 +116,12 @@ def test_without_a_request_to_release_nothing_opens_and_the_force_never_falls(
     guard = start(phase)
     for before, view, command, after in play(guard, story, params):
         if phase is not Phase.RELEASED:
-            assert command.release_width_mm is None
+            assert released_mm(command) is None
         if before.grasp.phase in HELD and after.grasp.phase in HELD and view.request.kind is not RequestKind.CLEAR:
-            assert after.grasp.target_n >= before.grasp.target_n
-            assert command.hold_force_n is None or command.hold_force_n >= before.grasp.target_n
+            assert after.grasp.grip.target_n >= before.grasp.grip.target_n
+            assert command.hold_force_n is None or command.hold_force_n >= before.grasp.grip.target_n
         if before.grasp.phase in HELD:
-            assert command.move_width_mm is None
+            assert moved_mm(command) is None
 
 
 @settings(max_examples=150)
@@ -127,14 +130,14 @@ def test_never_more_than_the_budget_and_nothing_near_a_person(
     phase: Phase, story: list[tuple[tuple[float, Observation], ControlRequest]], params: GuardParams
 ) -> None:
     for _, view, command, after in play(start(phase), story, params):
-        for force_n in (command.hold_force_n, command.move_force_n):
+        for force_n in (getattr(command.gripper, "force_n", None),):
             assert force_n is None or force_n <= params.force_max_n
         if view.arm is not None and (view.arm.protective_stop or view.arm.emergency_stop):
             assert command.hold_force_n is None
-            assert command.move_width_mm is None
-            assert not isinstance(command.arm, ArmLift)
+            assert moved_mm(command) is None
+            assert not isinstance(command.arm, LiftArm)
         if params.mode == "guard" and phase not in MOVING:  # no way leads there in this mode
-            assert not isinstance(command.arm, ArmLift)
+            assert not isinstance(command.arm, LiftArm)
         assert (after.grasp.fault is not None) is (after.grasp.phase is Phase.FAULT)
 
 
@@ -145,10 +148,10 @@ def test_a_fault_stops_the_arm_and_only_clear_or_release_leave_it(
 ) -> None:
     for before, view, command, after in play(start(phase), story, params):
         if after.grasp.phase is Phase.FAULT:
-            assert not isinstance(command.arm, ArmLift)
+            assert not isinstance(command.arm, LiftArm)
             assert command.fault == after.grasp.fault
             if before.grasp.phase is not Phase.FAULT:
-                assert command.arm == "stop"
+                assert command.arm == StopArm()
         elif before.grasp.phase is Phase.FAULT:
             assert view.request.kind in (RequestKind.CLEAR, RequestKind.RELEASE)
 
@@ -164,13 +167,13 @@ def test_a_release_is_granted_whatever_has_happened(
 ) -> None:
     told = [*story, (last, ask(RequestKind.RELEASE)), *((one, ControlRequest()) for one in then)]
     asked, *later = play(start(phase), told, params)[len(story) :]
-    assert asked[2].refused is None
+    assert asked[2].refusal is None
     assert asked[3].grasp.phase is Phase.RELEASED
     opened_s = None
     for _, view, command, _ in [asked, *later]:
-        assert command.hold_force_n is command.move_width_mm is None
-        if command.release_width_mm is not None:
-            assert command.release_width_mm == params.release_width_mm
+        assert command.hold_force_n is moved_mm(command) is None
+        if released_mm(command) is not None:
+            assert released_mm(command) == params.release_width_mm
             opened_s = opened_s or view.now_s
         else:
             assert opened_s is not None or view.now_s - asked[1].now_s < OPEN_ANYWAY_S

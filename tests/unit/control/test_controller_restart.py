@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from controller_steps import FAULT, PARAMS, Play
 from observations import arm, fused, gripper, observation
+from records import changed, grasp_state, released_mm
 
-from slipguard.control.controller import step
-from slipguard.control.fault import FaultCode
-from slipguard.control.messages import Command, Condition, FingerHealth, Observation, RequestKind
-from slipguard.control.state import GraspState, Phase, RememberedGrip, force_applied
-from slipguard.control.step import ControlState, control_step
-from slipguard.control.supervisor import FIRST_WAIT_S
+from slipguard.control.control_step import ControlState, control_step, step
+from slipguard.control.messages import Condition, FingerHealth, Observation, RequestKind, StepOutput, StopArm
+from slipguard.control.reports import FaultCode
+from slipguard.control.state import Phase, RememberedGrip, force_applied
+from slipguard.control.supervisor import DEVICE_START_S
 from slipguard.devices import GripperState
 
 WIDTH_MM = gripper().width_mm
@@ -24,13 +22,13 @@ ASKED_N = pytest.approx(110.0, abs=0.85)
 
 def restarted(before: RememberedGrip | None, **changes: object) -> Play:
     """A new law in front of what is held with 40 N."""
-    grasp = GraspState(remembered=before, **changes)  # type: ignore[arg-type]
+    grasp = grasp_state(remembered=before, **changes)  # type: ignore[arg-type]
     play = Play(guard=ControlState(grasp))
     play.jaws, play.view, play.here = gripper(40.0), fused(), arm(60.0)
     return play
 
 
-def forces(commands: list[Command]) -> list[float]:
+def forces(commands: list[StepOutput]) -> list[float]:
     return [command.hold_force_n for command in commands if command.hold_force_n is not None]
 
 
@@ -40,20 +38,20 @@ def forces(commands: list[Command]) -> list[float]:
 def test_a_force_that_never_arrived_is_said_again_and_once() -> None:
     play = restarted(ASKED)
     first = play.step()
-    assert "the 110 N asked for before the restart are asked for again" in (first.say or "")
+    assert "the 110 N requested before the restart are commanded again" in (first.text or "")
     assert forces(play.steps(1.0)) == [ASKED_N]
     assert play.grasp.phase is Phase.HOLDING
-    assert play.grasp.target_n == ASKED_N
-    assert all(command.release_width_mm is None for command in play.commands)
+    assert play.grasp.grip.target_n == ASKED_N
+    assert all(released_mm(command) is None for command in play.commands)
     assert play.slips().hold_force_n == pytest.approx(130.0, abs=0.85)
 
 
 def test_one_that_arrived_after_all_is_not() -> None:
     play = restarted(ASKED)
     play.jaws = gripper(110.5)
-    assert play.step().say == "an object is held with 110 N already: taken over as it is"
+    assert play.step().text == "an object is already held with 110 N: taken over as it is"
     assert forces(play.steps(1.0)) == []
-    assert play.grasp.target_n == 110.5
+    assert play.grasp.grip.target_n == 110.5
 
 
 @pytest.mark.parametrize(
@@ -67,14 +65,14 @@ def test_one_that_arrived_after_all_is_not() -> None:
 def test_it_is_said_only_of_the_same_object_and_only_upwards(
     before: RememberedGrip, limits_n: tuple[float, float]
 ) -> None:
-    state, told = GraspState(remembered=before), []
+    state, told = grasp_state(remembered=before), []
     for number in range(50):
         now_s = 100.0 + 0.02 * number
         view = observation(now_s, gripper_limits_n=limits_n)
         state, command = step(state, view, PARAMS)
         told.append(command)
     assert forces(told) == []
-    assert state.target_n == 40.0
+    assert state.grip.target_n == 40.0
 
 
 def test_it_is_said_within_the_budget_of_now() -> None:
@@ -102,9 +100,9 @@ def test_never_while_somebody_is_near_but_when_they_have_gone() -> None:
     ],
 )
 def test_a_force_is_taken_when_the_gripper_says_so_at_rest(jaws: GripperState, is_taken: bool) -> None:
-    held = GraspState(Phase.HOLDING, target_n=110.0, commanded_s=10.0)
+    held = grasp_state(Phase.HOLDING, target_n=110.0, commanded_s=10.0)
     assert force_applied(held, jaws) is is_taken
-    assert force_applied(replace(held, commanded_s=float("-inf")), jaws), "it was told nothing since the restart"
+    assert force_applied(changed(held, commanded_s=float("-inf")), jaws), "it was told nothing since the restart"
 
 
 def test_jaws_still_on_their_way_are_waited_for() -> None:
@@ -112,10 +110,10 @@ def test_jaws_still_on_their_way_are_waited_for() -> None:
     play = restarted(RememberedGrip(93.0, WIDTH_MM))
     play.jaws = gripper(0.0, holding=False, moving=True)
     play.steps(0.2)
-    assert (play.grasp.phase, play.grasp.adopted) == (Phase.IDLE, False)
+    assert (play.grasp.phase, play.grasp.adoption.done) == (Phase.IDLE, False)
     play.jaws = gripper(20.0)
     play.steps(0.6)
-    assert (play.grasp.phase, play.grasp.target_n) == (Phase.HOLDING, 93.0)
+    assert (play.grasp.phase, play.grasp.grip.target_n) == (Phase.HOLDING, 93.0)
 
 
 # --- a latched fault ---
@@ -130,15 +128,13 @@ def test_a_fault_stays_latched_until_it_is_cleared() -> None:
     play.jaws = gripper(20.0)
     first = play.step()
     assert first.fault is FAULT
-    assert first.say == (
-        "an object is held with 20 N already: taken over as it is, with the 93 N of before the restart"
-    )
-    assert "a fault is latched (arm silent)" in (play.step(RequestKind.LIFT).refused or "")
+    assert first.text == ("an object is already held with 20 N: taken over with the 93 N from before the restart")
+    assert "a fault is latched (arm silent)" in str(play.step(RequestKind.LIFT).refusal)
     play.steps(1.0)
-    assert (play.grasp.phase, play.grasp.target_n, play.grasp.gripped) == (Phase.FAULT, 93.0, True)
-    assert "cleared; holding with 93 N" in (play.step(RequestKind.CLEAR).say or "")
+    assert (play.grasp.phase, play.grasp.grip.target_n, play.grasp.grip.closed) == (Phase.FAULT, 93.0, True)
+    assert "cleared; holding with 93 N" in (play.step(RequestKind.CLEAR).text or "")
     play.steps(0.5)
-    assert (play.grasp.phase, play.grasp.target_n, play.grasp.fault) == (Phase.HOLDING, 93.0, None)
+    assert (play.grasp.phase, play.grasp.grip.target_n, play.grasp.fault) == (Phase.HOLDING, 93.0, None)
     assert forces(play.commands) == []
 
 
@@ -151,13 +147,13 @@ def test_a_release_ends_it() -> None:
 def test_the_arm_stands_and_a_slip_is_answered_as_before_the_restart() -> None:
     play = latched(RememberedGrip(40.0, WIDTH_MM))
     play.here = arm(60.0, moving=True)
-    assert "stop" in [command.arm for command in play.steps(0.3)]
+    assert StopArm() in [command.arm for command in play.steps(0.3)]
     play.here = arm(60.0)
     play.steps(0.5)
     assert (play.slips().hold_force_n or 0.0) > 40.0
     play.slips(50.0, 50.0)
-    assert play.grasp.target_n == pytest.approx(130.0, abs=0.85)
-    assert any("turned too far" in (command.say or "") for command in play.commands)
+    assert play.grasp.grip.target_n == pytest.approx(130.0, abs=0.85)
+    assert any("rotated too far" in (command.text or "") for command in play.commands)
 
 
 def test_a_force_that_never_arrived_is_said_again_in_a_fault_too() -> None:
@@ -171,14 +167,14 @@ def test_no_finger_is_waited_for_nor_is_it_known_what_was_referenced() -> None:
     play.view = None  # type: ignore[assignment]
     play.lazy = True
     play.step()
-    assert (play.grasp.target_n, play.grasp.referenced) == (93.0, False)
+    assert (play.grasp.grip.target_n, play.grasp.held.referenced) == (93.0, False)
     play.view = fused(None, declined="no reference yet")
     play.lazy = False
     play.step()
-    assert not play.grasp.referenced
+    assert not play.grasp.held.referenced
     play.view = fused()
     play.step()
-    assert play.grasp.referenced
+    assert play.grasp.held.referenced
 
 
 @pytest.mark.parametrize("before", [None, RememberedGrip(93.0, WIDTH_MM)])
@@ -186,11 +182,11 @@ def test_with_empty_jaws_it_is_still_a_fault(before: RememberedGrip | None) -> N
     play = latched(before)
     play.jaws = None  # type: ignore[assignment]
     play.steps(0.1)
-    assert not play.grasp.adopted
+    assert not play.grasp.adoption.done
     play.jaws = gripper(0.0, holding=False)
     play.steps(0.5)
-    assert (play.grasp.phase, play.grasp.gripped, play.grasp.remembered) == (Phase.FAULT, False, None)
-    assert play.step(RequestKind.CLEAR).say == "cleared; nothing is held"
+    assert (play.grasp.phase, play.grasp.grip.closed, play.grasp.adoption.remembered) == (Phase.FAULT, False, None)
+    assert play.step(RequestKind.CLEAR).text == "cleared; nothing is held"
 
 
 def test_what_was_to_be_let_go_is_left_alone() -> None:
@@ -198,7 +194,7 @@ def test_what_was_to_be_let_go_is_left_alone() -> None:
     play.steps(0.5)
     play.slips(20.0, 50.0)
     assert forces(play.commands) == []
-    assert not play.grasp.gripped
+    assert not play.grasp.grip.closed
 
 
 # --- what does not come back ---
@@ -206,13 +202,13 @@ def test_what_was_to_be_let_go_is_left_alone() -> None:
 
 def waits(
     view: Observation, seconds: float, before: RememberedGrip | None = ASKED
-) -> tuple[ControlState, list[tuple[float, Command]]]:
-    guard, told = ControlState(GraspState(remembered=before)), []
+) -> tuple[ControlState, list[tuple[float, StepOutput]]]:
+    guard, told = ControlState(grasp_state(remembered=before)), []
     for number in range(round(seconds / 0.05)):
         now_s = 100.0 + 0.05 * number
-        jaws = view.gripper and replace(view.gripper, measured_at_s=now_s)
-        here = view.arm and replace(view.arm, measured_at_s=now_s)
-        guard, command = control_step(guard, replace(view, now_s=now_s, gripper=jaws, arm=here), PARAMS)
+        jaws = view.gripper and changed(view.gripper, measured_at_s=now_s)
+        here = view.arm and changed(view.arm, measured_at_s=now_s)
+        guard, command = control_step(guard, changed(view, now_s=now_s, gripper=jaws, arm=here), PARAMS)
         told.append((now_s - 100.0, command))
     return guard, told
 
@@ -225,22 +221,22 @@ def waits(
     ],
 )
 def test_what_never_comes_back_is_a_fault_as_while_holding(view: Observation, code: FaultCode) -> None:
-    moving = replace(view, arm=arm(60.0, moving=True))
-    guard, told = waits(moving, FIRST_WAIT_S - 0.05)
+    moving = changed(view, arm=arm(60.0, moving=True))
+    guard, told = waits(moving, DEVICE_START_S - 0.05)
     assert guard.grasp.phase is Phase.IDLE
     guard, told = waits(moving, 4.0)
     latched_s, latching = next((at_s, command) for at_s, command in told if command.fault is not None)
-    assert latched_s == pytest.approx(FIRST_WAIT_S, abs=0.06)
+    assert latched_s == pytest.approx(DEVICE_START_S, abs=0.06)
     assert latching.fault is not None
     assert latching.fault.code is code
-    assert latching.arm == "stop"
-    assert [command.arm for _, command in told[-4:]].count("stop") >= 1, "until it stands"
+    assert latching.arm == StopArm()
+    assert [command.arm for _, command in told[-4:]].count(StopArm()) >= 1, "until it stands"
     # It comes back: the object is taken over with the force of before, and the fault stays until it is cleared.
     play = Play(guard=guard)
     play.now_s = 110.0
     play.jaws, play.view, play.here = gripper(40.0), fused(), arm(60.0)
     assert forces(play.steps(0.5)) == [ASKED_N]
-    assert (play.grasp.phase, play.grasp.target_n) == (Phase.FAULT, ASKED_N)
+    assert (play.grasp.phase, play.grasp.grip.target_n) == (Phase.FAULT, ASKED_N)
     play.step(RequestKind.CLEAR)
     play.steps(0.5)
     assert play.grasp.phase is Phase.HOLDING
@@ -248,18 +244,18 @@ def test_what_never_comes_back_is_a_fault_as_while_holding(view: Observation, co
 
 @pytest.mark.parametrize("heard", [True, False])
 def test_what_was_heard_since_the_start_has_the_usual_time(heard: bool) -> None:
-    guard, silent_s = ControlState(GraspState(remembered=ASKED)), 0.0
+    guard, silent_s = ControlState(grasp_state(remembered=ASKED)), 0.0
     while guard.grasp.phase is Phase.IDLE:
-        gone = replace(NEVER, age_s=silent_s) if heard else NEVER
+        gone = changed(NEVER, age_s=silent_s) if heard else NEVER
         guard, _ = control_step(guard, observation(100.0 + silent_s, fused=None, left=gone, right=NEVER), PARAMS)
         silent_s += 0.05
     assert guard.grasp.fault is not None
     assert guard.grasp.fault.code is FaultCode.FRAMES_LOST
-    assert silent_s == pytest.approx(PARAMS.tuning.frames_timeout_s if heard else FIRST_WAIT_S, abs=0.06)
+    assert silent_s == pytest.approx(PARAMS.tuning.frames_timeout_s if heard else DEVICE_START_S, abs=0.06)
 
 
 def test_a_gripper_that_was_heard_has_the_usual_time_too() -> None:
-    grasp = GraspState(remembered=ASKED)
+    grasp = grasp_state(remembered=ASKED)
     guard, _ = control_step(
         ControlState(grasp), observation(99.9, gripper=gripper(0.0, holding=False, moving=True, at_s=99.9)), PARAMS
     )
@@ -274,7 +270,7 @@ def test_a_gripper_that_was_heard_has_the_usual_time_too() -> None:
 
 def test_a_gripper_at_fault_is_one_at_once() -> None:
     guard, _ = control_step(
-        ControlState(GraspState(remembered=ASKED)),
+        ControlState(grasp_state(remembered=ASKED)),
         observation(100.0, gripper=gripper(0.0, fault="9", at_s=100.0)),
         PARAMS,
     )
@@ -287,8 +283,8 @@ def test_with_nothing_remembered_nothing_is_missed() -> None:
         guard, _ = waits(view, 4.0, None)
         assert guard.grasp.phase is Phase.IDLE
     guard, command = control_step(
-        ControlState(GraspState(remembered=ASKED)),
+        ControlState(grasp_state(remembered=ASKED)),
         observation(100.0, gripper=gripper(0.0, holding=False, at_s=100.0)),
         PARAMS,
     )
-    assert (guard.grasp.remembered, command.fault) == (None, None)
+    assert (guard.grasp.adoption.remembered, command.fault) == (None, None)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from controller_steps import FAULT, NOW_S, PARAMS, PRIMED, Play, seen_in, state_in
 from observations import arm, ask, fused, gripper, guard_params, observation
+from records import changed
 
-from slipguard.control.controller import step
-from slipguard.control.fault import FaultCode
-from slipguard.control.messages import ArmLift, RequestKind
+from slipguard.control.control_step import step
+from slipguard.control.messages import LiftArm, RequestKind, StopArm
 from slipguard.control.params import GuardParams
+from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 from slipguard.devices import GripperState
 
@@ -20,12 +19,12 @@ def test_the_first_step_is_large_and_stops_the_arm() -> None:
     play = Play().held()
     command = play.slips()
     assert command.hold_force_n == pytest.approx(40.2 * (1.5 + 0.25 * 0.3), abs=0.9)
-    assert command.arm == "stop"
-    assert "tightening" in (command.say or "")
-    assert command.warn
-    play.view = replace(play.view, rate_deg_s=0.0)
-    (calm,) = [later for later in play.steps(2.0) if "calm" in (later.say or "")]
-    assert not calm.warn
+    assert command.arm == StopArm()
+    assert "tightening" in (command.text or "")
+    assert command.is_warning
+    play.view = changed(play.view, rate_deg_s=0.0)
+    (calm,) = [later for later in play.steps(2.0) if "settled" in (later.text or "")]
+    assert not calm.is_warning
 
 
 def test_a_turn_either_way_is_slip() -> None:
@@ -45,9 +44,9 @@ def test_a_turn_either_way_is_slip() -> None:
 )
 def test_what_is_not_slip(rotation_deg: float, rate_deg_s: float | None, sigma_deg: float, frames: int) -> None:
     play = Play().held()
-    play.view = replace(play.view, sigma_deg=sigma_deg)
+    play.view = changed(play.view, sigma_deg=sigma_deg)
     commands = []
-    play.view = replace(play.view, rotation_deg=rotation_deg, rate_deg_s=rate_deg_s)
+    play.view = changed(play.view, rotation_deg=rotation_deg, rate_deg_s=rate_deg_s)
     commands = [play.step() for _ in range(frames)]
     assert all(command.hold_force_n is None for command in commands)
 
@@ -65,14 +64,14 @@ def test_a_creeping_turn_is_slip_at_any_rate() -> None:
 
 def test_an_unsure_estimate_does_not_hide_slip() -> None:
     play = Play().held()
-    play.view = replace(play.view, sigma_deg=6.0)
+    play.view = changed(play.view, sigma_deg=6.0)
     assert play.slips(5.5, 30.0).hold_force_n is not None
 
 
 def test_further_steps_wait_until_the_last_could_be_felt_and_for_progress() -> None:
     play = Play().held()
     play.slips(4.0, 30.0)
-    first_n = play.grasp.target_n
+    first_n = play.grasp.grip.target_n
     for number in range(10):  # 200 ms: 150 until it is felt, 50 until a rate shows it
         assert play.slips(4.5 + 0.5 * number, 40.0, frames=1).hold_force_n is None
     command = play.slips(13.0, 40.0, frames=1)
@@ -97,7 +96,7 @@ def test_while_the_force_rises_or_the_turn_slows_down_it_waits(
 ) -> None:
     play = Play().held()
     play.slips(4.0, 60.0)
-    play.jaws = replace(play.jaws, moving=moving)
+    play.jaws = changed(play.jaws, moving=moving)
     play.steps(0.24)
     assert (play.slips(rotation_deg, rate_deg_s, frames=1).hold_force_n is not None) is steps
 
@@ -113,14 +112,14 @@ def test_a_turn_that_does_not_go_on_slowing_down_is_answered_again() -> None:
 def test_what_the_jaws_took_to_close_is_what_a_step_takes() -> None:
     play = Play()
     play.step(RequestKind.GRASP)
-    play.jaws = replace(play.jaws, holding=False, moving=True)
+    play.jaws = changed(play.jaws, holding=False, moving=True)
     play.steps(0.1)
-    play.jaws = replace(play.jaws, width_mm=80.0)
+    play.jaws = changed(play.jaws, width_mm=80.0)
     play.step()
-    play.jaws = replace(play.jaws, width_mm=30.0, holding=True, moving=False)
+    play.jaws = changed(play.jaws, width_mm=30.0, holding=True, moving=False)
     play.view = fused()
     play.steps(0.5)
-    assert play.grasp.delay.felt_s == pytest.approx(0.12 + 0.016, abs=1e-9)
+    assert play.grasp.grip.delay.delay_s == pytest.approx(0.12 + 0.016, abs=1e-9)
     play.slips(4.0, 30.0)
     assert play.slips(6.0, 30.0, frames=9).hold_force_n is None
     assert play.slips(8.0, 30.0, frames=1).hold_force_n is not None
@@ -142,21 +141,21 @@ def test_what_the_jaws_took_to_close_is_what_a_step_takes() -> None:
 def test_slides_have_levels_too(episodes: int, slid_mm: float, at_once: bool, slips: bool) -> None:
     """Fast beyond 0.5 mm or at any rate beyond 2 mm; twice that after each episode."""
     start_mm = 5.0
-    detector = replace(PRIMED, slides=episodes, base_shift_mm=start_mm, smooth_shift_mm=start_mm)
+    memory = changed(PRIMED, translations=episodes, episode_mm=start_mm, smooth_mm=start_mm)
     if not at_once:
-        detector = replace(detector, smooth_shift_mm=start_mm + slid_mm)
+        memory = changed(memory, smooth_mm=start_mm + slid_mm)
     view = seen_in(Phase.HOLDING, fused=fused(0.0, 0.0, at_s=NOW_S, shift_mm=start_mm + slid_mm))
-    _, command = step(state_in(Phase.HOLDING, detector=detector), view, PARAMS)
+    _, command = step(state_in(Phase.HOLDING, memory=memory), view, PARAMS)
     assert (command.hold_force_n is not None) is slips
 
 
 def test_calm_ends_an_episode_and_the_next_needs_twice_the_turn() -> None:
     play = Play().held()
     play.slips(4.0)
-    play.view = replace(play.view, rotation_deg=4.5, rate_deg_s=0.0)
-    said = " ".join(command.say or "" for command in play.steps(0.6))
-    assert "calm at" in said
-    assert play.grasp.slip is None
+    play.view = changed(play.view, rotation_deg=4.5, rate_deg_s=0.0)
+    said = " ".join(command.text or "" for command in play.steps(0.6))
+    assert "settled at" in said
+    assert play.grasp.held.slip is None
     assert play.slips(8.0).hold_force_n is None  # 3.5 degrees more
     assert play.slips(9.0).hold_force_n is not None
 
@@ -166,13 +165,13 @@ def test_a_lift_stops_for_slip_and_goes_on_when_calm() -> None:
     play.step(RequestKind.LIFT)
     play.here = arm(7.0, moving=True)
     play.step()
-    assert play.slips().arm == "stop"
-    stops = [command for command in play.steps(0.5) if command.arm == "stop"]
+    assert play.slips().arm == StopArm()
+    stops = [command for command in play.steps(0.5) if command.arm == StopArm()]
     assert 2 <= len(stops) <= 4  # said again, but not at every tick
     play.here = arm(8.0)
-    play.view = replace(play.view, rate_deg_s=0.0)
+    play.view = changed(play.view, rate_deg_s=0.0)
     commands = play.steps(1.0)
-    assert ArmLift(7.0, 20.0) in [command.arm for command in commands]
+    assert LiftArm(7.0, 20.0) in [command.arm for command in commands]
     assert play.grasp.phase is Phase.HOLDING
 
 
@@ -188,18 +187,18 @@ def test_slip_too_slow_to_be_told_by_its_rate_takes_all_the_force_and_then_is_a_
     deg_s: float, mm_s: float
 ) -> None:
     play = Play(GuardParams()).held()
-    forces = [play.grasp.target_n]
+    forces = [play.grasp.grip.target_n]
     for tick in range(round(5.0 / 0.02)):
         passed_s = 0.02 * tick
-        play.view = replace(
+        play.view = changed(
             play.view, rotation_deg=deg_s * passed_s, rate_deg_s=deg_s, shift_mm=mm_s * passed_s, sigma_deg=0.1
         )
         forces.append(play.step().hold_force_n or forces[-1])
     assert forces == sorted(forces)
     assert forces[-1] == pytest.approx(130.0, abs=1.0)
     assert play.grasp.fault is not None
-    assert play.grasp.fault.code is FaultCode.BUDGET_SPENT
-    assert play.grasp.slip is not None
+    assert play.grasp.fault.code is FaultCode.FORCE_LIMIT_REACHED
+    assert play.grasp.held.slip is not None
 
 
 def test_the_budget_spent_is_a_fault_that_keeps_the_grip() -> None:
@@ -207,80 +206,84 @@ def test_the_budget_spent_is_a_fault_that_keeps_the_grip() -> None:
     for rotation_deg in range(4, 40, 2):
         play.slips(float(rotation_deg), 40.0, frames=5)
     assert play.grasp.fault is not None
-    assert play.grasp.fault.code is FaultCode.BUDGET_SPENT
-    assert play.grasp.target_n <= 60.0
-    assert any(command.arm == "stop" for command in play.commands)
+    assert play.grasp.fault.code is FaultCode.FORCE_LIMIT_REACHED
+    assert play.grasp.grip.target_n <= 60.0
+    assert any(command.arm == StopArm() for command in play.commands)
 
 
 def test_with_the_whole_budget_applied_the_arm_waits_and_it_is_said() -> None:
     play = Play(
         PARAMS.model_copy(update={"force_max_n": 40.0, "no_estimate_force_n": 40.0, "first_force_n": 40.0})
     ).held()
-    strongest_n = play.grasp.target_n
+    strongest_n = play.grasp.grip.target_n
     command = play.slips()
-    assert (command.hold_force_n, command.arm) == (None, "stop")
-    assert "slip: turned 4.0° at 30°/s: 39 N is all the force there is" in (command.say or "")
-    play.view = replace(play.view, rate_deg_s=0.0)
+    assert (command.hold_force_n, command.arm) == (None, StopArm())
+    assert "slip: rotated 4.0° at 30°/s: 39 N is the force limit" in (command.text or "")
+    play.view = changed(play.view, rate_deg_s=0.0)
     play.steps(0.6)
-    assert play.grasp.slip is None
-    assert (play.grasp.detector.rotations, play.grasp.detector.patient) == (0, True)
-    assert play.grasp.target_n == strongest_n
+    assert play.grasp.held.slip is None
+    assert (play.grasp.held.memory.rotations, play.grasp.held.memory.had_rotation) == (0, True)
+    assert play.grasp.grip.target_n == strongest_n
 
 
 def test_a_firm_grip_that_turns_while_it_lifts_off_is_tightened_too() -> None:
     play = Play(guard_params(force_max_n=57.0, no_estimate_force_n=57.0)).held()
     play.step(RequestKind.LIFT)
     play.here = arm(5.0, moving=True)
-    play.view = replace(play.view, sigma_deg=0.1)
+    play.view = changed(play.view, sigma_deg=0.1)
     play.step()
     command = play.slips(1.1, 5.0)
     assert command.hold_force_n == pytest.approx(40.0 * 1.3, abs=1.7)
-    assert command.arm == "stop"
+    assert command.arm == StopArm()
 
 
 def test_what_slid_and_what_turned_is_remembered_until_all_is_calm() -> None:
     play = Play().held()
-    play.view = replace(play.view, shift_mm=2.5)
+    play.view = changed(play.view, shift_mm=2.5)
     assert play.slips(0.0, 0.0).hold_force_n is not None
-    assert play.grasp.slip is not None
-    assert (play.grasp.slip.rotations, play.grasp.slip.slides, play.grasp.slip.raised) == (False, True, True)
+    assert play.grasp.held.slip is not None
+    assert (play.grasp.held.slip.rotates, play.grasp.held.slip.translates, play.grasp.held.slip.raised) == (
+        False,
+        True,
+        True,
+    )
     play.steps(0.24)
-    play.view = replace(play.view, shift_mm=2.6)
+    play.view = changed(play.view, shift_mm=2.6)
     assert play.slips(7.0, 30.0, frames=1).hold_force_n is not None
-    assert (play.grasp.slip.rotations, play.grasp.slip.slides) == (True, True)
-    play.view = replace(play.view, rate_deg_s=0.0)
+    assert (play.grasp.held.slip.rotates, play.grasp.held.slip.translates) == (True, True)
+    play.view = changed(play.view, rate_deg_s=0.0)
     play.steps(0.8)
-    assert (play.grasp.detector.rotations, play.grasp.detector.slides) == (1, 1)
+    assert (play.grasp.held.memory.rotations, play.grasp.held.memory.translations) == (1, 1)
 
 
 @pytest.mark.parametrize(("rotation_deg", "gives_up"), [(44.5, False), (45.5, True), (-45.5, True)])
 def test_an_object_turned_too_far_is_given_up_though_it_rests(rotation_deg: float, gives_up: bool) -> None:
     play = Play().held()
-    detector = replace(play.grasp.detector, base_rotation_deg=rotation_deg, rest_rotation_deg=rotation_deg)
-    detector = replace(detector, alert=replace(detector.alert, near_deg=rotation_deg, rested_deg=rotation_deg))
-    play.guard = replace(play.guard, grasp=replace(play.grasp, detector=detector))
+    memory = changed(play.grasp.held.memory, episode_deg=rotation_deg, settled_deg=rotation_deg)
+    memory = changed(memory, resting_deg=rotation_deg, before_motion_deg=rotation_deg)
+    play.guard = changed(play.guard, grasp=changed(play.grasp, memory=memory))
     assert play.slips(rotation_deg, 0.0, frames=1).fault is None
     command = play.slips(rotation_deg, 0.0, frames=1)
     assert (command.fault is not None) is gives_up
     if gives_up:
         assert play.grasp.fault is not None
-        assert play.grasp.fault.code is FaultCode.TURNED_TOO_FAR
-        assert play.grasp.fault.observed == "turned 46° since it was gripped"
+        assert play.grasp.fault.code is FaultCode.ROTATED_TOO_FAR
+        assert play.grasp.fault.observed == "rotated 46° since it was gripped"
         assert command.hold_force_n == pytest.approx(130.0, abs=0.85)
-        assert command.arm == "stop"
+        assert command.arm == StopArm()
 
 
 def test_fingers_that_contradict_each_other_give_nothing_up_nor_does_a_single_frame() -> None:
     play = Play().held()
     for rotation_deg in (50.0, 0.0, 50.0, 0.0):
         assert play.slips(rotation_deg, 0.0, frames=1).fault is None
-    play.view = replace(play.view, conflict="both pictures turn the same way")
+    play.view = changed(play.view, conflict="both pictures turn the same way")
     assert all(play.slips(50.0, 0.0, frames=1).fault is None for _ in range(5))
 
 
 def test_without_a_reference_no_turn_is_too_far() -> None:
     play = Play().held()
-    play.guard = replace(play.guard, grasp=replace(play.grasp, referenced=False))
+    play.guard = changed(play.guard, grasp=changed(play.grasp, referenced=False))
     assert all(play.slips(50.0, 0.0, frames=1).fault is None for _ in range(5))
 
 
@@ -289,12 +292,12 @@ def test_turned_too_far_takes_all_the_force_there_is() -> None:
     play.slips(30.0, 300.0)
     command = play.slips(50.0, 300.0, frames=1)
     assert command.fault is not None
-    assert command.fault.code is FaultCode.TURNED_TOO_FAR
+    assert command.fault.code is FaultCode.ROTATED_TOO_FAR
     assert command.hold_force_n == pytest.approx(130.0, abs=0.85)
-    assert command.arm == "stop"
+    assert command.arm == StopArm()
     play.slips(70.0, 300.0, frames=20)
     assert play.grasp.fault is not None
-    assert play.grasp.fault.code is FaultCode.TURNED_TOO_FAR
+    assert play.grasp.fault.code is FaultCode.ROTATED_TOO_FAR
 
 
 def test_no_force_is_added_near_a_person() -> None:
@@ -305,14 +308,14 @@ def test_no_force_is_added_near_a_person() -> None:
     play.here = None  # type: ignore[assignment]
     play.slips(50.0, 100.0, frames=20)
     assert all(command.hold_force_n is None for command in play.commands[-20:])
-    assert play.grasp.target_n == pytest.approx(40.0, abs=0.85)
+    assert play.grasp.grip.target_n == pytest.approx(40.0, abs=0.85)
 
 
 def test_a_turn_back_while_putting_down_is_no_slip() -> None:
-    slipped = replace(PRIMED, base_rotation_deg=20.0)
+    slipped = changed(PRIMED, episode_deg=20.0)
     back = seen_in(Phase.LOWERING, fused=fused(15.0, -30.0, at_s=NOW_S))
     for phase, tightens in ((Phase.LOWERING, False), (Phase.HOLDING, True)):
-        _, command = step(state_in(phase, detector=slipped), back, PARAMS)
+        _, command = step(state_in(phase, memory=slipped), back, PARAMS)
         assert (command.hold_force_n is not None) is tightens
 
 
@@ -353,7 +356,7 @@ def test_a_passing_loss_of_contact_does_not() -> None:
     assert play.grasp.phase is Phase.HOLDING
 
 
-NO_CONTACT = replace(fused(None, contact=False, shift_mm=None), left_contact=None)
+NO_CONTACT = changed(fused(None, contact=False, shift_mm=None), left_contact=None)
 """One finger sees no contact, the other says nothing at all."""
 
 
@@ -363,10 +366,10 @@ def test_one_fingers_word_for_a_loss_stops_the_arm_and_must_last_three_times_as_
     play.here = arm(7.0, moving=True)
     play.view = NO_CONTACT
     assert all(command.arm is None for command in play.steps(0.1))
-    assert "stop" in [command.arm for command in play.steps(0.06)]
+    assert StopArm() in [command.arm for command in play.steps(0.06)]
     play.here = arm(8.0)
     commands = play.steps(0.12)
-    assert all(command.fault is None and not isinstance(command.arm, ArmLift) for command in commands)
+    assert all(command.fault is None and not isinstance(command.arm, LiftArm) for command in commands)
     command = play.steps(0.06)[-1]
     assert command.fault is not None
     assert command.fault.code is FaultCode.OBJECT_LOST
@@ -381,7 +384,7 @@ def test_a_lift_goes_on_when_the_only_finger_sees_contact_again() -> None:
     play.here = arm(8.0)
     play.view = fused(fingers=("right",))
     commands = play.steps(0.6)
-    assert any(isinstance(command.arm, ArmLift) for command in commands)
+    assert any(isinstance(command.arm, LiftArm) for command in commands)
     assert play.grasp.fault is None
 
 
@@ -404,7 +407,7 @@ def test_without_a_gripper_one_finger_is_in_doubt_too() -> None:
 
 def test_in_a_fault_slip_is_still_answered_with_force() -> None:
     play = Play().held()
-    play.guard = replace(play.guard, grasp=replace(play.grasp, phase=Phase.FAULT, fault=FAULT))
+    play.guard = changed(play.guard, grasp=changed(play.grasp, phase=Phase.FAULT, fault=FAULT))
     assert play.slips().hold_force_n is not None
     assert play.grasp.fault == FAULT
 
@@ -414,17 +417,17 @@ def test_clear_takes_over_what_is_held() -> None:
         state_in(Phase.FAULT), seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), gripper=gripper(77.0)), PARAMS
     )
     assert state.phase is Phase.REFERENCE
-    assert state.target_n == 77.0
+    assert state.grip.target_n == 77.0
     assert state.fault is None
-    assert state.ground_mm == 0.0
+    assert state.arm.ground_mm == 0.0
     assert command.new_reference
 
 
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"fault": FAULT}, "the cause is still there"),
-        ({"gripper": None}, "not known what it holds"),
+        ({"fault": FAULT}, "the cause persists"),
+        ({"gripper": None}, "unknown what it holds"),
         ({"arm": arm(protective=True)}, "protective"),
     ],
 )
@@ -432,10 +435,10 @@ def test_clear_needs_the_cause_to_be_gone(changes: dict[str, object], says: str)
     view = seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), **changes)
     state, command = step(state_in(Phase.FAULT), view, PARAMS)
     assert state.phase is Phase.FAULT
-    assert says in (command.refused or "")
+    assert says in str(command.refusal)
 
 
-UNTRUSTED = replace(FAULT, code=FaultCode.ESTIMATE_UNTRUSTED)
+UNTRUSTED = changed(FAULT, code=FaultCode.ESTIMATE_UNTRUSTED)
 
 
 def test_clear_takes_a_new_reference_where_the_fingers_contradict_each_other() -> None:
@@ -443,16 +446,16 @@ def test_clear_takes_a_new_reference_where_the_fingers_contradict_each_other() -
     state, command = step(state_in(Phase.FAULT), view, PARAMS)
     assert state.phase is Phase.REFERENCE
     assert command.new_reference
-    assert command.refused is None
+    assert command.refusal is None
 
 
 def test_clear_is_refused_where_something_else_is_wrong_besides() -> None:
-    view = seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), fault=UNTRUSTED, also=(FAULT,))
+    view = seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), fault=UNTRUSTED, other_faults=(FAULT,))
     state, command = step(state_in(Phase.FAULT), view, PARAMS)
     assert state.phase is Phase.FAULT
-    assert "the cause is still there" in (command.refused or "")
-    assert command.warn, "both are said, and are no mere news"
-    assert not step(state, replace(view, request=ask(RequestKind.CLEAR)), PARAMS)[1].warn, "once"
+    assert "the cause persists" in str(command.refusal)
+    assert command.is_warning, "both are said, and are no mere news"
+    assert not step(state, changed(view, request=ask(RequestKind.CLEAR)), PARAMS)[1].is_warning, "once"
 
 
 def test_what_a_tick_has_to_say_is_not_lost_on_a_request() -> None:
@@ -460,10 +463,10 @@ def test_what_a_tick_has_to_say_is_not_lost_on_a_request() -> None:
     play.slips(frames=1)
     command = play.step(RequestKind.GUARD_ON)
     assert command.hold_force_n is not None
-    assert "tightening" in (command.say or "")
-    assert (command.say or "").endswith("; guarding")
-    view = seen_in(Phase.FAULT, request=ask(RequestKind.GUARD_ON), fault=UNTRUSTED, also=(FAULT,))
-    said = step(state_in(Phase.FAULT, gripped=True), view, PARAMS)[1].say or ""
+    assert "tightening" in (command.text or "")
+    assert (command.text or "").endswith("; guarding")
+    view = seen_in(Phase.FAULT, request=ask(RequestKind.GUARD_ON), fault=UNTRUSTED, other_faults=(FAULT,))
+    said = step(state_in(Phase.FAULT, closed=True), view, PARAMS)[1].text or ""
     assert str(FAULT) in said
     assert said.endswith("the fault stays latched until it is cleared")
 
@@ -474,25 +477,25 @@ def test_clear_with_nothing_held_is_idle() -> None:
 
 
 def test_a_stop_is_said_again_until_the_arm_stands() -> None:
-    state, stops = state_in(Phase.FAULT, arm_sent_s=NOW_S), 0
+    state, stops = state_in(Phase.FAULT, arm_commanded_s=NOW_S), 0
     for number in range(1, 31):
         now_s = NOW_S + 0.02 * number
         state, command = step(state, observation(now_s, arm=None if number < 20 else arm(at_s=now_s)), PARAMS)
-        stops += command.arm == "stop"
+        stops += command.arm == StopArm()
     assert stops == 3
 
 
 def test_a_force_that_was_not_taken_is_commanded_again() -> None:
     play = Play().held()
     play.slips()
-    wanted_n = play.grasp.target_n
-    play.jaws = replace(play.jaws, force_n=40.0)
+    wanted_n = play.grasp.grip.target_n
+    play.jaws = changed(play.jaws, force_n=40.0)
     again = [command.hold_force_n for command in play.steps(0.25) if command.hold_force_n is not None]
     assert again[0] == wanted_n
 
 
 def test_a_gripper_somebody_opened_is_not_closed_again() -> None:
     play = Play().held()
-    play.jaws = replace(play.jaws, force_n=0.0, holding=False, width_mm=85.0)
+    play.jaws = changed(play.jaws, force_n=0.0, holding=False, width_mm=85.0)
     assert all(command.hold_force_n is None for command in play.steps(1.0))
     assert play.grasp.fault is not None

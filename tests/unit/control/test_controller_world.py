@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from guard_loop import Run, bar, grasp_and_lift, placed
 from observations import guard_params
+from records import changed, released_mm
 
+from slipguard.control.control_step import ControlState
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
-from slipguard.control.step import ControlState
 from slipguard.sim.friction import SoftPad
 from slipguard.sim.gripper_plant import GripperDynamics
 from slipguard.sim.scenario import FrameDelivery, Scenario, scenario
@@ -28,7 +27,7 @@ WEAKEST = GripperDynamics(dead_time_s=0.06, ramp_n_s=64.0, gain=0.9)
 def drawn(seed: int, params: GuardParams = PARAMS, **kwargs: object) -> tuple[Run, float]:
     """A bar that needs 48 to 75 N per finger, in a cell drawn from the ranges of the design; and what it needs."""
     rng = np.random.default_rng(seed)
-    cell = replace(scenario("bar", seed), friction_scale=1.0)
+    cell = changed(scenario("bar", seed), friction_scale=1.0)
     needed_n, offset_mm, friction = rng.uniform(48.0, 75.0), rng.uniform(40.0, 130.0), rng.uniform(0.5, 1.0)
     return placed(bar(needed_n, cell.gel, offset_mm, friction), cell, params, seed, **kwargs), needed_n
 
@@ -41,7 +40,7 @@ def worst(params: GuardParams, gel: SoftPad, offset_mm: float = 70.0) -> Run:
 
 
 def tightenings(run: Run) -> int:
-    return sum(command.hold_force_n is not None and "slip" in (command.say or "") for _, command in run.commands)
+    return sum(command.hold_force_n is not None and "slip" in (command.text or "") for _, command in run.commands)
 
 
 @pytest.mark.parametrize("seed", range(24))
@@ -105,7 +104,7 @@ def test_blind_it_grips_firmly_first() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_a_firm_hold_is_left_alone(seed: int) -> None:
     """Needs 25 N, held with 40: nothing in the lift nor in half a minute in the air is slip."""
-    cell = replace(scenario("bar", seed), friction_scale=1.0, gel=STIFF)
+    cell = changed(scenario("bar", seed), friction_scale=1.0, gel=STIFF)
     run = grasp_and_lift(placed(bar(25.0, STIFF), cell, PARAMS, seed), hold_s=30.0)
     assert run.phase is Phase.HOLDING
     assert tightenings(run) == 0
@@ -126,7 +125,7 @@ def test_a_restart_in_the_middle_of_a_lift_keeps_the_object(seed: int) -> None:
     run.until(lambda: False, 2.0)
     truth = run.world.truth(run.now_s)
     assert truth.dropped is None
-    assert all(command.release_width_mm is None for _, command in run.commands[commands:])
+    assert all(released_mm(command) is None for _, command in run.commands[commands:])
 
 
 FRAGILE = guard_params(force_max_n=57.0, no_estimate_force_n=57.0)
@@ -150,7 +149,7 @@ def test_a_soft_gel_wound_up_by_all_of_the_budget_stops_the_lift_a_few_times_at_
     assert run.phase is Phase.HOLDING
     assert run.peak_deg > 8.0
     assert tightenings(run) == 0
-    assert 1 <= sum("is all the force there is" in said for said in run.says) <= 4
+    assert 1 <= sum("is the force limit" in said for said in run.says) <= 4
 
 
 def test_lowered_and_released_on_the_table() -> None:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from observations import estimate
+from records import changed
 
 from slipguard.control.finger_fusion import GAP_MAX_S, FusedEstimate, fuse
 
-LEFT = replace(estimate(4.0, 0.5, at_s=8.0, measured_s=7.5, shift_mm=(9.0, -1.0)), rate_deg_s=16.0)
-RIGHT = replace(estimate(-6.0, 1.0, at_s=8.0, measured_s=7.25, shift_mm=(-9.0, -3.0)), rate_deg_s=-6.0)
+LEFT = changed(estimate(4.0, 0.5, at_s=8.0, measured_s=7.5, shift_mm=(9.0, -1.0)), rate_deg_s=16.0)
+RIGHT = changed(estimate(-6.0, 1.0, at_s=8.0, measured_s=7.25, shift_mm=(-9.0, -3.0)), rate_deg_s=-6.0)
 
 
 def test_both() -> None:
@@ -29,7 +28,7 @@ def test_both() -> None:
 
 
 def test_one_declines() -> None:
-    blind = replace(RIGHT, angle_deg=None, sigma_deg=None, declined="round contact")
+    blind = changed(RIGHT, angle_deg=None, sigma_deg=None, declined="round contact")
     assert fuse(LEFT, blind) == FusedEstimate(
         True, True, 8.0, 7.5, ("left",), 4.0, 0.5, 16.0, 2.0, None, "right finger: round contact", newest_at_s=7.5
     )
@@ -42,8 +41,8 @@ def test_one_is_silent() -> None:
 
 
 def test_both_decline() -> None:
-    blind = [replace(one, angle_deg=None, sigma_deg=None, declined=None) for one in (LEFT, RIGHT)]
-    away = replace(blind[1], contact=False, shift_mm=None)
+    blind = [changed(one, angle_deg=None, sigma_deg=None, declined=None) for one in (LEFT, RIGHT)]
+    away = changed(blind[1], contact=False, shift_mm=None)
     assert fuse(blind[0], away) == FusedEstimate(
         True,
         False,
@@ -56,13 +55,13 @@ def test_both_decline() -> None:
 
 
 def test_the_later_one_is_moved_back_by_its_own_rate() -> None:
-    late = replace(RIGHT, captured_at_s=8.0625, angle_deg=-4.375, sigma_deg=0.5)
+    late = changed(RIGHT, captured_at_s=8.0625, angle_deg=-4.375, sigma_deg=0.5)
     answer = fuse(LEFT, late)
     assert answer is not None
     assert answer.captured_at_s == 8.0
     assert answer.rotation_deg == pytest.approx((4.0 + 4.375 - 0.0625 * 6.0) / 2.0)
     assert answer.note is None
-    unknown = fuse(LEFT, replace(late, rate_deg_s=None))
+    unknown = fuse(LEFT, changed(late, rate_deg_s=None))
     assert unknown is not None
     assert unknown.rotation_deg == pytest.approx((4.0 + 4.375 - 0.0625 * 16.0) / 2.0)
     assert unknown.rate_deg_s == 16.0
@@ -70,7 +69,7 @@ def test_the_later_one_is_moved_back_by_its_own_rate() -> None:
 
 @pytest.mark.parametrize(("gap_s", "fingers"), [(GAP_MAX_S, ("left", "right")), (0.125, ("right",))])
 def test_far_behind_is_left_out(gap_s: float, fingers: tuple[str, ...]) -> None:
-    early, late = replace(LEFT, captured_at_s=0.0), replace(RIGHT, captured_at_s=gap_s)
+    early, late = changed(LEFT, captured_at_s=0.0), changed(RIGHT, captured_at_s=gap_s)
     answer = fuse(early, late)
     assert answer is not None
     assert answer.fingers == fingers
@@ -78,17 +77,17 @@ def test_far_behind_is_left_out(gap_s: float, fingers: tuple[str, ...]) -> None:
 
 
 def test_without_a_rate_only_the_newer_counts() -> None:
-    early, late = replace(LEFT, rate_deg_s=None), replace(RIGHT, captured_at_s=8.0625, rate_deg_s=None)
+    early, late = changed(LEFT, rate_deg_s=None), changed(RIGHT, captured_at_s=8.0625, rate_deg_s=None)
     answer = fuse(early, late)
     assert answer is not None
     assert (answer.fingers, answer.rotation_deg, answer.note) == (("right",), 6.0, "left finger: 62 ms behind")
-    together = fuse(early, replace(late, captured_at_s=8.0))
+    together = fuse(early, changed(late, captured_at_s=8.0))
     assert together is not None
     assert together.fingers == ("left", "right")
 
 
 def test_disagreement_is_worth_less() -> None:
-    far = replace(RIGHT, angle_deg=-7.0, sigma_deg=0.5)
+    far = changed(RIGHT, angle_deg=-7.0, sigma_deg=0.5)
     answer = fuse(LEFT, far)
     assert answer is not None
     assert answer.conflict is None
@@ -98,7 +97,7 @@ def test_disagreement_is_worth_less() -> None:
 
 @pytest.mark.parametrize(("angle_deg", "rotation_deg", "sigma_deg"), [(6.0, -6.0, 0.25), (3.0, 4.0, 0.5)])
 def test_the_same_way_in_both_pictures(angle_deg: float, rotation_deg: float, sigma_deg: float) -> None:
-    answer = fuse(LEFT, replace(RIGHT, angle_deg=angle_deg, sigma_deg=0.25))
+    answer = fuse(LEFT, changed(RIGHT, angle_deg=angle_deg, sigma_deg=0.25))
     assert answer is not None
     assert (answer.rotation_deg, answer.sigma_deg) == (rotation_deg, sigma_deg)
     assert answer.conflict == (
@@ -109,7 +108,7 @@ def test_the_same_way_in_both_pictures(angle_deg: float, rotation_deg: float, si
 
 @pytest.mark.parametrize(("angle_deg", "opposed"), [(1.5, False), (1.625, True)])
 def test_a_turn_that_is_not_certain_contradicts_nobody(angle_deg: float, opposed: bool) -> None:
-    answer = fuse(replace(LEFT, angle_deg=1.75), replace(RIGHT, angle_deg=angle_deg, sigma_deg=0.5))
+    answer = fuse(changed(LEFT, angle_deg=1.75), changed(RIGHT, angle_deg=angle_deg, sigma_deg=0.5))
     assert answer is not None
     assert (answer.conflict is not None) is opposed
 
@@ -129,8 +128,8 @@ def test_a_turn_that_is_not_certain_contradicts_nobody(angle_deg: float, opposed
 )
 def test_one_that_turns_alone(left_deg: float, right_deg: float, sigma_deg: float, rotation_deg: float | None) -> None:
     """Beyond 3 degrees, a tenth of the turn, and five combined standard deviations; all of the larger one is used."""
-    left = replace(LEFT, angle_deg=left_deg, sigma_deg=sigma_deg)
-    right = replace(RIGHT, angle_deg=right_deg, sigma_deg=sigma_deg)
+    left = changed(LEFT, angle_deg=left_deg, sigma_deg=sigma_deg)
+    right = changed(RIGHT, angle_deg=right_deg, sigma_deg=sigma_deg)
     answer = fuse(left, right)
     assert answer is not None
     assert answer.fingers == ("left", "right")
@@ -150,13 +149,13 @@ def test_one_that_turns_alone(left_deg: float, right_deg: float, sigma_deg: floa
 
 @pytest.mark.parametrize("bad", [{"angle_deg": float("nan")}, {"sigma_deg": -1.0}])
 def test_no_numbers_leave_nothing_behind(bad: dict[str, float]) -> None:
-    answer = fuse(replace(LEFT, **bad), None)  # type: ignore[arg-type]
+    answer = fuse(changed(LEFT, **bad), None)  # type: ignore[arg-type]
     assert answer == FusedEstimate(
         True, None, 8.0, 7.5, declined="left finger: not a number; right finger: no frames", newest_at_s=7.5
     )
 
 
 def test_a_turn_without_a_sigma_is_none() -> None:
-    answer = fuse(replace(LEFT, sigma_deg=None), RIGHT)
+    answer = fuse(changed(LEFT, sigma_deg=None), RIGHT)
     assert answer is not None
     assert (answer.fingers, answer.note) == (("right",), "left finger: no reference yet")

@@ -15,75 +15,75 @@ ROBOTIQ_85 = (20.0, 235.0)
 STEP_N = 215.0 / 255
 
 forces = st.floats(0.0, 300.0)
-budgets = st.builds(
-    limits.budget, st.floats(20.0, 300.0), st.sampled_from([ROBOTIQ_85, (10.0, 125.0), (5.0, 5.0), (20.0, 20.0)])
+ranges = st.builds(
+    limits.force_range, st.floats(20.0, 300.0), st.sampled_from([ROBOTIQ_85, (10.0, 125.0), (5.0, 5.0), (20.0, 20.0)])
 ).filter(lambda one: one is not None)
 
 
 def test_the_budget_is_the_lesser_of_gripper_and_configuration_on_the_registers_grid() -> None:
-    within = limits.budget(130.0, ROBOTIQ_85)
+    within = limits.force_range(130.0, ROBOTIQ_85)
     assert within is not None
     assert within.low_n == 20.0
     assert within.high_n == pytest.approx(20.0 + 130 * STEP_N)
     assert within.high_n <= 130.0 < within.high_n + STEP_N
-    whole = limits.budget(500.0, ROBOTIQ_85)
+    whole = limits.force_range(500.0, ROBOTIQ_85)
     assert whole is not None
     assert whole.high_n == pytest.approx(235.0)
-    exact = limits.budget(20.0, ROBOTIQ_85)
+    exact = limits.force_range(20.0, ROBOTIQ_85)
     assert exact is not None
     assert exact.high_n == 20.0
 
 
 def test_less_than_the_weakest_grip_is_no_budget() -> None:
-    assert limits.budget(19.9, ROBOTIQ_85) is None
-    assert limits.budget(19.9, (10.0, 125.0)) is not None
+    assert limits.force_range(19.9, ROBOTIQ_85) is None
+    assert limits.force_range(19.9, (10.0, 125.0)) is not None
 
 
 def test_a_gripper_of_one_force() -> None:
-    assert limits.budget(50.0, (30.0, 30.0)) == ForceRange(30.0, 30.0, 0.0)
-    assert limits.raised(30.0, 1.5, ForceRange(30.0, 30.0, 0.0)) == 30.0
+    assert limits.force_range(50.0, (30.0, 30.0)) == ForceRange(30.0, 30.0, 0.0)
+    assert ForceRange(30.0, 30.0, 0.0).raised(30.0, 1.5) == 30.0
 
 
 def test_forces_are_rounded_up_and_kept_within() -> None:
-    within = limits.budget(130.0, ROBOTIQ_85)
+    within = limits.force_range(130.0, ROBOTIQ_85)
     assert within is not None
-    assert limits.allowed(40.0, 0.0, within) == pytest.approx(20.0 + 24 * STEP_N)
-    assert limits.allowed(0.0, 0.0, within) == 20.0
-    assert limits.allowed(999.0, 0.0, within) == within.high_n
-    assert limits.allowed(40.0, 90.0, within) == 90.0
-    assert limits.allowed(40.0, 200.0, within) == 200.0  # adopted from somebody else's grip
-    assert limits.allowed(60.0, 0.0, within) >= 60.0
+    assert within.allowed(40.0, 0.0) == pytest.approx(20.0 + 24 * STEP_N)
+    assert within.allowed(0.0, 0.0) == 20.0
+    assert within.allowed(999.0, 0.0) == within.high_n
+    assert within.allowed(40.0, 90.0) == 90.0
+    assert within.allowed(40.0, 200.0) == 200.0  # adopted from somebody else's grip
+    assert within.allowed(60.0, 0.0) >= 60.0
 
 
-@given(forces, forces, budgets)
+@given(forces, forces, ranges)
 def test_never_below_the_present_and_never_above_the_budget(wanted: float, present: float, within: ForceRange) -> None:
-    force_n = limits.allowed(wanted, present, within)
+    force_n = within.allowed(wanted, present)
     assert force_n >= present
     assert force_n <= max(within.high_n, present)
-    again_n = limits.allowed(force_n, force_n, within)
-    assert limits.allowed(again_n, again_n, within) == pytest.approx(again_n)
+    again_n = within.allowed(force_n, force_n)
+    assert within.allowed(again_n, again_n) == pytest.approx(again_n)
 
 
-@given(st.floats(20.0, 235.0), st.floats(1.0, 3.0), budgets)
+@given(st.floats(20.0, 235.0), st.floats(1.0, 3.0), ranges)
 def test_raising_gains_at_least_one_step_until_the_budget_is_spent(
     present: float, multiple: float, within: ForceRange
 ) -> None:
-    force_n = limits.raised(present, multiple, within)
+    force_n = within.raised(present, multiple)
     assert force_n >= min(present + within.step_n, max(within.high_n, present)) - 1e-9
 
 
 @given(st.floats(20.0, 235.0), st.floats(0.0, 300.0))
 def test_a_gripper_that_rounds_up_stays_within_the_budget(force_max_n: float, wanted: float) -> None:
     model = GripperDynamics()
-    within = limits.budget(force_max_n, (model.force_min_n, model.force_max_n))
+    within = limits.force_range(force_max_n, (model.force_min_n, model.force_max_n))
     assert within is not None
-    assert model.quantized_force_n(limits.allowed(wanted, 0.0, within)) <= force_max_n + 1e-6
+    assert model.quantized_force_n(within.allowed(wanted, 0.0)) <= force_max_n + 1e-6
 
 
 def test_the_faster_it_turns_the_larger_the_step() -> None:
-    assert limits.multiple(1.5, 0.0, 0.25) == 1.5
-    assert limits.multiple(1.5, 100.0, 0.25) == pytest.approx(1.75)
-    assert limits.multiple(1.5, -100.0, 0.25) == 1.5
+    assert limits.multiplier(1.5, 0.0, 0.25) == 1.5
+    assert limits.multiplier(1.5, 100.0, 0.25) == pytest.approx(1.75)
+    assert limits.multiplier(1.5, -100.0, 0.25) == 1.5
 
 
 @pytest.mark.parametrize(

@@ -1,30 +1,29 @@
-"""The law does, says and remembers what the ledger has, in every phase, for every wish and every mishap."""
+"""The controller commands and reports what the golden files have, in every phase, for every request and failure."""
 
 from __future__ import annotations
 
-from itertools import zip_longest
-
-from golden_cases import LEDGER, ledger
+import pytest
+from golden_cases import FOLDER, cases
 
 from slipguard.control.state import Phase
 
 
-def test_nothing_has_changed_unnoticed() -> None:
-    kept = LEDGER.read_text(encoding="utf-8").splitlines()
-    for line, now in zip_longest(kept, ledger()):
-        assert now == line, (
-            "the controller has changed; if intended: python tests/unit/control/golden_cases.py, and review"
-        )
+@pytest.mark.parametrize("phase", Phase)
+def test_every_case_is_as_in_the_golden_file(phase: Phase) -> None:
+    kept = (FOLDER / f"{phase}.txt").read_text(encoding="utf-8").splitlines()
+    different = [f"- {old}\n+ {new}" for old, new in zip(kept, cases(phase), strict=True) if old != new]
+    assert not different, (
+        "the controller has changed; if intended, run python tests/unit/control/golden_cases.py and review the diff:\n"
+        + "\n".join(different[:20])
+    )
 
 
-def test_what_it_must_never_hold() -> None:
-    """Not a golden file that nobody looked at: the rules hold in every line of it."""
-    for line in LEDGER.read_text(encoding="utf-8").splitlines():
-        names, told = line.split(" => ")
-        for name in names.split("; "):
-            asked = ": release" in name
-            assert ("release_width_mm" in told) <= (asked or name.startswith(Phase.RELEASED)), line
-            if "protective stop" in name or "emergency stop" in name:
-                assert "hold_force_n" not in told, line
-            if name.startswith(Phase.FAULT):
-                assert "move_width_mm" not in told, line
+@pytest.mark.parametrize("phase", Phase)
+def test_the_golden_file_itself_keeps_the_safety_rules(phase: Phase) -> None:
+    for line in (FOLDER / f"{phase}.txt").read_text(encoding="utf-8").splitlines():
+        name, steps = line.split(": ", 1)
+        assert ("RELEASE" in steps) <= (name.startswith("release") or phase is Phase.RELEASED), line
+        if "protective stop" in name or "emergency stop" in name:
+            assert "HOLD" not in steps, line
+        if phase is Phase.FAULT:
+            assert "MOVE" not in steps, line

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import pytest
 from controller_steps import FAULT, NOW_S, PARAMS, seen_in, state_in
 from observations import arm, ask, fused, gripper
+from records import changed, moved_mm, released_mm
 
 from slipguard.control.arm_motion import SAME_SLIP
-from slipguard.control.fault import Fault, FaultCode
-from slipguard.control.messages import Command, Condition, FingerHealth, Observation, RequestKind
+from slipguard.control.control_step import ControlState, control_step
+from slipguard.control.messages import Condition, FingerHealth, Observation, RequestKind, StepOutput, StopArm
 from slipguard.control.release import OPEN_ANYWAY_S
+from slipguard.control.reports import Fault, FaultCode
 from slipguard.control.state import AT_STAKE, GraspState, Phase, SlipEpisode
-from slipguard.control.step import ControlState, control_step
 from slipguard.control.supervisor import Supervision
 
 TICK_S = 0.04
@@ -30,51 +30,51 @@ View = Callable[[Observation, float], Observation]
 
 
 def rotating(view: Observation, since_s: float) -> Observation:
-    return replace(view, fused=fused(22.0 + 10.0 * since_s, 10.0, at_s=view.now_s))
+    return changed(view, fused=fused(22.0 + 10.0 * since_s, 10.0, at_s=view.now_s))
 
 
 def rotating_while_it_tightens(view: Observation, since_s: float) -> Observation:
-    return rotating(replace(view, gripper=view.gripper and replace(view.gripper, moving=True)), since_s)
+    return rotating(changed(view, gripper=view.gripper and changed(view.gripper, moving=True)), since_s)
 
 
 EVENTS: dict[FaultCode, tuple[View, frozenset[Phase], dict[str, object]]] = {
-    FaultCode.FRAMES_LOST: (lambda view, _: replace(view, left=GONE, right=GONE, fused=None), AT_STAKE, {}),
+    FaultCode.FRAMES_LOST: (lambda view, _: changed(view, left=GONE, right=GONE, fused=None), AT_STAKE, {}),
     FaultCode.ESTIMATE_UNTRUSTED: (
-        lambda view, _: replace(view, fused=fused(None, declined="round contact", at_s=view.now_s)),
+        lambda view, _: changed(view, fused=fused(None, declined="round contact", at_s=view.now_s)),
         GUARDED,
         {},
     ),
-    FaultCode.GRIPPER_SILENT: (lambda view, _: replace(view, gripper=None), AT_STAKE, {}),
+    FaultCode.GRIPPER_SILENT: (lambda view, _: changed(view, gripper=None), AT_STAKE, {}),
     FaultCode.GRIPPER_FAULT: (
-        lambda view, _: replace(view, gripper=view.gripper and replace(view.gripper, fault="9")),
+        lambda view, _: changed(view, gripper=view.gripper and changed(view.gripper, fault="9")),
         AT_STAKE,
         {},
     ),
-    FaultCode.ARM_SILENT: (lambda view, _: replace(view, arm=None), AT_STAKE, {}),
+    FaultCode.ARM_SILENT: (lambda view, _: changed(view, arm=None), AT_STAKE, {}),
     FaultCode.ARM_STOPPED: (
-        lambda view, _: replace(view, arm=arm(50.0, protective=True, at_s=view.now_s)),
+        lambda view, _: changed(view, arm=arm(50.0, protective=True, at_s=view.now_s)),
         AT_STAKE,
         {},
     ),
     FaultCode.ARM_EMERGENCY: (
-        lambda view, _: replace(view, arm=arm(50.0, emergency=True, at_s=view.now_s)),
+        lambda view, _: changed(view, arm=arm(50.0, emergency=True, at_s=view.now_s)),
         AT_STAKE,
         {},
     ),
     FaultCode.ARM_STUCK: (
-        lambda view, _: replace(view, arm=arm(50.0, at_s=view.now_s)),
+        lambda view, _: changed(view, arm=arm(50.0, at_s=view.now_s)),
         frozenset({Phase.LIFTING, Phase.LOWERING}),
         {},
     ),
-    FaultCode.NO_HELP: (rotating_while_it_tightens, SEEN, {"slip": SLIPS, "target_n": 60.0}),
-    FaultCode.BUDGET_SPENT: (rotating, SEEN, {"slip": replace(SLIPS, rotation_deg=2.0), "target_n": 129.57}),
-    FaultCode.TURNED_TOO_FAR: (
-        lambda view, since_s: replace(view, fused=fused(50.0 + 60.0 * since_s, 60.0, at_s=view.now_s)),
+    FaultCode.TIGHTENING_INEFFECTIVE: (rotating_while_it_tightens, SEEN, {"slip": SLIPS, "target_n": 60.0}),
+    FaultCode.FORCE_LIMIT_REACHED: (rotating, SEEN, {"slip": changed(SLIPS, rotation_deg=2.0), "target_n": 129.57}),
+    FaultCode.ROTATED_TOO_FAR: (
+        lambda view, since_s: changed(view, fused=fused(50.0 + 60.0 * since_s, 60.0, at_s=view.now_s)),
         SEEN,
         {"slip": SLIPS},
     ),
     FaultCode.OBJECT_LOST: (
-        lambda view, _: replace(view, gripper=gripper(40.0, holding=False, nothing=True, at_s=view.now_s)),
+        lambda view, _: changed(view, gripper=gripper(40.0, holding=False, nothing=True, at_s=view.now_s)),
         HELD,
         {},
     ),
@@ -84,24 +84,24 @@ EVENTS: dict[FaultCode, tuple[View, frozenset[Phase], dict[str, object]]] = {
 def before_in(phase: Phase, **changes: object) -> ControlState:
     """All well in that phase. changes: where slip may be under way."""
     guarded = phase in GUARDED or phase is Phase.FAULT
-    grasp = state_in(phase, gripped=phase in HELD or phase is Phase.FAULT, **(changes if guarded else {}))
-    return ControlState(replace(grasp, referenced=guarded), Supervision(tick_s=NOW_S - TICK_S, arm_known=True))
+    grasp = state_in(phase, closed=phase in HELD or phase is Phase.FAULT, **(changes if guarded else {}))
+    return ControlState(changed(grasp, referenced=guarded), Supervision(stepped_s=NOW_S - TICK_S, arm_known=True))
 
 
 def moment(phase: Phase, now_s: float) -> Observation:
     """All as it should be in that phase, just measured."""
     view = seen_in(phase)
     moving_mm = 40.0 * (now_s - NOW_S) * {Phase.LIFTING: 1.0, Phase.LOWERING: -1.0}.get(phase, 0.0)
-    return replace(
+    return changed(
         view,
         now_s=now_s,
-        gripper=view.gripper and replace(view.gripper, measured_at_s=now_s),
-        arm=view.arm and replace(view.arm, measured_at_s=now_s, height_mm=view.arm.height_mm + moving_mm),
-        fused=view.fused and replace(view.fused, captured_at_s=now_s, measured_at_s=now_s),
+        gripper=view.gripper and changed(view.gripper, measured_at_s=now_s),
+        arm=view.arm and changed(view.arm, measured_at_s=now_s, height_mm=view.arm.height_mm + moving_mm),
+        fused=view.fused and changed(view.fused, captured_at_s=now_s, measured_at_s=now_s),
     )
 
 
-def play(phase: Phase, code: FaultCode) -> list[tuple[GraspState, Command]]:
+def play(phase: Phase, code: FaultCode) -> list[tuple[GraspState, StepOutput]]:
     view, _, changes = EVENTS[code]
     guard, played = before_in(phase, **changes), []
     for number in range(round(LASTS_S / TICK_S)):
@@ -120,8 +120,8 @@ def test_the_table_has_every_fault_that_lasts() -> None:
 @pytest.mark.parametrize("code", EVENTS)
 def test_phase_against_what_goes_wrong(phase: Phase, code: FaultCode) -> None:
     played = play(phase, code)
-    said = "; ".join(command.say for _, command in played if command.say)
-    assert all(command.release_width_mm is command.move_width_mm is None for _, command in played)
+    said = "; ".join(command.text for _, command in played if command.text)
+    assert all(released_mm(command) is moved_mm(command) is None for _, command in played)
     if phase in EVENTS[code][1]:
         at = next(index for index, (state, _) in enumerate(played) if state.phase is Phase.FAULT)
         state, command = played[at]
@@ -130,9 +130,9 @@ def test_phase_against_what_goes_wrong(phase: Phase, code: FaultCode) -> None:
         wrong = state.fault.code
         assert wrong is code or (phase is Phase.REFERENCE and {wrong, code} <= SAME_SLIP)
         assert str(state.fault) in said
-        assert command.arm == "stop"
+        assert command.arm == StopArm()
         assert all(state.phase is Phase.FAULT and state.fault.code is wrong for state, _ in played[at:] if state.fault)
-        assert all(state.target_n >= played[0][0].target_n for state, _ in played)
+        assert all(state.grip.target_n >= played[0][0].grip.target_n for state, _ in played)
     elif phase is Phase.FAULT:
         assert all(state.phase is Phase.FAULT and state.fault == FAULT for state, _ in played)
         if code not in (FaultCode.ARM_STUCK, FaultCode.ARM_SILENT):
@@ -151,8 +151,8 @@ def test_a_late_loop_in_every_phase(phase: Phase) -> None:
     guard, command = control_step(guard, moment(phase, NOW_S + 0.6), PARAMS)
     latched = phase in AT_STAKE
     assert (guard.grasp.fault is not None and guard.grasp.fault.code is FaultCode.LOOP_LATE) is latched
-    assert (command.arm == "stop") is latched
-    assert ("loop late" in (command.say or "")) is (latched or phase is Phase.FAULT)
+    assert (command.arm == StopArm()) is latched
+    assert ("loop late" in (command.text or "")) is (latched or phase is Phase.FAULT)
 
 
 @pytest.mark.parametrize("code", EVENTS)
@@ -163,18 +163,18 @@ def test_a_release_in_every_phase_and_every_fault(phase: Phase, code: FaultCode)
     for number in range(30):
         now_s = NOW_S + TICK_S * number
         guard, _ = control_step(guard, view(moment(phase, now_s), TICK_S * number), PARAMS)
-    asked = replace(view(moment(phase, now_s + TICK_S), 1.2), request=ask(RequestKind.RELEASE, width_mm=70.0))
+    asked = changed(view(moment(phase, now_s + TICK_S), 1.2), request=ask(RequestKind.RELEASE, width_mm=70.0))
     guard, command = control_step(guard, asked, PARAMS)
     assert guard.grasp.phase is Phase.RELEASED
     assert guard.grasp.fault is None
-    assert (command.say or "").startswith("releasing, as asked")
-    assert command.refused is None
+    assert (command.text or "").startswith("releasing, as requested")
+    assert command.refusal is None
     waited_s = 0.0
-    while command.release_width_mm is None:
-        assert command.arm == "stop" or guard.grasp.braking
+    while released_mm(command) is None:
+        assert command.arm == StopArm() or guard.grasp.release.arm_may_move
         waited_s += TICK_S
         guard, command = control_step(guard, view(moment(phase, now_s + TICK_S + waited_s), 1.2 + waited_s), PARAMS)
-    assert command.release_width_mm == 70.0
+    assert released_mm(command) == 70.0
     assert waited_s <= OPEN_ANYWAY_S + TICK_S
 
 
@@ -183,11 +183,11 @@ def test_a_release_in_every_phase_and_every_fault(phase: Phase, code: FaultCode)
 def test_in_a_fault_no_wish_but_a_release_moves_anything(code: FaultCode, kind: RequestKind) -> None:
     view, _, changes = EVENTS[code]
     guard = before_in(Phase.HOLDING, **changes)
-    guard = replace(guard, grasp=replace(guard.grasp, phase=Phase.FAULT, fault=Fault(code, "seen", "do")))
+    guard = changed(guard, grasp=changed(guard.grasp, phase=Phase.FAULT, fault=Fault(code, "seen", "do")))
     for number in range(30):
         now_s = NOW_S + TICK_S * number
         guard, _ = control_step(guard, view(moment(Phase.HOLDING, now_s), TICK_S * number), PARAMS)
-    asked = replace(view(moment(Phase.HOLDING, now_s + TICK_S), 1.2), request=ask(kind))
+    asked = changed(view(moment(Phase.HOLDING, now_s + TICK_S), 1.2), request=ask(kind))
     _, command = control_step(guard, asked, PARAMS)
-    assert command.release_width_mm is command.move_width_mm is None
-    assert command.arm in (None, "stop")
+    assert released_mm(command) is moved_mm(command) is None
+    assert command.arm in (None, StopArm())

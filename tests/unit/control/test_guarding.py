@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from controller_steps import NOW_S, PARAMS, PRIMED, seen_in, state_in
 from observations import arm, fused, gripper
+from records import changed
 
 from slipguard.control import force_limits as limits
-from slipguard.control.fault import FaultCode
-from slipguard.control.gripper_delay import GripperDelay
-from slipguard.control.guarding import GuardResult, guard
 from slipguard.control.messages import Observation
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_baselines import SlipMemory
-from slipguard.control.slip_thresholds import MotionCase
-from slipguard.control.state import GraspState, Phase, SlipEpisode
+from slipguard.control.reports import FaultCode
+from slipguard.control.slip_memory import ArmCase, SlipMemory
+from slipguard.control.slip_response import SlipResponse, respond_to_slip
+from slipguard.control.state import GraspState, GripperDelay, Phase, SlipEpisode
 
 FELT_S = 0.25
 """200 ms until a step is felt, 50 until a rate shows it."""
@@ -27,11 +24,11 @@ def slipping(
     rotation_deg: float = 4.0, rate_deg_s: float = 60.0, slip_mm: float = 0.0, since_s: float = 1.0
 ) -> SlipEpisode:
     """Tightened so long ago, at this turn and rate."""
-    return SlipEpisode(NOW_S - since_s, NOW_S - since_s, rotation_deg, rate_deg_s, slip_mm, rotations=True, raised=True)
+    return SlipEpisode(NOW_S - since_s, NOW_S - since_s, rotation_deg, rate_deg_s, slip_mm, rotates=True, raised=True)
 
 
-def state(slip: SlipEpisode | None = None, detector: SlipMemory = PRIMED, **changes: object) -> GraspState:
-    return state_in(Phase.HOLDING, slip=slip, detector=detector, delay=GripperDelay(felt_s=0.2), **changes)
+def state(slip: SlipEpisode | None = None, memory: SlipMemory = PRIMED, **changes: object) -> GraspState:
+    return state_in(Phase.HOLDING, slip=slip, memory=memory, delay=GripperDelay(delay_s=0.2), **changes)
 
 
 def view(
@@ -40,11 +37,11 @@ def view(
     observation = seen_in(
         Phase.HOLDING, fused=fused(rotation_deg, rate_deg_s, at_s=NOW_S, shift_mm=shift_mm, sigma_deg=0.1)
     )
-    return replace(observation, **changes)  # type: ignore[arg-type]
+    return changed(observation, **changes)  # type: ignore[arg-type]
 
 
-def look(grasp: GraspState, observation: Observation, params: GuardParams = PARAMS) -> GuardResult:
-    return guard(grasp, observation, params)
+def respond(grasp: GraspState, observation: Observation, params: GuardParams = PARAMS) -> SlipResponse:
+    return respond_to_slip(grasp, observation, params)
 
 
 # --- nothing to see ---
@@ -56,25 +53,25 @@ def test_with_nothing_seen_or_nothing_to_guard_an_arm_stopped_for_slip_stays_sto
         (state(slip), view(fused=None)),
         (state(slip, guarding=False), view(4.0, 60.0)),
     ):
-        verdict = look(grasp, observation)
-        assert verdict == GuardResult(grasp, stop=slip is not None)
+        response = respond(grasp, observation)
+        assert response == SlipResponse(grasp, stop_arm=slip is not None)
 
 
 def test_a_firm_grip_bears_more_of_a_turn_while_it_lifts_off() -> None:
     params = GuardParams()
-    lifting = replace(PRIMED, frames=1, alert=replace(PRIMED.alert, case=MotionCase.LIFT_OFF))
+    lifting = changed(PRIMED, frames=1, case=ArmCase.LIFT_OFF)
     firm_n = limits.firm_n(params, (20.0, 235.0))
     for target_n, slips in ((firm_n - 0.1, True), (firm_n, False)):
         observation = view(0.8, arm=arm(10.0, moving=True, at_s=NOW_S))
-        assert (look(state(detector=lifting, target_n=target_n), observation, params).hold_n is not None) is slips
+        assert (respond(state(memory=lifting, target_n=target_n), observation, params).hold_n is not None) is slips
 
 
 def test_a_base_that_moves_takes_the_last_steps_turn_and_slide_along() -> None:
-    lifting = replace(PRIMED, alert=replace(PRIMED.alert, case=MotionCase.LIFT_OFF))
-    verdict = look(state(slipping(5.0, slip_mm=0.2), lifting), view(6.0, shift_mm=0.4))
-    assert verdict.state.detector.base_rotation_deg == 6.0
-    assert verdict.state.slip is not None
-    assert (verdict.state.slip.rotation_deg, verdict.state.slip.slip_mm) == (0.0, 0.0)
+    lifting = changed(PRIMED, case=ArmCase.LIFT_OFF)
+    response = respond(state(slipping(5.0, slip_mm=0.2), lifting), view(6.0, shift_mm=0.4))
+    assert response.state.held.memory.baselines.episode_deg == 6.0
+    assert response.state.held.slip is not None
+    assert (response.state.held.slip.rotation_deg, response.state.held.slip.slip_mm) == (0.0, 0.0)
 
 
 # --- the first step ---
@@ -82,33 +79,33 @@ def test_a_base_that_moves_takes_the_last_steps_turn_and_slide_along() -> None:
 
 def test_the_first_step_is_remembered_as_it_was() -> None:
     observation = view(7.0, 60.0, 0.4)
-    verdict = look(state(), observation)
-    grasp = verdict.state
-    rate_mm_s = grasp.detector.slip_rate_mm_s
+    response = respond(state(), observation)
+    grasp = response.state
+    rate_mm_s = grasp.held.memory.shift.rate_mm_s
     assert rate_mm_s > PARAMS.tuning.slip_rate_mm_s
-    assert grasp.slip == SlipEpisode(NOW_S, NOW_S, 7.0, 60.0, 0.4, rotations=True, slides=False, raised=True)
-    assert verdict.hold_n == grasp.target_n > 40.0
-    assert grasp.commanded_s == NOW_S
-    assert verdict.stop
+    assert grasp.held.slip == SlipEpisode(NOW_S, NOW_S, 7.0, 60.0, 0.4, rotates=True, translates=False, raised=True)
+    assert response.hold_n == grasp.grip.target_n > 40.0
+    assert grasp.grip.commanded_s == NOW_S
+    assert response.stop_arm
 
 
 def test_the_first_step_is_as_large_as_most_of_the_budget() -> None:
     params = GuardParams()
-    verdict = look(state(), view(7.0, 60.0), params)
-    assert verdict.hold_n == pytest.approx(limits.firm_n(params, (20.0, 235.0)), abs=0.85)
+    response = respond(state(), view(7.0, 60.0), params)
+    assert response.hold_n == pytest.approx(limits.firm_n(params, (20.0, 235.0)), abs=0.85)
 
 
 def test_near_a_person_it_is_remembered_without_a_step() -> None:
-    verdict = look(state(person_near=True), view(7.0, 60.0, 0.4))
-    assert verdict == GuardResult(verdict.state, stop=True)
-    assert verdict.state.slip == SlipEpisode(NOW_S, NOW_S, 7.0, 60.0, 0.4)
-    assert verdict.state.target_n == 40.0
+    response = respond(state(person_near=True), view(7.0, 60.0, 0.4))
+    assert response == SlipResponse(response.state, stop_arm=True)
+    assert response.state.held.slip == SlipEpisode(NOW_S, NOW_S, 7.0, 60.0, 0.4)
+    assert response.state.grip.target_n == 40.0
 
 
 def test_a_gripper_too_strong_for_the_budget_is_not_told_anything() -> None:
-    verdict = look(state(), view(7.0, 60.0, gripper_limits_n=(131.0, 235.0)))
-    assert (verdict.hold_n, verdict.stop) == (None, True)
-    assert verdict.state.target_n == 40.0
+    response = respond(state(), view(7.0, 60.0, gripper_limits_n=(131.0, 235.0)))
+    assert (response.hold_n, response.stop_arm) == (None, True)
+    assert response.state.grip.target_n == 40.0
 
 
 # --- further steps ---
@@ -116,10 +113,10 @@ def test_a_gripper_too_strong_for_the_budget_is_not_told_anything() -> None:
 
 def test_until_a_step_can_be_felt_progress_does_not_count() -> None:
     early = slipping(4.0, 60.0, 0.1, since_s=FELT_S - 0.01)
-    verdict = look(state(early), view(9.0, 50.0, 0.3))
-    assert verdict == GuardResult(verdict.state, stop=True)
-    assert verdict.state.slip == replace(early, rotation_deg=9.0, rate_deg_s=50.0, slip_mm=0.3)
-    felt = look(state(slipping(4.0, 60.0, since_s=FELT_S)), view(9.0, 60.0))
+    response = respond(state(early), view(9.0, 50.0, 0.3))
+    assert response == SlipResponse(response.state, stop_arm=True)
+    assert response.state.held.slip == changed(early, rotation_deg=9.0, rate_deg_s=50.0, slip_mm=0.3)
+    felt = respond(state(slipping(4.0, 60.0, since_s=FELT_S)), view(9.0, 60.0))
     assert felt.hold_n is not None
 
 
@@ -130,17 +127,17 @@ def test_a_step_is_followed_by_another_only_if_the_object_moved_on(
     rotation_deg: float, shift_mm: float, steps: bool
 ) -> None:
     before = slipping(4.0)
-    verdict = look(state(before), view(rotation_deg, 70.0, shift_mm))
-    assert (verdict.hold_n is not None) is steps
-    assert verdict.stop
+    response = respond(state(before), view(rotation_deg, 70.0, shift_mm))
+    assert (response.hold_n is not None) is steps
+    assert response.stop_arm
     if not steps:
-        assert verdict.state.slip == before
+        assert response.state.held.slip == before
     else:
-        assert verdict.state.slip is not None
-        assert verdict.state.slip.stepped_s == verdict.state.commanded_s == NOW_S
-        assert verdict.state.slip.began_s == before.began_s
-        assert (verdict.state.slip.rotation_deg, verdict.state.slip.rate_deg_s) == (rotation_deg, 70.0)
-        assert verdict.state.slip.slip_mm == shift_mm
+        assert response.state.held.slip is not None
+        assert response.state.held.slip.tightened_s == response.state.grip.commanded_s == NOW_S
+        assert response.state.held.slip.began_s == before.began_s
+        assert (response.state.held.slip.rotation_deg, response.state.held.slip.rate_deg_s) == (rotation_deg, 70.0)
+        assert response.state.held.slip.slip_mm == shift_mm
 
 
 @pytest.mark.parametrize(
@@ -151,46 +148,46 @@ def test_a_step_is_followed_by_another_where_the_object_creeps_on(
     sigma_deg: float, rotation_deg: float, steps: bool
 ) -> None:
     creeping = fused(rotation_deg, 4.0, at_s=NOW_S, sigma_deg=sigma_deg)
-    assert (look(state(slipping(4.0, 4.0)), view(fused=creeping)).hold_n is not None) is steps
+    assert (respond(state(slipping(4.0, 4.0)), view(fused=creeping)).hold_n is not None) is steps
 
 
 @pytest.mark.parametrize(("slid_mm", "steps"), [(0.5, False), (0.51, True)])
 @pytest.mark.parametrize("rotation_deg", [None, 4.0])
 def test_so_where_it_slides_on_slowly(rotation_deg: float | None, slid_mm: float, steps: bool) -> None:
-    slow = replace(PRIMED, smooth_shift_mm=slid_mm - 0.01, captured_s=NOW_S - 0.02)
-    verdict = look(state(slipping(4.0, 0.0), slow), view(rotation_deg, 0.0, slid_mm))
-    assert verdict.stop
-    assert (verdict.hold_n is not None) is steps
+    slow = changed(PRIMED, smooth_mm=slid_mm - 0.01, captured_s=NOW_S - 0.02)
+    response = respond(state(slipping(4.0, 0.0), slow), view(rotation_deg, 0.0, slid_mm))
+    assert response.stop_arm
+    assert (response.hold_n is not None) is steps
 
 
 def test_what_slid_before_the_last_step_is_no_progress() -> None:
-    assert look(state(slipping(4.0, slip_mm=0.3)), view(4.5, 60.0, 0.4)).hold_n is None
+    assert respond(state(slipping(4.0, slip_mm=0.3)), view(4.5, 60.0, 0.4)).hold_n is None
 
 
 @pytest.mark.parametrize(("rate_deg_s", "steps"), [(48.0, True), (47.9, False)])
 def test_a_fifth_slower_is_help(rate_deg_s: float, steps: bool) -> None:
     before = slipping(4.0, 60.0)
-    verdict = look(state(before), view(8.0, rate_deg_s, 0.01))
-    assert (verdict.hold_n is not None) is steps
-    assert verdict.stop
+    response = respond(state(before), view(8.0, rate_deg_s, 0.01))
+    assert (response.hold_n is not None) is steps
+    assert response.stop_arm
     if not steps:
-        assert verdict == GuardResult(verdict.state, stop=True)
-        assert verdict.state.slip == replace(before, rotation_deg=8.0, rate_deg_s=rate_deg_s, slip_mm=0.01)
+        assert response == SlipResponse(response.state, stop_arm=True)
+        assert response.state.held.slip == changed(before, rotation_deg=8.0, rate_deg_s=rate_deg_s, slip_mm=0.01)
 
 
 @pytest.mark.parametrize(("rotation_deg", "steps"), [(22.5, False), (22.6, True), (-22.6, True)])
 def test_half_way_to_giving_up_there_is_no_waiting(rotation_deg: float, steps: bool) -> None:
     rate_deg_s = 30.0 if rotation_deg > 0.0 else -30.0
     observation = view(rotation_deg, rate_deg_s, gripper=gripper(40.0, moving=True, at_s=NOW_S))
-    assert (look(state(slipping(4.0, 60.0)), observation).hold_n is not None) is steps
+    assert (respond(state(slipping(4.0, 60.0)), observation).hold_n is not None) is steps
 
 
 def test_a_slide_that_goes_on_though_the_object_does_not_turn_is_answered_again() -> None:
     observation = view(None, shift_mm=1.0)
-    verdict = look(state(slipping(0.0, 0.0)), observation)
-    assert verdict.hold_n is not None
-    assert verdict.state.slip is not None
-    assert verdict.state.slip.slides
+    response = respond(state(slipping(0.0, 0.0)), observation)
+    assert response.hold_n is not None
+    assert response.state.held.slip is not None
+    assert response.state.held.slip.translates
 
 
 # --- all the force there is ---
@@ -211,17 +208,19 @@ def test_the_budget_is_spent_when_the_object_moves_on_under_all_of_it(
     rotation_deg: float, shift_mm: float, moving: bool, spent: bool
 ) -> None:
     grasp = state(slipping(4.0), target_n=BUDGET_N + 0.1)
-    verdict = look(grasp, view(rotation_deg, 60.0, shift_mm, gripper=gripper(130.0, moving=moving, at_s=NOW_S)))
-    assert verdict.stop
-    assert verdict.hold_n is None
+    response = respond(grasp, view(rotation_deg, 60.0, shift_mm, gripper=gripper(130.0, moving=moving, at_s=NOW_S)))
+    assert response.stop_arm
+    assert response.hold_n is None
     if not spent:
-        assert verdict.fault is None
+        assert response.fault is None
     else:
-        assert verdict.fault is not None
-        assert verdict.fault.code is FaultCode.BUDGET_SPENT
-        slid = f", slid {shift_mm:.1f} mm" if shift_mm else ""
-        assert verdict.fault.observed == f"turned {rotation_deg:.1f}° at 60°/s{slid} at 130 N, and force_max_n = 130 N"
-        assert verdict.fault.what_to_do == (
+        assert response.fault is not None
+        assert response.fault.code is FaultCode.FORCE_LIMIT_REACHED
+        slid = f", moved {shift_mm:.1f} mm" if shift_mm else ""
+        assert (
+            response.fault.observed == f"rotated {rotation_deg:.1f}° at 60°/s{slid} at 130 N, and force_max_n = 130 N"
+        )
+        assert response.fault.what_to_do == (
             "support the object, lower it or release it; raise force_max_n if object and gel allow it"
         )
 
@@ -230,23 +229,23 @@ def test_the_budget_is_spent_when_the_object_moves_on_under_all_of_it(
 
 
 def test_one_frame_beyond_is_enough_while_it_slips_and_turns() -> None:
-    verdict = look(state(slipping(4.0)), view(45.1, 60.0))
-    assert verdict.fault is not None
-    assert verdict.fault.code is FaultCode.TURNED_TOO_FAR
-    assert verdict.fault.observed == "turned 45° since it was gripped and still turning at 60°/s"
-    assert verdict.fault.what_to_do == "support the object and release it; grip it nearer to its centre of mass"
-    assert verdict.stop
-    assert verdict.hold_n == verdict.state.target_n == pytest.approx(BUDGET_N, abs=0.1)
-    assert verdict.state.commanded_s == NOW_S
+    response = respond(state(slipping(4.0)), view(45.1, 60.0))
+    assert response.fault is not None
+    assert response.fault.code is FaultCode.ROTATED_TOO_FAR
+    assert response.fault.observed == "rotated 45° since it was gripped and still rotating at 60°/s"
+    assert response.fault.what_to_do == "support the object and release it; grip it nearer to its centre of mass"
+    assert response.stop_arm
+    assert response.hold_n == response.state.grip.target_n == pytest.approx(BUDGET_N, abs=0.1)
+    assert response.state.grip.commanded_s == NOW_S
 
 
 @pytest.mark.parametrize(("slip", "rate_deg_s"), [(None, 60.0), (slipping(4.0), 0.0)])
 def test_else_it_takes_two(slip: SlipEpisode | None, rate_deg_s: float) -> None:
-    quiet = replace(PRIMED, frames=0)
-    assert look(state(slip, quiet), view(46.0, rate_deg_s)).fault is None
-    again = look(state(slip, replace(quiet, far_frames=1)), view(46.0, rate_deg_s))
+    quiet = changed(PRIMED, frames=0)
+    assert respond(state(slip, quiet), view(46.0, rate_deg_s)).fault is None
+    again = respond(state(slip, changed(quiet, far_frames=1)), view(46.0, rate_deg_s))
     assert again.fault is not None
-    assert again.fault.code is FaultCode.TURNED_TOO_FAR
+    assert again.fault.code is FaultCode.ROTATED_TOO_FAR
 
 
 @pytest.mark.parametrize(
@@ -255,19 +254,22 @@ def test_else_it_takes_two(slip: SlipEpisode | None, rate_deg_s: float) -> None:
 )
 def test_given_up_without_more_force(changes: dict[str, object]) -> None:
     grasp = state(slipping(4.0), **changes)
-    verdict = look(grasp, view(46.0, 60.0))
-    assert (verdict.hold_n, verdict.stop) == (None, True)
-    assert verdict.fault is not None
-    assert (verdict.state.target_n, verdict.state.commanded_s) == (grasp.target_n, grasp.commanded_s)
-    weak = look(state(slipping(4.0)), view(46.0, 60.0, gripper_limits_n=(131.0, 235.0)))
-    assert (weak.hold_n, weak.state.target_n) == (None, 40.0)
+    response = respond(grasp, view(46.0, 60.0))
+    assert (response.hold_n, response.stop_arm) == (None, True)
+    assert response.fault is not None
+    assert (response.state.grip.target_n, response.state.grip.commanded_s) == (
+        grasp.grip.target_n,
+        grasp.grip.commanded_s,
+    )
+    weak = respond(state(slipping(4.0)), view(46.0, 60.0, gripper_limits_n=(131.0, 235.0)))
+    assert (weak.hold_n, weak.state.grip.target_n) == (None, 40.0)
 
 
 # --- calm ---
 
 
 def resting(for_s: float) -> SlipMemory:
-    return replace(PRIMED, rest_rotation_deg=4.5, rest_since_s=NOW_S - for_s, base_rotation_deg=0.0)
+    return changed(PRIMED, settled_deg=4.5, settled_since_s=NOW_S - for_s, episode_deg=0.0)
 
 
 @pytest.mark.parametrize(
@@ -284,17 +286,17 @@ def resting(for_s: float) -> SlipMemory:
 def test_calm_is_rest_with_the_last_step_done_and_seen(
     rested_s: float, since_s: float, changes: dict[str, object], calm: bool
 ) -> None:
-    verdict = look(state(slipping(4.0, since_s=since_s), resting(rested_s)), view(4.5, **changes))
-    assert (verdict.state.slip is None) is calm
-    assert (verdict.say == "calm at 40 N") is calm
-    assert verdict.stop is not calm
+    response = respond(state(slipping(4.0, since_s=since_s), resting(rested_s)), view(4.5, **changes))
+    assert (response.state.held.slip is None) is calm
+    assert (str(response.message) == "settled at 40 N") is calm
+    assert response.stop_arm is not calm
     if calm:
-        assert (verdict.state.detector.rotations, verdict.state.detector.slides) == (1, 0)
-        assert verdict.state.detector.base_rotation_deg is None
-        assert verdict.state.detector.base_shift_mm is None
+        assert (response.state.held.memory.rotations, response.state.held.memory.translations) == (1, 0)
+        assert response.state.held.memory.baselines.episode_deg is None
+        assert response.state.held.memory.baselines.episode_mm is None
 
 
 def test_calm_needs_the_time_set_for_it() -> None:
     for calm_s, calm in ((0.5, True), (0.51, False)):
         params = PARAMS.model_copy(update={"tuning": PARAMS.tuning.model_copy(update={"settle_s": calm_s})})
-        assert (look(state(slipping(4.0), resting(0.5)), view(4.5), params).state.slip is None) is calm
+        assert (respond(state(slipping(4.0), resting(0.5)), view(4.5), params).state.held.slip is None) is calm

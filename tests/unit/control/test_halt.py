@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from controller_steps import GUARD_MODE, NOW_S, PARAMS, Play, seen_in, state_in
 from observations import arm, ask, fused, gripper
+from records import changed, halted, released_mm
 
-from slipguard.control.controller import step
+from slipguard.control.control_step import step
 from slipguard.control.messages import RequestKind
 from slipguard.control.state import Phase
 
@@ -26,26 +25,26 @@ def closing() -> Play:
 
 
 def halts(play: Play, seconds: float) -> int:
-    return sum(command.halt for command in play.steps(seconds))
+    return sum(halted(command) for command in play.steps(seconds))
 
 
 def test_a_closing_is_halted_until_the_jaws_rest() -> None:
     play = closing()
     play.here = STOPPED
     command = play.step()
-    assert command.halt
+    assert halted(command)
     assert command.hold_force_n is None
-    assert "the jaws are halted" in (command.say or "")
+    assert "the moving jaws are halted" in (command.text or "")
     again = play.steps(0.3)
-    assert sum(command.halt for command in again) >= 2, "a lost halt is made up for"
-    assert all(command.say is None for command in again)
-    play.jaws = replace(play.jaws, moving=False)
+    assert sum(halted(command) for command in again) >= 2, "a lost halt is made up for"
+    assert all(command.text is None for command in again)
+    play.jaws = changed(play.jaws, moving=False)
     assert halts(play, 0.3) == 0
 
 
 def test_a_close_not_yet_taken_up_is_halted_too() -> None:
-    view = seen_in(Phase.CLOSING, gripper=gripper(0.0, holding=False, at_s=NOW_S - 0.01), arm=replace(STOPPED))
-    assert step(state_in(Phase.CLOSING, commanded_s=NOW_S - 0.01), view, PARAMS)[1].halt
+    view = seen_in(Phase.CLOSING, gripper=gripper(0.0, holding=False, at_s=NOW_S - 0.01), arm=changed(STOPPED))
+    assert halted(step(state_in(Phase.CLOSING, commanded_s=NOW_S - 0.01), view, PARAMS)[1])
 
 
 @pytest.mark.parametrize("says_it_holds", [True, False])
@@ -60,7 +59,7 @@ def test_a_closing_cut_short_must_be_asked_for_again(says_it_holds: bool) -> Non
     play.here = arm()
     play.steps(1.0)
     assert play.grasp.phase is Phase.FAULT
-    assert play.step(RequestKind.CLEAR).refused is None
+    assert play.step(RequestKind.CLEAR).refusal is None
     play.steps(0.5)
     assert play.grasp.phase is Phase.IDLE
     assert all(command.hold_force_n is None for command in play.commands[2:])
@@ -74,9 +73,9 @@ def test_an_interrupted_closing_without_force_is_no_grip_to_guard(phase: Phase) 
     state = state_in(phase, closing_interrupted=True)
     view = seen_in(Phase.FAULT, gripper=gripper(0.0, at_s=NOW_S), request=ask(RequestKind.GUARD_ON))
     after, command = step(state, view, PARAMS)
-    assert "interrupted" in (command.refused or "")
-    assert after.closing_interrupted
-    assert after.target_n == state.target_n
+    assert "interrupted" in str(command.refusal)
+    assert after.hands_off.closing_interrupted
+    assert after.grip.target_n == state.grip.target_n
     assert not command.new_reference
 
 
@@ -84,9 +83,9 @@ def test_guarding_an_interrupted_closing_keeps_the_force_target() -> None:
     state = state_in(Phase.FAULT, closing_interrupted=True, target_n=40.0)
     view = seen_in(Phase.FAULT, gripper=gripper(25.0, at_s=NOW_S), request=ask(RequestKind.GUARD_ON))
     after, command = step(state, view, PARAMS)
-    assert command.refused is None
-    assert (after.target_n, after.closing_interrupted) == (40.0, False)
-    assert step(state, replace(view, gripper=gripper(60.0, at_s=NOW_S)), PARAMS)[0].target_n == 60.0
+    assert command.refusal is None
+    assert (after.grip.target_n, after.hands_off.closing_interrupted) == (40.0, False)
+    assert step(state, changed(view, gripper=gripper(60.0, at_s=NOW_S)), PARAMS)[0].grip.target_n == 60.0
 
 
 def test_in_guard_mode_a_closing_cut_short_is_not_taken_over() -> None:
@@ -111,22 +110,22 @@ def test_a_tightening_is_halted_and_its_force_said_again_after_the_stop() -> Non
     assert target_n is not None
     play.jaws = gripper(target_n, moving=True)
     play.here = STOPPED
-    assert play.step().halt
+    assert halted(play.step())
     play.jaws = gripper(0.0)  # it cannot say what it had reached
     play.steps(0.5)
-    assert play.grasp.target_n == target_n
+    assert play.grasp.grip.target_n == target_n
     play.here = arm()
     assert target_n in [command.hold_force_n for command in play.steps(0.3)]
-    assert not play.grasp.closing_interrupted
+    assert not play.grasp.hands_off.closing_interrupted
 
 
 def test_each_stop_halts_anew() -> None:
     play = closing()
     for _ in range(2):
         play.here = STOPPED
-        assert play.step().halt
+        assert halted(play.step())
         play.here = arm()
-        assert not play.step().halt
+        assert not halted(play.step())
 
 
 def test_jaws_at_rest_and_jaws_that_open_on_request_are_let_be() -> None:
@@ -134,7 +133,7 @@ def test_jaws_at_rest_and_jaws_that_open_on_request_are_let_be() -> None:
     play.here = STOPPED
     assert halts(play, 0.3) == 0
     play.step(RequestKind.RELEASE)
-    play.jaws = replace(play.jaws, moving=True)
+    play.jaws = changed(play.jaws, moving=True)
     assert halts(play, 0.3) == 0
     play.jaws = None  # type: ignore[assignment]
     assert halts(play, 0.3) == 0
@@ -145,5 +144,5 @@ def test_while_a_release_waits_for_the_arm_nothing_tightens() -> None:
     play.jaws = gripper(90.0, moving=True)
     play.here = arm(20.0, moving=True, protective=True)
     command = play.step(RequestKind.RELEASE)
-    assert command.release_width_mm is None
-    assert play.step().halt
+    assert released_mm(command) is None
+    assert halted(play.step())

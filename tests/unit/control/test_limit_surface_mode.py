@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
 from controller_steps import Play
 from observations import arm, guard_params
+from records import changed
 
 from slipguard.control import force_limits as limits
 from slipguard.control.messages import RequestKind
@@ -52,10 +52,10 @@ def test_a_grasp_uses_it_and_so_does_the_first_step() -> None:
     gentle = Play(params)
     gentle.step(RequestKind.GRASP, force_n=25.0)
     gentle.step()
-    gentle.view = replace(
+    gentle.view = changed(
         gentle.view, left_contact=True, right_contact=True, rotation_deg=0.0, sigma_deg=0.1, rate_deg_s=0.0
     )
-    gentle.view = replace(gentle.view, fingers=("left", "right"), shift_mm=0.0, declined=None)
+    gentle.view = changed(gentle.view, fingers=("left", "right"), shift_mm=0.0, declined=None)
     gentle.steps(0.6)
     gentle.here = arm()
     assert gentle.slips(1.0, 10.0).hold_force_n == pytest.approx(params.modelled_n or 0.0, abs=0.85)

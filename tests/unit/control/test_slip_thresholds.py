@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from observations import arm, fused
+from records import changed, slip_memory
 
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_baselines import HANDOVER_DEG, HANDOVER_MM, SlipMemory
-from slipguard.control.slip_detector import SlipAssessment, look
-from slipguard.control.slip_thresholds import (
-    LIFT_OFF_MM,
-    NOISE_MAX_DEG,
-    SETTLE_S,
-    MotionCase,
-    RestingPlace,
-    attend,
-    growth,
-    level_deg,
-    quick_level_deg,
-)
+from slipguard.control.slip_baselines import SWITCH_MAX_DEG, SWITCH_MAX_MM
+from slipguard.control.slip_detector import SlipAssessment, assess_slip, growth, threshold_deg
+from slipguard.control.slip_memory import ARM_SETTLE_S, LIFT_OFF_MM, NOISE_MAX_DEG, NOISE_TIMES, ArmCase, SlipMemory
 
 PARAMS = GuardParams()
 FRAME_S = 1 / 60
@@ -30,8 +19,8 @@ FRAME_S = 1 / 60
 class Watched:
     """Frames one after the other, with the arm as it is."""
 
-    def __init__(self, patient: bool = False, params: GuardParams = PARAMS) -> None:
-        self.detector, self.params = SlipMemory(patient=patient), params
+    def __init__(self, had_rotation: bool = False, params: GuardParams = PARAMS) -> None:
+        self.memory, self.params = slip_memory(had_rotation=had_rotation), params
         self.left_alone = self.firm = False
         self.now_s, self.here = 10.0, arm()
         self.rate_deg_s, self.shift_mm = 0.0, 0.0
@@ -45,9 +34,9 @@ class Watched:
             rotation_deg, self.rate_deg_s, at_s=self.now_s, sigma_deg=sigma_deg, fingers=fingers, shift_mm=self.shift_mm,
             conflict=self.conflict,
         )  # fmt: skip
-        here = replace(self.here, measured_at_s=self.now_s)
-        sight = look(self.detector, view, self.params, arm=here, firm=self.firm, only_outward=self.putting_down)
-        self.detector = sight.detector
+        here = changed(self.here, measured_at_s=self.now_s)
+        sight = assess_slip(self.memory, view, self.params, arm=here, firm=self.firm, only_outward=self.putting_down)
+        self.memory = sight.memory
         return sight
 
     def rest(self, seconds: float = 0.5, rotation_deg: float = 0.0) -> Watched:
@@ -86,15 +75,15 @@ def test_where_it_comes_to_rest_is_where_it_turns_no_more() -> None:
     watched = aloft(10.0)
     watched.lifts(130.0).see(10.0)
     watched.here = arm(130.0)
-    while watched.now_s + FRAME_S < watched.detector.alert.moved_s + SETTLE_S:
+    while watched.now_s + FRAME_S < watched.memory.arm.moved_s + ARM_SETTLE_S:
         watched.see(10.0)
     watched.rate_deg_s = -6.0
     watched.see(9.4)
-    assert watched.detector.alert.case is MotionCase.REST
-    assert watched.detector.alert.near_deg is None
+    assert watched.memory.arm.case is ArmCase.REST
+    assert watched.memory.baselines.resting_deg is None
     watched.rate_deg_s = 0.0
     assert not any(watched.see(10.0).slipping for _ in range(5))
-    assert watched.detector.alert.near_deg == 10.0
+    assert watched.memory.baselines.resting_deg == 10.0
 
 
 @pytest.mark.parametrize("leap_deg", [0.6, -0.6, 3.0])
@@ -128,11 +117,12 @@ def test_the_level_follows_the_sensors_own_noise() -> None:
     watched = Watched()
     for _ in range(600):
         assert not watched.see(float(rng.normal(0.0, 0.2)), sigma_deg=0.2).slipping
-    assert 0.15 < watched.detector.alert.noise_deg < 0.3
-    assert 1.0 < quick_level_deg(watched.detector.alert, PARAMS) < 1.6
-    assert quick_level_deg(RestingPlace(), PARAMS) == pytest.approx(0.36)
-    assert quick_level_deg(RestingPlace(variance_deg2=1e-6), PARAMS) == PARAMS.tighten_at_rest_deg
-    assert RestingPlace(variance_deg2=100.0).noise_deg == NOISE_MAX_DEG
+    assert 0.15 < watched.memory.noise_deg2**0.5 < 0.3
+    assert 1.0 < watched.memory.quick_threshold_deg(ArmCase.REST, PARAMS) < 1.6
+    assert SlipMemory().quick_threshold_deg(ArmCase.REST, PARAMS) == pytest.approx(0.36)
+    quiet, noisy = SlipMemory(noise_deg2=1e-6), SlipMemory(noise_deg2=100.0)
+    assert quiet.quick_threshold_deg(ArmCase.REST, PARAMS) == PARAMS.tighten_at_rest_deg
+    assert noisy.quick_threshold_deg(ArmCase.REST, PARAMS) == NOISE_TIMES * NOISE_MAX_DEG
 
 
 @pytest.mark.parametrize("rate_deg_s", [0.3, 1.0, 3.0, 6.0, 12.0])
@@ -157,7 +147,7 @@ def test_a_drift_is_followed() -> None:
 
 
 def test_an_object_wound_up_by_the_lift_is_watched_from_where_it_came_to_rest() -> None:
-    watched = Watched(patient=True).rest().lifts(10.0)
+    watched = Watched(had_rotation=True).rest().lifts(10.0)
     watched.rate_deg_s = 20.0
     for k in range(40):
         watched.here = arm(2.4 * k, moving=True)
@@ -165,7 +155,7 @@ def test_an_object_wound_up_by_the_lift_is_watched_from_where_it_came_to_rest() 
     watched.here = arm(120.0)
     watched.rate_deg_s = 0.0
     watched.rest(2.0, 10.0)
-    assert watched.detector.base_rotation_deg == 10.0
+    assert watched.memory.baselines.episode_deg == 10.0
     watched.see(10.6)
     assert watched.see(10.6).slipping
 
@@ -188,7 +178,7 @@ def test_at_rest_a_firm_grip_is_watched_as_closely() -> None:
 
 def test_after_a_tightening_a_lift_goes_on_with_more_patience() -> None:
     watched = Watched().rest().lifts(10.0)
-    watched.detector = watched.detector.rebased(rotated=True, slid=False, raised=True)
+    watched.memory = watched.memory.after_episode(rotated=True, translated=False, raised=True)
     assert not any(watched.see(0.2 * k).slipping for k in range(31))
     assert not watched.see(6.1).slipping
     assert watched.see(6.3).slipping
@@ -198,10 +188,17 @@ def test_after_a_tightening_a_lift_goes_on_with_more_patience() -> None:
 def test_what_the_arms_motion_may_swing_depends_on_what_is_wound_up(
     wound_deg: float, swing_deg: float, slips: bool
 ) -> None:
-    watched = Watched(patient=True)
+    watched = Watched(had_rotation=True)
     watched.rest(0.1)
     watched.here = arm(LIFT_OFF_MM + 50.0)
-    watched.detector = replace(watched.detector, base_rotation_deg=None, alert=RestingPlace(start_mm=0.0, aloft=True))
+    watched.memory = changed(
+        watched.memory,
+        **dict.fromkeys(("episode_deg", "resting_deg", "previous_deg", "before_motion_deg"), None),
+        start_mm=0.0,
+        moved_s=float("-inf"),
+        case=ArmCase.MOVING,
+        aloft=True,
+    )
     for _ in range(60):
         watched.see(wound_deg)
     watched.here = arm(LIFT_OFF_MM + 50.0, moving=True)
@@ -214,21 +211,22 @@ def test_the_gel_is_given_time_to_settle_after_the_arm_has_stopped() -> None:
     watched.see(0.0)
     watched.here = arm(LIFT_OFF_MM + 20.0)
     stopped_s = watched.now_s
-    for k in range(round((SETTLE_S - 0.02) / FRAME_S)):
+    for k in range(round((ARM_SETTLE_S - 0.02) / FRAME_S)):
         assert not watched.see(0.8 * (-1) ** k).slipping
     watched.see(0.0)
-    while watched.now_s < stopped_s + SETTLE_S + 0.2:
+    while watched.now_s < stopped_s + ARM_SETTLE_S + 0.2:
         watched.see(0.0)
-    assert watched.detector.alert.case is MotionCase.REST
+    assert watched.memory.arm.case is ArmCase.REST
     watched.see(0.8)
     assert watched.see(0.8).slipping
 
 
 def test_without_an_arm_or_a_turn_nothing_counts_as_sudden() -> None:
-    alert = attend(RestingPlace(), fused(0.0, at_s=1.0), None, PARAMS)
-    assert alert.case is MotionCase.MOVING
-    alert = attend(replace(alert, near_deg=1.0), fused(None, at_s=1.1), arm(at_s=1.1), PARAMS)
-    assert alert.near_deg is None
+    memory = assess_slip(SlipMemory(), fused(0.0, at_s=1.0), PARAMS).memory
+    assert memory.arm.case is ArmCase.MOVING
+    assert memory.baselines.resting_deg == 0.0
+    memory = assess_slip(memory, fused(None, at_s=1.1), PARAMS, arm=arm(at_s=1.1)).memory
+    assert memory.baselines.resting_deg is None
 
 
 # --- rest against rest ---
@@ -236,7 +234,7 @@ def test_without_an_arm_or_a_turn_nothing_counts_as_sudden() -> None:
 
 def aloft(rotation_deg: float = 0.0) -> Watched:
     """At rest in the air, after a lift that wound the gel up."""
-    watched = Watched(patient=True).rest().lifts(10.0)
+    watched = Watched(had_rotation=True).rest().lifts(10.0)
     watched.see(rotation_deg)
     watched.lifts(200.0).see(rotation_deg)
     watched.here = arm(200.0)
@@ -245,7 +243,7 @@ def aloft(rotation_deg: float = 0.0) -> Watched:
 
 def travels(watched: Watched, to_deg: float) -> bool:
     """The arm moves for a moment and rests; whether what it turned meanwhile counts as slip."""
-    from_deg, height_mm = watched.detector.told_deg, watched.here.height_mm
+    from_deg, height_mm = watched.memory.fingers.last_deg, watched.here.height_mm
     watched.here = arm(height_mm + 20.0, moving=True)
     slips = [watched.see(from_deg + (to_deg - from_deg) * k / 20).slipping for k in range(21)]
     watched.here = arm(height_mm + 20.0)
@@ -262,7 +260,7 @@ def test_what_the_motions_turn_bit_by_bit_adds_up(sign: float) -> None:
 
 
 def test_what_was_wound_up_when_the_object_left_its_table_does_not() -> None:
-    watched = Watched(patient=True).rest().lifts(10.0)
+    watched = Watched(had_rotation=True).rest().lifts(10.0)
     for k in range(40):
         watched.here = arm(2.4 * k, moving=True)
         watched.see(0.14 * k)
@@ -272,7 +270,7 @@ def test_what_was_wound_up_when_the_object_left_its_table_does_not() -> None:
 
 
 def test_a_lift_in_pieces_is_given_the_turn_of_one() -> None:
-    watched = Watched(patient=True).rest()
+    watched = Watched(had_rotation=True).rest()
     assert not travels(watched, 2.0)
     assert not travels(watched, 4.0)
     assert not travels(watched, 5.9)
@@ -289,7 +287,7 @@ def test_a_turn_back_to_the_reference_between_two_rests_is_no_slip() -> None:
 def test_after_an_episode_the_next_rest_counts() -> None:
     watched = aloft(5.0)
     assert travels(watched, 7.5)
-    watched.detector = watched.detector.rebased(rotated=True, slid=False, raised=False)
+    watched.memory = watched.memory.after_episode(rotated=True, translated=False, raised=False)
     watched.rest(1.0, 7.5)
     assert not travels(watched, 9.4)
     assert travels(watched, 9.6)
@@ -307,7 +305,7 @@ def test_what_is_put_down_is_lifted_anew() -> None:
     watched.putting_down = True
     watched.here = arm(0.0, moving=True)
     watched.see(1.0)
-    assert not watched.detector.alert.aloft
+    assert not watched.memory.arm.aloft
     watched.putting_down = False
     watched.here = arm(0.0)
     watched.rest(1.0, 1.0)
@@ -319,13 +317,13 @@ def test_what_is_put_down_is_lifted_anew() -> None:
 
 def test_levels_grow_with_what_was_answered_up_to_four_times() -> None:
     assert [growth(episodes, PARAMS) for episodes in (0, 1, 2, 3, 9)] == [1.0, 2.0, 4.0, 4.0, 4.0]
-    assert level_deg(0.1, 9, PARAMS) == 4.0 * PARAMS.tuning.tighten_in_motion_deg
-    assert level_deg(1.0, 1, PARAMS) == 6.0
-    assert level_deg(9.0, 0, PARAMS) == PARAMS.tuning.sigma_threshold_max_deg
+    assert threshold_deg(0.1, 9, PARAMS) == 4.0 * PARAMS.tuning.tighten_in_motion_deg
+    assert threshold_deg(1.0, 1, PARAMS) == 6.0
+    assert threshold_deg(9.0, 0, PARAMS) == PARAMS.tuning.sigma_threshold_max_deg
 
 
 @pytest.mark.parametrize(
-    ("rotated", "slid", "raised", "rotations", "slides", "patient"),
+    ("rotated", "slid", "raised", "rotations", "translations", "had_rotation"),
     [
         (True, False, True, 3, 5, True),
         (False, True, True, 2, 6, False),
@@ -335,11 +333,24 @@ def test_levels_grow_with_what_was_answered_up_to_four_times() -> None:
     ],
 )
 def test_each_kind_of_slip_raises_its_own_levels_and_only_if_the_force_was_raised(
-    rotated: bool, slid: bool, raised: bool, rotations: int, slides: int, patient: bool
+    rotated: bool, slid: bool, raised: bool, rotations: int, translations: int, had_rotation: bool
 ) -> None:
-    after = SlipMemory(rotations=2, slides=5, frames=2).rebased(rotated=rotated, slid=slid, raised=raised)
-    assert (after.rotations, after.slides, after.patient, after.frames) == (rotations, slides, patient, 0)
-    assert after.alert.near_deg is after.alert.rested_deg is after.base_rotation_deg is after.base_shift_mm is None
+    after = slip_memory(rotations=2, translations=5, frames=2).after_episode(
+        rotated=rotated, translated=slid, raised=raised
+    )
+    assert (after.rotations, after.translations, after.had_rotation, after.frames) == (
+        rotations,
+        translations,
+        had_rotation,
+        0,
+    )
+    assert (
+        after.baselines.resting_deg
+        is after.baselines.before_motion_deg
+        is after.baselines.episode_deg
+        is after.baselines.episode_mm
+        is None
+    )
 
 
 # --- a finger more or less ---
@@ -360,8 +371,8 @@ def test_a_finger_that_drops_out_turns_nothing(apart_deg: float) -> None:
 def test_what_no_two_fingers_differ_by_is_slip_though_one_drops_out() -> None:
     watched = Watched().rest()
     watched.left_alone = True
-    watched.see(HANDOVER_DEG + 0.6)
-    assert watched.see(HANDOVER_DEG + 0.6).slipping
+    watched.see(SWITCH_MAX_DEG + 0.6)
+    assert watched.see(SWITCH_MAX_DEG + 0.6).slipping
 
 
 def test_slip_is_seen_though_a_finger_comes_and_goes() -> None:
@@ -390,9 +401,9 @@ def test_what_one_frame_shows_counts_once_though_the_fingers_tell_it_one_after_t
     for moment, rotation_deg in enumerate((0.3, 0.6, 0.3, 0.0, 0.0)):
         watched.now_s += 0.5 * FRAME_S
         view = fused(rotation_deg, 0.0, at_s=watched.now_s - 0.5 * FRAME_S, sigma_deg=0.05)
-        view = replace(view, newest_at_s=watched.now_s)
-        sight = look(watched.detector, view, PARAMS, arm=replace(watched.here, measured_at_s=watched.now_s))
-        watched.detector = sight.detector
+        view = changed(view, newest_at_s=watched.now_s)
+        sight = assess_slip(watched.memory, view, PARAMS, arm=changed(watched.here, measured_at_s=watched.now_s))
+        watched.memory = sight.memory
         assert not sight.slipping, moment
 
 
@@ -410,7 +421,7 @@ def test_nor_is_slow_slip_hidden_by_it_where_no_rate_is_known() -> None:
     assert slips[-1]
 
 
-@pytest.mark.parametrize(("slid_mm", "slips"), [(HANDOVER_MM, False), (-HANDOVER_MM, False), (1.2, True)])
+@pytest.mark.parametrize(("slid_mm", "slips"), [(SWITCH_MAX_MM, False), (-SWITCH_MAX_MM, False), (1.2, True)])
 def test_nor_does_it_slide_anything(slid_mm: float, slips: bool) -> None:
     watched = Watched().rest()
     watched.left_alone, watched.shift_mm = True, slid_mm

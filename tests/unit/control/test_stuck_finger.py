@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 from observations import estimate, gripper, observation
+from records import changed, grasp_state, released_mm
 
 from slipguard.bench.grip.perception_models import PERCEPTION_ERRORS
-from slipguard.control.fault import FaultCode
+from slipguard.control.control_step import ControlState, control_step
 from slipguard.control.finger_fusion import DIFFER_DEG, DIFFER_SHARE, FusedEstimate, fuse
-from slipguard.control.messages import Command
+from slipguard.control.messages import StepOutput, StopArm
 from slipguard.control.params import GuardParams
-from slipguard.control.state import GraspState, Phase
-from slipguard.control.step import ControlState, control_step
+from slipguard.control.reports import FaultCode
+from slipguard.control.state import Phase
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.skipping import repeat_estimate, second_finger_can_skip
 
@@ -44,7 +45,7 @@ class Pair:
     def rotation_deg(self, now_s: float) -> float:
         return min(max(now_s - CALM_S - self.phase_s, 0.0) * self.rate_deg_s, self.rests_deg)
 
-    def look(self, now_s: float) -> Estimate:
+    def assess_slip(self, now_s: float) -> Estimate:
         self.looks.append(now_s)
         silent = self.silent_s[0] <= now_s < self.silent_s[1]
         if silent or (self.declines_every and len(self.looks) % self.declines_every == 0):
@@ -57,19 +58,19 @@ class Pair:
         skips = now_s - self.left_measured_s < NOTICED_S
         self.left_measured_s = self.left_measured_s if skips else now_s
         left = estimate(0.0, 0.1, at_s=now_s, rate_deg_s=0.0, shift_mm=(0.0, 0.0), measured_s=self.left_measured_s)
-        left = replace(left, skipped="unchanged" if skips else None)
+        left = changed(left, skipped="unchanged" if skips else None)
         if self.spare and self.right is not None and second_finger_can_skip(self.right, left, now_s, NOTICED_S):
             self.right = repeat_estimate(self.right, now_s, 1)
         else:
-            self.right = self.look(now_s)
+            self.right = self.assess_slip(now_s)
         both = fuse(left, self.right)
         assert both is not None
         return both
 
 
-def played(pair: Pair, seconds: float) -> tuple[ControlState, list[tuple[float, FusedEstimate, Command]]]:
+def played(pair: Pair, seconds: float) -> tuple[ControlState, list[tuple[float, FusedEstimate, StepOutput]]]:
     """Held at rest in the air with 40 N, and what the law does; the gripper takes what it is told."""
-    guard = ControlState(GraspState(phase=Phase.HOLDING, adopted=True, target_n=40.0, referenced=True, gripped=True))
+    guard = ControlState(grasp_state(phase=Phase.HOLDING, adopted=True, target_n=40.0, referenced=True, closed=True))
     log, force_n = [], 40.0
     for k in range(1, round(seconds / FRAME_S)):
         now_s = k * FRAME_S
@@ -91,15 +92,15 @@ def test_the_law_tightens_and_then_stops_the_arm(sigma_deg: float, within_deg: f
     tightened_s = next(now_s for now_s, _, command in log if command.hold_force_n is not None)
     assert 0.0 < pair.rotation_deg(tightened_s) <= within_deg + late_deg
     begun_s = next(now_s for now_s, view, _ in log if view.conflict is not None)
-    told = [command.say for _, _, command in log if command.say is not None and "left one says +0.0°" in command.say]
+    told = [command.text for _, _, command in log if command.text is not None and "left one says +0.0°" in command.text]
     assert len(told) == 2  # once when it begins, once as a fault
     fault_s, stop = next((now_s, command) for now_s, _, command in log if command.fault is not None)
     assert stop.fault is not None
     assert stop.fault.code is FaultCode.ESTIMATE_UNTRUSTED
-    assert stop.arm == "stop"
+    assert stop.arm == StopArm()
     assert fault_s - begun_s == pytest.approx(PARAMS.tuning.estimate_timeout_s, abs=2 * FRAME_S)
     assert guard.grasp.phase is Phase.FAULT
-    assert all(command.release_width_mm is None for _, _, command in log)
+    assert all(released_mm(command) is None for _, _, command in log)
 
 
 @pytest.mark.parametrize("rate_deg_s", [5.0, 20.0, 100.0])
@@ -128,7 +129,7 @@ def test_a_contradiction_is_not_settled_by_a_moment_of_silence(every: int, spare
     guard, log = played(Pair(0.2, 20.0, spare, declines_every=every), CALM_S + 2.0)
     assert guard.grasp.fault is not None
     assert guard.grasp.fault.code is FaultCode.ESTIMATE_UNTRUSTED
-    assert sum("for 1 s" in (command.say or "") for _, _, command in log) == 1
+    assert sum("for 1 s" in (command.text or "") for _, _, command in log) == 1
 
 
 @pytest.mark.parametrize(("silent_for_s", "from_the_start"), [(0.5, True), (0.7, False)])

@@ -6,19 +6,20 @@ from collections.abc import Callable
 
 import pytest
 from observations import arm, fused, gripper, observation
+from records import grasp_state
 
-from slipguard.control.fault import Fault, FaultCode
 from slipguard.control.messages import Condition, FingerHealth, Observation
 from slipguard.control.params import GuardParams
+from slipguard.control.reports import Fault, FaultCode
 from slipguard.control.state import AT_STAKE, GraspState, Phase, SlipEpisode
-from slipguard.control.supervisor import Supervision, watch
+from slipguard.control.supervisor import Supervision, supervise
 
 PARAMS = GuardParams()
 TICK_S = 0.01
 KNOWN = Supervision(arm_known=True, gripper_known=True, frames_known=True)
-HOLDING = GraspState(phase=Phase.HOLDING, referenced=True, target_n=40.0)
-LIFTING = GraspState(phase=Phase.LIFTING, referenced=True, target_n=40.0, goal_mm=100.0, ground_mm=0.0)
-SLIPPING = GraspState(phase=Phase.HOLDING, referenced=True, slip=SlipEpisode(0.0, 0.0, 2.0, 20.0, 0.0))
+HOLDING = grasp_state(phase=Phase.HOLDING, referenced=True, target_n=40.0)
+LIFTING = grasp_state(phase=Phase.LIFTING, referenced=True, target_n=40.0, goal_mm=100.0, ground_mm=0.0)
+SLIPPING = grasp_state(phase=Phase.HOLDING, referenced=True, slip=SlipEpisode(0.0, 0.0, 2.0, 20.0, 0.0))
 LOST = FingerHealth(Condition.LOST, 0.5, "unplugged")
 STALE = FingerHealth(Condition.STALE, 0.2, "frozen")
 
@@ -31,7 +32,7 @@ def first_fault(
     ticks = round(seconds / TICK_S)
     for number in range(ticks):
         now_s = number * TICK_S
-        memory, faults = watch(memory, state, view(now_s), params)
+        memory, faults = supervise(memory, state, view(now_s), params)
         if faults:
             return now_s, faults[0]
     return seconds, None
@@ -83,14 +84,14 @@ CASES: list[tuple[str, GraspState, Callable[[float], Observation], FaultCode | N
     ("blind", HOLDING, lambda t: observation(t, fused=fused(None, declined="y")), FaultCode.ESTIMATE_UNTRUSTED, 1.0),
     (
         "blind from the start",
-        GraspState(phase=Phase.HOLDING, blind="round"),
+        grasp_state(phase=Phase.HOLDING, no_estimate="round"),
         lambda t: observation(t, fused=fused(None, declined="y")),
         None,
         3.0,
     ),
     (
         "blind and not guarding",
-        GraspState(phase=Phase.HOLDING, referenced=True, guarding=False),
+        grasp_state(phase=Phase.HOLDING, referenced=True, guarding=False),
         lambda t: observation(t, fused=fused(None, declined="y")),
         None,
         3.0,
@@ -100,16 +101,16 @@ CASES: list[tuple[str, GraspState, Callable[[float], Observation], FaultCode | N
     ("arm stuck", LIFTING, lambda t: observation(t, arm=arm(7.0, at_s=t)), FaultCode.ARM_STUCK, 2.0),
     (
         "paused",
-        GraspState(Phase.LIFTING, slip=SLIPPING.slip),
+        grasp_state(Phase.LIFTING, slip=SLIPPING.held.slip),
         lambda t: observation(t, arm=arm(7.0, at_s=t)),
         None,
         3.0,
     ),
     (
-        "tightening does not help",
+        "tightening has no effect",
         SLIPPING,
         lambda t: observation(t, fused=fused(-10.0 * t, -10.0, at_s=t)),
-        FaultCode.NO_HELP,
+        FaultCode.TIGHTENING_INEFFECTIVE,
         1.5,
     ),
     (
@@ -138,67 +139,67 @@ def test_faults(
 
 
 def test_a_late_loop_is_a_fault() -> None:
-    memory, faults = watch(Supervision(), HOLDING, observation(1.0), PARAMS)
+    memory, faults = supervise(Supervision(), HOLDING, observation(1.0), PARAMS)
     assert not faults
-    memory, faults = watch(memory, HOLDING, observation(1.4), PARAMS)
+    memory, faults = supervise(memory, HOLDING, observation(1.4), PARAMS)
     assert not faults
-    memory, faults = watch(memory, HOLDING, observation(1.9), PARAMS)
+    memory, faults = supervise(memory, HOLDING, observation(1.9), PARAMS)
     assert [fault.code for fault in faults] == [FaultCode.LOOP_LATE]
 
 
 @pytest.mark.parametrize("phase", [phase for phase in Phase if phase not in AT_STAKE and phase is not Phase.FAULT])
 def test_nothing_at_stake_nothing_wrong(phase: Phase) -> None:
     _, fault = first_fault(
-        GraspState(phase=phase), lambda t: observation(t, gripper=None, arm=None, fused=None, left=LOST, right=LOST)
+        grasp_state(phase=phase), lambda t: observation(t, gripper=None, arm=None, fused=None, left=LOST, right=LOST)
     )
     assert fault is None
 
 
 def test_what_has_passed_is_no_longer_said() -> None:
     """So that it can be cleared."""
-    state = GraspState(phase=Phase.FAULT)
-    memory, faults = watch(KNOWN, state, observation(0.0, gripper=None), PARAMS)
-    memory, faults = watch(memory, state, observation(0.45, gripper=None), PARAMS)
+    state = grasp_state(phase=Phase.FAULT)
+    memory, faults = supervise(KNOWN, state, observation(0.0, gripper=None), PARAMS)
+    memory, faults = supervise(memory, state, observation(0.45, gripper=None), PARAMS)
     assert faults
-    memory, faults = watch(memory, state, observation(0.46), PARAMS)
+    memory, faults = supervise(memory, state, observation(0.46), PARAMS)
     assert not faults
-    memory, faults = watch(memory, state, observation(0.47, gripper=None), PARAMS)
+    memory, faults = supervise(memory, state, observation(0.47, gripper=None), PARAMS)
     assert not faults
 
 
 def test_the_gravest_comes_first() -> None:
     view = observation(0.0, arm=arm(emergency=True), gripper=gripper(fault="9"), left=LOST)
-    _, faults = watch(Supervision(), HOLDING, view, PARAMS)
+    _, faults = supervise(Supervision(), HOLDING, view, PARAMS)
     assert [fault.code for fault in faults] == [FaultCode.ARM_EMERGENCY, FaultCode.GRIPPER_FAULT]
 
 
 def test_a_finger_that_only_ages_is_lost_too() -> None:
     old = FingerHealth(Condition.FRESH, 0.35)
-    _, (fault,) = watch(Supervision(), HOLDING, observation(0.0, left=old, right=old), PARAMS)
+    _, (fault,) = supervise(Supervision(), HOLDING, observation(0.0, left=old, right=old), PARAMS)
     assert fault.code is FaultCode.FRAMES_LOST
     assert "fresh" in fault.observed
 
 
 def test_an_arm_not_heard_since_the_start_may_take_a_while() -> None:
     """So that what a restarted daemon finds held is guarded before the arm's control program runs."""
-    found = GraspState(phase=Phase.HOLDING, gripped=True)
-    memory, faults = watch(Supervision(), found, observation(0.0, arm=None), PARAMS)
+    found = grasp_state(phase=Phase.HOLDING, closed=True)
+    memory, faults = supervise(Supervision(), found, observation(0.0, arm=None), PARAMS)
     for number in range(1, 50):
-        memory, faults = watch(memory, found, observation(0.1 * number, arm=None), PARAMS)
+        memory, faults = supervise(memory, found, observation(0.1 * number, arm=None), PARAMS)
         assert not faults
-    memory, (fault,) = watch(memory, found, observation(5.01, arm=None), PARAMS)
+    memory, (fault,) = supervise(memory, found, observation(5.01, arm=None), PARAMS)
     assert fault.code is FaultCode.ARM_SILENT
-    memory, faults = watch(memory, found, observation(5.1), PARAMS)
-    memory, faults = watch(memory, found, observation(5.2, arm=None), PARAMS)
-    memory, (fault,) = watch(memory, found, observation(5.61, arm=None), PARAMS)
+    memory, faults = supervise(memory, found, observation(5.1), PARAMS)
+    memory, faults = supervise(memory, found, observation(5.2, arm=None), PARAMS)
+    memory, (fault,) = supervise(memory, found, observation(5.61, arm=None), PARAMS)
     assert fault.code is FaultCode.ARM_SILENT
 
 
 def test_an_arm_heard_while_nothing_was_held_is_known() -> None:
-    memory, _ = watch(Supervision(), GraspState(phase=Phase.IDLE), observation(0.0), PARAMS)
+    memory, _ = supervise(Supervision(), grasp_state(phase=Phase.IDLE), observation(0.0), PARAMS)
     assert memory.arm_known
-    memory, _ = watch(memory, GraspState(phase=Phase.IDLE), observation(0.1, arm=None), PARAMS)
+    memory, _ = supervise(memory, grasp_state(phase=Phase.IDLE), observation(0.1, arm=None), PARAMS)
     assert memory.arm_known
-    memory, _ = watch(memory, HOLDING, observation(0.2, arm=None), PARAMS)
-    _, (fault,) = watch(memory, HOLDING, observation(0.61, arm=None), PARAMS)
+    memory, _ = supervise(memory, HOLDING, observation(0.2, arm=None), PARAMS)
+    _, (fault,) = supervise(memory, HOLDING, observation(0.61, arm=None), PARAMS)
     assert fault.code is FaultCode.ARM_SILENT

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from slipguard.control.finger_fusion import fuse
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_baselines import SlipMemory
-from slipguard.control.slip_detector import look
+from slipguard.control.slip_detector import assess_slip
+from slipguard.control.slip_memory import SlipMemory
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.skipping import OTHER_FINGER, repeat_estimate, second_finger_can_skip
 
@@ -97,7 +97,7 @@ def test_two_fingers_never_skip_each_other(left_deg: float, right_deg: float) ->
 def first_slip(rate_deg_s: float, skip_second: bool, phase_s: float) -> int:
     """Frame on which the law sees the slip; the right finger answers second, with twice the noise."""
     rng = np.random.default_rng(3)
-    detector, params = SlipMemory(), GuardParams()
+    memory, params = SlipMemory(), GuardParams()
     left: Estimate | None = None
     right: Estimate | None = None
     history: list[float] = []
@@ -119,8 +119,8 @@ def first_slip(rate_deg_s: float, skip_second: bool, phase_s: float) -> int:
         fused = fuse(left, right)
         assert fused is not None
         assert at_s - fused.measured_at_s < REFRESH_S + 1e-9
-        sight = look(detector, fused, params)
-        detector = sight.detector
+        sight = assess_slip(memory, fused, params)
+        memory = sight.memory
         if sight.slipping:
             return k
     raise AssertionError("never seen")

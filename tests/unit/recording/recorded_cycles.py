@@ -11,8 +11,8 @@ from typing import BinaryIO
 import cv2
 import numpy as np
 
-from slipguard.control.messages import Command, Observation
-from slipguard.control.step import ControlState
+from slipguard.control.control_step import ControlState
+from slipguard.control.messages import HoldForce, Observation, StepOutput
 from slipguard.perception.estimate import Estimate
 from slipguard.recording import messages as m
 from slipguard.recording.writer import RecordingClock, RecordingFile, RecordingHeader, open_new
@@ -22,7 +22,7 @@ HEADER = RecordingHeader({"slipguard": "0"}, {m.CONFIG_ATTACHMENT: b"{}"})
 
 
 def tick_at(now_s: float) -> m.CycleRecord:
-    return m.CycleRecord(now_s, "holding", Observation(now_s=now_s), Command(hold_force_n=now_s), 1, None)
+    return m.CycleRecord(now_s, "holding", Observation(now_s=now_s), StepOutput(HoldForce(now_s)), 1, None)
 
 
 def judged_at(now_s: float) -> m.FrameRecord:

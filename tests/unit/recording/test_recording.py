@@ -13,10 +13,12 @@ import pytest
 from mcap.reader import make_reader
 from recorded_cycles import CLOCK, HEADER, FullDisk, judged_at, picture, tick_at, written
 
-from slipguard.control.messages import ArmLift, Command, Observation
-from slipguard.control.slip_baselines import SlipMemory
-from slipguard.control.state import GraspState, Phase
-from slipguard.control.step import ControlState
+from slipguard.control.control_step import ControlState
+from slipguard.control.messages import HaltJaws, HoldForce, LiftArm, MoveJaws, Observation, ReleaseJaws, StepOutput
+from slipguard.control.reports import Text
+from slipguard.control.slip_baselines import Baselines
+from slipguard.control.slip_memory import SlipMemory
+from slipguard.control.state import GraspState, Grip, HeldObject, Phase
 from slipguard.errors import InputError
 from slipguard.recording import messages as m
 from slipguard.recording.reader import StoredImage, StoredMessage, open_recording
@@ -50,12 +52,13 @@ def play(one: Recorder, times: np.ndarray, keep_at: float | None = None) -> None
 
 
 def test_the_controllers_values_keep_every_bit() -> None:
-    memory = ControlState(
-        GraspState(Phase.LIFTING, 0.1 + 0.2, detector=SlipMemory(1 / 3, frames=2), commanded_s=-math.inf)
-    )
+    held = HeldObject(memory=SlipMemory(Baselines(1 / 3), frames=2))
+    memory = ControlState(GraspState(Phase.LIFTING, 0.1 + 0.2, grip=Grip(commanded_s=-math.inf), held=held))
     assert m.MEMORY.decode(m.MEMORY.encode(memory)) == memory
-    tick = m.CycleRecord(1e-17, "idle", Observation(now_s=1 / 7), Command(arm=ArmLift(1 / 3, 2 / 3)))
-    assert m.CYCLE_RECORD.decode(m.CYCLE_RECORD.encode(tick)) == tick
+    for gripper in (None, HoldForce(1 / 3), MoveJaws(1 / 3, 40.0), HaltJaws(), ReleaseJaws(1 / 3)):
+        output = StepOutput(gripper, LiftArm(1 / 3, 2 / 3), messages=(Text.GRIPPED.message(),))
+        cycle = m.CycleRecord(1e-17, "idle", Observation(now_s=1 / 7), output)
+        assert m.CYCLE_RECORD.decode(m.CYCLE_RECORD.encode(cycle)) == cycle
 
 
 def test_a_recording_is_read_as_written(tmp_path: Path) -> None:

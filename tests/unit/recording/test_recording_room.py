@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from recorded_cycles import CLOCK, HEADER, FullDisk, judged_at, picture, tick_at, written
 
-from slipguard.control.step import ControlState
+from slipguard.control.control_step import ControlState
 from slipguard.recording import messages as m
 from slipguard.recording.reader import open_recording
 from slipguard.recording.recorder import RecordedCycle, RecordedFrame, RecordedMessage, Recorder, RecorderSettings

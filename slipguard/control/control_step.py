@@ -1,0 +1,183 @@
+"""One control step: from what is observed to what is commanded. Pure; the daemon calls it once per cycle.
+
+    observation -> supervise        what is wrong now
+                -> release          granted at once, in every phase
+                -> fault            latched if an object is at stake
+                -> act              what the present phase does (phases.py, slip_response.py)
+                -> keep the force   repeat a force the gripper did not take
+                -> halt the jaws    if a person may be near
+                -> notes            what a finger cannot estimate
+                -> request          granted or refused (requests.py)
+                -> output
+
+Whatever fails, the grip is kept, the arm stops, and it is reported. Only a release request opens the jaws.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+from slipguard.control.arm_motion import REPEAT_S, Result
+from slipguard.control.messages import (
+    HaltJaws,
+    HoldForce,
+    Observation,
+    RequestKind,
+    StepOutput,
+    without_figures,
+)
+from slipguard.control.params import GuardParams
+from slipguard.control.phases import act, latch
+from slipguard.control.release import request_release
+from slipguard.control.reports import Fault, FaultCode, Text
+from slipguard.control.requests import handle_request
+from slipguard.control.state import AT_STAKE, FORCE_TOLERANCE_N, GraspState, PersonNear, Phase
+from slipguard.control.supervisor import Supervision, supervise
+
+LOST_ALONE_TIMES = 3.0
+"""A loss that one finger alone reports, and the gripper does not, must last this many times `lost_after_s`."""
+NOTED_IN = AT_STAKE - {Phase.CLOSING, Phase.REFERENCE}
+"""Phases in which a finger without an estimate is reported; in FAULT, too, while an object is held."""
+NOTE_OVER_S = 1.0
+"""What comes and goes within this time is reported once."""
+
+
+@dataclass(frozen=True, slots=True)
+class ControlState:
+    """Memory of the controller and of the supervisor. A new one adopts what the gripper holds at the start."""
+
+    grasp: GraspState = field(default_factory=GraspState)
+    supervision: Supervision = field(default_factory=Supervision)
+
+
+def control_step(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, StepOutput]:
+    """Return the next state and what to command now.
+
+    Args:
+        state: returned by the step before.
+        observation: without faults; the supervisor fills them in here.
+        params: may change between steps.
+    """
+    supervision, faults = supervise(state.supervision, state.grasp, observation, params)
+    if faults:
+        observation = replace(observation, fault=faults[0], other_faults=faults[1:])
+    grasp, output = step(state.grasp, observation, params)
+    return ControlState(grasp, supervision), output
+
+
+def step(state: GraspState, observation: Observation, params: GuardParams) -> Result:
+    """Return the controller's next state and output, faults given."""
+    state = _follow_arm(state, observation)
+    if observation.request.kind is RequestKind.RELEASE:
+        return request_release(state, observation, params)
+    state, lost = _watch_object(state, observation, params)
+    watched = observation if lost is None else observation.with_fault(lost)
+    at_stake = state.phase in AT_STAKE or (state.phase is Phase.IDLE and state.waits_for_gripper)
+    if watched.fault is not None and at_stake:
+        return _halt_jaws(*latch(state, watched, watched.fault, StepOutput()), observation)
+    state, output = act(state, watched, params)
+    state, output = _keep_force(state, output, observation)
+    state, output = _halt_jaws(state, output, observation)
+    state, output = _report_notes(state, output, observation)
+    state, output = handle_request(state, output, observation, params)
+    return state, replace(output, fault=state.fault)
+
+
+def _follow_arm(state: GraspState, observation: Observation) -> GraspState:
+    """Return the state with what the arm reports about a stop of its own."""
+    arm = observation.arm
+    if arm is None:  # an arm that comes back counts its height from where it is found
+        return replace(state, arm=replace(state.arm, ground_mm=None))
+    person_near = arm.protective_stop or arm.emergency_stop
+    return state if person_near is state.person.now else replace(state, person=PersonNear(person_near))
+
+
+def _watch_object(state: GraspState, observation: Observation, params: GuardParams) -> tuple[GraspState, Fault | None]:
+    """Return the fault of a lost object, after the loss has lasted `lost_after_s`."""
+    held = (state.phase in AT_STAKE and state.phase is not Phase.CLOSING) or (
+        state.phase is Phase.FAULT and state.grip.closed
+    )
+    why = _loss(observation) if held else None
+    if why is None:
+        return replace(state, held=replace(state.held, lost_since_s=None)), None
+    since_s = state.held.lost_since_s if state.held.lost_since_s is not None else observation.now_s
+    state = replace(state, held=replace(state.held, lost_since_s=since_s))
+    times = LOST_ALONE_TIMES if _reported_by_one_finger(observation) else 1.0
+    if observation.now_s - since_s < params.tuning.lost_after_s * times:
+        return state, None
+    return state, Fault(FaultCode.OBJECT_LOST, why, "take the object away, release, and clear")
+
+
+def _loss(observation: Observation) -> str | None:
+    gripper = observation.gripper
+    if gripper is not None and gripper.closed_on_nothing:
+        return "the gripper closed on nothing while holding"
+    if gripper is not None and not gripper.holding and not gripper.moving:
+        return "the gripper no longer holds anything"
+    if observation.fused is not None and observation.fused.none_touches:
+        return "no finger sees contact any more"
+    return None
+
+
+def _reported_by_one_finger(observation: Observation) -> bool:
+    fused, gripper = observation.fused, observation.gripper
+    if gripper is not None and not gripper.holding:
+        return False
+    return fused is not None and (fused.left_contact is None or fused.right_contact is None)
+
+
+def _keep_force(state: GraspState, output: StepOutput, observation: Observation) -> Result:
+    """Repeat the force if the gripper did not take it: a lost command must not leave the grip weak."""
+    gripper, grip, now_s = observation.gripper, state.grip, observation.now_s
+    held = (state.phase in AT_STAKE or state.phase is Phase.FAULT) and not state.hands_off
+    if not held or gripper is None or state.person.now or output.hold_force_n is not None:
+        return state, output
+    if grip.commanded_s == -math.inf:
+        return state, output  # a grip that was taken over is left as it is
+    weak = gripper.force_n < grip.target_n - FORCE_TOLERANCE_N and (gripper.holding or state.phase is Phase.CLOSING)
+    current = gripper.measured_at_s > grip.commanded_s and now_s - grip.commanded_s >= REPEAT_S
+    if not (weak and current):
+        return state, output
+    return state.with_target(grip.target_n, now_s), replace(output, gripper=HoldForce(grip.target_n))
+
+
+def _halt_jaws(state: GraspState, output: StepOutput, observation: Observation) -> Result:
+    """Halt moving jaws while a person may be near, again and again until they report that they rest.
+
+    The grip is kept, and its force is commanded again after the stop. A closing that was interrupted is not resumed:
+    the jaws may have met a hand, so the grasp must be requested again. A release goes on.
+    """
+    gripper, commanded_s, person = observation.gripper, state.grip.commanded_s, state.person
+    opening = state.hands_off.release_requested and commanded_s > -math.inf
+    if not person.now or opening or gripper is None:
+        return state, output
+    if not (gripper.moving or gripper.measured_at_s <= commanded_s):
+        return state, output
+    if observation.now_s - person.halted_s < REPEAT_S:
+        return state, output
+    first = person.halted_s == -math.inf
+    interrupted = state.phase in (Phase.CLOSING, Phase.FAULT) and state.adoption.done and not state.grip.closed
+    hands_off = state.hands_off
+    hands_off = replace(hands_off, closing_interrupted=hands_off.closing_interrupted or interrupted)
+    state = replace(state, person=PersonNear(True, observation.now_s), hands_off=hands_off)
+    return state, replace(output, gripper=HaltJaws()).with_messages(Text.JAWS_HALTED.message() if first else None)
+
+
+def _report_notes(state: GraspState, output: StepOutput, observation: Observation) -> Result:
+    """Report once that a finger gives no estimate or that the two contradict each other, and when that is over."""
+    fused, reported, now_s = observation.fused, state.reported, observation.now_s
+    if not (state.phase in NOTED_IN or (state.phase is Phase.FAULT and state.grip.closed)):
+        return replace(state, reported=replace(reported, note=None)), output
+    if fused is None:
+        return state, output
+    note = fused.conflict or fused.note or fused.declined
+    if note is not None:
+        if reported.note is not None and without_figures(reported.note) == without_figures(note):
+            return replace(state, reported=replace(reported, noted_s=now_s)), output
+        output = output.with_messages(Text.FINGER_NOTE.message(note=note))
+        return replace(state, reported=replace(reported, note=note, noted_s=now_s)), output
+    if reported.note is None or now_s - reported.noted_s < NOTE_OVER_S:
+        return state, output
+    output = output.with_messages(Text.FINGER_NOTE_OVER.message(note=reported.note))
+    return replace(state, reported=replace(reported, note=None)), output

@@ -1,0 +1,246 @@
+"""What the controller does in each phase of a grasp, requests apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from slipguard.control import arm_motion, force_limits
+from slipguard.control.arm_motion import REACHED_MM, Result
+from slipguard.control.messages import HoldForce, Observation, StepOutput, StopArm
+from slipguard.control.params import GuardParams
+from slipguard.control.release import continue_release
+from slipguard.control.reports import Fault, FaultCode, Message, Text
+from slipguard.control.slip_response import SlipResponse, respond_to_slip
+from slipguard.control.state import Adoption, GraspState, Phase
+from slipguard.devices import GripperState
+
+
+def act(state: GraspState, observation: Observation, params: GuardParams) -> Result:
+    """Return the state and output of the present phase."""
+    return _PHASES[state.phase](state, observation, params)
+
+
+def latch(state: GraspState, observation: Observation, fault: Fault, output: StepOutput) -> Result:
+    """Enter FAULT: keep the grip, stop the arm, report the fault."""
+    state = replace(state.entered(Phase.FAULT, observation.now_s), fault=fault)
+    state = replace(
+        state,
+        arm=replace(state.arm, commanded_s=observation.now_s),
+        reported=replace(state.reported, faults=frozenset({fault.code})),
+    )
+    output = replace(output, arm=StopArm(), fault=fault).with_messages(fault.message())
+    return _report_other_faults(state, observation, output)
+
+
+def _idle(state: GraspState, observation: Observation, params: GuardParams) -> Result:
+    """Nothing is held, or an object that slipguard is not to guard."""
+    gripper = observation.gripper
+    if gripper is None:
+        return state, StepOutput()
+    if gripper.holding and not state.adoption.done:
+        return _adopt(state, gripper, observation, params)
+    if _undecided(state, gripper):
+        return state, StepOutput()
+    state = replace(state, adoption=Adoption(done=True, found=state.adoption.found))
+    touched = observation.fused is not None and observation.fused.both_touch
+    interrupted = state.hands_off.closing_interrupted
+    if params.mode == "guard" and state.guarding and gripper.holding and touched and not interrupted:
+        message = Text.GUARDING_FOUND.message(force_n=gripper.force_n)
+        return state.taken_over(gripper, observation.now_s), StepOutput(new_reference=True, messages=(message,))
+    return state, StepOutput()
+
+
+def _closing(state: GraspState, observation: Observation, params: GuardParams) -> Result:
+    """The jaws close with the first force."""
+    gripper, now_s = observation.gripper, observation.now_s
+    delay = state.grip.delay.measured(state.grip.commanded_s, gripper)
+    state = replace(state, grip=replace(state.grip, delay=delay))
+    if gripper is not None and gripper.measured_at_s > state.since_s:
+        if gripper.holding and not gripper.moving and gripper.force_n > 0.0:  # 0: halted by an earlier stop
+            state = state.entered(Phase.REFERENCE, now_s)
+            state = replace(state, grip=replace(state.grip, closed=True))
+            return state, StepOutput(new_reference=True, messages=(Text.GRIPPED.message(),))
+        if gripper.closed_on_nothing:
+            return state.emptied(Phase.IDLE, now_s), StepOutput(messages=(Text.CLOSED_ON_NOTHING.message(),))
+    timeout_s = params.tuning.closing_timeout_s
+    if now_s - state.since_s > timeout_s:
+        fault = Fault(
+            FaultCode.GRIPPER_STUCK,
+            f"not closed on an object within {timeout_s:g} s",
+            "check the jaws and the gripper's cable, then clear",
+        )
+        return latch(state, observation, fault, StepOutput())
+    return state, StepOutput()
+
+
+def _reference(state: GraspState, observation: Observation, params: GuardParams) -> Result:
+    """Wait until both fingers have their reference; after the timeout one is enough, or none with a firmer grip."""
+    fused, now_s, present_n = observation.fused, observation.now_s, state.grip.target_n
+    waited = now_s - state.since_s > params.tuning.reference_timeout_s
+    estimated = fused is not None and fused.rotation_deg is not None and fused.measured_at_s >= state.since_s
+    if fused is not None and estimated and (waited or len(fused.fingers) == 2):
+        state = _holding_since(state, now_s, None)
+        if len(fused.fingers) == 1:
+            return state, _saying(Text.HOLDING_BY_ONE_FINGER.message(force_n=present_n, note=fused.note))
+        return state, _saying(Text.HOLDING.message(force_n=present_n))
+    if not waited:
+        return state, StepOutput()
+    why = (fused.declined if fused is not None else None) or "no frames from either finger"
+    state = _holding_since(state, now_s, why)
+    if params.on_no_estimate == "refuse" or not state.guarding:
+        return state, _saying(Text.NO_ESTIMATE.message(why=why))
+    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    target_n = force_range.allowed(params.no_estimate_force_n, present_n) if force_range is not None else 0.0
+    output = _saying(Text.NO_ESTIMATE_GRIP.message(why=why, force_n=max(target_n, present_n)))
+    if target_n <= present_n or state.person.now:
+        return state, output
+    return state.with_target(target_n, now_s), replace(output, gripper=HoldForce(target_n))
+
+
+def _holding_since(state: GraspState, now_s: float, no_estimate: str | None) -> GraspState:
+    state = state.entered(Phase.HOLDING, now_s)
+    return replace(state, held=replace(state.held, referenced=no_estimate is None, no_estimate=no_estimate))
+
+
+def _saying(message: Message) -> StepOutput:
+    return StepOutput(messages=(message,))
+
+
+def _holding(state: GraspState, observation: Observation, params: GuardParams) -> Result:
+    """Respond to slip. The arm is another program's or at rest; it is stopped while the object slips."""
+    response = respond_to_slip(state, observation, params)
+    state, output = response.state, _output_of(response)
+    if response.fault is not None:
+        return arm_motion.put_down(latch(state, observation, response.fault, output), observation, params)
+    lost_since_s = state.held.lost_since_s
+    perhaps_lost = lost_since_s is not None and observation.now_s - lost_since_s >= params.tuning.lost_after_s
+    if (response.stop_arm and params.stop_on_slip) or perhaps_lost:
+        slip = state.held.slip
+        began = slip is not None and slip.began_s == observation.now_s
+        state = replace(state, arm=replace(state.arm, paused=True))
+        return arm_motion.stop(state, observation, output, at_once=began)
+    return state, output
+
+
+def _output_of(response: SlipResponse) -> StepOutput:
+    hold = None if response.hold_n is None else HoldForce(response.hold_n)
+    return StepOutput(hold, is_warning=response.stop_arm).with_messages(response.message)
+
+
+def _moving(state: GraspState, observation: Observation, params: GuardParams) -> Result:
+    """Lift or lower, leg by leg; stop while the object slips, and continue when it has settled."""
+    state, output = _holding(state, observation, params)
+    arm, motion, held = observation.arm, state.arm, state.held
+    if state.phase is Phase.FAULT or arm is None or motion.goal_mm is None or held.slip is not None:
+        return state, output
+    if held.lost_since_s is not None or not arm_motion.has_ended(state, arm, observation.now_s):
+        return state, output
+    if abs(motion.goal_mm - arm.height_mm) <= REACHED_MM:
+        message = Text.ARRIVED.message(height_mm=arm.height_mm)
+        return state.entered(Phase.HOLDING, observation.now_s), output.with_messages(message)
+    output = replace(output, arm=arm_motion.next_leg(state, arm.height_mm, params))
+    state = replace(state, arm=replace(motion, paused=False, commanded_s=observation.now_s))
+    return state, output.with_messages(Text.ARM_CONTINUES.message() if motion.paused else None)
+
+
+def _released(state: GraspState, observation: Observation, params: GuardParams) -> Result:
+    """Open as requested; repeated if nothing happens, given up after `stuck_timeout_s`."""
+    state, output, fault = continue_release(state, observation, params)
+    return (state, output) if fault is None else latch(state, observation, fault, output)
+
+
+def _fault(state: GraspState, observation: Observation, params: GuardParams) -> Result:
+    """The arm stands and the grip is kept; slip is still met with force where that is allowed and possible."""
+    state, message = _adopt_in_fault(state, observation, params)
+    response = SlipResponse(state) if state.hands_off else respond_to_slip(state, observation, params)
+    output = replace(_output_of(response), messages=()).with_messages(message, response.message)
+    state, output = _report_other_faults(response.state, observation, output, response.fault)
+    gripper = observation.gripper
+    if gripper is not None and gripper.holding and not state.hands_off:
+        state = replace(state, grip=replace(state.grip, closed=True))
+    if state.arm.putting_down:
+        return arm_motion.continue_down(state, observation, output, params)
+    return arm_motion.stop(state, observation, output)
+
+
+def _report_other_faults(
+    state: GraspState, observation: Observation, output: StepOutput, found: Fault | None = None
+) -> Result:
+    """Report what else is wrong while a fault is latched, once for each time."""
+    wrong = {fault.code: fault for fault in (*observation.faults, found) if fault is not None}
+    new = [fault.message() for code, fault in wrong.items() if code not in state.reported.faults]
+    output = replace(output, is_warning=output.is_warning or bool(new)).with_messages(*new)
+    return replace(state, reported=replace(state.reported, faults=frozenset(wrong))), output
+
+
+# --- what was held before a restart ---
+# A force that the gripper had confirmed is not commanded again, for a new hold is a stop and a go. One that was only
+# commanded may never have arrived: it is the target again, and repeated until the gripper confirms it.
+
+
+def _undecided(state: GraspState, gripper: GripperState) -> bool:
+    """Return whether jaws that held an object before a restart still move: they may be tightening on it."""
+    return state.waits_for_gripper and gripper.moving and not gripper.holding
+
+
+def _adopt(state: GraspState, gripper: GripperState, observation: Observation, params: GuardParams) -> Result:
+    """Take over an object held since before the start, as soon as a finger gives an estimate."""
+    if observation.fused is not None:
+        state, message = _taken_over(state, gripper, observation, params)
+        return state, _saying(message)
+    first = not state.adoption.found
+    message = Text.WAITING_FOR_FINGER.message(force_n=gripper.force_n)
+    state = replace(state, adoption=replace(state.adoption, found=True))
+    return state, _saying(message) if first else StepOutput()
+
+
+def _adopt_in_fault(
+    state: GraspState, observation: Observation, params: GuardParams
+) -> tuple[GraspState, Message | None]:
+    """Do the same under a latched fault, as soon as the gripper reports: the arm stands, so no finger is waited for.
+
+    A later rotation estimate counts from a reference, by which the object may turn out to be lost.
+    """
+    gripper, fused, held = observation.gripper, observation.fused, state.held
+    if state.grip.closed and not held.referenced and held.no_estimate is None:
+        referenced = fused is not None and fused.rotation_deg is not None and fused.measured_at_s >= state.since_s
+        return replace(state, held=replace(held, referenced=referenced)), None
+    if state.adoption.done or gripper is None or _undecided(state, gripper):
+        return state, None
+    done = Adoption(done=True, found=state.adoption.found)
+    if not gripper.holding or state.hands_off:
+        return replace(state, adoption=done), None
+    taken, message = _taken_over(state, gripper, observation, params)
+    grip = replace(state.grip, target_n=taken.grip.target_n, commanded_s=taken.grip.commanded_s, closed=True)
+    return replace(state, grip=grip, adoption=done), message
+
+
+def _taken_over(
+    state: GraspState, gripper: GripperState, observation: Observation, params: GuardParams
+) -> tuple[GraspState, Message]:
+    """Return the state that guards what the gripper holds, and the message about it."""
+    before, force_n = state.adoption.remembered, gripper.force_n
+    state = state.taken_over(gripper, observation.now_s)
+    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    if before is not None and not before.applied and before.fits(gripper) and force_range is not None:
+        known_n = force_range.allowed(before.force_n, state.grip.target_n)
+        if known_n > state.grip.target_n:
+            message = Text.TAKEN_OVER_AND_REPEATED.message(force_n=force_n, known_n=known_n)
+            return state.with_target(known_n, observation.now_s), message
+    known_n = state.grip.target_n
+    if known_n > force_n:
+        return state, Text.TAKEN_OVER_WITH_KNOWN_FORCE.message(force_n=force_n, known_n=known_n)
+    return state, Text.TAKEN_OVER.message(force_n=force_n)
+
+
+_PHASES: dict[Phase, Callable[[GraspState, Observation, GuardParams], Result]] = {
+    Phase.IDLE: _idle,
+    Phase.CLOSING: _closing,
+    Phase.REFERENCE: _reference,
+    Phase.LIFTING: _moving,
+    Phase.HOLDING: _holding,
+    Phase.LOWERING: _moving,
+    Phase.RELEASED: _released,
+    Phase.FAULT: _fault,
+}

@@ -1,0 +1,151 @@
+"""What the controller reports to people: messages, refusals and faults. Every text stands here, with an identifier."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One line for log and page. name: its identifier, the same whatever the figures are."""
+
+    name: str
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+class Text(Enum):
+    """The texts of messages and refusals, with places for values."""
+
+    # the grip
+    CLOSING = "closing with {force_n:.0f} N"
+    CLOSED_ON_NOTHING = "the gripper closed on nothing"
+    GRIPPED = "gripped"
+    HOLDING = "holding with {force_n:.0f} N, rotation estimated"
+    HOLDING_BY_ONE_FINGER = "holding with {force_n:.0f} N, rotation estimated by one finger only ({note})"
+    NO_ESTIMATE = "no rotation estimate ({why})"
+    NO_ESTIMATE_GRIP = "no rotation estimate ({why}): gripping with {force_n:.0f} N"
+    GUARDING_FOUND = "an object is held with {force_n:.0f} N: guarding"
+    # slip
+    TIGHTENING = "slip: {what}: tightening from {from_n:.0f} N to {to_n:.0f} N"
+    AT_FORCE_LIMIT = "slip: {what}: {force_n:.0f} N is the force limit"
+    SETTLED = "settled at {force_n:.0f} N"
+    # after a restart
+    WAITING_FOR_FINGER = "an object is already held with {force_n:.0f} N: waiting for a finger"
+    TAKEN_OVER = "an object is already held with {force_n:.0f} N: taken over as it is"
+    TAKEN_OVER_WITH_KNOWN_FORCE = (
+        "an object is already held with {force_n:.0f} N: taken over with the {known_n:.0f} N from before the restart"
+    )
+    TAKEN_OVER_AND_REPEATED = (
+        "an object is already held with {force_n:.0f} N: taken over; the {known_n:.0f} N requested before the restart "
+        "are commanded again"
+    )
+    # the arm
+    LIFTING = "lifting by {height_mm:g} mm"
+    LOWERING = "lowering by {height_mm:.0f} mm"
+    ARRIVED = "at {height_mm:.0f} mm, holding"
+    ARM_CONTINUES = "the arm continues"
+    PUTTING_DOWN = "putting the object down by {height_mm:.0f} mm"
+    PUT_DOWN = "put down where the lift began; `release` opens the jaws"
+    PUT_DOWN_STOPPED = "putting down stopped"
+    NO_WAY_DOWN = "not put down: the height where the lift began is unknown"
+    JAWS_HALTED = "a person may be near: the moving jaws are halted"
+    # release
+    RELEASING = "releasing, as requested"
+    RELEASING_WHEN_ARM_STANDS = "releasing, as requested: when the arm stands, after {wait_s:g} s at the latest"
+    RELEASED = "released"
+    RELEASED_ARM_UNKNOWN = "released; the arm has not reported that it stands"
+    # guarding
+    GUARDING = "guarding"
+    GUARDING_IN_FAULT = "guarding; the fault stays latched until it is cleared"
+    GUARDING_HELD = "guarding the object held with {force_n:.0f} N"
+    WILL_GUARD = "will guard the next object that is gripped"
+    NOT_GUARDING = "not guarding: slip has no effect on grip and arm"
+    # another program's grip
+    MOVING_JAWS = "moving the jaws to {width_mm:g} mm with {force_n:.0f} N"
+    MOVING_JAWS_UNGUARDED = MOVING_JAWS + "; an object they grip is not guarded until `guard on`"
+    HOLDING_AS_REQUESTED = "holding with {force_n:.0f} N, as requested"
+    HOLDING_UNGUARDED = HOLDING_AS_REQUESTED + "; not guarded until `guard on`"
+    # clear
+    CLEARED_EMPTY = "cleared; nothing is held"
+    CLEARED_INTERRUPTED = "cleared; the closing was interrupted: grasp again, or release"
+    CLEARED_HOLDING = "cleared; holding with {force_n:.0f} N"
+    # the fingers
+    FINGER_NOTE = "{note}"
+    FINGER_NOTE_OVER = "no longer: {note}"
+    # refusals
+    FAULT_LATCHED = "a fault is latched ({code}); clear it first"
+    NOT_IN_PHASE = "cannot {verb} while {phase}; {hint}"
+    NOT_IN_GUARD_MODE = "cannot {verb}: in guard mode the arm belongs to another program"
+    NOT_WHILE_SLIPPING = "cannot {verb}: the object is slipping; wait until it has settled"
+    GRIP_NOT_FIRM = "cannot {verb}: the grip is not firm yet; retry in a moment"
+    ARM_MISSING = "cannot {verb}: the arm is not connected; see its health in `slipguard ctl state`"
+    ARM_STOPPED = "cannot {verb}: the arm is in a protective or emergency stop; end that first"
+    GRIPPER_MISSING = "the gripper is not connected; see its health in `slipguard ctl state`"
+    GRIPPER_NOT_READY = "the gripper is not ready ({why})"
+    ALREADY_HELD = "an object is already held; `guard on` guards it, `release` opens the jaws"
+    LIMIT_BELOW_GRIPPER = "force_max_n = {limit_n:g} N is below the {weakest_n:g} N this gripper applies at least"
+    ABOVE_FORCE_LIMIT = "{force_n:g} N is above force_max_n = {limit_n:g} N"
+    NOT_WITHIN_FORCE_LIMIT = "{force_n:g} N is not within force_max_n = {limit_n:g} N"
+    NO_ESTIMATE_REFUSED = "no rotation estimate ({why}); grip it elsewhere, or set on_no_estimate = 'grip'"
+    WAY_DOWN_UNKNOWN = "the way down is unknown (no lift since it was gripped, or the arm was away); give a height"
+    NOTHING_HELD = "nothing is held; grasp something first"
+    NOTHING_HELD_IN_FAULT = "nothing is held; clear, then grasp something first"
+    INTERRUPTED = "the closing was interrupted and the jaws apply 0 N; grasp again, or release"
+    INTERRUPTED_IN_FAULT = "the closing was interrupted and the jaws apply 0 N; clear and grasp again, or release"
+    GIVE_WIDTH_OR_FORCE = "give a width, a force or both"
+    GIVE_WIDTH = "nothing is held: give the width the jaws shall move to"
+    WOULD_DROP = "an object is held and opening would drop it; use release"
+    NO_FAULT = "no fault is latched"
+    BEING_PUT_DOWN = "the object is being put down; clear when the arm stands, or release"
+    CAUSE_PERSISTS = "the cause persists: {fault}"
+    HOLD_UNKNOWN = "the gripper is not connected, so it is unknown what it holds"
+    HOLD_UNKNOWN_YET = "the gripper is moving, so it is unknown what it will hold; retry in a moment"
+
+    def message(self, **values: object) -> Message:
+        """Return the message with its values filled in."""
+        return Message(self.name.lower(), self.value.format(**values))
+
+
+class FaultCode(StrEnum):
+    """Names of faults, for the log, the API and the page."""
+
+    FRAMES_LOST = "frames lost"
+    ESTIMATE_UNTRUSTED = "estimate untrusted"
+    GRIPPER_SILENT = "gripper silent"
+    GRIPPER_FAULT = "gripper fault"
+    GRIPPER_STUCK = "gripper stuck"
+    ARM_SILENT = "arm silent"
+    ARM_STOPPED = "arm in protective stop"
+    ARM_EMERGENCY = "arm in emergency stop"
+    ARM_STUCK = "arm stuck"
+    LOOP_LATE = "loop late"
+    TIGHTENING_INEFFECTIVE = "tightening has no effect"
+    FORCE_LIMIT_REACHED = "force limit reached"
+    ROTATED_TOO_FAR = "rotated too far"
+    OBJECT_LOST = "object lost"
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault.
+
+    Args:
+        code: its name.
+        observed: what was measured, with values and limits.
+        what_to_do: one sentence for the person at the cell.
+    """
+
+    code: FaultCode
+    observed: str
+    what_to_do: str
+
+    def __str__(self) -> str:
+        return f"{self.code}: {self.observed}; {self.what_to_do}"
+
+    def message(self) -> Message:
+        """Return the fault as a message."""
+        return Message(f"fault: {self.code}", str(self))

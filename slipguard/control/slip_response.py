@@ -1,0 +1,203 @@
+"""Respond to slip of a held object: tighten, and stop the arm.
+
+The force only ever rises. The first step is large, for a loop delay passes before its effect is seen. Further steps
+follow one loop delay apart while the object does not slow down. An episode ends when all has settled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from slipguard.control import force_limits
+from slipguard.control.messages import Observation
+from slipguard.control.params import GuardParams
+from slipguard.control.reports import Fault, FaultCode, Message, Text
+from slipguard.control.slip_detector import SlipAssessment, assess_slip, uncertainty_deg
+from slipguard.control.state import GraspState, Phase, SlipEpisode, gripper_at_rest
+
+SLOWING = 0.8
+"""A rate below this share of that at the last step shows that the step works."""
+PROGRESS_DEG = 1.0
+PROGRESS_MM = 0.2
+"""Another step follows only if the object has moved this much further since the last one, at the rate of slip,"""
+CREPT_DEG = 3.0
+CREPT_MM = 0.5
+"""... or this much at any rate: friction that has once been overcome may creep."""
+BEYOND_LIMIT_DEG = 5.0
+BEYOND_LIMIT_MM = 1.0
+"""At the force limit and with the arm stopped, this much further motion is no elastic torsion."""
+RATE_LAG_S = 0.05
+"""A rate is the slope of a tenth of a second."""
+DELAY_MAX_S = 0.5
+"""A longer delay of the gripper is not waited for."""
+LATE_SHARE = 0.5
+"""Beyond this share of `rotation_max_deg` the next step does not wait for the effect of the last one."""
+
+
+@dataclass(frozen=True, slots=True)
+class SlipResponse:
+    """What follows from one step of guarding.
+
+    Args:
+        state: the new state.
+        hold_n: tighten to this force.
+        stop_arm: the arm must not move now.
+        message, fault: to be reported.
+    """
+
+    state: GraspState
+    hold_n: float | None = None
+    stop_arm: bool = False
+    message: Message | None = None
+    fault: Fault | None = None
+
+
+def respond_to_slip(state: GraspState, observation: Observation, params: GuardParams) -> SlipResponse:
+    """Return the state after the newest estimate of a held object, and what to do about slip."""
+    held = state.held
+    if observation.fused is None or not state.guarding:
+        return SlipResponse(state, stop_arm=held.slip is not None)
+    seen = assess_slip(
+        held.memory,
+        observation.fused,
+        params,
+        arm=observation.arm,
+        firm=state.grip.target_n >= force_limits.firm_n(params, observation.gripper_limits_n),
+        only_outward=state.phase is Phase.LOWERING,
+    )
+    slip = held.slip
+    if slip is not None and seen.memory.counts_from_elsewhere(held.memory):
+        slip = _progress_from(slip, seen)
+    state = replace(state, held=replace(held, memory=seen.memory, slip=slip))
+    far_frames = 1 if slip is not None and seen.moving else params.tuning.confirm_frames
+    if held.referenced and seen.memory.far_frames >= far_frames:
+        return _give_up(state, seen, observation, params)
+    if slip is None:
+        return _begin(state, seen, observation, params) if seen.slipping else SlipResponse(state)
+    if _has_settled(state, slip, seen, observation, params):
+        memory = seen.memory.after_episode(rotated=slip.rotates, translated=slip.translates, raised=slip.raised)
+        state = replace(state, held=replace(state.held, memory=memory, slip=None))
+        return SlipResponse(state, message=Text.SETTLED.message(force_n=state.grip.target_n))
+    return _go_on(state, slip, seen, observation, params)
+
+
+def _begin(state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams) -> SlipResponse:
+    """Take the first, large step."""
+    now_s = observation.now_s
+    slip = SlipEpisode(now_s, now_s, seen.rotation_deg, seen.rate_deg_s, seen.slip_mm)
+    firm_n = force_limits.firm_n(params, observation.gripper_limits_n)
+    return _tighten(state, slip, seen, observation, params, params.tuning.first_multiplier, firm_n)
+
+
+def _go_on(
+    state: GraspState, slip: SlipEpisode, seen: SlipAssessment, observation: Observation, params: GuardParams
+) -> SlipResponse:
+    """Take another step if the last one has had its time and has no effect; report if nothing is left to do."""
+    wait = SlipResponse(state, stop_arm=True)
+    if seen.memory.captured_s < slip.tightened_s + _delay_s(state, params):  # from before the step could show
+        return SlipResponse(_with_slip(state, _progress_from(slip, seen, with_rate=True)), stop_arm=True)
+    rotated_deg, moved_mm = seen.rotation_deg - slip.rotation_deg, seen.slip_mm - slip.slip_mm
+    slips_on = seen.moving and (rotated_deg > PROGRESS_DEG or moved_mm > PROGRESS_MM)
+    if not (slips_on or rotated_deg > _crept_deg(observation, params) or moved_mm > CREPT_MM):
+        return wait
+    at_rest = observation.gripper is not None and gripper_at_rest(state, observation.gripper)
+    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    if force_range is None or state.grip.target_n >= force_range.high_n:
+        beyond = rotated_deg > BEYOND_LIMIT_DEG or moved_mm > BEYOND_LIMIT_MM
+        return replace(wait, fault=_limit_reached(state, seen, params)) if at_rest and beyond else wait
+    slows = seen.rate_deg_s < SLOWING * slip.rate_deg_s and seen.slip_rate_mm_s < params.tuning.slip_rate_mm_s
+    late = observation.rotation_deg > LATE_SHARE * params.tuning.rotation_max_deg
+    if slows and not late:  # the step works; from here on it counts whether it goes on slowing down
+        return SlipResponse(_with_slip(state, _progress_from(slip, seen, with_rate=True)), stop_arm=True)
+    if not (at_rest or late):
+        return wait
+    return _tighten(state, slip, seen, observation, params, params.tuning.next_multiplier)
+
+
+def _progress_from(slip: SlipEpisode, seen: SlipAssessment, *, with_rate: bool = False) -> SlipEpisode:
+    """Return the episode with its progress counted from here on."""
+    rate_deg_s = seen.rate_deg_s if with_rate else slip.rate_deg_s
+    return replace(slip, rotation_deg=seen.rotation_deg, rate_deg_s=rate_deg_s, slip_mm=seen.slip_mm)
+
+
+def _with_slip(state: GraspState, slip: SlipEpisode) -> GraspState:
+    return replace(state, held=replace(state.held, slip=slip))
+
+
+def _crept_deg(observation: Observation, params: GuardParams) -> float:
+    """Return the further rotation that is not noise of the estimate."""
+    fused = observation.fused
+    sigma_deg = fused.sigma_deg if fused is not None and fused.sigma_deg is not None else 0.0
+    return max(CREPT_DEG, uncertainty_deg(sigma_deg, params))
+
+
+def _delay_s(state: GraspState, params: GuardParams) -> float:
+    """Return the time from a command to the first frame that may show its effect, rate included."""
+    delay_s = state.grip.delay.delay_s
+    return RATE_LAG_S + (params.tuning.tighten_delay_s if delay_s is None else min(delay_s, DELAY_MAX_S))
+
+
+def _tighten(
+    state: GraspState,
+    slip: SlipEpisode,
+    seen: SlipAssessment,
+    observation: Observation,
+    params: GuardParams,
+    base_multiplier: float,
+    least_n: float = 0.0,
+) -> SlipResponse:
+    """Tighten by a multiple of the present force, to `least_n` at least, up to the force limit."""
+    if state.person.now:
+        return SlipResponse(_with_slip(state, slip), stop_arm=True)
+    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    multiplier = force_limits.multiplier(base_multiplier, seen.rate_deg_s, params.tuning.multiplier_per_100_deg_s)
+    present_n = target_n = state.grip.target_n
+    if force_range is not None:
+        target_n = force_range.allowed(least_n, force_range.raised(present_n, multiplier))
+    slip = replace(
+        _progress_from(slip, seen, with_rate=True),
+        rotates=slip.rotates or seen.rotates,
+        translates=slip.translates or seen.translates,
+        raised=slip.raised or target_n > present_n,
+        tightened_s=observation.now_s,
+    )
+    state = _with_slip(state, slip)
+    if target_n <= present_n:
+        message = Text.AT_FORCE_LIMIT.message(what=seen.what, force_n=present_n)
+        return SlipResponse(state, stop_arm=True, message=message)
+    message = Text.TIGHTENING.message(what=seen.what, from_n=present_n, to_n=target_n)
+    return SlipResponse(state.with_target(target_n, observation.now_s), target_n, stop_arm=True, message=message)
+
+
+def _limit_reached(state: GraspState, seen: SlipAssessment, params: GuardParams) -> Fault:
+    return Fault(
+        FaultCode.FORCE_LIMIT_REACHED,
+        f"{seen.what} at {state.grip.target_n:.0f} N, and force_max_n = {params.force_max_n:g} N",
+        "support the object, lower it or release it; raise force_max_n if object and gel allow it",
+    )
+
+
+def _give_up(state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams) -> SlipResponse:
+    """Apply the force limit and report: the object is not being held."""
+    rate = f" and still rotating at {seen.rate_deg_s:.0f}°/s" if seen.moving else ""
+    fault = Fault(
+        FaultCode.ROTATED_TOO_FAR,
+        f"rotated {observation.rotation_deg:.0f}° since it was gripped{rate}",
+        "support the object and release it; grip it nearer to its centre of mass",
+    )
+    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    present_n = target_n = state.grip.target_n
+    if force_range is not None:
+        target_n = force_range.allowed(params.force_max_n, present_n)
+    if state.person.now or target_n <= present_n:
+        return SlipResponse(state, stop_arm=True, fault=fault)
+    return SlipResponse(state.with_target(target_n, observation.now_s), target_n, stop_arm=True, fault=fault)
+
+
+def _has_settled(
+    state: GraspState, slip: SlipEpisode, seen: SlipAssessment, observation: Observation, params: GuardParams
+) -> bool:
+    """Return whether all has been at rest for long enough, with the last step done and its effect seen."""
+    at_rest = observation.gripper is not None and gripper_at_rest(state, observation.gripper)
+    effect_seen = seen.memory.captured_s - slip.tightened_s >= _delay_s(state, params)
+    return at_rest and effect_seen and seen.settled_s >= params.tuning.settle_s
