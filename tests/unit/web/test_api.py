@@ -7,6 +7,7 @@ import json
 import socket
 import stat
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ from slipguard.errors import CommandRefused, ConfigError, DeviceTimeout, Slipgua
 from slipguard.web import serve
 from slipguard.web.app import make_app
 from slipguard.web.route_context import RouteContext
-from slipguard.web.sockets import bind
+from slipguard.web.sockets import bind, bind_tcp
 
 
 @pytest.fixture
@@ -261,3 +262,20 @@ def test_an_integer_may_be_written_with_a_decimal_point(number: str, taken: bool
     else:
         with pytest.raises(ValidationError):
             RestoreBackgroundRequest.model_validate_json(body)
+
+
+async def test_responses_over_tcp_are_sent_without_delay() -> None:
+    """Without TCP_NODELAY, a response on a connection in use takes 40 ms longer."""
+    accepted: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+
+    def on_connect(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        connection = writer.get_extra_info("socket")
+        accepted.set_result(connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+        writer.close()
+
+    with closing(bind_tcp("127.0.0.1", 0)) as listening:
+        async with await asyncio.start_server(on_connect, sock=listening):
+            _, writer = await asyncio.open_connection(*listening.getsockname())
+            assert await accepted == 1
+            writer.close()
+            await writer.wait_closed()
