@@ -1,1 +1,1 @@
-"""Run time against error on this machine: networks, estimators and skips over the same grasps, peers beside them."""
+"""Time and error of perception pipelines on this machine, and grip controllers in closed loop."""

@@ -41,7 +41,7 @@ STATED_LATENCY_S = 0.006
 """With --speed fast an estimate is available this long after its frame."""
 GRIPPED = frozenset({Phase.REFERENCE, Phase.LIFTING, Phase.HOLDING, Phase.FAULT})
 HARD_CASES = {"bar": "heavy", "ball": "saturating"}
-"""The two the paper finds hard: a heavy object, and one so curved that it saturates the picture."""
+"""The hard cases of the paper: a heavy object, and one whose curvature saturates the image."""
 
 
 @dataclass(frozen=True, slots=True)

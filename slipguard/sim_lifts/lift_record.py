@@ -81,7 +81,7 @@ class LiftRecord:
         return float(since[np.argmax(np.abs(since))])
 
     def measured(self, finger: str) -> list[EstimatedRotation]:
-        """What one finger estimated, turned into the left picture's sign."""
+        """Return the estimates of one finger with the sign of the left image."""
         return [
             EstimatedRotation(estimate.captured_at_s, IMAGE_SIGN[finger] * estimate.angle_deg, estimate.sigma_deg)
             for estimate in self.estimates[finger]
@@ -89,7 +89,7 @@ class LiftRecord:
         ]
 
     def errors_deg(self, estimated: list[EstimatedRotation]) -> NDArray[np.float64]:
-        """Stated minus true turn, both since the first statement, for frames captured before the end."""
+        """Return estimated minus true rotation, both since the first estimate, for frames before the end."""
         estimated = [one for one in estimated if one.captured_at_s <= self.ended_at_s]
         if not estimated or not self.truth.time_s:
             return np.empty(0)

@@ -1,1 +1,1 @@
-"""Numerical stability of all that lies between a gel frame and the object's turn: families of trials, and their run."""
+"""Tests of numerical stability from a gel frame to the object's rotation: families of trials, and their runner."""

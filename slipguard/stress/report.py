@@ -40,7 +40,7 @@ def summary(outcome: StressOutcome) -> dict[str, Any]:
 def as_json(outcome: StressOutcome) -> dict[str, Any]:
     """Return all results; errors in degrees, values that were not measured are null.
 
-    share: of the full list, by estimated time. worst: the largest error in each family, whatever its sigma.
+    share: of the full list, by estimated time. worst: the largest error in each family, regardless of its sigma.
     """
     total_h = full_hours(outcome.families)
     return {
@@ -72,12 +72,12 @@ def _family_as_json(family: TrialFamily, results: FamilyResults) -> dict[str, An
         "tried": results.tried,
         "full": family.full * family.frames,
         "least_told": family.min_answered_share,
-        "answers": results.answers,
+        "answers": results.estimated,
         "declined": results.declined,
         "failures": {kind: count for kind, count in results.counts.items() if count},
         "worst_deg": {label: _rounded(value) for label, value in results.worst_deg.items()},
         "worst_sigmas": {label: _rounded(value) for label, value in results.worst_sigmas.items()},
-        "promises": {what: _rounded(value) for what, value in results.promises.items()},
+        "promises": {what: _rounded(value) for what, value in results.largest.items()},
     }
 
 
@@ -103,12 +103,12 @@ def print_table(console: Console, outcome: StressOutcome) -> None:
         limits = results.counts["limit"] + sum(one.family == family.name for one in outcome.rarely_answering)
         counts = [results.counts[kind] for kind in ("crash", "nan", "confident wrong")]
         worst, sigmas = max(results.worst_deg.values(), default=None), max(results.worst_sigmas.values(), default=None)
-        possible = results.answers + results.declined
+        possible = results.estimated + results.declined
         table.add_row(
             family.name,
             str(results.tried),
             f"{100.0 * results.tried / (family.full * family.frames):.3g}%",
-            f"{100.0 * results.answers / possible:.0f}%" if possible else "",
+            f"{100.0 * results.estimated / possible:.0f}%" if possible else "",
             *(_colored(count) for count in (*counts, limits)),
             "" if worst is None else f"{worst:.1f}°",
             "" if sigmas is None else f"{sigmas:.1f}",
@@ -120,7 +120,7 @@ def print_table(console: Console, outcome: StressOutcome) -> None:
         style="dim",
     )
     for results in outcome.results:
-        for what, value in results.promises.items():
+        for what, value in results.largest.items():
             console.print(f"{what}: at most {value:.3g}")
     hours = full_hours(outcome.families)
     console.print(
@@ -186,7 +186,7 @@ def _count(outcome: StressOutcome, kind: FailureKind) -> int:
 
 
 def _largest(outcome: StressOutcome, what: str) -> float | None:
-    found = [results.promises[what] for results in outcome.results if what in results.promises]
+    found = [results.largest[what] for results in outcome.results if what in results.largest]
     return _rounded(max(found)) if found else None
 
 

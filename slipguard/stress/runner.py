@@ -50,10 +50,10 @@ class StressOutcome:
         found = []
         for family, results in zip(self.families, self.results, strict=True):
             share = family.min_answered_share
-            possible = results.answers + results.declined
-            too_few = not possible or results.answers < share * possible
+            possible = results.estimated + results.declined
+            too_few = not possible or results.estimated < share * possible
             if share and results.tried >= MIN_JUDGED_TRIALS and too_few:
-                what = f"estimated {results.answers:,} of {possible:,}, the minimum is {share:.0%}"
+                what = f"estimated {results.estimated:,} of {possible:,}, the minimum is {share:.0%}"
                 found.append(TrialFailure(family.name, "limit", self.seed, what))
         return tuple(found)
 

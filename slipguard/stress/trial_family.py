@@ -51,13 +51,13 @@ class FamilyResults:
         self.family = family
         self.seed = 0
         self.tried = 0
-        self.answers = 0
+        self.estimated = 0
         self.declined = 0
         self.counts: Counter[FailureKind] = Counter()
         self.failures: list[TrialFailure] = []
         self.worst_deg: dict[str, float] = {}
         self.worst_sigmas: dict[str, float] = {}
-        self.promises: dict[str, float] = {}
+        self.largest: dict[str, float] = {}
         self.curves: dict[str, dict[float, CurvePoint]] = {}
 
     def add_failure(self, kind: FailureKind, what: str) -> None:
@@ -101,7 +101,7 @@ class FamilyResults:
             if (angle_deg is None) != (sigma_deg is None):
                 self.add_failure("limit", f"{label}: angle {angle_deg} with sigma {sigma_deg}")
             return None
-        self.answers += 1
+        self.estimated += 1
         if not self.check_finite(label, angle_deg, sigma_deg):
             return None
         if sigma_deg <= 0.0:
@@ -128,7 +128,7 @@ class FamilyResults:
         """Keep the largest value, and count a failure if it exceeds the specified limit or is not finite."""
         if not self.check_finite(what, value):
             return
-        self.promises[what] = max(self.promises.get(what, 0.0), float(value))
+        self.largest[what] = max(self.largest.get(what, 0.0), float(value))
         if value > at_most:
             self.add_failure("limit", f"{what} is {value:.4g}, the limit is {at_most:g}")
 
@@ -143,7 +143,7 @@ class FamilyResults:
     def merge(self, later: FamilyResults) -> None:
         """Add the results of later trials of the same family."""
         self.tried += later.tried
-        self.answers += later.answers
+        self.estimated += later.estimated
         self.declined += later.declined
         both = [*self.failures, *later.failures]
         firsts = {one.kind: one for one in reversed(both)}
@@ -152,7 +152,7 @@ class FamilyResults:
         for mine, others in (
             (self.worst_deg, later.worst_deg),
             (self.worst_sigmas, later.worst_sigmas),
-            (self.promises, later.promises),
+            (self.largest, later.largest),
         ):
             for what, value in others.items():
                 mine[what] = max(mine.get(what, value), value)

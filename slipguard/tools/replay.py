@@ -130,7 +130,7 @@ class _RecordingPlayer:
         self._pipelines: dict[str, Pipeline] = {}
         self._live = dict.fromkeys(m.FINGERS, False)
         self._renewed = dict.fromkeys(m.FINGERS, False)
-        self._pictures: dict[str, StoredImage] = {}
+        self._images: dict[str, StoredImage] = {}
         self._now: dict[str, dict[int, Estimate]] = {finger: {} for finger in m.FINGERS}
         self._memory: dict[str, ControlState] = {}
 
@@ -148,23 +148,23 @@ class _RecordingPlayer:
                 and item.topic == m.IMAGE_TOPIC[value.source]
                 and value.source in m.FINGERS
             ):
-                self._pictures[value.source] = value
+                self._images[value.source] = value
                 self._done.image = value.format
 
     def _judged(self, finger: str, judged: m.FrameRecord) -> None:
-        picture = self._pictures.pop(finger, None)
+        image = self._images.pop(finger, None)
         if judged.new_pipeline:  # its background image is in the next file
             self._live[finger], self._renewed[finger] = False, True
         if judged.new_reference:
-            self._live[finger] = picture is not None and not self._renewed[finger]
+            self._live[finger] = image is not None and not self._renewed[finger]
             if self._live[finger]:
                 self._pipeline(finger).reset_reference()
         no_contact = judged.estimate is not None and not judged.estimate.contact
-        if picture is None and not no_contact:
+        if image is None and not no_contact:
             self._live[finger] = False  # the image of a frame with contact is missing
         now = None
-        if self._live[finger] and picture is not None:
-            now = self._process(finger, picture, judged)
+        if self._live[finger] and image is not None:
+            now = self._process(finger, image, judged)
         self._done.frames.append(ReplayedEstimate(finger, judged, now))
         estimate = now or judged.estimate
         if estimate is not None:
@@ -173,14 +173,14 @@ class _RecordingPlayer:
             while len(known) > KEPT_ESTIMATES:
                 del known[next(iter(known))]
 
-    def _process(self, finger: str, picture: StoredImage, judged: m.FrameRecord) -> Estimate | None:
+    def _process(self, finger: str, image: StoredImage, judged: m.FrameRecord) -> Estimate | None:
         skipped = judged.estimate is not None and judged.estimate.skipped == OTHER_FINGER
         last = next(reversed(self._now[finger].values()), None)
         if skipped and last is not None:
             self._pipeline(finger).keep_estimate(judged.captured_at_s)
             return repeat_estimate(last, judged.captured_at_s, judged.sequence)
         try:
-            frame = Frame(picture.pixels(), judged.captured_at_s, judged.sequence)
+            frame = Frame(image.pixels(), judged.captured_at_s, judged.sequence)
             return self._pipeline(finger).process(frame)
         except FrameCorrupt:
             return None

@@ -1,1 +1,1 @@
-"""The grip law in closed loop with the simulated cell, beside no guard, a fixed step and one that knows the truth."""
+"""Grip controllers in closed loop with the simulated cell: slipguard, no guard, a fixed step and an oracle."""
