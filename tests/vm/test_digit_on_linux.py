@@ -26,7 +26,7 @@ def test_sixty_frames_a_second_of_which_none_is_lost(machine: Machine) -> None:
     assert seen["remarks"] == ["the LEDs cannot be set (Invalid argument): led_rgb has no effect"], "vivid has none"
 
 
-def test_two_sensors_found_by_serial_with_leds_rights_and_their_own_pictures(machine: Machine) -> None:
+def test_two_sensors_are_found_by_serial_with_leds_access_and_their_own_images(machine: Machine) -> None:
     seen = machine.play("scenes:two_sensors")
     assert seen["serials"] == ["D20001", "D20002"]
     assert seen["firmware"] == [212, 212]
@@ -50,7 +50,7 @@ def test_old_firmware_and_other_formats(machine: Machine, pixels: str, settings:
     assert seen["off_by"] < ROTATED_GREY_LEVELS
 
 
-def test_every_fault_is_told_by_its_name(machine: Machine) -> None:
+def test_every_fault_has_a_text(machine: Machine) -> None:
     names = {"stall": "DeviceTimeout", "freeze": "FrameFrozen", "corrupt": "FrameCorrupt", "short": "FrameCorrupt"}
     for look in range(LOOKS):
         with machine.undisturbed():
@@ -64,12 +64,12 @@ def test_every_fault_is_told_by_its_name(machine: Machine) -> None:
     assert machine.play("scenes:faults", pixels="MJPG")["short"]["as"] == "FrameCorrupt"
 
 
-def test_a_kernel_that_drops_what_is_damaged_leaves_a_stalled_stream(machine: Machine) -> None:
+def test_a_kernel_that_drops_damaged_frames_causes_a_stalled_stream(machine: Machine) -> None:
     seen = machine.play("scenes:faults", pixels="YUYV", nodrop=0)
     assert {seen["corrupt"]["as"], seen["short"]["as"]} == {"DeviceTimeout"}
 
 
-def test_an_unplugged_sensor_is_told_at_once(machine: Machine) -> None:
+def test_an_unplugged_sensor_is_reported_at_once(machine: Machine) -> None:
     for look in range(LOOKS):
         with machine.undisturbed():
             seen = machine.play("scenes:unplug")
@@ -81,7 +81,7 @@ def test_an_unplugged_sensor_is_told_at_once(machine: Machine) -> None:
 
 
 @pytest.mark.parametrize("unplugged_s", [0.5, 2.5])
-def test_a_sensor_that_is_plugged_in_again_goes_on_by_itself(machine: Machine, unplugged_s: float) -> None:
+def test_a_sensor_that_is_plugged_in_again_continues(machine: Machine, unplugged_s: float) -> None:
     for look in range(LOOKS):
         with machine.undisturbed():
             seen = machine.play("scenes:replug", unplugged_s=unplugged_s)

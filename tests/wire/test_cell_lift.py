@@ -60,12 +60,14 @@ def test_a_lift_by_slipguard(
     with cell(tmp_path, own_address(62), *OPTIONS) as there, daemon(there) as client:
         grasp(client)
         said = ask_the_doctor(there, capfd)
-        assert "it was asked" in said["daemon", "daemon"]["seen"]
+        assert "no device was opened" in said["daemon", "daemon"]["observed"]
         for name in ("left", "right", "gripper", "arm"):
-            (known,) = (one for key, one in said.items() if key[0] == name and "in use by the daemon" in one["seen"])
+            (known,) = (
+                one for key, one in said.items() if key[0] == name and "in use by the daemon" in one["observed"]
+            )
             assert known["status"] == "ok"
-        assert "p50" in said["gripper", "round trip"]["seen"]
-        assert "holding something" in said["gripper", "condition"]["seen"]
+        assert "p50" in said["gripper", "round trip"]["observed"]
+        assert "holding something" in said["gripper", "condition"]["observed"]
         assert said["arm", "program"]["status"] == "ok", "the script that runs is slipguard's own"
         client.submit(LiftRequest())
         wait_for(client, lambda state: state["phase"] == "lifting", "no lift")

@@ -65,7 +65,7 @@ async def frames(capture: UsbCapture, count: int) -> list[RawFrame]:
     pytest.fail(f"only {len(taken)} of {count} frames came")
 
 
-async def test_two_sensors_are_listed_and_each_is_one_hosts(emulator: DigitEmulator) -> None:
+async def test_two_sensors_are_listed_and_each_accepts_one_host(emulator: DigitEmulator) -> None:
     assert await beside(lambda: listed(emulator.address)) == ["1-1", "1-2"]
     device = await beside(lambda: UsbDevice(emulator.address, "1-1"))
     with pytest.raises(OSError, match="busy"):
@@ -84,7 +84,7 @@ async def test_its_modes_are_a_digits(emulator: DigitEmulator) -> None:
     await beside(capture.close)
 
 
-async def test_each_sends_its_own_pictures_turned_as_a_digit_does(emulator: DigitEmulator) -> None:
+async def test_each_sensor_sends_its_own_images_rotated_like_a_digit(emulator: DigitEmulator) -> None:
     for bus_id, level in (("1-1", 40), ("1-2", 160)):
         capture = await beside(lambda bus_id=bus_id: UsbCapture(f"{emulator.address}/{bus_id}"))
         await beside(lambda capture=capture: capture.configure(QVGA))
@@ -96,7 +96,7 @@ async def test_each_sends_its_own_pictures_turned_as_a_digit_does(emulator: Digi
         await beside(capture.close)
 
 
-async def test_a_host_that_is_slow_to_ask_again_gets_the_next_picture_all_the_same(images: Path) -> None:
+async def test_a_slow_host_receives_the_next_image(images: Path) -> None:
     emulator = DigitEmulator(DigitEmulator.Settings(port=0, images=images))
     camera = emulator.cameras["1-1"]
     answers = Answers()
@@ -124,7 +124,7 @@ async def test_leds_are_logged_and_a_value_beyond_them_refused(emulator: DigitEm
     await beside(capture.close)
 
 
-async def test_a_fault_strikes_one_sensor_or_all(emulator: DigitEmulator) -> None:
+async def test_a_fault_affects_one_sensor_or_all(emulator: DigitEmulator) -> None:
     captures = []
     for bus_id in ("1-1", "1-2"):
         capture = await beside(lambda bus_id=bus_id: UsbCapture(f"{emulator.address}/{bus_id}"))
@@ -150,7 +150,7 @@ async def test_a_fault_strikes_one_sensor_or_all(emulator: DigitEmulator) -> Non
         await beside(capture.close)
 
 
-async def test_a_stream_can_be_stopped_in_the_middle_of_a_picture_and_started_again(emulator: DigitEmulator) -> None:
+async def test_a_stream_can_be_restarted_in_the_middle_of_an_image(emulator: DigitEmulator) -> None:
     for _ in range(3):
         capture = await beside(lambda: UsbCapture(f"{emulator.address}/1-1"))
         await beside(lambda capture=capture: capture.configure(VideoMode("YUYV", 640, 480, 30.0)))
@@ -169,7 +169,7 @@ class Answers:
         self.pieces.append((int.from_bytes(data[4:8], "big"), data[48:]))
 
 
-async def test_the_rest_of_a_picture_is_not_sent_to_a_host_that_has_stopped_reading_in_between() -> None:
+async def test_the_rest_of_an_image_is_dropped_if_the_host_stops_reading() -> None:
     answers = Answers()
     bulk = BulkInEndpoint(answers)
     bulk.ask(1, 100)
@@ -183,7 +183,7 @@ async def test_the_rest_of_a_picture_is_not_sent_to_a_host_that_has_stopped_read
     assert bulk.wanted, "read 3 waits for the next picture"
 
 
-async def test_a_payload_ends_with_a_short_answer_unless_it_has_the_agreed_size() -> None:
+async def test_a_payload_ends_with_a_short_packet_unless_it_has_the_negotiated_size() -> None:
     for full, answered in ((True, [100, 100]), (False, [100, 100, 0])):
         answers = Answers()
         bulk = BulkInEndpoint(answers)
@@ -203,7 +203,7 @@ async def test_stopping_while_a_host_is_attached_is_quiet(
     assert caplog.records == []
 
 
-async def test_a_request_taken_back_before_it_was_sent_is_answered_once_and_only_when_it_comes(
+async def test_a_request_unlinked_before_it_was_sent_is_answered_once_it_arrives(
     emulator: DigitEmulator,
 ) -> None:
     def ask() -> list[tuple[int, int, int]]:
@@ -235,13 +235,13 @@ async def test_a_request_taken_back_before_it_was_sent_is_answered_once_and_only
         ({"host": "203.0.113.1"}, "cannot listen on"),
     ],
 )
-async def test_what_cannot_be_emulated_is_told(settings: dict[str, object], told: str) -> None:
+async def test_invalid_settings_are_reported(settings: dict[str, object], told: str) -> None:
     with pytest.raises(InputError, match=told):
         await DigitEmulator(DigitEmulator.Settings.model_validate({"port": 0} | settings)).start()
 
 
 @pytest.mark.parametrize("serials", [["D1", "D1"], ["D 1"], [""], []])
-def test_serial_numbers_that_cannot_be(serials: list[str]) -> None:
+def test_invalid_serial_numbers(serials: list[str]) -> None:
     with pytest.raises(ValidationError):
         DigitEmulator.Settings(serial=serials)
 
@@ -251,7 +251,7 @@ async def test_an_unknown_fault_is_refused(emulator: DigitEmulator) -> None:
         emulator.control("fault D20009.stall")
 
 
-async def test_garbage_on_the_wire_ends_that_connection_alone(emulator: DigitEmulator) -> None:
+async def test_garbage_ends_only_its_connection(emulator: DigitEmulator) -> None:
     host, port = emulator.address.split(":")
     for garbage in (b"", b"GET / HTTP/1.1\r\n\r\n", bytes(200), b"\x01\x11\x80\x03\0\0\0\0" + b"9-9".ljust(32, b"\0")):
         reader, writer = await asyncio.open_connection(host, int(port))

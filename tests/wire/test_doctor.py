@@ -179,7 +179,7 @@ def test_none_present_of_the_usual_kind(capfd: pytest.CaptureFixture[str]) -> No
     assert "ls /dev/serial/by-id" in told.line("gripper", "port")
 
 
-def test_one_unplugged(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
+def test_one_sensor_unplugged(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     with failing(there, "left.disconnect"):
         told = ask(capfd, there.config)
     assert told.problem == {"left"}
@@ -242,7 +242,7 @@ def test_gripper_without_power(there: Cell, capfd: pytest.CaptureFixture[str]) -
     ],
     ids=lambda faults: " ".join(name for name, _ in faults),
 )
-def test_what_else_goes_wrong(
+def test_further_problems_are_reported(
     there: Cell, capfd: pytest.CaptureFixture[str], faults: dict[tuple[str, str], str]
 ) -> None:
     with ExitStack() as failures:
@@ -255,7 +255,7 @@ def test_what_else_goes_wrong(
         assert observed in told.line(name.split(".")[0], check)
 
 
-def test_a_urcap_is_hinted_at(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_urcap_is_noted(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     ready, done = threading.Event(), threading.Event()
 
     async def urcap() -> None:

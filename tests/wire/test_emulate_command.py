@@ -75,7 +75,7 @@ def test_a_program_starts_it_talks_to_it_and_ends_it(program: subprocess.Popen[s
         (["digit", "--port", "0"], "digit emulated at 127.0.0.1:", "quit"),
     ],
 )
-def test_a_person_ends_it_without_a_traceback(words: list[str], where: str, ends: str | signal.Signals) -> None:
+def test_ctrl_c_ends_it_without_a_traceback(words: list[str], where: str, ends: str | signal.Signals) -> None:
     with start(*words) as running:
         assert running.stdout is not None
         assert where in running.stdout.readline()
@@ -87,7 +87,7 @@ def test_a_person_ends_it_without_a_traceback(words: list[str], where: str, ends
     assert (running.returncode, complaint, out) == (0, "", "")
 
 
-def test_without_an_input_it_goes_on(link: Path) -> None:
+def test_without_stdin_it_continues(link: Path) -> None:
     with start("robotiq", "--link", link) as running:
         assert running.stdout is not None
         assert running.stdin is not None
@@ -109,7 +109,7 @@ def test_without_an_input_it_goes_on(link: Path) -> None:
         (["robotiq", "--colour", "red"], "--colour"),
     ],
 )
-def test_what_is_wrong_is_one_line(words: list[str], says: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_misuse_is_one_line(words: list[str], says: str, capfd: pytest.CaptureFixture[str]) -> None:
     from slipguard.cli.app import run
 
     assert run(["emulate", *words]) == 2

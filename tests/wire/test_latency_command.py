@@ -24,7 +24,7 @@ def test_two_clients_for_a_moment(capfd: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.realtime
-def test_a_short_one(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_short_measurement(capfd: pytest.CaptureFixture[str]) -> None:
     assert run(["latency", "--commands", "4", "--fps", "30", "--baud", "115200", "--json"]) == 0
     found = json.loads(capfd.readouterr().out)
     assert found["commands"] >= 3

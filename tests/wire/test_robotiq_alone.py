@@ -50,7 +50,7 @@ async def another_master(emulator: RobotiqEmulator, *, exclusive: bool) -> async
     return other
 
 
-async def test_a_master_that_was_there_first_and_asks_for_no_lock_is_not_talked_over(emulator: RobotiqEmulator) -> None:
+async def test_a_port_already_open_without_lock_is_not_used(emulator: RobotiqEmulator) -> None:
     other = await another_master(emulator, exclusive=False)
     gripper = driver(emulator)
     for _ in range(2):
@@ -67,7 +67,7 @@ async def test_a_master_that_was_there_first_and_asks_for_no_lock_is_not_talked_
     await gripper.close()
 
 
-async def test_a_look_for_others_that_is_cut_short_is_none(
+async def test_a_cancelled_search_for_other_programs_closes_the_port(
     emulator: RobotiqEmulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looking, go_on = threading.Event(), threading.Event()
@@ -92,7 +92,7 @@ async def test_a_look_for_others_that_is_cut_short_is_none(
     line.close()
 
 
-async def test_not_every_try_of_a_busy_port_looks_at_every_process(
+async def test_repeated_attempts_do_not_search_all_processes_each_time(
     emulator: RobotiqEmulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other = await another_master(emulator, exclusive=True)
@@ -107,7 +107,7 @@ async def test_not_every_try_of_a_busy_port_looks_at_every_process(
     await other.wait()
 
 
-async def test_the_port_is_ours_alone_and_who_has_it_is_told(emulator: RobotiqEmulator) -> None:
+async def test_the_port_is_exclusive_and_its_holder_is_reported(emulator: RobotiqEmulator) -> None:
     other = await another_master(emulator, exclusive=True)
     gripper = driver(emulator)
     with pytest.raises(DeviceLost, match=rf"\(process {other.pid}\) has it open"):

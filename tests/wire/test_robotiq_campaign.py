@@ -41,7 +41,7 @@ async def test_no_state_is_wrong_no_grip_opens_and_nothing_hangs(
     assert set(outcome.occurred) == set(FAULTS) or commands < 1000
 
 
-def test_a_wrong_state_would_be_noticed() -> None:
+def test_a_wrong_state_is_noticed() -> None:
     state = GripperState(True, False, True, False, 41.0, 40.0, None, 0.0)
     held = JawsState(41.2, 40.2, False, met_closing=True)
     assert agree(state, Truth(0.0, True, True, held))

@@ -56,7 +56,7 @@ def bench() -> Bench:
     return bench
 
 
-def test_activation_takes_seconds_and_moves_the_jaws_all_the_way() -> None:
+def test_activation_takes_seconds_and_moves_the_jaws_fully() -> None:
     bench = Bench()
     assert bench.flags == 0x00
     bench.write(0x0100, 0, 0)
@@ -114,7 +114,7 @@ def test_clearing_ract_keeps_the_grip_and_activating_drops_it(bench: Bench) -> N
     assert "let go" in bench.told
 
 
-def test_going_before_it_is_active_is_a_fault() -> None:
+def test_a_go_before_activation_is_a_fault() -> None:
     bench = Bench()
     bench.write(0x0800, 0, 0)
     assert bench.registers.read(bench.now_s)[1] >> 8 == 0x07
@@ -122,7 +122,7 @@ def test_going_before_it_is_active_is_a_fault() -> None:
     assert bench.registers.read(bench.now_s)[1] >> 8 == 0x05
 
 
-def test_a_silence_is_told_and_an_automatic_release_too(bench: Bench) -> None:
+def test_silence_and_automatic_release_are_reported(bench: Bench) -> None:
     bench.registers.request_received(bench.now_s)
     bench.wait(1.5)
     assert bench.registers.read(bench.now_s)[1] >> 8 == 0x09
@@ -143,7 +143,7 @@ def test_without_power_it_is_reset_and_the_screw_holds(bench: Bench) -> None:
     assert bench.force_n == before_n
 
 
-def test_an_object_that_is_taken_away_is_missed(bench: Bench) -> None:
+def test_a_removed_object_is_noticed(bench: Bench) -> None:
     bench.jaws.object_mm = 40.0
     bench.write(0x0900, 0xFF, 0xFF80, after_s=2.0)
     bench.jaws.object_mm = None
@@ -184,7 +184,7 @@ async def test_an_answer_takes_the_time_of_the_wire(emulator: RobotiqEmulator) -
     assert took_s >= (8 + 11) * 10 / 115200 + 0.001 + 0.016
 
 
-async def test_the_log_tells_when_the_last_byte_of_a_command_was_on_the_wire(emulator: RobotiqEmulator) -> None:
+async def test_the_log_has_the_time_of_a_commands_last_byte(emulator: RobotiqEmulator) -> None:
     began_s = asyncio.get_running_loop().time()
     answer, _ = await exchange(emulator, framed("09 10 03E8 0003 06 0900 00FF FFFF"), 8)
     assert answer == framed("09 10 03E8 0003")
@@ -196,13 +196,13 @@ async def test_the_log_tells_when_the_last_byte_of_a_command_was_on_the_wire(emu
 
 
 @pytest.mark.parametrize("request_", ["07 04 07D0 0003", "09 04 07D0 0009", "09 2B 0E01", "09 04 07D0"])
-async def test_what_it_does_not_understand_is_met_with_silence(emulator: RobotiqEmulator, request_: str) -> None:
+async def test_unknown_requests_are_not_answered(emulator: RobotiqEmulator, request_: str) -> None:
     assert await exchange(emulator, framed(request_), 1) == (b"", pytest.approx(0.5, abs=0.5))
     await asyncio.sleep(0.03)
     assert len((await exchange(emulator, framed("09 04 07D0 0003"), 11))[0]) == 11
 
 
-async def test_the_port_goes_and_comes_back_under_its_name(emulator: RobotiqEmulator) -> None:
+async def test_the_port_returns_under_its_name(emulator: RobotiqEmulator) -> None:
     def there() -> bool:
         return Path(emulator.address).is_symlink()
 
@@ -216,7 +216,7 @@ async def test_the_port_goes_and_comes_back_under_its_name(emulator: RobotiqEmul
     assert not there()
 
 
-async def test_the_claim_of_a_client_that_dies_ends_with_it(
+async def test_exclusive_use_ends_with_the_client(
     emulator: RobotiqEmulator,
 ) -> None:
     port = os.open(emulator.address, os.O_RDWR | os.O_NOCTTY)
@@ -232,7 +232,7 @@ async def test_the_claim_of_a_client_that_dies_ends_with_it(
     await asyncio.sleep(0.1)
 
 
-async def test_the_object_and_the_fault_are_put_there_by_words(emulator: RobotiqEmulator) -> None:
+async def test_object_and_fault_are_set_by_commands(emulator: RobotiqEmulator) -> None:
     assert isinstance(emulator.jaws, SimpleJaws)
     emulator.control("object 40")
     assert emulator.jaws.object_mm == 40.0
@@ -245,7 +245,7 @@ async def test_the_object_and_the_fault_are_put_there_by_words(emulator: Robotiq
             emulator.control(words)
 
 
-async def test_a_name_that_is_taken_is_refused(tmp_path: Path) -> None:
+async def test_a_name_in_use_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     emulator = RobotiqEmulator(RobotiqEmulator.Settings(link=tmp_path / "file"))
     with pytest.raises(InputError, match="is not a link"):

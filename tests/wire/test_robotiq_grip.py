@@ -68,7 +68,7 @@ async def test_a_release_clears_a_fault(emulator: RobotiqEmulator, gripper: Robo
     assert (await gripper.state()).fault is None
 
 
-async def test_tightening_is_stop_then_go_and_never_lets_go(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
+async def test_tightening_is_stop_then_go_and_never_opens(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
     await held.hold(80.0)
     # rACT stays set; rGTO 0, then 1; 20 N + 72 x 0.843 N
     assert words_written(emulator) == ["0100 00FF FF48", "0900 00FF FF48"]
@@ -77,7 +77,7 @@ async def test_tightening_is_stop_then_go_and_never_lets_go(emulator: RobotiqEmu
     assert emulator.events("let go") == []
 
 
-async def test_a_stop_that_was_not_taken_is_no_tightening(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
+async def test_an_ignored_stop_is_reported(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
     emulator.control("fault ignore 1")
     with pytest.raises(DeviceTimeout, match="does not accept commands"):
         await held.hold(80.0)
@@ -85,7 +85,7 @@ async def test_a_stop_that_was_not_taken_is_no_tightening(emulator: RobotiqEmula
     assert await held.hold(80.0) == pytest.approx(80.7, abs=0.1)
 
 
-async def test_a_go_that_was_not_taken_is_not_believed(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
+async def test_an_ignored_go_is_reported(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
     occurs = iter([False, True])
     emulator._occurs = lambda fault: fault == "ignore" and next(occurs, False)  # type: ignore[method-assign]
     with pytest.raises(DeviceTimeout, match="does not accept commands"):
@@ -93,7 +93,7 @@ async def test_a_go_that_was_not_taken_is_not_believed(emulator: RobotiqEmulator
     assert (await held.state()).force_n == pytest.approx(40.2, abs=0.1)
 
 
-async def test_while_the_force_rises_it_is_still_said_to_hold(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
+async def test_while_the_force_rises_it_is_holding(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
     await held.hold(200.0)
     seen = [await held.state() for _ in range(10)]
     assert any(state.moving for state in seen)
@@ -102,7 +102,7 @@ async def test_while_the_force_rises_it_is_still_said_to_hold(emulator: RobotiqE
         await held.move(80.0, 30.0)
 
 
-async def test_a_grip_that_was_stopped_half_way_is_taken_up_again(
+async def test_an_interrupted_grip_is_completed_by_the_next_hold(
     emulator: RobotiqEmulator, held: RobotiqGripper
 ) -> None:
     emulator.control("fault deaf")
@@ -153,7 +153,7 @@ async def test_a_tightening_is_completed_though_its_caller_is_cancelled(
     assert emulator.state()["force_n"] == pytest.approx(80.7, abs=0.1)
 
 
-async def test_outwards_is_refused_while_the_fingers_close(tmp_path: Path) -> None:
+async def test_opening_is_refused_while_the_fingers_close(tmp_path: Path) -> None:
     emulator = quick(tmp_path, activated=True, quick=1.0)
     await emulator.start()
     gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
@@ -171,7 +171,7 @@ async def test_outwards_is_refused_while_the_fingers_close(tmp_path: Path) -> No
     await emulator.stop()
 
 
-async def test_a_2f140_has_its_own_newtons_and_millimetres(tmp_path: Path) -> None:
+async def test_a_2f140_has_its_own_force_and_width_range(tmp_path: Path) -> None:
     emulator = quick(tmp_path, model="2F-140", activated=True, object_width_mm=100.0)
     await emulator.start()
     gripper = RobotiqGripper(settings(emulator).model_copy(update={"model": "2F-140"}), DriverContext("gripper"))
@@ -189,7 +189,7 @@ async def test_a_2f140_has_its_own_newtons_and_millimetres(tmp_path: Path) -> No
     await emulator.stop()
 
 
-async def test_a_gripper_that_takes_no_commands_is_told(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
+async def test_a_gripper_that_ignores_commands_is_reported(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
     emulator.control("fault ignore")
     with pytest.raises(DeviceTimeout, match="another program"):
         await gripper.hold(40.0)

@@ -28,7 +28,7 @@ async def test_a_late_answer_is_never_taken_for_the_next(emulator: RobotiqEmulat
     assert (await gripper.state()).holding
 
 
-async def test_nor_is_one_that_is_later_than_the_silence_is_long(tmp_path: Path) -> None:
+async def test_a_response_later_than_the_silence_is_never_taken_for_the_next(tmp_path: Path) -> None:
     emulator = quick(tmp_path, activated=True, late_ms=750.0)
     await emulator.start()
     gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
@@ -49,7 +49,7 @@ async def test_nor_is_one_that_is_later_than_the_silence_is_long(tmp_path: Path)
     await emulator.stop()
 
 
-async def test_a_new_connection_never_gets_an_answer_to_the_old_ones_question(emulator: RobotiqEmulator) -> None:
+async def test_a_new_connection_ignores_responses_to_old_requests(emulator: RobotiqEmulator) -> None:
     old, new = (ModbusConnection("gripper", emulator.address, 9, 0.3, 0x07D0) for _ in range(2))
     await old.connect()
     await old.read(0x07D0, 3, soon_s())
@@ -76,7 +76,7 @@ async def test_after_a_time_out_the_line_is_silent_for_a_while(
     assert loop.time() - timed_out_at_s >= 0.099
 
 
-async def test_an_answer_that_comes_twice_casts_doubt_on_the_line(
+async def test_a_repeated_response_puts_the_line_out_of_sync(
     emulator: RobotiqEmulator, gripper: RobotiqGripper
 ) -> None:
     emulator.control("fault double 1")
@@ -87,7 +87,7 @@ async def test_an_answer_that_comes_twice_casts_doubt_on_the_line(
     assert emulator.requests == asked + 2
 
 
-async def test_a_line_that_is_never_silent_is_told(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
+async def test_a_line_that_is_never_silent_is_reported(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
     async def chatter() -> None:
         while True:
             emulator._port.send(b"\x55", emulator._port.plugs)
@@ -110,7 +110,7 @@ async def test_requests_keep_their_distance(emulator: RobotiqEmulator, gripper: 
     assert loop.time() - before_s >= 10 * 0.005 - 1e-6
 
 
-async def test_a_torn_answer_is_put_together(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
+async def test_a_response_in_two_parts_is_accepted(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
     emulator.control("fault split")
     for _ in range(5):
         await gripper.state()
@@ -119,7 +119,7 @@ async def test_a_torn_answer_is_put_together(emulator: RobotiqEmulator, gripper:
 @pytest.mark.parametrize(
     "fault", ["bad_crc", "half", "garbage", "noise", "wrong_function", "wrong_length", "wrong_slave", "silence", "deaf"]
 )
-async def test_what_is_no_good_answer_to_a_read_is_a_time_out_and_the_next_is_fine(
+async def test_an_invalid_response_to_a_read_is_a_time_out_and_the_next_is_good(
     emulator: RobotiqEmulator, gripper: RobotiqGripper, fault: str
 ) -> None:
     emulator.control(f"fault {fault} 1")
@@ -131,7 +131,7 @@ async def test_what_is_no_good_answer_to_a_read_is_a_time_out_and_the_next_is_fi
 @pytest.mark.parametrize(
     "fault", ["bad_crc", "half", "noise", "wrong_function", "wrong_echo", "wrong_slave", "silence"]
 )
-async def test_what_is_no_good_answer_to_a_write_is_a_time_out_too(emulator: RobotiqEmulator, fault: str) -> None:
+async def test_an_invalid_response_to_a_write_is_a_time_out(emulator: RobotiqEmulator, fault: str) -> None:
     line = ModbusConnection("gripper", emulator.address, 9, 0.3, 0x07D0)
     await line.connect()
     await line.read(0x07D0, 3, soon_s())
@@ -142,7 +142,7 @@ async def test_what_is_no_good_answer_to_a_write_is_a_time_out_too(emulator: Rob
     line.close()
 
 
-async def test_no_answer_however_strange_trips_the_driver(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
+async def test_no_response_crashes_the_driver(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
     """Every function code with a good checksum: what pymodbus cannot make sense of it would raise inside the loop."""
     raised: list[object] = []
     asyncio.get_running_loop().set_exception_handler(lambda loop, context: raised.append(context))
@@ -164,7 +164,7 @@ async def test_no_answer_however_strange_trips_the_driver(emulator: RobotiqEmula
         (lambda path: path.write_text("no port"), "not a serial port"),
     ],
 )
-async def test_a_port_that_is_none_is_told(tmp_path: Path, make: object, told: str) -> None:
+async def test_a_path_that_is_not_a_serial_port_is_reported(tmp_path: Path, make: object, told: str) -> None:
     path = tmp_path / "ttyUSB9"
     make(path)  # type: ignore[operator]
     gripper = RobotiqGripper(RobotiqGripper.Settings(port=str(path)), DriverContext("gripper"))
@@ -178,7 +178,7 @@ def test_a_port_that_may_not_be_used_names_the_group(tmp_path: Path, monkeypatch
     assert "group" in serial_port.why_not_usable("/dev/tty")
 
 
-def test_an_adapter_that_keeps_answers_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_adapter_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "class" / "tty" / "ttyUSB0" / "device"
     folder.mkdir(parents=True)
     monkeypatch.setattr(serial_port, "SYS", tmp_path)

@@ -174,7 +174,7 @@ def report(series: str, rounds: list[Round]) -> str:
 
 
 @pytest.mark.campaign
-async def test_the_driver_lives_through_every_fault_and_the_arm_stops(
+async def test_the_driver_survives_every_fault_and_the_arm_stops(
     controller: Controller, request: pytest.FixtureRequest
 ) -> None:
     count = request.config.getoption("--arm-campaign")

@@ -64,7 +64,7 @@ def disturbances(controller: UrEmulator) -> list[str]:
 
 
 @both_series
-async def test_coming_watching_and_going_disturbs_nobody(controller: UrEmulator, ros: RosLikeClient) -> None:
+async def test_connecting_and_disconnecting_disturb_no_program(controller: UrEmulator, ros: RosLikeClient) -> None:
     for _ in range(5):
         arm = pausing()
         await arm.open()
@@ -79,7 +79,7 @@ async def test_coming_watching_and_going_disturbs_nobody(controller: UrEmulator,
 
 
 @both_series
-async def test_only_a_stop_pauses_it_once_and_it_can_go_on(controller: UrEmulator, ros: RosLikeClient) -> None:
+async def test_only_a_stop_pauses_the_program_and_it_can_continue(controller: UrEmulator, ros: RosLikeClient) -> None:
     arm = pausing()
     await arm.open()
     assert await until(lambda: speed_of(controller) > 0.05)
@@ -135,7 +135,7 @@ async def test_no_fault_of_the_link_reaches_the_program(controller: UrEmulator, 
         await running
 
 
-async def test_the_library_that_takes_robots_over_is_not_even_imported(controller: UrEmulator) -> None:
+async def test_ur_rtde_is_not_imported(controller: UrEmulator) -> None:
     arm = pausing()
     await arm.open()
     await arm.stop()
@@ -143,7 +143,7 @@ async def test_the_library_that_takes_robots_over_is_not_even_imported(controlle
     assert "rtde_control" not in sys.modules
 
 
-async def test_an_output_is_pulsed_and_left_to_others(controller: UrEmulator) -> None:
+async def test_an_output_is_pulsed_and_freed(controller: UrEmulator) -> None:
     arm = pausing(stop_by="digital_output", digital_output=3, pulse_ms=100.0)
     await arm.open()
     ros = RosLikeClient(HOST)
@@ -159,7 +159,7 @@ async def test_an_output_is_pulsed_and_left_to_others(controller: UrEmulator) ->
     await arm.close()
 
 
-async def test_an_output_that_somebody_holds_is_refused_in_words(controller: UrEmulator, ros: RosLikeClient) -> None:
+async def test_an_output_in_use_is_refused(controller: UrEmulator, ros: RosLikeClient) -> None:
     arm = pausing(stop_by="digital_output", digital_output=3)
     with pytest.raises(
         DeviceLost, match=r"another program holds standard_digital_output.* ROS driver.*dashboard_pause"
@@ -168,7 +168,7 @@ async def test_an_output_that_somebody_holds_is_refused_in_words(controller: UrE
     assert disturbances(controller) == []
 
 
-async def test_an_output_taken_meanwhile_is_replaced_by_a_pause_and_said(controller: UrEmulator) -> None:
+async def test_an_output_in_use_is_replaced_by_a_pause_and_reported(controller: UrEmulator) -> None:
     arm = pausing(stop_by="digital_output", digital_output=3)
     await arm.open()
     ros = RosLikeClient(HOST)
@@ -205,7 +205,7 @@ async def test_a_stop_needs_no_open(controller: UrEmulator) -> None:
     assert disturbances(controller) == ["paused"]
 
 
-async def test_a_dashboard_that_once_does_not_answer_is_asked_again(
+async def test_one_missing_dashboard_answer_is_tolerated(
     controller: UrEmulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arm = pausing()
@@ -225,7 +225,7 @@ async def test_a_dashboard_that_once_does_not_answer_is_asked_again(
     await arm.close()
 
 
-async def test_an_output_that_is_high_already_stops_nobody(controller: UrEmulator) -> None:
+async def test_an_output_that_is_high_already_is_replaced_by_a_pause(controller: UrEmulator) -> None:
     arm = pausing(stop_by="digital_output", digital_output=3)
     await arm.open()
     controller.controller.output_bits = 0b1000
@@ -236,7 +236,7 @@ async def test_an_output_that_is_high_already_stops_nobody(controller: UrEmulato
     await arm.close()
 
 
-async def test_a_pulse_is_ended_though_its_connection_is_lost(controller: UrEmulator) -> None:
+async def test_a_pulse_ends_after_its_connection_was_lost(controller: UrEmulator) -> None:
     arm = pausing(stop_by="digital_output", digital_output=3, pulse_ms=100.0)
     await arm.open()
     await arm.stop()
@@ -246,7 +246,7 @@ async def test_a_pulse_is_ended_though_its_connection_is_lost(controller: UrEmul
     await arm.close()
 
 
-async def test_a_pulse_that_cannot_be_ended_is_told(controller: UrEmulator) -> None:
+async def test_a_pulse_that_cannot_be_ended_is_reported(controller: UrEmulator) -> None:
     arm = pausing(stop_by="digital_output", digital_output=3, pulse_ms=100.0)
     await arm.open()
     await arm.stop()
@@ -263,7 +263,7 @@ async def test_a_pulse_that_cannot_be_ended_is_told(controller: UrEmulator) -> N
     await arm.close()
 
 
-async def test_local_control_is_told_for_it_would_not_heed_a_pause() -> None:
+async def test_local_control_is_reported() -> None:
     controller = UrEmulator(UrEmulator.Settings(host=HOST))
     await controller.start()
     controller.control("panel play")
@@ -290,7 +290,7 @@ async def test_lift_mode_beside_a_running_program_would_not_even_start(controlle
 @pytest.mark.parametrize(
     ("press", "owned", "level"), [("play", False, "problem"), ("pause", False, "problem"), ("play", True, "ok")]
 )
-async def test_the_doctor_says_so_too(controller: UrEmulator, press: str, owned: bool, level: str) -> None:
+async def test_the_doctor_reports_it_too(controller: UrEmulator, press: str, owned: bool, level: str) -> None:
     controller.control(f"panel {press}")
     dashboard = DashboardClient("arm", HOST)
     results = [

@@ -57,7 +57,7 @@ async def test_the_watchdog_is_armed_before_anything_moves(controller: UrEmulato
     assert told(controller)[:2] == ["watchdog at 2 Hz", "movel in a thread"]
 
 
-async def test_a_stop_is_a_straight_one(controller: UrEmulator, arm: LiftModeArm) -> None:
+async def test_a_stop_is_a_linear_one(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     await arm.stop()
     assert told(controller)[-1] == "stopl", "a synchronous one would be carried out as stopj, in rad/s2"
@@ -84,9 +84,7 @@ async def test_a_stop_during_the_wait_prevents_the_new_motion(controller: UrEmul
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP], ids=["dies", "hangs"])
-async def test_a_worker_that_is_gone_stops_the_arm(
-    controller: UrEmulator, arm: LiftModeArm, how: signal.Signals
-) -> None:
+async def test_a_dead_worker_stops_the_arm(controller: UrEmulator, arm: LiftModeArm, how: signal.Signals) -> None:
     await under_way(arm, controller)
     assert arm._worker.pid is not None
     os.kill(arm._worker.pid, how)
@@ -135,7 +133,7 @@ async def test_a_stop_of_a_lost_arm_goes_to_the_dashboard(controller: UrEmulator
     assert len(dashboard_orders(controller)) == orders + 1
 
 
-async def test_a_stop_of_an_arm_never_taken_stops_nobody(controller: UrEmulator) -> None:
+async def test_a_stop_of_an_unopened_arm_affects_no_program(controller: UrEmulator) -> None:
     controller.control("panel play")
     with pytest.raises(DeviceLost, match="not open"):
         await lifting(HOST).stop()
@@ -143,9 +141,7 @@ async def test_a_stop_of_an_arm_never_taken_stops_nobody(controller: UrEmulator)
 
 
 @pytest.mark.realtime
-async def test_what_starts_after_our_script_has_ended_is_somebody_elses(
-    controller: UrEmulator, arm: LiftModeArm
-) -> None:
+async def test_a_program_started_after_our_script_is_not_ours(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     assert arm._worker.pid is not None
     os.kill(arm._worker.pid, signal.SIGKILL)
@@ -159,7 +155,7 @@ async def test_what_starts_after_our_script_has_ended_is_somebody_elses(
     assert controller.state()["runtime"] == "playing"
 
 
-async def test_a_controller_that_goes_blind_on_us_is_told_to_stop(controller: UrEmulator, arm: LiftModeArm) -> None:
+async def test_without_states_the_arm_is_commanded_to_stop(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     controller.control("fault freeze")
     assert await rests(controller)
@@ -168,7 +164,7 @@ async def test_a_controller_that_goes_blind_on_us_is_told_to_stop(controller: Ur
     assert arm._worker.pid is None
 
 
-async def test_what_ur_rtde_tells_is_held_against_what_is_seen(
+async def test_ur_rtdes_report_is_compared_with_the_monitored_motion(
     controller: UrEmulator, arm: LiftModeArm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     call = arm._worker.call
@@ -183,7 +179,7 @@ async def test_what_ur_rtde_tells_is_held_against_what_is_seen(
     assert await rests(controller)
 
 
-async def test_late_packets_are_no_loss(controller: UrEmulator, arm: LiftModeArm) -> None:
+async def test_late_packets_are_tolerated(controller: UrEmulator, arm: LiftModeArm) -> None:
     controller.control("fault late 0.05")
     await under_way(arm, controller)
     assert (await arm.state()).moving
@@ -192,7 +188,7 @@ async def test_late_packets_are_no_loss(controller: UrEmulator, arm: LiftModeArm
 
 
 @pytest.mark.realtime
-async def test_a_stop_at_the_panel_gives_the_arm_away(controller: UrEmulator, arm: LiftModeArm) -> None:
+async def test_after_a_stop_at_the_panel_the_arm_belongs_to_the_panel(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     orders = dashboard_orders(controller)
     controller.control("panel stop")
@@ -207,7 +203,7 @@ async def test_a_stop_at_the_panel_gives_the_arm_away(controller: UrEmulator, ar
 
 
 @pytest.mark.parametrize("press", ["panel play", "panel pause"])
-async def test_a_program_of_somebody_else_is_not_ended(controller: UrEmulator, press: str) -> None:
+async def test_another_program_is_not_ended(controller: UrEmulator, press: str) -> None:
     controller.control("panel play")
     controller.control(press)
     arm = lifting(HOST)
@@ -237,7 +233,7 @@ async def test_the_script_of_a_killed_daemon_ends_by_its_watchdog(controller: Ur
         ("cb3", "silence", "does not answer"),
     ],
 )
-async def test_what_prevents_it_is_said_before_anything_is_touched(
+async def test_obstacles_are_reported_before_ur_rtde_connects(
     series: Literal["e", "cb3"], fault: str, words: str
 ) -> None:
     controller = UrEmulator(UrEmulator.Settings(host=HOST, series=series))
@@ -254,7 +250,7 @@ async def test_what_prevents_it_is_said_before_anything_is_touched(
         await controller.stop()
 
 
-async def test_registers_that_somebody_holds_can_be_kept_clear_of(controller: UrEmulator) -> None:
+async def test_registers_in_use_can_be_avoided(controller: UrEmulator) -> None:
     other = await RtdeConnection.connect("other", HOST)
     await other.claim_inputs(["input_int_register_0"])
     arm = lifting(HOST)
@@ -276,7 +272,7 @@ async def test_without_a_controller_open_names_the_port() -> None:
 
 
 @pytest.mark.realtime
-async def test_a_controller_that_accepts_and_says_nothing_does_not_hold_the_loop(controller: UrEmulator) -> None:
+async def test_a_controller_that_does_not_answer_does_not_block_the_loop(controller: UrEmulator) -> None:
     controller.control("fault silence")
     arm = lifting(HOST)
     loop = asyncio.get_running_loop()
@@ -291,7 +287,7 @@ async def test_a_controller_that_accepts_and_says_nothing_does_not_hold_the_loop
     assert arm._worker.pid is None
 
 
-async def test_who_gives_up_opening_leaves_nothing_behind(controller: UrEmulator) -> None:
+async def test_a_cancelled_open_leaves_nothing_behind(controller: UrEmulator) -> None:
     controller.control("fault silence")
     arm = lifting(HOST)
     with pytest.raises(TimeoutError):

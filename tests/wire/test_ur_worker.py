@@ -13,7 +13,7 @@ HURRIED = "import slipguard_drivers.ur5.motion_worker as worker; worker.CALL_MAX
 RTDE_PORT = 30004
 
 
-def test_a_worker_kept_in_a_call_by_a_silent_controller_ends_though_its_daemon_is_gone() -> None:
+def test_a_worker_blocked_by_a_silent_controller_ends_after_its_daemon() -> None:
     with socket.create_server((own_address(91), RTDE_PORT)) as silent:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         command = [sys.executable, "-P", "-c", HURRIED, str(theirs.fileno()), own_address(91)]

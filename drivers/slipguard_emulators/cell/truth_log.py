@@ -21,7 +21,7 @@ def line_of(truth: WorldTruth) -> dict[str, object]:
         "object": truth.object_name,
         "rotation": round(truth.rotation_deg, 3),
         "slip": round(truth.slip_deg, 3),
-        "slide_mm": round(truth.slip_mm, 3),
+        "slip_mm": round(truth.slip_mm, 3),
         "force": round(truth.force_n, 2),
         "needed": round(truth.needed_force_n, 2),
         "height": round(truth.height_mm, 2),

@@ -59,7 +59,7 @@ async def test_it_asks_for_the_landscape_stream_and_sets_the_leds(sensor: DigitS
     assert sensor.remarks == ()
 
 
-async def test_the_newest_of_what_waits_is_handed_out(sensor: DigitSensor) -> None:
+async def test_the_newest_waiting_frame_is_returned(sensor: DigitSensor) -> None:
     PipeCapture.last.offer(delivery(1), delivery(2, captured_at_s=12.5))
     frame = await sensor.next_frame()
     assert (frame.sequence, frame.captured_at_s) == (2, 12.5)
@@ -68,13 +68,13 @@ async def test_the_newest_of_what_waits_is_handed_out(sensor: DigitSensor) -> No
         await sensor.next_frame()
 
 
-async def test_a_driver_without_monotonic_time_gets_the_time_of_arrival(sensor: DigitSensor) -> None:
+async def test_without_monotonic_time_the_arrival_time_is_used(sensor: DigitSensor) -> None:
     before_s = asyncio.get_running_loop().time()
     PipeCapture.last.offer(delivery(1))
     assert before_s <= (await sensor.next_frame()).captured_at_s <= asyncio.get_running_loop().time()
 
 
-async def test_a_damaged_frame_is_told(sensor: DigitSensor) -> None:
+async def test_a_damaged_frame_is_reported(sensor: DigitSensor) -> None:
     PipeCapture.last.offer(delivery(1), delivery(2, damage="77 bytes instead of 153600"))
     with pytest.raises(FrameCorrupt, match="77 bytes"):
         await sensor.next_frame()
@@ -96,7 +96,7 @@ async def test_an_unplugged_camera_is_lost_and_opened_again(sensor: DigitSensor)
     assert (await sensor.next_frame()).sequence == 1
 
 
-async def test_a_device_in_error_for_ever_does_not_spin_for_ever(sensor: DigitSensor) -> None:
+async def test_a_device_in_permanent_error_is_lost(sensor: DigitSensor) -> None:
     PipeCapture.last.error_for_ever = True
     PipeCapture.last.offer(None)
     with pytest.raises(DeviceLost, match="delivers no frames"):
@@ -111,7 +111,7 @@ async def test_a_device_in_error_for_ever_does_not_spin_for_ever(sensor: DigitSe
         (OSError(errno.EINVAL, "it gives 640x480 MJPG"), "it gives 640x480 MJPG"),
     ],
 )
-async def test_a_camera_that_cannot_be_used_says_why(camera: type[PipeCapture], error: OSError, told: str) -> None:
+async def test_an_unusable_camera_reports_the_reason(camera: type[PipeCapture], error: OSError, told: str) -> None:
     camera.refuses = error
     sensor = digit()
     with pytest.raises(DeviceLost, match=told):
@@ -119,7 +119,7 @@ async def test_a_camera_that_cannot_be_used_says_why(camera: type[PipeCapture], 
     await sensor.close()
 
 
-async def test_a_bus_without_bandwidth_is_told_with_what_to_do(camera: type[PipeCapture]) -> None:
+async def test_missing_bus_bandwidth_is_reported_with_an_action(camera: type[PipeCapture]) -> None:
     camera.refuses_to_start = OSError(errno.ENOSPC, "No space left on device")
     with pytest.raises(DeviceLost, match=r"USB bus 1 .480 Mbit/s. has not enough bandwidth; use a port of another"):
         await digit().open()
@@ -136,7 +136,7 @@ async def test_a_bus_without_bandwidth_is_told_with_what_to_do(camera: type[Pipe
         ([("YUYV", 0)], {}, ("YUYV", 60)),
     ],
 )
-async def test_the_rate_is_had_where_it_is_offered(
+async def test_the_requested_rate_is_used_if_offered(
     camera: type[PipeCapture], offers: list[tuple[str, float]], settings: dict[str, object], chosen: tuple[str, float]
 ) -> None:
     camera.offers = tuple(VideoMode(pixels, 320, 240, fps) for pixels, fps in offers)
@@ -147,7 +147,7 @@ async def test_the_rate_is_had_where_it_is_offered(
     await sensor.close()
 
 
-async def test_a_camera_without_the_format_says_what_it_offers(camera: type[PipeCapture]) -> None:
+async def test_a_camera_without_the_format_lists_its_modes(camera: type[PipeCapture]) -> None:
     camera.offers = (VideoMode("YUYV", 640, 480, 30.0), VideoMode("GREY", 320, 240, 60.0))
     with pytest.raises(
         DeviceLost, match="320x240 YUYV or MJPG is needed, it offers 640x480 YUYV at 30 frames per second, "
@@ -165,7 +165,7 @@ async def test_a_camera_without_the_format_says_what_it_offers(camera: type[Pipe
         ({"zoom_max": 100}, {}, "the LEDs are set to 0x64 instead of 0xfff"),
     ],
 )
-async def test_what_the_camera_gives_instead_is_told(
+async def test_differences_from_the_settings_are_reported(
     camera: type[PipeCapture], device: dict[str, object], settings: dict[str, object], told: str
 ) -> None:
     for name, value in device.items():
@@ -178,7 +178,7 @@ async def test_what_the_camera_gives_instead_is_told(
     assert sensor.remarks == ()
 
 
-async def test_too_few_frames_are_told(sensor: DigitSensor) -> None:
+async def test_too_few_frames_are_reported(sensor: DigitSensor) -> None:
     for number in range(100):
         PipeCapture.last.offer(delivery(number, captured_at_s=1.0 + number / 40.0))
     await sensor.next_frame()
@@ -201,7 +201,7 @@ async def test_old_firmware_has_one_brightness(
     await sensor.close()
 
 
-async def test_jpeg_pictures_are_decoded_and_a_broken_one_told(camera: type[PipeCapture]) -> None:
+async def test_jpeg_images_are_decoded_and_damaged_ones_reported(camera: type[PipeCapture]) -> None:
     camera.offers = (VideoMode("MJPG", 320, 240, 60.0),)
     sensor = digit(stall_ms=2000)
     await sensor.open()
@@ -233,7 +233,7 @@ async def test_while_a_jpeg_is_decoded_only_the_newest_waits(
     await sensor.close()
 
 
-async def test_who_gives_up_opening_leaves_no_device_open(camera: type[PipeCapture]) -> None:
+async def test_a_cancelled_open_leaves_no_device_open(camera: type[PipeCapture]) -> None:
     sensor = digit()
     opening = asyncio.ensure_future(sensor.open())
     await asyncio.sleep(0)
@@ -243,7 +243,7 @@ async def test_who_gives_up_opening_leaves_no_device_open(camera: type[PipeCaptu
     await _until(lambda: (last := getattr(PipeCapture, "last", None)) is not None and last.closed)
 
 
-async def test_without_a_digit_open_says_so_and_close_is_harmless() -> None:
+async def test_without_a_digit_open_fails_and_close_does_nothing() -> None:
     sensor = DigitSensor(DigitSensor.Settings(serial="D00000"), DriverContext("left"))
     with pytest.raises(DeviceLost, match="D00000"):
         await sensor.open()

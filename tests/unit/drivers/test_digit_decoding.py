@@ -20,7 +20,7 @@ def jpeg(width: int = 320, height: int = 240) -> bytes:
 JPEG = jpeg()
 
 
-def test_the_picture_is_turned_counter_clockwise() -> None:
+def test_the_image_is_rotated_counter_clockwise() -> None:
     landscape = np.full((240, 320, 2), 128, np.uint8)
     landscape[:, :, 0] = 16
     landscape[:40, -40:, 0] = 235  # bright at the top right
@@ -32,7 +32,7 @@ def test_the_picture_is_turned_counter_clockwise() -> None:
     assert np.array_equal(portrait, np.rot90(colour, 1))
 
 
-def test_a_jpeg_is_turned_the_same_way() -> None:
+def test_a_jpeg_is_rotated_like_yuyv() -> None:
     plain = cv2.imdecode(np.frombuffer(JPEG, np.uint8), cv2.IMREAD_COLOR)
     assert np.array_equal(decode_jpeg(JPEG), np.rot90(plain, 1))
     assert np.array_equal(decode_jpeg(JPEG + bytes(500)), np.rot90(plain, 1)), "cameras fill up with zeros"
@@ -51,25 +51,25 @@ def test_a_jpeg_is_turned_the_same_way() -> None:
     ],
     ids=["nothing", "text", "cut off", "something behind", "cut in the header", "another size", "no header"],
 )
-def test_what_is_no_whole_picture_is_told(data: bytes, told: str) -> None:
+def test_an_incomplete_image_is_reported(data: bytes, told: str) -> None:
     with pytest.raises(DamagedFrame, match=told):
         decode_jpeg(data)
 
 
 @given(length=st.integers(0, len(JPEG) - 1))
 @settings(max_examples=60, deadline=None)
-def test_no_part_of_a_jpeg_passes_for_the_whole(length: int) -> None:
+def test_an_incomplete_jpeg_is_damaged(length: int) -> None:
     with pytest.raises(DamagedFrame):
         check_jpeg(JPEG[:length])
 
 
 @given(data=st.binary(max_size=200))
 @settings(max_examples=100, deadline=None)
-def test_no_bytes_upset_the_check(data: bytes) -> None:
+def test_the_check_accepts_any_bytes(data: bytes) -> None:
     with pytest.raises(DamagedFrame):
         check_jpeg(b"\xff\xd8" + data)
 
 
-def test_too_few_bytes_are_no_picture() -> None:
+def test_too_few_bytes_are_damaged() -> None:
     with pytest.raises(DamagedFrame, match="100 bytes instead of 153600"):
         decode_yuyv(bytes(100))

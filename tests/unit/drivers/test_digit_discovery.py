@@ -55,32 +55,32 @@ def test_a_digit_is_found_by_its_serial(sysfs: Sysfs) -> None:
 
 
 @pytest.mark.parametrize(("serials", "told"), [(["D20001", "D20002"], "only D20001, D20002; "), ([], "USB cable")])
-def test_a_missing_one_is_told_with_those_there_are(sysfs: Sysfs, serials: list[str], told: str) -> None:
+def test_a_missing_sensor_is_reported_with_the_connected_ones(sysfs: Sysfs, serials: list[str], told: str) -> None:
     for port, serial in enumerate(serials, 1):
         sysfs.plug(f"1-{port}", serial)
     with pytest.raises(DeviceLost, match=told):
         find_digit("D2", "left", sysfs.folder)
 
 
-def test_a_device_that_goes_while_it_is_looked_at_is_not_there(sysfs: Sysfs) -> None:
+def test_a_device_unplugged_during_the_check_is_not_found(sysfs: Sysfs) -> None:
     sysfs.plug("1-1", "D20001")
     for file in (sysfs.root / "devices" / "usb1" / "1-1").glob("id*"):
         file.unlink()
     assert connected_digits(sysfs.folder) == []
 
 
-def test_without_any_camera_there_is_no_such_folder(tmp_path: Path) -> None:
+def test_without_any_camera_none_is_found(tmp_path: Path) -> None:
     assert connected_digits(tmp_path / "nowhere") == []
 
 
-def test_a_firmware_number_that_is_none_counts_as_new(sysfs: Sysfs) -> None:
+def test_an_unreadable_firmware_number_counts_as_new(sysfs: Sysfs) -> None:
     sysfs.plug("1-1", "D20001", release="02a0")
     (found,) = connected_digits(sysfs.folder)
     assert found.firmware is None
     assert found.has_rgb
 
 
-def test_a_camera_that_goes_during_the_look_is_left_out(sysfs: Sysfs, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_unplugged_during_discovery_is_skipped(sysfs: Sysfs, monkeypatch: pytest.MonkeyPatch) -> None:
     """Between two steps of following its links the kernel takes them away."""
     sysfs.plug("1-1", "D20001")
     sysfs.plug("1-2", "D20002")

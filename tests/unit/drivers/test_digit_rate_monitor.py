@@ -25,18 +25,18 @@ def watched(asked_fps: float, made_fps: float, taken_share: float = 1.0, frames:
         (30.0, 0.5, "the camera delivers only"),
     ],
 )
-def test_what_is_missing_is_told(made_fps: float, taken_share: float, told: str | None) -> None:
+def test_missing_frames_are_reported(made_fps: float, taken_share: float, told: str | None) -> None:
     remark = watched(60.0, made_fps, taken_share).remark
     assert remark is None if told is None else remark is not None and told in remark
 
 
-def test_before_the_first_window_nothing_is_known() -> None:
+def test_before_the_first_window_there_is_no_rate() -> None:
     watch = watched(60.0, 20.0, frames=30)
     assert watch.fps is None
     assert watch.remark is None
 
 
-def test_a_remark_goes_when_the_frames_come_again() -> None:
+def test_a_remark_ends_when_the_frames_return() -> None:
     watch = watched(60.0, 20.0)
     assert watch.remark is not None
     for number in range(500):
@@ -45,7 +45,7 @@ def test_a_remark_goes_when_the_frames_come_again() -> None:
     assert watch.fps == pytest.approx(60.0, abs=0.5)
 
 
-def test_a_camera_that_starts_anew_is_measured_anew() -> None:
+def test_a_restarted_camera_restarts_the_measurement() -> None:
     watch = watched(60.0, 60.0)
     for number in range(200):
         watch.note(100.0 + number / 60.0, number)

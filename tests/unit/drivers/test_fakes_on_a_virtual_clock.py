@@ -72,6 +72,6 @@ def test_the_schedule_does_not_drift() -> None:
 
 
 @pytest.mark.parametrize("driver", [FakeSensor, FakeGripper, FakeArm])
-def test_without_a_world_a_fake_names_the_way_out(driver: type[FakeSensor | FakeGripper | FakeArm]) -> None:
+def test_without_a_world_a_fake_says_what_to_do(driver: type[FakeSensor | FakeGripper | FakeArm]) -> None:
     with pytest.raises(ConfigError, match="--sim"):
         driver(driver.Settings(), DriverContext("left"))  # type: ignore[arg-type]

@@ -39,19 +39,19 @@ def stream() -> FrameStream:
     return FrameStream("left", stall_s=0.25)
 
 
-def test_the_newest_wins_and_comes_once(stream: FrameStream) -> None:
+def test_the_newest_frame_wins_and_is_returned_once(stream: FrameStream) -> None:
     for sequence in (1, 2, 3):
         stream.put(image(sequence), 0.1 * sequence, sequence)
     assert outcomes(stream, 2) == [3, DeviceTimeout]
 
 
-def test_a_frame_overtaken_by_a_newer_one_is_left_out(stream: FrameStream) -> None:
+def test_a_frame_older_than_the_last_is_skipped(stream: FrameStream) -> None:
     stream.put(image(5), 0.5, 5)
     stream.put(image(4), 0.4, 4)
     assert outcomes(stream, 2) == [5, DeviceTimeout]
 
 
-def test_a_duplicate_is_left_out_in_silence(stream: FrameStream) -> None:
+def test_a_duplicate_is_skipped(stream: FrameStream) -> None:
     stream.put(image(1), 0.1, 1)
     assert outcomes(stream, 1) == [1]
     stream.put(image(1), 0.2, 2)
@@ -60,7 +60,7 @@ def test_a_duplicate_is_left_out_in_silence(stream: FrameStream) -> None:
     assert outcomes(stream, 1) == [3]
 
 
-def test_what_was_handed_out_does_not_come_again_behind_one_that_was_left_out(stream: FrameStream) -> None:
+def test_a_returned_frame_is_not_returned_again_after_a_skipped_one(stream: FrameStream) -> None:
     stream.put(image(1), 0.1, 1)
     assert outcomes(stream, 1) == [1]
     stream.put(image(2), 0.2, 2)
@@ -78,7 +78,7 @@ def test_repetition_is_a_frozen_camera_until_something_changes(stream: FrameStre
     assert outcomes(stream, 1) == [50]
 
 
-def test_damage_is_told_once(stream: FrameStream) -> None:
+def test_damage_is_reported_once(stream: FrameStream) -> None:
     stream.damaged("half of it is missing")
     assert outcomes(stream, 2) == [FrameCorrupt, DeviceTimeout]
 
@@ -88,12 +88,12 @@ def test_damage_is_told_once(stream: FrameStream) -> None:
     [np.zeros((240, 320, 3), np.uint8), np.zeros((320, 240), np.uint8), np.zeros((320, 240, 3), np.uint16)],
     ids=["landscape", "grey", "16 bit"],
 )
-def test_a_picture_of_another_kind_is_damage(stream: FrameStream, wrong: NDArray[Any]) -> None:
+def test_an_image_of_another_type_is_damaged(stream: FrameStream, wrong: NDArray[Any]) -> None:
     stream.put(wrong, 0.1, 1)
     assert outcomes(stream, 1) == [FrameCorrupt]
 
 
-def test_what_is_lost_stays_lost(stream: FrameStream) -> None:
+def test_a_lost_camera_stays_lost(stream: FrameStream) -> None:
     stream.put(image(1), 0.1, 1)
     stream.lose("it was unplugged")
     stream.put(image(2), 0.2, 2)

@@ -70,7 +70,9 @@ def test_the_manuals_status_of_a_grasp() -> None:
         (0x11, 255, 189, False, False),  # not activated
     ],
 )
-def test_what_may_be_held(flags: int, echo: int, position: int, holds: bool, nothing: bool) -> None:
+def test_states_in_which_an_object_may_be_held(
+    flags: int, echo: int, position: int, holds: bool, nothing: bool
+) -> None:
     status = decode([flags << 8, echo, position << 8])
     assert (status.may_hold, status.closed_on_nothing) == (holds, nothing)
 
@@ -92,13 +94,13 @@ def test_what_may_be_held(flags: int, echo: int, position: int, holds: bool, not
         (0x06, "0x06"),
     ],
 )
-def test_faults_are_words(code: int, told: str | None) -> None:
+def test_faults_are_texts(code: int, told: str | None) -> None:
     fault = decode([0xB900, code << 8 | 255, 0xBD00]).fault
     assert fault is None if told is None else told in (fault or "")
 
 
 @pytest.mark.parametrize("registers", [[], [0xB900, 255], [0xB900, 255, 0x10000], [0xB900, -1, 0]])
-def test_what_is_no_status_is_refused(registers: list[int]) -> None:
+def test_an_invalid_status_is_refused(registers: list[int]) -> None:
     with pytest.raises(DeviceError):
         decode(registers)
 
@@ -117,7 +119,7 @@ def test_the_force_range_of_both_models() -> None:
 
 
 @given(st.floats(min_value=0.0, allow_infinity=False))
-def test_never_less_force_than_asked_for_within_the_limits(force_n: float) -> None:
+def test_the_force_is_never_less_than_requested_within_the_limits(force_n: float) -> None:
     count = force_to_count(force_n, MODEL_2F85)
     applied_n = count_to_force(count, MODEL_2F85)
     if 20.0 <= force_n <= 235.0:
@@ -146,7 +148,7 @@ def test_the_ends_of_the_stroke() -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -1.0])
-def test_what_is_no_number_is_refused(value: float) -> None:
+def test_an_invalid_number_is_refused(value: float) -> None:
     with pytest.raises(CommandRefused):
         force_to_count(value, MODEL_2F85)
     with pytest.raises(CommandRefused):

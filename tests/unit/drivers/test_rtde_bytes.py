@@ -58,7 +58,7 @@ def test_the_emulator_knows_a_wrong_name_and_does_not_start_without_outputs() ->
     assert answered("S", b"", emulated) == b"\x00\x04S\x00"
 
 
-def test_an_input_belongs_to_the_first_who_asks_until_he_goes() -> None:
+def test_an_input_belongs_to_its_first_client_until_it_disconnects() -> None:
     controller = EmulatedController(StraightTool(), lambda event, **details: None)
     first, second = (RtdeSession(controller, (5, 17, 3, 0), 500.0) for _ in range(2))
     names = b"standard_digital_output_mask,input_int_register_0"
@@ -130,7 +130,7 @@ async def test_inputs_are_taken_and_sent_by_their_recipe(served: tuple[list[byte
         (START[0], START[1] + DATA[:4] + b"\x7f\xf8" + DATA[6:], DeviceLost, "a pose that is not finite"),
     ],
 )
-async def test_what_is_no_good_answer_is_told_in_one_line(
+async def test_an_invalid_response_is_reported_in_one_line(
     served: tuple[list[bytes], dict[bytes, bytes]],
     request_: bytes,
     answer: bytes,
@@ -146,7 +146,7 @@ async def test_what_is_no_good_answer_is_told_in_one_line(
         _ = monitor.newest
 
 
-async def test_an_input_in_use_names_who_may_have_it(served: tuple[list[bytes], dict[bytes, bytes]]) -> None:
+async def test_an_input_in_use_names_possible_holders(served: tuple[list[bytes], dict[bytes, bytes]]) -> None:
     served[1][b"\x00\x17Iinput_int_register_0"] = b"\x00\x0aI\x00IN_USE"
     connection = await RtdeConnection.connect("arm", HOST)
     with pytest.raises(CommandRefused, match=r"holds input_int_register_0 .* ROS driver"):
@@ -154,7 +154,7 @@ async def test_an_input_in_use_names_who_may_have_it(served: tuple[list[bytes], 
     connection.close()
 
 
-async def test_outputs_of_another_size_are_told_in_one_line(served: tuple[list[bytes], dict[bytes, bytes]]) -> None:
+async def test_outputs_of_another_size_are_reported_in_one_line(served: tuple[list[bytes], dict[bytes, bytes]]) -> None:
     heard, answers = served
     names = b"standard_digital_output_mask,standard_digital_output"
     recipe = bytes.fromhex("405f400000000000") + b"actual_digital_output_bits"

@@ -39,7 +39,7 @@ def test_low_latency_is_one_flag_and_the_rest_stays(monkeypatch: pytest.MonkeyPa
     assert array.array("i", [0] * serial_port.SERIAL_STRUCT_WORDS).itemsize * serial_port.SERIAL_STRUCT_WORDS >= 72
 
 
-def test_a_port_without_such_a_thing_is_left_alone(terminal: tuple[int, str]) -> None:
+def test_a_port_without_low_latency_stays_unchanged(terminal: tuple[int, str]) -> None:
     serial_port.request_low_latency(terminal[0])
     assert serial_port.latency_timer_ms(terminal[1]) is None
     assert serial_port.slow_adapter(terminal[1]) is None
@@ -55,12 +55,12 @@ def test_claiming_sets_exclusive_use(terminal: tuple[int, str]) -> None:
     fcntl.ioctl(terminal[0], termios.TIOCNXCL)
 
 
-def test_we_are_not_among_those_who_have_it(terminal: tuple[int, str]) -> None:
+def test_our_own_process_is_not_a_holder(terminal: tuple[int, str]) -> None:
     assert serial_port.other_holders(terminal[1]) == set()
     assert serial_port.other_holders("/dev/no_such_port") == set()
 
 
-def test_whoever_locks_it_is_named_by_everybodys_list(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_with_a_lock_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another user's open files cannot be seen, but his locks can."""
     port = tmp_path / "tty"
     port.touch()
@@ -78,7 +78,7 @@ def test_whoever_locks_it_is_named_by_everybodys_list(tmp_path: Path, monkeypatc
     assert serial_port.holders_text({4711}).startswith("minicom (process 4711) has it open; ")
 
 
-def test_files_that_are_open_are_found_and_those_not_to_be_seen_are_not(
+def test_visible_open_files_are_found(
     terminal: tuple[int, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for process in (4711, 4712):

@@ -46,7 +46,7 @@ def test_the_jaws_close_on_the_object_and_tighten(world: World) -> None:
     assert jaws.state_at(6.0).force_n == pytest.approx(80.0, abs=0.9), "the screw loosens nothing"
 
 
-def test_a_halt_keeps_the_force_reached_and_a_drive_goes_on_from_there(world: World) -> None:
+def test_a_halt_keeps_the_force_and_a_drive_continues_from_it(world: World) -> None:
     jaws = WorldJaws(world)
     jaws.drive(0.0, 0.0, 150.0, 40.0)
     jaws.state_at(3.0)
@@ -59,7 +59,7 @@ def test_a_halt_keeps_the_force_reached_and_a_drive_goes_on_from_there(world: Wo
     assert jaws.state_at(6.0).force_n == pytest.approx(120.0, abs=0.9)
 
 
-def test_the_jaws_open_wide_and_let_go(world: World) -> None:
+def test_the_jaws_open_fully(world: World) -> None:
     jaws = WorldJaws(world)
     jaws.drive(0.0, 0.0, 150.0, 40.0)
     jaws.state_at(3.0)
@@ -68,7 +68,7 @@ def test_the_jaws_open_wide_and_let_go(world: World) -> None:
     assert (opened.width_mm, opened.holds) == (85.0, False)
 
 
-def test_the_robots_program_lifts_what_is_held_and_goes_on_after_a_pause() -> None:
+def test_the_robots_program_lifts_and_continues_after_a_pause() -> None:
     world, held = World(), False
     tool = WorldTool(world)
     program = LiftProgram(tool, lambda: held, height_m=0.1, speed_m_s=0.1, wait_s=1.0, stay_s=0.5)
@@ -108,7 +108,7 @@ def test_the_configuration_is_one_that_slipguard_reads(tmp_path: Path, mode: str
     assert config.api.socket == places.api
 
 
-def test_somebody_elses_configuration_is_not_replaced(tmp_path: Path) -> None:
+def test_another_configuration_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "config.toml").write_text("[left]\n")
     with pytest.raises(InputError, match="another folder"):
         CellPaths(tmp_path).make()
@@ -129,7 +129,7 @@ def test_the_cameras_run_at_the_rate_asked_for() -> None:
     assert CellWorld(3, 30.0).camera("left").fps == 30.0
 
 
-async def test_faults_carry_the_name_of_their_part(tmp_path: Path) -> None:
+async def test_faults_start_with_the_name_of_their_part(tmp_path: Path) -> None:
     """Set before its start as well, when there is no folder for a port yet."""
     cell = CellEmulator(CellEmulator.Settings(folder=tmp_path / "cell"))
     assert "until cleared" in cell.control("fault left.stall")

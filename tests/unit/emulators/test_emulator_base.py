@@ -45,7 +45,7 @@ def lamp() -> Lamp:
     return Lamp([])
 
 
-def test_a_fault_without_an_amount_strikes_until_cleared() -> None:
+def test_a_fault_without_an_amount_lasts_until_cleared() -> None:
     plan = FaultPlan(KINDS)
     assert not plan.occurs("late")
     plan.set("late")

@@ -66,7 +66,7 @@ def test_the_header_is_28_bytes_in_the_stated_order() -> None:
 
 
 @given(st.binary(min_size=28, max_size=28))
-def test_any_28_bytes_are_a_header_or_none(raw: bytes) -> None:
+def test_any_28_bytes_are_parsed_or_refused(raw: bytes) -> None:
     try:
         header = parse_header(raw)
     except FrameStreamError:
@@ -88,19 +88,19 @@ def test_any_28_bytes_are_a_header_or_none(raw: bytes) -> None:
         b'{"frames": 1, "serial": "A", "fps": 1e999}\n',
     ],
 )
-async def test_what_does_not_greet_is_no_camera(script: Script, line: bytes) -> None:
+async def test_a_server_without_greeting_is_refused(script: Script, line: bytes) -> None:
     script.lines = [line + b"\n"]
     with pytest.raises(DeviceLost):
         await sensor_at(script.path).open()
 
 
-async def test_a_greeting_without_end_is_given_up(script: Script) -> None:
+async def test_a_greeting_without_end_times_out(script: Script) -> None:
     script.lines = [b"x" * 2_000_000]
     with pytest.raises(DeviceLost):
         await sensor_at(script.path).open()
 
 
-async def test_a_frame_goes_through_unchanged(script: Script) -> None:
+async def test_a_frame_is_transmitted_unchanged(script: Script) -> None:
     script.lines = [GREETING, pack_frame(PICTURE, 5.25, 41)]
     sensor = sensor_at(script.path)
     await sensor.open()
@@ -111,9 +111,7 @@ async def test_a_frame_goes_through_unchanged(script: Script) -> None:
 
 
 @pytest.mark.parametrize("captured_at_s", [math.nan, math.inf])
-async def test_a_time_that_is_none_is_a_damaged_frame_and_the_next_is_fine(
-    script: Script, captured_at_s: float
-) -> None:
+async def test_an_invalid_capture_time_is_a_damaged_frame(script: Script, captured_at_s: float) -> None:
     script.lines = [GREETING, pack_frame(PICTURE, captured_at_s, 1)]
     sensor = sensor_at(script.path)
     await sensor.open()
@@ -123,7 +121,7 @@ async def test_a_time_that_is_none_is_a_damaged_frame_and_the_next_is_fine(
 
 
 @pytest.mark.parametrize("shape", [(240, 320, 3), (320, 240, 1), (1, 1, 3)])
-async def test_a_picture_of_another_size_is_a_damaged_frame(script: Script, shape: tuple[int, int, int]) -> None:
+async def test_an_image_of_another_size_is_a_damaged_frame(script: Script, shape: tuple[int, int, int]) -> None:
     script.lines = [GREETING, pack_frame(np.zeros(shape, np.uint8), 1.0, 1)]
     sensor = sensor_at(script.path)
     await sensor.open()
@@ -133,7 +131,7 @@ async def test_a_picture_of_another_size_is_a_damaged_frame(script: Script, shap
 
 
 @pytest.mark.parametrize("garbage", [bytes(28), b"SGF1" + b"\xff" * 24])
-async def test_a_reader_that_has_lost_its_place_gives_up(script: Script, garbage: bytes) -> None:
+async def test_a_client_that_lost_its_position_disconnects(script: Script, garbage: bytes) -> None:
     script.lines = [GREETING, garbage]
     sensor = sensor_at(script.path)
     await sensor.open()
@@ -142,7 +140,7 @@ async def test_a_reader_that_has_lost_its_place_gives_up(script: Script, garbage
     await sensor.close()
 
 
-async def test_a_camera_has_one_reader(tmp_path: Path) -> None:
+async def test_a_camera_accepts_one_client(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "0.png"), PICTURE)
     server = FrameServer(
         tmp_path / "s.sock", ReplaySensor(ReplaySensor.Settings(path=tmp_path), DriverContext("x")), 60.0

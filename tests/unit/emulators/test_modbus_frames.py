@@ -76,7 +76,7 @@ def test_a_read_is_answered_as_in_the_manual(asked: str, told: str) -> None:
     assert answer + frames.crc16(answer) == bytes.fromhex(told)
 
 
-def test_what_the_manuals_answers_mean() -> None:
+def test_the_manuals_responses_are_decoded() -> None:
     opening, opened, grasped = (decode(words(text)) for text in (OPENING, OPENED, GRASPED))
     assert (opening.motion, opening.position, opening.current_a) == (FingerMotion.MOVING, 0xBB, 0.16)
     assert (opened.motion, opened.position, opened.may_hold) == (FingerMotion.AT_POSITION, 0x0D, False)
@@ -113,20 +113,20 @@ def test_a_single_register_is_written() -> None:
         "09 06 07D0 0000",
     ],
 )
-def test_what_makes_no_sense_is_known(body: str) -> None:
+def test_requests_for_unknown_registers_are_recognized(body: str) -> None:
     raw = bytes.fromhex(body)
     request = frames.parse(raw + frames.crc16(raw))
     assert request is not None
     assert not request.makes_sense
 
 
-def test_a_count_that_contradicts_itself_is_no_request() -> None:
+def test_a_request_with_inconsistent_counts_is_ignored() -> None:
     raw = bytes.fromhex("09 10 03E8 0003 04 0900 0000")
     assert frames.parse(raw + frames.crc16(raw)) is None
 
 
 @given(st.binary(max_size=40))
-def test_noise_is_no_request_and_trips_nobody(data: bytes) -> None:
+def test_noise_is_ignored(data: bytes) -> None:
     size = frames.frame_bytes(data)
     if size and len(data) >= size:
         request = frames.parse(data[:size])

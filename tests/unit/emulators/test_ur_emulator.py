@@ -78,7 +78,7 @@ def test_a_protective_stop_pauses_a_program_and_play_waits_for_its_end() -> None
     assert log == ["started", "safety", "paused", "safety", "resumed"]
 
 
-def test_an_uploaded_script_takes_the_place_of_what_runs() -> None:
+def test_an_uploaded_script_replaces_the_running_program() -> None:
     log = Log()
     controller = EmulatedController(StraightTool(), log)
     controller.play(0.0)
@@ -113,7 +113,7 @@ def test_the_worlds_arm_follows_the_height_of_a_goal() -> None:
     assert START_POSE[2] + 0.05 < tool.pose(3.5)[2] < START_POSE[2] + 0.1
 
 
-async def test_control_words_and_an_address_that_is_taken() -> None:
+async def test_commands_and_an_address_in_use() -> None:
     first, second = (UrEmulator(UrEmulator.Settings(host=HOST)) for _ in range(2))
     await first.start()
     with pytest.raises(InputError, match=f"{HOST}:30004 cannot be listened on"):

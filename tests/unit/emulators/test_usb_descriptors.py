@@ -34,7 +34,7 @@ def test_strings() -> None:
 
 
 @pytest.mark.parametrize("formats", [("YUYV",), ("MJPG",), ("YUYV", "MJPG")])
-def test_the_totals_cover_what_they_are_to_cover(formats: tuple[str, ...]) -> None:
+def test_the_total_lengths_match(formats: tuple[str, ...]) -> None:
     configuration = configuration_descriptor(formats)
     assert int.from_bytes(configuration[2:4], "little") == len(configuration)
     parts = pieces(configuration)
