@@ -273,8 +273,8 @@ def _notes(options: BenchOptions, held: dict[str, HoldingResult]) -> list[str]:
     return [
         (
             f"{grasps} × {objects} rendered grasps of objects that are not in the training images, rotations to ±30° "
-            f"at 60 fps, with changes of force and shear, {sample}; rendered images differ from real ones: use the errors "
-            "to compare pipelines"
+            f"at 60 fps, with changes of force and shear, {sample}; rendered images differ from real ones: use the "
+            "errors to compare pipelines"
         ),
         (
             "estimates: the number of errors; declined frames have none, nor do those of the two plain round objects "

@@ -12,8 +12,8 @@ from slipguard.errors import InputError
 BEGIN, END = "<!-- bench table: begin -->", "<!-- bench table: end -->"
 COLUMNS = (
     "front", "pipeline", "p50", "p99", "skipped", "mean over a grasp", "CPU s per minute", "rotation error", "p95",
-    "worst", "with an axis", "estimates", "declined", "round textured", "round plain declined", "within 1, 2 sigma", "Dice", "IoU",
-    "× 240×320", "× 120×160",
+    "worst", "with an axis", "estimates", "declined", "round textured", "round plain declined", "within 1, 2 sigma",
+    "Dice", "IoU", "× 240×320", "× 120×160",
 )  # fmt: skip
 BRIEF = ("p50", "p99", "grasp", "error", "worst", "declined", "Dice", "× 240×320")
 SIZES = ("240×320", "120×160")

@@ -31,7 +31,7 @@ GRASP_N = 30.0
 def config(container: Container) -> Path:
     """The emulated cell's configuration without its own socket and state folder; where it lies on this side."""
     told = config_text(CELL, mode="lift", host="127.0.0.1", height_mm=60.0, speed_mm_s=60.0).partition("[api]")[0]
-    told = told.replace("[guard]\n", PATIENT_GUARD).replace('.sock"\n', '.sock"\nstall_ms = 1500\n')
+    told = told.replace("[guard]\n", f"{PATIENT_GUARD}[guard]\n").replace('.sock"\n', '.sock"\nstall_ms = 1500\n')
     (container.tree / "srv" / "config.toml").write_text(told)
     return container.tree / "etc" / "slipguard" / "config.toml"
 

@@ -134,7 +134,7 @@ def cell(folder: Path, host: str, *options: object) -> Iterator[Cell]:
 def patient_config(cell: Cell, guard: str = PATIENT_GUARD, stall_ms: int = 1000) -> Path:
     """The cell's configuration, for a machine that runs other tests as well."""
     patient = cell.folder / "patient.toml"
-    text = cell.config.read_text().replace("[guard]\n", guard)
+    text = cell.config.read_text().replace("[guard]\n", f"{guard}[guard]\n")
     patient.write_text(text.replace('.sock"\n', f'.sock"\nstall_ms = {stall_ms}\n', 2))
     return patient
 

@@ -251,6 +251,6 @@ async def test_a_name_in_use_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is not a link"):
         await emulator.start()
     nowhere = RobotiqEmulator(RobotiqEmulator.Settings(link=tmp_path / "no" / "tty"))
-    with pytest.raises(InputError, match="cannot be made"):
+    with pytest.raises(InputError, match="cannot be created"):
         await nowhere.start()
     assert (tmp_path / "file").read_text() == "mine"

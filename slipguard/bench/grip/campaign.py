@@ -1,7 +1,7 @@
-"""The whole campaign: every trial for everybody, some of them through rendered frames as well, and the stable holds.
+"""The campaign: every trial with every controller, some also with rendered frames, and stable holds.
 
-Beside the matrix, as blocks of their own: the support goes away at once; the need is close to the budget, so that one
-step is not enough; and the same with the small budget of something fragile.
+Further blocks of trials: the support is removed at once; the needed force is close to the force limit, so that one
+step is not enough; and the same with the small force limit of a fragile object.
 """
 
 from __future__ import annotations
@@ -10,31 +10,31 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from slipguard.bench.grip.stable_holds import HoldOutcome, StableHold, hold, holds
-from slipguard.bench.grip.trial_run import CONTROLLER_NAMES, ControllerName, TrialOutcome, play
+from slipguard.bench.grip.stable_holds import HoldOutcome, StableHold, holds, run_hold
+from slipguard.bench.grip.trial_run import CONTROLLER_NAMES, ControllerName, TrialOutcome, run_trial
 from slipguard.bench.grip.trials import Block, Event, GripTrial, trials
 from slipguard.tools.parallel import Workers, each
 
 QUICK_TRIALS, FULL_TRIALS = 32, None
 QUICK_RENDERED, FULL_RENDERED = 20, 100
 QUICK_GONE, FULL_GONE = 12, 144
-"""Trials whose support goes away at once."""
+"""Trials in which the support is removed."""
 QUICK_TIGHT, FULL_TIGHT = 8, 144
-"""Trials of high need, and as many of fragile things."""
+"""Trials with a high needed force, and as many with fragile objects."""
 QUICK_MINUTES, FULL_MINUTES = 3.0, 60.0
 HOLD_S = 60.0
 QUICK_RENDERED_HOLDS, FULL_RENDERED_HOLDS = 1, 6
 QUICK_RENDERED_HOLD_S, FULL_RENDERED_HOLD_S = 4.0, 30.0
 SUPPORT_GONE_NUMBERS = 5_000
 TRIAL_CPU_S, TIGHT_CPU_S, RENDERED_CPU_S, HOLD_CPU_S = 0.45, 0.8, 3.0, 2.8
-"""What one of each costs on one core of a shared EPYC machine; a hold is a minute."""
+"""Processor time of each on one core of a shared EPYC server; a hold lasts a minute."""
 RENDERED_HOLD_CPU_S, RENDERED_LIFT_S = 1.5, 4.0
-"""A second of a rendered hold; what comes before it counts as so many."""
+"""Processor time per second of a rendered hold, and the seconds that its lift counts for."""
 
 
 @dataclass(frozen=True, slots=True)
 class CampaignPlan:
-    """What is to be played. minutes: of stable holds."""
+    """Trials and holds to run."""
 
     trials: tuple[GripTrial, ...]
     gone: tuple[GripTrial, ...]
@@ -43,7 +43,7 @@ class CampaignPlan:
 
     @classmethod
     def of(cls, *, quick: bool, seed: int = 0) -> CampaignPlan:
-        """The quick plan, or all of the matrix. The same seed gives the same plan."""
+        """Return the quick plan or the full one. Equal seeds give equal plans."""
         lifted = trials(QUICK_TRIALS if quick else FULL_TRIALS, QUICK_RENDERED if quick else FULL_RENDERED, seed)
         dropped = [
             replace(trial, event="support gone", number=SUPPORT_GONE_NUMBERS + trial.number)
@@ -60,11 +60,11 @@ class CampaignPlan:
 
     @property
     def rendered(self) -> int:
-        """Trials that go through rendered frames and the shipped network."""
+        """Number of trials with rendered frames and the shipped pipeline."""
         return sum(trial.rendered for trial in self.trials)
 
     def seconds(self, workers: Workers) -> float:
-        """About how long it takes on this machine's cores."""
+        """Return the estimated duration on this machine's cores."""
         cores = workers.jobs or os.cpu_count() or 1
         trials_s = TRIAL_CPU_S * (len(self.trials) + len(self.gone)) + TIGHT_CPU_S * len(self.tight)
         seen = [one for one in self.holds if one.rendered]
@@ -75,21 +75,21 @@ class CampaignPlan:
 
 @dataclass(frozen=True, slots=True)
 class TrialOutcomes:
-    """One trial: how it went for everybody with the error model, and for the law through rendered frames."""
+    """Outcomes of one trial by controller, with the error model; and of slipguard with rendered frames."""
 
     trial: GripTrial
     outcomes: dict[ControllerName, TrialOutcome]
     rendered: TrialOutcome | None = None
 
     @property
-    def law(self) -> TrialOutcome:
-        """slipguard's outcome: with rendered frames where there is one."""
-        return self.outcomes["law"] if self.rendered is None else self.rendered
+    def slipguard(self) -> TrialOutcome:
+        """slipguard's outcome, with rendered frames if there is one."""
+        return self.outcomes["slipguard"] if self.rendered is None else self.rendered
 
 
 @dataclass(frozen=True, slots=True)
 class CampaignResult:
-    """All that was played."""
+    """Results of all trials and holds."""
 
     trials: tuple[TrialOutcomes, ...]
     gone: tuple[TrialOutcomes, ...]
@@ -99,10 +99,10 @@ class CampaignResult:
 
 
 def run(plan: CampaignPlan, workers: Workers, progress: Callable[[float], None] = lambda share: None) -> CampaignResult:
-    """Play everything. progress(share done) is called now and then."""
+    """Run everything; progress(share done) is called repeatedly."""
     everything: list[GripTrial | StableHold] = [*plan.trials, *plan.gone, *plan.tight, *plan.holds]
-    items = sorted(everything, key=lambda item: not item.rendered)  # the dear ones first
-    results = list(each(_play, items, workers, named=_named, progress=lambda done: progress(done / len(items))))
+    items = sorted(everything, key=lambda item: not item.rendered)  # slow ones first
+    results = list(each(_run_item, items, workers, named=_describe, progress=lambda done: progress(done / len(items))))
     played = sorted((one for one in results if isinstance(one, TrialOutcomes)), key=lambda one: one.trial.number)
 
     def block(name: Block, event: Event = "lifted") -> tuple[TrialOutcomes, ...]:
@@ -117,12 +117,12 @@ def run(plan: CampaignPlan, workers: Workers, progress: Callable[[float], None] 
     )
 
 
-def _play(item: GripTrial | StableHold) -> TrialOutcomes | HoldOutcome:
+def _run_item(item: GripTrial | StableHold) -> TrialOutcomes | HoldOutcome:
     if isinstance(item, StableHold):
-        return hold(item)
-    outcomes = {who: play(item, who) for who in CONTROLLER_NAMES}
-    return TrialOutcomes(item, outcomes, play(item, "law", rendered=True) if item.rendered else None)
+        return run_hold(item)
+    outcomes = {who: run_trial(item, who) for who in CONTROLLER_NAMES}
+    return TrialOutcomes(item, outcomes, run_trial(item, "slipguard", rendered=True) if item.rendered else None)
 
 
-def _named(item: GripTrial | StableHold) -> str:
+def _describe(item: GripTrial | StableHold) -> str:
     return item.trial.name if isinstance(item, StableHold) else item.name

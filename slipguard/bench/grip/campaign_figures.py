@@ -12,6 +12,7 @@ from slipguard.bench.grip.campaign import CampaignResult, TrialOutcomes
 from slipguard.bench.grip.group_statistics import (
     FLOOR_DEG,
     GELS,
+    JSON_NAMES,
     SHOWN,
     by_first_grip,
     by_gel,
@@ -27,12 +28,12 @@ from slipguard.bench.grip.trial_run import TrialOutcome
 from slipguard.bench.grip.trials import SHARES
 
 FINE_FLOOR_DEG = 0.1
-"""Below this the oracle itself sees nothing; reported beside the other."""
+"""A smaller floor for slip ratios: below it the oracle does not react."""
 
 
 @dataclass(frozen=True, slots=True)
 class ModelAgreement:
-    """Rendered frames against the error model, on the same trials: mean final slip of each, and how far apart."""
+    """Mean final slip with rendered frames and with the error model on the same trials, and their difference."""
 
     count: int
     rendered_deg: float
@@ -42,8 +43,8 @@ class ModelAgreement:
 
 
 def agreement(played: Sequence[TrialOutcomes]) -> ModelAgreement | None:
-    """None without rendered trials. apart: relative difference of the means; differs_deg: median trial by trial."""
-    pairs = [(one.rendered.slip_deg, one.outcomes["law"].slip_deg) for one in played if one.rendered is not None]
+    """Return the agreement; None without rendered trials. apart: of the means, relative; differs_deg: median."""
+    pairs = [(one.rendered.slip_deg, one.outcomes["slipguard"].slip_deg) for one in played if one.rendered is not None]
     if not pairs:
         return None
     rendered, model = np.asarray(pairs).T
@@ -53,22 +54,22 @@ def agreement(played: Sequence[TrialOutcomes]) -> ModelAgreement | None:
 
 
 def as_json(found: CampaignResult) -> dict[str, object]:
-    """All of them. Ratios without a group are over the whole matrix, stiff and soft gels together."""
+    """Return all figures. Ratios outside a group are of the whole matrix, stiff and soft gels together."""
     everything = row("all", found.trials)
-    alike = agreement(found.trials)
+    similar = agreement(found.trials)
     blocks = [found.trials, found.gone, found.high_need, found.fragile]
-    fine = ratios(found.trials, "law", "oracle", FINE_FLOOR_DEG)
+    fine = ratios(found.trials, "slipguard", "oracle", FINE_FLOOR_DEG)
     return {
         "scenarios": len(found.trials),
         "rendered": sum(one.rendered is not None for one in found.trials),
         "drops_avoidable": sum(row("", block).avoidable for block in blocks if block),
         "turn_over_oracle_median": rounded(everything.over_oracle),
         "turn_over_oracle_p95": rounded(everything.over_oracle_p95),
-        "fixed_step_turn_over_ours_median": rounded(everything.fixed_over_law),
+        "fixed_step_turn_over_ours_median": rounded(everything.fixed_over_slipguard),
         "false_tightenings": _false_while_holding(found.holds),
         "force_over_needed_median": rounded(everything.force_over_needed),
         "fixed_step_turn_over_ours_at_0_97": _at_weakest(found.trials),
-        "rendered_against_model": rounded(alike.apart if alike is not None else None),
+        "rendered_against_model": rounded(similar.apart if similar is not None else None),
         "ended_without_need": sum(row("", block).ended for block in blocks if block),
         "holds_failed": sum(one.failed is not None for one in found.holds),
         "slip_floor_deg": FLOOR_DEG,
@@ -87,10 +88,10 @@ def as_json(found: CampaignResult) -> dict[str, object]:
 
 
 def holds_as_json(held: Sequence[HoldOutcome]) -> dict[str, object]:
-    """The stable holds. false: a tightening while nothing slipped; in the lift into the hold, or in the hold itself.
+    """Return the figures of stable holds. false: a tightening without slip, during the hold or during its lift.
 
-    Those in the lift are told, but no promise: as long as the far end lies on its table the turn is that of the lift,
-    whether the gel winds up or slips, and no picture tells one from the other.
+    False tightenings during the lift have no limit: while the far end lies on the table the rotation follows the lift,
+    and no image separates elastic torsion from slip.
     """
     return {
         "count": len(held),
@@ -108,7 +109,7 @@ def _false_while_holding(held: Sequence[HoldOutcome]) -> int:
 
 
 def scenarios(found: CampaignResult) -> dict[str, object]:
-    """Each trial and each hold, for the file beside the picture."""
+    """Return each trial and each hold, for grip.json."""
     played = [*found.trials, *found.gone, *found.high_need, *found.fragile]
     return {
         "trials": [_trial(one) for one in played],
@@ -117,13 +118,13 @@ def scenarios(found: CampaignResult) -> dict[str, object]:
 
 
 def _of_gel(found: CampaignResult, gel: str) -> dict[str, object]:
-    """One gel's figures under the names of those of the whole."""
+    """Return one gel's figures under the same keys as those of the whole."""
     played = of_gel(found.trials, gel)
-    alike = agreement(played)
+    similar = agreement(played)
     held = [one for one in found.holds if one.hold.trial.soft is GELS[gel]]
     return row(gel, played).as_json() | {
         "fixed_step_turn_over_ours_at_0_97": _at_weakest(played),
-        "rendered_against_model": rounded(alike.apart if alike is not None else None),
+        "rendered_against_model": rounded(similar.apart if similar is not None else None),
         "false_tightenings": _false_while_holding(held),
         "holds": holds_as_json(held),
         "by_first_grip": {one.title.removeprefix("grip "): one.as_json() for one in by_first_grip(played)},
@@ -138,13 +139,13 @@ def _block(played: Sequence[TrialOutcomes]) -> dict[str, object] | None:
 
 
 def _at_weakest(played: Sequence[TrialOutcomes]) -> float | None:
-    """Where the first grip lacks least, so that the slip begins slowly."""
-    return rounded(median(ratios([one for one in played if one.trial.share == SHARES[0]], "fixed step", "law")))
+    """Return the fixed step's slip relative to slipguard's at the strongest first grip, where slip starts slowly."""
+    return rounded(median(ratios([one for one in played if one.trial.share == SHARES[0]], "fixed step", "slipguard")))
 
 
 def _trial(one: TrialOutcomes) -> dict[str, object]:
     trial = one.trial
-    told: dict[str, object] = {
+    entry: dict[str, object] = {
         "number": trial.number,
         "block": trial.block,
         "event": trial.event,
@@ -158,10 +159,10 @@ def _trial(one: TrialOutcomes) -> dict[str, object]:
         "gain": round(trial.scenario.gripper.gain, 3),
         "lift_speed_mm_s": round(trial.lift_speed_mm_s, 1),
     }
-    told |= {who.replace(" ", "_"): _outcome(of(one, who)) for who in SHOWN}
+    entry |= {JSON_NAMES[name].replace(" ", "_"): _outcome(of(one, name)) for name in SHOWN}
     if one.rendered is not None:
-        told["law_with_error_model"] = _outcome(one.outcomes["law"])
-    return told
+        entry["law_with_error_model"] = _outcome(one.outcomes["slipguard"])
+    return entry
 
 
 def _outcome(outcome: TrialOutcome) -> dict[str, object]:
@@ -182,16 +183,17 @@ def _hold(held: HoldOutcome) -> dict[str, object]:
     trial = held.hold.trial
     named = {"number": trial.number, "object": trial.item.name, "gel": "soft" if trial.soft else "stiff"}
     plan = {"rendered": held.hold.rendered, "margin": round(held.hold.margin, 3)}
-    return named | plan | {key: value for key, value in asdict(held).items() if key != "hold"}
+    result = {key: value for key, value in asdict(held).items() if key not in ("hold", "elastic_deg", "messages")}
+    return named | plan | result | {"wound_deg": held.elastic_deg, "said": held.messages}
 
 
 GROUPS = ("stiff", "soft", "high need", "fragile")
-"""Looked at beside the whole; they are told, and fail nothing by themselves."""
+"""Groups that are also compared with the limits; they are reported and do not fail the campaign."""
 
 
 @dataclass(frozen=True, slots=True)
 class FigureLimit:
-    """One promise. key: of the figures. at_most or at_least: the one that is not None counts."""
+    """The limit of one figure. key: in the JSON. Either at_most or at_least is set."""
 
     key: str
     title: str
@@ -200,11 +202,11 @@ class FigureLimit:
 
     @property
     def allowed(self) -> str:
-        """In words."""
+        """The limit as text."""
         return f"≤ {self.at_most:g}" if self.at_most is not None else f"≥ {self.at_least:g}"
 
     def holds(self, value: float | None) -> bool:
-        """True also of nothing: there was nothing to compare."""
+        """Return whether a value is within the limit; True for None."""
         if value is None:
             return True
         above = self.at_most is not None and value > self.at_most
@@ -213,21 +215,21 @@ class FigureLimit:
 
 BOUNDS = (
     FigureLimit("drops_avoidable", "avoidable drops", at_most=0),
-    FigureLimit("turn_over_oracle_median", "slip / oracle's, median", at_most=1.25),
-    FigureLimit("turn_over_oracle_p95", "slip / oracle's, p95", at_most=1.6),
-    FigureLimit("fixed_step_turn_over_ours_median", "fixed step's / ours", at_least=1.2),
-    FigureLimit("fixed_step_turn_over_ours_at_0_97", "... gripped at 0.97", at_least=1.5),
-    FigureLimit("false_tightenings", "false, while held", at_most=0),
+    FigureLimit("turn_over_oracle_median", "slip / oracle's slip, median", at_most=1.25),
+    FigureLimit("turn_over_oracle_p95", "slip / oracle's slip, p95", at_most=1.6),
+    FigureLimit("fixed_step_turn_over_ours_median", "fixed step's slip / slip", at_least=1.2),
+    FigureLimit("fixed_step_turn_over_ours_at_0_97", "... first grip 0.97", at_least=1.5),
+    FigureLimit("false_tightenings", "false tightenings", at_most=0),
     FigureLimit("force_over_needed_median", "peak force / needed", at_most=1.6),
-    FigureLimit("rendered_against_model", "rendered / model, apart", at_most=0.15),
-    FigureLimit("ended_without_need", "given up without need", at_most=0),
-    FigureLimit("holds_failed", "holds that failed", at_most=0),
+    FigureLimit("rendered_against_model", "rendered vs. model", at_most=0.15),
+    FigureLimit("ended_without_need", "avoidable stops", at_most=0),
+    FigureLimit("holds_failed", "failed holds", at_most=0),
 )
 
 
 @dataclass(frozen=True, slots=True)
 class LimitCheck:
-    """One promise and what was found: on the whole, and by group where it is known there."""
+    """One limit with the value of all trials and of each group."""
 
     bound: FigureLimit
     value: float | None
@@ -235,11 +237,11 @@ class LimitCheck:
 
     @property
     def held(self) -> bool:
-        """On the whole."""
+        """Whether the value of all trials is within the limit."""
         return self.bound.holds(self.value)
 
     def as_json(self) -> dict[str, object]:
-        """For a program."""
+        """Return the check for the public JSON."""
         return {
             "key": self.bound.key,
             "allowed": self.bound.allowed,
@@ -250,7 +252,7 @@ class LimitCheck:
 
 
 def checks(figures: Mapping[str, Any]) -> list[LimitCheck]:
-    """Every promise, by the figures of `as_json`."""
+    """Return the checks of all limits, from the figures of `as_json`."""
     parts: dict[str, Mapping[str, Any]] = {
         "stiff": figures["by_gel"].get("stiff") or {},
         "soft": figures["by_gel"].get("soft") or {},
@@ -264,18 +266,18 @@ def checks(figures: Mapping[str, Any]) -> list[LimitCheck]:
 
 
 def failures(figures: Mapping[str, Any]) -> list[str]:
-    """The promises that are not kept on the whole, one line each."""
+    """Return one line for each limit that is exceeded by all trials together."""
     return [
-        f"not held: {check.bound.title}: {check.value:g} ({check.bound.allowed})"
+        f"limit exceeded: {check.bound.title} {check.value:g}, the limit is {check.bound.allowed}"
         for check in checks(figures)
         if not check.held
     ]
 
 
 def remarks(figures: Mapping[str, Any]) -> list[str]:
-    """Where a promise that is kept on the whole, or not made of a group, is not kept by the group alone."""
+    """Return one line for each limit that a single group exceeds."""
     return [
-        f"{group} alone: {check.bound.title}: {check.groups[group]:g} ({check.bound.allowed})"
+        f"{group} only: {check.bound.title} {check.groups[group]:g}, the limit is {check.bound.allowed}"
         for check in checks(figures)
         for group in GROUPS
         if not check.bound.holds(check.groups[group])

@@ -1,4 +1,8 @@
-"""A controller in closed loop with the simulated world, event by event on a virtual clock."""
+"""A controller in closed loop with the simulated world, event by event on a virtual clock.
+
+Cameras expose on their schedule. An estimate reaches the controller one latency later. A command is sent at once; the
+world models the time until it acts.
+"""
 
 from __future__ import annotations
 
@@ -28,23 +32,23 @@ from slipguard.perception.estimate import Estimate
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.world import World, WorldTruth
 
-TICK_S = 0.01
+STEP_S = 0.01
 FINGERS = ("left", "right")
 NOTHING = ControlRequest()
-SLIDES_MM_S = 0.5
-"""Truly slipping and going down faster than this is sliding; what is slower ends within a micrometre or so."""
+TRANSLATES_MM_S = 0.5
+"""Above this rate a slipping object translates; slower motion ends within a micrometer."""
 
 
 class FingerModel(Protocol):
-    """One finger's eye. `look` is called at each exposure with what lies before the camera."""
+    """Perception of one finger. `process` is called at each exposure with the view of the camera."""
 
     def reset(self) -> None: ...
 
-    def look(self, view: GelView, captured_at_s: float, sequence: int) -> Estimate: ...
+    def process(self, view: GelView, captured_at_s: float, sequence: int) -> Estimate: ...
 
 
 class GripController(Protocol):
-    """Decides from what is seen. `exposed` is for those that know the truth: called at each exposure."""
+    """Decides on observations. `exposed` gives the truth at each exposure, for controllers that may use it."""
 
     def exposed(self, truth: WorldTruth) -> None: ...
 
@@ -53,12 +57,12 @@ class GripController(Protocol):
 
 @dataclass(slots=True)
 class LoopTrace:
-    """How it went, a sample a tick."""
+    """The course of a run, one sample per control step."""
 
     time_s: list[float] = field(default_factory=list)
     rotation_deg: list[float] = field(default_factory=list)
     slip_deg: list[float] = field(default_factory=list)
-    sliding: list[bool] = field(default_factory=list)
+    translating: list[bool] = field(default_factory=list)
     force_n: list[float] = field(default_factory=list)
     target_n: list[float] = field(default_factory=list)
 
@@ -66,17 +70,23 @@ class LoopTrace:
         self.time_s.append(truth.time_s)
         self.rotation_deg.append(truth.rotation_deg)
         self.slip_deg.append(truth.slip_deg)
-        self.sliding.append(truth.slipping and abs(truth.slip_rate_mm_s) > SLIDES_MM_S)
+        self.translating.append(truth.slipping and abs(truth.slip_rate_mm_s) > TRANSLATES_MM_S)
         self.force_n.append(truth.force_n)
         self.target_n.append(truth.applied_n)
 
 
 @dataclass
 class ClosedLoop:
-    """One run. sights: by finger; perceiving_s: from a frame's arrival to its estimate. now_s: the world's clock.
+    """One run.
 
-    looking: cameras expose only while it is set. blind: whether a finger's frames fail to come at a time. says: what
-    the controller said, with the time. outputs: all with a command or message.
+    Attributes:
+        perceiving_s: Time from the arrival of a frame to its estimate.
+        trip_s: Delay of commands.
+        now_s: The world's clock.
+        exposing: Whether the cameras expose.
+        outage: Returns whether the frames of a finger are lost at a time.
+        outputs: All with a command or message, with their times.
+        messages: Messages of the controller, with their times.
     """
 
     world: World
@@ -86,32 +96,32 @@ class ClosedLoop:
     perceiving_s: float = 0.006
     trip_s: float = 0.0
     now_s: float = 100.0
-    looking: bool = True
-    blind: Callable[[str, float], bool] = lambda finger, now_s: False
+    exposing: bool = True
+    outage: Callable[[str, float], bool] = lambda finger, now_s: False
     outputs: list[tuple[float, StepOutput]] = field(default_factory=list)
-    says: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
     trace: LoopTrace = field(default_factory=LoopTrace)
 
     def __post_init__(self) -> None:
         self._estimates: dict[str, Estimate | None] = dict.fromkeys(FINGERS)
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._order = 0
-        self._tick = 0
+        self._step = 0
         self._start_s = self.now_s
         self._sequence = dict.fromkeys(FINGERS, 0)
         self._reset_s = -math.inf
         self._request = NOTHING
         for finger in FINGERS:
-            self._expose_next(finger)
-        self._tick_next()
+            self._schedule_exposure(finger)
+        self._schedule_step()
 
     def ask(self, request: ControlRequest) -> None:
-        """Hand a request to the controller, now."""
+        """Pass a request to the controller now."""
         self._request = request
         self._decide()
 
     def until(self, done: Callable[[], bool], limit_s: float) -> bool:
-        """Run until `done` (asked after each event) or for so long; whether it was done."""
+        """Run until `done`, checked after each event, or for `limit_s`; return whether it was done."""
         end_s = self.now_s + limit_s
         while self._events[0][0] <= end_s:
             self.now_s, _, action = heapq.heappop(self._events)
@@ -122,51 +132,51 @@ class ClosedLoop:
         return False
 
     def wait(self, seconds: float) -> None:
-        """Run for so long."""
+        """Run for a time."""
         self.until(lambda: False, seconds)
 
     def later(self, when_s: float, action: Callable[[], None]) -> None:
-        """Do something at a time."""
+        """Schedule an action."""
         self._order += 1
         heapq.heappush(self._events, (max(when_s, self.now_s), self._order, action))
 
     def truth(self) -> WorldTruth:
-        """What really happens now."""
+        """Return the simulated truth now."""
         return self.world.truth(self.now_s)
 
-    # What happens by itself.
+    def _schedule_step(self) -> None:
+        self._step += 1
+        self.later(self._start_s + self._step * STEP_S, self._on_step)
 
-    def _tick_next(self) -> None:
-        self._tick += 1
-        self.later(self._start_s + self._tick * TICK_S, self._on_tick)
-
-    def _on_tick(self) -> None:
-        self._tick_next()
+    def _on_step(self) -> None:
+        self._schedule_step()
         self._decide()
         self.trace.add(self.world.truth(self.now_s))
 
-    def _expose_next(self, finger: str) -> None:
+    def _schedule_exposure(self, finger: str) -> None:
         self._sequence[finger] += 1
         due_s = self._start_s + self._sequence[finger] / self.world.camera(finger).fps
         self.later(due_s, lambda: self._expose(finger))
 
     def _expose(self, finger: str) -> None:
-        self._expose_next(finger)
-        if not self.looking:
+        self._schedule_exposure(finger)
+        if not self.exposing:
             return
         if finger == FINGERS[0]:
             self.controller.exposed(self.world.truth(self.now_s))
         camera = self.world.camera(finger)
-        if self.rng.random() < camera.drop_probability or self.blind(finger, self.now_s):
+        if self.rng.random() < camera.drop_probability or self.outage(finger, self.now_s):
             return
         limit_s = 0.4 / camera.fps
         stamp_s = self.now_s + min(max(float(self.rng.normal(0.0, camera.jitter_s)), -limit_s), limit_s)
         view = self.world.view(finger, self.now_s)
-        estimate = self.fingers[finger].look(view, stamp_s, self._sequence[finger])
+        estimate = self.fingers[finger].process(view, stamp_s, self._sequence[finger])
         exposed_s = self.now_s
-        self.later(self.now_s + camera.latency_s + self.perceiving_s, lambda: self._told(finger, exposed_s, estimate))
+        self.later(
+            self.now_s + camera.latency_s + self.perceiving_s, lambda: self._receive(finger, exposed_s, estimate)
+        )
 
-    def _told(self, finger: str, exposed_s: float, estimate: Estimate) -> None:
+    def _receive(self, finger: str, exposed_s: float, estimate: Estimate) -> None:
         if exposed_s >= self._reset_s:
             self._estimates[finger] = estimate
             self._decide()
@@ -183,10 +193,10 @@ class ClosedLoop:
             arm=self.world.arm_state(self.now_s),
             request=request,
         )
-        self._obey(self.controller.decide(observation))
+        self._apply(self.controller.decide(observation))
 
     def _fresh(self, finger: str) -> tuple[Estimate | None, FingerHealth]:
-        """As the daemon has it: a finger whose newest frame is old says nothing. One that has not begun is well."""
+        """Return estimate and health as the daemon does: no estimate if it is stale; healthy before the first frame."""
         estimate = self._estimates[finger]
         if estimate is None:
             return None, FingerHealth()
@@ -194,11 +204,11 @@ class ClosedLoop:
         stale = age_s > STALE_S
         return None if stale else estimate, FingerHealth(Condition.STALE if stale else Condition.FRESH, age_s)
 
-    def _obey(self, output: StepOutput) -> None:
+    def _apply(self, output: StepOutput) -> None:
         if output != StepOutput(fault=output.fault):
             self.outputs.append((self.now_s, output))
         if output.text:
-            self.says.append(f"{self.now_s - self._start_s:.3f} {output.text}")
+            self.messages.append(f"{self.now_s - self._start_s:.3f} {output.text}")
         if output.new_reference:
             self._reset_s = self.now_s
             for finger in FINGERS:

@@ -1,4 +1,4 @@
-"""Who may hold the object: slipguard's law, nobody, a fixed step as the field does it, and one that sees the truth."""
+"""The controllers that are compared: slipguard's, no guard, a fixed step, and an oracle that knows the truth."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from slipguard.sim.world import WorldTruth
 
 STEP = 1.10
 STEP_ABOVE_DEG = 5.0
-"""The fixed step: 10 % of the present force more, each frame in which the turn is above this."""
+"""The fixed step increases the force by 10 % at each frame with a rotation above this."""
 ORACLE_ABOVE_DEG = 0.1
-"""Slip smaller than this has not begun."""
+"""From this slip on the oracle tightens."""
 ORACLE_TIMES = 1.5
-CALM_DEG, CALM_S = 1.0, 0.3
-"""An arm that was stopped goes on when nothing has moved by more than this for so long: as the law does it."""
+SETTLED_DEG, SETTLE_S = 1.0, 0.3
+"""A stopped arm continues after a rotation below this for this time, as with slipguard's controller."""
 REACHED_MM = 0.5
 
 
 @dataclass(slots=True)
 class SlipguardController:
-    """slipguard's own: supervisor and law together."""
+    """slipguard's supervisor and controller."""
 
     params: GuardParams
     state: ControlState = field(default_factory=ControlState)
 
     def exposed(self, truth: WorldTruth) -> None:
-        """Does not look."""
+        """Ignore the truth."""
 
     def decide(self, observation: Observation) -> StepOutput:
         self.state, output = control_step(self.state, observation, self.params)
@@ -37,9 +37,9 @@ class SlipguardController:
 
 @dataclass(slots=True)
 class UnguardedController:
-    """Grips once, as told, and lifts, as told; the arm waits while `pauses` and goes on when all is calm.
+    """Grips and lifts as requested. Subclasses tighten; the arm then pauses until the object has settled.
 
-    goal_mm, speed_mm_s: of the lift. still_deg: the turn that has lasted since still_s.
+    goal_mm, speed_mm_s: of the lift. still_deg: rotation since still_s.
     """
 
     target_n: float = 0.0
@@ -49,7 +49,7 @@ class UnguardedController:
     still_s: float = 0.0
 
     def exposed(self, truth: WorldTruth) -> None:
-        """Does not look."""
+        """Ignore the truth."""
 
     def decide(self, observation: Observation) -> StepOutput:
         request = observation.request
@@ -63,32 +63,32 @@ class UnguardedController:
         if more_n is not None:
             self.target_n, self.still_s = more_n, observation.now_s
             return StepOutput(HoldForce(more_n), StopArm())
-        return StepOutput(arm=self._go_on(observation))
+        return StepOutput(arm=self._continue_lift(observation))
 
     def more_n(self, observation: Observation) -> float | None:
-        """The force to tighten to now, above `target_n`; None for none."""
+        """Return the force to tighten to, above `target_n`; None to keep the force."""
         return None
 
-    def _go_on(self, observation: Observation) -> LiftArm | None:
-        """An arm that stands below its goal goes on when neither object nor gripper has moved for a while."""
+    def _continue_lift(self, observation: Observation) -> LiftArm | None:
+        """Return the rest of the lift if the arm has stopped early and object and gripper have settled."""
         rotation_deg = observation.fused.rotation_deg if observation.fused is not None else None
         moves = observation.gripper is None or observation.gripper.moving or rotation_deg is None
-        if moves or abs((rotation_deg or 0.0) - self.still_deg) > CALM_DEG:
+        if moves or abs((rotation_deg or 0.0) - self.still_deg) > SETTLED_DEG:
             self.still_deg, self.still_s = rotation_deg or 0.0, observation.now_s
         if (
             self.goal_mm is None
             or observation.arm is None
             or observation.arm.moving
-            or observation.now_s - self.still_s < CALM_S
+            or observation.now_s - self.still_s < SETTLE_S
         ):
             return None
-        way_mm = self.goal_mm - observation.arm.height_mm
-        return LiftArm(way_mm, self.speed_mm_s) if way_mm > REACHED_MM else None
+        rest_mm = self.goal_mm - observation.arm.height_mm
+        return LiftArm(rest_mm, self.speed_mm_s) if rest_mm > REACHED_MM else None
 
 
 @dataclass(slots=True)
 class FixedStep(UnguardedController):
-    """Each new frame in which the turn is above 5 degrees: ten per cent more, up to `force_max_n`."""
+    """Increases the force by 10 % at each new frame with a rotation above 5 degrees, up to `force_max_n`."""
 
     force_max_n: float = 130.0
     captured_s: float = -1.0
@@ -105,9 +105,9 @@ class FixedStep(UnguardedController):
 
 @dataclass(slots=True)
 class Oracle(UnguardedController):
-    """Knows the true slip of each frame one latency later, the force needed and the gripper's gain: one command.
+    """Knows the true slip one latency later, the needed force and the gripper's gain; it needs one command.
 
-    latency_s: from exposure to its decision.
+    latency_s: from exposure to the decision.
     """
 
     latency_s: float = 0.0

@@ -1,4 +1,7 @@
-"""Statistics of a group of trials."""
+"""Statistics of a group of trials.
+
+Slips are compared as ratios; a slip below `FLOOR_DEG` counts as this, because a ratio of two tiny slips has no meaning.
+"""
 
 from __future__ import annotations
 
@@ -15,17 +18,28 @@ from slipguard.control.params import GuardParams
 
 FLOOR_DEG = 0.5
 GELS = {"stiff": False, "soft": True}
-SHOWN: tuple[ControllerName, ...] = ("law", "oracle", "fixed step", "nobody")
+JSON_NAMES: dict[ControllerName, str] = {
+    "slipguard": "law",
+    "oracle": "oracle",
+    "fixed step": "fixed step",
+    "unguarded": "nobody",
+}
+"""Keys of the controllers in the public JSON."""
+SHOWN: tuple[ControllerName, ...] = ("slipguard", "oracle", "fixed step", "unguarded")
 
 
 @dataclass(frozen=True, slots=True)
 class GripRow:
-    """Some trials together. slips: median true slip at the end, degrees; drops: by who. Ratios: medians but p95.
+    """Statistics of some trials. Ratios and times are medians unless named otherwise; None without values.
 
-    arrested: seconds from the first slip to the last, of the trials in which the law stopped a slip. steps: forces
-    commanded after the first grip. early: share of the trials in which the law tightened before anything had slipped.
-    avoidable: drops that a guard with this gripper could have prevented; ended: trials that ended in a fault or below
-    the goal without need. None: nothing to compare.
+    Attributes:
+        slips_deg: Median true slip at the end by controller; drops: their number by controller.
+        avoidable: Drops that a guard with this gripper could have prevented.
+        ended: Trials that ended in a fault or below the goal although the force limit was sufficient.
+        over_oracle: slipguard's slip relative to the oracle's; fixed_over_slipguard: the fixed step's to slipguard's.
+        arrested_s: Time from the first slip to the last, where slipguard stopped a slip.
+        steps_median: Forces commanded after the first grip.
+        early: Share of trials in which slipguard tightened before any slip.
     """
 
     title: str
@@ -36,7 +50,7 @@ class GripRow:
     ended: int
     over_oracle: float | None
     over_oracle_p95: float | None
-    fixed_over_law: float | None
+    fixed_over_slipguard: float | None
     force_over_needed: float
     arrested_s: float | None
     arrested_max_s: float | None
@@ -45,16 +59,16 @@ class GripRow:
     early: float
 
     def as_json(self) -> dict[str, object]:
-        """The same for a program."""
+        """Return the statistics for the public JSON."""
         return {
             "scenarios": self.count,
-            "slip_deg_median": {who: round(slip_deg, 3) for who, slip_deg in self.slips_deg.items()},
-            "drops": dict(self.drops),
+            "slip_deg_median": {JSON_NAMES[name]: round(slip_deg, 3) for name, slip_deg in self.slips_deg.items()},
+            "drops": {JSON_NAMES[name]: count for name, count in self.drops.items()},
             "drops_avoidable": self.avoidable,
             "ended_without_need": self.ended,
             "turn_over_oracle_median": rounded(self.over_oracle),
             "turn_over_oracle_p95": rounded(self.over_oracle_p95),
-            "fixed_step_turn_over_ours_median": rounded(self.fixed_over_law),
+            "fixed_step_turn_over_ours_median": rounded(self.fixed_over_slipguard),
             "force_over_needed_median": rounded(self.force_over_needed),
             "arrest_s_median": rounded(self.arrested_s),
             "arrest_s_max": rounded(self.arrested_max_s),
@@ -65,54 +79,58 @@ class GripRow:
 
 
 def row(title: str, played: Sequence[TrialOutcomes]) -> GripRow:
-    """The figures of some trials, of one at least."""
-    over = ratios(played, "law", "oracle")
-    arrests = [one.law.arrested_s for one in played if one.law.arrested_s is not None and one.law.dropped is None]
-    steps = [one.law.tightenings for one in played]
+    """Return the statistics of at least one trial."""
+    over = ratios(played, "slipguard", "oracle")
+    arrests = [
+        one.slipguard.arrested_s
+        for one in played
+        if one.slipguard.arrested_s is not None and one.slipguard.dropped is None
+    ]
+    steps = [one.slipguard.tightenings for one in played]
     return GripRow(
         title=title,
         count=len(played),
         slips_deg={who: float(np.median([of(one, who).slip_deg for one in played])) for who in SHOWN},
         drops={who: sum(of(one, who).dropped is not None for one in played) for who in SHOWN},
-        avoidable=sum(dropped_for_nothing(one) for one in played),
-        ended=sum(ended_for_nothing(one) for one in played),
+        avoidable=sum(avoidable_drop(one) for one in played),
+        ended=sum(avoidable_end(one) for one in played),
         over_oracle=median(over),
         over_oracle_p95=float(np.quantile(over, 0.95)) if over else None,
-        fixed_over_law=median(ratios(played, "fixed step", "law")),
-        force_over_needed=float(np.median([one.law.force_over_needed for one in played])),
+        fixed_over_slipguard=median(ratios(played, "fixed step", "slipguard")),
+        force_over_needed=float(np.median([one.slipguard.force_over_needed for one in played])),
         arrested_s=median(arrests),
         arrested_max_s=max(arrests, default=None),
         steps_median=float(np.median(steps)),
         steps_max=max(steps),
-        early=sum(one.law.early for one in played) / len(played),
+        early=sum(one.slipguard.early for one in played) / len(played),
     )
 
 
 def by_first_grip(played: Sequence[TrialOutcomes]) -> list[GripRow]:
-    """One for each first grip there is."""
+    """Return the statistics for each first grip."""
     parts = [(f"grip {share:.2f}", [one for one in played if one.trial.share == share]) for share in SHARES]
     return [row(title, part) for title, part in parts if part]
 
 
 def by_gel(played: Sequence[TrialOutcomes]) -> list[GripRow]:
-    """One for each gel there is."""
+    """Return the statistics for each gel."""
     return [row(f"{gel} gel", part) for gel in GELS if (part := of_gel(played, gel))]
 
 
 def of_gel(played: Sequence[TrialOutcomes], gel: str) -> list[TrialOutcomes]:
-    """Those on one gel."""
+    """Return the trials on one gel."""
     return [one for one in played if one.trial.soft is GELS[gel]]
 
 
 def of(one: TrialOutcomes, who: ControllerName) -> TrialOutcome:
-    """How it went for one; for the law with rendered frames where there are some."""
-    return one.law if who == "law" else one.outcomes[who]
+    """Return the outcome of one controller; that of slipguard with rendered frames if there is one."""
+    return one.slipguard if who == "slipguard" else one.outcomes[who]
 
 
 def ratios(
     played: Iterable[TrialOutcomes], upper: ControllerName, lower: ControllerName, floor_deg: float = FLOOR_DEG
 ) -> list[float]:
-    """Slip of one over slip of the other, trial by trial; without those that either dropped."""
+    """Return slip ratios of two controllers by trial, without trials that either dropped."""
     pairs = [(of(one, upper), of(one, lower)) for one in played]
     return [
         max(a.slip_deg, floor_deg) / max(b.slip_deg, floor_deg)
@@ -121,38 +139,40 @@ def ratios(
     ]
 
 
-def dropped_for_nothing(one: TrialOutcomes) -> bool:
-    """The law lost it, though the force needed is within the budget.
+def avoidable_drop(one: TrialOutcomes) -> bool:
+    """Return whether slipguard dropped the object although the needed force is within the force limit.
 
-    Where the support goes at once only if the oracle, with the same gripper, kept it: some are gone before any motor
-    can act.
+    If the support was removed, the oracle must have held it: some objects fall before any motor can act.
     """
-    return any(law.dropped is not None for law in _laws(one)) and not _beyond_help(one)
+    return any(one_outcome.dropped is not None for one_outcome in _slipguard_outcomes(one)) and not _unavoidable(one)
 
 
-def ended_for_nothing(one: TrialOutcomes) -> bool:
-    """The law ended in a fault, or never lifted it as high as told, though the force needed is within the budget.
+def avoidable_end(one: TrialOutcomes) -> bool:
+    """Return whether slipguard ended in a fault or too low although the needed force is within the force limit.
 
-    Where the support goes at once only if the oracle's turn stayed within what the law gives up at.
+    If the support was removed, the oracle's rotation must have stayed below slipguard's limit.
     """
-    ended = any(law.dropped is None and (law.fault is not None or not law.up) for law in _laws(one))
-    return ended and not _beyond_help(one, GuardParams().tuning.rotation_max_deg)
+    ended = any(
+        one_outcome.dropped is None and (one_outcome.fault is not None or not one_outcome.up)
+        for one_outcome in _slipguard_outcomes(one)
+    )
+    return ended and not _unavoidable(one, GuardParams().tuning.rotation_max_deg)
 
 
-def _beyond_help(one: TrialOutcomes, rotation_deg: float = math.inf) -> bool:
+def _unavoidable(one: TrialOutcomes, rotation_deg: float = math.inf) -> bool:
     oracle = one.outcomes["oracle"]
     return one.trial.event == "support gone" and (oracle.dropped is not None or oracle.rotation_deg > rotation_deg)
 
 
-def _laws(one: TrialOutcomes) -> list[TrialOutcome]:
-    return [one.outcomes["law"], *([] if one.rendered is None else [one.rendered])]
+def _slipguard_outcomes(one: TrialOutcomes) -> list[TrialOutcome]:
+    return [one.outcomes["slipguard"], *([] if one.rendered is None else [one.rendered])]
 
 
 def median(values: Sequence[float]) -> float | None:
-    """None of nothing."""
+    """Return the median; None without values."""
     return float(np.median(values)) if values else None
 
 
 def rounded(value: float | None) -> float | None:
-    """To three digits."""
+    """Return the value with three decimals."""
     return None if value is None else round(value, 3)

@@ -23,16 +23,20 @@ from slipguard.sim.scenario import FrameDelivery
 from slipguard.sim.sensor_unit import LightChange, random_unit
 
 REFERENCE_FRAMES = 5
-"""So many frames of a stable contact make a reference."""
+"""Frames of a stable contact until the reference is taken."""
 SHIFT_NOISE_MM = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class PerceptionErrors:
-    """How one object is seen. noise_deg: of a frame. bias_per_deg: one standard deviation of the error over the turn.
+    """Errors of the pipeline on one object.
 
-    bias_deg: one standard deviation of an error that comes with the first degree of motion and stays.
-    sigma_deg: what the estimate says of itself. declined: share of the frames without a turn.
+    Attributes:
+        noise_deg: Standard deviation of the noise of a frame.
+        bias_per_deg: Standard deviation of the relative error, drawn once per grasp.
+        bias_deg: Standard deviation of an offset that appears with the first degree of motion, drawn once per grasp.
+        sigma_deg: Sigma of the estimates.
+        declined: Share of declined frames.
     """
 
     noise_deg: float = 0.03
@@ -44,27 +48,27 @@ class PerceptionErrors:
 
 @dataclass(frozen=True, slots=True)
 class RotationDrift:
-    """What a slow change of the light does to a turn: to and fro by `deg` with this period and phase."""
+    """Error by a slow change of the light: a sine of amplitude `deg` with this period and phase."""
 
     deg: float = 0.0
     period_s: float = 30.0
     phase: float = 0.0
 
     def at(self, now_s: float) -> float:
-        """Degrees at a time."""
+        """Return the error in degrees."""
         return self.deg * math.sin(2.0 * math.pi * (now_s / self.period_s) + self.phase)
 
 
 @dataclass(frozen=True, slots=True)
 class RotationOutliers:
-    """Single frames that are off by `deg`: the first one captured at or after each of these times, in their order."""
+    """Error of `deg` in single frames: the first frame captured at or after each of these times, in order."""
 
     times_s: Sequence[float] = ()
     deg: float = 0.0
 
 
 class ModeledFinger:
-    """One finger of one trial. Same calls as `RenderedSight`."""
+    """One finger in one trial: the truth plus errors that were fitted to estimates of rendered grasps."""
 
     def __init__(self, error: PerceptionErrors, rng: np.random.Generator, drift: RotationDrift | None = None) -> None:
         self._error, self._rng, self._drift = error, rng, drift or RotationDrift()
@@ -76,29 +80,29 @@ class ModeledFinger:
         self._reference: tuple[float, float, float] | None = None
 
     def reset(self) -> None:
-        """The next stable contact is the new reference."""
+        """Take the next stable contact as the reference."""
         self._reference = None
         self._areas.clear()
 
-    def err_at(self, outliers: RotationOutliers) -> None:
-        """From now on these frames are off."""
+    def add_outliers(self, outliers: RotationOutliers) -> None:
+        """Set the frames with errors."""
         self._off = deque((time_s, outliers.deg) for time_s in outliers.times_s)
 
-    def look(self, view: GelView, captured_at_s: float, sequence: int) -> Estimate:
-        """What the pipeline might say of the frame exposed now."""
+    def process(self, view: GelView, captured_at_s: float, sequence: int) -> Estimate:
+        """Return an estimate of the frame exposed now."""
         contact = view.depth_mm > 0.0 and view.object_name != ""
         plain = Estimate(sequence, captured_at_s, captured_at_s, contact, 4000 if contact else 0, "model")
         if not contact:
             self._areas.clear()
             return plain
         self._areas.append(view.depth_mm)
-        seen_deg = view.angle_deg + float(self._rng.normal(0.0, self._error.noise_deg)) + self._drift.at(captured_at_s)
+        noisy_deg = view.angle_deg + float(self._rng.normal(0.0, self._error.noise_deg)) + self._drift.at(captured_at_s)
         if self._off and captured_at_s >= self._off[0][0]:
-            seen_deg += self._off.popleft()[1]
+            noisy_deg += self._off.popleft()[1]
         if self._reference is None:
             if len(self._areas) < REFERENCE_FRAMES:
                 return plain
-            self._reference = (view.angle_deg, seen_deg - view.angle_deg, view.y_mm)
+            self._reference = (view.angle_deg, noisy_deg - view.angle_deg, view.y_mm)
             self._tracker.start(captured_at_s)
         start_deg, start_error_deg, start_y_mm = self._reference
         true_deg = view.angle_deg - start_deg
@@ -108,7 +112,7 @@ class ModeledFinger:
                 sequence, captured_at_s, captured_at_s, True, 4000, "model", shift_mm=shift_mm, declined="too uncertain"
             )
         moved = math.tanh(true_deg)
-        rotation_deg = seen_deg - start_deg - start_error_deg + self._bias_per_deg * true_deg + self._bias_deg * moved
+        rotation_deg = noisy_deg - start_deg - start_error_deg + self._bias_per_deg * true_deg + self._bias_deg * moved
         rotation = self._tracker.accept(captured_at_s, RotationEstimate(rotation_deg, self._error.sigma_deg))
         return Estimate(
             sequence,
@@ -141,14 +145,11 @@ PERCEPTION_ERRORS: dict[str, PerceptionErrors] = {
 
 
 LIGHT_LEVELS_S = 0.3
-"""The light drifts by so many grey levels a second."""
+"""Drift of the light in gray levels per second."""
 
 
 class RenderedFinger:
-    """One finger of one trial: draws what it would see and puts it through the real pipeline.
-
-    unit_seed: which sensor unit. The drawing takes place at the moment of exposure, the answer is the pipeline's own.
-    """
+    """One finger in one trial: renders each frame and runs the shipped pipeline on it. unit_seed: sensor unit."""
 
     def __init__(self, unit_seed: int, delivery: FrameDelivery) -> None:
         unit = random_unit(np.random.default_rng(unit_seed))
@@ -160,11 +161,11 @@ class RenderedFinger:
         )
 
     def reset(self) -> None:
-        """The next stable contact is the new reference."""
+        """Take the next stable contact as the reference."""
         self._pipeline.reset_reference()
 
-    def look(self, view: GelView, captured_at_s: float, sequence: int) -> Estimate:
-        """What the pipeline says of the frame exposed now."""
+    def process(self, view: GelView, captured_at_s: float, sequence: int) -> Estimate:
+        """Return the pipeline's estimate of the frame exposed now."""
         if self._began_s is None:
             self._began_s = captured_at_s
         levels = LIGHT_LEVELS_S * (captured_at_s - self._began_s)
@@ -175,5 +176,5 @@ class RenderedFinger:
 
 @lru_cache(maxsize=1)
 def segmenter() -> Segmenter:
-    """The shipped network, read once a process."""
+    """Return the shipped network, loaded once per process."""
     return Segmenter()

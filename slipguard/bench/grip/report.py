@@ -1,4 +1,4 @@
-"""The campaign's tables and its picture."""
+"""Tables and plot of a campaign."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from slipguard.bench.grip.group_statistics import (
     of_gel,
     row,
 )
-from slipguard.bench.grip.trial_run import HIGH_MM, ControllerName, TrialOutcome, play
+from slipguard.bench.grip.trial_run import HIGH_MM, ControllerName, TrialOutcome, run_trial
 from slipguard.bench.grip.trials import FRAGILE_MAX_N, SHARES, TIGHT_SHARES
-from slipguard.tools import plotting as drawings
+from slipguard.tools import plotting
 
-COLOURS: dict[ControllerName, str] = {
-    "law": "tab:blue",
+COLORS: dict[ControllerName, str] = {
+    "slipguard": "tab:blue",
     "oracle": "tab:green",
     "fixed step": "tab:orange",
-    "nobody": "tab:gray",
+    "unguarded": "tab:gray",
 }
 NAMES: dict[ControllerName, str] = {
-    "law": "slipguard",
+    "slipguard": "slipguard",
     "oracle": "oracle",
     "fixed step": "fixed step",
-    "nobody": "no guard",
+    "unguarded": "no guard",
 }
 
 
@@ -51,13 +51,13 @@ def _ratio(value: float | None) -> str:
 
 
 SLIP: dict[str, Callable[[GripRow], str]] = {
-    "slip": lambda one: f"{one.slips_deg['law']:.1f}°",
+    "slip": lambda one: f"{one.slips_deg['slipguard']:.1f}°",
     "oracle": lambda one: f"{one.slips_deg['oracle']:.1f}°",
     "fixed": lambda one: f"{one.slips_deg['fixed step']:.1f}°",
-    "none": lambda one: f"{one.slips_deg['nobody']:.1f}°",
+    "no guard": lambda one: f"{one.slips_deg['unguarded']:.1f}°",
     "/oracle": lambda one: _ratio(one.over_oracle),
     "p95": lambda one: _ratio(one.over_oracle_p95),
-    "fixed/": lambda one: _ratio(one.fixed_over_law),
+    "fixed/": lambda one: _ratio(one.fixed_over_slipguard),
 }
 GRIP: dict[str, Callable[[GripRow], str]] = {
     "force": lambda one: _ratio(one.force_over_needed),
@@ -65,49 +65,49 @@ GRIP: dict[str, Callable[[GripRow], str]] = {
     "steps": lambda one: f"{one.steps_median:g}/{one.steps_max}",
     "early": lambda one: f"{100 * one.early:.0f}%",
     "dropped": lambda one: "/".join(str(one.drops[who]) for who in SHOWN),
-    "given up": lambda one: str(one.ended),
+    "stopped": lambda one: str(one.ended),
 }
 
 
 def print_tables(console: Console, found: CampaignResult) -> None:
-    """For people; two narrow tables for one wide one where the terminal is narrow."""
-    blocks = [(f"lifted too weakly gripped: {len(found.trials)} trials", _all_rows(found.trials))]
+    """Print the tables; on a narrow terminal two narrow ones instead of a wide one."""
+    blocks = [(f"lifts with a grip that is too weak: {len(found.trials)} trials", _all_rows(found.trials))]
     tight = [*_split("high need", found.high_need), *_split("fragile", found.fragile)]
     if tight:
         count, most_n = len(found.high_need) + len(found.fragile), FRAGILE_MAX_N
         low, high = TIGHT_SHARES
-        title = f"need {low:g} to {high:g} of the budget (fragile: {most_n:g} N), lifted {HIGH_MM:g} mm: {count} trials"
+        title = f"needed force {low:g} to {high:g} of the limit (fragile: {most_n:g} N), lift {HIGH_MM:g} mm: {count}"
         blocks.append((title, tight))
     if found.gone:
-        blocks.append((f"the support goes away at once: {len(found.gone)} trials", _split("", found.gone)))
+        blocks.append((f"support removed: {len(found.gone)} trials", _split("", found.gone)))
     for title, lines in blocks:
         parts = [SLIP, GRIP] if console.width < WIDE else [SLIP | GRIP]
         for columns in parts:
             console.print(_table(title if columns is parts[0] else "", lines, columns))
-    figures, alike = as_json(found), agreement(found.trials)
-    if alike is not None:
+    figures, similar = as_json(found), agreement(found.trials)
+    if similar is not None:
         console.print(
-            f"rendered frames against the error model, the same {alike.count} trials: mean slip "
-            f"{alike.rendered_deg:.2f}° and {alike.model_deg:.2f}°, {100 * alike.apart:.0f} % apart; "
-            f"median difference {alike.differs_deg:.2f}°"
+            f"rendered frames and error model on the same {similar.count} trials: mean slip "
+            f"{similar.rendered_deg:.2f}° and {similar.model_deg:.2f}°, difference {100 * similar.apart:.0f} %; "
+            f"median difference of a trial {similar.differs_deg:.2f}°"
         )
-    console.print(_said_of_holds(found, figures))
+    console.print(_holds_text(found, figures))
     console.print(
-        "slip: true turn at the end less the gel's wind-up, median; ratios of slips trial by trial, "
-        f"less than {FLOOR_DEG:g}° counted as that; force: highest true over needed; arrest: from the first slip to "
-        "the last, median; steps: forces commanded after the first, median/most; early: tightened before any slip; "
-        "dropped: slipguard/oracle/fixed step/no guard; given up: in a fault or too low, though the budget sufficed",
+        "slip: true rotation at the end without elastic torsion, median; ratios of slips by trial, "
+        f"with at least {FLOOR_DEG:g}°; force: largest true over needed force; arrest: from the first slip to the "
+        "last, median; steps: forces commanded after the first, median/maximum; early: tightened before any slip; "
+        "dropped: slipguard/oracle/fixed step/no guard; stopped: in a fault or too low although the limit sufficed",
         style="dim",
     )
-    console.print(_verdict(figures))
+    console.print(_limits_table(figures))
     for line in remarks(figures):
         console.print(line, style="yellow")
     if not failures(figures):
-        console.print("held on the whole" + (", not everywhere: see above" if remarks(figures) else ""))
+        console.print("all limits are kept" + (", not in every group: see above" if remarks(figures) else ""))
 
 
 def _all_rows(played: Sequence[TrialOutcomes]) -> list[GripRow]:
-    """By first grip and all together: of all gels, then of each."""
+    """Return rows by first grip and of all: for all gels, then for each."""
     found = [*by_first_grip(played), row("all", played)]
     for gel in GELS:
         some = of_gel(played, gel)
@@ -118,7 +118,7 @@ def _all_rows(played: Sequence[TrialOutcomes]) -> list[GripRow]:
 
 
 def _split(title: str, played: Sequence[TrialOutcomes]) -> list[GripRow]:
-    """By gel and all together."""
+    """Return rows by gel and of all."""
     rows = [*by_gel(played), row("all", played)] if played else []
     return [_titled(one, f"{title}, {one.title}" if title else one.title) for one in rows]
 
@@ -127,13 +127,13 @@ def _titled(one: GripRow, title: str) -> GripRow:
     return replace(one, title=title)
 
 
-def _said_of_holds(found: CampaignResult, figures: dict[str, Any]) -> str:
+def _holds_text(found: CampaignResult, figures: dict[str, Any]) -> str:
     held = figures["holds"]
     text = (
-        f"stable holds, {held['count']} of {held['minutes']} minutes in all, {held['rendered']} of them rendered: "
-        f"{held['false_while_holding']} tightenings after the lift while nothing slipped, "
-        f"{held['false_while_lifted']} in the lifts into them, as the gel wound up; "
-        f"{held['tightened_while_slipping']} while something did slip"
+        f"{held['count']} stable holds, {held['minutes']} minutes in total, {held['rendered']} with rendered frames: "
+        f"{held['false_while_holding']} tightenings without slip after the lift, "
+        f"{held['false_while_lifted']} during the lift, when the gel winds up; "
+        f"{held['tightened_while_slipping']} while the object slipped"
     )
     failed = [f"{one.hold.trial.name}: {one.failed}" for one in found.holds if one.failed is not None]
     return "; ".join([text, *failed])
@@ -146,9 +146,9 @@ def _table(title: str, lines: list[GripRow], columns: dict[str, Callable[[GripRo
     return table
 
 
-def _verdict(figures: dict[str, Any]) -> Table:
-    """Every promise: what is allowed, and what was found on the whole and by group."""
-    table = _plain("promised", ("", "allowed", "all", *GROUPS, "held"))
+def _limits_table(figures: dict[str, Any]) -> Table:
+    """Return a table of the limits, with the values of all trials and of each group."""
+    table = _plain("limits", ("", "limit", "all", *GROUPS, "kept"))
     for check in checks(figures):
         values = [check.value, *(check.groups[group] for group in GROUPS)]
         shown = ["–" if value is None else f"{value:.3g}" for value in values]
@@ -166,32 +166,32 @@ def _plain(title: str, heads: Sequence[str]) -> Table:
 
 
 def draw(found: CampaignResult, path: Path) -> None:
-    """Slip against first grip for everybody, and one arrest over time."""
-    drawing = drawings.figure(13.0, 5.0)
-    left, right = drawing.subfigures(1, 2, squeeze=False)[0]
+    """Plot slip against first grip for all controllers, and one trial over time."""
+    figure = plotting.figure(13.0, 5.0)
+    left, right = figure.subfigures(1, 2, squeeze=False)[0]
     _scatter(left.subplots(), found)
     shown = [one.trial for one in found.trials if one.trial.share == SHARES[1] and not one.trial.soft]
     if shown:
         upper, lower = right.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-        _arrest(upper, lower, {who: play(shown[0], who, traced=True) for who in COLOURS}, shown[0].needed_n)
+        _arrest(upper, lower, {who: run_trial(shown[0], who, traced=True) for who in COLORS}, shown[0].needed_n)
         upper.set_title(shown[0].name, fontsize=9)
-    drawings.save(drawing, path)
+    plotting.save(figure, path)
 
 
 def _scatter(axes: Any, found: CampaignResult) -> None:
-    """A dot for a trial on a stiff gel, a cross for one on a soft gel."""
-    for k, who in enumerate(COLOURS):
+    """Plot a dot for a trial on a stiff gel, a cross for one on a soft gel."""
+    for k, who in enumerate(COLORS):
         for soft, marker in ((False, "."), (True, "x")):
             played = [one for one in found.trials if one.trial.soft is soft]
             x = np.asarray([one.trial.share + 0.012 * (k - 1.5) for one in played])
             y = np.asarray([of(one, who).slip_deg for one in played])
             label = None if soft else NAMES[who]
-            axes.plot(x, np.maximum(y, 0.01), marker, ms=4, alpha=0.5, color=COLOURS[who], label=label)
+            axes.plot(x, np.maximum(y, 0.01), marker, ms=4, alpha=0.5, color=COLORS[who], label=label)
     axes.set_yscale("log")
-    axes.set_xlabel("first grip / grip needed (crosses: soft gel)")
+    axes.set_xlabel("first grip force / needed force (crosses: soft gel)")
     axes.set_ylabel("true slip at the end / °")
     axes.grid(alpha=0.3)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(COLOURS), fontsize=8)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(COLORS), fontsize=8)
 
 
 def _arrest(upper: Any, lower: Any, outcomes: dict[ControllerName, TrialOutcome], needed_n: float) -> None:
@@ -200,8 +200,8 @@ def _arrest(upper: Any, lower: Any, outcomes: dict[ControllerName, TrialOutcome]
         if trace is None:
             continue
         time_s = np.asarray(trace.time_s) - trace.time_s[0]
-        upper.plot(time_s, np.abs(trace.slip_deg), color=COLOURS[who], label=NAMES[who])
-        lower.plot(time_s, trace.force_n, color=COLOURS[who])
+        upper.plot(time_s, np.abs(trace.slip_deg), color=COLORS[who], label=NAMES[who])
+        lower.plot(time_s, trace.force_n, color=COLORS[who])
     lower.axhline(needed_n, color="black", lw=0.8, ls="--")
     upper.set_ylabel("true slip / °")
     lower.set_ylabel("force / N")

@@ -1,4 +1,9 @@
-"""Stable holds: disturbances that twist the gel but do not move the object. Every tightening is a false one."""
+"""Stable holds: the gel twists but the object does not slip, so that every tightening is a false one.
+
+Each hold starts with a lift, in which the gel winds up under the weight. Then, for minutes, the arm starts and stops,
+vibrates, the object is touched, the light drifts, single frames have errors, and a finger's frames are lost. The grip
+is firm.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +16,7 @@ import numpy as np
 from slipguard.bench.grip.closed_loop import FINGERS, ClosedLoop, FingerModel, LoopTrace
 from slipguard.bench.grip.controllers import SlipguardController
 from slipguard.bench.grip.perception_models import ModeledFinger, RenderedFinger, RotationDrift, RotationOutliers
-from slipguard.bench.grip.trial_run import chances, grip, model_sight, world_of
+from slipguard.bench.grip.trial_run import delivery_rng, grip, modeled_finger, world_of
 from slipguard.bench.grip.trials import PERCEIVING_S, GripTrial, trials
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
@@ -21,33 +26,33 @@ from slipguard.sim.friction import GRAVITY_M_S2
 SHAKE_M_S2 = (0.05, 0.3)
 SHAKE_HZ = (8.0, 25.0)
 TOUCH_SHARE = 0.06
-"""A passing touch: so much of the weight more, for a moment."""
+"""Additional load by a short touch, relative to the weight."""
 TOUCH_S = (0.1, 0.4)
 TOUCH_EVERY_S = 15.0
 DRIFT_DEG = 0.15
 DRIFT_S = (20.0, 60.0)
 OUTLIER_DEG = 0.6
-"""A single frame in which both fingers tell the same turn that is none: a smear or flicker that both cameras share."""
+"""Error of a single frame in both fingers, such as a flicker that both cameras share."""
 OUTLIER_EVERY_S = 12.0
 OUTAGE_S = (0.05, 0.8)
 OUTAGE_EVERY_S = 20.0
-"""One finger's frames fail to come for a while; the other one sees."""
+"""Time in which one finger's frames are lost."""
 
 
 def drift(rng: np.random.Generator) -> RotationDrift:
-    """What a slow change of the light does to one finger's turns."""
+    """Return the rotation error by a slow change of the light."""
     return RotationDrift(DRIFT_DEG, float(rng.uniform(*DRIFT_S)), float(rng.uniform(0.0, 2.0 * math.pi)))
 
 
 def outliers(rng: np.random.Generator, from_s: float, seconds: float) -> dict[str, RotationOutliers]:
-    """By finger: the same moments and the same turn of the object, which has opposite signs in their pictures."""
+    """Return by finger the errors of the same frames, with opposite image signs."""
     times_s = sorted(from_s + float(rng.uniform(0.0, seconds)) for _ in range(_count(seconds, OUTLIER_EVERY_S)))
     deg = float(rng.choice((-1.0, 1.0))) * OUTLIER_DEG
     return {finger: RotationOutliers(times_s, sign * deg) for finger, sign in zip(FINGERS, (1.0, -1.0), strict=True)}
 
 
 def outages(rng: np.random.Generator, from_s: float, seconds: float) -> Callable[[str, float], bool]:
-    """When which finger's frames fail to come."""
+    """Return a function: whether a finger's frames are lost at a time."""
     each = [
         (str(rng.choice(FINGERS)), from_s + float(rng.uniform(0.0, seconds)), float(rng.uniform(*OUTAGE_S)))
         for _ in range(_count(seconds, OUTAGE_EVERY_S))
@@ -56,7 +61,7 @@ def outages(rng: np.random.Generator, from_s: float, seconds: float) -> Callable
 
 
 def shaking(rng: np.random.Generator, from_s: float, seconds: float) -> Callable[[float], float]:
-    """The arm's vibration all the time, and now and then a passing touch: acceleration by time, m/s2, up."""
+    """Return the acceleration over time in m/s², upwards: vibration of the arm, and touches."""
     amplitude, hz = float(rng.uniform(*SHAKE_M_S2)), float(rng.uniform(*SHAKE_HZ))
     touches = [
         (from_s + float(rng.uniform(0.0, seconds)), float(rng.uniform(*TOUCH_S)), float(rng.choice((-1.0, 1.0))))
@@ -78,28 +83,25 @@ def _count(seconds: float, every_s: float) -> int:
 
 
 MARGIN = (1.25, 2.0)
-"""True force over the force needed."""
+"""True force relative to the needed force."""
 PAUSE_S = (1.0, 6.0)
 WAY_MM = (5.0, 60.0)
 SPEED_MM_S = (20.0, 150.0)
 LIFT_MM, HIGH_MM = 100.0, 150.0
 STOPPED_SHARE = 0.3
-"""Of the arm's motions, so many are stopped on the way."""
+"""Share of arm motions that are stopped early."""
 SETTLE_S = 0.6
 STEP_S = 2e-3
 LIFTS_WITHIN_S = 8.0
 HOLD_NUMBERS, RENDERED_NUMBERS = 10_000, 11_000
-TRULY_DEG = 0.1
-LATELY_S = 2.0
-"""Less true slip than this in so long a time (or since the last tightening, or the grip), and no sliding: nothing
-slips."""
+SLIP_DEG = 0.1
+RECENT_S = 2.0
+"""Without translation and below this true slip in this time (or since the last tightening), nothing slips."""
 
 
 @dataclass(frozen=True, slots=True)
 class StableHold:
-    """One hold to be played. seconds: after the lift. margin: true force over needed. rendered: through drawn frames
-    and the shipped network.
-    """
+    """One hold. seconds: after the lift. margin: true force over needed force. rendered: with the shipped pipeline."""
 
     trial: GripTrial
     margin: float
@@ -109,9 +111,13 @@ class StableHold:
 
 @dataclass(frozen=True, slots=True)
 class HoldOutcome:
-    """How it went. tightenings: after the lift; lifting: during it. false: those of both at which nothing slipped;
-    false_lifting: of these, those during the lift. slip_deg, wound_deg: true, at the end. failed: why it was no hold,
-    or none to its end.
+    """Result of a hold.
+
+    Attributes:
+        tightenings: Tightenings after the lift; lifting: during it.
+        false: Those of both without slip; false_lifting: of these, during the lift.
+        slip_deg: True slip at the end; elastic_deg: true elastic torsion.
+        failed: Why the object was not held to the end; None if it was.
     """
 
     hold: StableHold
@@ -121,13 +127,13 @@ class HoldOutcome:
     false_lifting: int
     seconds: float
     slip_deg: float
-    wound_deg: float
+    elastic_deg: float
     failed: str | None = None
-    said: tuple[str, ...] = ()
+    messages: tuple[str, ...] = ()
 
 
 def holds(minutes: float, seed: int = 0, each_s: float = 60.0, *, rendered: bool = False) -> list[StableHold]:
-    """So many minutes of holds in all, over every object, both gels and every latency."""
+    """Return holds of `minutes` in total, over every object, both gels and every latency."""
     rng = np.random.default_rng([seed, 37 if rendered else 31])
     count = max(round(60.0 * minutes / each_s), 1)
     base = trials(count, 0, seed + (8 if rendered else 7))
@@ -138,15 +144,15 @@ def holds(minutes: float, seed: int = 0, each_s: float = 60.0, *, rendered: bool
     ]
 
 
-def hold(plan: StableHold, params: GuardParams | None = None) -> HoldOutcome:
-    """Play one; the same hold gives the same answer."""
+def run_hold(plan: StableHold, params: GuardParams | None = None) -> HoldOutcome:
+    """Run a hold; equal holds give equal results."""
     params = params or GuardParams()
     params = params.model_copy(update={"tuning": params.tuning.model_copy(update={"probe_height_mm": 0.0})})
     trial = plan.trial
     rng = np.random.default_rng([trial.number, 17])
     world = world_of(trial, STEP_S)
     controller = SlipguardController(params)
-    loop = ClosedLoop(world, controller, _sights(plan, rng), chances(trial), PERCEIVING_S)
+    loop = ClosedLoop(world, controller, _fingers(plan, rng), delivery_rng(trial), PERCEIVING_S)
     grip(loop, min(plan.margin * trial.needed_n / trial.scenario.gripper.gain, params.force_max_n))
     loop.wait(SETTLE_S + trial.latency_s)
     lifted_s = loop.now_s
@@ -171,52 +177,52 @@ def hold(plan: StableHold, params: GuardParams | None = None) -> HoldOutcome:
     return _held(plan, loop, lifted_s, begun_s, None if fault is None else str(fault))
 
 
-def _sights(plan: StableHold, rng: np.random.Generator) -> dict[str, FingerModel]:
+def _fingers(plan: StableHold, rng: np.random.Generator) -> dict[str, FingerModel]:
     trial = plan.trial
     if plan.rendered:
         deliveries = (trial.scenario.left, trial.scenario.right)
         return {f: RenderedFinger(2 * trial.number + k, deliveries[k]) for k, f in enumerate(FINGERS)}
-    return {finger: model_sight(trial, k, drift(rng)) for k, finger in enumerate(FINGERS)}
+    return {finger: modeled_finger(trial, k, drift(rng)) for k, finger in enumerate(FINGERS)}
 
 
 def _disturb(loop: ClosedLoop, rng: np.random.Generator, seconds: float) -> None:
     loop.world.shake(loop.now_s, shaking(rng, loop.now_s, seconds))
     off = outliers(rng, loop.now_s, seconds)
-    for finger, sight in loop.fingers.items():
-        if isinstance(sight, ModeledFinger):
-            sight.err_at(off[finger])
-    loop.blind = outages(rng, loop.now_s, seconds)
+    for name, finger in loop.fingers.items():
+        if isinstance(finger, ModeledFinger):
+            finger.add_outliers(off[name])
+    loop.outage = outages(rng, loop.now_s, seconds)
 
 
 def _held(plan: StableHold, loop: ClosedLoop, lifted_s: float, begun_s: float, failed: str | None) -> HoldOutcome:
     truth = loop.truth()
-    told = [at_s for at_s, output in loop.outputs if output.hold_force_n is not None and at_s > lifted_s]
-    wrong = _for_nothing(told, loop.trace, lifted_s)
+    tightened_s = [at_s for at_s, output in loop.outputs if output.hold_force_n is not None and at_s > lifted_s]
+    wrong = _false_tightenings(tightened_s, loop.trace, lifted_s)
     return HoldOutcome(
         hold=plan,
-        tightenings=sum(at_s >= begun_s for at_s in told),
-        lifting=sum(at_s < begun_s for at_s in told),
+        tightenings=sum(at_s >= begun_s for at_s in tightened_s),
+        lifting=sum(at_s < begun_s for at_s in tightened_s),
         false=len(wrong),
         false_lifting=sum(at_s < begun_s for at_s in wrong),
         seconds=loop.now_s - begun_s,
         slip_deg=abs(truth.slip_deg),
-        wound_deg=abs(truth.elastic_deg),
+        elastic_deg=abs(truth.elastic_deg),
         failed=failed if truth.dropped is None else f"dropped: {truth.dropped}",
-        said=tuple(loop.says),
+        messages=tuple(loop.messages),
     )
 
 
-def _for_nothing(told_s: list[float], trace: LoopTrace, from_s: float) -> list[float]:
-    """Those of the tightenings shortly before which the object had truly neither slipped nor slid, nor since the last.
+def _false_tightenings(tightened_s: list[float], trace: LoopTrace, from_s: float) -> list[float]:
+    """Return the tightenings without a true slip or translation shortly before and since the last tightening.
 
-    A slip that was answered, or is long over, is no reason for another.
+    An earlier slip does not justify a second tightening.
     """
-    times_s, slips_deg, slides = np.asarray(trace.time_s), np.asarray(trace.slip_deg), np.asarray(trace.sliding)
+    times_s, slips_deg, translates = np.asarray(trace.time_s), np.asarray(trace.slip_deg), np.asarray(trace.translating)
     found = []
-    for at_s in told_s:
-        since = (times_s >= max(from_s, at_s - LATELY_S)) & (times_s <= at_s)
-        slipped = since.any() and np.ptp(slips_deg[since]) >= TRULY_DEG
-        if not (slipped or slides[since].any()):
+    for at_s in tightened_s:
+        since = (times_s >= max(from_s, at_s - RECENT_S)) & (times_s <= at_s)
+        slipped = since.any() and np.ptp(slips_deg[since]) >= SLIP_DEG
+        if not (slipped or translates[since].any()):
             found.append(at_s)
         from_s = at_s
     return found

@@ -26,27 +26,27 @@ CLOSING_MAX_S = 6.0
 
 
 def world_of(trial: GripTrial, step_s: float = 1e-3) -> World:
-    """The object lies between jaws that are a little wider."""
+    """Return a world with the object between open jaws."""
     settings = WorldSettings(step_s=step_s, start_width_mm=trial.item.width_mm + ROOM_MM)
     world = World(settings, seed=trial.number, lookup=lambda name: trial.item)
     world.place(trial.scenario, START_S)
     return world
 
 
-def model_sight(trial: GripTrial, finger: int, drift: RotationDrift | None = None) -> ModeledFinger:
-    """A finger that errs as the shipped pipeline does on this object."""
+def modeled_finger(trial: GripTrial, finger: int, drift: RotationDrift | None = None) -> ModeledFinger:
+    """Return a finger with the errors of the shipped pipeline on this object."""
     error = PERCEPTION_ERRORS.get(trial.item.name, PerceptionErrors())
     return ModeledFinger(error, np.random.default_rng([trial.number, finger]), drift)
 
 
-def chances(trial: GripTrial) -> np.random.Generator:
-    """Of lost frames and inexact stamps: the same for everybody who plays the trial."""
+def delivery_rng(trial: GripTrial) -> np.random.Generator:
+    """Return the generator for lost frames and time stamps, equal for all controllers of a trial."""
     return np.random.default_rng([trial.number, 9])
 
 
 def grip(loop: ClosedLoop, force_n: float) -> None:
-    """Close the jaws and wait until they are firm; the cameras look from then on."""
-    loop.looking = False
+    """Close the jaws until the grip is firm; the cameras expose from then on."""
+    loop.exposing = False
     loop.ask(ControlRequest(RequestKind.GRASP, force_n=force_n))
 
     def firm() -> bool:
@@ -54,33 +54,38 @@ def grip(loop: ClosedLoop, force_n: float) -> None:
         return state.holding and not state.moving
 
     assert loop.until(firm, CLOSING_MAX_S), "the jaws did not close"
-    loop.looking = True
+    loop.exposing = True
 
 
-ControllerName = Literal["law", "nobody", "fixed step", "oracle"]
-CONTROLLER_NAMES: tuple[ControllerName, ...] = ("law", "fixed step", "oracle", "nobody")
+ControllerName = Literal["slipguard", "unguarded", "fixed step", "oracle"]
+CONTROLLER_NAMES: tuple[ControllerName, ...] = ("slipguard", "fixed step", "oracle", "unguarded")
 QUIET_S = 0.7
-"""Between the grip and what happens then: the fingers take their reference and the law learns how still it is."""
+"""Time after the grip in which the fingers take their reference and the controller measures the noise at rest."""
 AFTERWARDS_S = 3.0
 LIFT_MM, HIGH_MM = 60.0, 150.0
-"""How far the arm lifts; higher where the need is high: clear of the table, where nothing but the grip holds."""
+"""Height of a lift, and of a lift with a high need, which must leave the table."""
 STILL_DEG_S = 0.5
 STILL_FOR_S = 0.35
-"""A trial is over when the object has been at rest for so long beyond one latency."""
+"""A trial ends when the object has been at rest for this time plus one latency."""
 SLIPPED_DEG = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class TrialOutcome:
-    """How one trial went for one controller.
+    """Result of one trial with one controller.
 
-    slip_deg: true slip at the end, turn less wind-up; rotation_deg: largest true turn. arrested_s: from the first slip to
-    the last; None without slip. tightenings: forces commanded after the grip. early: the first of them before any slip.
-    trace: where asked for. fault: of the law, at the end. up: the arm has lifted the object as high as it was told to;
-    of a support that went away, True.
+    Attributes:
+        slip_deg: True slip at the end: rotation without elastic torsion.
+        rotation_deg: Largest true rotation.
+        arrested_s: Time from the first to the last slip; None without slip.
+        tightenings: Forces commanded after the grip.
+        early: Whether the first of them preceded any slip.
+        fault: Fault of the controller at the end.
+        up: Whether the object was lifted to the requested height; True if the support was removed.
+        trace: The course of the run, if requested.
     """
 
-    who: ControllerName
+    controller: ControllerName
     slip_deg: float
     rotation_deg: float
     force_n: float
@@ -91,120 +96,120 @@ class TrialOutcome:
     dropped: str | None
     fault: str | None = None
     up: bool = True
-    says: tuple[str, ...] = ()
+    messages: tuple[str, ...] = ()
     trace: LoopTrace | None = None
 
     @property
     def force_over_needed(self) -> float:
-        """Highest true force over the force needed."""
+        """Largest true force relative to the needed force."""
         return self.force_n / self.needed_n
 
 
-def play(
+def run_trial(
     trial: GripTrial,
-    who: ControllerName,
+    controller: ControllerName,
     *,
     rendered: bool = False,
     traced: bool = False,
     params: GuardParams | None = None,
 ) -> TrialOutcome:
-    """Play it; the same trial gives the same outcome. rendered: through drawn frames and the shipped network."""
-    loop = _loop(trial, who, rendered, trial_params(params or GuardParams(), trial))
+    """Run a trial; equal trials give equal outcomes. rendered: with rendered frames and the shipped pipeline."""
+    loop = _loop(trial, controller, rendered, trial_params(params or GuardParams(), trial))
     grip(loop, trial.first_n)
     loop.wait(QUIET_S + trial.latency_s + 6.0 / trial.fps)
     begun_s = loop.now_s
-    _happen(loop, trial)
-    _watch(loop, trial)
-    return _outcome(loop, trial, who, begun_s, traced)
+    _disturb(loop, trial)
+    _run_to_rest(loop, trial)
+    return _outcome(loop, trial, controller, begun_s, traced)
 
 
 def trial_params(params: GuardParams, trial: GripTrial) -> GuardParams:
-    """The parameters with the trial's budget, for a lift that begins at full speed."""
-    told = {
+    """Return the parameters with the trial's force limit, for a lift that starts at full speed."""
+    changed = {
         "force_max_n": trial.force_max_n,
         "no_estimate_force_n": min(params.no_estimate_force_n, trial.force_max_n),
         "tuning": params.tuning.model_dump() | {"probe_height_mm": 0.0},
     }
-    return GuardParams.model_validate(params.model_dump() | told)
+    return GuardParams.model_validate(params.model_dump() | changed)
 
 
 def lift_mm(trial: GripTrial) -> float:
-    """How far it is lifted."""
+    """Return the height of the lift."""
     return LIFT_MM if trial.block == "matrix" else HIGH_MM
 
 
-def _loop(trial: GripTrial, who: ControllerName, rendered: bool, params: GuardParams) -> ClosedLoop:
+def _loop(trial: GripTrial, name: ControllerName, rendered: bool, params: GuardParams) -> ClosedLoop:
     deliveries = {"left": trial.scenario.left, "right": trial.scenario.right}
     fingers: dict[str, FingerModel] = {
-        finger: RenderedFinger(2 * trial.number + k, deliveries[finger]) if rendered else model_sight(trial, k)
+        finger: RenderedFinger(2 * trial.number + k, deliveries[finger]) if rendered else modeled_finger(trial, k)
         for k, finger in enumerate(FINGERS)
     }
     camera_s = deliveries["left"].latency_s + PERCEIVING_S
     controller: SlipguardController | UnguardedController
-    if who == "law":
+    if name == "slipguard":
         controller = SlipguardController(params)
-    elif who == "fixed step":
+    elif name == "fixed step":
         controller = FixedStep(force_max_n=params.force_max_n)
-    elif who == "oracle":
+    elif name == "oracle":
         gain = trial.scenario.gripper.gain
         controller = Oracle(latency_s=camera_s, gain=gain, force_max_n=params.force_max_n)
     else:
         controller = UnguardedController()
-    return ClosedLoop(world_of(trial), controller, fingers, chances(trial), PERCEIVING_S)
+    return ClosedLoop(world_of(trial), controller, fingers, delivery_rng(trial), PERCEIVING_S)
 
 
 def _moves(loop: ClosedLoop) -> bool:
     return loop.world.gripper_state(loop.now_s).moving
 
 
-def _happen(loop: ClosedLoop, trial: GripTrial) -> None:
+def _disturb(loop: ClosedLoop, trial: GripTrial) -> None:
     if trial.event == "support gone":
         loop.world.take_table(loop.now_s)
     else:
         loop.ask(ControlRequest(RequestKind.LIFT, height_mm=lift_mm(trial), speed_mm_s=trial.lift_speed_mm_s))
 
 
-def _watch(loop: ClosedLoop, trial: GripTrial) -> None:
-    """Run until it is up and has been at rest for long enough, is lost, or the time is over."""
+def _run_to_rest(loop: ClosedLoop, trial: GripTrial) -> None:
+    """Run until the object is lifted and at rest, is dropped, or the time is over."""
     still_s = [loop.now_s]
-    way_mm = _way_mm(trial)
+    goal_mm = _goal_mm(trial)
 
     def over() -> bool:
         truth = loop.truth()
         if truth.dropped is not None:
             return True
-        if abs(truth.rate_deg_s) > STILL_DEG_S or _moves(loop) or truth.height_mm < way_mm:
+        if abs(truth.rate_deg_s) > STILL_DEG_S or _moves(loop) or truth.height_mm < goal_mm:
             still_s[0] = loop.now_s
         return loop.now_s - still_s[0] > STILL_FOR_S + trial.latency_s
 
-    loop.until(over, AFTERWARDS_S + 2.0 * way_mm / trial.lift_speed_mm_s)
+    loop.until(over, AFTERWARDS_S + 2.0 * goal_mm / trial.lift_speed_mm_s)
 
 
-def _way_mm(trial: GripTrial) -> float:
+def _goal_mm(trial: GripTrial) -> float:
     return lift_mm(trial) - REACHED_MM if trial.event == "lifted" else 0.0
 
 
-def _outcome(loop: ClosedLoop, trial: GripTrial, who: ControllerName, begun_s: float, traced: bool) -> TrialOutcome:
+def _outcome(loop: ClosedLoop, trial: GripTrial, name: ControllerName, begun_s: float, traced: bool) -> TrialOutcome:
     truth, trace = loop.truth(), loop.trace
     times = np.asarray(trace.time_s)
     slips = np.abs(np.asarray(trace.slip_deg))
     moved = times[(slips > SLIPPED_DEG) & (slips < abs(truth.slip_deg) - SLIPPED_DEG)]
     first_slip_s = float(times[slips > SLIPPED_DEG][0]) if (slips > SLIPPED_DEG).any() else None
     arrested_s = None if first_slip_s is None else float(moved[-1] - first_slip_s) if moved.size else 0.0
-    told = [when_s for when_s, output in loop.outputs if output.hold_force_n is not None and when_s >= begun_s]
+    tightened_s = [when_s for when_s, output in loop.outputs if output.hold_force_n is not None and when_s >= begun_s]
     grasp = loop.controller.state.grasp if isinstance(loop.controller, SlipguardController) else None
     return TrialOutcome(
-        who=who,
+        controller=name,
         slip_deg=abs(truth.slip_deg),
         rotation_deg=max(float(np.abs(trace.rotation_deg).max()), abs(truth.rotation_deg)),
         force_n=max(trace.force_n),
         needed_n=trial.needed_n,
         arrested_s=arrested_s,
-        tightenings=len(told),
-        early=bool(told and (first_slip_s is None or told[0] < first_slip_s)),
+        tightenings=len(tightened_s),
+        early=bool(tightened_s and (first_slip_s is None or tightened_s[0] < first_slip_s)),
         dropped=truth.dropped,
         fault=str(grasp.fault.code) if grasp is not None and grasp.fault is not None else None,
-        up=bool(truth.height_mm >= _way_mm(trial)),
-        says=tuple(loop.says),
+        up=bool(truth.height_mm >= _goal_mm(trial)),
+        messages=tuple(loop.messages),
         trace=trace if traced else None,
     )

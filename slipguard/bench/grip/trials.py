@@ -1,7 +1,7 @@
-"""What the grip law is tried on: every combination of first grip, latency, gel and frame rate, on every object.
+"""Trials of the grip controllers: every combination of object, first grip, latency, gel and frame rate.
 
-A trial is drawn from its number and seed alone. Grip shares refer to the true force: how much stronger or weaker the
-gripper is than it says is known to the world only.
+A trial is a function of its number and seed. Grip shares refer to the true force: only the simulated world knows how
+much it differs from the commanded force.
 """
 
 from __future__ import annotations
@@ -21,38 +21,38 @@ from slipguard.sim.scenario import FrameDelivery, Scenario
 from slipguard.sim.sim_object import SimObject
 
 TEST_OBJECTS = ("bar", "wedge", "wrench", "knife_edge", "key", "screwdriver", "cap", "ball", "hook")
-"""All test objects whose turn can be seen; the ring has neither axis nor texture and is gripped blindly."""
+"""Test objects whose rotation is visible; the ring has neither axis nor texture."""
 SHARES = (0.97, 0.90, 0.75, 0.50)
-"""First grip over the force needed."""
+"""First grip relative to the needed force."""
 LATENCIES_S = (0.060, 0.100, 0.150, 0.250)
-"""From exposure to the moment the motor begins to tighten."""
+"""From exposure to the start of the motor."""
 FRAME_RATES = (60.0, 30.0)
 NEEDED_MIN_N, NEEDED_MAX_SHARE = 45.0, 0.6
-"""The force needed lies between this and this share of `force_max_n`: a 2F-85 cannot grip under 20 N."""
+"""Range of the needed force; the upper limit is relative to `force_max_n`. A 2F-85 cannot grip below 20 N."""
 TIGHT_SHARES = (0.75, 0.95)
-"""Beside the matrix: the force needed over what the budget really applies, so that one step is not enough."""
+"""Needed force relative to the force that the limit really allows: one step is not enough."""
 FRAGILE_MAX_N = 57.0
-"""`force_max_n` of something that breaks."""
+"""`force_max_n` of a fragile object."""
 FRICTION = (0.4, 1.0)
 PERCEIVING_S = 0.006
 CAMERA_SHARE = 0.4
-"""Of what is left of the latency; the rest is the gripper's line and motor."""
+"""Camera's share of the latency without perception; the rest belongs to the gripper's line and motor."""
 TRANSACTION_MAX_S = 0.016
 ROOM_MM = 2.0
-"""The jaws begin this much wider than the object."""
+"""The jaws start this much wider than the object."""
 SPEED_MM_S = (30.0, 120.0)
-"""Another program's lift, without slipguard's slow beginning."""
+"""Speeds of another program's lift, without slipguard's slow start."""
 Event = Literal["support gone", "lifted"]
 Block = Literal["matrix", "high need", "fragile"]
 BLOCK_NUMBERS: dict[Block, int] = {"matrix": 0, "high need": 6_000, "fragile": 7_000}
-"""Trials of a block are numbered from here on."""
+"""First trial number of each block."""
 
 
 @dataclass(frozen=True, slots=True)
 class GripTrial:
-    """One grasp that is too weak. item: mass scaled to need `needed_n`; first_n: commanded, per finger.
+    """One grasp that is too weak. item: with a mass that needs `needed_n`. first_n: commanded force per finger.
 
-    event: the support goes away at once while the arm stands, or the arm lifts the object off its table.
+    event: the support is removed while the arm stands, or the arm lifts the object off its table.
     """
 
     number: int
@@ -71,37 +71,37 @@ class GripTrial:
 
     @property
     def force_max_n(self) -> float:
-        """The budget, as commanded."""
+        """The force limit."""
         return force_limit_n(self.block)
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """The name in messages."""
         gel = "soft" if self.soft else "stiff"
         return f"trial {self.number}: {self.item.name}, {self.share:g} of {self.needed_n:.0f} N, {gel} gel"
 
 
 def force_limit_n(block: Block) -> float:
-    """`force_max_n` in a block."""
+    """Return `force_max_n` in a block."""
     return FRAGILE_MAX_N if block == "fragile" else GuardParams().force_max_n
 
 
 def needed_range_n(block: Block, gain: float) -> tuple[float, float]:
-    """Between which true forces per finger a trial's need lies, with a gripper of this gain."""
+    """Return the range of the needed true force per finger for a gripper of this gain."""
     if block == "matrix":
         return NEEDED_MIN_N, NEEDED_MAX_SHARE * force_limit_n(block)
     model = GripperDynamics()
     within = force_range(force_limit_n(block), (model.force_min_n, model.force_max_n))
-    assert within is not None, "a budget below the gripper's weakest grip"
+    assert within is not None, "the force limit is below the gripper's minimum force"
     low, high = TIGHT_SHARES
     return low * gain * within.high_n, high * gain * within.high_n
 
 
 def trials(count: int | None, rendered: int, seed: int = 0, block: Block = "matrix") -> list[GripTrial]:
-    """The matrix, or `count` of it spread evenly over every axis; `rendered` of them spread evenly, too.
+    """Return the matrix, or `count` trials spread evenly over every axis; `rendered` of them with rendered frames.
 
-    The same seed gives the same trials; a smaller count gives some of those of a larger one. block: other needs and
-    another budget, everything else alike.
+    Equal seeds give equal trials; a smaller count gives a subset of a larger one. block: selects the needed force and
+    the force limit.
     """
     cells = list(product(TEST_OBJECTS, SHARES, LATENCIES_S, (False, True), FRAME_RATES))
     order = np.random.default_rng(seed).permutation(len(cells))
@@ -114,7 +114,7 @@ Cell = tuple[str, float, float, bool, float]
 
 
 def _balanced(cells: list[Cell], count: int) -> list[Cell]:
-    """The first `count` cells in an order in which every value of every axis comes equally often, as far as it can."""
+    """Return `count` cells in which every value of every axis appears equally often, as far as possible."""
     seen: dict[tuple[int, object], int] = {}
     left = list(cells)
     chosen: list[Cell] = []
@@ -138,7 +138,7 @@ def draw(
     seed: int = 0,
     block: Block = "matrix",
 ) -> GripTrial:
-    """One trial: what the matrix does not fix is drawn."""
+    """Return one trial; everything that the matrix does not fix is drawn at random."""
     rng = np.random.default_rng([seed, number, 5])
     friction = float(rng.uniform(*FRICTION))
     viscous = float(rng.uniform(0.005, 0.02))
@@ -175,10 +175,7 @@ def draw(
 
 
 def scaled(item: SimObject, needed_n: float, friction: float, gel: SoftPad) -> SimObject:
-    """The object with another friction and a mass (and inertia) that makes it need this force; to 1e-9.
-
-    A lever so short that the load alone needs the force would only slide: it is kept, the mass decides.
-    """
+    """Return the object with this friction and the mass and inertia for which it needs this force, to 1e-9."""
     density = item.inertia_kg_m2 / item.mass_kg
 
     def of(mass_kg: float) -> SimObject:
@@ -194,7 +191,7 @@ def scaled(item: SimObject, needed_n: float, friction: float, gel: SoftPad) -> S
 
 
 def _gripper(rng: np.random.Generator, latency_s: float) -> GripperDynamics:
-    """A gripper that takes its share of the latency: two transactions, then the motor's dead time."""
+    """Return a gripper with its share of the latency: two transactions, then the motor's dead time."""
     rest_s = (1.0 - CAMERA_SHARE) * (latency_s - PERCEIVING_S)
     transaction_s = min(TRANSACTION_MAX_S, rest_s / 4.0)
     return GripperDynamics(
@@ -206,7 +203,7 @@ def _gripper(rng: np.random.Generator, latency_s: float) -> GripperDynamics:
 
 
 def _delivery(rng: np.random.Generator, fps: float, latency_s: float) -> FrameDelivery:
-    """A camera that takes its share of the latency, in a light that is not quite that of the no-contact image."""
+    """Return a camera with its share of the latency, in a light that differs from that of the background image."""
     drift = rng.uniform(-5.0, 5.0, 3)
     return FrameDelivery(
         fps=fps,

@@ -34,7 +34,7 @@ class EncodedImagePerception:
     def process(self, frame: Frame) -> Estimate:
         """Return the estimate of one frame."""
         view, light = decode_view(frame.image)
-        estimate = self._model.look(view, frame.captured_at_s, frame.sequence)
+        estimate = self._model.process(view, frame.captured_at_s, frame.sequence)
         if max(abs(level) for level in light) > BRIGHT_LEVELS:
             plain = replace(estimate, angle_deg=None, sigma_deg=None, rate_deg_s=None, shift_mm=None)
             return replace(plain, contact=True, orientation_deg=None, declined=str(DeclineReason.UNLIKE_BACKGROUND))

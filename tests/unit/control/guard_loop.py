@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from records import changed
 
-from slipguard.bench.grip.closed_loop import FINGERS, TICK_S, ClosedLoop
+from slipguard.bench.grip.closed_loop import FINGERS, STEP_S, ClosedLoop
 from slipguard.bench.grip.controllers import SlipguardController
 from slipguard.bench.grip.perception_models import ModeledFinger, PerceptionErrors
 from slipguard.bench.grip.trials import scaled
@@ -47,7 +47,7 @@ class Run:
     def step(self, request: ControlRequest | None = None) -> None:
         if request is not None:
             self.loop.ask(request)
-        self.loop.wait(TICK_S)
+        self.loop.wait(STEP_S)
 
     def until(self, done: Callable[[], bool], limit_s: float) -> bool:
         return self.loop.until(done, limit_s)
