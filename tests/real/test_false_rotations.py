@@ -30,7 +30,8 @@ def measured(folder: Path, frames: list[Path], begin: int) -> list[float]:
         if index >= begin and estimate.angle_deg is not None:
             rotations.append(abs(estimate.angle_deg))
     print(
-        f"{len(rotations)} of {len(frames) - begin} told, p95 {np.percentile(rotations, 95):.2f}°, largest {max(rotations):.2f}°"
+        f"{len(rotations)} of {len(frames) - begin} estimated, p95 {np.percentile(rotations, 95):.2f}°, "
+        f"largest {max(rotations):.2f}°"
     )
     return rotations
 

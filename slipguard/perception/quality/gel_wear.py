@@ -99,7 +99,7 @@ def compare_gel(
 
 
 def _marks(now: Mean, known: Image, left_std: float) -> tuple[tuple[GelMark, ...], int]:
-    """Return sharp structures that are not within `SHIFT_PX` of their place in the known image, and their total area."""
+    """Return sharp structures that the known image does not have within `SHIFT_PX`, and their total area."""
     current, then = _sharp(now), _sharp(known.astype(np.float32))
     then *= _gain(current, then)
     near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * SHIFT_PX + 1, 2 * SHIFT_PX + 1))

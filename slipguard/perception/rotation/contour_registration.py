@@ -135,7 +135,7 @@ class ContourRegistrar:
     def _difference(
         self, rotation: float, dx: float, dy: float, nuisance: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return image minus grown and stretched template along the contour; and a robust weight, 0 outside the frame."""
+        """Return the image minus the grown, stretched template and a robust weight, 0 outside the frame."""
         t, patch = self._template, self._patch
         c, s = np.float32(math.cos(rotation)), np.float32(math.sin(rotation))
         grown_x, grown_y = t.x_px + t.growth_x @ nuisance, t.y_px + t.growth_y @ nuisance

@@ -30,7 +30,7 @@ difference from the background image, beyond the first level. A slope of 6 level
 
 @dataclass(frozen=True, slots=True)
 class RotationEstimate:
-    """A rotation since the reference, degrees counter-clockwise, one standard deviation; declined: why there is none."""
+    """A rotation since the reference, degrees counter-clockwise, with its sigma; declined: why there is none."""
 
     rotation_deg: float | None
     sigma_deg: float | None

@@ -1,4 +1,4 @@
-"""Measures the rotation and shift of a contact since the reference, and decides when a contact becomes the reference."""
+"""Measures rotation and shift of a contact since the reference, and decides when a contact becomes the reference."""
 
 from __future__ import annotations
 

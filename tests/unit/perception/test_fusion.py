@@ -11,8 +11,12 @@ from slipguard.perception.rotation.fusion import (
     RotationEstimate,
     check_contour,
     fuse_axis_rotations,
+    fuse_rotation,
+    needs_contour,
     rotation_between_axes,
 )
+
+NO_CONTOUR = RotationEstimate(None, None, "round contact")
 
 
 @pytest.mark.parametrize(("before", "now", "rotation"), [(-6, 6, 12), (80, -80, 20), (6, -6, -12), (-85, 85, -10)])
@@ -63,3 +67,37 @@ def test_an_estimator_that_disagrees_widens_sigma() -> None:
     )
     assert rotation.rotation_deg == pytest.approx(10.16, abs=0.02)
     assert rotation.sigma_deg == pytest.approx(3.0)
+
+
+def test_without_a_contour_texture_and_axis_are_averaged_by_their_sigmas() -> None:
+    fused = fuse_rotation(RotationEstimate(10.0, 0.3), None, RotationEstimate(10.5, 0.6))
+    assert fused.rotation_deg == pytest.approx(10.1)
+    assert fused.sigma_deg == pytest.approx(0.268, abs=1e-3)
+    assert fuse_rotation(RotationEstimate(10.0, 0.3), None, None) == RotationEstimate(10.0, 0.3)
+    assert fuse_rotation(None, None, RotationEstimate(3.0, 1.0)) == RotationEstimate(3.0, 1.0)
+
+
+def test_a_deformed_contact_increases_the_sigma_of_the_contour() -> None:
+    contour, axis = RotationEstimate(10.0, 0.5), RotationEstimate(10.2, 0.5)
+    assert fuse_rotation(None, contour, axis, deformation=3.0) == RotationEstimate(10.0, 1.5)
+    fused = fuse_rotation(RotationEstimate(11.0, 1.5), contour, axis, deformation=3.0)
+    assert fused.rotation_deg == pytest.approx(10.5)
+
+
+def test_if_all_decline_the_reason_of_the_texture_counts_then_that_of_the_contour() -> None:
+    texture, axis = RotationEstimate(None, None, "clipped by the frame"), RotationEstimate(None, None, "axis")
+    assert fuse_rotation(texture, NO_CONTOUR, axis).declined == "clipped by the frame"
+    assert fuse_rotation(None, NO_CONTOUR, axis).declined == "round contact"
+
+
+def test_texture_and_contour_far_apart_are_declined_with_values_and_limit() -> None:
+    declined = fuse_rotation(RotationEstimate(10.0, 0.5), RotationEstimate(30.0, 0.5), None).declined
+    assert declined == "estimators disagree: texture and contour are 20.0 deg apart, limit 8 deg"
+
+
+def test_a_certain_texture_that_the_axis_does_not_contradict_needs_no_contour() -> None:
+    assert not needs_contour(RotationEstimate(10.0, 0.5), RotationEstimate(10.4, 0.5))
+    assert not needs_contour(RotationEstimate(10.0, 0.5), NO_CONTOUR)
+    assert needs_contour(RotationEstimate(10.0, 0.5), RotationEstimate(15.0, 0.5))
+    assert needs_contour(RotationEstimate(10.0, 0.9), RotationEstimate(10.4, 0.5))
+    assert needs_contour(None, RotationEstimate(10.4, 0.5))
