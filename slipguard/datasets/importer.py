@@ -121,7 +121,7 @@ def import_dataset(
             progress(done, len(pairs))
             if isinstance(result, str):
                 if not skip:
-                    raise InputError(f"{result}, or use --skip")
+                    raise InputError(f"{result.rstrip('.')}. Use --skip to leave such files out.")
                 left_out.append(result)
                 continue
             files = result.files if under is None else result.files | {BACKGROUNDS: under}

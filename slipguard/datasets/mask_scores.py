@@ -12,14 +12,8 @@ from numpy.typing import NDArray
 
 from slipguard.errors import InputError
 
-NOISE_BGR = (2.9, 1.5, 2.4)
-"""Temporal noise of two real units, standard deviation in gray levels per channel."""
-NOISE_BLUR_PX = 0.85
-"""Gaussian blur that gives white noise the measured correlation of 0.65 between neighboring pixels."""
-
 TUNING_SPHERES = frozenset(f"{n:02d}.png" for n in range(15))
 TUNING_INDENTER_LAST = "f0132"
-TUNING_BACKGROUNDS = 3
 
 
 def iou(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
@@ -67,56 +61,35 @@ def read_bgr(path: Path) -> NDArray[np.uint8]:
 
 def real_frames(folder: Path) -> list[RealFrame]:
     """Return the labeled contact frames in `folder` (`taxim_sphere`, `anytouch2_force2`, `aurova`)."""
-    return [*_spheres(folder / "taxim_sphere"), *_indenter(folder / "anytouch2_force2"), *_aurova(folder / "aurova")]
+    mask = read_bgr(folder / "aurova" / "mask.png")[..., 0] > 127
+    handle = RealFrame("frame", "aurova", "test", read_bgr(folder / "aurova" / "frame.png"), None, mask)
+    return [*sphere_frames(folder / "taxim_sphere"), *indenter_frames(folder / "anytouch2_force2"), handle]
 
 
-def _spheres(folder: Path) -> list[RealFrame]:
+def sphere_frames(folder: Path) -> list[RealFrame]:
+    """Return the presses of a ball listed in FOLDER/circles.csv (file, cx, cy, r). Raises InputError."""
+    table = folder / "circles.csv"
+    if not table.is_file():
+        raise InputError(f"{table}: missing; it must list file,cx,cy,r of each press")
     background = read_bgr(folder / "background.png")
-    with (folder / "circles.csv").open(newline="") as table:
-        rows = list(csv.DictReader(table))
+    with table.open(newline="", encoding="utf-8") as lines:
+        rows = list(csv.DictReader(lines))
     out = []
     for row in rows:
         disc = np.zeros(background.shape[:2], np.uint8)
-        cv2.circle(disc, (int(row["cx"]), int(row["cy"])), int(row["r"]), (1.0,), -1)
+        cv2.circle(disc, (round(float(row["cx"])), round(float(row["cy"]))), round(float(row["r"])), (1.0,), -1)
         split = "tune" if row["file"] in TUNING_SPHERES else "test"
         image = read_bgr(folder / row["file"])
         out.append(RealFrame(row["file"][:-4], folder.name, split, image, background, disc > 0))
     return out
 
 
-def _indenter(folder: Path) -> list[RealFrame]:
+def indenter_frames(folder: Path) -> list[RealFrame]:
+    """Return the presses of an indenter in FOLDER/frames with FOLDER/masks. Raises InputError."""
     background = read_bgr(folder / "background.png")
     out = []
     for path in sorted((folder / "frames").glob("*.png")):
         mask = read_bgr(folder / "masks" / path.name)[..., 0] > 127
         split = "tune" if path.stem <= TUNING_INDENTER_LAST else "test"
         out.append(RealFrame(path.stem, folder.name, split, read_bgr(path), background, mask))
-    return out
-
-
-def _aurova(folder: Path) -> list[RealFrame]:
-    mask = read_bgr(folder / "mask.png")[..., 0] > 127
-    return [RealFrame("frame", folder.name, "test", read_bgr(folder / "frame.png"), None, mask)]
-
-
-def another_day(background: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Return a later frame without contact: each channel off by up to 5 gray levels, new camera noise."""
-    white = rng.standard_normal(background.shape).astype(np.float32)
-    noise = np.asarray(cv2.GaussianBlur(white, (0, 0), NOISE_BLUR_PX), np.float32)
-    noise *= np.asarray(NOISE_BGR, np.float32) / noise.std((0, 1))
-    light = rng.uniform(-5, 5, 3).astype(np.float32)
-    return np.asarray(np.clip(np.rint(background + noise + light), 0, 255), np.uint8)
-
-
-def no_contact_frames(folder: Path, days: int, seed: int = 0) -> list[RealFrame]:
-    """Return `days` later frames without contact of each unit in `folder/backgrounds`, with its background image."""
-    rng = np.random.default_rng(seed)
-    nothing = np.zeros((320, 240), np.bool_)
-    out = []
-    for number, path in enumerate(sorted((folder / "backgrounds").glob("*.png"))):
-        background = read_bgr(path)
-        split = "tune" if number < TUNING_BACKGROUNDS else "test"
-        for day in range(days):
-            image = another_day(background, rng)
-            out.append(RealFrame(f"{path.stem}-{day}", "backgrounds", split, image, background, nothing))
     return out

@@ -8,7 +8,6 @@ makes matching exact by construction and flatters registration.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.datasets.mask_scores import RealFrame, indenter_frames, sphere_frames
 from slipguard.datasets.rendered_grasps import (
     CLOSING_FRAMES,
     EMPTY_FRAMES,
@@ -35,7 +35,6 @@ from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.camera_noise import CameraNoise
 from slipguard.sim.raster import Field, f32
 from slipguard.sim.sensor_unit import NOISE_STD_BGR, STRIPE_STD_BGR
-from slipguard.tools.image_files import read_gel_image
 
 RotationMethod = Literal["relit", "rigid"]
 ROTATION_METHODS: tuple[RotationMethod, ...] = ("relit", "rigid")
@@ -84,23 +83,11 @@ def press_images(folder: Path) -> Iterator[PressImage]:
     balls, indenter = folder / "taxim_sphere", folder / "anytouch2_force2"
     if not balls.is_dir() and not indenter.is_dir():
         raise InputError(f"{folder}: neither taxim_sphere nor anytouch2_force2 is in this folder")
-    if balls.is_dir():
-        background = read_gel_image(balls / "background.png")
-        for index, (file, contact) in enumerate(_discs(balls / "circles.csv")):
-            part = "tune" if index < 15 else "test"
-            image = read_gel_image(balls / file)
-            yield from _press(f"{balls.name}/{Path(file).stem}", part, False, image, background, contact)
-    if indenter.is_dir():
-        background = read_gel_image(indenter / "background.png")
-        for path in sorted((indenter / "masks").glob("*.png")):
-            mask = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-            if mask is None:
-                raise InputError(f"{path}: the mask cannot be read")
-            part = "tune" if path.stem <= "f0132" else "test"
-            image = read_gel_image(indenter / "frames" / path.name)
-            yield from _press(
-                f"{indenter.name}/{path.stem}", part, True, image, background, np.asarray(mask > 0, np.uint8)
-            )
+    for frame in (
+        *(sphere_frames(balls) if balls.is_dir() else ()),
+        *(indenter_frames(indenter) if indenter.is_dir() else ()),
+    ):
+        yield from _press(frame, readable=frame.group == indenter.name)
 
 
 def rotated_grasp(press: PressImage, way: RotationMethod, seed: int) -> RenderedGrasp:
@@ -148,21 +135,22 @@ def _motion(rng: np.random.Generator) -> Iterator[tuple[float, float]]:
     yield 0.0, 0.0
 
 
-def _press(
-    name: str, part: str, readable: bool, image: Image, background: Image, contact: NDArray[np.uint8]
-) -> Iterator[PressImage]:
+def _press(frame: RealFrame, *, readable: bool) -> Iterator[PressImage]:
+    contact = np.asarray(frame.mask, np.uint8)
     x, y, w, h = cv2.boundingRect(contact)
     if x < INSIDE_PX or y < INSIDE_PX or x + w > FRAME_WIDTH_PX - INSIDE_PX or y + h > FRAME_HEIGHT_PX - INSIDE_PX:
         return
+    assert frame.background is not None
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * SKIRT_PX + 1, 2 * SKIRT_PX + 1))
     wide = cv2.dilate(contact, disc)
-    difference = _without_drift(f32(image.astype(np.float32) - background), wide > 0)
+    difference = _without_drift(f32(frame.image.astype(np.float32) - frame.background), wide > 0)
     inside = cv2.distanceTransform(np.pad(wide, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
     feather = np.clip(inside / FEATHER_PX, 0.0, 1.0)[..., None]
     soft = cv2.GaussianBlur(difference, (0, 0), SOFT_PX)
     m = cv2.moments(contact, True)
     center = (m["m10"] / m["m00"], m["m01"] / m["m00"])
-    yield PressImage(name, part, readable, background, f32(soft * feather), contact, center)
+    name = f"{frame.group}/{frame.name}"
+    yield PressImage(name, frame.split, readable, frame.background, f32(soft * feather), contact, center)
 
 
 def _without_drift(difference: Field, near: NDArray[np.bool_]) -> Field:
@@ -172,16 +160,6 @@ def _without_drift(difference: Field, near: NDArray[np.bool_]) -> Field:
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
     drift, *_ = np.linalg.lstsq(terms[~near][::7], difference[~near][::7], rcond=None)
     return f32(difference - terms @ drift)
-
-
-def _discs(table: Path) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    if not table.is_file():
-        raise InputError(f"{table} is missing; it must list file,cx,cy,r of each press")
-    with table.open(newline="", encoding="utf-8") as lines:
-        for row in csv.DictReader(lines):
-            mask = np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.uint8)
-            cv2.circle(mask, (round(float(row["cx"])), round(float(row["cy"]))), round(float(row["r"])), (1.0,), -1)
-            yield row["file"], mask
 
 
 SEED = 1

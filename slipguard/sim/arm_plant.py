@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 
 from slipguard.devices import ArmState
 
@@ -135,14 +134,3 @@ def report(plant: ArmPlant, now_s: float, protective_stop: bool = False, emergen
         emergency_stop=emergency_stop,
         measured_at_s=now_s,
     )
-
-
-def continuous(plant: ArmPlant, tolerance_mm: float = 1e-6) -> bool:
-    """True if height and speed of the plan have no jumps; what every plan promises."""
-    for segment, following in pairwise(plant.segments):
-        t = following.start_s - segment.start_s
-        height = segment.height_mm + t * (segment.speed_mm_s + 0.5 * segment.acceleration_mm_s2 * t)
-        speed = segment.speed_mm_s + t * segment.acceleration_mm_s2
-        if abs(height - following.height_mm) > tolerance_mm or abs(speed - following.speed_mm_s) > tolerance_mm:
-            return False
-    return True

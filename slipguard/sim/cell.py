@@ -10,9 +10,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+from slipguard.limit_surface import NO_CONTACT_N
 from slipguard.sim import arm_plant, gripper_plant, object_motion
 from slipguard.sim.arm_plant import ArmPlant, ArmPose
-from slipguard.sim.friction import NO_CONTACT_N
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.gripper_plant import Drive, GripperDynamics, GripperPlant
 from slipguard.sim.object_motion import ExternalLoad, GraspedBody, ObjectMotion

@@ -11,26 +11,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from slipguard.limit_surface import (
-    GRAVITY_M_S2,
-    NO_CONTACT_N,
-    Pad,
-    force_needed_n,
-    pressure_shape,
-    torque_limit_n_m,
-)
+from slipguard.limit_surface import GRAVITY_M_S2, Pad, force_needed_n
 from slipguard.sim.sim_object import SimObject
-
-__all__ = [
-    "GRAVITY_M_S2",
-    "NO_CONTACT_N",
-    "STIFFNESS_RADIUS_M",
-    "SoftPad",
-    "needed_force_n",
-    "pressure_shape",
-    "return_to_surface",
-    "torque_limit_n_m",
-]
 
 STIFFNESS_RADIUS_M = 6e-3
 """Contact radius at which a gel's stiffness is stated; 0.14 MPa gives 0.16 N m/rad there."""

@@ -15,13 +15,8 @@ import math
 from dataclasses import dataclass
 
 from slipguard.errors import InputError
-from slipguard.sim.friction import (
-    GRAVITY_M_S2,
-    NO_CONTACT_N,
-    SoftPad,
-    pressure_shape,
-    return_to_surface,
-)
+from slipguard.limit_surface import GRAVITY_M_S2, NO_CONTACT_N, pressure_shape
+from slipguard.sim.friction import SoftPad, return_to_surface
 from slipguard.sim.sim_object import SimObject
 
 SUPPORT_M = 3e-3

@@ -21,13 +21,14 @@ from rich.console import Console
 
 from slipguard.datasets.dataset_files import read_backgrounds
 from slipguard.datasets.frame_cache import RenderedFrames
-from slipguard.datasets.mask_scores import RealFrame, dice, iou, no_contact_frames, real_frames
+from slipguard.datasets.mask_scores import RealFrame, dice, iou, real_frames
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.sim.contact_label import PRESS_SHARE
 from slipguard.training.onnx_export import CALIBRATION_FRAMES, CONVOLUTIONS, open_session, write_int8
 from slipguard.training.small_network import Inputs, ProbabilityNet, SmallNet
 from slipguard.training.train import TrainSettings, probabilities, real_scores, train
 from tests.campaigns.ablation_frames import CONTACT, StoredFrames, held_out_frames, training_frames
+from tests.campaigns.real_backgrounds import no_contact_frames
 
 HELD_OUT_FRAMES = 240
 CROP_MARGIN_PX, CROP_STEP_PX = 12, 16

@@ -64,7 +64,7 @@ def error_table(grasps: int) -> str:
     for name in TEST_OBJECTS:
         error = fit_errors(name, grasps)
         lines.append(
-            f'    "{name}": SightError({error.noise_deg:.3f}, {error.bias_per_deg:.4f}, {error.bias_deg:.3f}, '
+            f'    "{name}": PerceptionErrors({error.noise_deg:.3f}, {error.bias_per_deg:.4f}, {error.bias_deg:.3f}, '
             f"{error.sigma_deg:.3f}, {error.declined:.4f}),"
         )
     return "\n".join(lines)

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from slipguard.cli.measure import ReferenceChoice, measure
-from slipguard.datasets.mask_scores import RealFrame, iou, no_contact_frames, real_frames
+from slipguard.datasets.mask_scores import RealFrame, iou, real_frames
 from slipguard.perception.quality.dead_lines import DeadLines
 from slipguard.perception.quality.image_quality import has_few_levels, is_coarsely_compressed
+from tests.campaigns.real_backgrounds import no_contact_frames
 
 pytestmark = pytest.mark.real
 

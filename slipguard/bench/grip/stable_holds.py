@@ -21,7 +21,7 @@ from slipguard.bench.grip.trials import PERCEIVING_S, GripTrial, trials
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
-from slipguard.sim.friction import GRAVITY_M_S2
+from slipguard.limit_surface import GRAVITY_M_S2
 
 SHAKE_M_S2 = (0.05, 0.3)
 SHAKE_HZ = (8.0, 25.0)

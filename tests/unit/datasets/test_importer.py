@@ -141,11 +141,11 @@ def spoilt(folder: Path, kind: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "said"),
     [
-        ("cut", r"b\.png: the PNG is cut short"),
+        ("cut", r"b\.png: the PNG is truncated"),
         ("no mask", r"images/b\.png: no mask \(1 such files, 2 pairs\); complete them or use --skip"),
         ("no image", r"masks/b\.png: no image"),
         ("empty mask file", r"masks/b\.png: the file is empty"),
-        ("grey image", r"images/b\.png: grey; colour is needed"),
+        ("grey image", r"images/b\.png: gray image. Color is needed"),
         ("another shape", r"masks/b\.png: 320x240, its image 240x320"),
         ("many values", r"masks/b\.png: values 0, 1, 2.*0 and 1, or 0 and 255"),
     ],
@@ -176,7 +176,7 @@ def test_folders_that_hold_nothing_of_use_are_refused(tmp_path: Path) -> None:
         found_pairs(tmp_path)
     put(tmp_path / "a.png", picture())
     put(tmp_path / "images" / "a.png", picture())
-    with pytest.raises(InputError, match="would be one frame"):
+    with pytest.raises(InputError, match="have the same name"):
         found_pairs(tmp_path)
 
 

@@ -72,7 +72,7 @@ def test_a_folder_of_images_gives_the_rotation(
     for number in range(12):
         cv2.imwrite(str(tmp_path / f"{number:03d}.png"), renderer.draw(MarkerScene(0.5 * number)))
     assert rotation(tmp_path, camera) == 0
-    assert "12 of 12 pictures show both markers" in capsys.readouterr().out
+    assert "12 of 12 images show both markers" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

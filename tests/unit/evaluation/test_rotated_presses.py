@@ -74,7 +74,7 @@ def test_a_grasp_is_the_same_for_one_seed_and_ends_without_contact(press: PressI
 
 
 def test_the_command_gives_both_ways(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["rotated", str(folder), "--json"]) == 0
+    assert run(["evaluate", "rotated-presses", str(folder), "--json"]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [(row["data"], row["way"], row["sequences"]) for row in rows] == [
         ("anytouch2_force2", "relit", 1),
@@ -84,11 +84,11 @@ def test_the_command_gives_both_ways(folder: Path, capsys: pytest.CaptureFixture
 
 
 def test_misuse_is_one_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["rotated", str(tmp_path)]) == 2
+    assert run(["evaluate", "rotated-presses", str(tmp_path)]) == 2
     assert "neither taxim_sphere nor anytouch2_force2" in capsys.readouterr().err
-    assert run(["rotated", str(folder), "--part", "most"]) == 2
+    assert run(["evaluate", "rotated-presses", str(folder), "--part", "most"]) == 2
     assert "there are tune, test, all" in capsys.readouterr().err
     (tmp_path / "taxim_sphere").mkdir()
     cv2.imwrite(str(tmp_path / "taxim_sphere" / "background.png"), np.full((320, 240, 3), (90, 100, 110), np.uint8))
-    with pytest.raises(InputError, match=r"circles\.csv is missing"):
+    with pytest.raises(InputError, match=r"circles\.csv: missing"):
         list(press_images(tmp_path))

@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slipguard.sim.arm_plant import ArmModel, ArmPlant, continuous, order_lift, order_stop, pose, report
+from slipguard.sim.arm_plant import ArmModel, ArmPlant, order_lift, order_stop, pose, report
 
 MODEL = ArmModel(acceleration_mm_s2=1200.0, stop_mm_s2=2500.0)
 AT_REST = ArmPlant()
+
+
+def continuous(plant: ArmPlant, tolerance_mm: float = 1e-6) -> bool:
+    """Return whether height and speed of the plan have no jumps."""
+    for segment, following in pairwise(plant.segments):
+        t = following.start_s - segment.start_s
+        height = segment.height_mm + t * (segment.speed_mm_s + 0.5 * segment.acceleration_mm_s2 * t)
+        speed = segment.speed_mm_s + t * segment.acceleration_mm_s2
+        if abs(height - following.height_mm) > tolerance_mm or abs(speed - following.speed_mm_s) > tolerance_mm:
+            return False
+    return True
 
 
 def end_s(plant: ArmPlant) -> float:

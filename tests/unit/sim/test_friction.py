@@ -9,15 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slipguard.errors import InputError
-from slipguard.sim.friction import (
-    GRAVITY_M_S2,
-    STIFFNESS_RADIUS_M,
-    SoftPad,
-    needed_force_n,
-    pressure_shape,
-    return_to_surface,
-    torque_limit_n_m,
-)
+from slipguard.limit_surface import GRAVITY_M_S2, pressure_shape, torque_limit_n_m
+from slipguard.sim.friction import STIFFNESS_RADIUS_M, SoftPad, needed_force_n, return_to_surface
 from slipguard.sim.sim_object import SimObject
 
 GEL = SoftPad()

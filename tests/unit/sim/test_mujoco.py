@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from slipguard.sim.friction import GRAVITY_M_S2, SoftPad, needed_force_n, pressure_shape
+from slipguard.limit_surface import GRAVITY_M_S2, pressure_shape
+from slipguard.sim.friction import SoftPad, needed_force_n
 from slipguard.sim.object_motion import ExternalLoad, GraspedBody, ObjectMotion, advance
 from slipguard.sim.sim_object import SimObject
 

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slipguard.errors import InputError
-from slipguard.sim.friction import GRAVITY_M_S2, SoftPad, needed_force_n, torque_limit_n_m
+from slipguard.limit_surface import GRAVITY_M_S2, torque_limit_n_m
+from slipguard.sim.friction import SoftPad, needed_force_n
 from slipguard.sim.object_motion import SUPPORT_M, ExternalLoad, GraspedBody, ObjectMotion, advance
 from slipguard.sim.sim_object import SimObject
 
