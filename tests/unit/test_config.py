@@ -301,4 +301,4 @@ def test_check_knows_the_grippers_limits_and_the_frames_of_a_replay(
     )
     ran = slipguard(capfd, "check", "-c", path)
     assert ran.code == 2
-    assert "holds no .png files" in ran.err
+    assert "has no .png files" in ran.err

@@ -164,7 +164,7 @@ class StateDir:
         return max(fresh, default=min((version.number for version in history), default=None))
 
     def first_of_gel(self, serial: str) -> BackgroundImage | None:
-        """Return the first image of a sensor's present gel; None if there is none. Raises InputError if it is damaged."""
+        """Return the first image of a sensor's present gel; None if there is none. Raises InputError if damaged."""
         number = self._gel_began(self.background_versions(serial))
         return None if number is None else self._load(serial, number)
 
