@@ -34,7 +34,11 @@ def play(scene: Callable[[CampaignCell], Awaitable[None]], guard: dict[str, obje
         rig.place()
         rig.start()
         await until(lambda: not rig.service.waiting_for)
-        await (rig.submit(GraspRequest()) if not guard else rig.submit(MoveJawsRequest(width_mm=0.0, force_n=40.0)))
+        await (
+            rig.handlers.submit(GraspRequest())
+            if not guard
+            else rig.handlers.submit(MoveJawsRequest(width_mm=0.0, force_n=40.0))
+        )
         await until(lambda: rig.service.ready_to_lift)
         await asyncio.sleep(0.5)
         await scene(rig)
@@ -51,7 +55,7 @@ def test_a_force_on_its_way_when_the_daemon_was_killed_is_applied_after_all(arri
     async def scene(rig: CampaignCell) -> None:
         if not arrived:
             rig.world.faults.fail("gripper", "timeout")
-        await rig.submit(MoveJawsRequest(force_n=ASKED_N))
+        await rig.handlers.submit(MoveJawsRequest(force_n=ASKED_N))
         await asyncio.sleep(0.1)
         await rig.kill()
         await asyncio.sleep(DEAD_S)
@@ -85,10 +89,10 @@ def test_a_latched_fault_outlives_the_daemon() -> None:
         assert fault.code is FaultCode.GRIPPER_FAULT
         await asyncio.sleep(1.0)
         with pytest.raises(CommandRefused, match=r"a fault is latched \(gripper fault\); clear it first"):
-            await rig.submit(LiftRequest())
-        await rig.submit(ClearRequest())
+            await rig.handlers.submit(LiftRequest())
+        await rig.handlers.submit(ClearRequest())
         await until(lambda: rig.service.ready_to_lift)
-        await rig.submit(LiftRequest())
+        await rig.handlers.submit(LiftRequest())
 
     lines = play(scene)
     assert sum("fault: gripper fault" in line for line in lines) == 2, "named by both daemons"
@@ -119,7 +123,7 @@ def test_what_does_not_come_back_with_the_daemon_stops_the_arm(gone: tuple[str, 
         await until(lambda: not rig.service.waiting_for)
         await asyncio.sleep(0.5)
         assert rig.service.phase is Phase.FAULT
-        await rig.submit(ClearRequest())
+        await rig.handlers.submit(ClearRequest())
         await until(lambda: rig.service.ready_to_lift)
 
     play(scene, {"mode": "guard"})
