@@ -88,7 +88,7 @@ class TrialOutcomes:
 
 
 @dataclass(frozen=True, slots=True)
-class CampaignResult:
+class GripCampaignResult:
     """Results of all trials and holds."""
 
     trials: tuple[TrialOutcomes, ...]
@@ -98,7 +98,9 @@ class CampaignResult:
     holds: tuple[HoldOutcome, ...]
 
 
-def run(plan: CampaignPlan, workers: Workers, progress: Callable[[float], None] = lambda share: None) -> CampaignResult:
+def run(
+    plan: CampaignPlan, workers: Workers, progress: Callable[[float], None] = lambda share: None
+) -> GripCampaignResult:
     """Run everything; progress(share done) is called repeatedly."""
     everything: list[GripTrial | StableHold] = [*plan.trials, *plan.gone, *plan.tight, *plan.holds]
     items = sorted(everything, key=lambda item: not item.rendered)  # slow ones first
@@ -108,7 +110,7 @@ def run(plan: CampaignPlan, workers: Workers, progress: Callable[[float], None] 
     def block(name: Block, event: Event = "lifted") -> tuple[TrialOutcomes, ...]:
         return tuple(one for one in played if one.trial.block == name and one.trial.event == event)
 
-    return CampaignResult(
+    return GripCampaignResult(
         trials=block("matrix"),
         gone=block("matrix", "support gone"),
         high_need=block("high need"),

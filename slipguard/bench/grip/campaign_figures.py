@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from slipguard.bench.grip.campaign import CampaignResult, TrialOutcomes
+from slipguard.bench.grip.campaign import GripCampaignResult, TrialOutcomes
 from slipguard.bench.grip.group_statistics import (
     FLOOR_DEG,
     GELS,
@@ -53,7 +53,7 @@ def agreement(played: Sequence[TrialOutcomes]) -> ModelAgreement | None:
     return ModelAgreement(len(pairs), float(rendered.mean()), mean, apart, float(np.median(np.abs(rendered - model))))
 
 
-def as_json(found: CampaignResult) -> dict[str, object]:
+def as_json(found: GripCampaignResult) -> dict[str, object]:
     """Return all figures. Ratios outside a group are of the whole matrix, stiff and soft gels together."""
     everything = row("all", found.trials)
     similar = agreement(found.trials)
@@ -108,7 +108,7 @@ def _false_while_holding(held: Sequence[HoldOutcome]) -> int:
     return sum(one.false - one.false_lifting for one in held)
 
 
-def scenarios(found: CampaignResult) -> dict[str, object]:
+def scenarios(found: GripCampaignResult) -> dict[str, object]:
     """Return each trial and each hold, for grip.json."""
     played = [*found.trials, *found.gone, *found.high_need, *found.fragile]
     return {
@@ -117,7 +117,7 @@ def scenarios(found: CampaignResult) -> dict[str, object]:
     }
 
 
-def _of_gel(found: CampaignResult, gel: str) -> dict[str, object]:
+def _of_gel(found: GripCampaignResult, gel: str) -> dict[str, object]:
     """Return one gel's figures under the same keys as those of the whole."""
     played = of_gel(found.trials, gel)
     similar = agreement(played)

@@ -12,7 +12,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from slipguard.bench.grip.campaign import CampaignResult, TrialOutcomes
+from slipguard.bench.grip.campaign import GripCampaignResult, TrialOutcomes
 from slipguard.bench.grip.campaign_figures import GROUPS, agreement, as_json, checks, failures, remarks
 from slipguard.bench.grip.group_statistics import (
     FLOOR_DEG,
@@ -69,7 +69,7 @@ GRIP: dict[str, Callable[[GripRow], str]] = {
 }
 
 
-def print_tables(console: Console, found: CampaignResult) -> None:
+def print_tables(console: Console, found: GripCampaignResult) -> None:
     """Print the tables; on a narrow terminal two narrow ones instead of a wide one."""
     blocks = [(f"lifts with a grip that is too weak: {len(found.trials)} trials", _all_rows(found.trials))]
     tight = [*_split("high need", found.high_need), *_split("fragile", found.fragile)]
@@ -127,7 +127,7 @@ def _titled(one: GripRow, title: str) -> GripRow:
     return replace(one, title=title)
 
 
-def _holds_text(found: CampaignResult, figures: dict[str, Any]) -> str:
+def _holds_text(found: GripCampaignResult, figures: dict[str, Any]) -> str:
     held = figures["holds"]
     text = (
         f"{held['count']} stable holds, {held['minutes']} minutes in total, {held['rendered']} with rendered frames: "
@@ -165,7 +165,7 @@ def _plain(title: str, heads: Sequence[str]) -> Table:
     return table
 
 
-def draw(found: CampaignResult, path: Path) -> None:
+def draw(found: GripCampaignResult, path: Path) -> None:
     """Plot slip against first grip for all controllers, and one trial over time."""
     figure = plotting.figure(13.0, 5.0)
     left, right = figure.subfigures(1, 2, squeeze=False)[0]
@@ -178,7 +178,7 @@ def draw(found: CampaignResult, path: Path) -> None:
     plotting.save(figure, path)
 
 
-def _scatter(axes: Any, found: CampaignResult) -> None:
+def _scatter(axes: Any, found: GripCampaignResult) -> None:
     """Plot a dot for a trial on a stiff gel, a cross for one on a soft gel."""
     for k, who in enumerate(COLORS):
         for soft, marker in ((False, "."), (True, "x")):

@@ -9,7 +9,7 @@ import pytest
 
 from slipguard.bench.grip import campaign_figures as figures
 from slipguard.bench.grip import group_statistics as rows
-from slipguard.bench.grip.campaign import CampaignResult, TrialOutcomes
+from slipguard.bench.grip.campaign import GripCampaignResult, TrialOutcomes
 from slipguard.bench.grip.campaign_figures import BOUNDS, FigureLimit
 from slipguard.bench.grip.stable_holds import HoldOutcome, StableHold
 from slipguard.bench.grip.trial_run import CONTROLLER_NAMES, TrialOutcome
@@ -35,8 +35,8 @@ def held(false: int = 0, lifting: int = 0, failed: str | None = None, *, soft: b
 
 def found(
     *trials: TrialOutcomes, gone: tuple[TrialOutcomes, ...] = (), holds: tuple[HoldOutcome, ...] = ()
-) -> CampaignResult:
-    return CampaignResult(trials, gone, (), (), holds)
+) -> GripCampaignResult:
+    return GripCampaignResult(trials, gone, (), (), holds)
 
 
 def test_ratios_exclude_drops_and_tiny_slips() -> None:
