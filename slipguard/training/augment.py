@@ -76,7 +76,7 @@ class Augment:
         self._light = torch.stack([torch.ones_like(x), x, y, x * y, x * x - third, y * y - third])
 
     def __call__(self, frame: Tensor, background: Tensor, label: Tensor) -> TrainingBatch:
-        """Return an augmented batch. frame, background: (N, 160, 120, 3) uint8; label: (N, 160, 120), 255 is contact."""
+        """Return an augmented batch. frame, background: (N, 160, 120, 3) uint8; label: (N, 160, 120), 255: contact."""
         count = len(frame)
         if self._zoom_share:
             frame, background, label = self._zoom(frame, background, label)
