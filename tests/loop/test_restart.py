@@ -70,7 +70,7 @@ def test_a_force_on_its_way_when_the_daemon_was_killed_is_applied_after_all(arri
         assert abs(rig.truth.rotation_deg) < 15.0
 
     lines = play(scene)
-    assert any("asked for again" in line for line in lines) is not arrived
+    assert any("are commanded again" in line for line in lines) is not arrived
 
 
 def test_a_latched_fault_outlives_the_daemon() -> None:
