@@ -69,7 +69,7 @@ class Process:
             self._process.stdin.close()
 
     def kill(self) -> None:
-        """SIGKILL, whatever it does."""
+        """SIGKILL, any it does."""
         self._process.kill()
         self._process.wait()
         assert self._process.stdin is not None

@@ -55,7 +55,7 @@ class Kill:
 
     @property
     def rotation_kept(self) -> bool:
-        """The turn is told from where the object was gripped, not from where the daemon was killed."""
+        """The turn is reported from where the object was gripped, not from where the daemon was killed."""
         return abs(self.told_deg - self.true_deg) < KEPT_DEG
 
 
@@ -80,7 +80,7 @@ def campaign(cell: Cell, kills: int, seed: int) -> Iterator[Kill]:
     calibrated = False
     for number in range(kills):
         at_s, dead_s = float(rng.uniform(0.0, LIFT_S)), float(rng.uniform(0.0, DEAD_S))
-        let_go = len(cell.events("let go"))
+        let_go = len(cell.events("released"))
         with running(cell, 2 * number) as (process, client):
             wait_for(client, lambda state: not state["waiting_for"], "the devices are not ready")
             if not calibrated:
@@ -97,9 +97,9 @@ def campaign(cell: Cell, kills: int, seed: int) -> Iterator[Kill]:
         started_s = time.time()
         with running(cell, 2 * number + 1) as (process, client):
             guarding_s, cpu_s = guarded_at_s(process) - started_s, process.cpu_s
-            told = wait_for(client, told_firm, "not firm")["rotation"]["rotation_deg"]
+            expected = wait_for(client, told_firm, "not firm")["rotation"]["rotation_deg"]
             after = cell.truth()[-1]
-            assert len(cell.events("let go")) == let_go, f"kill {number}: the jaws opened"
+            assert len(cell.events("released")) == let_go, f"kill {number}: the jaws opened"
             assert not after["dropped"], f"kill {number}: it fell: {after}"
             assert after["force"] >= before["force"] - LOOSER_N, f"kill {number}: looser: {before} {after}"
             yield Kill(
@@ -111,10 +111,10 @@ def campaign(cell: Cell, kills: int, seed: int) -> Iterator[Kill]:
                 cpu_s,
                 before["rotation"],
                 after["rotation"],
-                told,
+                expected,
             )
             put_down(cell, client)
-            assert len(cell.events("let go")) == let_go + 1
+            assert len(cell.events("released")) == let_go + 1
 
 
 def firm(state: dict[str, Any]) -> bool:

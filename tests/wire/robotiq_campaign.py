@@ -1,7 +1,7 @@
 """Random commands on a line on which everything goes wrong now and then, and what must never come of it.
 
 The emulator knows the truth: what each of its answers said at the moment it was made, every grip, every opening. A
-state is believed wrongly if no answer made during the call says the same. A grip is opened wrongly if the jaws let go,
+state is believed wrongly if no answer made during the call says the same. A grip is opened wrongly if the jaws release,
 or the gripper is reset or activated, by what no release has written; an activation that one has begun goes on alone.
 """
 
@@ -32,8 +32,8 @@ TICK_S, STALL_S = 0.005, 0.02
 APPROACH = 0.9
 """Share of the full speed at which the driver moves: there is no time for slow jaws."""
 RELEASING = ContextVar("RELEASING", default=False)
-"""Whether we are inside a release, in whatever task the driver does it."""
-OPENINGS = ("let go", "activating", "rACT cleared")
+"""Whether we are inside a release, in any task the driver does it."""
+OPENINGS = ("released", "activating", "rACT cleared")
 MIX = {"state": 35, "hold": 25, "move": 12, "give up": 10, "release": 6, "restart": 6, "object": 6}
 
 
@@ -122,7 +122,7 @@ class Lane:
         if event["event"] == "write":
             self.by_release = self.asked == (True, event["registers"])
         opens = event["event"] in OPENINGS and event.get("held", True)
-        activating = event["event"] == "let go" and self.emulator.registers.stage is not ActivationStage.READY
+        activating = event["event"] == "released" and self.emulator.registers.stage is not ActivationStage.READY
         if opens and not self.by_release and not activating:
             self.outcome.opened.append("; ".join(str(entry) for entry in list(self.emulator.log)[-8:]))
 

@@ -25,7 +25,7 @@ class RosLikeClient:
         self._task: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
-        """Connect and take the inputs. Raises ConnectionError naming what somebody else holds."""
+        """Connect and take the inputs. Raises ConnectionError naming what another program holds."""
         self._reader, self._writer = await asyncio.open_connection(self._host, 30004)
         try:
             assert await self._ask(b"V", struct.pack(">H", 2)) == b"\x01"

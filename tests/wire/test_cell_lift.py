@@ -75,9 +75,9 @@ def test_a_lift_by_slipguard(
         check(there)
         client.submit(LowerRequest())
         wait_for(client, lambda state: state["phase"] == "holding" and state["arm"]["height_mm"] < 1.0, "still up")
-        assert not there.events("let go"), "nobody had asked to open"
+        assert not there.events("released"), "nobody had asked to open"
         put_down(client)
-        assert len(there.events("let go")) == 1
+        assert len(there.events("released")) == 1
         assert not [line for line in there.truth() if line["dropped"]]
 
 
@@ -90,7 +90,7 @@ def test_a_lift_by_the_robots_own_program(tmp_path: Path) -> None:
             check(there)
             assert there.events("paused"), "the arm was never stopped, although the object turned"
             wait_for(client, lambda state: state["arm"]["height_mm"] < 1.0, "the program does not come down")
-            assert not there.events("let go")
+            assert not there.events("released")
             put_down(client)
         ended = [event["why"] for event in there.events("ended")]
         assert not ended, f"somebody's program was ended: {ended}"

@@ -30,7 +30,7 @@ QVGA = VideoMode("YUYV", 320, 240, 60.0)
 @pytest.fixture(scope="session")
 def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two folders by serial: one dark, one bright."""
-    folder = tmp_path_factory.mktemp("pictures")
+    folder = tmp_path_factory.mktemp("images")
     for level, serial in ((40, "D20001"), (160, "D20002")):
         (folder / serial).mkdir()
         for number in range(3):
@@ -49,7 +49,7 @@ async def emulator(images: Path) -> AsyncIterator[DigitEmulator]:
     await emulator.stop()
 
 
-async def beside(work: Callable[[], T]) -> T:
+async def in_thread(work: Callable[[], T]) -> T:
     """A host blocks, so it works on another thread than the emulator."""
     return await asyncio.to_thread(work)
 
@@ -66,34 +66,34 @@ async def frames(capture: UsbCapture, count: int) -> list[RawFrame]:
 
 
 async def test_two_sensors_are_listed_and_each_accepts_one_host(emulator: DigitEmulator) -> None:
-    assert await beside(lambda: listed(emulator.address)) == ["1-1", "1-2"]
-    device = await beside(lambda: UsbDevice(emulator.address, "1-1"))
+    assert await in_thread(lambda: listed(emulator.address)) == ["1-1", "1-2"]
+    device = await in_thread(lambda: UsbDevice(emulator.address, "1-1"))
     with pytest.raises(OSError, match="busy"):
-        await beside(lambda: UsbDevice(emulator.address, "1-1"))
-    serial = await beside(lambda: device.control(0x80, 6, 0x0303, 0x0409, 255))
+        await in_thread(lambda: UsbDevice(emulator.address, "1-1"))
+    serial = await in_thread(lambda: device.control(0x80, 6, 0x0303, 0x0409, 255))
     assert serial[2:].decode("utf-16-le") == "D20001"
-    await beside(device.close)
-    again = await beside(lambda: UsbDevice(emulator.address, "1-1"))
-    await beside(again.close)
+    await in_thread(device.close)
+    again = await in_thread(lambda: UsbDevice(emulator.address, "1-1"))
+    await in_thread(again.close)
 
 
 async def test_its_modes_are_a_digits(emulator: DigitEmulator) -> None:
-    capture = await beside(lambda: UsbCapture(f"{emulator.address}/1-1"))
+    capture = await in_thread(lambda: UsbCapture(f"{emulator.address}/1-1"))
     offered = {(mode.pixels, mode.width_px, mode.height_px, mode.fps) for mode in capture.modes()}
     assert offered == {("YUYV", 640, 480, fps) for fps in (30, 15)} | {("YUYV", 320, 240, fps) for fps in (60, 30)}
-    await beside(capture.close)
+    await in_thread(capture.close)
 
 
 async def test_each_sensor_sends_its_own_images_rotated_like_a_digit(emulator: DigitEmulator) -> None:
     for bus_id, level in (("1-1", 40), ("1-2", 160)):
-        capture = await beside(lambda bus_id=bus_id: UsbCapture(f"{emulator.address}/{bus_id}"))
-        await beside(lambda capture=capture: capture.configure(QVGA))
-        await beside(capture.start)
+        capture = await in_thread(lambda bus_id=bus_id: UsbCapture(f"{emulator.address}/{bus_id}"))
+        await in_thread(lambda capture=capture: capture.configure(QVGA))
+        await in_thread(capture.start)
         (frame, *_) = await frames(capture, 3)
         portrait = decode_yuyv(frame.data)
         assert portrait[5:15, 5:15].min() > 240, "the bright corner is at the top left again"
         assert abs(int(portrait[200, 120, 1]) - level) <= 4
-        await beside(capture.close)
+        await in_thread(capture.close)
 
 
 async def test_a_slow_host_receives_the_next_image(images: Path) -> None:
@@ -115,21 +115,21 @@ async def test_a_slow_host_receives_the_next_image(images: Path) -> None:
 
 
 async def test_leds_are_logged_and_a_value_beyond_them_refused(emulator: DigitEmulator) -> None:
-    capture = await beside(lambda: UsbCapture(f"{emulator.address}/1-2"))
-    assert await beside(lambda: capture.set_control(ZOOM_ABSOLUTE, 0xF73)) == 0xF73
+    capture = await in_thread(lambda: UsbCapture(f"{emulator.address}/1-2"))
+    assert await in_thread(lambda: capture.set_control(ZOOM_ABSOLUTE, 0xF73)) == 0xF73
     (event,) = emulator.events("leds")
     assert (event["serial"], event["rgb"]) == ("D20002", [15, 7, 3])
     with pytest.raises(OSError, match="Broken pipe"):
-        await beside(lambda: capture.set_control(ZOOM_ABSOLUTE, 0x1000))
-    await beside(capture.close)
+        await in_thread(lambda: capture.set_control(ZOOM_ABSOLUTE, 0x1000))
+    await in_thread(capture.close)
 
 
 async def test_a_fault_affects_one_sensor_or_all(emulator: DigitEmulator) -> None:
     captures = []
     for bus_id in ("1-1", "1-2"):
-        capture = await beside(lambda bus_id=bus_id: UsbCapture(f"{emulator.address}/{bus_id}"))
-        await beside(lambda capture=capture: capture.configure(QVGA))
-        await beside(capture.start)
+        capture = await in_thread(lambda bus_id=bus_id: UsbCapture(f"{emulator.address}/{bus_id}"))
+        await in_thread(lambda capture=capture: capture.configure(QVGA))
+        await in_thread(capture.start)
         captures.append(capture)
     for capture in captures:
         await frames(capture, 2)
@@ -142,21 +142,21 @@ async def test_a_fault_affects_one_sensor_or_all(emulator: DigitEmulator) -> Non
     emulator.control("fault D20001.unplug")
     with pytest.raises(OSError, match="No such device"):
         await frames(captures[0], 1000)
-    assert await beside(lambda: listed(emulator.address)) == ["1-2"]
+    assert await in_thread(lambda: listed(emulator.address)) == ["1-2"]
     assert len(await frames(captures[1], 3)) == 3
     emulator.control("clear")
-    assert await beside(lambda: listed(emulator.address)) == ["1-1", "1-2"]
+    assert await in_thread(lambda: listed(emulator.address)) == ["1-1", "1-2"]
     for capture in captures:
-        await beside(capture.close)
+        await in_thread(capture.close)
 
 
 async def test_a_stream_can_be_restarted_in_the_middle_of_an_image(emulator: DigitEmulator) -> None:
     for _ in range(3):
-        capture = await beside(lambda: UsbCapture(f"{emulator.address}/1-1"))
-        await beside(lambda capture=capture: capture.configure(VideoMode("YUYV", 640, 480, 30.0)))
-        await beside(capture.start)
+        capture = await in_thread(lambda: UsbCapture(f"{emulator.address}/1-1"))
+        await in_thread(lambda capture=capture: capture.configure(VideoMode("YUYV", 640, 480, 30.0)))
+        await in_thread(capture.start)
         assert {one.damage for one in await frames(capture, 2)} == {None}
-        await beside(capture.close)
+        await in_thread(capture.close)
 
 
 class Answers:
@@ -180,7 +180,7 @@ async def test_the_rest_of_an_image_is_dropped_if_the_host_stops_reading() -> No
     bulk.ask(3, 100)
     await sending
     assert answers.pieces == [(1, bytes(100))]
-    assert bulk.wanted, "read 3 waits for the next picture"
+    assert bulk.wanted, "read 3 waits for the next image"
 
 
 async def test_a_payload_ends_with_a_short_packet_unless_it_has_the_negotiated_size() -> None:
@@ -196,10 +196,10 @@ async def test_a_payload_ends_with_a_short_packet_unless_it_has_the_negotiated_s
 async def test_stopping_while_a_host_is_attached_is_quiet(
     emulator: DigitEmulator, caplog: pytest.LogCaptureFixture
 ) -> None:
-    device = await beside(lambda: UsbDevice(emulator.address, "1-1"))
+    device = await in_thread(lambda: UsbDevice(emulator.address, "1-1"))
     await emulator.stop()
     await asyncio.sleep(0.05)
-    await beside(device.close)
+    await in_thread(device.close)
     assert caplog.records == []
 
 
@@ -224,19 +224,19 @@ async def test_a_request_unlinked_before_it_was_sent_is_answered_once_it_arrives
                 exactly(link, 1)
             return answers
 
-    assert await beside(ask) == [(4, 12, -errno.ECONNRESET), (3, 13, 0)]
+    assert await in_thread(ask) == [(4, 12, -errno.ECONNRESET), (3, 13, 0)]
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "expected"),
     [
         ({"images": "/nowhere"}, "is not a folder"),
         ({"object": "unicorn"}, "no object 'unicorn'"),
         ({"host": "203.0.113.1"}, "cannot listen on"),
     ],
 )
-async def test_invalid_settings_are_reported(settings: dict[str, object], told: str) -> None:
-    with pytest.raises(InputError, match=told):
+async def test_invalid_settings_are_reported(settings: dict[str, object], expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
         await DigitEmulator(DigitEmulator.Settings.model_validate({"port": 0} | settings)).start()
 
 
@@ -259,4 +259,4 @@ async def test_garbage_ends_only_its_connection(emulator: DigitEmulator) -> None
         writer.write_eof()
         await asyncio.wait_for(reader.read(), 2.0)
         writer.close()
-    assert await beside(lambda: listed(emulator.address)) == ["1-1", "1-2"]
+    assert await in_thread(lambda: listed(emulator.address)) == ["1-1", "1-2"]

@@ -1,4 +1,4 @@
-"""The doctor beside an emulated cell, in the states that a user brings it: each line must say what to do next."""
+"""The doctor next to an emulated cell, in the states that a user brings it: each line must say what to do next."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TIMING = {"frame rate", "lost frames", "round trip", "RTDE rate"}
 
 
 @dataclass(frozen=True)
-class Told:
+class DoctorReport:
     """What the doctor said: exit code, and by subject and thing the verdict, what was seen and what to do."""
 
     code: int
@@ -39,7 +39,7 @@ class Told:
 
     @property
     def problem(self) -> set[str]:
-        """What is wrong with something, whatever the machine that runs the tests has time for."""
+        """What is wrong with something, any the machine that runs the tests has time for."""
         return {key[0] for key, line in self.lines.items() if line[0] == "problem" and key[1] not in TIMING}
 
     def line(self, subject: str, check: str) -> str:
@@ -75,15 +75,15 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     structlog.reset_defaults()
 
 
-def ask(capfd: pytest.CaptureFixture[str], config: Path) -> Told:
+def ask(capfd: pytest.CaptureFixture[str], config: Path) -> DoctorReport:
     """Run `slipguard doctor --json`."""
     capfd.readouterr()
     code = run(["doctor", "--config", str(config), "--json"])
     said = capfd.readouterr()
-    return understood(code, said.out, said.err)
+    return parse_report(code, said.out, said.err)
 
 
-def understood(code: int, out: str, err: str) -> Told:
+def parse_report(code: int, out: str, err: str) -> DoctorReport:
     """Check what every report of the doctor has in common; stdout holds nothing but JSON."""
     assert "Traceback" not in out + err
     assert out.startswith("{"), f"exit code {code}, no JSON but {out!r}; on stderr: {err!r}"
@@ -97,7 +97,7 @@ def understood(code: int, out: str, err: str) -> Told:
         assert action or status != "problem", f"nothing to do about: {observed}"
     assert answer["problems"] == [status for status, _, _ in lines.values()].count("problem")
     assert code == (1 if answer["problems"] else 0)
-    return Told(code, lines)
+    return DoctorReport(code, lines)
 
 
 def with_change(there: Cell, old: str, new: str) -> Path:
@@ -133,20 +133,20 @@ sys.exit(run(words))
 
 
 def test_all_present(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
-    told = ask(capfd, there.config)
-    assert told.problem == set()
-    assert told.line("left", "sensor") == "ok: found, serial SIM-L -> "
-    assert "fps (30 configured)" in told.line("right", "frame rate")
-    assert "of" in told.line("right", "lost frames")
-    assert told.line("left", "background image").startswith("ok: 0 min old")
-    assert "p50" in told.line("gripper", "round trip")
-    assert "p99" in told.line("gripper", "round trip")
-    assert "FTDI" in told.line("gripper", "adapter")
-    assert told.line("gripper", "condition") == "ok: activated, at rest, 85 mm open -> "
-    assert "125 requested" in told.line("arm", "RTDE rate")
-    assert told.line("arm", "stops") == "ok: none active -> "
-    assert "none runs" in told.line("daemon", "daemon")
-    assert not there.events("let go")
+    report = ask(capfd, there.config)
+    assert report.problem == set()
+    assert report.line("left", "sensor") == "ok: found, serial SIM-L -> "
+    assert "fps (30 configured)" in report.line("right", "frame rate")
+    assert "of" in report.line("right", "lost frames")
+    assert report.line("left", "background image").startswith("ok: 0 min old")
+    assert "p50" in report.line("gripper", "round trip")
+    assert "p99" in report.line("gripper", "round trip")
+    assert "FTDI" in report.line("gripper", "adapter")
+    assert report.line("gripper", "condition") == "ok: activated, at rest, 85 mm open -> "
+    assert "125 requested" in report.line("arm", "RTDE rate")
+    assert report.line("arm", "stops") == "ok: none active -> "
+    assert "none runs" in report.line("daemon", "daemon")
+    assert not there.events("released")
     assert not there.events("started"), "no script may have been sent to the robot"
     for part in ("gripper", "arm"):
         there.order(f"{part} log 1000")
@@ -165,42 +165,42 @@ def test_people_see_a_table_that_fits(there: Cell, capfd: pytest.CaptureFixture[
 
 
 def test_none_present(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
-    told = ask(capfd, with_change(there, str(there.folder), str(there.folder / "nowhere")))
-    assert told.problem == {"left", "right", "gripper"}
-    assert "start the program that serves the frames" in told.line("left", "sensor")
-    assert "no such device -> plug the adapter in" in told.line("gripper", "port")
+    report = ask(capfd, with_change(there, str(there.folder), str(there.folder / "nowhere")))
+    assert report.problem == {"left", "right", "gripper"}
+    assert "start the program that serves the frames" in report.line("left", "sensor")
+    assert "no such device -> plug the adapter in" in report.line("gripper", "port")
 
 
 def test_none_present_of_the_usual_kind(capfd: pytest.CaptureFixture[str]) -> None:
     config = Path(__file__).parents[2] / "config.toml"
-    told = ask(capfd, config)
-    assert {"left", "right", "gripper", "arm"} <= told.problem
-    assert told.line("left", "USB").endswith("-> check the USB cable")
-    assert "ls /dev/serial/by-id" in told.line("gripper", "port")
+    report = ask(capfd, config)
+    assert {"left", "right", "gripper", "arm"} <= report.problem
+    assert report.line("left", "USB").endswith("-> check the USB cable")
+    assert "ls /dev/serial/by-id" in report.line("gripper", "port")
 
 
 def test_one_sensor_unplugged(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     with failing(there, "left.disconnect"):
-        told = ask(capfd, there.config)
-    assert told.problem == {"left"}
-    assert "no such socket" in told.line("left", "sensor")
+        report = ask(capfd, there.config)
+    assert report.problem == {"left"}
+    assert "no such socket" in report.line("left", "sensor")
     with failing(there, "gripper.unplug"):
-        told = ask(capfd, there.config)
-    assert told.problem == {"gripper"}
-    assert "plug" in told.line("gripper", "port")
+        report = ask(capfd, there.config)
+    assert report.problem == {"gripper"}
+    assert "plug" in report.line("gripper", "port")
 
 
 @pytest.mark.extras("root")
 def test_no_permission(there: Cell) -> None:
     command = [sys.executable, "-c", AS_NOBODY, "doctor", "--config", str(there.config), "--json"]
     ran = subprocess.run(command, cwd="/", capture_output=True, text=True, timeout=60.0, check=False)
-    told = understood(ran.returncode, ran.stdout, ran.stderr)
-    assert {"left", "right", "gripper"} <= told.problem
-    assert "arm" not in told.problem
-    assert "access is denied" in told.line("left", "sensor")
-    assert "access is denied" in told.line("gripper", "port")
-    assert "group" in told.line("gripper", "port")
-    assert told.line("machine", "state folder").startswith("problem")
+    report = parse_report(ran.returncode, ran.stdout, ran.stderr)
+    assert {"left", "right", "gripper"} <= report.problem
+    assert "arm" not in report.problem
+    assert "access is denied" in report.line("left", "sensor")
+    assert "access is denied" in report.line("gripper", "port")
+    assert "group" in report.line("gripper", "port")
+    assert report.line("machine", "state folder").startswith("problem")
 
 
 @pytest.mark.parametrize(
@@ -208,23 +208,23 @@ def test_no_permission(there: Cell) -> None:
     [("/dev/null", "not a serial port"), ("/etc/hostname", "not a serial port"), ("/dev/ttyNONE", "no such device")],
 )
 def test_wrong_port(there: Cell, capfd: pytest.CaptureFixture[str], name: str, observed: str) -> None:
-    told = ask(capfd, with_change(there, str(there.folder / "ttyGripper"), name))
-    assert told.problem == {"gripper"}
-    about = [line[1] for (subject, _), line in told.lines.items() if subject == "gripper"]
+    report = ask(capfd, with_change(there, str(there.folder / "ttyGripper"), name))
+    assert report.problem == {"gripper"}
+    about = [line[1] for (subject, _), line in report.lines.items() if subject == "gripper"]
     assert any(observed in line for line in about), about
 
 
 def test_wrong_address(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
-    told = ask(capfd, with_change(there, f'"{HOST}"', f'"{own_address(66)}"'))
-    assert told.problem == {"arm"}
-    assert "address" in told.line("arm", "controller")
+    report = ask(capfd, with_change(there, f'"{HOST}"', f'"{own_address(66)}"'))
+    assert report.problem == {"arm"}
+    assert "address" in report.line("arm", "controller")
 
 
 def test_gripper_without_power(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     with failing(there, "gripper.deaf"):
-        told = ask(capfd, there.config)
-    assert told.problem == {"gripper"}
-    assert "check the gripper's power and the cable" in told.line("gripper", "gripper")
+        report = ask(capfd, there.config)
+    assert report.problem == {"gripper"}
+    assert "check the gripper's power and the cable" in report.line("gripper", "gripper")
 
 
 @pytest.mark.parametrize(
@@ -248,11 +248,11 @@ def test_further_problems_are_reported(
     with ExitStack() as failures:
         for name, _ in faults:
             failures.enter_context(failing(there, name))
-        told = ask(capfd, there.config)
+        report = ask(capfd, there.config)
     subjects = {name.split(".")[0] for name, _ in faults}
-    assert told.problem == subjects, {key: line for key, line in told.lines.items() if line[0] == "problem"}
+    assert report.problem == subjects, {key: line for key, line in report.lines.items() if line[0] == "problem"}
     for (name, check), observed in faults.items():
-        assert observed in told.line(name.split(".")[0], check)
+        assert observed in report.line(name.split(".")[0], check)
 
 
 def test_a_urcap_is_noted(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
@@ -268,9 +268,9 @@ def test_a_urcap_is_noted(there: Cell, capfd: pytest.CaptureFixture[str]) -> Non
     thread.start()
     try:
         assert ready.wait(10.0)
-        told = ask(capfd, there.config)
+        report = ask(capfd, there.config)
     finally:
         done.set()
         thread.join()
-    assert told.problem == set()
-    assert told.line("arm", "URCap").startswith("note: Robotiq's gripper URCap runs on the controller (port 63352)")
+    assert report.problem == set()
+    assert report.line("arm", "URCap").startswith("note: Robotiq's gripper URCap runs on the controller (port 63352)")

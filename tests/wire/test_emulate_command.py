@@ -36,7 +36,7 @@ def program(link: Path) -> Iterator[subprocess.Popen[str]]:
         running.kill()
 
 
-def told(running: subprocess.Popen[str]) -> dict[str, Any]:
+def expected(running: subprocess.Popen[str]) -> dict[str, Any]:
     assert running.stdout is not None
     return dict(json.loads(running.stdout.readline()))
 
@@ -45,11 +45,11 @@ def say(running: subprocess.Popen[str], words: str) -> dict[str, Any]:
     assert running.stdin is not None
     running.stdin.write(words + "\n")
     running.stdin.flush()
-    return told(running)
+    return expected(running)
 
 
 def test_a_program_starts_it_talks_to_it_and_ends_it(program: subprocess.Popen[str], link: Path) -> None:
-    assert told(program) == {"ready": str(link), "emulator": "robotiq"}
+    assert expected(program) == {"ready": str(link), "emulator": "robotiq"}
     with serial.Serial(str(link), 115200, timeout=1.0) as port:
         port.write(ASK)
         assert len(port.read(11)) == 11
@@ -60,7 +60,7 @@ def test_a_program_starts_it_talks_to_it_and_ends_it(program: subprocess.Popen[s
     with serial.Serial(str(link), 115200, timeout=0.1) as port:
         port.write(ASK)
         assert port.read(11) == b""
-    event = told(program)
+    event = expected(program)
     assert (event["event"], event["kind"]) == ("fault", "silence")
     program.send_signal(signal.SIGTERM)
     assert program.wait(5.0) == 0

@@ -15,9 +15,9 @@ from tests.campaigns.command_line import run as run_campaign
 def test_two_clients_for_a_moment(capfd: pytest.CaptureFixture[str]) -> None:
     """Whether a moment's p99 rises is chance; that both were served and the verdict is that of the figures is not."""
     code = run_campaign(["api-load", "--clients", "2", "--pairs", "1", "--block-s", "1.5", "--fps", "30", "--json"])
-    told = capfd.readouterr()
-    found = json.loads(told.out)
-    assert code == int(found["rise_ms"] > found["allowed_ms"]), told.err
+    expected = capfd.readouterr()
+    found = json.loads(expected.out)
+    assert code == int(found["rise_ms"] > found["allowed_ms"]), expected.err
     assert found["decisions"] > 20
     assert found["received"]["responses 200"] >= 1
     assert found["received"]["live messages"] >= 1

@@ -74,7 +74,7 @@ async def test_tightening_is_stop_then_go_and_never_opens(emulator: RobotiqEmula
     assert words_written(emulator) == ["0100 00FF FF48", "0900 00FF FF48"]
     await until_it_rests(held)
     assert emulator.state()["force_n"] == pytest.approx(80.7, abs=0.1)
-    assert emulator.events("let go") == []
+    assert emulator.events("released") == []
 
 
 async def test_an_ignored_stop_is_reported(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
@@ -166,7 +166,7 @@ async def test_opening_is_refused_while_the_fingers_close(tmp_path: Path) -> Non
     await until_it_rests(gripper)
     with pytest.raises(CommandRefused, match="held"):
         await gripper.move(70.0, 60.0)
-    assert emulator.events("let go") == []
+    assert emulator.events("released") == []
     await gripper.close()
     await emulator.stop()
 

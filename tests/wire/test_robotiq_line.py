@@ -38,7 +38,7 @@ async def test_a_response_later_than_the_silence_is_never_taken_for_the_next(tmp
         await gripper.state()
     put(emulator, OBJECT_MM)
     now_s = asyncio.get_running_loop().time()
-    emulator.registers.write(now_s, 0x03E8, [0x0900, 255, 0xFFFF])  # somebody else closes it meanwhile
+    emulator.registers.write(now_s, 0x03E8, [0x0900, 255, 0xFFFF])  # another program closes it meanwhile
     for _ in range(4):
         try:
             state = await gripper.state()
@@ -157,18 +157,18 @@ async def test_no_response_crashes_the_driver(emulator: RobotiqEmulator, gripper
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "expected"),
     [
         (lambda path: None, "no such device"),
         (lambda path: path.symlink_to("/dev/pts/no_such"), "unplugged"),
         (lambda path: path.write_text("no port"), "not a serial port"),
     ],
 )
-async def test_a_path_that_is_not_a_serial_port_is_reported(tmp_path: Path, make: object, told: str) -> None:
+async def test_a_path_that_is_not_a_serial_port_is_reported(tmp_path: Path, make: object, expected: str) -> None:
     path = tmp_path / "ttyUSB9"
     make(path)  # type: ignore[operator]
     gripper = RobotiqGripper(RobotiqGripper.Settings(port=str(path)), DriverContext("gripper"))
-    with pytest.raises(DeviceLost, match=told):
+    with pytest.raises(DeviceLost, match=expected):
         await gripper.open()
     await gripper.close()
 

@@ -1,4 +1,4 @@
-"""The emulated gripper driven by somebody else's client, so that it is more than a mirror of our own driver."""
+"""The emulated gripper driven by another program's client, so that it is more than a mirror of our own driver."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ async def test_it_activates_moves_grips_and_reads(emulator: RobotiqEmulator) -> 
             client.disconnect()
 
     await asyncio.get_running_loop().run_in_executor(None, drive)
-    told = [event["event"] for event in emulator.log]
-    assert told.count("activating") == 1
-    assert "gripped" in told
+    expected = [event["event"] for event in emulator.log]
+    assert expected.count("activating") == 1
+    assert "gripped" in expected
     assert emulator.state()["width_mm"] == 85.0

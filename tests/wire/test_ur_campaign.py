@@ -65,11 +65,11 @@ class Controller:
     async def listen(self) -> None:
         assert self._process.stdout is not None
         while line := await self._process.stdout.readline():
-            told = json.loads(line)
-            if "ready" in told:
+            script_commands = json.loads(line)
+            if "ready" in script_commands:
                 self.ready.set()
-            elif "event" in told:
-                self.events.append(told)
+            elif "event" in script_commands:
+                self.events.append(script_commands)
 
     def stands(self) -> bool:
         """The newest thing the arm did was to come to rest."""
@@ -151,7 +151,7 @@ async def one_round(
     stood = next(event for event in controller.events if event["event"] == "stands")
     before = controller.events[: controller.events.index(stood)]
     scripts = sum(event["event"] == "script" for event in controller.events)
-    assert scripts <= 1, "nobody but open starts the script anew"
+    assert scripts <= 1, "nobody but open starts the script again"
     return Round(kind, stopped_by(before), seen_s - begun_s, float(str(stood["at_s"])) - begun_s, recovered_s)
 
 

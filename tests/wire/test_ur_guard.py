@@ -1,4 +1,4 @@
-"""Guard mode beside somebody's program and a ROS-like RTDE client: neither is disturbed but by an intended pause."""
+"""Guard mode next to somebody's program and a ROS-like RTDE client: neither is disturbed but by an intended pause."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ async def ros(controller: UrEmulator) -> AsyncIterator[RosLikeClient]:
     yield client
     assert client.ended is None, "the other client has lost its connection"
     packets = client.packets
-    assert await until(lambda: client.packets > packets + 5), "the other client is told nothing any more"
+    assert await until(lambda: client.packets > packets + 5), "the other client is reported nothing any more"
     await client.stop()
 
 
@@ -53,7 +53,7 @@ def pausing(**settings: object) -> GuardModeArm:
 
 
 def no_rtde(controller: UrEmulator) -> None:
-    """RTDE is gone for good; the dashboard is still there for who connects anew."""
+    """RTDE is gone for good; the dashboard is still there for who connects again."""
     controller._servers[0].close()
     controller._cut()
 

@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator
 from typing import Literal
 
 import pytest
-from ur_scene import lifting, lost, opened, own_address, put_away, refusal, rests, told, under_way, until
+from ur_scene import lifting, lost, opened, own_address, put_away, refusal, rests, script_commands, under_way, until
 
 from slipguard.errors import CommandRefused, DeviceLost
 from slipguard_drivers.ur5.lift_mode import LiftModeArm
@@ -54,13 +54,13 @@ def saw_no_program(arm: LiftModeArm) -> bool:
 
 async def test_the_watchdog_is_armed_before_anything_moves(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
-    assert told(controller)[:2] == ["watchdog at 2 Hz", "movel in a thread"]
+    assert script_commands(controller)[:2] == ["watchdog at 2 Hz", "movel in a thread"]
 
 
 async def test_a_stop_is_a_linear_one(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     await arm.stop()
-    assert told(controller)[-1] == "stopl", "a synchronous one would be carried out as stopj, in rad/s2"
+    assert script_commands(controller)[-1] == "stopl", "a synchronous one would be carried out as stopj, in rad/s2"
     assert await rests(controller)
 
 
@@ -68,7 +68,7 @@ async def test_a_new_motion_waits_until_the_old_one_has_ended(controller: UrEmul
     await under_way(arm, controller)
     for height_mm, speed_mm_s in ((50.0, 20.0), (-50.0, 100.0), (50.0, 250.0)):
         await arm.lift(height_mm, speed_mm_s)
-        assert told(controller)[-2:] == ["stopl", "movel in a thread"]
+        assert script_commands(controller)[-2:] == ["stopl", "movel in a thread"]
         await asyncio.sleep(0.05)
     assert not controller.events("ended"), "two threads that move the arm would end the script"
 
@@ -80,7 +80,7 @@ async def test_a_stop_during_the_wait_prevents_the_new_motion(controller: UrEmul
     with pytest.raises(CommandRefused, match="stopped during the command"):
         await arm.lift(50.0, 100.0)
     await stopping[0]
-    assert told(controller).count("movel in a thread") == 1
+    assert script_commands(controller).count("movel in a thread") == 1
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP], ids=["dies", "hangs"])
@@ -113,7 +113,7 @@ async def test_a_link_that_breaks_stops_the_arm(controller: UrEmulator, arm: Lif
     assert await rests(controller)
     await lost(arm)
     assert arm._worker.pid is None, "ur-rtde would connect again by itself, and start its script"
-    assert len(controller.events("script")) == 1, "nobody but open starts the script anew"
+    assert len(controller.events("script")) == 1, "nobody but open starts the script again"
     controller.control("clear")
     await asyncio.sleep(0.05)
     await arm.open()
@@ -159,7 +159,7 @@ async def test_without_states_the_arm_is_commanded_to_stop(controller: UrEmulato
     await under_way(arm, controller)
     controller.control("fault freeze")
     assert await rests(controller)
-    assert "stopl" in told(controller), "blind is not deaf: it is told before it is given up"
+    assert "stopl" in script_commands(controller), "blind is not deaf: it is reported before it is given up"
     await lost(arm)
     assert arm._worker.pid is None
 
@@ -198,7 +198,7 @@ async def test_after_a_stop_at_the_panel_the_arm_belongs_to_the_panel(controller
     words = "a program is running or paused (PLAYING shuttle.urp)"
     assert words in await refusal(arm, words)
     await arm.close()
-    assert dashboard_orders(controller) == orders, "what runs now is somebody else's"
+    assert dashboard_orders(controller) == orders, "what runs now is another program's"
     assert controller.state()["runtime"] == "playing"
 
 

@@ -53,7 +53,7 @@ async def refusal(arm: Arm, words: str) -> str:
 
 
 async def put_away() -> None:
-    """Close all that were built. A second close lets go of what the first keeps for another `open`."""
+    """Close all that were built. A second close opens of what the first keeps for another `open`."""
     while BUILT:
         arm = BUILT.pop()
         await arm.close()
@@ -65,7 +65,7 @@ def speed_of(controller: UrEmulator) -> float:
     return max(abs(part) for part in controller.tool.velocity(asyncio.get_running_loop().time()))
 
 
-def told(controller: UrEmulator) -> list[str]:
+def script_commands(controller: UrEmulator) -> list[str]:
     """What the control script was told, in order."""
     return [str(event["what"]) for event in controller.events("command")]
 

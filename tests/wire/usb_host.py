@@ -104,7 +104,7 @@ class UsbDevice:
         self._submit(1, bytes(8), READ_BYTES, READ_BYTES)
 
     def close(self) -> None:
-        """Take back what was asked for, and let go."""
+        """Take back what was asked for, and release."""
         try:
             for number in list(self.reads):
                 self._link.sendall(struct.pack(">5II24x", 2, self._next(), self._id, 0, 1, number))

@@ -24,7 +24,7 @@ Image = NDArray[np.uint8]
 
 
 class DamagedFrame(Exception):
-    """The bytes are not a complete image; str() says what is wrong with them."""
+    """The bytes are not a complete image; str() gives the reason."""
 
 
 def decode_yuyv(data: bytes) -> Image:

@@ -35,7 +35,7 @@ ECHO_READS = 5
 YIELD_COUNTS = 3
 """Fingers that press an object move by at most this much while the force rises (1.1 mm on a 2F-85)."""
 RELEASE_COUNTS_MIN = 15
-"""A release opens at least this far (5.6 mm on a 2F-85), whatever width is requested."""
+"""A release opens at least this far (5.6 mm on a 2F-85), even if a smaller width is requested."""
 ACTIVATION_TIMEOUT_S = 10.0
 """A 2F-85 takes about 3 s to open and close fully."""
 ACTIVATION_POLL_S = 0.05
@@ -270,7 +270,7 @@ class RobotiqGripper(Gripper):
         if not status.ready:
             raise CommandRefused(
                 f"{self._name}: the gripper is not activated; release activates it: the fingers open and close fully, "
-                "so remove what is between them"
+                "so clear the space between them"
             )
         return status
 

@@ -37,7 +37,7 @@ def why_not_usable(port: str) -> str:
 
 
 def device_fault(port: str) -> str | None:
-    """Return what is wrong with the device file itself; None if nothing is."""
+    """Return the fault of the device file itself; None if there is none."""
     path = Path(port)
     if not path.exists():
         if path.is_symlink():

@@ -47,7 +47,7 @@ class Ur5Arm(Arm):
         await self._arm.close()
 
     async def diagnose(self, *, owned: bool) -> AsyncIterator[CheckResult]:
-        """Check the controller for `slipguard doctor`; takes nothing over, so it may run beside any program."""
+        """Check the controller for `slipguard doctor`; it takes nothing over, so other programs may run."""
         async for result in check_controller(self._name, self._settings, self._mode, owned=owned):
             yield result
 

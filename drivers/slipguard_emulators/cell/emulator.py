@@ -40,7 +40,7 @@ CAMERA_FAULTS = {
 POLL_S = 0.05
 GRIP_MIN_N = 10.0
 """From this force on, the robot's program treats the object as gripped."""
-REPORTED = frozenset({"gripped", "tightened", "let go", "paused", "resumed", "started", "ended", "safety", "fault"})
+REPORTED = frozenset({"gripped", "tightened", "released", "paused", "resumed", "started", "ended", "safety", "fault"})
 """Events of the parts that are reported; their logs have all events."""
 
 

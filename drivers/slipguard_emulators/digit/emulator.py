@@ -27,7 +27,7 @@ FAULTS = {
     "freeze": "the same image is sent again",
     "corrupt": "an image is sent with the error flag of its USB payload",
     "short": "half of an image is sent as if it were complete",
-    "unplug": "the cable is pulled; clear it to plug the sensor in again (it must be attached anew)",
+    "unplug": "the cable is pulled; clear it to plug the sensor in again (it must be attached again)",
 }
 SHARE_SENT = 0.5
 

@@ -171,7 +171,7 @@ class GripperRegisters:
         view = self.jaws.state_at(now_s)
         width_mm = self._width_mm(position)
         if width_mm > view.width_mm and view.holds:
-            self._note("let go", width_mm=round(view.width_mm, 2))
+            self._note("released", width_mm=round(view.width_mm, 2))
         low, high = self.figures.speed_mm_s
         speed_mm_s = (low + (high - low) * speed / 255) * self._quick
         low, high = self.figures.force_n

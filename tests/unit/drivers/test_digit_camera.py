@@ -1,4 +1,4 @@
-"""The DIGIT driver over a capture device made of a pipe: newest wins, and every way to lose a camera is told."""
+"""The DIGIT driver over a capture device made of a pipe: newest wins, and every way to lose a camera is reported."""
 
 from __future__ import annotations
 
@@ -104,17 +104,17 @@ async def test_a_device_in_permanent_error_is_lost(sensor: DigitSensor) -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "expected"),
     [
         (OSError(errno.EBUSY, "busy"), "another program"),
         (OSError(errno.EACCES, "denied"), "group video"),
         (OSError(errno.EINVAL, "it gives 640x480 MJPG"), "it gives 640x480 MJPG"),
     ],
 )
-async def test_an_unusable_camera_reports_the_reason(camera: type[PipeCapture], error: OSError, told: str) -> None:
+async def test_an_unusable_camera_reports_the_reason(camera: type[PipeCapture], error: OSError, expected: str) -> None:
     camera.refuses = error
     sensor = digit()
-    with pytest.raises(DeviceLost, match=told):
+    with pytest.raises(DeviceLost, match=expected):
         await sensor.open()
     await sensor.close()
 
@@ -157,7 +157,7 @@ async def test_a_camera_without_the_format_lists_its_modes(camera: type[PipeCapt
 
 
 @pytest.mark.parametrize(
-    ("device", "settings", "told"),
+    ("device", "settings", "expected"),
     [
         ({"gives_fps": 30.0}, {}, "the camera delivers 30 frames per second, 60 were requested"),
         ({"gives_fps": 0.0}, {}, "does not report its rate"),
@@ -166,14 +166,14 @@ async def test_a_camera_without_the_format_lists_its_modes(camera: type[PipeCapt
     ],
 )
 async def test_differences_from_the_settings_are_reported(
-    camera: type[PipeCapture], device: dict[str, object], settings: dict[str, object], told: str
+    camera: type[PipeCapture], device: dict[str, object], settings: dict[str, object], expected: str
 ) -> None:
     for name, value in device.items():
         setattr(camera, name, value)
     sensor = digit(**settings)
     await sensor.open()
     (remark,) = sensor.remarks
-    assert told in remark
+    assert expected in remark
     await sensor.close()
     assert sensor.remarks == ()
 
@@ -224,12 +224,12 @@ async def test_while_a_jpeg_is_decoded_only_the_newest_waits(
     camera.offers = (VideoMode("MJPG", 320, 240, 60.0),)
     sensor = digit(stall_ms=2000)
     await sensor.open()
-    pictures = [jpeg(number) for number in range(5)]
+    images = [jpeg(number) for number in range(5)]
     assert sensor._decoder is not None
-    for picture in pictures:
-        sensor._decoder.offer(picture, 1.0)
+    for image in images:
+        sensor._decoder.offer(image, 1.0)
     await _until(lambda: len(begun) == 2)
-    assert begun == [pictures[0].data, pictures[4].data]
+    assert begun == [images[0].data, images[4].data]
     await sensor.close()
 
 

@@ -1,4 +1,4 @@
-"""A DIGIT's picture is turned upright; a JPEG that is not whole is never taken for a picture."""
+"""A DIGIT's image is turned upright; a JPEG that is not whole is never taken for an image."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def test_a_jpeg_is_rotated_like_yuyv() -> None:
 
 
 @pytest.mark.parametrize(
-    ("data", "told"),
+    ("data", "expected"),
     [
         (b"", "not a JPEG"),
-        (b"no picture at all", "not a JPEG"),
+        (b"no image at all", "not a JPEG"),
         (JPEG[:-2], "without its end"),
         (JPEG + b"more", "without its end"),
         (JPEG[: JPEG.index(b"\xff\xc0") + 6], "broken at byte"),
@@ -51,8 +51,8 @@ def test_a_jpeg_is_rotated_like_yuyv() -> None:
     ],
     ids=["nothing", "text", "cut off", "something behind", "cut in the header", "another size", "no header"],
 )
-def test_an_incomplete_image_is_reported(data: bytes, told: str) -> None:
-    with pytest.raises(DamagedFrame, match=told):
+def test_an_incomplete_image_is_reported(data: bytes, expected: str) -> None:
+    with pytest.raises(DamagedFrame, match=expected):
         decode_jpeg(data)
 
 

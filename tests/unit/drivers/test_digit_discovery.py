@@ -54,11 +54,11 @@ def test_a_digit_is_found_by_its_serial(sysfs: Sysfs) -> None:
     assert find_digit("D20002", "left", sysfs.folder).has_rgb
 
 
-@pytest.mark.parametrize(("serials", "told"), [(["D20001", "D20002"], "only D20001, D20002; "), ([], "USB cable")])
-def test_a_missing_sensor_is_reported_with_the_connected_ones(sysfs: Sysfs, serials: list[str], told: str) -> None:
+@pytest.mark.parametrize(("serials", "expected"), [(["D20001", "D20002"], "only D20001, D20002; "), ([], "USB cable")])
+def test_a_missing_sensor_is_reported_with_the_connected_ones(sysfs: Sysfs, serials: list[str], expected: str) -> None:
     for port, serial in enumerate(serials, 1):
         sysfs.plug(f"1-{port}", serial)
-    with pytest.raises(DeviceLost, match=told):
+    with pytest.raises(DeviceLost, match=expected):
         find_digit("D2", "left", sysfs.folder)
 
 

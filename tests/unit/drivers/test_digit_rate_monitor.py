@@ -1,4 +1,4 @@
-"""Too few frames are told in words: those the camera did not make, and those this machine did not take."""
+"""Too few frames are expected in words: those the camera did not make, and those this machine did not take."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def watched(asked_fps: float, made_fps: float, taken_share: float = 1.0, frames:
 
 
 @pytest.mark.parametrize(
-    ("made_fps", "taken_share", "told"),
+    ("made_fps", "taken_share", "expected"),
     [
         (60.0, 1.0, None),
         (58.0, 0.95, None),
@@ -25,9 +25,9 @@ def watched(asked_fps: float, made_fps: float, taken_share: float = 1.0, frames:
         (30.0, 0.5, "the camera delivers only"),
     ],
 )
-def test_missing_frames_are_reported(made_fps: float, taken_share: float, told: str | None) -> None:
+def test_missing_frames_are_reported(made_fps: float, taken_share: float, expected: str | None) -> None:
     remark = watched(60.0, made_fps, taken_share).remark
-    assert remark is None if told is None else remark is not None and told in remark
+    assert remark is None if expected is None else remark is not None and expected in remark
 
 
 def test_before_the_first_window_there_is_no_rate() -> None:

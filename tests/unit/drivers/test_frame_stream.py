@@ -1,4 +1,4 @@
-"""The last step before a frame is handed out: newest wins, repetition and damage are told, nothing comes twice."""
+"""The last step before a frame is handed out: newest wins, repetition and damage are reported, nothing comes twice."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ asyncio.run(main())
 
 
 def new_sensor() -> FakeSensor:
-    """One that gives a busy machine time for its first picture."""
+    """One that gives a busy machine time for its first image."""
     return FakeSensor(FakeSensor.Settings(stall_ms=5000), DriverContext("left", World()))
 
 

@@ -78,11 +78,11 @@ def test_states_in_which_an_object_may_be_held(
 
 
 @pytest.mark.parametrize(
-    ("code", "told"),
+    ("code", "expected"),
     [
         (0x00, None),
         (0x05, None),  # passes: it moves as soon as it is activated
-        (0x07, None),  # passes: not activated, which is told anyway
+        (0x07, None),  # passes: not activated, which is reported anyway
         (0x08, "too hot"),
         (0x09, None),  # passes: the line was silent for a second
         (0x0A, "voltage"),
@@ -94,9 +94,9 @@ def test_states_in_which_an_object_may_be_held(
         (0x06, "0x06"),
     ],
 )
-def test_faults_are_texts(code: int, told: str | None) -> None:
+def test_faults_are_texts(code: int, expected: str | None) -> None:
     fault = decode([0xB900, code << 8 | 255, 0xBD00]).fault
-    assert fault is None if told is None else told in (fault or "")
+    assert fault is None if expected is None else expected in (fault or "")
 
 
 @pytest.mark.parametrize("registers", [[], [0xB900, 255], [0xB900, 255, 0x10000], [0xB900, -1, 0]])

@@ -75,7 +75,7 @@ Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], object]
 @pytest.fixture
 async def served() -> AsyncIterator[tuple[list[bytes], dict[bytes, bytes]]]:
     """A server that notes each message and answers it from a table; without an answer it stays silent."""
-    heard: list[bytes] = []
+    received: list[bytes] = []
     answers = dict((VERSION, CONTROLLER, RECIPE, (START[0], START[1] + DATA)))
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -83,22 +83,22 @@ async def served() -> AsyncIterator[tuple[list[bytes], dict[bytes, bytes]]]:
             while True:
                 head = await reader.readexactly(2)
                 request = head + await reader.readexactly(struct.unpack(">H", head)[0] - 2)
-                heard.append(request)
+                received.append(request)
                 writer.write(answers.get(request, b""))
         except (asyncio.IncompleteReadError, OSError):
             writer.close()
 
     server = await asyncio.start_server(serve, HOST, 30004)
-    yield heard, answers
+    yield received, answers
     server.close()
     await asyncio.sleep(0.02)  # the server's side of the connections ends
 
 
 async def test_the_driver_asks_as_the_protocol_says(served: tuple[list[bytes], dict[bytes, bytes]]) -> None:
-    heard, _ = served
+    received, _ = served
     monitor = StateMonitor("arm", HOST)
     await monitor.open()
-    assert heard == [VERSION[0], CONTROLLER[0], RECIPE[0], START[0]]
+    assert received == [VERSION[0], CONTROLLER[0], RECIPE[0], START[0]]
     assert monitor.version == (5, 17, 3, 0)
     state = monitor.newest
     assert (state.timestamp_s, state.pose, state.velocity) == (12.5, POSE, SPEED)
@@ -108,13 +108,13 @@ async def test_the_driver_asks_as_the_protocol_says(served: tuple[list[bytes], d
 
 
 async def test_inputs_are_taken_and_sent_by_their_recipe(served: tuple[list[bytes], dict[bytes, bytes]]) -> None:
-    heard, answers = served
+    received, answers = served
     answers[b"\x00\x1cIstandard_digital_output,x"[:2] + b"Istandard_digital_output,x"] = b"\x00\x0fI\x05UINT8,UINT8"
     connection = await RtdeConnection.connect("arm", HOST)
     recipe = await connection.claim_inputs(["standard_digital_output", "x"])
     connection.send(recipe, b"\x08\x08")
     await asyncio.sleep(0.02)
-    assert heard[-1] == b"\x00\x06U\x05\x08\x08"
+    assert received[-1] == b"\x00\x06U\x05\x08\x08"
     connection.close()
 
 
@@ -155,14 +155,14 @@ async def test_an_input_in_use_names_possible_holders(served: tuple[list[bytes],
 
 
 async def test_outputs_of_another_size_are_reported_in_one_line(served: tuple[list[bytes], dict[bytes, bytes]]) -> None:
-    heard, answers = served
+    received, answers = served
     names = b"standard_digital_output_mask,standard_digital_output"
     recipe = bytes.fromhex("405f400000000000") + b"actual_digital_output_bits"
     answers[struct.pack(">H", 3 + len(recipe)) + b"O" + recipe] = b"\x00\x0aO\x01UINT64"
     answers[struct.pack(">H", 3 + len(names)) + b"I" + names] = b"\x00\x0fI\x01UINT8,UINT8"
     with pytest.raises(DeviceLost, match="116 bytes of digital outputs instead of 8"):
         await DigitalOutput("arm", HOST, 3, 0.1).pulse()
-    assert all(request[2:3] != b"U" for request in heard), "nothing is set where it is not known how it stands"
+    assert all(request[2:3] != b"U" for request in received), "nothing is set where it is not known how it stands"
 
 
 def test_the_recipe_is_what_the_layout_holds() -> None:

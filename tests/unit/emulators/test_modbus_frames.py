@@ -62,7 +62,7 @@ def test_a_write_is_answered_as_in_the_manual(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked", "told"),
+    ("asked", "expected"),
     [
         (ASK_ONE, NOT_YET_ACTIVE),
         (ASK_ONE, ACTIVE),
@@ -71,9 +71,9 @@ def test_a_write_is_answered_as_in_the_manual(text: str) -> None:
         (ASK_ALL_AS_INPUTS, GRASPED),
     ],
 )
-def test_a_read_is_answered_as_in_the_manual(asked: str, told: str) -> None:
-    answer = frames.answer(parsed(asked), lambda: [*words(told), 0, 0])
-    assert answer + frames.crc16(answer) == bytes.fromhex(told)
+def test_a_read_is_answered_as_in_the_manual(asked: str, expected: str) -> None:
+    answer = frames.answer(parsed(asked), lambda: [*words(expected), 0, 0])
+    assert answer + frames.crc16(answer) == bytes.fromhex(expected)
 
 
 def test_the_manuals_responses_are_decoded() -> None:

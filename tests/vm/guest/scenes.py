@@ -28,7 +28,7 @@ from slipguard_emulators.digit.emulator import DigitEmulator, EmulatedCamera
 PATIENCE_S = 20.0
 SERIALS = ("D20001", "D20002")
 SERIAL = SERIALS[0]
-IMAGES = Path("/tmp/pictures")
+IMAGES = Path("/tmp/images")
 RETRY_S = 0.5
 """The daemon's own (`loop.retry_s`)."""
 
@@ -79,7 +79,7 @@ def draw_pictures() -> None:
 async def emulated(
     serials: tuple[str, ...] = (SERIAL,), nodrop: int = 1, **settings: Any
 ) -> AsyncIterator[DigitEmulator]:
-    """Sensors plugged into this kernel, and their emulator. nodrop: whether the kernel hands on damaged pictures."""
+    """Sensors plugged into this kernel, and their emulator. nodrop: whether the kernel hands on damaged images."""
     modprobe("uvcvideo")
     modprobe("vhci-hcd")
     Path("/sys/module/uvcvideo/parameters/nodrop").write_text(str(nodrop))  # noqa: ASYNC240
@@ -176,7 +176,7 @@ async def two_sensors() -> dict[str, object]:
 
 
 def likeness(frames: list[Frame], camera: EmulatedCamera) -> float:
-    """Largest distance of a frame from the nearest picture that was sent, in mean grey levels."""
+    """Largest distance of a frame from the nearest image that was sent, in mean grey levels."""
     sent = np.stack(camera.images).astype(np.int16)
     return max(float(np.abs(sent - frame.image).mean(axis=(1, 2, 3)).min()) for frame in frames[:3])
 
@@ -213,22 +213,22 @@ async def contract() -> dict[str, object]:
 
 
 async def faults(pixels: str, nodrop: int = 1) -> dict[str, Any]:
-    """Every fault in turn: how it is told, and how soon."""
-    told: dict[str, Any] = {}
+    """Every fault in turn: how it is reported, and how soon."""
+    expected: dict[str, Any] = {}
     async with emulated(pixels=pixels, nodrop=nodrop) as emulator:
         sensor = digit(fps=30)
         await sensor.open()
-        told["mode"] = str(sensor.mode)
+        expected["mode"] = str(sensor.mode)
         for fault in ("stall", "freeze", "corrupt", "short"):
             await good(sensor, 5)
             emulator.control(f"fault {fault}")
             begin_s = time.monotonic()
             error = await failure(sensor)
-            told[fault] = {"as": type(error).__name__, "after_s": time.monotonic() - begin_s, "says": str(error)}
+            expected[fault] = {"as": type(error).__name__, "after_s": time.monotonic() - begin_s, "says": str(error)}
             emulator.control(f"clear {fault}")
         await good(sensor, 5)
         await sensor.close()
-    return told
+    return expected
 
 
 class Perceiving:
@@ -266,7 +266,7 @@ async def replug(unplugged_s: float) -> dict[str, float]:
 
 
 async def unplug() -> dict[str, object]:
-    """How soon whoever waits for a frame learns that the cable was pulled."""
+    """How soon any client that waits for a frame learns that the cable was pulled."""
     async with emulated() as emulator:
         sensor = digit(fps=30)
         await sensor.open()
