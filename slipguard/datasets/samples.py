@@ -211,8 +211,8 @@ def _worn(rng: np.random.Generator, image: Image, background: Image) -> tuple[Im
         end = start + rng.normal(0.0, 1.0, 2) * (rng.uniform(5, 120) if sheet is old else rng.uniform(1, 12))
         level = rng.normal(0.0, 18.0) + rng.normal(0.0, 8.0, 3)
         points = [(round(float(p[0])), round(float(p[1]))) for p in (start, end)]
-        colour = (float(level[0]), float(level[1]), float(level[2]))
-        cv2.line(sheet, points[0], points[1], colour, int(rng.integers(1, 3)), cv2.LINE_AA)
+        color = (float(level[0]), float(level[1]), float(level[2]))
+        cv2.line(sheet, points[0], points[1], color, int(rng.integers(1, 3)), cv2.LINE_AA)
     old, new = blurred(old, 0.8), blurred(new, 0.8)
     return _added(image, old + new), _added(background, old)
 

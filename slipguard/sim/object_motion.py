@@ -29,9 +29,9 @@ TABLE_DAMPING = 0.2
 
 @dataclass(frozen=True, slots=True)
 class GraspedBody:
-    """What the motion needs of an object and its grip, in SI units.
+    """The mechanics of an object and its grip, in SI units.
 
-    slides: False pins the object to the grasp axis (a hinge), for studying the turn alone.
+    translates: False pins the object to the grasp axis (a hinge), to study rotation only.
     """
 
     mass_kg: float

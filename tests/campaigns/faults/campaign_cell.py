@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
 from typing import Any, cast
 
@@ -14,6 +14,7 @@ from slipguard.bench.grip.perception_models import PerceptionErrors
 from slipguard.config import GROUP_OF, Config, parse_config
 from slipguard.control.control_step import control_step
 from slipguard.daemon.api.handlers import RequestHandlers
+from slipguard.daemon.api.requests import DaemonRequest
 from slipguard.daemon.loop.service import FINGERS, Service
 from slipguard.daemon.loop.virtual_time import FixedLatencyWorker
 from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
@@ -171,6 +172,10 @@ class CampaignCell:
         self.service = self._build(self._link)
         self.handlers = RequestHandlers(self.service)
         self._task = asyncio.create_task(self._run(self.service), name="service")
+
+    async def submit(self, request: DaemonRequest) -> Mapping[str, object]:
+        """Submit a request to the daemon."""
+        return await self.handlers.submit(request)
 
     async def kill(self) -> None:
         """End the daemon like `kill -9`: it sends nothing more, and the arm's watchdog stops the arm."""

@@ -61,7 +61,7 @@ class Operator:
 
     async def _accepted(self, request: DaemonRequest) -> bool:
         try:
-            await self._cell.handlers.submit(request)
+            await self._cell.submit(request)
         except CommandRefused:
             return False
         return True

@@ -139,12 +139,12 @@ def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
     )
     monkeypatch.setattr(campaigns, "trial", lambda seed: failing if seed == 7 else fine)
     assert run(["faults", "--runs", "2", "--seed", "7", "--jobs", "1", "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told | {"runs": 2, "unnamed_faults": 1, "drops_avoidable": 0, "failed_seeds": [7]} == told
-    assert set(told) >= {"runs", "drops_avoidable", "openings", "unnamed_faults", "crashes", "leaked_tasks"}
+    found = json.loads(capsys.readouterr().out)
+    assert found | {"runs": 2, "unnamed_faults": 1, "drops_avoidable": 0, "failed_seeds": [7]} == found
+    assert set(found) >= {"runs", "drops_avoidable", "openings", "unnamed_faults", "crashes", "leaked_tasks"}
     assert run(["faults", "--runs", "2", "--seed", "7", "--jobs", "1"]) == 1
-    said = re.sub(r"\s+", " ", capsys.readouterr().out)
-    assert "--runs 1 --seed 7" in said
+    message = re.sub(r"\s+", " ", capsys.readouterr().out)
+    assert "--runs 1 --seed 7" in message
     assert run(["faults", "--runs", "1", "--seed", "8", "--jobs", "1"]) == 0
     assert "seed 8" in capsys.readouterr().out
     assert run(["faults", "--runs", "0"]) == 2

@@ -16,14 +16,14 @@ from tests.campaigns.faults.detection import OBSERVABLE_DEG, WITHIN_S, Monitored
 from tests.campaigns.faults.kinds import KINDS, RANKS, PlannedFault
 
 
-def told(rotation_deg: float | None) -> SimpleNamespace:
+def newest(rotation_deg: float | None) -> SimpleNamespace:
     return SimpleNamespace(estimate=SimpleNamespace(angle_deg=rotation_deg))
 
 
 def rig(phase: Phase = Phase.HOLDING, rotations_deg: tuple[float, float] = (5.0, -5.0)) -> Any:
     """A cell in which everything is well and the object is held, 5 degrees from where it was gripped."""
     fingers = {
-        name: SimpleNamespace(health=SimpleNamespace(state="ready", ready=True), newest=told(rotation_deg))
+        name: SimpleNamespace(health=SimpleNamespace(state="ready", ready=True), newest=newest(rotation_deg))
         for name, rotation_deg in zip(("left", "right"), rotations_deg, strict=True)
     }
     gripper = SimpleNamespace(
@@ -74,7 +74,7 @@ def test_without_an_excuse_a_fault_is_observable_at_once(name: str) -> None:
 def test_a_frame_sent_twice_is_borne_in_silence(finger: str) -> None:
     one = watched(f"{finger}.duplicate", rig())
     one.observable_s = 60.0
-    one.read_line("left: whatever is said")
+    one.read_line("left: whatever is message")
     assert (one.due, one.unnamed, one.named_after_s) == (False, False, None)
 
 

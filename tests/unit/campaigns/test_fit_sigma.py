@@ -10,7 +10,7 @@ from tests.campaigns.fit_sigma import HEADROOM, RotationSample, fitted, within
 
 
 def drawn(count: int, spread_share: float, seed: int) -> list[RotationSample]:
-    """Turns whose errors are Gaussian, `spread_share` times what the parts of the contact disagree by."""
+    """Return rotations with Gaussian errors of `spread_share` times the spread within the contact."""
     rng = np.random.default_rng(seed)
     out = []
     for k in range(count):

@@ -139,7 +139,7 @@ def spoilt(folder: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "said"),
+    ("kind", "message"),
     [
         ("cut", r"b\.png: the PNG is truncated"),
         ("no mask", r"images/b\.png: no mask \(1 such files, 2 pairs\); complete them or use --skip"),
@@ -150,9 +150,9 @@ def spoilt(folder: Path, kind: str) -> None:
         ("many values", r"masks/b\.png: values 0, 1, 2.*0 and 1, or 0 and 255"),
     ],
 )
-def test_what_cannot_be_used_is_named_and_can_be_left_out(tmp_path: Path, kind: str, said: str) -> None:
+def test_unusable_files_are_named_and_can_be_skipped(tmp_path: Path, kind: str, message: str) -> None:
     spoilt(tmp_path / "in", kind)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         import_dataset(tmp_path / "in", tmp_path / "out")
     assert not (tmp_path / "out" / "manifest.jsonl").exists()
     done, pairs = imported(tmp_path, skip=True)
@@ -160,7 +160,7 @@ def test_what_cannot_be_used_is_named_and_can_be_left_out(tmp_path: Path, kind: 
     assert len(done.left_out) == 1
 
 
-def test_folders_that_hold_nothing_of_use_are_refused(tmp_path: Path) -> None:
+def test_folders_without_usable_pairs_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a folder"):
         found_pairs(tmp_path / "nowhere")
     with pytest.raises(InputError, match="0 images and 0 masks"):

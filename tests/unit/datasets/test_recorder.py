@@ -33,7 +33,7 @@ def overlap(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> float:
 
 
 @pytest.mark.parametrize("name", ["bar", "key"])
-def test_the_proposal_is_what_a_person_would_begin_with(name: str) -> None:
+def test_the_proposed_mask_is_a_useful_start(name: str) -> None:
     camera = GelCamera(random_unit(np.random.default_rng(3)), seed=1)
     truth = camera.draw_with_truth(GelView(name, angle_deg=40.0, depth_mm=0.6))
     assert overlap(propose_mask(truth.image, camera.no_contact()), label(truth)) > 0.5
@@ -142,7 +142,7 @@ def test_the_command_records_both_fingers_of_a_configuration(tmp_path: Path, cap
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "expected"),
     [
         ([], "either --config config.toml or --serial"),
         (["--serial", "D 1"], "--serial"),
@@ -152,7 +152,7 @@ def test_the_command_records_both_fingers_of_a_configuration(tmp_path: Path, cap
 )
 def test_misuse_is_one_line(
     arguments: list[str],
-    told: str,
+    expected: str,
     tmp_path: Path,
     capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -160,5 +160,5 @@ def test_misuse_is_one_line(
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
     ran = slipguard(capfd, "dataset", "record", "--out", tmp_path / "set", *arguments)
     assert ran.code == 2
-    assert told in ran.complaint
+    assert expected in ran.complaint
     assert not (tmp_path / "set").exists()

@@ -53,7 +53,7 @@ def test_equal_lists_of_backgrounds_give_equal_frames() -> None:
     assert equal(render_sample(70, real_ones()), render_sample(70, real_ones()))
 
 
-def test_frames_are_what_they_say(many: list[RenderedSample]) -> None:
+def test_the_manifest_describes_the_frames(many: list[RenderedSample]) -> None:
     for drawn in many:
         for picture in (drawn.image, drawn.background):
             assert picture.shape == (320, 240, 3)
@@ -172,7 +172,7 @@ def test_a_folder_that_cannot_be_written_is_an_input_error(tmp_path: Path) -> No
         render_dataset(tmp_path / "file" / "below", 1)
 
 
-def test_two_processes_write_what_one_writes(tmp_path: Path) -> None:
+def test_two_processes_write_the_same_data_set_as_one(tmp_path: Path) -> None:
     for jobs in (1, 2):
         render_dataset(tmp_path / str(jobs), 4, seed=48, workers=Workers(jobs))  # the unit changes after two
     files = sorted(path.relative_to(tmp_path / "1") for path in (tmp_path / "1").rglob("*.*"))

@@ -46,13 +46,13 @@ def test_without_motion_there_is_no_lag() -> None:
     assert still.lag_s == 0.0
 
 
-def test_streams_that_never_meet_are_told_apart() -> None:
+def test_streams_without_overlap_are_reported() -> None:
     camera_s, camera, tactile_s, tactile = streams(0.0, 0.1, 3)
     apart = find_lag(camera_s + 60.0, camera, tactile_s, tactile)
     assert apart.why == "the two streams do not overlap"
 
 
-def test_a_lag_at_the_edge_of_what_was_looked_at_is_none() -> None:
+def test_a_lag_at_the_edge_of_the_search_range_is_rejected() -> None:
     edge = find_lag(*streams(0.45, 0.1, 4), lag_max_s=0.3)
     assert edge.why is not None
     assert edge.lag_s == 0.0
@@ -64,7 +64,7 @@ def test_nothing_is_known_in_a_gap() -> None:
     assert between_frames(times, camera_s).tolist() == [False, True, False, False, False, True, True, False]
 
 
-def test_the_lag_is_found_with_a_gap_in_the_middle_of_the_turn() -> None:
+def test_the_lag_is_found_with_a_gap_during_the_rotation() -> None:
     camera_s, camera, tactile_s, tactile = streams(0.06, 0.2, 5)
     seen = (camera_s < 1.5) | (camera_s > 2.0)
     assert find_lag(camera_s[seen], camera[seen], tactile_s, tactile).lag_s == pytest.approx(0.06, abs=FRAME_S / 2)

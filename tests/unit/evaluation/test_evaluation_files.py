@@ -83,9 +83,9 @@ def test_a_video_without_markers_is_one_line(
     tmp_path: Path, camera: Path, capsys: pytest.CaptureFixture[str], covered: set[str], word: str
 ) -> None:
     assert rotation(video(tmp_path / "a.avi", frozenset(covered), 8), camera) == 2
-    said = capsys.readouterr().err
-    assert word in said
-    assert said.count("\n") == 1
+    message = capsys.readouterr().err
+    assert word in message
+    assert message.count("\n") == 1
 
 
 def test_a_truncated_or_invalid_video_is_one_line(tmp_path: Path, camera: Path) -> None:
@@ -121,9 +121,9 @@ def test_wrong_intrinsics_are_one_line(
     path = tmp_path / "camera.json"
     path.write_text(content)
     assert rotation(video(tmp_path / "a.avi", count=6), path) == 2
-    said = capsys.readouterr().err
-    assert word in said
-    assert said.count("\n") == 1
+    message = capsys.readouterr().err
+    assert word in message
+    assert message.count("\n") == 1
 
 
 @pytest.mark.parametrize("name", ["sheet.png", "sheet.pdf", "board.png"])

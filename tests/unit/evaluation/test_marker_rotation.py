@@ -1,4 +1,4 @@
-"""Known turns before a rendered camera, and what the two markers say of them."""
+"""Known rotations in images of a rendered camera, measured by the two markers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FRAMES = 24
 
 
 def motion(sign: float = 1.0, largest_deg: float = 35.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times, true turns, heights: at rest, then turning while it rises."""
+    """Return times, true rotations and heights: at rest, then rotating while lifted."""
     time_s = np.linspace(0.0, 2.5, FRAMES)
     rotation_deg = sign * np.clip((time_s - 0.8) * 22.0, 0.0, largest_deg)
     return time_s, rotation_deg, np.maximum(time_s - 0.7, 0.0) * 25.0
@@ -51,7 +51,7 @@ GRID = list(itertools.product((300.0, 600.0, 1000.0), (0.0, 20.0, 40.0)))
 
 
 @pytest.mark.parametrize(("distance_mm", "tilt_deg"), GRID)
-def test_turns_are_found_at_every_distance_and_tilt(distance_mm: float, tilt_deg: float) -> None:
+def test_rotations_are_measured_at_every_distance_and_tilt(distance_mm: float, tilt_deg: float) -> None:
     azimuth = 37.0 * GRID.index((distance_mm, tilt_deg))
     aim = (30.0, 60.0, 0.0) if distance_mm > 400.0 else (30.0, 80.0, 0.0)
     blur, noise = (0.6, 2.0) if tilt_deg < 30.0 else (1.2, 4.0)
@@ -63,7 +63,7 @@ def test_turns_are_found_at_every_distance_and_tilt(distance_mm: float, tilt_deg
     error = np.abs(errors(trace, sign))
     assert error.mean() <= 0.3
     assert error.max() <= 1.0
-    assert len(trace.time_s) >= FRAMES // 2  # at 0.3 m the lift leaves the picture
+    assert len(trace.time_s) >= FRAMES // 2  # at 0.3 m the lift leaves the image
 
 
 def test_covered_markers_are_gaps_and_not_guesses() -> None:
@@ -75,7 +75,7 @@ def test_covered_markers_are_gaps_and_not_guesses() -> None:
     assert np.abs(errors(trace)).max() <= 0.5
 
 
-def test_sigma_tells_the_size_of_the_errors() -> None:
+def test_sigma_matches_the_size_of_the_errors() -> None:
     look = replace(LOOK, distance_mm=900.0, noise=5.0, blur_px=1.0, tilt_deg=15.0)
     trace = rotations(seen(look), intrinsics_of(look.lens), 40.0)
     scaled = np.abs(errors(trace)) / trace.sigma_deg
@@ -98,7 +98,7 @@ def test_too_few_images_are_rejected() -> None:
         rotations(seen(LOOK)[:4], intrinsics_of(LOOK.lens), 40.0)
 
 
-def test_intrinsics_of_another_camera_do_not_pass_for_a_turn() -> None:
+def test_intrinsics_of_another_camera_are_detected() -> None:
     frontal = replace(LOOK, tilt_deg=0.0)
     wrong = intrinsics_of(frontal.lens).model_copy(update={"fy_px": 1150.0})
     with pytest.raises(InputError, match="check that the intrinsics are this camera's"):
@@ -114,7 +114,7 @@ def test_intrinsics_of_another_camera_do_not_pass_for_a_turn() -> None:
         ({"fx_px": float("nan")}, "finite"),
     ],
 )
-def test_implausible_intrinsics_are_refused(changed: dict[str, float], word: str) -> None:
+def test_implausible_intrinsics_are_rejected(changed: dict[str, float], word: str) -> None:
     good = intrinsics_of(LOOK.lens).model_dump()
     with pytest.raises(ValueError, match=word):
         Intrinsics.model_validate(good | changed)

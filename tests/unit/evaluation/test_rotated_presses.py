@@ -1,4 +1,4 @@
-"""Turns made on real pixels: the light stays, the object turns; and the command that measures them."""
+"""Computed rotations of real presses under fixed lights, and the command that measures them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_presses_are_split_into_parts(folder: Path) -> None:
     ]
 
 
-def test_relit_is_what_the_lights_would_show(press: PressImage) -> None:
+def test_relit_matches_the_image_under_fixed_lights(press: PressImage) -> None:
     for rotation in (25.0, -70.0):
         height = heights(lettered, 10.0 + rotation, press.center_px, 1.0)
         true = shaded_image(height, LedLights(), 0.0, np.random.default_rng(0)).astype(np.float32) - LEVEL

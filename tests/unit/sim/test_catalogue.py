@@ -52,8 +52,8 @@ def test_one_is_heavy_and_one_strongly_curved() -> None:
     assert heavy.mass_kg > 1.2
     assert heavy.com_offset_mm < 60.0
     camera = GelCamera(SensorUnit.default())
-    picture = camera.draw(GelView("ball", x_mm=-1.5, depth_mm=curved.press_mm)).astype(float)
-    off = np.abs(picture - camera.no_contact())
+    image = camera.draw(GelView("ball", x_mm=-1.5, depth_mm=curved.press_mm)).astype(float)
+    off = np.abs(image - camera.no_contact())
     assert off.max() > 90  # the signal range of a real DIGIT is about 100 grey levels
 
 
@@ -96,14 +96,14 @@ def test_no_test_shape_is_among_the_training_shapes() -> None:
                 assert match < 0.97, (name, other)
 
 
-def test_unknown_names_and_splits_are_refused_with_the_alternatives() -> None:
+def test_unknown_names_and_splits_are_rejected_with_the_alternatives() -> None:
     with pytest.raises(InputError, match="screwdriver"):
         find_object("spanner")
     with pytest.raises(InputError, match="train, test"):
         object_names("validation")
 
 
-def test_outlines_are_signed_distances() -> None:
+def test_contours_are_signed_distances() -> None:
     u, v = (f.astype(np.float32) for f in np.meshgrid(np.linspace(-3, 3, 61), np.linspace(-3, 3, 61)))
     box = shapes.box(u, v, 2.0, 1.0)
     assert box[30, 30] == pytest.approx(-1.0)
@@ -113,6 +113,6 @@ def test_outlines_are_signed_distances() -> None:
     assert np.allclose(shapes.without(shapes.disc(u, v, 2.0), shapes.disc(u, v, 1.0))[30, 30], 1.0)
 
 
-def test_turned_coordinates_are_counter_clockwise() -> None:
+def test_rotated_coordinates_are_counter_clockwise() -> None:
     u, v = shapes.rotated(np.float32([0.0]), np.float32([1.0]), 90.0)
     assert (float(u[0]), float(v[0])) == pytest.approx((1.0, 0.0), abs=1e-6)

@@ -17,7 +17,7 @@ def cone(press_mm: float, slope_mm_px: float = 0.02) -> np.ndarray:
     return np.maximum(press_mm - slope_mm_px * np.hypot(x - 120, y - 160), 0.0)
 
 
-def test_outline_lies_where_the_gel_has_moved_by_the_share() -> None:
+def test_the_label_ends_where_the_displacement_reaches_the_share() -> None:
     mask = label(truth(cone(1.0), 1.0))
     radius_px = np.sqrt(mask.sum() / np.pi)
     assert mask.dtype == np.uint8
@@ -44,4 +44,4 @@ def test_a_patch_cut_by_the_frame_reaches_the_frame() -> None:
 def test_nothing_visible_is_no_contact() -> None:
     assert not label(truth(np.zeros((320, 240)), 0.0)).any()
     assert not label(truth(cone(0.01), 0.01)).any()
-    assert not label(truth(np.full((320, 240), 0.05), 1.0)).any(), "the skirt of something outside the picture"
+    assert not label(truth(np.full((320, 240), 0.05), 1.0)).any(), "the skirt of something outside the image"

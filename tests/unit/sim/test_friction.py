@@ -33,7 +33,7 @@ def test_flatter_pressure_takes_more_torque(k: float, more: float) -> None:
 
 
 @pytest.mark.parametrize("k", [0.0, -1.0, math.nan])
-def test_pressure_shape_refuses_what_is_no_exponent(k: float) -> None:
+def test_pressure_shape_rejects_invalid_exponents(k: float) -> None:
     with pytest.raises(InputError, match="above 0"):
         pressure_shape(k)
 

@@ -1,4 +1,4 @@
-"""The drawn gel: what a picture of it must and must not show."""
+"""The rendered gel: properties that its images must and must not have."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from slipguard.sim.sensor_unit import NOISE_STD_BGR, LightChange, SensorUnit, ra
 from slipguard.sim.shapes import sphere
 
 NOTHING = GelView(object_name="", depth_mm=-1.0)
-GREY = np.full((320, 240, 3), 90, np.uint8)
+GRAY = np.full((320, 240, 3), 90, np.uint8)
 QUIET = replace(SensorUnit(), noise_bgr=(0.0, 0.0, 0.0), stripe_bgr=(0.0, 0.0, 0.0), dome_share=0.0)
 
 
 def change(unit: SensorUnit, view: GelView, raster: HeightRaster | None = None) -> NDArray[np.float64]:
     """Drawn minus no contact, without noise."""
-    camera = GelCamera(unit, GREY)
+    camera = GelCamera(unit, GRAY)
     return camera.draw(view, raster=raster).astype(float) - camera.no_contact()
 
 
@@ -36,7 +36,7 @@ def axis_deg(mask: NDArray[np.bool_]) -> float:
     return float(np.degrees(0.5 * np.arctan2(2 * (x * y).mean(), (x * x).mean() - (y * y).mean())))
 
 
-def test_the_same_seed_gives_the_same_pictures() -> None:
+def test_the_same_seed_gives_the_same_images() -> None:
     views = [NOTHING, GelView("bar", depth_mm=0.6), GelView("bar", angle_deg=5.0, depth_mm=0.7, rate_deg_s=200.0)]
 
     def film(seed: int) -> NDArray[np.uint8]:
@@ -47,14 +47,14 @@ def test_the_same_seed_gives_the_same_pictures() -> None:
     assert not np.array_equal(film(3), film(4))
 
 
-def test_draw_and_draw_with_truth_give_one_picture() -> None:
+def test_draw_and_draw_with_truth_give_the_same_image() -> None:
     view = GelView("key", x_mm=1.0, angle_deg=20.0, depth_mm=0.8)
     unit = SensorUnit.default()
     assert np.array_equal(GelCamera(unit, seed=2).draw(view), GelCamera(unit, seed=2).draw_with_truth(view).image)
 
 
-def test_without_contact_the_picture_is_the_background_and_noise() -> None:
-    camera = GelCamera(SensorUnit.default(), GREY, seed=1)
+def test_without_contact_the_image_is_the_background_and_noise() -> None:
+    camera = GelCamera(SensorUnit.default(), GRAY, seed=1)
     truth = camera.draw_with_truth(replace(NOTHING, object_name="bar"))
     assert not truth.contact.any()
     assert truth.press_mm == 0.0
@@ -65,8 +65,8 @@ def test_without_contact_the_picture_is_the_background_and_noise() -> None:
 
 
 def test_noise_has_the_measured_size_and_correlation() -> None:
-    camera = GelCamera(replace(SensorUnit(), stripe_bgr=(0.0, 0.0, 0.0)), GREY, seed=5)
-    noise = np.stack([camera.draw(NOTHING) for _ in range(8)]).astype(float) - GREY
+    camera = GelCamera(replace(SensorUnit(), stripe_bgr=(0.0, 0.0, 0.0)), GRAY, seed=5)
+    noise = np.stack([camera.draw(NOTHING) for _ in range(8)]).astype(float) - GRAY
     assert noise.std(axis=(0, 1, 2)) == pytest.approx(NOISE_STD_BGR, rel=0.04)
     for channel in range(3):
         plane = noise[..., channel]
@@ -76,7 +76,7 @@ def test_noise_has_the_measured_size_and_correlation() -> None:
     assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.05
 
 
-def test_a_turn_is_counter_clockwise_and_y_is_up() -> None:
+def test_a_rotation_is_counter_clockwise_and_y_is_up() -> None:
     camera = GelCamera(QUIET)
     level = camera.draw_with_truth(GelView("bar", depth_mm=0.6)).contact
     rotated = camera.draw_with_truth(GelView("bar", angle_deg=30.0, depth_mm=0.6)).contact
@@ -117,16 +117,16 @@ def test_a_deeper_press_touches_more() -> None:
 @pytest.mark.parametrize("name", ["bar", "ball", "screwdriver", "pins", "rod"])
 @pytest.mark.parametrize(("x_mm", "y_mm", "rate_deg_s"), [(0.5, -1.0, 0.0), (5.5, 7.0, 0.0), (-2.0, 1.0, 250.0)])
 def test_drawing_a_part_equals_drawing_the_whole(name: str, x_mm: float, y_mm: float, rate_deg_s: float) -> None:
-    imprinter = Imprinter(SensorUnit.default(), GREY)
+    imprinter = Imprinter(SensorUnit.default(), GRAY)
     view = GelView(name, x_mm, y_mm, 35.0, find_object(name).press_mm, rate_deg_s=rate_deg_s)
-    pictures = []
+    images = []
     for whole in (False, True):
-        picture = np.zeros((320, 240, 3), np.float32)
+        image = np.zeros((320, 240, 3), np.float32)
         imprint = imprinter.imprint(view, 0.008, whole=whole)
         assert imprint is not None
-        picture[imprint.window] = imprint.change_bgr
-        pictures.append(picture)
-    assert np.abs(pictures[0] - pictures[1]).max() < 1.0
+        image[imprint.window] = imprint.change_bgr
+        images.append(image)
+    assert np.abs(images[0] - images[1]).max() < 1.0
 
 
 def test_motion_smears_along_the_motion() -> None:
@@ -135,34 +135,34 @@ def test_motion_smears_along_the_motion() -> None:
     moving = change(QUIET, GelView("bar", depth_mm=0.6, vx_mm_s=60.0))
     middle, end = np.s_[110:210, 110:130], np.s_[110:150, 190:210]
     assert np.abs(moving[middle] - still[middle]).max() < 3.0
-    sharp = [np.abs(np.diff(picture[160, 180:], axis=0)).max() for picture in (still, moving)]
+    sharp = [np.abs(np.diff(image[160, 180:], axis=0)).max() for image in (still, moving)]
     assert sharp[1] < 0.8 * sharp[0]
     rotating = change(QUIET, GelView("bar", depth_mm=0.6, rate_deg_s=900.0))
     assert np.abs(rotating[middle] - still[middle]).max() < 6.0
     assert np.abs(rotating[end] - still[end]).max() > 10.0
 
 
-def test_a_slow_turn_is_drawn_sharp_and_in_place() -> None:
+def test_a_slow_rotation_is_rendered_without_blur() -> None:
     fast = change(QUIET, GelView("cross", angle_deg=10.0, depth_mm=0.6, rate_deg_s=100.0))
     still = change(QUIET, GelView("cross", angle_deg=10.0, depth_mm=0.6))
     assert np.corrcoef(fast.ravel(), still.ravel())[0, 1] > 0.95
 
 
 def test_light_changes_the_frame_and_not_the_reference() -> None:
-    camera = GelCamera(QUIET, GREY)
+    camera = GelCamera(QUIET, GRAY)
     camera.set_light(LightChange(1.0, (5.0, 0.0, -5.0), (0.0, 3.0, 0.0), (0.0, 0.0, 2.0)))
     off = camera.draw(NOTHING).astype(float) - camera.no_contact()
     assert off[160, 120] == pytest.approx([5.0, 0.0, -5.0], abs=0.6)
     assert off[160, 239, 1] - off[160, 0, 1] == pytest.approx(6.0, abs=1.1)
     assert off[0, 120, 2] - off[319, 120, 2] == pytest.approx(4.0, abs=1.1)
-    assert np.array_equal(camera.no_contact(), GREY)
+    assert np.array_equal(camera.no_contact(), GRAY)
 
 
 def test_units_differ() -> None:
     views = GelView("ring", depth_mm=0.8)
-    pictures = [GelCamera(random_unit(np.random.default_rng(seed))).draw(views).astype(float) for seed in range(4)]
+    images = [GelCamera(random_unit(np.random.default_rng(seed))).draw(views).astype(float) for seed in range(4)]
     for k in range(3):
-        assert np.abs(pictures[k] - pictures[k + 1]).mean() > 10
+        assert np.abs(images[k] - images[k + 1]).mean() > 10
 
 
 def test_half_of_the_units_carry_a_real_background() -> None:
@@ -191,12 +191,12 @@ def test_something_pressed_beside_the_frame_leaves_it_alone() -> None:
 
 @pytest.mark.parametrize("field", ["x_mm", "angle_deg", "depth_mm", "rate_deg_s"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_pose_that_is_not_finite_is_refused(field: str, value: float) -> None:
+def test_a_pose_that_is_not_finite_is_rejected(field: str, value: float) -> None:
     view = replace(GelView("bar", depth_mm=0.5), **{field: value})
     with pytest.raises(InputError, match="must be finite"):
         GelCamera(QUIET).draw(view)
 
 
-def test_a_background_of_another_shape_is_refused() -> None:
+def test_a_background_of_another_shape_is_rejected() -> None:
     with pytest.raises(InputError, match="240 wide"):
         GelCamera(QUIET, np.zeros((240, 320, 3), np.uint8))

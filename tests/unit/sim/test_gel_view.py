@@ -1,4 +1,4 @@
-"""A picture that carries numbers gives them back, and no two are alike."""
+"""An encoded image returns its view, and no two are equal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ numbers = st.floats(-1e6, 1e6)
 
 
 @given(st.lists(numbers, min_size=7, max_size=7), st.tuples(numbers, numbers, numbers), st.booleans())
-def test_what_is_written_is_read(values: list[float], light: tuple[float, float, float], there: bool) -> None:
+def test_an_encoded_view_is_decoded(values: list[float], light: tuple[float, float, float], there: bool) -> None:
     view = GelView("object" if there else "", *values)
     image = encode_view(view, light, 3)
     assert image.shape == (320, 240, 3)

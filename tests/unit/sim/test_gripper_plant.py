@@ -38,7 +38,7 @@ def run(
     return plants
 
 
-def test_forces_are_those_of_the_register_and_never_below_what_was_asked() -> None:
+def test_forces_are_register_values_and_never_below_the_requested_force() -> None:
     assert MODEL.force_step_n == pytest.approx(0.843, abs=5e-4)
     assert MODEL.quantized_force_n(0.0) == 20.0
     assert MODEL.quantized_force_n(20.0) == 20.0
@@ -98,7 +98,7 @@ def test_orders_queue_in_the_line() -> None:
     assert [order.due_s for order in plant.pending] == pytest.approx([0.032, 0.064, 0.096])
 
 
-def test_true_force_has_the_gain_error_and_nobody_is_told() -> None:
+def test_the_true_force_has_the_gain_error_which_is_not_reported() -> None:
     model = replace(MODEL, gain=1.1)
     plant, applied_n = order_hold(OPEN, model, 0.0, 40.0)
     end = run(plant, 0.0, 1.5, model=model)[-1]

@@ -1,4 +1,4 @@
-"""The turn of a held object beside MuJoCo's, where MuJoCo is installed (`pip install 'slipguard[mujoco]'`)."""
+"""The rotation of a held object compared with MuJoCo, if it is installed (`pip install 'slipguard[mujoco]'`)."""
 
 from __future__ import annotations
 
@@ -73,12 +73,12 @@ def in_ours(item: SimObject, force: Callable[[float], float], seconds: float) ->
 @pytest.mark.extras("mujoco")
 @pytest.mark.parametrize(("mass_kg", "lever_mm", "friction"), [(0.35, 60.0, 0.8), (0.5, 100.0, 0.4), (0.8, 80.0, 0.6)])
 @pytest.mark.parametrize(("first", "then"), [(0.8, 0.8), (0.9, 0.9), (0.97, 0.97), (1.03, 1.03), (0.8, 1.6)])
-def test_it_turns_as_far_as_in_mujoco_itself(
+def test_it_rotates_as_far_as_in_mujoco_itself(
     mass_kg: float, lever_mm: float, friction: float, first: float, then: float
 ) -> None:
     """Elliptic cone, condim 4, impratio 10, 20 noslip iterations: the same limit surface, another integrator.
 
-    A kilogram on 50 mm slides as it turns; there the coupling that `rotation` leaves out makes 0.6 degrees in 19.
+    A kilogram on 50 mm slips as it rotates; the neglected coupling makes 0.6 degrees in 19.
     """
     import mujoco
 

@@ -165,7 +165,7 @@ def test_the_critical_grip_is_the_closed_form_whatever_the_step(step_s: float) -
     assert not slips(needed_n * 1.001)
 
 
-def test_turning_under_load_lets_it_creep_down_along_the_flow_rule() -> None:
+def test_rotation_under_load_causes_downward_slip_by_the_flow_rule() -> None:
     force_n = 15.0
     motions = run(FREE, RIGID, 0.1, lambda t: ExternalLoad(force_n))
     f, f_max = 0.35 * GRAVITY_M_S2, 2 * 0.8 * force_n
@@ -179,7 +179,7 @@ def test_turning_under_load_lets_it_creep_down_along_the_flow_rule() -> None:
 BALANCED = GraspedBody.of(bar(lever_mm=0.0))
 
 
-def test_a_balanced_object_slides_straight_down_when_the_load_is_too_much() -> None:
+def test_a_balanced_object_slips_straight_down_under_too_much_load() -> None:
     force_n = 1.5  # 0.35 kg needs 2.15 N per finger
     end = run(BALANCED, RIGID, 0.2, lambda t: ExternalLoad(force_n))[-1]
     acceleration = GRAVITY_M_S2 - 2 * 0.8 * force_n / 0.35
@@ -187,7 +187,7 @@ def test_a_balanced_object_slides_straight_down_when_the_load_is_too_much() -> N
     assert end.rotation_rad == 0.0
 
 
-def test_a_slide_is_caught_by_tightening() -> None:
+def test_translational_slip_is_stopped_by_tightening() -> None:
     speed = 0.05
     end = run(BALANCED, RIGID, 0.02, lambda t: ExternalLoad(6.0), ObjectMotion(slip_m_s=speed), step_s=1e-5)[-1]
     deceleration = 2 * 0.8 * 6.0 / 0.35 - GRAVITY_M_S2
@@ -295,7 +295,7 @@ def test_a_body_needs_mass_and_friction() -> None:
         (0.80, 1.60, 13.28),
     ],
 )
-def test_it_turns_as_far_as_in_mujoco(ratio: float, tightened: float, mujoco_deg: float) -> None:
+def test_it_rotates_as_far_as_in_mujoco(ratio: float, tightened: float, mujoco_deg: float) -> None:
     """Recorded from MuJoCo 4.0.0: elliptic cone, condim 4, impratio 10, 20 noslip iterations, tightened at 0.12 s."""
     needed_n = needed_force_n(bar(), RIGID)
     seconds = 0.4 if tightened != ratio else 0.25

@@ -1,4 +1,4 @@
-"""The shared world tells one story: what a grip holds, turns, lets slide and drops."""
+"""The shared world: objects are held, rotate, slip and drop consistently."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_contact_comes_smoothly_while_the_fingers_close() -> None:
     assert depths[-1] == pytest.approx(math.sqrt(world.truth(T0 + 1.0).force_n / 40.0))
 
 
-def test_a_good_grip_lifts_without_a_turn() -> None:
+def test_a_sufficient_grip_lifts_without_rotation() -> None:
     world, now_s = grasped(30.0)
     world.command_lift(now_s, 60.0, 50.0)
     end = follow(world, now_s, 3.0)[-1]
@@ -51,7 +51,7 @@ def test_a_good_grip_lifts_without_a_turn() -> None:
     assert end.needed_force_n == pytest.approx(needed_force_n(bar(), SoftPad()))
 
 
-def test_a_weak_grip_turns_and_tightening_stops_it() -> None:
+def test_with_a_weak_grip_the_object_rotates_until_it_is_tightened() -> None:
     world, now_s = grasped(20.0)
     world.command_lift(now_s, 60.0, 50.0)
 
@@ -65,7 +65,7 @@ def test_a_weak_grip_turns_and_tightening_stops_it() -> None:
     assert truths[-1].dropped is None
 
 
-def test_the_two_pictures_mirror_each_other() -> None:
+def test_the_two_images_mirror_each_other() -> None:
     world, now_s = grasped(20.0, x_mm=1.5, y_mm=-0.5, angle_deg=30.0)
     world.command_lift(now_s, 60.0, 50.0)
     now_s += 1.0
@@ -78,7 +78,7 @@ def test_the_two_pictures_mirror_each_other() -> None:
     assert left.rate_deg_s == -right.rate_deg_s == truth.rate_deg_s
 
 
-def test_the_lever_decides_which_way_it_turns() -> None:
+def test_the_lever_determines_the_direction_of_rotation() -> None:
     ends = []
     for sign in (1, -1):
         world, now_s = grasped(20.0, lever_sign=sign)
@@ -88,7 +88,7 @@ def test_the_lever_decides_which_way_it_turns() -> None:
     assert ends[0].slip_deg == -ends[1].slip_deg
 
 
-def test_turning_too_far_is_a_drop() -> None:
+def test_a_large_rotation_is_a_drop() -> None:
     world, now_s = grasped(20.0, bar(mass_kg=2.0, lever_mm=40.0))
     world.command_lift(now_s, 200.0, 100.0)
     end = follow(world, now_s, 4.0)[-1]
@@ -98,7 +98,7 @@ def test_turning_too_far_is_a_drop() -> None:
     assert world.gripper_state(now_s + 6.0).closed_on_nothing
 
 
-def test_too_weak_for_the_weight_slides_and_is_lost() -> None:
+def test_with_a_grip_too_weak_for_the_weight_the_object_slips_and_drops() -> None:
     world, now_s = grasped(20.0, bar(mass_kg=2.0, lever_mm=0.0, friction=0.4))  # needs 24.5 N
     world.command_lift(now_s, 5.0, 50.0)
     sliding = follow(world, now_s, 1.0)[-1]
@@ -111,7 +111,7 @@ def test_too_weak_for_the_weight_slides_and_is_lost() -> None:
     assert end.rotation_deg == 0.0
 
 
-def test_a_slide_is_seen_in_the_pictures_and_tightening_ends_it() -> None:
+def test_translational_slip_shows_in_the_images_and_tightening_stops_it() -> None:
     world, now_s = grasped(20.0, bar(mass_kg=2.0, lever_mm=0.0, friction=0.4))
     world.command_lift(now_s, 60.0, 20.0)
 
@@ -179,7 +179,7 @@ def test_an_even_motion_is_not_taken_for_rest() -> None:
     assert is_static(resting, resting, T0)
 
 
-def test_what_was_dropped_stays_dropped_until_cleared() -> None:
+def test_a_dropped_object_stays_dropped_until_cleared() -> None:
     world, now_s = grasped(30.0)
     world.command_lift(now_s, 60.0, 100.0)
     world.command_release(now_s + 2.0, 85.0)

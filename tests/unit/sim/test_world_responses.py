@@ -1,4 +1,4 @@
-"""The shared world answers alike to gripper, arm and cameras, whoever asks, how often, and whatever fails."""
+"""The shared world gives consistent states to gripper, arm and cameras, for any caller, call rate and fault."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from slipguard.sim.scenario import Scenario, scenario
 from slipguard.sim.world import WorldTruth
 
 
-def test_wind_up_on_a_soft_gel_is_told_apart_from_slip() -> None:
+def test_elastic_torsion_of_a_soft_gel_is_distinct_from_slip() -> None:
     world, now_s = grasped(35.0, gel=SoftPad(torsion_n_m_rad=0.3, stiffening=3.0, relaxation_s=0.02))
     world.command_lift(now_s, 60.0, 50.0)
     up = follow(world, now_s, 3.0)[-1]
@@ -119,7 +119,7 @@ def test_placing_needs_open_jaws_and_an_empty_place() -> None:
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_what_is_no_number_is_refused(bad: float) -> None:
+def test_values_that_are_not_finite_are_rejected(bad: float) -> None:
     world = make()
     for call in (
         lambda: world.truth(bad),
@@ -203,7 +203,7 @@ def test_no_sequence_of_commands_breaks_the_world(story: list[tuple[tuple[str, f
     ("ratio", "low_deg", "high_deg"), [(0.97, 3.0, 4.0), (0.90, 6.0, 8.0), (0.75, 12.0, 18.5), (0.50, 24.0, 37.0)]
 )
 @pytest.mark.parametrize("ramp_n_s", [64.0, 480.0])
-def test_what_a_loop_can_reach(ratio: float, low_deg: float, high_deg: float, ramp_n_s: float) -> None:
+def test_reachable_results_of_a_control_loop(ratio: float, low_deg: float, high_deg: float, ramp_n_s: float) -> None:
     """The published loop table: 100 ms latency, threshold 2 deg, tightened to 1.6 x critical, seen at 30 Hz."""
     body, gel, needed_n = GraspedBody.of(bar()), SoftPad(), needed_force_n(bar(), SoftPad())
     motion, force_n, fires_s = ObjectMotion(), ratio * needed_n, math.inf
