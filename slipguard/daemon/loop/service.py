@@ -37,13 +37,12 @@ from slipguard.daemon.loop.decision import Decision, LatencyStats
 from slipguard.daemon.loop.device_health import DeviceAlerts, find_problems
 from slipguard.daemon.loop.event_log import EventLog
 from slipguard.daemon.loop.finger import Finger, PerceptionPipeline, TimedEstimate, Worker
+from slipguard.daemon.loop.request_queue import RequestQueue
 from slipguard.daemon.store.background_images import BackgroundStore
 from slipguard.devices import Arm, ArmState, Gripper, GripperState, TactileSensor
-from slipguard.errors import CommandRefused
 from slipguard.perception.estimate import Estimate
 
 FINGERS = ("left", "right")
-REQUEST_TIMEOUT_S = 2.0
 
 Controller = Callable[[ControlState, Observation, GuardParams], tuple[ControlState, StepOutput]]
 log = structlog.get_logger()
@@ -101,7 +100,7 @@ class Service:
             "gripper", gripper, poll_s, retry_s, self._wake.set, self.event_log.warning
         )
         self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, self._wake.set, self.event_log.warning)
-        self._requests: asyncio.Queue[tuple[ControlRequest, asyncio.Future[str]]] = asyncio.Queue()
+        self._requests = RequestQueue()
         self._used: dict[str, TimedEstimate | None] = dict.fromkeys(FINGERS)
         self._last_fault: Fault | None = None
         self._device_alerts = DeviceAlerts(self.event_log.info, self.event_log.warning)
@@ -143,16 +142,7 @@ class Service:
 
     async def request(self, request: ControlRequest) -> str:
         """Pass a request to the controller and return its message. Raises CommandRefused with the reason."""
-        response: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-        self._requests.put_nowait((request, response))
-        self._wake.set()
-        try:
-            async with asyncio.timeout(REQUEST_TIMEOUT_S):
-                return await response
-        except TimeoutError:
-            raise CommandRefused(
-                f"{request.kind}: the loop did not respond within {REQUEST_TIMEOUT_S:g} s; try again"
-            ) from None
+        return await self._requests.submit(request, self._wake)
 
     def stop_arm(self, on_stopped: Callable[[], None]) -> None:
         """Stop the arm independently of the controller, before the service ends.
@@ -178,8 +168,7 @@ class Service:
         finally:
             notify_systemd("STOPPING=1")
             self.close()
-            while (waiting := self._next_request()) is not None:
-                waiting[1].set_exception(CommandRefused(f"{waiting[0].kind}: slipguard is stopping"))
+            self._requests.refuse_all("slipguard is stopping")
 
     def close(self) -> None:
         """End the workers' threads; `run` does so at its end."""
@@ -203,23 +192,18 @@ class Service:
 
     def _run_cycle(self, now_s: float) -> None:
         """Gather an observation, compute the control step, issue the command, publish the decision."""
-        request, response = self._next_request() or (ControlRequest(), None)
-        fresh, observation = self._gather(now_s, request)
+        pending = self._requests.next()
+        fresh, observation = self._gather(now_s, ControlRequest() if pending is None else pending.request)
         new = self._take_new_estimates()
         before = self._memory
         self._memory, output = self._controller(before, observation, self.config.guard)
         self.observation = observation
         self._issue(output, max((one.received_at_s for one in new.values()), default=now_s))
-        self._respond(output, response)
+        if pending is not None and output.refusal is not None:
+            pending.refuse(output.refusal.text)
+        elif pending is not None:
+            pending.respond(output.text or self.phase.value)
         self._publish(before, output, fresh, new)
-
-    def _next_request(self) -> tuple[ControlRequest, asyncio.Future[str]] | None:
-        """Return the oldest request whose caller still waits; one that was given up is not carried out later."""
-        while not self._requests.empty():
-            request, response = self._requests.get_nowait()
-            if not response.done():
-                return request, response
-        return None
 
     def _gather(self, now_s: float, request: ControlRequest) -> tuple[dict[str, Estimate | None], Observation]:
         """Return each finger's fresh estimate and the controller's observation."""
@@ -274,15 +258,6 @@ class Service:
         if output.new_reference:
             for finger in self.fingers.values():
                 finger.reset_reference()
-
-    def _respond(self, output: StepOutput, response: asyncio.Future[str] | None) -> None:
-        """Give the caller of a request its response."""
-        if response is None or response.done():
-            return
-        if output.refusal is not None:
-            response.set_exception(CommandRefused(output.refusal.text))
-        else:
-            response.set_result(output.text or self.phase.value)
 
     def _publish(
         self,
